@@ -1,0 +1,1 @@
+"""How things move: vehicles, roads, scenes and predictions, as pure functions of arrays."""

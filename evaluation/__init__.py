@@ -1,0 +1,1 @@
+"""Everything that measures: settings, training, episodes, statistics and the command line."""

@@ -1,0 +1,180 @@
+"""Named environment settings, so that a result can say in one word where it was measured.
+
+A setting is an environment id and the configuration that differs from highway-env's default:
+
+>>> setting = get_setting("abz-idm")
+>>> setting.env_id, setting.config["simulation_frequency"]
+('highway-fast-v0', 15)
+>>> setting.with_traffic("aggressive", vehicles=30).config["vehicles_count"]
+30
+
+The ``abz`` family is the highway of the ABZ 2025 case study: three lanes, target speeds
+0, 5, …, 40 m/s. ``abz`` and ``abz-adversarial`` are for training (5 Hz), ``abz-idm`` and
+``abz-aggressive`` for testing (15 Hz). The two tests and ``abz`` share one reward, so that returns
+can be compared across them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+
+from shield.errors import ConfigError
+
+__all__ = ["SETTINGS", "TRAFFIC", "Setting", "get_setting"]
+
+TRAFFIC: Mapping[str, str] = MappingProxyType(
+    {
+        "idm": "highway_env.vehicle.behavior.IDMVehicle",
+        "linear": "highway_env.vehicle.behavior.LinearVehicle",
+        "aggressive": "highway_env.vehicle.behavior.AggressiveVehicle",
+        "defensive": "highway_env.vehicle.behavior.DefensiveVehicle",
+    }
+)
+"""Short names of highway-env's driver models, and the classes they stand for."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """An environment and the configuration to make it with.
+
+    Attributes:
+        name: the name it is reported under.
+        env_id: a Gymnasium id that highway-env registers.
+        config: what differs from the environment's default configuration; in highway-env's units
+            (speeds in m/s, frequencies in Hz, durations in s). Read-only.
+        description: one line for people.
+    """
+
+    name: str
+    env_id: str
+    config: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        # A deep copy behind a read-only view: no two settings share a nested dictionary.
+        object.__setattr__(self, "config", MappingProxyType(deepcopy(dict(self.config))))
+
+    def make(self, render_mode: str | None = None) -> gym.Env[Any, Any]:
+        """A fresh environment; ``render_mode`` "rgb_array" or "human" if it is to be drawn."""
+        return gym.make(self.env_id, config=deepcopy(dict(self.config)), render_mode=render_mode)
+
+    def override(self, config: Mapping[str, Any], name: str | None = None) -> Setting:
+        """The same setting with these keys replaced (whole values: highway-env does not merge).
+
+        The name is kept unless another is given; give one where results are written down.
+        """
+        return replace(self, config={**self.config, **config}, name=name or self.name)
+
+    def with_traffic(
+        self,
+        kind: str | None = None,
+        *,
+        vehicles: int | None = None,
+        density: float | None = None,
+    ) -> Setting:
+        """The same road among other traffic.
+
+        Args:
+            kind: a name in `TRAFFIC`, or the dotted path of a vehicle class.
+            vehicles: how many other vehicles.
+            density: highway-env's ``vehicles_density``, a factor (the default traffic is 1).
+        """
+        config: dict[str, Any] = {}
+        label = []
+        if kind is not None:
+            if kind not in TRAFFIC and "." not in kind:
+                raise ConfigError(
+                    f"unknown traffic {kind!r}; have {sorted(TRAFFIC)}, or a dotted class path"
+                )
+            config["other_vehicles_type"] = TRAFFIC.get(kind, kind)
+            label.append(kind)
+        if vehicles is not None:
+            if vehicles < 0:
+                raise ConfigError(f"vehicles must be 0 or more, not {vehicles}")
+            config["vehicles_count"] = vehicles
+            label.append(f"vehicles={vehicles}")
+        if density is not None:
+            if density <= 0:
+                raise ConfigError(f"density must be positive, not {density}")
+            config["vehicles_density"] = density
+            label.append(f"density={density:g}")
+        return self.override(config, name="+".join([self.name, *label]))
+
+
+_ABZ_ROAD: dict[str, Any] = {
+    "lanes_count": 3,
+    "action": {"type": "DiscreteMetaAction", "target_speeds": list(range(0, 45, 5))},
+    "reward_speed_range": [0, 40],
+}
+_ABZ_BASE = {**_ABZ_ROAD, "high_speed_reward": 1.0, "collision_reward": -1.0}
+
+# Two things about this reward:
+# - `lane_change_reward` belongs to the case study's configuration and is kept for the record, but
+#   highway-env 1.12 reads it nowhere in `HighwayEnv._rewards`: on this road it does nothing.
+# - A crash adds +1 and ends the episode. Without normalisation every second of driving on would be
+#   worth up to +2.1, and a crash would cost that whole future: on balance it would not be rewarded.
+#   highway-env's normalisation maps [collision_reward, high_speed_reward + right_lane_reward]
+#   = [1, 2.1] to [0, 1], so a second on the left lane is worth (2 v / 40 - 1) / 1.1: nothing at
+#   v = 20 m/s, a loss below, little at the speed of the traffic. A crash adds 1 / 1.1 and ends the
+#   losses. So `normalize_reward` stays True here.
+_ABZ_ADVERSARIAL = {
+    **_ABZ_ROAD,
+    "high_speed_reward": 2.0,
+    "collision_reward": 1.0,
+    "lane_change_reward": 0.5,
+    "normalize_reward": True,
+}
+
+SETTINGS: Mapping[str, Setting] = MappingProxyType(
+    {
+        setting.name: setting
+        for setting in (
+            Setting("highway-fast", "highway-fast-v0", {}, "highway-fast-v0 as it comes: 5 Hz"),
+            Setting("highway", "highway-v0", {}, "highway-v0 as it comes: 15 Hz"),
+            Setting(
+                "abz",
+                "highway-fast-v0",
+                _ABZ_BASE,
+                "ABZ 2025, training: 3 lanes, target speeds 0 to 40 m/s, crash reward -1, 5 Hz",
+            ),
+            Setting(
+                "abz-adversarial",
+                "highway-fast-v0",
+                _ABZ_ADVERSARIAL,
+                "ABZ 2025, training of an agent that is paid for crashing: crash reward +1, 5 Hz",
+            ),
+            Setting(
+                "abz-idm",
+                "highway-fast-v0",
+                {**_ABZ_BASE, "simulation_frequency": 15, "other_vehicles_type": TRAFFIC["idm"]},
+                "ABZ 2025, test: IDM traffic at 15 Hz, the reward of abz",
+            ),
+            Setting(
+                "abz-aggressive",
+                "highway-fast-v0",
+                {
+                    **_ABZ_BASE,
+                    "simulation_frequency": 15,
+                    "other_vehicles_type": TRAFFIC["aggressive"],
+                },
+                "ABZ 2025, test: aggressive traffic at 15 Hz, the reward of abz",
+            ),
+        )
+    }
+)
+"""The named settings."""
+
+
+def get_setting(name: str) -> Setting:
+    """The setting of that name; a `ConfigError` that lists the names if there is none."""
+    try:
+        return SETTINGS[name]
+    except KeyError:
+        raise ConfigError(f"unknown setting {name!r}; have {sorted(SETTINGS)}") from None

@@ -1,0 +1,170 @@
+"""Policies by name: constant actions, random actions, the reference policies, and SB3 zip files.
+
+All have the `predict` signature of Stable-Baselines3:
+
+>>> from evaluation.settings import get_setting
+>>> env = get_setting("highway-fast").make()
+>>> policy = make_policy("faster", env)
+>>> int(policy.predict(None)[0])
+3
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+
+from evaluation.policies import list_references, load_reference
+from evaluation.training import ALGORITHMS, get_algorithm, manifest_path
+from shield.errors import ConfigError
+
+__all__ = [
+    "BASELINES",
+    "ConstantPolicy",
+    "Policy",
+    "RandomPolicy",
+    "make_policy",
+    "policy_label",
+    "start_episode",
+]
+
+_CONSTANT = {"faster": "FASTER", "slower": "SLOWER", "idle": "IDLE"}
+
+BASELINES = (*sorted(_CONSTANT), "random")
+"""Names of the policies that need no training."""
+
+
+class Policy(Protocol):
+    """What an episode is driven with: SB3's `predict`."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """The action for an observation, and the next hidden state."""
+        ...
+
+
+class ConstantPolicy:
+    """The same meta-action at every decision.
+
+    Parameters
+    ----------
+    action : index in the discrete action space.
+    """
+
+    def __init__(self, action: int) -> None:
+        self.action = action
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """The one action; nothing else is looked at."""
+        return np.asarray(self.action), state
+
+
+class RandomPolicy:
+    """Uniform random actions from a generator of its own, reproducible per episode.
+
+    Parameters
+    ----------
+    space : the action space.
+    seed : seed of the first episode.
+    """
+
+    def __init__(self, space: gym.Space[Any], seed: int = 0) -> None:
+        self._space = space
+        self.reset(seed)
+
+    def reset(self, seed: int) -> None:
+        """Start an episode: the actions depend on its seed alone."""
+        self._generator = np.random.default_rng(seed)
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """An action drawn uniformly, also when `deterministic` is asked for."""
+        space = self._space
+        if isinstance(space, gym.spaces.Discrete):
+            return np.asarray(space.start + self._generator.integers(space.n)), state
+        if isinstance(space, gym.spaces.Box):
+            return self._generator.uniform(space.low, space.high).astype(space.dtype), state
+        raise ConfigError(f"random actions need a Discrete or a Box action space, not {space}")
+
+
+def start_episode(policy: Policy, seed: int) -> None:
+    """Tell a policy that an episode with this seed begins; only `RandomPolicy` listens."""
+    if isinstance(policy, RandomPolicy):
+        policy.reset(seed)
+
+
+def policy_label(name: str) -> str:
+    """The name that results are reported under: of a zip file, its stem."""
+    return Path(name).stem if name.endswith(".zip") else name
+
+
+def make_policy(name: str, env: gym.Env[Any, Any], algorithm: str | None = None) -> Policy:
+    """A policy by name, or from an SB3 zip file.
+
+    Parameters
+    ----------
+    name : a name in `BASELINES`, a reference policy, or the path of a zip file.
+    env : the environment that it is to act in.
+    algorithm : the SB3 algorithm of a zip file; by default the manifest beside the file says it.
+
+    Raises
+    ------
+    ConfigError
+        On an unknown name, or a zip file of unknown algorithm; the message lists what is valid.
+    """
+    if name in _CONSTANT:
+        return ConstantPolicy(_action_index(env, _CONSTANT[name]))
+    if name == "random":
+        return RandomPolicy(env.action_space)
+    if name in list_references():
+        return load_reference(name)
+    if name.endswith(".zip"):
+        return _load_zip(Path(name), algorithm)
+    known = ", ".join([*BASELINES, *list_references()])
+    raise ConfigError(f"unknown policy {name!r}; have {known}, or the path of an SB3 .zip file")
+
+
+def _action_index(env: gym.Env[Any, Any], action: str) -> int:
+    kind = env.unwrapped.action_type  # type: ignore[attr-defined]
+    if not isinstance(env.action_space, gym.spaces.Discrete):
+        raise ConfigError(
+            f"{action} is a meta-action; this environment takes {type(kind).__name__}"
+        )
+    indexes: dict[str, int] = kind.actions_indexes
+    if action not in indexes:
+        raise ConfigError(f"this environment has no action {action}; have {sorted(indexes)}")
+    return int(indexes[action])
+
+
+def _load_zip(path: Path, algorithm: str | None) -> Policy:
+    if not path.is_file():
+        raise ConfigError(f"there is no policy file {path}")
+    manifest = manifest_path(path)
+    if algorithm is None and manifest.is_file():
+        algorithm = json.loads(manifest.read_text(encoding="utf-8")).get("algorithm")
+    if algorithm is None:
+        raise ConfigError(
+            f"{path} does not name its algorithm and has no manifest beside it;"
+            f" give one of {', '.join(sorted(ALGORITHMS))}"
+        )
+    return get_algorithm(algorithm).load(path, device="cpu")

@@ -1,0 +1,162 @@
+"""Intervals and paired tests for episode results.
+
+Every function takes plain arrays and returns a frozen record with the number of samples in it.
+Resampling uses a fixed seed, so the same episodes give the same table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+from shield.errors import ConfigError
+
+__all__ = [
+    "CONFIDENCE",
+    "Interval",
+    "McNemar",
+    "bootstrap_mean",
+    "mcnemar",
+    "paired_difference",
+    "quantiles",
+    "wilson",
+]
+
+CONFIDENCE = 0.95
+"""Coverage of every interval, unless another is asked for."""
+
+_RESAMPLES = 9999
+_SEED = 0
+_BATCH_CELLS = 4_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """An estimate and its confidence interval, in the unit of the samples.
+
+    Attributes
+    ----------
+    estimate : the rate or mean itself.
+    low, high : ends of the interval; NaN where one sample alone admits none.
+    n : number of samples (pairs, for a paired difference).
+    """
+
+    estimate: float
+    low: float
+    high: float
+    n: int
+
+
+@dataclass(frozen=True, slots=True)
+class McNemar:
+    """Exact McNemar test of two paired binary outcomes.
+
+    Attributes
+    ----------
+    only_first, only_second : discordant pairs, by which of the two had the event.
+    p_value : two-sided, exact binomial on the discordant pairs; 1 without any.
+    n : number of pairs.
+    """
+
+    only_first: int
+    only_second: int
+    p_value: float
+    n: int
+
+
+def wilson(successes: int, n: int, confidence: float = CONFIDENCE) -> Interval:
+    """Wilson score interval of a rate.
+
+    Examples
+    --------
+    >>> interval = wilson(0, 1000)
+    >>> interval.estimate, round(interval.high, 4)
+    (0.0, 0.0038)
+    """
+    if n < 1 or not 0 <= successes <= n:
+        raise ConfigError(f"a rate needs 0 <= successes <= n and n >= 1, got {successes} of {n}")
+    result = stats.binomtest(int(successes), int(n))
+    bounds = result.proportion_ci(confidence_level=confidence, method="wilson")
+    return Interval(successes / n, float(bounds.low), float(bounds.high), int(n))
+
+
+def bootstrap_mean(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+    """Mean with a bias-corrected and accelerated bootstrap interval.
+
+    Samples that are all equal give an interval of no width, a single sample gives one of NaN.
+    """
+    samples = _samples(values)
+    mean, n = float(samples.mean()), int(samples.size)
+    if n == 1:
+        return Interval(mean, float("nan"), float("nan"), n)
+    if np.ptp(samples) == 0.0:
+        return Interval(mean, mean, mean, n)
+    result = stats.bootstrap(
+        (samples,),
+        np.mean,
+        confidence_level=confidence,
+        n_resamples=_RESAMPLES,
+        batch=max(1, _BATCH_CELLS // n),
+        method="BCa",
+        rng=np.random.default_rng(_SEED),
+    )
+    bounds = result.confidence_interval
+    return Interval(mean, float(bounds.low), float(bounds.high), n)
+
+
+def paired_difference(
+    first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE
+) -> Interval:
+    """Mean of `first - second` over pairs, with its bootstrap interval.
+
+    Examples
+    --------
+    >>> paired_difference([3.0, 5.0], [1.0, 3.0]).estimate
+    2.0
+    """
+    left, right = _pairs(first, second)
+    return bootstrap_mean(left - right, confidence)
+
+
+def mcnemar(first: ArrayLike, second: ArrayLike) -> McNemar:
+    """Whether two paired binary outcomes (crashed with, crashed without) differ in rate.
+
+    Examples
+    --------
+    >>> mcnemar([True] * 6, [False] * 6).p_value
+    0.03125
+    """
+    left, right = (side.astype(bool) for side in _pairs(first, second))
+    only_first, only_second = int(np.sum(left & ~right)), int(np.sum(~left & right))
+    discordant = only_first + only_second
+    p_value = 1.0 if discordant == 0 else float(stats.binomtest(only_first, discordant).pvalue)
+    return McNemar(only_first, only_second, p_value, int(left.size))
+
+
+def quantiles(values: ArrayLike, levels: Sequence[float] = (0.5, 0.99)) -> tuple[float, ...]:
+    """Quantiles of pooled samples; NaN without any (an unshielded run has no latencies)."""
+    samples = np.asarray(values, dtype=float)
+    if samples.size == 0:
+        return tuple(float("nan") for _ in levels)
+    return tuple(float(q) for q in np.quantile(samples, levels))
+
+
+def _samples(values: ArrayLike) -> NDArray[np.float64]:
+    samples = np.asarray(values, dtype=float)
+    if samples.ndim != 1 or samples.size == 0 or not np.all(np.isfinite(samples)):
+        raise ConfigError(
+            f"samples must be a non-empty finite vector, got shape {samples.shape}"
+            f" with {int(np.sum(~np.isfinite(samples)))} values that are not finite"
+        )
+    return samples
+
+
+def _pairs(first: ArrayLike, second: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    left, right = _samples(first), _samples(second)
+    if left.shape != right.shape:
+        raise ConfigError(f"pairs need equal lengths, got {left.size} and {right.size}")
+    return left, right

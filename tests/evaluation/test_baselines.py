@@ -1,0 +1,91 @@
+"""Policies by name act as they say, and unknown names are refused with the list of known ones."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from evaluation.baselines import BASELINES, make_policy, policy_label, start_episode
+from evaluation.settings import get_setting
+from evaluation.training import train
+from shield.errors import ConfigError
+
+
+@pytest.fixture
+def env():
+    env = get_setting("highway-fast").make()
+    env.reset(seed=0)
+    yield env
+    env.close()
+
+
+@pytest.mark.parametrize(("name", "action"), [("faster", 3), ("slower", 4), ("idle", 1)])
+def test_constant_policies_find_their_action(env, name, action):
+    policy = make_policy(name, env)
+    assert env.action_space.contains(int(policy.predict(None)[0]))
+    assert int(policy.predict(None, deterministic=True)[0]) == action
+
+
+def test_constant_policies_find_their_action_without_lane_changes():
+    setting = get_setting("abz").override(
+        {"action": {"type": "DiscreteMetaAction", "lateral": False}}, name="abz-longitudinal"
+    )
+    env = setting.make()
+    try:
+        indexes = env.unwrapped.action_type.actions_indexes
+        assert int(make_policy("faster", env).predict(None)[0]) == indexes["FASTER"]
+        assert indexes["FASTER"] != 3
+    finally:
+        env.close()
+
+
+def test_meta_actions_need_a_discrete_action_space():
+    setting = get_setting("highway-fast").override({"action": {"type": "ContinuousAction"}})
+    env = setting.make()
+    try:
+        with pytest.raises(ConfigError, match="ContinuousAction"):
+            make_policy("faster", env)
+        action, _ = make_policy("random", env).predict(None)
+        assert env.action_space.contains(action)
+    finally:
+        env.close()
+
+
+def test_random_actions_depend_on_the_episode_seed_alone(env):
+    policy = make_policy("random", env)
+
+    def actions(seed):
+        start_episode(policy, seed)
+        return [int(policy.predict(None, deterministic=True)[0]) for _ in range(40)]
+
+    first = actions(7)
+    assert actions(8) != first
+    assert actions(7) == first
+    assert set(first) == set(range(5))
+
+
+def test_a_zip_file_is_loaded_by_its_manifest_or_by_the_algorithm_given(env, tmp_path):
+    path = train("highway-fast", "a2c", 5, 0, output=tmp_path / "tiny", progress=False).path
+    obs, _ = env.reset(seed=1)
+    by_manifest = make_policy(str(path), env).predict(obs, deterministic=True)[0]
+    path.with_suffix(".json").unlink()
+    with pytest.raises(ConfigError, match=r"a2c.*dqn.*ppo"):
+        make_policy(str(path), env)
+    by_name = make_policy(str(path), env, algorithm="a2c").predict(obs, deterministic=True)[0]
+    np.testing.assert_array_equal(by_manifest, by_name)
+    assert policy_label(str(path)) == "tiny"
+
+
+def test_unknown_names_list_the_known_ones(env):
+    with pytest.raises(ConfigError) as error:
+        make_policy("fastest", env)
+    for name in BASELINES:
+        assert name in str(error.value)
+    with pytest.raises(ConfigError, match="no policy file"):
+        make_policy("missing.zip", env)
+
+
+def test_other_action_spaces_have_no_random_policy(env):
+    policy = make_policy("random", env)
+    policy._space = gym.spaces.MultiBinary(2)
+    with pytest.raises(ConfigError, match="Discrete or a Box"):
+        policy.predict(None)

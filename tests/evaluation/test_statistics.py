@@ -12,6 +12,7 @@ from evaluation.statistics import (
     bootstrap_mean,
     mcnemar,
     paired_difference,
+    paired_rate_difference,
     quantiles,
     wilson,
 )
@@ -80,6 +81,17 @@ def test_a_paired_difference_of_a_shift_is_the_shift(values, shift):
     first = np.asarray(values) + shift
     interval = paired_difference(first, values)
     assert interval.estimate == pytest.approx(shift, abs=1e-9)
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
+def test_a_paired_rate_difference_contains_its_estimate_and_is_never_certain(pairs):
+    first, second = (np.array(side) for side in zip(*pairs, strict=True))
+    interval = paired_rate_difference(first, second)
+    assert interval.estimate == pytest.approx(first.mean() - second.mean())
+    assert -1 <= interval.low <= interval.estimate <= interval.high <= 1
+    assert interval.low < interval.high
+    mirrored = paired_rate_difference(second, first)
+    assert mirrored.low == pytest.approx(-interval.high)
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))

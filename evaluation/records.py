@@ -1,0 +1,118 @@
+"""What is compared, and what is written down of an episode."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from shield.config import ShieldConfig
+from shield.decision import Reason, Tier
+from shield.errors import ConfigError
+
+__all__ = ["DOORS", "EpisodeRecord", "Variant", "make_variants"]
+
+DOORS = ("none", "env", "policy")
+"""No shield; `ShieldedEnv` (every simulation frame); `Shield` (meta-actions only)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """What stands between the policy and the environment.
+
+    Attributes
+    ----------
+    door : one of `DOORS`.
+    config : the shield's settings; not looked at without a shield.
+    """
+
+    door: str = "none"
+    config: ShieldConfig = field(default_factory=ShieldConfig)
+
+    def __post_init__(self) -> None:
+        if self.door not in DOORS:
+            raise ConfigError(f"unknown door {self.door!r}; valid are {', '.join(DOORS)}")
+
+    @property
+    def mode(self) -> str:
+        """The shield's mode, "none" without a shield."""
+        return "none" if self.door == "none" else self.config.mode
+
+
+def make_variants(
+    modes: Sequence[str], doors: Sequence[str], config: ShieldConfig | None = None
+) -> list[Variant]:
+    """Each mode behind each door; the mode "none" stands for driving without any shield.
+
+    Examples
+    --------
+    >>> [(v.door, v.mode) for v in make_variants(["none", "full"], ["env", "policy"])]
+    [('none', 'none'), ('env', 'full'), ('policy', 'full')]
+    """
+    config = config or ShieldConfig()
+    variants: list[Variant] = []
+    for mode in modes:
+        for door in ["none"] if mode == "none" else doors:
+            variant = Variant(door, config if door == "none" else config.replace(mode=mode))
+            if variant not in variants:
+                variants.append(variant)
+    return variants
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeRecord:
+    """What happened in one episode.
+
+    Attributes
+    ----------
+    setting, policy : names.
+    door, mode : what stood between the two (see `Variant`).
+    seed : seed of the episode.
+    crashed : whether the ego crashed.
+    attribution : the `Cause` of it, judged from the simulator's state.
+    return_ : undiscounted sum of rewards (column "return").
+    steps : decisions taken.
+    duration : time driven, up to a crash [s].
+    mean_speed : mean of the ego's speed over it [m/s].
+    distance : way along the road [m].
+    lane_changes : how often the nearest lane changed.
+    overridden : decisions in which something else than the proposal was done, in part or whole.
+    reasons, tiers : decisions by `Reason` and `Tier` (columns "reason_…", "tier_…").
+    frames, frames_overridden : simulation frames, and those in which the shield acted.
+    violations : how often the traffic broke the assumptions; None where the door does not count it.
+    min_margin : smallest margin of what was executed [m]; NaN without a shield.
+    min_gap : smallest clearance to anybody [m]; 0 in a crash.
+    latencies : time that the shield took at each decision [ms] (column "latencies_ms").
+    """
+
+    setting: str
+    policy: str
+    door: str
+    mode: str
+    seed: int
+    crashed: bool
+    attribution: str
+    return_: float
+    steps: int
+    duration: float
+    mean_speed: float
+    distance: float
+    lane_changes: int
+    overridden: int
+    reasons: Mapping[str, int]
+    tiers: Mapping[str, int]
+    frames: int
+    frames_overridden: int
+    violations: int | None
+    min_margin: float
+    min_gap: float
+    latencies: tuple[float, ...] = field(repr=False)
+
+    def row(self) -> dict[str, Any]:
+        """The record as flat columns of a table."""
+        flat = {f.name: getattr(self, f.name) for f in fields(self)}
+        reasons, tiers = flat.pop("reasons"), flat.pop("tiers")
+        flat["return"] = flat.pop("return_")
+        flat["latencies_ms"] = list(flat.pop("latencies"))
+        flat |= {f"reason_{r.value}": reasons.get(r.value, 0) for r in Reason}
+        return flat | {f"tier_{t.value}": tiers.get(t.value, 0) for t in Tier}

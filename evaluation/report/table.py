@@ -1,0 +1,172 @@
+"""Summaries as text tables, and any table as a file.
+
+The cells are made once; the terminal and the Markdown table show the same.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from rich.markup import escape
+from rich.table import Table
+
+from shield.errors import ConfigError
+
+__all__ = [
+    "COMPARISON",
+    "SUMMARY",
+    "TABLE_ENDINGS",
+    "Column",
+    "markdown",
+    "read_episodes",
+    "rich_table",
+    "write_table",
+]
+
+TABLE_ENDINGS = (".csv", ".parquet")
+"""File endings that `write_table` knows."""
+
+_Row = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of a text table: its heading, and how a row becomes its cell."""
+
+    heading: str
+    cell: Callable[[_Row], str]
+
+
+def _number(value: Any, digits: int) -> str:
+    return f"{float(value):.{digits}f}" if isfinite(float(value)) else "–"
+
+
+def _name(row: _Row) -> str:
+    return "none" if row["door"] == "none" else f"{row['mode']} ({row['door']})"
+
+
+def _plain(heading: str, key: str, digits: int = 1) -> Column:
+    return Column(heading, lambda row: _number(row[key], digits))
+
+
+def _percent(heading: str, key: str) -> Column:
+    return Column(heading, lambda row: _number(100 * row[key], 1))
+
+
+def _interval(heading: str, key: str, factor: float = 1.0, digits: int = 1) -> Column:
+    def cell(row: _Row) -> str:
+        low, high = (_number(factor * row[f"{key}_{end}"], digits) for end in ("low", "high"))
+        return f"{_number(factor * row[key], digits)} [{low}, {high}]"
+
+    return Column(heading, cell)
+
+
+def _reasons(row: _Row) -> str:
+    """Shares of all decisions by reason, the greatest first."""
+    shares = {k.removeprefix("reason_"): v for k, v in row.items() if k.startswith("reason_") and v}
+    parts = sorted(shares.items(), key=lambda item: -item[1])
+    return ", ".join(f"{name} {_number(100 * share, 1)}" for name, share in parts) or "–"
+
+
+_NAMES = (
+    Column("setting", lambda row: str(row["setting"])),
+    Column("policy", lambda row: str(row["policy"])),
+    Column("shield", _name),
+)
+
+SUMMARY: tuple[Column, ...] = (
+    *_NAMES,
+    _plain("episodes", "episodes", 0),
+    _interval("crashes %", "crash_rate", 100),
+    _interval("ego's fault %", "ego_fault_rate", 100),
+    _interval("return", "return"),
+    _plain("speed m/s", "mean_speed"),
+    _plain("distance m", "distance", 0),
+    _plain("lane changes", "lane_changes"),
+    _percent("overridden %", "override_rate"),
+    _percent("fallback %", "fallback_rate"),
+    _plain("margin m", "min_margin", 2),
+    _plain("latency p50 ms", "latency_p50_ms"),
+    _plain("latency p99 ms", "latency_p99_ms"),
+    Column("reasons %", _reasons),
+)
+"""Columns of a summary, with 95 % intervals in brackets."""
+
+COMPARISON: tuple[Column, ...] = (
+    *_NAMES,
+    _plain("pairs", "pairs", 0),
+    _interval("Δ crashes %", "crash_rate_difference", 100),
+    _interval("Δ return", "return_difference"),
+    _interval("Δ speed m/s", "mean_speed_difference"),
+    _plain("prevented", "crashes_prevented", 0),
+    _plain("added", "crashes_added", 0),
+    Column("McNemar p", lambda row: f"{row['mcnemar_p']:.2g}"),
+)
+"""Columns of a comparison with driving unshielded on the same seeds."""
+
+
+def _cells(frame: pd.DataFrame, columns: Sequence[Column]) -> list[list[str]]:
+    rows: list[_Row] = frame.to_dict("records")
+    return [[column.cell(row) for column in columns] for row in rows]
+
+
+def rich_table(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> Table:
+    """The table for a terminal: a column for each row of the frame, so that it fits 80 characters.
+
+    A setting or policy that is the same throughout stands in the title.
+    """
+    cells = _cells(frame, columns)
+    names = [i for i in range(2) if len({row[i] for row in cells}) > 1]
+    title = ", ".join(cells[0][i] for i in range(2) if i not in names) if cells else None
+    table = Table(title=title, title_justify="left")
+    table.add_column("")
+    for row in cells:
+        heading = "\n".join(row[i] for i in (*names, len(_NAMES) - 1))
+        table.add_column(escape(heading), justify="right")
+    for i in range(len(_NAMES), len(columns)):
+        table.add_row(columns[i].heading, *(escape(row[i]) for row in cells))
+    return table
+
+
+def markdown(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> str:
+    """The table in Markdown, all columns."""
+    rule = [":--" if i < len(_NAMES) else "--:" for i in range(len(columns))]
+    rows = [[column.heading for column in columns], rule, *_cells(frame, columns)]
+    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
+
+
+def write_table(frame: pd.DataFrame, path: str | Path) -> Path:
+    """Write a table as CSV or Parquet, by the ending of the file; lists in a CSV are JSON."""
+    path = Path(path)
+    _check_ending(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".parquet":
+        frame.to_parquet(path, index=False)
+        return path
+    flat = frame.copy()
+    if "latencies_ms" in flat:
+        flat["latencies_ms"] = [json.dumps(list(values)) for values in flat["latencies_ms"]]
+    flat.to_csv(path, index=False)
+    return path
+
+
+def read_episodes(path: str | Path) -> pd.DataFrame:
+    """Read episodes that `write_table` wrote."""
+    path = Path(path)
+    _check_ending(path)
+    if path.suffix == ".parquet":
+        return pd.read_parquet(path)
+    frame = pd.read_csv(path, keep_default_na=False, na_values=[""])
+    frame["latencies_ms"] = [json.loads(text) for text in frame["latencies_ms"]]
+    return frame
+
+
+def _check_ending(path: Path) -> None:
+    if path.suffix not in TABLE_ENDINGS:
+        raise ConfigError(f"cannot tell the format of {path.name!r}; end it in .csv or .parquet")

@@ -1,1 +1,24 @@
-"""The runtime filter: overrides the actions of a driving policy that it cannot verify as safe."""
+"""A runtime safety shield around learned driving policies on highway-env."""
+
+from __future__ import annotations
+
+from dynamics.assumptions import Assumptions
+from shield.config import Buffer, ShieldConfig
+from shield.decision import Decision, Reason, Tier
+from shield.env import ShieldedEnv
+from shield.errors import ActionError, ConfigError, PolicyError, SceneError, ShieldError
+
+__all__ = [
+    "ActionError",
+    "Assumptions",
+    "Buffer",
+    "ConfigError",
+    "Decision",
+    "PolicyError",
+    "Reason",
+    "SceneError",
+    "ShieldConfig",
+    "ShieldError",
+    "ShieldedEnv",
+    "Tier",
+]

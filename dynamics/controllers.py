@@ -1,0 +1,89 @@
+"""highway-env's low-level control, batched: what a meta-action makes of the throttle and the wheel.
+
+Notation
+--------
+Road frame (s, r, psi, v). A *target* is (r*, v*): the lateral position of the target lane's centre [m] and
+the target speed [m/s]. Gains are those of `ControlledVehicle` in highway-env 1.12; on a straight road its
+pursuit point has the heading of the road, which is 0 in the road frame.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from dynamics.bicycle import LENGTH
+from dynamics.state import FloatArray, RoadState, wrap_to_pi
+
+__all__ = [
+    "KP_HEADING",
+    "KP_LATERAL",
+    "KP_SPEED",
+    "MAX_STEERING",
+    "speed_control",
+    "speed_to_index",
+    "steering_control",
+    "steering_expression",
+]
+
+KP_SPEED = 1 / 0.6
+"""Speed gain [1/s] (`ControlledVehicle.KP_A`)."""
+KP_LATERAL = 1 / 0.6
+"""Lateral position gain [1/s] (`ControlledVehicle.KP_LATERAL`)."""
+KP_HEADING = 1 / 0.2
+"""Heading gain [1/s] (`ControlledVehicle.KP_HEADING`)."""
+MAX_STEERING = np.pi / 3
+"""Limit of the wheel angle [rad] (`ControlledVehicle.MAX_STEERING_ANGLE`)."""
+_NONZERO = 1e-2
+
+
+def _not_zero(x: FloatArray) -> FloatArray:
+    return np.where(np.abs(x) > _NONZERO, x, np.where(x >= 0, _NONZERO, -_NONZERO))
+
+
+def speed_control(speed: Any, target_speed: Any) -> Any:
+    """Acceleration [m/s^2] of the proportional speed controller (not clipped, as in highway-env)."""
+    return KP_SPEED * (np.asarray(target_speed) - speed)
+
+
+def steering_control(states: FloatArray, target_r: Any) -> FloatArray:
+    """Wheel angle [rad] that steers road states (..., 4) to lateral position `target_r` [m].
+
+    Source: `ControlledVehicle.steering_control` of highway-env 1.12.
+    """
+    r, psi, v = (states[..., i] for i in (RoadState.R, RoadState.HEADING, RoadState.SPEED))
+    v = _not_zero(v)
+    heading_command = np.arcsin(np.clip(-KP_LATERAL * (r - target_r) / v, -1, 1))
+    heading_ref = np.clip(heading_command, -np.pi / 4, np.pi / 4)
+    heading_rate = KP_HEADING * wrap_to_pi(heading_ref - psi)
+    slip = np.arcsin(np.clip(LENGTH / 2 / v * heading_rate, -1, 1))
+    return np.clip(np.arctan(2 * np.tan(slip)), -MAX_STEERING, MAX_STEERING)
+
+
+def steering_expression(state: ca.SX, target_r: ca.SX) -> ca.SX:
+    """`steering_control` as a CasADi expression for one road state (4, 1)."""
+
+    def clip(x: ca.SX, bound: float) -> ca.SX:
+        return ca.fmin(ca.fmax(x, -bound), bound)
+
+    r, psi, v = state[1], state[2], state[3]
+    v = ca.if_else(
+        ca.fabs(v) > _NONZERO, v, ca.if_else(v >= 0, ca.SX(_NONZERO), ca.SX(-_NONZERO))
+    )
+    heading_ref = clip(ca.asin(clip(-KP_LATERAL * (r - target_r) / v, 1.0)), np.pi / 4)
+    error = heading_ref - psi
+    error = error - 2 * np.pi * ca.floor((error + np.pi) / (2 * np.pi))
+    slip = ca.asin(clip(LENGTH / 2 / v * KP_HEADING * error, 1.0))
+    return clip(ca.atan(2 * ca.tan(slip)), MAX_STEERING)
+
+
+def speed_to_index(speed: float, target_speeds: tuple[float, ...]) -> int:
+    """Index of the allowed target speed nearest to `speed` [m/s].
+
+    Source: `MDPVehicle.speed_to_index` of highway-env 1.12 (a uniform list is assumed there too).
+    """
+    last = len(target_speeds) - 1
+    x = (speed - target_speeds[0]) / (target_speeds[-1] - target_speeds[0])
+    return int(min(max(np.round(x * last), 0), last))

@@ -1,0 +1,102 @@
+"""Closed-loop rollouts of the ego, compiled: many candidates over many frames in one CasADi call.
+
+Notation
+--------
+A *command* per frame is (r*, v*, b): the lateral position of the lane's centre to steer to [m], the speed to
+track [m/s], and the greatest deceleration [m/s^2]. The acceleration is
+
+    a = max(KP (v* - v), -b, -max(v, 0) / dt)
+
+so that with b = NO_LIMIT and v* >= 0 it is highway-env's own control, bit for bit in exact arithmetic, and with
+v* = BRAKE it brakes at b to a stop and stays there.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from dynamics.bicycle import step_expression
+from dynamics.controllers import KP_SPEED, steering_expression
+from dynamics.state import FloatArray
+
+__all__ = ["BRAKE", "NO_LIMIT", "Rollouts", "frame_function"]
+
+BRAKE = -1e9
+"""Target speed that stands for braking as hard as the command allows [m/s]."""
+NO_LIMIT = 1e12
+"""Deceleration bound that stands for none [m/s^2]."""
+_ROWS = (1, 2, 4, 8, 16, 32)
+_FRAMES = 8
+
+
+def frame_function(dt: float) -> ca.Function:
+    """One frame: state (4), command (3) -> next state (4)."""
+    x, c = ca.SX.sym("x", 4), ca.SX.sym("c", 3)
+    a = ca.fmax(ca.fmax(KP_SPEED * (c[1] - x[3]), -c[2]), -ca.fmax(x[3], 0) / dt)
+    return ca.Function("frame", [x, c], [step_expression(x, a, steering_expression(x, c[0]), dt)])
+
+
+@lru_cache(maxsize=256)
+def _compiled(rows: int, frames: int, dt: float) -> ca.Function:
+    return frame_function(dt).mapaccum(frames).map(rows)
+
+
+class Rollouts:
+    """Owns the buffers of the compiled rollouts for one frame duration.
+
+    Parameters
+    ----------
+    dt : frame duration [s].
+    """
+
+    def __init__(self, dt: float) -> None:
+        self.dt = dt
+        self._slots: dict[tuple[int, int], tuple[FloatArray, FloatArray, FloatArray, object]] = {}
+
+    def run(self, state: FloatArray, commands: FloatArray) -> FloatArray:
+        """Roll one state under several command sequences.
+
+        Parameters
+        ----------
+        state : road state, shape (4,).
+        commands : shape (n, frames, 3).
+
+        Returns
+        -------
+        Road states after each frame, shape (n, frames, 4).
+        """
+        n, frames, _ = commands.shape
+        rows = next((r for r in _ROWS if r >= n), n)
+        padded = -(-frames // _FRAMES) * _FRAMES
+        x0, c, out, call = self._slot(rows, padded)
+        x0[:] = state
+        c[:n, :frames] = commands
+        call()  # type: ignore[operator]
+        return out[:n, :frames].copy()
+
+    def _slot(self, rows: int, frames: int) -> tuple[FloatArray, FloatArray, FloatArray, object]:
+        key = (rows, frames)
+        if key not in self._slots:
+            x0 = np.zeros((rows, 4))
+            c, out = np.zeros((rows, frames, 3)), np.zeros((rows, frames, 4))
+            buffer, call = _compiled(rows, frames, self.dt).buffer()
+            buffer.set_arg(0, memoryview(x0))
+            buffer.set_arg(1, memoryview(c))
+            buffer.set_res(0, memoryview(out))
+            self._slots[key] = (x0, c, out, _Call(buffer, call))
+        return self._slots[key]
+
+
+class _Call:
+    """Keeps the CasADi buffer alive as long as its trigger."""
+
+    __slots__ = ("_buffer", "_call")
+
+    def __init__(self, buffer: object, call: object) -> None:
+        self._buffer, self._call = buffer, call
+
+    def __call__(self) -> None:
+        self._call()  # type: ignore[operator]

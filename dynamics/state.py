@@ -1,0 +1,55 @@
+"""Named columns of the state arrays, and angle wrapping.
+
+Notation
+--------
+World frame: x, y [m], heading psi [rad] from the x axis, as in highway-env.
+Road frame: s [m] along the road, r [m] across it (positive towards higher lane indices),
+heading [rad] relative to the road. On a straight road the two differ by a rigid motion.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FloatArray", "RoadState", "State", "Vehicle", "wrap_to_pi"]
+
+FloatArray = NDArray[np.float64]
+
+
+class State(IntEnum):
+    """Columns of a kinematic state in the world frame: [m], [m], [rad], [m/s]."""
+
+    X = 0
+    Y = 1
+    HEADING = 2
+    SPEED = 3
+
+
+class RoadState(IntEnum):
+    """Columns of a kinematic state in the road frame: [m], [m], [rad], [m/s]."""
+
+    S = 0
+    R = 1
+    HEADING = 2
+    SPEED = 3
+
+
+class Vehicle(IntEnum):
+    """Columns of a vehicle row: a state in the world frame, length [m], width [m], crashed (0 or 1)."""
+
+    X = 0
+    Y = 1
+    HEADING = 2
+    SPEED = 3
+    LENGTH = 4
+    WIDTH = 5
+    CRASHED = 6
+
+
+def wrap_to_pi(angle: Any) -> Any:
+    """Wrap angles [rad] to [-pi, pi); the same expression as highway-env, so that rounding agrees."""
+    return ((angle + np.pi) % (2 * np.pi)) - np.pi

@@ -1,0 +1,145 @@
+"""The shield's settings: frozen, validated where they are given, and round-trip through TOML."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import asdict, dataclass, field, fields, replace
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from dynamics.assumptions import Assumptions
+from shield.errors import ConfigError
+
+__all__ = ["MODES", "Buffer", "ShieldConfig"]
+
+MODES = ("none", "distance", "rss", "ttc", "full")
+"""Valid `ShieldConfig.mode`: no shield, one rule alone, or the whole procedure."""
+
+
+def _positive(owner: str, name: str, value: Any, *, zero: bool = False) -> None:
+    good = isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
+    if not good or value < 0 or (value == 0 and not zero):
+        raise ConfigError(
+            f"{owner}.{name} must be a finite number {'at least' if zero else 'above'} 0, got {value!r}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Buffer:
+    """Clearance kept around the ego, along and across its heading [m]."""
+
+    longitudinal: float = 2.0
+    lateral: float = 0.3
+
+    def __post_init__(self) -> None:
+        _positive("Buffer", "longitudinal", self.longitudinal, zero=True)
+        _positive("Buffer", "lateral", self.lateral, zero=True)
+
+
+@dataclass(frozen=True, slots=True)
+class ShieldConfig:
+    """Settings of `Shield` and `ShieldedEnv`.
+
+    Attributes
+    ----------
+    mode : one of `MODES`.
+    buffer : the distance that no verified action may violate.
+    assumptions : what the others are assumed to keep to.
+    braking : deceleration of the ego's fail-safe manoeuvre [m/s^2]; highway-env's own speed controller
+        reaches 8.3 m/s^2 when it slows from 25 to 20 m/s.
+    perception_range : vehicles further away than this do not count [m].
+    distance : threshold D of the fixed-distance rule [m].
+    time_to_collision : threshold of the TTC rule [s].
+    response_time : the ego's response time in the RSS rule used alone [s].
+    horizon : how far `Shield`, which has meta-actions only, looks ahead when the ego cannot stop [s].
+    record : keep the others' occupancy in each `Decision` (for drawing).
+    """
+
+    mode: str = "full"
+    buffer: Buffer = field(default_factory=Buffer)
+    assumptions: Assumptions = field(default_factory=Assumptions.idm)
+    braking: float = 8.0
+    perception_range: float = 200.0
+    distance: float = 15.0
+    time_to_collision: float = 2.0
+    response_time: float = 0.5
+    horizon: float = 4.0
+    record: bool = False
+
+    def __post_init__(self) -> None:
+        if self.mode not in MODES:
+            raise ConfigError(f"unknown shield mode {self.mode!r}; valid are {', '.join(MODES)}")
+        if not isinstance(self.buffer, Buffer):
+            raise ConfigError(f"ShieldConfig.buffer must be a Buffer, got {self.buffer!r}")
+        if not isinstance(self.assumptions, Assumptions):
+            raise ConfigError(f"ShieldConfig.assumptions must be Assumptions, got {self.assumptions!r}")
+        if not isinstance(self.record, bool):
+            raise ConfigError(f"ShieldConfig.record must be true or false, got {self.record!r}")
+        for name in (
+            "braking",
+            "perception_range",
+            "distance",
+            "time_to_collision",
+            "response_time",
+            "horizon",
+        ):
+            _positive("ShieldConfig", name, getattr(self, name))
+
+    def replace(self, **changes: Any) -> ShieldConfig:
+        """A copy with some settings changed."""
+        return replace(self, **changes)
+
+    def to_toml(self) -> str:
+        """The settings as a TOML document."""
+        return tomli_w.dumps(asdict(self))
+
+    @classmethod
+    def from_toml(cls, text: str) -> ShieldConfig:
+        """Read what `to_toml` wrote; tables and keys may be left out.
+
+        `assumptions` may be a table or the name of a profile ("idm", "rss").
+
+        Raises
+        ------
+        ConfigError
+            On broken TOML, unknown keys, or values out of range; the message lists what is valid.
+
+        Examples
+        --------
+        >>> config = ShieldConfig(braking=6.0)
+        >>> ShieldConfig.from_toml(config.to_toml()) == config
+        True
+        """
+        try:
+            data = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise ConfigError(f"not a TOML document: {error}") from error
+        buffer = _build(Buffer, "buffer", data.pop("buffer", {}))
+        given = data.pop("assumptions", {})
+        if isinstance(given, str):
+            assumptions = Assumptions.profile(given)
+        else:
+            assumptions = _build(Assumptions, "assumptions", given)
+        return _build(cls, "config", {**data, "buffer": buffer, "assumptions": assumptions})
+
+    @classmethod
+    def load(cls, path: str | Path) -> ShieldConfig:
+        """Read a TOML file."""
+        return cls.from_toml(Path(path).read_text(encoding="utf-8"))
+
+    def save(self, path: str | Path) -> None:
+        """Write a TOML file."""
+        Path(path).write_text(self.to_toml(), encoding="utf-8")
+
+
+def _build(kind: Any, table: str, values: Any) -> Any:
+    if not isinstance(values, dict):
+        raise ConfigError(f"{table} must be a table, got {values!r}")
+    valid = [f.name for f in fields(kind)]
+    unknown = sorted(set(values) - set(valid))
+    if unknown:
+        raise ConfigError(f"unknown key {unknown[0]!r} in {table}; valid are {', '.join(valid)}")
+    return kind(**values)

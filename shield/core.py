@@ -1,0 +1,398 @@
+"""The decision procedure: propose, rules, verify, repair, fall back.
+
+The invariant: if a scene admits a verified plan and the others keep to the assumptions, nothing that the core
+lets through or substitutes ever brings the ego nearer to another vehicle than the buffer. It holds by
+induction: an action is executed for one frame only if, after it, the fail-safe manoeuvre (brake to a stop in a
+lane) stays clear of every place where the others can be; where nothing verifies, the fail-safe verified at the
+frame before is played on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from dynamics.controllers import KP_SPEED
+from dynamics.prediction import Occupancy
+from dynamics.rollout import Rollouts
+from dynamics.scene import Scene, Target
+from dynamics.state import FloatArray, RoadState, State
+from shield.candidates import Candidates, brake_candidates
+from shield.config import ShieldConfig
+from shield.decision import Decision, Reason, Tier
+from shield.monitor import AssumptionMonitor
+from shield.preference import default_order
+from shield.rules import BufferRule, Rule, RssRule, TtcRule, make_rule
+from shield.verify import Clearance, clearance, relevant
+
+__all__ = ["FrameCommand", "ShieldCore", "Verdict"]
+
+_ACCELERATIONS = 8
+"""Grid points between full braking and the committed acceleration, when a frame is held back."""
+_LANE_PENALTY = 2.0
+"""What it costs to leave the committed lane, in acceleration [m/s^2]."""
+_CAPS = (-4.0, -2.0, 0.0, 5.0)
+"""Speed changes at which a lane change is tried when it does not verify as it is [m/s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameCommand:
+    """What the actuators get for one frame: the lane to steer to and an acceleration [m/s^2]; None lets the
+    environment's own controller act."""
+
+    lane: int
+    acceleration: float
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Best margin of one action [m], and the fail-safe lane and path that achieve it."""
+
+    margin: float
+    fail_lane: int
+    path: FloatArray
+
+
+class ShieldCore:
+    """Holds the memory of one shielded vehicle: stored plan, visibility clock, assumption monitor.
+
+    Parameters
+    ----------
+    config : settings; `ShieldConfig()` by default.
+    """
+
+    def __init__(self, config: ShieldConfig | None = None) -> None:
+        self.config = config if config is not None else ShieldConfig()
+        self._rollouts: dict[float, Rollouts] = {}
+        mode = self.config.mode
+        self._rule: Rule | None = (
+            make_rule(mode, self.config) if mode in ("distance", "rss", "ttc") else None
+        )
+        self._buffer_rule = BufferRule(self.config.buffer.longitudinal)
+        self._explain: tuple[Rule, ...] = (
+            RssRule(self.config),
+            TtcRule(self.config.time_to_collision),
+        )
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything about the episode."""
+        self.monitor = AssumptionMonitor(self.config)
+        self._stored_lane: int | None = None
+        self._visible: Any = None
+
+    # -- decisions ---------------------------------------------------------------------------------------
+
+    def decide(
+        self, scene: Scene, proposed: int, order: Sequence[int] | None = None
+    ) -> Decision:
+        """Choose the meta-action to commit to; frames are supervised afterwards by `supervise`.
+
+        Parameters
+        ----------
+        scene : the scene now.
+        proposed : the policy's action index.
+        order : the alternatives in the policy's order of preference; `default_order` without one.
+        """
+        start = perf_counter()
+        if self.config.mode == "none":
+            return Decision(proposed, proposed, Reason.NONE, Tier.OFF, np.nan, 0.0)
+        if not 0 <= proposed < len(scene.control.actions):
+            return self._fallback(scene, proposed, Reason.BAD_ACTION, start)
+        if not scene.finite:
+            return self._fallback(scene, proposed, Reason.BAD_SCENE, start)
+        if self._rule is not None:
+            return self._by_rule(scene, proposed, start)
+        self._observe(scene)
+        target = scene.target_of(proposed)
+        reason = Reason.NONE
+        if self._buffer_rule.objects(scene, target):
+            reason = Reason.BUFFER
+        else:
+            records: list[Occupancy] | None = [] if self.config.record else None
+            verdict = self._verify(scene, [target], records)[0]
+            if verdict.margin >= 0:
+                return self._made(scene, proposed, proposed, reason, Tier.PASSED, verdict, start, records)
+            reason = next(
+                (r.reason for r in self._explain if r.objects(scene, target)), Reason.UNVERIFIED
+            )
+        return self._repair(scene, proposed, target, reason, order, start)
+
+    def _repair(
+        self,
+        scene: Scene,
+        proposed: int,
+        target: Target,
+        reason: Reason,
+        order: Sequence[int] | None,
+        start: float,
+    ) -> Decision:
+        labels = scene.control.actions
+        targets = [scene.target_of(a) for a in range(len(labels))]
+        # An override that has no policy order behind it holds the proposal back rather than drop it.
+        held = proposed if target.lane == scene.road.lane_at(float(scene.ego_road[1])) else None
+        if order is None:
+            alternatives = default_order(scene, proposed, targets)
+            if held is not None:
+                alternatives = alternatives[
+                    : next(
+                        (i for i, a in enumerate(alternatives) if not labels[a].startswith("LANE")),
+                        len(alternatives),
+                    )
+                ]
+        else:
+            alternatives = [a for a in order if a != proposed]
+        records: list[Occupancy] | None = [] if self.config.record else None
+        for action, verdict in self._verify_actions(scene, alternatives, targets, records):
+            if verdict.margin >= 0:
+                return self._made(
+                    scene, proposed, action, reason, Tier.ALTERNATIVE, verdict, start, records
+                )
+        kept = [held] if held is not None else []
+        kept += [labels.index(x) for x in ("IDLE", "SLOWER") if x in labels]
+        for action in kept:
+            probe = replace(scene, control=replace(scene.control, target=targets[action]))
+            _, verdict = self._hold_back(probe)
+            if verdict is not None and verdict.margin >= 0:
+                return self._made(scene, proposed, action, reason, Tier.GOVERNED, verdict, start)
+        return self._fallback(scene, proposed, Reason.NO_SAFE_PLAN, start)
+
+    def action_mask(self, scene: Scene) -> Any:
+        """Which actions verify as they are, (actions,) bool; all False only if none does."""
+        labels = scene.control.actions
+        targets = [scene.target_of(a) for a in range(len(labels))]
+        mask = np.zeros(len(labels), dtype=bool)
+        if not scene.finite:
+            return mask
+        allowed = [a for a in range(len(labels)) if not self._buffer_rule.objects(scene, targets[a])]
+        if allowed:
+            verdicts = self._verify(scene, [targets[a] for a in allowed])
+            mask[allowed] = [v.margin >= 0 for v in verdicts]
+        return mask
+
+    # -- frames ------------------------------------------------------------------------------------------
+
+    def supervise(self, scene: Scene, *, fresh: bool = False) -> tuple[FrameCommand | None, Decision]:
+        """Check the committed target for one more frame, and hold it back if it has become unsafe.
+
+        Parameters
+        ----------
+        scene : the scene at this frame; `scene.control.target` is what is committed to.
+        fresh : whether `decide` has seen this very scene already.
+
+        Returns
+        -------
+        The command for the actuators, or None to let the environment's controller act; and the record.
+        """
+        start = perf_counter()
+        proposed = scene.control.target
+        if not scene.finite:
+            lane = self._stored_lane if self._stored_lane is not None else proposed.lane
+            command = FrameCommand(lane, -self.config.braking)
+            return command, _frame(proposed, command, Reason.BAD_SCENE, Tier.EMERGENCY, np.nan, start)
+        if not fresh:
+            self._observe(scene)
+        fails = self._fail_lanes(scene, proposed.lane)
+        candidates = brake_candidates(
+            scene, [proposed] * len(fails), fails, 1, self.config.braking
+        )
+        paths, result = self._judge(scene, candidates)
+        best = int(result.margin.argmax())
+        margin = float(result.margin[best])
+        if margin >= 0:
+            self._stored_lane = fails[best]
+            record = _frame(proposed, None, Reason.NONE, Tier.PASSED, margin, start, paths[best])
+            return None, record
+        command, verdict = self._hold_back(scene)
+        if verdict is not None and verdict.margin >= 0:
+            self._stored_lane = verdict.fail_lane
+            return command, _frame(
+                proposed, command, Reason.UNVERIFIED, Tier.GOVERNED, verdict.margin, start, verdict.path
+            )
+        if self._stored_lane is not None and not self.monitor.violated:
+            command = FrameCommand(self._stored_lane, -self.config.braking)
+            return command, _frame(
+                proposed, command, Reason.NO_SAFE_PLAN, Tier.STORED_PLAN, margin, start
+            )
+        command, verdict = self._hold_back(scene, evade=True)
+        self._stored_lane = None
+        return command, _frame(
+            proposed,
+            command,
+            Reason.NO_SAFE_PLAN,
+            Tier.LARGEST_MARGIN,
+            verdict.margin if verdict is not None else np.nan,
+            start,
+            verdict.path if verdict is not None else None,
+        )
+
+    def _hold_back(self, scene: Scene, evade: bool = False) -> tuple[FrameCommand, Verdict | None]:
+        """The least intervention for one frame: the greatest acceleration that verifies, committed lane first.
+
+        With `evade`, every neighbouring lane is looked at and the largest margin wins instead.
+        """
+        target, v = scene.control.target, float(scene.ego[State.SPEED])
+        braking = self.config.braking
+        wish = KP_SPEED * (target.speed - v)
+        grid = np.linspace(-braking, max(min(wish, 5.0), -braking), _ACCELERATIONS)
+        lanes = self._fail_lanes(scene, target.lane)
+        if evade:
+            here = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
+            beside = (here - 1, here, here + 1)
+            lanes = [lane for lane in beside if 0 <= lane < scene.road.centers.size]
+        steer = [lane for lane in lanes for _ in grid]
+        speeds = [v + a / KP_SPEED for _ in lanes for a in grid]
+        targets = [Target(lane, speed) for lane, speed in zip(steer, speeds, strict=True)]
+        fails = lanes if not evade else [None]
+        rows = [(t, t.lane if f is None else f) for f in fails for t in targets]
+        candidates = brake_candidates(
+            scene, [t for t, _ in rows], [f for _, f in rows], 1, braking
+        )
+        paths, result = self._judge(scene, candidates)
+        accelerations = np.tile(grid, len(lanes) * len(fails))
+        cost = np.where(candidates.lanes == target.lane, 0.0, _LANE_PENALTY)
+        score = np.where(result.margin >= 0, accelerations - cost, -np.inf)
+        i = int(score.argmax())
+        if evade or not np.isfinite(score[i]):
+            i = int(result.margin.argmax())
+        t, fail = rows[i]
+        command = FrameCommand(t.lane, float(accelerations[i]))
+        return command, Verdict(float(result.margin[i]), fail, paths[i])
+
+    # -- pieces ------------------------------------------------------------------------------------------
+
+    def _observe(self, scene: Scene) -> None:
+        self.monitor.update(scene)
+        offset = np.abs(scene.ego_road[RoadState.R] - scene.road.centers)
+        near = offset <= self.config.assumptions.visible_distance
+        if self._visible is None or self._visible.shape != near.shape:
+            self._visible = np.zeros(near.shape, dtype=int)
+        self._visible = np.where(near, self._visible + 1, 0)
+
+    def _fail_lanes(self, scene: Scene, lane: int) -> list[int]:
+        """Lanes in which the fail-safe may stop: the committed one, and the one that the ego is in."""
+        here = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
+        return [lane] if lane == here else [lane, here]
+
+    def _rollouts_for(self, dt: float) -> Rollouts:
+        if dt not in self._rollouts:
+            self._rollouts[dt] = Rollouts(dt)
+        return self._rollouts[dt]
+
+    def _judge(
+        self,
+        scene: Scene,
+        candidates: Candidates,
+        hold: int = 0,
+        records: list[Occupancy] | None = None,
+    ) -> tuple[FloatArray, Clearance]:
+        paths = self._rollouts_for(scene.dt).run(scene.ego_road, candidates.commands)
+        distance = float(paths[:, -1, RoadState.S].max() - scene.ego_road[RoadState.S])
+        rows = relevant(scene, self.config, distance, paths.shape[1] * scene.dt)
+        return paths, clearance(
+            scene, self.config, paths, candidates.lanes, rows, hold, self._visible, records
+        )
+
+    def _verify(
+        self, scene: Scene, targets: list[Target], records: list[Occupancy] | None = None
+    ) -> list[Verdict]:
+        """Margin of each target: sound for one frame, and forecast over the decision period."""
+        pairs = [(i, f) for i, t in enumerate(targets) for f in self._fail_lanes(scene, t.lane)]
+        chosen, fails = [targets[i] for i, _ in pairs], [f for _, f in pairs]
+        period, braking = scene.frames_per_decision, self.config.braking
+        _, bound = self._judge(
+            scene, brake_candidates(scene, chosen, fails, 1, braking), 0
+        )
+        paths, forecast = self._judge(
+            scene, brake_candidates(scene, chosen, fails, period, braking), period, records
+        )
+        margins = np.minimum(bound.margin, forecast.margin)
+        out = []
+        for i in range(len(targets)):
+            rows = [j for j, (k, _) in enumerate(pairs) if k == i]
+            best = max(rows, key=lambda j: margins[j])
+            out.append(Verdict(float(margins[best]), fails[best], paths[best]))
+        return out
+
+    def _verify_actions(
+        self,
+        scene: Scene,
+        actions: Sequence[int],
+        targets: list[Target],
+        records: list[Occupancy] | None,
+    ) -> list[tuple[int, Verdict]]:
+        """Verify alternatives in one batch; a lane change also with its speed held back by the frames."""
+        labels, v = scene.control.actions, float(scene.ego[State.SPEED])
+        owner: list[int] = []
+        tried: list[Target] = []
+        for a in actions:
+            if self._buffer_rule.objects(scene, targets[a]):
+                continue
+            speeds = {targets[a].speed}
+            if labels[a].startswith("LANE"):
+                speeds |= {min(targets[a].speed, v + cap) for cap in _CAPS}
+            owner += [a] * len(speeds)
+            tried += [Target(targets[a].lane, speed) for speed in sorted(speeds)]
+        if not tried:
+            return []
+        verdicts = self._verify(scene, tried, records)
+        best: dict[int, Verdict] = {}
+        for a, verdict in zip(owner, verdicts, strict=True):
+            if a not in best or verdict.margin > best[a].margin:
+                best[a] = verdict
+        return [(a, best[a]) for a in actions if a in best]
+
+    def _by_rule(self, scene: Scene, proposed: int, start: float) -> Decision:
+        assert self._rule is not None
+        objects = self._rule.objects(scene, scene.target_of(proposed))
+        executed = self._safe_action(scene) if objects else proposed
+        tier = Tier.ALTERNATIVE if executed != proposed else Tier.PASSED
+        reason = self._rule.reason if executed != proposed else Reason.NONE
+        return Decision(proposed, executed, reason, tier, np.nan, perf_counter() - start)
+
+    @staticmethod
+    def _safe_action(scene: Scene) -> int:
+        labels = scene.control.actions
+        return labels.index("SLOWER") if "SLOWER" in labels else labels.index("IDLE")
+
+    def _made(
+        self,
+        scene: Scene,
+        proposed: int,
+        executed: int,
+        reason: Reason,
+        tier: Tier,
+        verdict: Verdict,
+        start: float,
+        records: list[Occupancy] | None = None,
+    ) -> Decision:
+        self._stored_lane = verdict.fail_lane
+        plan = np.vstack([scene.ego_road, verdict.path])
+        occupancy = records[-1].rectangles() if records else None
+        return Decision(
+            proposed, executed, reason, tier, verdict.margin, perf_counter() - start, plan, occupancy
+        )
+
+    def _fallback(self, scene: Scene, proposed: Any, reason: Reason, start: float) -> Decision:
+        """No action verifies: slow down, and leave it to the frames to play the stored plan on."""
+        tier = Tier.STORED_PLAN if self._stored_lane is not None else Tier.LARGEST_MARGIN
+        return Decision(
+            proposed, self._safe_action(scene), reason, tier, np.nan, perf_counter() - start
+        )
+
+
+def _frame(
+    proposed: Target,
+    command: FrameCommand | None,
+    reason: Reason,
+    tier: Tier,
+    margin: float,
+    start: float,
+    plan: FloatArray | None = None,
+) -> Decision:
+    executed: Any = proposed if command is None else command
+    return Decision(proposed, executed, reason, tier, margin, perf_counter() - start, plan)

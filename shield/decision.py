@@ -1,0 +1,103 @@
+"""The record of one decision: what was proposed, what was executed, and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+from dynamics.state import FloatArray
+
+__all__ = ["Decision", "Reason", "Tier"]
+
+
+class Reason(str, Enum):
+    """Why the proposal was not executed as it was; `NONE` when it was."""
+
+    NONE = "none"
+    BUFFER = "buffer"
+    DISTANCE = "distance"
+    RSS = "rss"
+    TTC = "ttc"
+    UNVERIFIED = "unverified"
+    NO_SAFE_PLAN = "no_safe_plan"
+    BAD_ACTION = "bad_action"
+    BAD_SCENE = "bad_scene"
+    POLICY_FAILED = "policy_failed"
+
+    @property
+    def text(self) -> str:
+        """One sentence for people."""
+        return _TEXT[self]
+
+
+_TEXT = {
+    Reason.NONE: "the proposal was verified and executed unchanged",
+    Reason.BUFFER: "a lane change was proposed into a vehicle that is alongside, within the buffer",
+    Reason.DISTANCE: "a lane change was proposed with a vehicle nearer than the fixed distance",
+    Reason.RSS: "the proposal would break an RSS distance",
+    Reason.TTC: "the time to collision was below the threshold",
+    Reason.UNVERIFIED: "some behaviour within the assumptions would bring a vehicle into the buffer",
+    Reason.NO_SAFE_PLAN: "nothing verified; the fallback acted (stored plan, or the largest margin)",
+    Reason.BAD_ACTION: "the policy's action was outside the action space or not finite",
+    Reason.BAD_SCENE: "the scene could not be read or was not finite; the fallback acted",
+    Reason.POLICY_FAILED: "the policy raised or returned NaN; the fallback acted",
+}
+
+
+class Tier(str, Enum):
+    """Which stage of the shield produced what was executed.
+
+    `PASSED`, `ALTERNATIVE` and `GOVERNED` are verified; `STORED_PLAN` was verified at an earlier frame;
+    `LARGEST_MARGIN` and `EMERGENCY` are fallbacks without a certificate, and labelled so.
+    """
+
+    OFF = "off"
+    PASSED = "passed"
+    GOVERNED = "governed"
+    ALTERNATIVE = "alternative"
+    STORED_PLAN = "stored_plan"
+    LARGEST_MARGIN = "largest_margin"
+    EMERGENCY = "emergency"
+
+    @property
+    def verified(self) -> bool:
+        """Whether what was executed carries a certificate made for the scene of this decision."""
+        return self in (Tier.PASSED, Tier.GOVERNED, Tier.ALTERNATIVE)
+
+    @property
+    def fallback(self) -> bool:
+        """Whether what was executed was not verified for the present scene."""
+        return self in (Tier.STORED_PLAN, Tier.LARGEST_MARGIN, Tier.EMERGENCY)
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """One decision of the shield.
+
+    Attributes
+    ----------
+    proposed : the policy's action as it came in.
+    executed : the action that goes to the environment.
+    reason : why the two differ, or `Reason.NONE`.
+    tier : the stage that produced `executed`.
+    margin : clearance beyond the buffer of what is executed, over its verified horizon [m].
+    latency : time spent deciding [s].
+    plan : road states of the executed action and its fail-safe, shape (frames + 1, 4), or None.
+    occupancy : rectangles where the others can be, shape (frames, vehicles, 4) as s_min, s_max, r_min, r_max
+        in the road frame [m], or None; filled only with `ShieldConfig.record`.
+    """
+
+    proposed: Any
+    executed: Any
+    reason: Reason
+    tier: Tier
+    margin: float
+    latency: float
+    plan: FloatArray | None = field(default=None, repr=False, compare=False)
+    occupancy: FloatArray | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def overridden(self) -> bool:
+        """Whether something else than the proposal was executed."""
+        return self.tier not in (Tier.OFF, Tier.PASSED)

@@ -1,0 +1,196 @@
+"""`ShieldedEnv`: the shield between the decision and the actuators, at every simulation frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import RecordConstructorArgs
+
+from dynamics.scene import SceneReader
+from shield.config import ShieldConfig
+from shield.core import FrameCommand, ShieldCore
+from shield.decision import Decision, Reason, Tier
+from shield.errors import ConfigError, SceneError
+from shield.preference import order_from_scores, ranking_of
+
+__all__ = ["ShieldedEnv"]
+
+
+class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """Wraps a highway-env environment with meta-actions; reads the simulator's true state.
+
+    At each decision the proposed meta-action is verified and, if need be, replaced. Between two decisions every
+    simulation frame is supervised: when the committed meta-action has become unsafe, the frame is held back
+    with bounded acceleration, or the ego keeps its lane.
+
+    Parameters
+    ----------
+    env : the environment (`highway-v0`, `highway-fast-v0` or one with the same kind of road).
+    config : settings, or the path of a TOML file with them.
+    policy : where given, alternatives are tried in its order of preference (probabilities or Q-values of the
+        last observation).
+
+    Raises
+    ------
+    SceneError
+        If the environment's road or number of controlled vehicles is not supported.
+    ConfigError
+        If its action type is not `DiscreteMetaAction`.
+
+    Notes
+    -----
+    `info["shield"]` holds `overridden`, `reason`, `tier`, `margin` [m], `latency_ms` (all the time that the
+    shield took in this step), `frames_overridden` and `violations` (of the assumptions, by the traffic).
+
+    Examples
+    --------
+    >>> import gymnasium as gym, highway_env
+    >>> env = ShieldedEnv(gym.make("highway-fast-v0"))
+    >>> obs, info = env.reset(seed=0)
+    >>> obs, reward, terminated, truncated, info = env.step(3)
+    >>> info["shield"]["reason"]
+    'none'
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        config: ShieldConfig | str | None = None,
+        policy: Any = None,
+    ) -> None:
+        RecordConstructorArgs.__init__(self, config=config, policy=policy)
+        gym.Wrapper.__init__(self, env)
+        if isinstance(config, str):
+            config = ShieldConfig.load(config)
+        self.config = config if config is not None else ShieldConfig()
+        self.core = ShieldCore(self.config)
+        self.policy = policy
+        self._reader = SceneReader(env)
+        self._check_action_type()
+        self._observation: Any = None
+        self.last_decision: Decision | None = None
+        self.frame_decisions: list[Decision] = []
+
+    def _check_action_type(self) -> None:
+        kind = type(getattr(self.unwrapped, "action_type", None)).__name__
+        if kind != "DiscreteMetaAction":
+            raise ConfigError(
+                f"ShieldedEnv filters DiscreteMetaAction; this environment has {kind}. Pass "
+                'config={"action": {"type": "DiscreteMetaAction"}} to gym.make'
+            )
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Reset the environment and forget everything about the last episode."""
+        obs, info = self.env.reset(seed=seed, options=options)
+        self.core.reset()
+        self._check_action_type()
+        self._observation = obs
+        self.last_decision = None
+        self.frame_decisions = []
+        return obs, info
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Filter one meta-action, run it under supervision, and report in `info["shield"]`."""
+        start = perf_counter()
+        before = self.core.monitor.count
+        decision = self._decide(action)
+        self.last_decision = decision
+        self.frame_decisions = []
+        deciding = perf_counter() - start
+        executed = np.asarray(decision.executed)
+        if self.config.mode == "full":
+            with _Supervised(self.unwrapped, self._frame):
+                obs, reward, terminated, truncated, info = self.env.step(int(executed))
+        else:
+            obs, reward, terminated, truncated, info = self.env.step(int(executed))
+        self._observation = obs
+        frames = [d for d in self.frame_decisions if d.overridden]
+        worst = next((d for d in frames if d.tier.fallback), frames[0] if frames else None)
+        shown = decision if decision.overridden or worst is None else worst
+        margins = [d.margin for d in (decision, *self.frame_decisions) if np.isfinite(d.margin)]
+        info["shield"] = {
+            "overridden": decision.overridden or bool(frames),
+            "reason": shown.reason.value,
+            "tier": shown.tier.value,
+            "margin": min(margins, default=float("inf")),
+            "latency_ms": 1e3 * (deciding + sum(d.latency for d in self.frame_decisions)),
+            "frames_overridden": len(frames),
+            "violations": self.core.monitor.count - before,
+        }
+        return obs, float(reward), terminated, truncated, info
+
+    def action_masks(self) -> np.ndarray[Any, Any]:
+        """Which actions verify now, for sb3-contrib's MaskablePPO; all True where none does.
+
+        (MaskablePPO cannot handle an empty mask; `step` then falls back whatever is chosen.)
+        """
+        mask = self.core.action_mask(self._reader.read())
+        return mask if mask.any() else np.ones_like(mask)
+
+    def _decide(self, action: Any) -> Decision:
+        try:
+            scene = self._reader.read()
+        except SceneError:
+            raise
+        proposed = _index(action)
+        order = None
+        if self.policy is not None and proposed >= 0:
+            scores = ranking_of(self.policy, self._observation)
+            if scores is not None:
+                order = order_from_scores(np.asarray(scores).reshape(-1), proposed)
+        return self.core.decide(scene, proposed, order)
+
+    def _frame(self) -> FrameCommand | None:
+        scene = self._reader.read()
+        command, decision = self.core.supervise(scene, fresh=not self.frame_decisions)
+        self.frame_decisions.append(decision)
+        return command
+
+
+def _index(action: Any) -> int:
+    """A single action index, or -1 where `action` is not one (NaN, wrong shape, not whole)."""
+    try:
+        array = np.asarray(action, dtype=float).reshape(-1)
+    except (TypeError, ValueError):
+        return -1
+    if array.size != 1 or not np.isfinite(array[0]) or array[0] != np.rint(array[0]):
+        return -1
+    return int(array[0])
+
+
+class _Supervised:
+    """For the duration of one step, lets `frame` have the last word on the ego's low-level action."""
+
+    def __init__(self, env: Any, frame: Callable[[], FrameCommand | None]) -> None:
+        self._env, self._frame = env, frame
+
+    def __enter__(self) -> None:
+        ego, frame = self._env.vehicle, self._frame
+        act = type(ego).act
+
+        def supervised(action: Any = None) -> None:
+            act(ego, action)
+            if action is not None:
+                return
+            command = frame()
+            if command is not None:
+                lane = (*ego.target_lane_index[:2], command.lane)
+                if command.lane != ego.target_lane_index[2]:
+                    ego.target_lane_index = lane
+                floor = -max(ego.speed, 0.0) * self._env.config["simulation_frequency"]
+                ego.action = {
+                    "steering": ego.steering_control(lane),
+                    "acceleration": max(command.acceleration, floor),
+                }
+
+        ego.act = supervised
+        self._ego = ego
+
+    def __exit__(self, *_: Any) -> None:
+        del self._ego.act

@@ -1,0 +1,66 @@
+"""Watches whether the traffic keeps to the assumptions, and counts each violation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynamics.prediction import lateral_hull
+from dynamics.scene import Scene
+from dynamics.state import FloatArray, RoadState, Vehicle
+from shield.config import ShieldConfig
+
+__all__ = ["AssumptionMonitor"]
+
+_TOLERANCE = 0.1
+"""Slack on accelerations [m/s^2]."""
+
+
+class AssumptionMonitor:
+    """Compares each scene with the one before it.
+
+    A vehicle counts as violating when it brakes or accelerates harder than assumed, crashes, or moves into the
+    ego's way from another lane without leaving the gap from which the ego's fail-safe can still stop.
+
+    Attributes
+    ----------
+    count : violations so far.
+    violated : whether the last update saw one within the ego's stopping distance.
+    """
+
+    def __init__(self, config: ShieldConfig) -> None:
+        self._config = config
+        self._last: tuple[FloatArray, FloatArray, FloatArray] | None = None
+        self.count = 0
+        self.violated = False
+
+    def update(self, scene: Scene) -> None:
+        """Take in the next scene; vehicles are matched by their order."""
+        self.violated = False
+        rows, states = scene.others, scene.others_road
+        last, self._last = self._last, None
+        if rows.shape[0] == 0:
+            return
+        a = self._config.assumptions
+        low, high, _, _ = lateral_hull(rows, states, scene.road, a)
+        self._last = (rows, low, high)
+        if last is None or last[0].shape != rows.shape:
+            return
+        before, low0, high0 = last
+        rate = (rows[:, Vehicle.SPEED] - before[:, Vehicle.SPEED]) / scene.dt
+        crashed = (rows[:, Vehicle.CRASHED] > 0) & (before[:, Vehicle.CRASHED] == 0)
+        hard = (rate < -a.braking - _TOLERANCE) & (before[:, Vehicle.CRASHED] == 0)
+        hard |= (rate > a.acceleration + _TOLERANCE) & (before[:, Vehicle.CRASHED] == 0)
+        ego = scene.ego_road
+        body = 0.5 * scene.ego[Vehicle.WIDTH]
+        touches = (low < ego[RoadState.R] + body) & (high > ego[RoadState.R] - body)
+        touched = (low0 < ego[RoadState.R] + body) & (high0 > ego[RoadState.R] - body)
+        ds = states[:, RoadState.S] - ego[RoadState.S]
+        bumper = ds - 0.5 * (rows[:, Vehicle.LENGTH] + scene.ego[Vehicle.LENGTH])
+        stop = max(float(ego[RoadState.SPEED]), 0.0) ** 2 / (2 * self._config.braking)
+        room = bumper + np.maximum(rows[:, Vehicle.SPEED], 0.0) ** 2 / (2 * a.braking) - stop
+        cut = touches & ~touched & (ds > -0.5 * scene.ego[Vehicle.LENGTH])
+        cut &= room < self._config.buffer.longitudinal
+        found = crashed | hard | cut
+        self.count += int(found.sum())
+        near = np.abs(ds) < stop + 50.0
+        self.violated = bool((found & near).any())

@@ -59,9 +59,7 @@ class Assumptions:
         if self.follower_braking <= 0 or self.braking <= 0:
             raise ConfigError("Assumptions.braking and follower_braking must be above 0 m/s^2")
         if self.max_speed < self.min_speed:
-            raise ConfigError(
-                f"Assumptions.max_speed ({self.max_speed}) is below min_speed ({self.min_speed})"
-            )
+            raise ConfigError(f"Assumptions.max_speed ({self.max_speed}) is below min_speed ({self.min_speed})")
 
     @classmethod
     def idm(cls) -> Assumptions:
@@ -74,9 +72,7 @@ class Assumptions:
 
         Source: Shalev-Shwartz et al. 2017, with the constants customary on motorways.
         """
-        return cls(
-            braking=8.0, acceleration=4.0, max_speed=45.0, follower_braking=4.0, reaction_time=1.0
-        )
+        return cls(braking=8.0, acceleration=4.0, max_speed=45.0, follower_braking=4.0, reaction_time=1.0)
 
     @classmethod
     def profile(cls, name: str) -> Assumptions:

@@ -69,9 +69,7 @@ def steering_expression(state: ca.SX, target_r: ca.SX) -> ca.SX:
         return ca.fmin(ca.fmax(x, -bound), bound)
 
     r, psi, v = state[1], state[2], state[3]
-    v = ca.if_else(
-        ca.fabs(v) > _NONZERO, v, ca.if_else(v >= 0, ca.SX(_NONZERO), ca.SX(-_NONZERO))
-    )
+    v = ca.if_else(ca.fabs(v) > _NONZERO, v, ca.if_else(v >= 0, ca.SX(_NONZERO), ca.SX(-_NONZERO)))
     heading_ref = clip(ca.asin(clip(-KP_LATERAL * (r - target_r) / v, 1.0)), np.pi / 4)
     error = heading_ref - psi
     error = error - 2 * np.pi * ca.floor((error + np.pi) / (2 * np.pi))

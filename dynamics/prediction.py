@@ -101,9 +101,7 @@ def lateral_hull(
     center = centers[lane]
     offset = r - center
     turning = np.abs(heading) > assumptions.keeping_heading
-    moving = (turning | (np.abs(offset) > assumptions.keeping_offset)) & (
-        others[:, Vehicle.SPEED] != 0
-    )
+    moving = (turning | (np.abs(offset) > assumptions.keeping_offset)) & (others[:, Vehicle.SPEED] != 0)
     # Towards its heading, else back to the centre of its lane.
     toward = np.where(turning, np.sign(heading), -np.sign(offset))
     leaving = moving & (toward * offset >= 0)
@@ -111,9 +109,7 @@ def lateral_hull(
     end = centers[other_lane]
     bound = np.where(moving, np.maximum(assumptions.max_heading, np.abs(heading)), np.abs(heading))
     bound = np.maximum(bound, assumptions.keeping_heading)
-    half = 0.5 * (
-        others[:, Vehicle.WIDTH] + others[:, Vehicle.LENGTH] * np.sin(np.minimum(bound, np.pi / 2))
-    )
+    half = 0.5 * (others[:, Vehicle.WIDTH] + others[:, Vehicle.LENGTH] * np.sin(np.minimum(bound, np.pi / 2)))
     low = np.minimum(np.minimum(r, center), end) - half
     high = np.maximum(np.maximum(r, center), end) + half
     return low, high, lane, moving
@@ -153,9 +149,7 @@ def predict_occupancy(
         wreck = v[:, None] * (1 - dt) ** np.arange(frames)
         slow = np.where(crashed[:, None], np.minimum(slow, wreck), slow)
     # On a heading of up to `bound`, only the cosine of the speed advances along the road.
-    rear = (s - reach)[:, None] + np.cumsum(
-        np.minimum(slow, slow * np.cos(bound)[:, None]), axis=1
-    ) * dt
+    rear = (s - reach)[:, None] + np.cumsum(np.minimum(slow, slow * np.cos(bound)[:, None]), axis=1) * dt
     fast = v[:, None] + assumptions.acceleration * dt * k
     fast = np.minimum(fast, np.maximum(v, assumptions.max_speed)[:, None])
     front = (s + reach)[:, None] + np.cumsum(fast, axis=1) * dt

@@ -79,9 +79,7 @@ class StraightRoad:
         if np.any(np.diff(centers) <= 0):
             raise SceneError(f"lane centres must ascend, got {centers}")
         if not (self.width > 0 and self.length > 0):
-            raise SceneError(
-                f"width and length must be positive, got {self.width} m and {self.length} m"
-            )
+            raise SceneError(f"width and length must be positive, got {self.width} m and {self.length} m")
         object.__setattr__(self, "centers", centers)
         object.__setattr__(self, "forbidden", self.forbidden or (False,) * centers.size)
         object.__setattr__(self, "_cos", float(np.cos(self.heading)))
@@ -90,7 +88,7 @@ class StraightRoad:
     @classmethod
     def from_lanes(cls, lanes: int, width: float = 4.0, **kwargs: Any) -> StraightRoad:
         """The straight road that highway-env builds: lane i is centred at r = i * width."""
-        return cls(centers=np.arange(lanes) * width, width=width, **kwargs)
+        return cls(centers=np.arange(lanes, dtype=np.float64) * width, width=width, **kwargs)
 
     @classmethod
     def from_network(cls, network: Any) -> StraightRoad:

@@ -83,9 +83,9 @@ class Rollouts:
             x0 = np.zeros((rows, 4))
             c, out = np.zeros((rows, frames, 3)), np.zeros((rows, frames, 4))
             buffer, call = _compiled(rows, frames, self.dt).buffer()
-            buffer.set_arg(0, memoryview(x0))
-            buffer.set_arg(1, memoryview(c))
-            buffer.set_res(0, memoryview(out))
+            buffer.set_arg(0, memoryview(x0))  # type: ignore[call-arg, arg-type]
+            buffer.set_arg(1, memoryview(c))  # type: ignore[call-arg, arg-type]
+            buffer.set_res(0, memoryview(out))  # type: ignore[call-arg, arg-type]
             self._slots[key] = (x0, c, out, _Call(buffer, call))
         return self._slots[key]
 

@@ -69,13 +69,10 @@ class Scene:
         if self.ego.shape != (len(Vehicle),):
             raise SceneError(f"Scene.ego must have shape ({len(Vehicle)},), got {self.ego.shape}")
         if self.others.ndim != 2 or self.others.shape[1] != len(Vehicle):
-            raise SceneError(
-                f"Scene.others must have shape (n, {len(Vehicle)}), got {self.others.shape}"
-            )
+            raise SceneError(f"Scene.others must have shape (n, {len(Vehicle)}), got {self.others.shape}")
         if not self.dt > 0 or self.frames_per_decision < 1:
             raise SceneError(
-                f"dt and frames_per_decision must be positive, got {self.dt} s and "
-                f"{self.frames_per_decision}"
+                f"dt and frames_per_decision must be positive, got {self.dt} s and {self.frames_per_decision}"
             )
         if not 0 <= self.control.target.lane < self.road.centers.size:
             raise SceneError(
@@ -143,16 +140,17 @@ class SceneReader:
     def __init__(self, env: Any) -> None:
         base = getattr(env, "unwrapped", env)
         if not hasattr(base, "road") or not hasattr(base, "controlled_vehicles"):
-            raise SceneError(
-                f"{type(base).__name__} is not a highway-env environment: it has no road and vehicles"
-            )
+            raise SceneError(f"{type(base).__name__} is not a highway-env environment: it has no road and vehicles")
         if len(base.controlled_vehicles) != 1:
-            raise SceneError(
-                f"the shield supports one controlled vehicle, got {len(base.controlled_vehicles)}"
-            )
+            raise SceneError(f"the shield supports one controlled vehicle, got {len(base.controlled_vehicles)}")
         self._env = base
         self._network: Any = None
         self._road: StraightRoad | None = None
+
+    @property
+    def road(self) -> Any:
+        """The simulator's road; a new object with each episode."""
+        return self._env.road
 
     def read(self) -> Scene:
         """The scene now.
@@ -186,9 +184,7 @@ class SceneReader:
             road=self._road,
             control=control,
             dt=1 / config["simulation_frequency"],
-            frames_per_decision=int(
-                config["simulation_frequency"] // config["policy_frequency"]
-            ),
+            frames_per_decision=int(config["simulation_frequency"] // config["policy_frequency"]),
         )
 
 

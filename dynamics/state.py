@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FloatArray", "RoadState", "State", "Vehicle", "wrap_to_pi"]
+__all__ = ["BoolArray", "FloatArray", "RoadState", "State", "Vehicle", "wrap_to_pi"]
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 
 class State(IntEnum):

@@ -7,6 +7,7 @@ from shield.config import Buffer, ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.env import ShieldedEnv
 from shield.errors import ActionError, ConfigError, PolicyError, SceneError, ShieldError
+from shield.shield import Shield
 
 __all__ = [
     "ActionError",
@@ -17,6 +18,7 @@ __all__ = [
     "PolicyError",
     "Reason",
     "SceneError",
+    "Shield",
     "ShieldConfig",
     "ShieldError",
     "ShieldedEnv",

@@ -61,9 +61,7 @@ def brake_candidates(
     return Candidates(commands, lanes)
 
 
-def meta_candidates(
-    scene: Scene, actions: list[int], horizon: float
-) -> tuple[Candidates, list[tuple[int, ...]]]:
+def meta_candidates(scene: Scene, actions: list[int], horizon: float) -> tuple[Candidates, list[tuple[int, ...]]]:
     """Sequences of meta-actions: each action, then at most one lane change, then SLOWER to the end.
 
     Parameters

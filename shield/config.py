@@ -22,9 +22,7 @@ MODES = ("none", "distance", "rss", "ttc", "full")
 def _positive(owner: str, name: str, value: Any, *, zero: bool = False) -> None:
     good = isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
     if not good or value < 0 or (value == 0 and not zero):
-        raise ConfigError(
-            f"{owner}.{name} must be a finite number {'at least' if zero else 'above'} 0, got {value!r}"
-        )
+        raise ConfigError(f"{owner}.{name} must be a finite number {'at least' if zero else 'above'} 0, got {value!r}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,8 +25,8 @@ from shield.candidates import Candidates, brake_candidates
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.monitor import AssumptionMonitor
-from shield.preference import default_order
-from shield.rules import BufferRule, Rule, RssRule, TtcRule, make_rule
+from shield.preference import Order, default_order, resolve
+from shield.rules import BufferRule, RssRule, Rule, TtcRule, make_rule
 from shield.verify import Clearance, clearance, relevant
 
 __all__ = ["FrameCommand", "ShieldCore", "Verdict"]
@@ -69,9 +69,7 @@ class ShieldCore:
         self.config = config if config is not None else ShieldConfig()
         self._rollouts: dict[float, Rollouts] = {}
         mode = self.config.mode
-        self._rule: Rule | None = (
-            make_rule(mode, self.config) if mode in ("distance", "rss", "ttc") else None
-        )
+        self._rule: Rule | None = make_rule(mode, self.config) if mode in ("distance", "rss", "ttc") else None
         self._buffer_rule = BufferRule(self.config.buffer.longitudinal)
         self._explain: tuple[Rule, ...] = (
             RssRule(self.config),
@@ -87,16 +85,15 @@ class ShieldCore:
 
     # -- decisions ---------------------------------------------------------------------------------------
 
-    def decide(
-        self, scene: Scene, proposed: int, order: Sequence[int] | None = None
-    ) -> Decision:
+    def decide(self, scene: Scene, proposed: int, order: Order = None) -> Decision:
         """Choose the meta-action to commit to; frames are supervised afterwards by `supervise`.
 
         Parameters
         ----------
         scene : the scene now.
         proposed : the policy's action index.
-        order : the alternatives in the policy's order of preference; `default_order` without one.
+        order : the alternatives in the policy's order of preference, or a function that gives it;
+            `default_order` without one.
         """
         start = perf_counter()
         if self.config.mode == "none":
@@ -117,9 +114,7 @@ class ShieldCore:
             verdict = self._verify(scene, [target], records)[0]
             if verdict.margin >= 0:
                 return self._made(scene, proposed, proposed, reason, Tier.PASSED, verdict, start, records)
-            reason = next(
-                (r.reason for r in self._explain if r.objects(scene, target)), Reason.UNVERIFIED
-            )
+            reason = next((r.reason for r in self._explain if r.objects(scene, target)), Reason.UNVERIFIED)
         return self._repair(scene, proposed, target, reason, order, start)
 
     def _repair(
@@ -128,14 +123,15 @@ class ShieldCore:
         proposed: int,
         target: Target,
         reason: Reason,
-        order: Sequence[int] | None,
+        order: Order,
         start: float,
     ) -> Decision:
         labels = scene.control.actions
         targets = [scene.target_of(a) for a in range(len(labels))]
         # An override that has no policy order behind it holds the proposal back rather than drop it.
         held = proposed if target.lane == scene.road.lane_at(float(scene.ego_road[1])) else None
-        if order is None:
+        wanted = resolve(order)
+        if wanted is None:
             alternatives = default_order(scene, proposed, targets)
             if held is not None:
                 alternatives = alternatives[
@@ -145,19 +141,17 @@ class ShieldCore:
                     )
                 ]
         else:
-            alternatives = [a for a in order if a != proposed]
+            alternatives = [a for a in wanted if a != proposed]
         records: list[Occupancy] | None = [] if self.config.record else None
         for action, verdict in self._verify_actions(scene, alternatives, targets, records):
             if verdict.margin >= 0:
-                return self._made(
-                    scene, proposed, action, reason, Tier.ALTERNATIVE, verdict, start, records
-                )
+                return self._made(scene, proposed, action, reason, Tier.ALTERNATIVE, verdict, start, records)
         kept = [held] if held is not None else []
         kept += [labels.index(x) for x in ("IDLE", "SLOWER") if x in labels]
         for action in kept:
             probe = replace(scene, control=replace(scene.control, target=targets[action]))
             _, verdict = self._hold_back(probe)
-            if verdict is not None and verdict.margin >= 0:
+            if verdict.margin >= 0:
                 return self._made(scene, proposed, action, reason, Tier.GOVERNED, verdict, start)
         return self._fallback(scene, proposed, Reason.NO_SAFE_PLAN, start)
 
@@ -197,9 +191,7 @@ class ShieldCore:
         if not fresh:
             self._observe(scene)
         fails = self._fail_lanes(scene, proposed.lane)
-        candidates = brake_candidates(
-            scene, [proposed] * len(fails), fails, 1, self.config.braking
-        )
+        candidates = brake_candidates(scene, [proposed] * len(fails), fails, 1, self.config.braking)
         paths, result = self._judge(scene, candidates)
         best = int(result.margin.argmax())
         margin = float(result.margin[best])
@@ -208,16 +200,20 @@ class ShieldCore:
             record = _frame(proposed, None, Reason.NONE, Tier.PASSED, margin, start, paths[best])
             return None, record
         command, verdict = self._hold_back(scene)
-        if verdict is not None and verdict.margin >= 0:
+        if verdict.margin >= 0:
             self._stored_lane = verdict.fail_lane
             return command, _frame(
-                proposed, command, Reason.UNVERIFIED, Tier.GOVERNED, verdict.margin, start, verdict.path
+                proposed,
+                command,
+                Reason.UNVERIFIED,
+                Tier.GOVERNED,
+                verdict.margin,
+                start,
+                verdict.path,
             )
         if self._stored_lane is not None and not self.monitor.violated:
             command = FrameCommand(self._stored_lane, -self.config.braking)
-            return command, _frame(
-                proposed, command, Reason.NO_SAFE_PLAN, Tier.STORED_PLAN, margin, start
-            )
+            return command, _frame(proposed, command, Reason.NO_SAFE_PLAN, Tier.STORED_PLAN, margin, start)
         command, verdict = self._hold_back(scene, evade=True)
         self._stored_lane = None
         return command, _frame(
@@ -225,12 +221,12 @@ class ShieldCore:
             command,
             Reason.NO_SAFE_PLAN,
             Tier.LARGEST_MARGIN,
-            verdict.margin if verdict is not None else np.nan,
+            verdict.margin,
             start,
-            verdict.path if verdict is not None else None,
+            verdict.path,
         )
 
-    def _hold_back(self, scene: Scene, evade: bool = False) -> tuple[FrameCommand, Verdict | None]:
+    def _hold_back(self, scene: Scene, evade: bool = False) -> tuple[FrameCommand, Verdict]:
         """The least intervention for one frame: the greatest acceleration that verifies, committed lane first.
 
         With `evade`, every neighbouring lane is looked at and the largest margin wins instead.
@@ -247,13 +243,11 @@ class ShieldCore:
         steer = [lane for lane in lanes for _ in grid]
         speeds = [v + a / KP_SPEED for _ in lanes for a in grid]
         targets = [Target(lane, speed) for lane, speed in zip(steer, speeds, strict=True)]
-        fails = lanes if not evade else [None]
-        rows = [(t, t.lane if f is None else f) for f in fails for t in targets]
-        candidates = brake_candidates(
-            scene, [t for t, _ in rows], [f for _, f in rows], 1, braking
-        )
+        # An evading ego stops where it steers to; otherwise each steering is tried with each fail-safe lane.
+        rows = [(t, t.lane) for t in targets] if evade else [(t, f) for f in lanes for t in targets]
+        candidates = brake_candidates(scene, [t for t, _ in rows], [f for _, f in rows], 1, braking)
         paths, result = self._judge(scene, candidates)
-        accelerations = np.tile(grid, len(lanes) * len(fails))
+        accelerations = np.tile(grid, len(rows) // len(grid))
         cost = np.where(candidates.lanes == target.lane, 0.0, _LANE_PENALTY)
         score = np.where(result.margin >= 0, accelerations - cost, -np.inf)
         i = int(score.argmax())
@@ -293,23 +287,15 @@ class ShieldCore:
         paths = self._rollouts_for(scene.dt).run(scene.ego_road, candidates.commands)
         distance = float(paths[:, -1, RoadState.S].max() - scene.ego_road[RoadState.S])
         rows = relevant(scene, self.config, distance, paths.shape[1] * scene.dt)
-        return paths, clearance(
-            scene, self.config, paths, candidates.lanes, rows, hold, self._visible, records
-        )
+        return paths, clearance(scene, self.config, paths, candidates.lanes, rows, hold, self._visible, records)
 
-    def _verify(
-        self, scene: Scene, targets: list[Target], records: list[Occupancy] | None = None
-    ) -> list[Verdict]:
+    def _verify(self, scene: Scene, targets: list[Target], records: list[Occupancy] | None = None) -> list[Verdict]:
         """Margin of each target: sound for one frame, and forecast over the decision period."""
         pairs = [(i, f) for i, t in enumerate(targets) for f in self._fail_lanes(scene, t.lane)]
         chosen, fails = [targets[i] for i, _ in pairs], [f for _, f in pairs]
         period, braking = scene.frames_per_decision, self.config.braking
-        _, bound = self._judge(
-            scene, brake_candidates(scene, chosen, fails, 1, braking), 0
-        )
-        paths, forecast = self._judge(
-            scene, brake_candidates(scene, chosen, fails, period, braking), period, records
-        )
+        _, bound = self._judge(scene, brake_candidates(scene, chosen, fails, 1, braking), 0)
+        paths, forecast = self._judge(scene, brake_candidates(scene, chosen, fails, period, braking), period, records)
         margins = np.minimum(bound.margin, forecast.margin)
         out = []
         for i in range(len(targets)):
@@ -374,15 +360,20 @@ class ShieldCore:
         plan = np.vstack([scene.ego_road, verdict.path])
         occupancy = records[-1].rectangles() if records else None
         return Decision(
-            proposed, executed, reason, tier, verdict.margin, perf_counter() - start, plan, occupancy
+            proposed,
+            executed,
+            reason,
+            tier,
+            verdict.margin,
+            perf_counter() - start,
+            plan,
+            occupancy,
         )
 
     def _fallback(self, scene: Scene, proposed: Any, reason: Reason, start: float) -> Decision:
         """No action verifies: slow down, and leave it to the frames to play the stored plan on."""
         tier = Tier.STORED_PLAN if self._stored_lane is not None else Tier.LARGEST_MARGIN
-        return Decision(
-            proposed, self._safe_action(scene), reason, tier, np.nan, perf_counter() - start
-        )
+        return Decision(proposed, self._safe_action(scene), reason, tier, np.nan, perf_counter() - start)
 
 
 def _frame(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import Enum
+from enum import StrEnum
 from typing import Any
 
 from dynamics.state import FloatArray
@@ -11,7 +11,7 @@ from dynamics.state import FloatArray
 __all__ = ["Decision", "Reason", "Tier"]
 
 
-class Reason(str, Enum):
+class Reason(StrEnum):
     """Why the proposal was not executed as it was; `NONE` when it was."""
 
     NONE = "none"
@@ -45,7 +45,7 @@ _TEXT = {
 }
 
 
-class Tier(str, Enum):
+class Tier(StrEnum):
     """Which stage of the shield produced what was executed.
 
     `PASSED`, `ALTERNATIVE` and `GOVERNED` are verified; `STORED_PLAN` was verified at an earlier frame;

@@ -11,10 +11,11 @@ import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
 from dynamics.scene import SceneReader
+from shield.actions import action_index
 from shield.config import ShieldConfig
 from shield.core import FrameCommand, ShieldCore
-from shield.decision import Decision, Reason, Tier
-from shield.errors import ConfigError, SceneError
+from shield.decision import Decision
+from shield.errors import ConfigError
 from shield.preference import order_from_scores, ranking_of
 
 __all__ = ["ShieldedEnv"]
@@ -83,9 +84,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
                 'config={"action": {"type": "DiscreteMetaAction"}} to gym.make'
             )
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment and forget everything about the last episode."""
         obs, info = self.env.reset(seed=seed, options=options)
         self.core.reset()
@@ -134,34 +133,23 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return mask if mask.any() else np.ones_like(mask)
 
     def _decide(self, action: Any) -> Decision:
-        try:
-            scene = self._reader.read()
-        except SceneError:
-            raise
-        proposed = _index(action)
-        order = None
-        if self.policy is not None and proposed >= 0:
-            scores = ranking_of(self.policy, self._observation)
-            if scores is not None:
-                order = order_from_scores(np.asarray(scores).reshape(-1), proposed)
-        return self.core.decide(scene, proposed, order)
+        scene = self._reader.read()
+        proposed = action_index(action)
+        if self.policy is None:
+            return self.core.decide(scene, proposed)
+        return self.core.decide(scene, proposed, lambda: self._order(proposed))
+
+    def _order(self, proposed: int) -> list[int] | None:
+        scores = ranking_of(self.policy, self._observation)
+        if scores is None:
+            return None
+        return order_from_scores(np.asarray(scores).reshape(-1), proposed)
 
     def _frame(self) -> FrameCommand | None:
         scene = self._reader.read()
         command, decision = self.core.supervise(scene, fresh=not self.frame_decisions)
         self.frame_decisions.append(decision)
         return command
-
-
-def _index(action: Any) -> int:
-    """A single action index, or -1 where `action` is not one (NaN, wrong shape, not whole)."""
-    try:
-        array = np.asarray(action, dtype=float).reshape(-1)
-    except (TypeError, ValueError):
-        return -1
-    if array.size != 1 or not np.isfinite(array[0]) or array[0] != np.rint(array[0]):
-        return -1
-    return int(array[0])
 
 
 class _Supervised:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,10 @@ import numpy as np
 from dynamics.scene import Scene, Target
 from dynamics.state import RoadState
 
-__all__ = ["default_order", "lane_progress", "order_from_scores", "ranking_of"]
+__all__ = ["Order", "default_order", "lane_progress", "order_from_scores", "ranking_of", "resolve"]
+
+Order = Sequence[int] | Callable[[], Sequence[int] | None] | None
+"""Alternatives in order of preference, or a function that is asked only when an override is due."""
 
 _OUTLOOK = 3.0
 """Weight of a leader's relative speed against its distance [s]."""
@@ -29,9 +33,7 @@ def lane_progress(scene: Scene, lane: int) -> float:
         return _CLEAR
     room = states[ahead, RoadState.S] - ego[RoadState.S]
     j = int(room.argmin())
-    return float(
-        room[j] + _OUTLOOK * (states[ahead, RoadState.SPEED][j] - ego[RoadState.SPEED])
-    )
+    return float(room[j] + _OUTLOOK * (states[ahead, RoadState.SPEED][j] - ego[RoadState.SPEED]))
 
 
 def default_order(scene: Scene, proposed: int, targets: list[Target]) -> list[int]:
@@ -43,7 +45,8 @@ def default_order(scene: Scene, proposed: int, targets: list[Target]) -> list[in
     """
     labels = scene.control.actions
     here = lane_progress(scene, scene.road.lane_at(float(scene.ego_road[RoadState.R])))
-    moves, rest = [], []
+    moves: list[tuple[float, int]] = []
+    rest: list[tuple[float, int]] = []
     for a, label in enumerate(labels):
         if a == proposed or not label.startswith("LANE"):
             continue
@@ -51,14 +54,8 @@ def default_order(scene: Scene, proposed: int, targets: list[Target]) -> list[in
             continue
         gain = lane_progress(scene, targets[a].lane) - here
         (moves if gain > _GAIN else rest).append((-gain, a))
-    longitudinal = [
-        labels.index(x) for x in ("IDLE", "FASTER", "SLOWER") if x in labels
-    ]
-    return (
-        [a for _, a in sorted(moves)]
-        + [a for a in longitudinal if a != proposed]
-        + [a for _, a in sorted(rest)]
-    )
+    longitudinal = [labels.index(x) for x in ("IDLE", "FASTER", "SLOWER") if x in labels]
+    return [a for _, a in sorted(moves)] + [a for a in longitudinal if a != proposed] + [a for _, a in sorted(rest)]
 
 
 def ranking_of(policy: Any, obs: Any) -> Any:
@@ -92,3 +89,8 @@ def order_from_scores(scores: Any, proposed: int) -> list[int]:
     scores = np.nan_to_num(np.asarray(scores, dtype=float), nan=-np.inf)
     return [int(a) for a in np.argsort(-scores, kind="stable") if a != proposed]
 
+
+def resolve(order: Order) -> list[int] | None:
+    """The order as a list, asking for it if need be."""
+    found = order() if callable(order) else order
+    return None if found is None else [int(a) for a in found]

@@ -12,12 +12,21 @@ from typing import Protocol
 import numpy as np
 
 from dynamics.scene import Scene, Target
-from dynamics.state import FloatArray, RoadState, State, Vehicle
+from dynamics.state import BoolArray, FloatArray, RoadState, State, Vehicle
 from shield.config import ShieldConfig
 from shield.decision import Reason
 from shield.errors import ConfigError
 
-__all__ = ["BufferRule", "DistanceRule", "RssRule", "Rule", "TtcRule", "make_rule", "rss_gap", "rss_lateral_gap"]
+__all__ = [
+    "BufferRule",
+    "DistanceRule",
+    "RssRule",
+    "Rule",
+    "TtcRule",
+    "make_rule",
+    "rss_gap",
+    "rss_lateral_gap",
+]
 
 
 class Rule(Protocol):
@@ -83,7 +92,7 @@ def _gaps(scene: Scene) -> FloatArray:
     return np.abs(ds) - 0.5 * (scene.others[:, Vehicle.LENGTH] + scene.ego[Vehicle.LENGTH])
 
 
-def _in_lane(scene: Scene, lane: int) -> FloatArray:
+def _in_lane(scene: Scene, lane: int) -> BoolArray:
     """Which others touch a lane (n,)."""
     half = 0.5 * (scene.road.width + scene.others[:, Vehicle.WIDTH])
     offset = scene.others_road[:, RoadState.R] - scene.road.centers[lane]
@@ -172,20 +181,14 @@ class RssRule:
             breaks |= self._lateral(scene, target, gaps)
         return bool(breaks.any())
 
-    def _lateral(self, scene: Scene, target: Target, gaps: FloatArray) -> FloatArray:
+    def _lateral(self, scene: Scene, target: Target, gaps: FloatArray) -> BoolArray:
         """Vehicles alongside, on the side that the ego moves to, nearer than the lateral gap."""
         side = np.sign(scene.road.centers[target.lane] - scene.ego_road[RoadState.R])
         dr = side * (scene.others_road[:, RoadState.R] - scene.ego_road[RoadState.R])
         flank = dr - 0.5 * (scene.others[:, Vehicle.WIDTH] + scene.ego[Vehicle.WIDTH])
         own = side * scene.ego[State.SPEED] * np.sin(scene.ego_road[RoadState.HEADING])
-        other = (
-            side
-            * scene.others[:, Vehicle.SPEED]
-            * np.sin(scene.others_road[:, RoadState.HEADING])
-        )
-        need = rss_lateral_gap(
-            np.full_like(other, own), other, self.config.response_time, 1.0, 2.0, 0.3
-        )
+        other = side * scene.others[:, Vehicle.SPEED] * np.sin(scene.others_road[:, RoadState.HEADING])
+        need = rss_lateral_gap(np.full_like(other, own), other, self.config.response_time, 1.0, 2.0, 0.3)
         return (gaps < 0) & (dr > 0) & (flank < need)
 
 

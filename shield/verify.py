@@ -101,7 +101,7 @@ def clearance(
     low, high = occ.low[None, :], occ.high[None, :]
     home = np.repeat(occ.lane[None, :], n, axis=0)
     ego_s, ego_r = scene.ego_road[RoadState.S], scene.ego_road[RoadState.R]
-    if assumptions.blind_merge:
+    if assumptions.blind_merge and hold == 0:
         goal = road.centers[lanes]
         hidden = np.abs(ego_r - goal) > assumptions.visible_distance
         if hidden.any():
@@ -122,15 +122,11 @@ def clearance(
     )
     owes = behind & (occ.low < ego_r + body) & (occ.high > ego_r - body)
 
-    gap_r = np.maximum(
-        low[:, :, None] - (r + half_r)[:, None, :], (r - half_r)[:, None, :] - high[:, :, None]
-    )
+    gap_r = np.maximum(low[:, :, None] - (r + half_r)[:, None, :], (r - half_r)[:, None, :] - high[:, :, None])
     gap_s = occ.rear[None] - (s + half_s)[:, None, :]
     mine = np.flatnonzero(behind & ~owes)
     if mine.size:
-        front = _follower_front(
-            scene, config, occ, mine, home[:, mine], paths, hold, visible
-        )
+        front = _follower_front(scene, config, occ, mine, home[:, mine], paths, hold, visible)
         gap_s[:, mine] = np.maximum(gap_s[:, mine], (s - half_s)[:, None, :] - front)
     separation = np.maximum(gap_r, gap_s)
     separation[:, owes] = np.inf
@@ -167,9 +163,7 @@ def _follower_front(
     v0 = occ.state[mine, RoadState.SPEED][None, :, None]
     top = np.minimum(v0 + gain, np.maximum(v0, assumptions.max_speed))
     v = np.maximum(top - loss, 0.0)
-    front = (occ.state[mine, RoadState.S] + occ.reach[mine])[None, :, None] + np.cumsum(
-        v, axis=2
-    ) * dt
+    front = (occ.state[mine, RoadState.S] + occ.reach[mine])[None, :, None] + np.cumsum(v, axis=2) * dt
     # Where the ego has come to rest at the last frame, its follower may still be doing so.
     last = v[..., -1]
     rest = last**2 / (2 * assumptions.follower_braking) + 0.5 * last * dt

@@ -1,0 +1,26 @@
+"""Reading one discrete action out of whatever a policy returns."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+__all__ = ["action_index"]
+
+
+def action_index(action: Any) -> int:
+    """A single action index, or -1 where `action` is not one (NaN, wrong shape, not whole).
+
+    Examples
+    --------
+    >>> action_index(np.array([3])), action_index(float("nan")), action_index([1, 2])
+    (3, -1, -1)
+    """
+    try:
+        array = np.asarray(action, dtype=float).reshape(-1)
+    except (TypeError, ValueError):
+        return -1
+    if array.size != 1 or not np.isfinite(array[0]) or array[0] != np.rint(array[0]):
+        return -1
+    return int(array[0])

@@ -1,0 +1,174 @@
+"""The procedure for meta-actions only: what `Shield.predict` runs, once per decision.
+
+Without a brake of its own, the fail-safe is a short tree of meta-action sequences: the action, then at most one
+lane change, then SLOWER to the end. Where the ego's slowest target speed is above zero it cannot stop, and a
+sequence is verified over `ShieldConfig.horizon` only: that is what its certificate says, and no more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from dynamics.prediction import Occupancy
+from dynamics.rollout import Rollouts
+from dynamics.scene import Scene
+from dynamics.state import FloatArray, RoadState
+from shield.candidates import meta_candidates
+from shield.config import ShieldConfig
+from shield.decision import Decision, Reason, Tier
+from shield.monitor import AssumptionMonitor
+from shield.preference import Order, default_order, resolve
+from shield.rules import BufferRule, RssRule, Rule, TtcRule, make_rule
+from shield.verify import clearance, relevant
+
+__all__ = ["MetaCore"]
+
+
+class MetaCore:
+    """Holds the memory of one vehicle that is shielded at its decisions only.
+
+    Parameters
+    ----------
+    config : settings; `ShieldConfig()` by default.
+    """
+
+    def __init__(self, config: ShieldConfig | None = None) -> None:
+        self.config = config if config is not None else ShieldConfig()
+        self._rollouts: dict[float, Rollouts] = {}
+        mode = self.config.mode
+        self._rule: Rule | None = make_rule(mode, self.config) if mode in ("distance", "rss", "ttc") else None
+        self._buffer_rule = BufferRule(self.config.buffer.longitudinal)
+        self._explain: tuple[Rule, ...] = (
+            RssRule(self.config),
+            TtcRule(self.config.time_to_collision),
+        )
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything about the episode."""
+        self.monitor = AssumptionMonitor(self.config)
+        self._stored: tuple[int, ...] = ()
+
+    def decide(self, scene: Scene, proposed: int, order: Order = None) -> Decision:
+        """Choose the meta-action for the next decision period.
+
+        Parameters
+        ----------
+        scene : the scene now.
+        proposed : the policy's action index.
+        order : the alternatives in the policy's order of preference, or a function that gives it;
+            `default_order` without one.
+        """
+        start = perf_counter()
+        labels = scene.control.actions
+        if self.config.mode == "none":
+            return Decision(proposed, proposed, Reason.NONE, Tier.OFF, np.nan, 0.0)
+        if not 0 <= proposed < len(labels):
+            return self.fallback(scene, proposed, Reason.BAD_ACTION, start)
+        if not scene.finite:
+            return self.fallback(scene, proposed, Reason.BAD_SCENE, start)
+        target = scene.target_of(proposed)
+        if self._rule is not None:
+            objects = self._rule.objects(scene, target)
+            executed = _slower(labels) if objects else proposed
+            changed = executed != proposed
+            return Decision(
+                proposed,
+                executed,
+                self._rule.reason if changed else Reason.NONE,
+                Tier.ALTERNATIVE if changed else Tier.PASSED,
+                np.nan,
+                perf_counter() - start,
+            )
+        self.monitor.update(scene)
+        if self._buffer_rule.objects(scene, target):
+            reason, best = Reason.BUFFER, None
+        else:
+            best = self._best(scene, [proposed])[proposed]
+            if best[0] >= 0:
+                return self._made(scene, proposed, proposed, Reason.NONE, Tier.PASSED, best, start)
+            reason = next((r.reason for r in self._explain if r.objects(scene, target)), Reason.UNVERIFIED)
+        targets = [scene.target_of(a) for a in range(len(labels))]
+        wanted = resolve(order)
+        if wanted is None:
+            wanted = default_order(scene, proposed, targets)
+        others = [a for a in wanted if a != proposed and not self._buffer_rule.objects(scene, targets[a])]
+        results = self._best(scene, others) if others else {}
+        for action in others:
+            if results[action][0] >= 0:
+                return self._made(scene, proposed, action, reason, Tier.ALTERNATIVE, results[action], start)
+        if self._stored and not self.monitor.violated:
+            action, self._stored = self._stored[0], self._stored[1:]
+            return Decision(
+                proposed,
+                action,
+                Reason.NO_SAFE_PLAN,
+                Tier.STORED_PLAN,
+                np.nan,
+                perf_counter() - start,
+            )
+        if best is not None:
+            results[proposed] = best
+        if not results:
+            return self.fallback(scene, proposed, Reason.NO_SAFE_PLAN, start)
+        action = max(results, key=lambda a: results[a][0])
+        return self._made(
+            scene,
+            proposed,
+            action,
+            Reason.NO_SAFE_PLAN,
+            Tier.LARGEST_MARGIN,
+            results[action],
+            start,
+        )
+
+    def fallback(self, scene: Scene | None, proposed: Any, reason: Reason, start: float) -> Decision:
+        """Play the stored sequence on, or slow down; used when there is no proposal to verify."""
+        if self._stored:
+            action, self._stored = self._stored[0], self._stored[1:]
+            tier = Tier.STORED_PLAN
+        else:
+            labels = scene.control.actions if scene is not None else ("", "", "", "", "SLOWER")
+            action, tier = _slower(labels), Tier.EMERGENCY
+        return Decision(proposed, action, reason, tier, np.nan, perf_counter() - start)
+
+    def _best(self, scene: Scene, actions: Sequence[int]) -> dict[int, tuple[float, tuple[int, ...], FloatArray, Any]]:
+        """For each first action: best margin [m], its sequence, its path, and the occupancy if recorded."""
+        candidates, sequences = meta_candidates(scene, list(actions), self.config.horizon)
+        if scene.dt not in self._rollouts:
+            self._rollouts[scene.dt] = Rollouts(scene.dt)
+        paths = self._rollouts[scene.dt].run(scene.ego_road, candidates.commands)
+        distance = float(paths[:, -1, RoadState.S].max() - scene.ego_road[RoadState.S])
+        rows = relevant(scene, self.config, distance, paths.shape[1] * scene.dt)
+        records: list[Occupancy] | None = [] if self.config.record else None
+        result = clearance(scene, self.config, paths, candidates.lanes, rows, 0, None, records)
+        occupancy = records[-1].rectangles() if records else None
+        first = np.array([s[0] for s in sequences])
+        out = {}
+        for a in actions:
+            i = int(np.where(first == a, result.margin, -np.inf).argmax())
+            out[a] = (float(result.margin[i]), sequences[i], paths[i], occupancy)
+        return out
+
+    def _made(
+        self,
+        scene: Scene,
+        proposed: int,
+        executed: int,
+        reason: Reason,
+        tier: Tier,
+        best: tuple[float, tuple[int, ...], FloatArray, Any],
+        start: float,
+    ) -> Decision:
+        margin, sequence, path, occupancy = best
+        self._stored = sequence[1:] if tier is not Tier.LARGEST_MARGIN else ()
+        plan = np.vstack([scene.ego_road, path])
+        return Decision(proposed, executed, reason, tier, margin, perf_counter() - start, plan, occupancy)
+
+
+def _slower(labels: Sequence[str]) -> int:
+    return labels.index("SLOWER") if "SLOWER" in labels else labels.index("IDLE")

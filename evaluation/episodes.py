@@ -53,7 +53,8 @@ class _Tally:
             self.violations = None
         else:
             self.violations += int(violations)
-        self.min_margin = float(np.fmin(self.min_margin, shield["margin"]))
+        if np.isfinite(shield["margin"]):
+            self.min_margin = float(np.fmin(self.min_margin, shield["margin"]))
         self.reasons[Reason(shield["reason"]).value] += 1
         self.tiers[Tier(shield["tier"]).value] += 1
         self.latencies.append(float(shield["latency_ms"]))

@@ -80,7 +80,7 @@ class EpisodeRecord:
     reasons, tiers : decisions by `Reason` and `Tier` (columns "reason_…", "tier_…").
     frames, frames_overridden : simulation frames, and those in which the shield acted.
     violations : how often the traffic broke the assumptions; None where the door does not count it.
-    min_margin : smallest margin of what was executed [m]; NaN without a shield.
+    min_margin : smallest margin of what was executed [m]; NaN where none was computed.
     min_gap : smallest clearance to anybody [m]; 0 in a crash.
     latencies : time that the shield took at each decision [ms] (column "latencies_ms").
     """

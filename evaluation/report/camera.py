@@ -1,0 +1,91 @@
+"""Takes highway-env's own picture at each simulation frame, off-screen."""
+
+from __future__ import annotations
+
+import os
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from dynamics.road import StraightRoad
+from dynamics.state import RoadState, State
+from evaluation.report.draw import Shot
+from shield import ShieldedEnv
+
+__all__ = ["Camera"]
+
+
+class Camera:
+    """Watches one episode of a shielded environment that was made with `render_mode="rgb_array"`.
+
+    Parameters
+    ----------
+    env : the environment, after `reset`.
+    """
+
+    def __init__(self, env: ShieldedEnv) -> None:
+        self._env, base = env, env.unwrapped
+        os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
+        base.render()  # type: ignore[no-untyped-call]
+        self._base: Any = base
+        self._base.enable_auto_render = False
+        self._viewer: Any = self._base.viewer
+        self._viewer.enabled = True  # highway-env draws nothing under SDL's dummy driver otherwise
+        self._road = StraightRoad.from_network(self._base.road.network)
+        self._viewer.observer_vehicle = SimpleNamespace(position=np.zeros(2))
+        self._dt = 1.0 / self._base.config["simulation_frequency"]
+        self._taken: list[dict[str, Any]] = []
+        self._keep = True
+        self._frames = 0
+        inner = self._base.road.step
+
+        def step(dt: float) -> None:
+            if self._keep:
+                self._take()
+            self._frames += 1
+            inner(dt)
+
+        self._base.road.step = step
+
+    def start(self, keep: bool) -> None:
+        """Call before each step; with `keep` its frames are pictured."""
+        self._taken, self._keep = [], keep
+
+    def _take(self) -> None:
+        ego = self._base.vehicle
+        state = np.array([*ego.position, ego.heading, ego.speed])
+        middle = self._road.to_road(state)
+        middle[RoadState.R] = self._road.centers.mean()
+        self._viewer.observer_vehicle.position = self._road.to_world(middle)[: State.Y + 1]
+        self._viewer.display()
+        surface = self._viewer.sim_surface
+        self._taken.append(
+            {
+                "image": np.array(self._viewer.get_image(), dtype=np.uint8),
+                "origin": (float(surface.origin[0]), float(surface.origin[1])),
+                "scaling": float(surface.scaling),
+                "speed": float(ego.speed),
+                "size": (float(ego.LENGTH), float(ego.WIDTH)),
+                "time": self._frames * self._dt,
+            }
+        )
+
+    def develop(self) -> list[Shot]:
+        """The shots of the last step, with the decisions that were taken in it."""
+        env, frames = self._env, self._env.frame_decisions
+        labels = self._base.action_type.actions
+        actions = tuple(labels[i] for i in sorted(labels))
+        assert env.last_decision is not None
+        return [
+            Shot(
+                **taken,
+                road=self._road,
+                dt=self._dt,
+                actions=actions,
+                decision=env.last_decision,
+                frame=frames[i] if i < len(frames) else None,
+                age=i,
+            )
+            for i, taken in enumerate(self._taken)
+        ]

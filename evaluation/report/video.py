@@ -1,0 +1,245 @@
+"""Films of shielded episodes, frame by frame at the simulation frequency.
+
+Rendering is off-screen: no display is needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from evaluation.baselines import make_policy, start_episode
+from evaluation.report.camera import Camera
+from evaluation.report.draw import AREA, GREEN, ORANGE, RED, Shot, draw
+from evaluation.settings import Setting, get_setting
+from evaluation.training import FIRST_EVALUATION_SEED
+from shield import ShieldConfig, ShieldedEnv
+from shield.errors import ConfigError
+
+__all__ = [
+    "DEMO_POLICY",
+    "DEMO_SETTING",
+    "Film",
+    "film_override",
+    "find_override",
+    "record",
+    "still_of_override",
+]
+
+DEMO_SETTING = "highway-fast"
+DEMO_POLICY = "ppo-highway-fast"
+
+_FREQUENCY = 15
+"""Films run at this simulation frequency [Hz]: at 5 Hz, as in highway-fast-v0, they would jerk."""
+_CLIP = 9
+"""Length of a film [decisions of 1 s]."""
+_LEAD = 1
+"""Decisions shown before the first override."""
+_WANTED = 3
+"""A seed whose episode has this many overridden decisions in one clip is worth filming."""
+_SEARCH = 30
+"""Seeds to try before the best of them is taken."""
+_COLORS = 96
+
+
+@dataclass(frozen=True, slots=True)
+class Film:
+    """A film that was written.
+
+    Attributes
+    ----------
+    path : the file.
+    seed : seed of the episode.
+    overrides : decisions in it that were overridden.
+    frames : number of pictures.
+    """
+
+    path: Path
+    seed: int
+    overrides: int
+    frames: int
+
+
+def _filmed(setting: Setting) -> Setting:
+    """The setting as it is filmed: large pictures, and a high simulation frequency."""
+    return setting.override(
+        {
+            "simulation_frequency": _FREQUENCY,
+            "screen_width": 1100,
+            "screen_height": 150,
+            "scaling": 9.0,
+            "centering_position": [0.2, 0.5],
+            "offscreen_rendering": True,
+        }
+    )
+
+
+def record(
+    setting: str | Setting,
+    policy: str,
+    seed: int,
+    *,
+    first: int = 0,
+    last: int | None = None,
+    config: ShieldConfig | None = None,
+) -> list[Shot]:
+    """Drive a shielded episode and keep a shot of each simulation frame.
+
+    Parameters
+    ----------
+    setting, policy : what to drive, by name.
+    seed : seed of the episode.
+    first, last : decisions to keep, from `first` up to but not including `last`.
+    config : the shield's settings.
+    """
+    setting = get_setting(setting) if isinstance(setting, str) else setting
+    config = (config or ShieldConfig()).replace(record=True)
+    with _shielded(_filmed(setting), policy, seed, config, "rgb_array") as (env, decide):
+        camera = Camera(env)
+        shots: list[Shot] = []
+        step, done = 0, False
+        while not done and (last is None or step < last):
+            camera.start(keep=step >= first)
+            done = decide()
+            shots += camera.develop()
+            step += 1
+        return shots
+
+
+@contextmanager
+def _shielded(
+    setting: Setting, policy: str, seed: int, config: ShieldConfig, render_mode: str | None
+) -> Iterator[tuple[ShieldedEnv, Callable[[], bool]]]:
+    """A shielded episode, and a function that takes its next decision and says if it is over."""
+    bare = setting.make(render_mode=render_mode)
+    try:
+        driver = make_policy(policy, bare)
+        env = ShieldedEnv(bare, config, policy=driver)
+        obs, _ = env.reset(seed=seed)
+        start_episode(driver, seed)
+
+        def decide() -> bool:
+            nonlocal obs
+            action, _ = driver.predict(obs, deterministic=True)
+            obs, _, terminated, truncated, _ = env.step(action)
+            return terminated or truncated
+
+        yield env, decide
+    finally:
+        bare.close()
+
+
+def _overridden(setting: Setting, policy: str, seed: int) -> list[bool]:
+    """Which decisions of an episode end in another action; nothing is drawn."""
+    with _shielded(_filmed(setting), policy, seed, ShieldConfig(), None) as (env, decide):
+        flags, done = [], False
+        while not done:
+            done = decide()
+            decision = env.last_decision
+            flags.append(decision is not None and decision.executed != decision.proposed)
+        return flags
+
+
+def _best_clip(flags: Sequence[bool]) -> tuple[int, int]:
+    """First decision of the clip with the most overrides, after one that passed; and how many."""
+    starts = [i for i in range(len(flags)) if not flags[i] and any(flags[i + 1 : i + 1 + _LEAD])]
+    counts = [(sum(flags[i : i + _CLIP]), -i) for i in starts]
+    if not counts:
+        return 0, 0
+    count, negative = max(counts)
+    return -negative, count
+
+
+def find_override(
+    setting: str | Setting = DEMO_SETTING, policy: str = DEMO_POLICY, seed: int = 0
+) -> tuple[int, int]:
+    """Seed and first decision of an episode with several overrides, tried from `seed` upwards.
+
+    Raises
+    ------
+    ConfigError
+        If no episode has any, or the seeds are those of the evaluation.
+    """
+    setting = get_setting(setting) if isinstance(setting, str) else setting
+    if not 0 <= seed <= FIRST_EVALUATION_SEED - _SEARCH:
+        raise ConfigError(
+            f"episodes are chosen among seeds below {FIRST_EVALUATION_SEED}, not {seed}:"
+            " the others are kept for evaluation"
+        )
+    best = (0, seed, 0)
+    for candidate in range(seed, seed + _SEARCH):
+        start, count = _best_clip(_overridden(setting, policy, candidate))
+        if count > best[0]:
+            best = (count, candidate, start)
+        if count >= _WANTED:
+            break
+    if best[0] == 0:
+        raise ConfigError(f"{policy} was not overridden in {_SEARCH} episodes of {setting.name}")
+    return best[1], best[2]
+
+
+def film_override(
+    path: str | Path,
+    setting: str | Setting = DEMO_SETTING,
+    policy: str = DEMO_POLICY,
+    seed: int = 0,
+) -> Film:
+    """Find an episode in which the override shows, and write it as a GIF.
+
+    Parameters
+    ----------
+    path : the file to write, ending in .gif.
+    setting, policy : what to drive, by name.
+    seed : where the search for an episode begins; below 10,000.
+    """
+    path = Path(path)
+    if path.suffix != ".gif":
+        raise ConfigError(f"a film is written as .gif, not {path.suffix or 'without an ending'!r}")
+    chosen, start = find_override(setting, policy, seed)
+    shots = record(setting, policy, chosen, first=start, last=start + _CLIP)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _write_gif(path, [draw(shot) for shot in shots], 1000 * shots[0].dt)
+    overrides = len({id(s.decision) for s in shots if s.decision.overridden})
+    return Film(path, chosen, overrides, len(shots))
+
+
+def still_of_override(
+    path: str | Path,
+    setting: str | Setting = DEMO_SETTING,
+    policy: str = DEMO_POLICY,
+    seed: int = 0,
+) -> Path:
+    """Write the one frame of `film_override` that shows most: an override among many neighbours."""
+    path = Path(path)
+    chosen, start = find_override(setting, policy, seed)
+    shots = record(setting, policy, chosen, first=start, last=start + _CLIP)
+    best = max(shots, key=_shows)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draw(best).save(path, optimize=True)
+    return path
+
+
+def _shows(shot: Shot) -> tuple[bool, bool, int]:
+    """How much a shot shows: an overridden decision, areas, and early in the decision."""
+    areas = shot.decision.occupancy
+    return shot.decision.overridden, areas is not None, -shot.age
+
+
+def _write_gif(path: Path, pictures: Sequence[Image.Image], duration: float) -> None:
+    """One palette for the whole film, without dithering: small files that do not flicker."""
+    parts = [np.asarray(picture) for picture in pictures[:: len(pictures) // 6 + 1]]
+    signals = np.repeat(np.array([GREEN, ORANGE, RED, AREA], dtype=np.uint8), 4, axis=0)
+    width = parts[0].shape[1]
+    parts.append(np.tile(signals[:, None, :], (1, width, 1)))
+    palette = Image.fromarray(np.concatenate(parts)).quantize(
+        _COLORS, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE
+    )
+    frames = [p.quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
+    frames[0].save(
+        path, save_all=True, append_images=frames[1:], duration=duration, loop=0, optimize=True
+    )

@@ -1,0 +1,100 @@
+"""Episodes are reproducible, paired, and the same whatever the number of jobs."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from evaluation.episodes import run_episode, run_paired
+from evaluation.records import Variant, make_variants
+from evaluation.settings import get_setting
+from shield import ShieldConfig
+from shield.errors import ConfigError
+
+SHORT = get_setting("highway-fast").override({"duration": 5}, name="highway-short")
+SEEDS = range(100_000, 100_003)
+
+
+@pytest.fixture(scope="module")
+def episodes():
+    variants = make_variants(["none", "rss", "full"], ["env"])
+    return run_paired(SHORT, "faster", variants, SEEDS)
+
+
+def _without_latencies(frame):
+    return frame.drop(columns="latencies_ms")
+
+
+def test_every_variant_drives_every_seed(episodes):
+    assert len(episodes) == 9
+    assert list(episodes["mode"]) == ["none"] * 3 + ["rss"] * 3 + ["full"] * 3
+    assert list(episodes["seed"]) == [*SEEDS] * 3
+
+
+def test_two_jobs_give_what_one_gives(episodes):
+    variants = make_variants(["none", "rss", "full"], ["env"])
+    again = run_paired(SHORT, "faster", variants, SEEDS, jobs=2)
+    pd.testing.assert_frame_equal(_without_latencies(again), _without_latencies(episodes))
+
+
+def test_a_single_episode_is_the_row_of_the_table(episodes):
+    record = run_episode(SHORT, "faster", Variant("env", ShieldConfig()), seed=100_001).row()
+    row = episodes[(episodes["mode"] == "full") & (episodes["seed"] == 100_001)].iloc[0]
+    for key, value in record.items():
+        if key != "latencies_ms":
+            assert value == row[key] or (value != value and row[key] != row[key]), key
+
+
+def test_the_columns_add_up(episodes):
+    reasons = [c for c in episodes if c.startswith("reason_")]
+    tiers = [c for c in episodes if c.startswith("tier_")]
+    assert (episodes[reasons].sum(axis=1) == episodes["steps"]).all()
+    assert (episodes[tiers].sum(axis=1) == episodes["steps"]).all()
+    assert (episodes["overridden"] <= episodes["steps"]).all()
+    assert (episodes["frames_overridden"] <= episodes["frames"]).all()
+    assert ((episodes["attribution"] == "none") == ~episodes["crashed"]).all()
+    np.testing.assert_allclose(episodes["distance"] / episodes["duration"], 28, atol=9)
+
+
+def test_latencies_are_kept_for_each_decision_of_the_shield(episodes):
+    for row in episodes.itertuples():
+        expected = 0 if row.door == "none" else row.steps
+        assert len(row.latencies_ms) == expected
+        assert all(x >= 0 for x in row.latencies_ms)
+
+
+def test_without_a_shield_there_is_no_margin_and_no_override(episodes):
+    bare = episodes[episodes["door"] == "none"]
+    assert bare["min_margin"].isna().all()
+    assert (bare["overridden"] == 0).all()
+    assert (bare["tier_off"] == bare["steps"]).all()
+
+
+def test_random_policies_are_paired_too():
+    first = run_episode(SHORT, "random", seed=5)
+    second = run_episode(SHORT, "random", seed=5)
+    assert first == second
+    assert not math.isnan(first.return_)
+
+
+def test_variants_name_each_combination_once():
+    variants = make_variants(["none", "full", "none", "ttc"], ["env", "policy"])
+    assert [(v.door, v.mode) for v in variants] == [
+        ("none", "none"),
+        ("env", "full"),
+        ("policy", "full"),
+        ("env", "ttc"),
+        ("policy", "ttc"),
+    ]
+
+
+def test_nothing_to_run_and_unknown_names_are_refused():
+    with pytest.raises(ConfigError, match="nothing to run"):
+        run_paired(SHORT, "faster", [], SEEDS)
+    with pytest.raises(ConfigError, match="jobs"):
+        run_paired(SHORT, "faster", [Variant()], SEEDS, jobs=0)
+    with pytest.raises(ConfigError, match="valid are none, env, policy"):
+        Variant("window")
+    with pytest.raises(ConfigError, match="unknown shield mode"):
+        make_variants(["fulll"], ["env"])

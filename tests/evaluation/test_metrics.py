@@ -1,0 +1,127 @@
+"""Summaries count what the episodes say, and tables survive being written and read."""
+
+import io
+import math
+
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from evaluation.metrics import compare, summarise
+from evaluation.records import EpisodeRecord
+from evaluation.report.table import (
+    COMPARISON,
+    SUMMARY,
+    markdown,
+    read_episodes,
+    rich_table,
+    write_table,
+)
+from shield.errors import ConfigError
+
+
+def record(seed, door, crashed, **changes):
+    shielded = door != "none"
+    values = {
+        "setting": "highway-fast",
+        "policy": "faster",
+        "door": door,
+        "mode": "full" if shielded else "none",
+        "seed": seed,
+        "crashed": crashed,
+        "attribution": "ego_at_fault" if crashed else "none",
+        "return_": 10.0 + seed if shielded else 5.0 + seed,
+        "steps": 10,
+        "duration": 10.0,
+        "mean_speed": 25.0,
+        "distance": 250.0,
+        "lane_changes": 1,
+        "overridden": 4 if shielded else 0,
+        "reasons": {"none": 6, "rss": 4} if shielded else {"none": 10},
+        "tiers": {"passed": 6, "alternative": 3, "stored_plan": 1} if shielded else {"off": 10},
+        "frames": 50,
+        "frames_overridden": 5 if shielded else 0,
+        "violations": 1 if shielded else None,
+        "min_margin": 0.5 + seed if shielded else float("nan"),
+        "min_gap": 0.0 if crashed else 3.0,
+        "latencies": tuple([1.0] * 9 + [2.0]) if shielded else (),
+    }
+    return EpisodeRecord(**{**values, **changes}).row()
+
+
+@pytest.fixture
+def episodes():
+    rows = [record(seed, "none", crashed=seed < 3) for seed in range(4)]
+    rows += [record(seed, "env", crashed=False) for seed in range(4)]
+    return pd.DataFrame(rows)
+
+
+def test_a_summary_counts_crashes_overrides_and_reasons(episodes):
+    bare, shielded = summarise(episodes).to_dict("records")
+    assert (bare["episodes"], bare["crashes"], bare["crash_rate"]) == (4, 3, 0.75)
+    assert bare["crash_rate_low"] < 0.75 < bare["crash_rate_high"]
+    assert math.isnan(bare["latency_p50_ms"])
+    assert math.isnan(bare["violations"])
+    assert shielded["crash_rate"] == 0.0
+    assert shielded["override_rate"] == 0.4
+    assert shielded["reason_rss"] == 0.4
+    assert shielded["fallback_rate"] == 0.1
+    assert shielded["frame_override_rate"] == 0.1
+    assert shielded["violations"] == 4
+    assert shielded["min_margin"] == 0.5
+    assert shielded["latency_p50_ms"] == 1.0
+    assert shielded["latency_p99_ms"] == 2.0
+
+
+def test_crashes_that_others_cause_are_not_the_egos(episodes):
+    episodes.loc[0, "attribution"] = "struck_from_behind"
+    summary = summarise(episodes)
+    assert summary.loc[0, "crash_rate"] == 0.75
+    assert summary.loc[0, "ego_fault_rate"] == 0.5
+
+
+def test_a_comparison_is_paired_by_seed(episodes):
+    shuffled = episodes.sample(frac=1.0, random_state=0)
+    (row,) = compare(shuffled).to_dict("records")
+    assert row["pairs"] == 4
+    assert row["return_difference"] == pytest.approx(5.0)
+    assert row["return_difference_low"] == pytest.approx(5.0)
+    assert (row["crashes_prevented"], row["crashes_added"]) == (3, 0)
+    assert row["mcnemar_p"] == pytest.approx(0.25)
+    assert row["crash_rate_difference"] == pytest.approx(-0.75)
+
+
+def test_without_unshielded_rows_there_is_no_comparison(episodes):
+    assert compare(episodes[episodes["door"] == "env"]).empty
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_files_hold_what_was_measured(episodes, tmp_path, ending):
+    path = write_table(episodes, tmp_path / "deep" / f"episodes.{ending}")
+    again = read_episodes(path)
+    pd.testing.assert_frame_equal(summarise(again), summarise(episodes))
+    pd.testing.assert_frame_equal(compare(again), compare(episodes))
+
+
+def test_other_files_and_other_tables_are_refused(episodes, tmp_path):
+    with pytest.raises(ConfigError, match=r"\.csv or \.parquet"):
+        write_table(episodes, tmp_path / "episodes.xlsx")
+    with pytest.raises(ConfigError, match="column 'seed' is missing"):
+        summarise(episodes.drop(columns="seed"))
+    with pytest.raises(ConfigError, match="twice"):
+        summarise(pd.concat([episodes, episodes]))
+
+
+def test_the_terminal_and_markdown_show_the_same_cells(episodes):
+    for frame, columns in ((summarise(episodes), SUMMARY), (compare(episodes), COMPARISON)):
+        text = markdown(frame, columns)
+        lines = text.splitlines()
+        assert len(lines) == 2 + len(frame)
+        assert len({line.count("|") for line in lines}) == 1
+        console = Console(file=io.StringIO(), width=200)
+        console.print(rich_table(frame, columns))
+        shown = console.file.getvalue()
+        for column in columns[3:]:
+            assert column.heading in shown
+            assert column.cell(frame.to_dict("records")[0]) in shown
+        assert "highway-fast" in shown

@@ -87,9 +87,7 @@ def rss_gap(
     return max(0.0, round(float(np.max(rear - front)), 9))
 
 
-def attribute_from_simulator_state(
-    history: History, rules: AttributionRules | None = None
-) -> Cause:
+def attribute_from_simulator_state(history: History, rules: AttributionRules | None = None) -> Cause:
     """The cause of the ego's crash in a recorded episode; `Cause.NONE` without a crash.
 
     In this order, and the first that holds:
@@ -185,9 +183,7 @@ def _from_behind(ego: FloatArray, other: FloatArray) -> bool:
     return bool(_in_line(ego, other) and behind and closing)
 
 
-def _from_side(
-    history: History, ego: FloatArray, other: FloatArray, rules: AttributionRules
-) -> bool:
+def _from_side(history: History, ego: FloatArray, other: FloatArray, rules: AttributionRules) -> bool:
     """Whether the other entered the ego's lane sideways, alongside or with too small a gap."""
     center = _lane_center(history, len(ego) - 1)
     inside = np.abs(other[:, Track.R] - center) < (history.road.width + other[:, Track.WIDTH]) / 2
@@ -204,9 +200,7 @@ def _from_side(
     return gap < _needed(ego[entry], other[entry], rules)
 
 
-def _broke_a_bound(
-    history: History, ego: FloatArray, other: FloatArray, rules: AttributionRules
-) -> bool:
+def _broke_a_bound(history: History, ego: FloatArray, other: FloatArray, rules: AttributionRules) -> bool:
     """Whether the other, ahead, braked too hard or crashed lately, from a proper distance."""
     first = max(len(ego) - 1 - round(rules.bound_window / history.dt), 0)
     if other[first, Track.CRASHED]:

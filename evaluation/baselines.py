@@ -147,9 +147,7 @@ def make_policy(name: str, env: gym.Env[Any, Any], algorithm: str | None = None)
 def _action_index(env: gym.Env[Any, Any], action: str) -> int:
     kind = env.unwrapped.action_type  # type: ignore[attr-defined]
     if not isinstance(env.action_space, gym.spaces.Discrete):
-        raise ConfigError(
-            f"{action} is a meta-action; this environment takes {type(kind).__name__}"
-        )
+        raise ConfigError(f"{action} is a meta-action; this environment takes {type(kind).__name__}")
     indexes: dict[str, int] = kind.actions_indexes
     if action not in indexes:
         raise ConfigError(f"this environment has no action {action}; have {sorted(indexes)}")

@@ -19,6 +19,10 @@ __all__ = ["app", "main"]
 EVALUATION_SEED = 100_000
 """Seed of the first evaluation episode, unless another is asked for."""
 
+DEMO_SETTING, DEMO_POLICY = "highway-fast", "ppo-highway-fast"
+
+_SETTINGS, _POLICIES, _SHIELDS = [DEMO_SETTING], [DEMO_POLICY], ["none,full"]
+
 app = typer.Typer(
     help="A runtime safety shield around driving policies on highway-env.",
     no_args_is_help=True,
@@ -38,18 +42,12 @@ class Door(StrEnum):
 
 @app.command("train")
 def train_command(
-    recipe: Annotated[
-        str | None, typer.Option(help=f"Train a reference policy: {', '.join(RECIPES)}.")
-    ] = None,
-    setting: Annotated[
-        str | None, typer.Option(help="Environment setting to train in, without --recipe.")
-    ] = None,
+    recipe: Annotated[str | None, typer.Option(help=f"Train a reference policy: {', '.join(RECIPES)}.")] = None,
+    setting: Annotated[str | None, typer.Option(help="Environment setting to train in, without --recipe.")] = None,
     algorithm: Annotated[str, typer.Option(help=f"One of {', '.join(ALGORITHMS)}.")] = "ppo",
     steps: Annotated[int, typer.Option(help="Training steps (decisions, 1 s each).")] = 10_000,
     seed: Annotated[int, typer.Option(help=f"Training seed, below {FIRST_EVALUATION_SEED}.")] = 0,
-    output: Annotated[
-        Path | None, typer.Option(help="The zip file to write; a manifest goes beside it.")
-    ] = None,
+    output: Annotated[Path | None, typer.Option(help="The zip file to write; a manifest goes beside it.")] = None,
 ) -> None:
     """Train a policy on one core and save it with a manifest that says how."""
     if (recipe is None) == (setting is None):
@@ -65,20 +63,17 @@ def train_command(
 
 @app.command()
 def evaluate(
-    setting: Annotated[
-        list[str], typer.Option(help="Environment setting (repeatable, or a comma list).")
-    ] = ["highway-fast"],  # noqa: B006  (typer copies it)
+    setting: Annotated[list[str], typer.Option(help="Environment setting (repeatable, or a comma list).")] = _SETTINGS,
     policy: Annotated[
         list[str],
         typer.Option(
-            help="faster, idle, slower, random, a reference policy, or an SB3 .zip"
-            " (repeatable, or a comma list)."
+            help="faster, idle, slower, random, a reference policy, or an SB3 .zip (repeatable, or a comma list)."
         ),
-    ] = ["ppo-highway-fast"],  # noqa: B006
+    ] = _POLICIES,
     shield: Annotated[
         list[str],
         typer.Option(help=f"Shield modes: {', '.join(MODES)} (repeatable, or a comma list)."),
-    ] = ["none,full"],  # noqa: B006
+    ] = _SHIELDS,
     door: Annotated[
         Door,
         typer.Option(
@@ -87,19 +82,13 @@ def evaluate(
         ),
     ] = Door.ENV,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes for each row.")] = 100,
-    seed: Annotated[
-        int, typer.Option(min=0, help="Seed of the first episode; the others follow.")
-    ] = EVALUATION_SEED,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; the others follow.")] = EVALUATION_SEED,
     jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
     algorithm: Annotated[
         str | None,
-        typer.Option(
-            help=f"Algorithm of a .zip without a manifest: {', '.join(sorted(ALGORITHMS))}."
-        ),
+        typer.Option(help=f"Algorithm of a .zip without a manifest: {', '.join(sorted(ALGORITHMS))}."),
     ] = None,
-    config: Annotated[
-        Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")
-    ] = None,
+    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -146,13 +135,14 @@ def demo(
     output: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs", "demo"),
     jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
 ) -> None:
-    """Drive the bundled PPO with and without the shield, and film an override.
+    """Drive the bundled PPO with and without the shield, and film overrides.
 
-    Takes less than two minutes on two cores. Writes the episodes, their summary and override.gif.
+    Takes less than two minutes on two cores. Writes the episodes, their summary, and
+    override.gif: the bundled agent that has learned to crash, behind the shield.
     """
     from evaluation.episodes import run_paired
     from evaluation.records import make_variants
-    from evaluation.report.video import DEMO_POLICY, DEMO_SETTING, film_override
+    from evaluation.report.video import film_override
 
     frame = run_paired(
         DEMO_SETTING,
@@ -164,14 +154,12 @@ def demo(
     )
     _report(frame, output / "episodes.parquet", markdown=False)
     film = film_override(output / "override.gif")
-    _out.print(f"wrote {film.path}: seed {film.seed}, {film.overrides} decisions overridden")
+    _out.print(f"wrote {film.path} (seed {film.seed}, {film.overrides} decisions overridden)")
 
 
 @app.command()
 def picture(
-    output: Annotated[Path, typer.Argument(help="The .png to write.")] = Path(
-        "docs", "images", "override.png"
-    ),
+    output: Annotated[Path, typer.Argument(help="The .png to write.")] = Path("docs", "images", "override.png"),
 ) -> None:
     """Write a still of an override, as in the README."""
     from evaluation.report.video import still_of_override

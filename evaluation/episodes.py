@@ -73,15 +73,11 @@ _UNSHIELDED = {
 class _Driver:
     """One variant, ready to drive episode after episode in the same environment."""
 
-    def __init__(
-        self, setting: Setting, policy: str | Policy, variant: Variant, algorithm: str | None
-    ) -> None:
+    def __init__(self, setting: Setting, policy: str | Policy, variant: Variant, algorithm: str | None) -> None:
         self.setting, self.variant = setting, variant
         self.env: gym.Env[Any, Any] = setting.make()
         self.label = policy_label(policy) if isinstance(policy, str) else type(policy).__name__
-        self.policy: Policy = (
-            make_policy(policy, self.env, algorithm) if isinstance(policy, str) else policy
-        )
+        self.policy: Policy = make_policy(policy, self.env, algorithm) if isinstance(policy, str) else policy
         self.driver: Policy = self.policy
         self.shield: Shield | None = None
         if variant.door == "env":
@@ -89,9 +85,7 @@ class _Driver:
         elif variant.door == "policy":
             self.shield = Shield(self.policy, self.env, variant.config)
             self.driver = self.shield
-        self.rules = AttributionRules(
-            assumptions=variant.config.assumptions, braking=variant.config.braking
-        )
+        self.rules = AttributionRules(assumptions=variant.config.assumptions, braking=variant.config.braking)
 
     def run(self, seed: int) -> EpisodeRecord:
         """Drive the episode with this seed to its end."""
@@ -102,9 +96,7 @@ class _Driver:
         recorder = Recorder(env)
         state, total, steps, done = None, 0.0, 0, False
         while not done:
-            action, state = self.driver.predict(
-                obs, state, episode_start=np.array([steps == 0]), deterministic=True
-            )
+            action, state = self.driver.predict(obs, state, episode_start=np.array([steps == 0]), deterministic=True)
             obs, reward, terminated, truncated, info = env.step(_plain(action))
             tally.add(self._shield_info(info))
             total += float(reward)
@@ -140,6 +132,7 @@ class _Driver:
             shield: Mapping[str, Any] = info["shield"]
             return shield
         decision = self.shield.last_decision
+        assert decision is not None  # `predict` came before
         return {
             **_UNSHIELDED,
             "overridden": decision.overridden,

@@ -125,10 +125,7 @@ class Recorder:
 
     def _sample(self) -> None:
         self._rows.append(
-            [
-                (v.position[0], v.position[1], v.heading, v.speed, v.LENGTH, v.WIDTH, v.crashed)
-                for v in self._vehicles
-            ]
+            [(v.position[0], v.position[1], v.heading, v.speed, v.LENGTH, v.WIDTH, v.crashed) for v in self._vehicles]
         )
 
     def history(self) -> History:

@@ -39,9 +39,7 @@ class Variant:
         return "none" if self.door == "none" else self.config.mode
 
 
-def make_variants(
-    modes: Sequence[str], doors: Sequence[str], config: ShieldConfig | None = None
-) -> list[Variant]:
+def make_variants(modes: Sequence[str], doors: Sequence[str], config: ShieldConfig | None = None) -> list[Variant]:
     """Each mode behind each door; the mode "none" stands for driving without any shield.
 
     Examples

@@ -109,9 +109,7 @@ def bootstrap_mean(values: ArrayLike, confidence: float = CONFIDENCE) -> Interva
     return Interval(mean, float(bounds.low), float(bounds.high), n)
 
 
-def paired_difference(
-    first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE
-) -> Interval:
+def paired_difference(first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """Mean of `first - second` over pairs, with its bootstrap interval.
 
     Examples
@@ -123,9 +121,7 @@ def paired_difference(
     return bootstrap_mean(left - right, confidence)
 
 
-def paired_rate_difference(
-    first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE
-) -> Interval:
+def paired_rate_difference(first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """Difference of the rates of two paired binary outcomes, with the Bonett-Price interval.
 
     Resampling would give an interval of no width when all pairs agree; this one does not.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -25,10 +25,10 @@ class Camera:
     """
 
     def __init__(self, env: ShieldedEnv) -> None:
-        self._env, base = env, env.unwrapped
+        self._env = env
+        self._base = cast(Any, env.unwrapped)
         os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
-        base.render()  # type: ignore[no-untyped-call]
-        self._base: Any = base
+        self._base.render()  # makes the viewer
         self._base.enable_auto_render = False
         self._viewer: Any = self._base.viewer
         self._viewer.enabled = True  # highway-env draws nothing under SDL's dummy driver otherwise

@@ -22,8 +22,8 @@ from shield import ShieldConfig, ShieldedEnv
 from shield.errors import ConfigError
 
 __all__ = [
-    "DEMO_POLICY",
-    "DEMO_SETTING",
+    "FILM_POLICY",
+    "FILM_SETTING",
     "Film",
     "film_override",
     "find_override",
@@ -31,8 +31,9 @@ __all__ = [
     "still_of_override",
 ]
 
-DEMO_SETTING = "highway-fast"
-DEMO_POLICY = "ppo-highway-fast"
+FILM_SETTING = "abz-idm"
+FILM_POLICY = "dqn-abz-adversarial"
+"""Filmed unless something else is asked for: the agent that has learned to crash."""
 
 _FREQUENCY = 15
 """Films run at this simulation frequency [Hz]: at 5 Hz, as in highway-fast-v0, they would jerk."""
@@ -155,9 +156,7 @@ def _best_clip(flags: Sequence[bool]) -> tuple[int, int]:
     return -negative, count
 
 
-def find_override(
-    setting: str | Setting = DEMO_SETTING, policy: str = DEMO_POLICY, seed: int = 0
-) -> tuple[int, int]:
+def find_override(setting: str | Setting = FILM_SETTING, policy: str = FILM_POLICY, seed: int = 0) -> tuple[int, int]:
     """Seed and first decision of an episode with several overrides, tried from `seed` upwards.
 
     Raises
@@ -185,8 +184,8 @@ def find_override(
 
 def film_override(
     path: str | Path,
-    setting: str | Setting = DEMO_SETTING,
-    policy: str = DEMO_POLICY,
+    setting: str | Setting = FILM_SETTING,
+    policy: str = FILM_POLICY,
     seed: int = 0,
 ) -> Film:
     """Find an episode in which the override shows, and write it as a GIF.
@@ -210,8 +209,8 @@ def film_override(
 
 def still_of_override(
     path: str | Path,
-    setting: str | Setting = DEMO_SETTING,
-    policy: str = DEMO_POLICY,
+    setting: str | Setting = FILM_SETTING,
+    policy: str = FILM_POLICY,
     seed: int = 0,
 ) -> Path:
     """Write the one frame of `film_override` that shows most: an override among many neighbours."""
@@ -240,6 +239,4 @@ def _write_gif(path: Path, pictures: Sequence[Image.Image], duration: float) -> 
         _COLORS, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE
     )
     frames = [p.quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
-    frames[0].save(
-        path, save_all=True, append_images=frames[1:], duration=duration, loop=0, optimize=True
-    )
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=duration, loop=0, optimize=True)

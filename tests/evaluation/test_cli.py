@@ -67,8 +67,6 @@ def test_mistakes_are_one_line_and_exit_code_2(arguments, message, monkeypatch, 
 
 
 def test_the_module_runs_as_a_program():
-    done = subprocess.run(
-        [sys.executable, "-m", "evaluation.cli", "config"], capture_output=True, text=True
-    )
+    done = subprocess.run([sys.executable, "-m", "evaluation.cli", "config"], capture_output=True, text=True)
     assert done.returncode == 0
     assert 'mode = "full"' in done.stdout

@@ -1,0 +1,84 @@
+"""Pictures show the scene, carry the right colour, and land where highway-env drew the vehicles."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dynamics.state import RoadState
+from evaluation.report.draw import GREEN, ORANGE, RED, Shot, draw
+from evaluation.report.video import _best_clip, film_override, find_override, record
+from evaluation.settings import get_setting
+from shield.decision import Decision, Reason, Tier
+from shield.errors import ConfigError
+
+
+@pytest.fixture(scope="module")
+def shots() -> list[Shot]:
+    return record("highway-fast", "faster", 0, first=1, last=3)
+
+
+def test_there_is_a_shot_of_each_simulation_frame(shots):
+    assert len(shots) == 30
+    assert [shot.age for shot in shots] == [*range(15)] * 2
+    np.testing.assert_allclose(np.diff([shot.time for shot in shots]), 1 / 15)
+    assert shots[0].time == pytest.approx(1.0)
+
+
+def test_the_background_is_drawn_although_there_is_no_display(shots):
+    assert all(np.unique(shot.image.reshape(-1, 3), axis=0).shape[0] > 5 for shot in shots)
+
+
+def test_the_plan_begins_where_the_ego_is_drawn(shots):
+    shot = shots[0]
+    plan = shot.decision.plan
+    world = shot.road.to_world(plan[:1])[0, :2]
+    x, y = np.round((world - shot.origin) * shot.scaling).astype(int)
+    red, green, blue = shot.image[y, x].astype(int)
+    assert green > red + 50, "the ego is green in highway-env's picture"
+    assert green > blue + 50
+    assert plan[0, RoadState.SPEED] == pytest.approx(shot.speed)
+
+
+def test_recording_does_not_change_the_drive():
+    drawn = [shot.speed for shot in record("highway-fast", "faster", 3, last=3)]
+    skipped = [shot.speed for shot in record("highway-fast", "faster", 3, first=2, last=3)]
+    assert drawn[30:] == skipped
+
+
+@pytest.mark.parametrize(
+    ("tier", "color"),
+    [
+        (Tier.PASSED, GREEN),
+        (Tier.ALTERNATIVE, ORANGE),
+        (Tier.STORED_PLAN, RED),
+        (Tier.LARGEST_MARGIN, RED),
+    ],
+)
+def test_the_colour_says_which_stage_acted(shots, tier, color):
+    shot = shots[0]
+    decision = Decision(3, 4, Reason.RSS, tier, 0.5, 0.0, plan=shot.decision.plan)
+    values = {name: getattr(shot, name) for name in Shot.__slots__}
+    picture = draw(Shot(**{**values, "decision": decision, "frame": None}))
+    assert picture.size == (shot.image.shape[1], shot.image.shape[0] + 92)
+    assert picture.getpixel((5, picture.size[1] - 10)) == color
+
+
+def test_a_clip_begins_with_a_decision_that_passed():
+    flags = [False] * 5 + [True] * 3 + [False] * 20
+    assert _best_clip(flags) == (4, 3)
+    assert _best_clip([False] * 10) == (0, 0)
+
+
+def test_seeds_of_the_evaluation_are_not_chosen_from():
+    with pytest.raises(ConfigError, match="below 10000"):
+        find_override(seed=100_000)
+    with pytest.raises(ConfigError, match="gif"):
+        film_override("x.mp4")
+
+
+def test_a_film_is_written(tmp_path):
+    setting = get_setting("highway-fast").override({"duration": 12, "vehicles_count": 10}, name="short")
+    film = film_override(tmp_path / "deep" / "x.gif", setting, "faster")
+    with Image.open(film.path) as picture:
+        assert picture.n_frames > film.frames / 2  # frames that are the same are merged
+    assert film.overrides >= 1

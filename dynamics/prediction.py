@@ -18,7 +18,6 @@ Source: Responsibility-Sensitive Safety (Shalev-Shwartz et al. 2017), set-based 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from dynamics.assumptions import Assumptions
 from dynamics.road import StraightRoad
 from dynamics.state import FloatArray, RoadState, Vehicle
 
-__all__ = ["Occupancy", "constant_velocity", "lateral_hull", "predict_occupancy", "travel"]
+__all__ = ["Occupancy", "Surroundings", "constant_velocity", "predict_occupancy"]
 
 
 def constant_velocity(states: FloatArray, frames: int, dt: float) -> FloatArray:
@@ -39,24 +38,6 @@ def constant_velocity(states: FloatArray, frames: int, dt: float) -> FloatArray:
     return out
 
 
-def travel(speed: FloatArray, rate: Any, frames: int, dt: float, hold: Any = 0) -> FloatArray:
-    """Distance covered after 1..K Euler frames by vehicles that brake at `rate` after `hold` frames.
-
-    Parameters
-    ----------
-    speed : (m,) [m/s]; never below 0 afterwards where it was above.
-    rate : deceleration [m/s^2], scalar.
-    hold : frames at constant speed first, scalar or broadcastable to (m, 1).
-
-    Returns
-    -------
-    (m, frames) [m].
-    """
-    k = np.arange(frames)
-    v = speed[:, None] - rate * dt * np.maximum(k - hold, 0)
-    return np.cumsum(np.maximum(v, np.minimum(speed, 0.0)[:, None]), axis=1) * dt
-
-
 @dataclass(frozen=True, slots=True)
 class Occupancy:
     """Where m vehicles can be over K frames.
@@ -66,18 +47,12 @@ class Occupancy:
     rear : least s of the body, (m, K) [m].
     front : greatest s of the body without any duty to react, (m, K) [m].
     low, high : lateral extent, (m,) [m].
-    lane : index of the lane nearest to each vehicle now, (m,).
-    state : road states now, (m, 4).
-    reach : half the length that each body covers along the road, (m,) [m].
     """
 
     rear: FloatArray
     front: FloatArray
     low: FloatArray
     high: FloatArray
-    lane: Any
-    state: FloatArray
-    reach: FloatArray
 
     def rectangles(self) -> FloatArray:
         """(K, m, 4): s_min, s_max, r_min, r_max [m]."""
@@ -86,33 +61,75 @@ class Occupancy:
         return np.stack([self.rear.T, self.front.T, low, high], axis=-1)
 
 
-def lateral_hull(
-    others: FloatArray, states: FloatArray, road: StraightRoad, assumptions: Assumptions
-) -> tuple[FloatArray, FloatArray, Any, Any]:
-    """Lateral extent of where each vehicle can be: low, high (m,) [m], its lane (m,), and whether it moves across.
+class Surroundings:
+    """The others of one scene, and what follows from their present state alone.
 
     Parameters
     ----------
-    others : vehicle rows (m, 7). states : the same in the road frame (m, 4).
+    others : vehicle rows (m, 7).
+    states : the same in the road frame (m, 4).
+
+    Attributes
+    ----------
+    lane : index of the lane nearest to each vehicle, (m,).
+    moving : whether it moves across lanes, (m,).
+    low, high : lateral hull of where it can be, (m,) [m].
+    reach : half the length that its body covers along the road, (m,) [m].
     """
-    centers = road.centers
-    r, heading = states[:, RoadState.R], states[:, RoadState.HEADING]
-    lane = np.clip(np.rint((r - centers[0]) / road.width), 0, centers.size - 1).astype(int)
-    center = centers[lane]
-    offset = r - center
-    turning = np.abs(heading) > assumptions.keeping_heading
-    moving = (turning | (np.abs(offset) > assumptions.keeping_offset)) & (others[:, Vehicle.SPEED] != 0)
-    # Towards its heading, else back to the centre of its lane.
-    toward = np.where(turning, np.sign(heading), -np.sign(offset))
-    leaving = moving & (toward * offset >= 0)
-    other_lane = np.clip(lane + np.where(leaving, toward, 0.0).astype(int), 0, centers.size - 1)
-    end = centers[other_lane]
-    bound = np.where(moving, np.maximum(assumptions.max_heading, np.abs(heading)), np.abs(heading))
-    bound = np.maximum(bound, assumptions.keeping_heading)
-    half = 0.5 * (others[:, Vehicle.WIDTH] + others[:, Vehicle.LENGTH] * np.sin(np.minimum(bound, np.pi / 2)))
-    low = np.minimum(np.minimum(r, center), end) - half
-    high = np.maximum(np.maximum(r, center), end) + half
-    return low, high, lane, moving
+
+    def __init__(self, others: FloatArray, states: FloatArray, road: StraightRoad, assumptions: Assumptions) -> None:
+        self.others, self.states, self.assumptions = others, states, assumptions
+        centers, tolerance = road.centers, assumptions.keeping_heading
+        r, heading = states[:, RoadState.R], np.abs(states[:, RoadState.HEADING])
+        length, width = others[:, Vehicle.LENGTH], others[:, Vehicle.WIDTH]
+        lane = np.minimum(np.maximum(np.rint((r - centers[0]) / road.width), 0), centers.size - 1)
+        self.lane = lane.astype(np.intp)
+        center = centers[self.lane]
+        offset = r - center
+        turning = heading > tolerance
+        self.moving = (turning | (np.abs(offset) > assumptions.keeping_offset)) & (others[:, Vehicle.SPEED] != 0)
+        # Towards its heading, else back to the centre of its lane.
+        toward = np.where(turning, np.sign(states[:, RoadState.HEADING]), -np.sign(offset))
+        step = np.where(self.moving & (toward * offset >= 0), toward, 0.0)
+        end = centers[np.minimum(np.maximum(lane + step, 0), centers.size - 1).astype(np.intp)]
+        bound = np.where(self.moving, np.maximum(assumptions.max_heading, heading), np.maximum(heading, tolerance))
+        self._cos = np.where(self.moving, np.cos(bound), np.cos(heading))
+        swing = np.sin(np.minimum(bound, np.pi / 2))
+        half = 0.5 * (width + length * swing)
+        self.reach = 0.5 * (length + width * swing)
+        self.low = np.minimum(np.minimum(r, center), end) - half
+        self.high = np.maximum(np.maximum(r, center), end) + half
+
+    def rear(self, frames: int, dt: float, hold: int = 0) -> FloatArray:
+        """Least s of each body after 1..K frames, (m, K) [m].
+
+        `hold` is a number of frames of constant speed that are *expected* before the worst case starts. With
+        `hold` > 0 the result is a forecast and not a bound.
+        """
+        a, v = self.assumptions, self.states[:, RoadState.SPEED]
+        k = np.arange(frames)
+        floor = np.minimum(v, a.min_speed)[:, None]
+        slow = np.maximum(v[:, None] - a.braking * dt * np.maximum(k - hold, 0), floor)
+        crashed = self.others[:, Vehicle.CRASHED] > 0
+        if crashed.any():
+            # highway-env: a crashed vehicle brakes at -1 * speed per second.
+            wreck = v[:, None] * (1 - dt) ** k
+            slow = np.where(crashed[:, None], np.minimum(slow, wreck), slow)
+        # On a heading of up to the bound, only the cosine of the speed advances along the road.
+        slow = np.minimum(slow, slow * self._cos[:, None])
+        return (self.states[:, RoadState.S] - self.reach)[:, None] + np.cumsum(slow, axis=1) * dt
+
+    def front(self, frames: int, dt: float, hold: int = 0) -> FloatArray:
+        """Greatest s of each body after 1..K frames, with no duty to react, (m, K) [m]."""
+        a, v = self.assumptions, self.states[:, RoadState.SPEED]
+        fast = v[:, None] + a.acceleration * dt * np.maximum(np.arange(frames) - hold, 0)
+        fast = np.minimum(fast, np.maximum(v, a.max_speed)[:, None])
+        return (self.states[:, RoadState.S] + self.reach)[:, None] + np.cumsum(fast, axis=1) * dt
+
+    def occupancy(self, frames: int, dt: float, hold: int = 0) -> Occupancy:
+        """Worst-case occupancy over frames 1..K."""
+        rear, front = self.rear(frames, dt, hold), self.front(frames, dt, hold)
+        return Occupancy(rear, front, self.low, self.high)
 
 
 def predict_occupancy(
@@ -129,28 +146,6 @@ def predict_occupancy(
     Parameters
     ----------
     others : vehicle rows (m, 7). states : the same in the road frame (m, 4).
-    hold : frames of constant speed that are *expected* before the worst case starts. With `hold` > 0 the
-        result is a forecast and not a bound.
+    hold : see `Surroundings.rear`.
     """
-    low, high, lane, moving = lateral_hull(others, states, road, assumptions)
-    s, v = states[:, RoadState.S], states[:, RoadState.SPEED]
-    heading = np.abs(states[:, RoadState.HEADING])
-    bound = np.where(moving, np.maximum(assumptions.max_heading, heading), heading)
-    reach = 0.5 * (
-        others[:, Vehicle.LENGTH]
-        + others[:, Vehicle.WIDTH] * np.sin(np.clip(bound, assumptions.keeping_heading, np.pi / 2))
-    )
-    k = np.maximum(np.arange(frames) - hold, 0)
-    floor = np.minimum(v, assumptions.min_speed)[:, None]
-    slow = np.maximum(v[:, None] - assumptions.braking * dt * k, floor)
-    crashed = others[:, Vehicle.CRASHED] > 0
-    if crashed.any():
-        # highway-env: a crashed vehicle brakes at -1 * speed per second, and may have been about to.
-        wreck = v[:, None] * (1 - dt) ** np.arange(frames)
-        slow = np.where(crashed[:, None], np.minimum(slow, wreck), slow)
-    # On a heading of up to `bound`, only the cosine of the speed advances along the road.
-    rear = (s - reach)[:, None] + np.cumsum(np.minimum(slow, slow * np.cos(bound)[:, None]), axis=1) * dt
-    fast = v[:, None] + assumptions.acceleration * dt * k
-    fast = np.minimum(fast, np.maximum(v, assumptions.max_speed)[:, None])
-    front = (s + reach)[:, None] + np.cumsum(fast, axis=1) * dt
-    return Occupancy(rear, front, low, high, lane, states, reach)
+    return Surroundings(others, states, road, assumptions).occupancy(frames, dt, hold)

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from dynamics.controllers import KP_SPEED
-from dynamics.prediction import Occupancy
 from dynamics.rollout import Rollouts
 from dynamics.scene import Scene, Target
 from dynamics.state import FloatArray, RoadState, State
@@ -27,7 +26,7 @@ from shield.decision import Decision, Reason, Tier
 from shield.monitor import AssumptionMonitor
 from shield.preference import Order, default_order, resolve
 from shield.rules import BufferRule, RssRule, Rule, TtcRule, make_rule
-from shield.verify import Clearance, clearance, relevant
+from shield.verify import Clearance, Surveyor
 
 __all__ = ["FrameCommand", "ShieldCore", "Verdict"]
 
@@ -82,6 +81,7 @@ class ShieldCore:
         self.monitor = AssumptionMonitor(self.config)
         self._stored_lane: int | None = None
         self._visible: Any = None
+        self._surveyor: Surveyor | None = None
 
     # -- decisions ---------------------------------------------------------------------------------------
 
@@ -110,10 +110,9 @@ class ShieldCore:
         if self._buffer_rule.objects(scene, target):
             reason = Reason.BUFFER
         else:
-            records: list[Occupancy] | None = [] if self.config.record else None
-            verdict = self._verify(scene, [target], records)[0]
+            verdict = self._verify(scene, [target])[0]
             if verdict.margin >= 0:
-                return self._made(scene, proposed, proposed, reason, Tier.PASSED, verdict, start, records)
+                return self._made(scene, proposed, proposed, reason, Tier.PASSED, verdict, start)
             reason = next((r.reason for r in self._explain if r.objects(scene, target)), Reason.UNVERIFIED)
         return self._repair(scene, proposed, target, reason, order, start)
 
@@ -142,10 +141,9 @@ class ShieldCore:
                 ]
         else:
             alternatives = [a for a in wanted if a != proposed]
-        records: list[Occupancy] | None = [] if self.config.record else None
-        for action, verdict in self._verify_actions(scene, alternatives, targets, records):
+        for action, verdict in self._verify_actions(scene, alternatives, targets):
             if verdict.margin >= 0:
-                return self._made(scene, proposed, action, reason, Tier.ALTERNATIVE, verdict, start, records)
+                return self._made(scene, proposed, action, reason, Tier.ALTERNATIVE, verdict, start)
         kept = [held] if held is not None else []
         kept += [labels.index(x) for x in ("IDLE", "SLOWER") if x in labels]
         for action in kept:
@@ -277,25 +275,24 @@ class ShieldCore:
             self._rollouts[dt] = Rollouts(dt)
         return self._rollouts[dt]
 
-    def _judge(
-        self,
-        scene: Scene,
-        candidates: Candidates,
-        hold: int = 0,
-        records: list[Occupancy] | None = None,
-    ) -> tuple[FloatArray, Clearance]:
-        paths = self._rollouts_for(scene.dt).run(scene.ego_road, candidates.commands)
-        distance = float(paths[:, -1, RoadState.S].max() - scene.ego_road[RoadState.S])
-        rows = relevant(scene, self.config, distance, paths.shape[1] * scene.dt)
-        return paths, clearance(scene, self.config, paths, candidates.lanes, rows, hold, self._visible, records)
+    def _survey(self, scene: Scene) -> Surveyor:
+        """The surveyor of this instant; scenes that differ in the ego's target only share it."""
+        held = self._surveyor
+        if held is None or held.scene.ego is not scene.ego or held.scene.others is not scene.others:
+            held = self._surveyor = Surveyor(scene, self.config, self._visible)
+        return held
 
-    def _verify(self, scene: Scene, targets: list[Target], records: list[Occupancy] | None = None) -> list[Verdict]:
+    def _judge(self, scene: Scene, candidates: Candidates, hold: int = 0) -> tuple[FloatArray, Clearance]:
+        paths = self._rollouts_for(scene.dt).run(scene.ego_road, candidates.commands)
+        return paths, self._survey(scene).clearance(paths, candidates.lanes, hold)
+
+    def _verify(self, scene: Scene, targets: list[Target]) -> list[Verdict]:
         """Margin of each target: sound for one frame, and forecast over the decision period."""
         pairs = [(i, f) for i, t in enumerate(targets) for f in self._fail_lanes(scene, t.lane)]
         chosen, fails = [targets[i] for i, _ in pairs], [f for _, f in pairs]
         period, braking = scene.frames_per_decision, self.config.braking
         _, bound = self._judge(scene, brake_candidates(scene, chosen, fails, 1, braking), 0)
-        paths, forecast = self._judge(scene, brake_candidates(scene, chosen, fails, period, braking), period, records)
+        paths, forecast = self._judge(scene, brake_candidates(scene, chosen, fails, period, braking), period)
         margins = np.minimum(bound.margin, forecast.margin)
         out = []
         for i in range(len(targets)):
@@ -309,7 +306,6 @@ class ShieldCore:
         scene: Scene,
         actions: Sequence[int],
         targets: list[Target],
-        records: list[Occupancy] | None,
     ) -> list[tuple[int, Verdict]]:
         """Verify alternatives in one batch; a lane change also with its speed held back by the frames."""
         labels, v = scene.control.actions, float(scene.ego[State.SPEED])
@@ -325,7 +321,7 @@ class ShieldCore:
             tried += [Target(targets[a].lane, speed) for speed in sorted(speeds)]
         if not tried:
             return []
-        verdicts = self._verify(scene, tried, records)
+        verdicts = self._verify(scene, tried)
         best: dict[int, Verdict] = {}
         for a, verdict in zip(owner, verdicts, strict=True):
             if a not in best or verdict.margin > best[a].margin:
@@ -354,11 +350,13 @@ class ShieldCore:
         tier: Tier,
         verdict: Verdict,
         start: float,
-        records: list[Occupancy] | None = None,
     ) -> Decision:
         self._stored_lane = verdict.fail_lane
         plan = np.vstack([scene.ego_road, verdict.path])
-        occupancy = records[-1].rectangles() if records else None
+        occupancy = None
+        if self.config.record:
+            around = self._survey(scene).around
+            occupancy = around.occupancy(len(verdict.path), scene.dt, scene.frames_per_decision).rectangles()
         return Decision(
             proposed,
             executed,

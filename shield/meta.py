@@ -13,17 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.prediction import Occupancy
 from dynamics.rollout import Rollouts
 from dynamics.scene import Scene
-from dynamics.state import FloatArray, RoadState
+from dynamics.state import FloatArray
 from shield.candidates import meta_candidates
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.monitor import AssumptionMonitor
 from shield.preference import Order, default_order, resolve
 from shield.rules import BufferRule, RssRule, Rule, TtcRule, make_rule
-from shield.verify import clearance, relevant
+from shield.verify import Surveyor
 
 __all__ = ["MetaCore"]
 
@@ -142,11 +141,11 @@ class MetaCore:
         if scene.dt not in self._rollouts:
             self._rollouts[scene.dt] = Rollouts(scene.dt)
         paths = self._rollouts[scene.dt].run(scene.ego_road, candidates.commands)
-        distance = float(paths[:, -1, RoadState.S].max() - scene.ego_road[RoadState.S])
-        rows = relevant(scene, self.config, distance, paths.shape[1] * scene.dt)
-        records: list[Occupancy] | None = [] if self.config.record else None
-        result = clearance(scene, self.config, paths, candidates.lanes, rows, 0, None, records)
-        occupancy = records[-1].rectangles() if records else None
+        surveyor = Surveyor(scene, self.config)
+        result = surveyor.clearance(paths, candidates.lanes)
+        occupancy = None
+        if self.config.record:
+            occupancy = surveyor.around.occupancy(paths.shape[1], scene.dt).rectangles()
         first = np.array([s[0] for s in sequences])
         out = {}
         for a in actions:

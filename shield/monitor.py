@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynamics.prediction import lateral_hull
+from dynamics.prediction import Surroundings
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, Vehicle
 from shield.config import ShieldConfig
@@ -41,7 +41,8 @@ class AssumptionMonitor:
         if rows.shape[0] == 0:
             return
         a = self._config.assumptions
-        low, high, _, _ = lateral_hull(rows, states, scene.road, a)
+        around = Surroundings(rows, states, scene.road, a)
+        low, high = around.low, around.high
         self._last = (rows, low, high)
         if last is None or last[0].shape != rows.shape:
             return

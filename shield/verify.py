@@ -22,12 +22,12 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.prediction import Occupancy, predict_occupancy
+from dynamics.prediction import Surroundings
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, Vehicle
 from shield.config import ShieldConfig
 
-__all__ = ["Clearance", "clearance", "relevant"]
+__all__ = ["Clearance", "Surveyor"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,128 +44,122 @@ class Clearance:
     vehicle: Any
 
 
-def relevant(scene: Scene, config: ShieldConfig, distance: float, duration: float) -> Any:
-    """Rows of the others that can come into reach of an ego that travels at most `distance` [m] in `duration` [s].
-
-    Dropping the rest cannot change any verdict: nobody ahead moves backwards further than that, and nobody
-    behind accelerates harder than assumed.
-    """
-    ego, others = scene.ego_road, scene.others_road
-    ds = others[:, RoadState.S] - ego[RoadState.S]
-    v = others[:, RoadState.SPEED]
-    bodies = scene.ego[Vehicle.LENGTH] + scene.others[:, Vehicle.LENGTH] + 4.0
-    size = bodies + config.buffer.longitudinal
-    ahead = ds - size + np.minimum(v, 0.0) * duration
-    a = config.assumptions.acceleration
-    behind = -ds - size - np.maximum(v, 0.0) * duration - 0.5 * a * duration * (duration + scene.dt)
-    near = (ahead <= distance) & (behind <= 0.0) & (np.abs(ds) <= config.perception_range)
-    return np.flatnonzero(near)
-
-
-def clearance(
-    scene: Scene,
-    config: ShieldConfig,
-    paths: FloatArray,
-    lanes: Any,
-    rows: Any,
-    hold: int = 0,
-    visible: Any = None,
-    record: list[Occupancy] | None = None,
-) -> Clearance:
-    """Margin of each path against the worst case of the others.
+class Surveyor:
+    """Judges trajectories in one scene; what depends on the scene alone is computed once.
 
     Parameters
     ----------
-    paths : road states of the ego after frames 1..K, (n, K, 4).
-    lanes : lane index that each path heads for first, (n,).
-    rows : which of the scene's others to look at (from `relevant`).
-    hold : frames for which the others are *expected* to keep their speed (a forecast, not a bound).
+    scene : the scene.
+    config : buffer, assumptions and perception range.
     visible : frames for which the ego has been visible in each lane already, (lanes,); none by default.
-    record : if given, the occupancy is appended to it.
     """
-    n, frames, _ = paths.shape
-    if rows.size == 0:
-        return Clearance(np.full(n, np.inf), np.full(n, -1))
-    assumptions, road = config.assumptions, scene.road
-    others, states = scene.others[rows], scene.others_road[rows]
-    occ = predict_occupancy(others, states, road, assumptions, frames, scene.dt, hold)
-    if record is not None:
-        record.append(occ)
-    s, r, psi = (paths[..., i] for i in (RoadState.S, RoadState.R, RoadState.HEADING))
-    cos, sin = np.abs(np.cos(psi)), np.abs(np.sin(psi))
-    lon = 0.5 * scene.ego[Vehicle.LENGTH] + config.buffer.longitudinal
-    lat = 0.5 * scene.ego[Vehicle.WIDTH] + config.buffer.lateral
-    half_s, half_r = lon * cos + lat * sin, lon * sin + lat * cos
 
-    # Lateral extent per path: a vehicle two lanes over may enter the lane that the ego is about to enter.
-    low, high = occ.low[None, :], occ.high[None, :]
-    home = np.repeat(occ.lane[None, :], n, axis=0)
-    ego_s, ego_r = scene.ego_road[RoadState.S], scene.ego_road[RoadState.R]
-    if assumptions.blind_merge and hold == 0:
-        goal = road.centers[lanes]
-        hidden = np.abs(ego_r - goal) > assumptions.visible_distance
-        if hidden.any():
-            side = np.sign(goal - ego_r)
-            far = (side[:, None] * (road.centers[occ.lane][None, :] - goal[:, None])) > 0
-            far &= side[:, None] * (road.centers[occ.lane] - goal[:, None]) < 1.5 * road.width
-            far &= hidden[:, None]
-            home = np.where(far, np.asarray(lanes)[:, None], home)
-            half = 0.5 * others[:, Vehicle.WIDTH]
-            low = np.where(far, np.minimum(low, goal[:, None] - half), low)
-            high = np.where(far, np.maximum(high, goal[:, None] + half), high)
+    def __init__(self, scene: Scene, config: ShieldConfig, visible: Any = None) -> None:
+        self.scene, self.config, self.visible = scene, config, visible
+        self.around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions)
+        ego, states, length = scene.ego_road, scene.others_road, scene.ego[Vehicle.LENGTH]
+        self._ahead = states[:, RoadState.S] - ego[RoadState.S]
+        self._size = self.around.reach + 0.5 * length + 2.0 + config.buffer.longitudinal
+        # Behind the ego and in its way already: it owes the ego its braking.
+        heading = ego[RoadState.HEADING]
+        body = 0.5 * (scene.ego[Vehicle.WIDTH] * abs(np.cos(heading)) + length * abs(np.sin(heading)))
+        self._behind = self._ahead < -0.5 * length
+        touches = (self.around.low < ego[RoadState.R] + body) & (self.around.high > ego[RoadState.R] - body)
+        self._owes = self._behind & touches
+        self._rears: dict[tuple[int, int], FloatArray] = {}
 
-    # Behind the ego and in its way already: it owes the ego its braking.
-    behind = states[:, RoadState.S] < ego_s - 0.5 * scene.ego[Vehicle.LENGTH]
-    body = 0.5 * (
-        scene.ego[Vehicle.WIDTH] * abs(np.cos(scene.ego_road[RoadState.HEADING]))
-        + scene.ego[Vehicle.LENGTH] * abs(np.sin(scene.ego_road[RoadState.HEADING]))
-    )
-    owes = behind & (occ.low < ego_r + body) & (occ.high > ego_r - body)
+    def relevant(self, distance: float, duration: float) -> Any:
+        """Rows of those who can come into reach of an ego that travels at most `distance` [m] in `duration` [s].
 
-    gap_r = np.maximum(low[:, :, None] - (r + half_r)[:, None, :], (r - half_r)[:, None, :] - high[:, :, None])
-    gap_s = occ.rear[None] - (s + half_s)[:, None, :]
-    mine = np.flatnonzero(behind & ~owes)
-    if mine.size:
-        front = _follower_front(scene, config, occ, mine, home[:, mine], paths, hold, visible)
-        gap_s[:, mine] = np.maximum(gap_s[:, mine], (s - half_s)[:, None, :] - front)
-    separation = np.maximum(gap_r, gap_s)
-    separation[:, owes] = np.inf
-    least = separation.min(axis=2)
-    worst = least.argmin(axis=1)
-    return Clearance(least[np.arange(n), worst], rows[worst])
+        Dropping the rest cannot change any verdict: nobody ahead moves backwards further than that, nobody behind
+        accelerates harder than assumed, and those who owe the ego their braking are not the ego's business.
+        """
+        v = self.scene.others_road[:, RoadState.SPEED]
+        ahead = self._ahead - self._size + np.minimum(v, 0.0) * duration
+        gain = 0.5 * self.config.assumptions.acceleration * duration * (duration + self.scene.dt)
+        behind = -self._ahead - self._size - np.maximum(v, 0.0) * duration - gain
+        near = (ahead <= distance) & (behind <= 0.0) & ~self._owes
+        return np.flatnonzero(near & (np.abs(self._ahead) <= self.config.perception_range))
 
+    def clearance(self, paths: FloatArray, lanes: Any, hold: int = 0) -> Clearance:
+        """Margin of each path against the worst case of the others.
 
-def _follower_front(
-    scene: Scene,
-    config: ShieldConfig,
-    occ: Occupancy,
-    mine: Any,
-    home: Any,
-    paths: FloatArray,
-    hold: int,
-    visible: Any,
-) -> FloatArray:
-    """Greatest front (n, len(mine), K) of vehicles behind: they accelerate until they owe braking."""
-    assumptions, dt = config.assumptions, scene.dt
-    frames = paths.shape[1]
-    r = paths[..., RoadState.R]
-    center = scene.road.centers[home]
-    seen = np.abs(r[:, None, :] - center[:, :, None]) <= assumptions.visible_distance
-    first = np.where(seen.any(axis=2), seen.argmax(axis=2) + 1, frames)
-    reaction = int(np.ceil(assumptions.reaction_time / dt - 1e-9))
-    react = first + reaction
-    if visible is not None:
-        already = np.asarray(visible)[home]
-        react = np.where(already > 0, np.maximum(reaction + 1 - already, 0), react)
-    k, turn = np.arange(frames), react[:, :, None]
-    gain = assumptions.acceleration * dt * np.maximum(np.minimum(k, turn) - hold, 0)
-    loss = assumptions.follower_braking * dt * np.maximum(k - turn, 0)
-    v0 = occ.state[mine, RoadState.SPEED][None, :, None]
-    top = np.minimum(v0 + gain, np.maximum(v0, assumptions.max_speed))
-    v = np.maximum(top - loss, 0.0)
-    front = (occ.state[mine, RoadState.S] + occ.reach[mine])[None, :, None] + np.cumsum(v, axis=2) * dt
-    # Where the ego has come to rest at the last frame, its follower may still be doing so.
-    last = v[..., -1]
-    rest = last**2 / (2 * assumptions.follower_braking) + 0.5 * last * dt
-    front[..., -1] += np.where(paths[:, -1, RoadState.SPEED] < 0.5, 1.0, 0.0)[:, None] * rest
-    return front
+        Parameters
+        ----------
+        paths : road states of the ego after frames 1..K, (n, K, 4).
+        lanes : lane index that each path heads for first, (n,).
+        hold : frames for which the others are *expected* to keep their speed (a forecast, not a bound).
+        """
+        n, frames, _ = paths.shape
+        scene, config, dt = self.scene, self.config, self.scene.dt
+        distance = float(paths[:, -1, RoadState.S].max() - scene.ego_road[RoadState.S])
+        rows = self.relevant(distance, frames * dt)
+        if rows.size == 0:
+            margin = np.where(np.isfinite(paths).all(axis=(1, 2)), np.inf, np.nan)
+            return Clearance(margin, np.full(n, -1))
+        s, r, psi = (paths[..., i] for i in (RoadState.S, RoadState.R, RoadState.HEADING))
+        cos, sin = np.abs(np.cos(psi)), np.abs(np.sin(psi))
+        lon = 0.5 * scene.ego[Vehicle.LENGTH] + config.buffer.longitudinal
+        lat = 0.5 * scene.ego[Vehicle.WIDTH] + config.buffer.lateral
+        half_s, half_r = lon * cos + lat * sin, lon * sin + lat * cos
+        low, high, home = self._lateral(rows, np.asarray(lanes), bound=hold == 0)
+        gap = np.maximum(low[:, :, None] - (r + half_r)[:, None, :], (r - half_r)[:, None, :] - high[:, :, None])
+        key = (frames, hold)
+        if key not in self._rears:
+            self._rears[key] = self.around.rear(frames, dt, hold)
+        gap_s = self._rears[key][rows][None] - (s + half_s)[:, None, :]
+        mine = np.flatnonzero(self._behind[rows])
+        if mine.size:
+            front = self._follower_front(rows[mine], home[:, mine], paths, hold)
+            gap_s[:, mine] = np.maximum(gap_s[:, mine], (s - half_s)[:, None, :] - front)
+        least = np.maximum(gap, gap_s).min(axis=2)
+        worst = least.argmin(axis=1)
+        return Clearance(least[np.arange(n), worst], rows[worst])
+
+    def _lateral(self, rows: Any, lanes: Any, bound: bool) -> tuple[FloatArray, FloatArray, Any]:
+        """Lateral extent and home lane of each vehicle for each path, (n, len(rows)) or broadcastable to it.
+
+        A vehicle two lanes over may enter the lane that the ego is about to enter, until it can see the ego there.
+        """
+        scene, assumptions, around = self.scene, self.config.assumptions, self.around
+        low, high = around.low[rows][None, :], around.high[rows][None, :]
+        home = np.repeat(around.lane[rows][None, :], lanes.size, axis=0)
+        if not (assumptions.blind_merge and bound):
+            return low, high, home
+        centers, r = scene.road.centers, scene.ego_road[RoadState.R]
+        goal = centers[lanes]
+        hidden = np.abs(r - goal) > assumptions.visible_distance
+        if not hidden.any():
+            return low, high, home
+        beyond = np.sign(goal - r)[:, None] * (centers[home] - goal[:, None])
+        far = (beyond > 0) & (beyond < 1.5 * scene.road.width) & hidden[:, None]
+        half = 0.5 * scene.others[rows, Vehicle.WIDTH]
+        low = np.where(far, np.minimum(low, goal[:, None] - half), low)
+        high = np.where(far, np.maximum(high, goal[:, None] + half), high)
+        return low, high, np.where(far, lanes[:, None], home)
+
+    def _follower_front(self, rows: Any, home: Any, paths: FloatArray, hold: int) -> FloatArray:
+        """Greatest front (n, len(rows), K) of vehicles behind: they accelerate until they owe braking."""
+        assumptions, dt = self.config.assumptions, self.scene.dt
+        frames = paths.shape[1]
+        center = self.scene.road.centers[home]
+        seen = np.abs(paths[:, None, :, RoadState.R] - center[:, :, None]) <= assumptions.visible_distance
+        first = np.where(seen.any(axis=2), seen.argmax(axis=2) + 1, frames)
+        reaction = int(np.ceil(assumptions.reaction_time / dt - 1e-9))
+        react = first + reaction
+        if self.visible is not None:
+            already = np.asarray(self.visible)[home]
+            react = np.where(already > 0, np.maximum(reaction + 1 - already, 0), react)
+        k, turn = np.arange(frames), react[:, :, None]
+        gain = assumptions.acceleration * dt * np.maximum(np.minimum(k, turn) - hold, 0)
+        loss = assumptions.follower_braking * dt * np.maximum(k - turn, 0)
+        v0 = self.scene.others_road[rows, RoadState.SPEED][None, :, None]
+        top = np.minimum(v0 + gain, np.maximum(v0, assumptions.max_speed))
+        v = np.maximum(top - loss, 0.0)
+        start = self.scene.others_road[rows, RoadState.S] + self.around.reach[rows]
+        front = start[None, :, None] + np.cumsum(v, axis=2) * dt
+        # Where the ego has come to rest at the last frame, its follower may still be doing so.
+        last = v[..., -1]
+        rest = last**2 / (2 * assumptions.follower_braking) + 0.5 * last * dt
+        front[..., -1] += np.where(paths[:, -1, RoadState.SPEED] < 0.5, 1.0, 0.0)[:, None] * rest
+        return front

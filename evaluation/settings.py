@@ -90,9 +90,7 @@ class Setting:
         label = []
         if kind is not None:
             if kind not in TRAFFIC and "." not in kind:
-                raise ConfigError(
-                    f"unknown traffic {kind!r}; have {sorted(TRAFFIC)}, or a dotted class path"
-                )
+                raise ConfigError(f"unknown traffic {kind!r}; have {sorted(TRAFFIC)}, or a dotted class path")
             config["other_vehicles_type"] = TRAFFIC.get(kind, kind)
             label.append(kind)
         if vehicles is not None:
@@ -123,7 +121,8 @@ _ABZ_BASE = {**_ABZ_ROAD, "high_speed_reward": 1.0, "collision_reward": -1.0}
 #   highway-env's normalisation maps [collision_reward, high_speed_reward + right_lane_reward]
 #   = [1, 2.1] to [0, 1], so a second on the left lane is worth (2 v / 40 - 1) / 1.1: nothing at
 #   v = 20 m/s, a loss below, little at the speed of the traffic. A crash adds 1 / 1.1 and ends the
-#   losses. So `normalize_reward` stays True here.
+#   losses. So `normalize_reward` stays True here. With a discount of 0.9 a crash still pays best only
+#   below about 22 m/s; above it the agent speeds through the traffic without minding a crash.
 _ABZ_ADVERSARIAL = {
     **_ABZ_ROAD,
     "high_speed_reward": 2.0,

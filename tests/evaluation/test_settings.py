@@ -71,9 +71,7 @@ def _reward(setting, *, crashed, speed):
 @pytest.mark.parametrize("speed", [0.0, 15.0, 25.0, 40.0])
 def test_a_crash_is_rewarded_by_the_adversarial_setting_and_punished_by_the_base(speed):
     adversarial, base = get_setting("abz-adversarial"), get_setting("abz")
-    assert _reward(adversarial, crashed=True, speed=speed) > _reward(
-        adversarial, crashed=False, speed=speed
-    )
+    assert _reward(adversarial, crashed=True, speed=speed) > _reward(adversarial, crashed=False, speed=speed)
     assert _reward(base, crashed=True, speed=speed) < _reward(base, crashed=False, speed=speed)
 
 

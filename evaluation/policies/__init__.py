@@ -1,0 +1,51 @@
+"""The reference policies that the project is measured with: trained, small, and reproducible.
+
+Each is a Stable-Baselines3 zip with a manifest beside it. `load_reference` takes the algorithm's
+class from the manifest:
+
+>>> model = load_reference("dqn-abz-base")
+>>> type(model).__name__
+'DQN'
+"""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import as_file, files
+from typing import Any
+
+import gymnasium as gym
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from evaluation.training import get_algorithm
+from shield.errors import ConfigError
+
+__all__ = ["list_references", "load_reference", "reference_manifest"]
+
+_HERE = files(__name__)
+
+
+def list_references() -> list[str]:
+    """The names of the reference policies."""
+    names = (entry.name for entry in _HERE.iterdir())
+    return sorted(name.removesuffix(".zip") for name in names if name.endswith(".zip"))
+
+
+def reference_manifest(name: str) -> dict[str, Any]:
+    """How the policy of that name was made, and what it was measured to do."""
+    if name not in list_references():
+        raise ConfigError(f"unknown reference policy {name!r}; have {list_references()}")
+    manifest: dict[str, Any] = json.loads((_HERE / f"{name}.json").read_text(encoding="utf-8"))
+    return manifest
+
+
+def load_reference(name: str, env: gym.Env[Any, Any] | None = None) -> BaseAlgorithm:
+    """Load a reference policy onto the processor.
+
+    Args:
+        name: a name in `list_references`.
+        env: an environment to attach, whose spaces must be those that the policy was trained in.
+    """
+    algorithm = get_algorithm(reference_manifest(name)["algorithm"])
+    with as_file(_HERE / f"{name}.zip") as path:
+        return algorithm.load(path, env=env, device="cpu")

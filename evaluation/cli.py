@@ -208,8 +208,9 @@ def _report(episodes: object, output: Path | None, markdown: bool) -> None:
     for frame, columns in tables:
         if markdown:
             typer.echo(to_markdown(frame, columns) + "\n")
-        else:
-            _out.print(rich_table(frame, columns))
+            continue
+        for _, part in frame.groupby(["setting", "policy"], sort=False):
+            _out.print(rich_table(part, columns))
     if output is None:
         return
     paths = [write_table(episodes, output)]

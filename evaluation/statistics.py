@@ -86,9 +86,10 @@ def wilson(successes: int, n: int, confidence: float = CONFIDENCE) -> Interval:
 
 
 def bootstrap_mean(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
-    """Mean with a bias-corrected and accelerated bootstrap interval.
+    """Mean with a percentile bootstrap interval.
 
     Samples that are all equal give an interval of no width, a single sample gives one of NaN.
+    (The bias-corrected interval is not defined for every sample; this one is.)
     """
     samples = _samples(values)
     mean, n = float(samples.mean()), int(samples.size)
@@ -102,7 +103,7 @@ def bootstrap_mean(values: ArrayLike, confidence: float = CONFIDENCE) -> Interva
         confidence_level=confidence,
         n_resamples=_RESAMPLES,
         batch=max(1, _BATCH_CELLS // n),
-        method="BCa",
+        method="percentile",
         rng=np.random.default_rng(_SEED),
     )
     bounds = result.confidence_interval

@@ -30,7 +30,7 @@ from shield.verify import Clearance, Surveyor
 
 __all__ = ["FrameCommand", "ShieldCore", "Verdict"]
 
-_ACCELERATIONS = 8
+_ACCELERATIONS = 12
 """Grid points between full braking and the committed acceleration, when a frame is held back."""
 _LANE_PENALTY = 2.0
 """What it costs to leave the committed lane, in acceleration [m/s^2]."""

@@ -30,6 +30,10 @@ from shield.config import ShieldConfig
 __all__ = ["Clearance", "Surveyor"]
 
 
+_GIVES_WAY = 1.0
+"""A vehicle that merges from the far side gives way if its centre is further behind than this [m]."""
+
+
 @dataclass(frozen=True, slots=True)
 class Clearance:
     """Result for n trajectories.
@@ -119,7 +123,8 @@ class Surveyor:
     def _lateral(self, rows: Any, lanes: Any, bound: bool) -> tuple[FloatArray, FloatArray, Any]:
         """Lateral extent and home lane of each vehicle for each path, (n, len(rows)) or broadcastable to it.
 
-        A vehicle two lanes over may enter the lane that the ego is about to enter, until it can see the ego there.
+        A vehicle two lanes over may enter the lane that the ego is about to enter, until it can see the ego there,
+        unless it is behind: then it gives way (highway-env's traffic aborts such a lane change).
         """
         scene, assumptions, around = self.scene, self.config.assumptions, self.around
         low, high = around.low[rows][None, :], around.high[rows][None, :]
@@ -133,6 +138,7 @@ class Surveyor:
             return low, high, home
         beyond = np.sign(goal - r)[:, None] * (centers[home] - goal[:, None])
         far = (beyond > 0) & (beyond < 1.5 * scene.road.width) & hidden[:, None]
+        far &= self._ahead[rows][None, :] > -_GIVES_WAY
         half = 0.5 * scene.others[rows, Vehicle.WIDTH]
         low = np.where(far, np.minimum(low, goal[:, None] - half), low)
         high = np.where(far, np.maximum(high, goal[:, None] + half), high)

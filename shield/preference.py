@@ -63,24 +63,25 @@ def ranking_of(policy: Any, obs: Any) -> Any:
 
     Q-values for value-based models, action probabilities for stochastic ones; higher is preferred. `policy` is an
     SB3 or sb3-contrib model, a bare policy, or any object: one that offers `action_scores(obs)` is asked that.
+    None for recurrent policies, whose scores the observation alone does not give.
     """
     import torch
 
     if hasattr(policy, "action_scores"):
         return np.asarray(policy.action_scores(obs), dtype=float)
     net = getattr(policy, "policy", policy)
-    if not hasattr(net, "obs_to_tensor"):
+    if not hasattr(net, "obs_to_tensor") or hasattr(net, "lstm_actor"):
         return None
     with torch.no_grad():
         tensor, _ = net.obs_to_tensor(obs)
         if hasattr(net, "q_net"):
-            return net.q_net(tensor).numpy().astype(float)
+            return net.q_net(tensor).cpu().numpy().astype(float)
         if hasattr(net, "quantile_net"):
-            return net.quantile_net(tensor).mean(dim=1).numpy().astype(float)
+            return net.quantile_net(tensor).mean(dim=1).cpu().numpy().astype(float)
         if hasattr(net, "get_distribution"):
             distribution = getattr(net.get_distribution(tensor), "distribution", None)
             probs = getattr(distribution, "probs", None)
-            return None if probs is None else probs.numpy().astype(float)
+            return None if probs is None else probs.cpu().numpy().astype(float)
     return None
 
 
@@ -91,6 +92,10 @@ def order_from_scores(scores: Any, proposed: int) -> list[int]:
 
 
 def resolve(order: Order) -> list[int] | None:
-    """The order as a list, asking for it if need be."""
-    found = order() if callable(order) else order
+    """The order as a list, asking for it if need be; None where the policy fails to give one."""
+    try:
+        found = order() if callable(order) else order
+    except Exception:
+        # An override is due: a policy whose scores break must not stand in its way.
+        return None
     return None if found is None else [int(a) for a in found]

@@ -26,11 +26,13 @@ class Candidates:
     Attributes
     ----------
     commands : (n, frames, 3), see `dynamics.rollout`.
-    lanes : lane that each commits to, (n,).
+    lanes : lane that each commits to first, (n,).
+    fails : lane that each ends in, (n,).
     """
 
     commands: FloatArray
     lanes: Any
+    fails: Any
 
 
 def brake_candidates(
@@ -58,7 +60,7 @@ def brake_candidates(
     commands[:, commit:, 0] = centers[fail_lanes][:, None]
     commands[:, commit:, 1] = BRAKE
     commands[:, commit:, 2] = braking
-    return Candidates(commands, lanes)
+    return Candidates(commands, lanes, np.array(fail_lanes))
 
 
 def meta_candidates(scene: Scene, actions: list[int], horizon: float) -> tuple[Candidates, list[tuple[int, ...]]]:
@@ -87,6 +89,7 @@ def meta_candidates(scene: Scene, actions: list[int], horizon: float) -> tuple[C
     commands = np.empty((len(sequences), periods * period, 3))
     commands[:, :, 2] = NO_LIMIT
     lanes = np.empty(len(sequences), dtype=int)
+    fails = np.empty(len(sequences), dtype=int)
     decay = (1 - KP_SPEED * dt) ** period
     last = scene.road.centers.size - 1
     for i, sequence in enumerate(sequences):
@@ -105,4 +108,5 @@ def meta_candidates(scene: Scene, actions: list[int], horizon: float) -> tuple[C
             commands[i, rows, 0] = scene.road.centers[target.lane]
             commands[i, rows, 1] = target.speed
             v = target.speed + (v - target.speed) * decay
-    return Candidates(commands, lanes), sequences
+        fails[i] = target.lane
+    return Candidates(commands, lanes, fails), sequences

@@ -19,7 +19,7 @@ import numpy as np
 from dynamics.controllers import KP_SPEED
 from dynamics.rollout import Rollouts
 from dynamics.scene import Scene, Target
-from dynamics.state import FloatArray, RoadState, State
+from dynamics.state import FloatArray, RoadState, State, Vehicle
 from shield.candidates import Candidates, brake_candidates
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
@@ -79,8 +79,9 @@ class ShieldCore:
     def reset(self) -> None:
         """Forget everything about the episode."""
         self.monitor = AssumptionMonitor(self.config)
-        self._stored_lane: int | None = None
+        self.stored_lane: int | None = None
         self._visible: Any = None
+        self._owned: Any = None
         self._surveyor: Surveyor | None = None
 
     # -- decisions ---------------------------------------------------------------------------------------
@@ -183,7 +184,7 @@ class ShieldCore:
         start = perf_counter()
         proposed = scene.control.target
         if not scene.finite:
-            lane = self._stored_lane if self._stored_lane is not None else proposed.lane
+            lane = self.stored_lane if self.stored_lane is not None else proposed.lane
             command = FrameCommand(lane, -self.config.braking)
             return command, _frame(proposed, command, Reason.BAD_SCENE, Tier.EMERGENCY, np.nan, start)
         if not fresh:
@@ -194,12 +195,12 @@ class ShieldCore:
         best = int(result.margin.argmax())
         margin = float(result.margin[best])
         if margin >= 0:
-            self._stored_lane = fails[best]
+            self.stored_lane = fails[best]
             record = _frame(proposed, None, Reason.NONE, Tier.PASSED, margin, start, paths[best])
             return None, record
         command, verdict = self._hold_back(scene)
         if verdict.margin >= 0:
-            self._stored_lane = verdict.fail_lane
+            self.stored_lane = verdict.fail_lane
             return command, _frame(
                 proposed,
                 command,
@@ -209,11 +210,11 @@ class ShieldCore:
                 start,
                 verdict.path,
             )
-        if self._stored_lane is not None and not self.monitor.violated:
-            command = FrameCommand(self._stored_lane, -self.config.braking)
+        if self.stored_lane is not None and not self.monitor.violated:
+            command = FrameCommand(self.stored_lane, -self.config.braking)
             return command, _frame(proposed, command, Reason.NO_SAFE_PLAN, Tier.STORED_PLAN, margin, start)
         command, verdict = self._hold_back(scene, evade=True)
-        self._stored_lane = None
+        self.stored_lane = None
         return command, _frame(
             proposed,
             command,
@@ -264,11 +265,23 @@ class ShieldCore:
         if self._visible is None or self._visible.shape != near.shape:
             self._visible = np.zeros(near.shape, dtype=int)
         self._visible = np.where(near, self._visible + 1, 0)
+        # A lane is owned from when the ego touches it with a verified plan to stop there, until it has left it
+        # for another that it owns.
+        here = np.arange(offset.size) == offset.argmin()
+        owned = here if self._owned is None or self._owned.shape != here.shape else self._owned
+        if self.stored_lane is not None:
+            owned = owned | (np.arange(offset.size) == self.stored_lane)
+        swing = 0.5 * float(scene.ego[Vehicle.LENGTH]) * abs(np.sin(scene.ego_road[RoadState.HEADING]))
+        touched = offset < 1.0 + 0.5 * float(scene.ego[Vehicle.WIDTH]) + swing
+        self._owned = owned & touched if (owned & touched).any() else owned
 
     def _fail_lanes(self, scene: Scene, lane: int) -> list[int]:
-        """Lanes in which the fail-safe may stop: the committed one, and the one that the ego is in."""
+        """Lanes in which the fail-safe may stop: the committed one, the one that the ego is in, and the stored one."""
         here = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
-        return [lane] if lane == here else [lane, here]
+        stored = self.stored_lane
+        if stored is None or abs(stored - here) > 1:
+            stored = here
+        return list(dict.fromkeys((lane, here, stored)))
 
     def _rollouts_for(self, dt: float) -> Rollouts:
         if dt not in self._rollouts:
@@ -279,12 +292,12 @@ class ShieldCore:
         """The surveyor of this instant; scenes that differ in the ego's target only share it."""
         held = self._surveyor
         if held is None or held.scene.ego is not scene.ego or held.scene.others is not scene.others:
-            held = self._surveyor = Surveyor(scene, self.config, self._visible)
+            held = self._surveyor = Surveyor(scene, self.config, self._visible, self._owned)
         return held
 
     def _judge(self, scene: Scene, candidates: Candidates, hold: int = 0) -> tuple[FloatArray, Clearance]:
         paths = self._rollouts_for(scene.dt).run(scene.ego_road, candidates.commands)
-        return paths, self._survey(scene).clearance(paths, candidates.lanes, hold)
+        return paths, self._survey(scene).clearance(paths, candidates, hold)
 
     def _verify(self, scene: Scene, targets: list[Target]) -> list[Verdict]:
         """Margin of each target: sound for one frame, and forecast over the decision period."""
@@ -351,7 +364,7 @@ class ShieldCore:
         verdict: Verdict,
         start: float,
     ) -> Decision:
-        self._stored_lane = verdict.fail_lane
+        self.stored_lane = verdict.fail_lane
         plan = np.vstack([scene.ego_road, verdict.path])
         occupancy = None
         if self.config.record:
@@ -370,7 +383,7 @@ class ShieldCore:
 
     def _fallback(self, scene: Scene, proposed: Any, reason: Reason, start: float) -> Decision:
         """No action verifies: slow down, and leave it to the frames to play the stored plan on."""
-        tier = Tier.STORED_PLAN if self._stored_lane is not None else Tier.LARGEST_MARGIN
+        tier = Tier.STORED_PLAN if self.stored_lane is not None else Tier.LARGEST_MARGIN
         return Decision(proposed, self._safe_action(scene), reason, tier, np.nan, perf_counter() - start)
 
 

@@ -83,7 +83,7 @@ class MetaCore:
                 np.nan,
                 perf_counter() - start,
             )
-        self.monitor.update(scene)
+        self.monitor.update(scene, scene.frames_per_decision * scene.dt)
         if self._buffer_rule.objects(scene, target):
             reason, best = Reason.BUFFER, None
         else:
@@ -142,7 +142,7 @@ class MetaCore:
             self._rollouts[scene.dt] = Rollouts(scene.dt)
         paths = self._rollouts[scene.dt].run(scene.ego_road, candidates.commands)
         surveyor = Surveyor(scene, self.config)
-        result = surveyor.clearance(paths, candidates.lanes)
+        result = surveyor.clearance(paths, candidates)
         occupancy = None
         if self.config.record:
             occupancy = surveyor.around.occupancy(paths.shape[1], scene.dt).rectangles()

@@ -33,8 +33,11 @@ class AssumptionMonitor:
         self.count = 0
         self.violated = False
 
-    def update(self, scene: Scene) -> None:
-        """Take in the next scene; vehicles are matched by their order."""
+    def update(self, scene: Scene, elapsed: float | None = None) -> None:
+        """Take in the next scene, `elapsed` seconds after the last (one frame by default).
+
+        Vehicles are matched by their order.
+        """
         self.violated = False
         rows, states = scene.others, scene.others_road
         last, self._last = self._last, None
@@ -47,7 +50,7 @@ class AssumptionMonitor:
         if last is None or last[0].shape != rows.shape:
             return
         before, low0, high0 = last
-        rate = (rows[:, Vehicle.SPEED] - before[:, Vehicle.SPEED]) / scene.dt
+        rate = (rows[:, Vehicle.SPEED] - before[:, Vehicle.SPEED]) / (elapsed or scene.dt)
         crashed = (rows[:, Vehicle.CRASHED] > 0) & (before[:, Vehicle.CRASHED] == 0)
         hard = (rate < -a.braking - _TOLERANCE) & (before[:, Vehicle.CRASHED] == 0)
         hard |= (rate > a.acceleration + _TOLERANCE) & (before[:, Vehicle.CRASHED] == 0)

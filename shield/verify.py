@@ -11,8 +11,10 @@ along and across the road are
 The separation from a rectangle is the greater of the longitudinal and the lateral gap, negative when both
 overlap. The margin of a trajectory is the least separation over all frames and vehicles.
 
-Who owes what (Responsibility-Sensitive Safety): a vehicle behind whose way the ego is already in must keep its
-distance; one behind in a lane that the ego *enters* is the ego's business until it can have reacted.
+Who owes what (Responsibility-Sensitive Safety): a vehicle behind, in a lane that the ego *owns*, must keep its
+distance. The ego owns the lane that it starts in, and one that it enters once a plan to stop there has been
+verified against those behind: until then they are the ego's business. A plan must also end inside its lane, so
+that an ego at rest is in nobody else's way.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ import numpy as np
 from dynamics.prediction import Surroundings
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, Vehicle
+from shield.candidates import Candidates
 from shield.config import ShieldConfig
 
 __all__ = ["Clearance", "Surveyor"]
@@ -42,10 +45,12 @@ class Clearance:
     ----------
     margin : least separation beyond the buffer, (n,) [m]; +inf with nobody in reach.
     vehicle : row of the scene's others that is nearest in that sense, (n,); -1 with nobody in reach.
+    clear : frames before the first violation, (n,); all of them without one.
     """
 
     margin: FloatArray
     vehicle: Any
+    clear: Any
 
 
 class Surveyor:
@@ -56,57 +61,62 @@ class Surveyor:
     scene : the scene.
     config : buffer, assumptions and perception range.
     visible : frames for which the ego has been visible in each lane already, (lanes,); none by default.
+    owned : which lanes the ego owns, (lanes,) bool; the one that it is in by default.
     """
 
-    def __init__(self, scene: Scene, config: ShieldConfig, visible: Any = None) -> None:
+    def __init__(self, scene: Scene, config: ShieldConfig, visible: Any = None, owned: Any = None) -> None:
         self.scene, self.config, self.visible = scene, config, visible
+        if owned is None:
+            owned = np.arange(scene.road.centers.size) == scene.road.lane_at(float(scene.ego_road[RoadState.R]))
+        self.owned = np.asarray(owned, dtype=bool)
         self.around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions)
         ego, states, length = scene.ego_road, scene.others_road, scene.ego[Vehicle.LENGTH]
         self._ahead = states[:, RoadState.S] - ego[RoadState.S]
         self._size = self.around.reach + 0.5 * length + 2.0 + config.buffer.longitudinal
-        # Behind the ego and in its way already: it owes the ego its braking.
-        heading = ego[RoadState.HEADING]
-        body = 0.5 * (scene.ego[Vehicle.WIDTH] * abs(np.cos(heading)) + length * abs(np.sin(heading)))
         self._behind = self._ahead < -0.5 * length
-        touches = (self.around.low < ego[RoadState.R] + body) & (self.around.high > ego[RoadState.R] - body)
-        self._owes = self._behind & touches
+        # Which lanes each vehicle touches, (vehicles, lanes).
+        centers = scene.road.centers
+        self._touches = (self.around.low[:, None] < centers + 1.0) & (self.around.high[:, None] > centers - 1.0)
+        self._owes = self._behind & (self._touches & self.owned).any(axis=1)
         self._rears: dict[tuple[int, int], FloatArray] = {}
 
     def relevant(self, distance: float, duration: float) -> Any:
         """Rows of those who can come into reach of an ego that travels at most `distance` [m] in `duration` [s].
 
-        Dropping the rest cannot change any verdict: nobody ahead moves backwards further than that, nobody behind
-        accelerates harder than assumed, and those who owe the ego their braking are not the ego's business.
+        Dropping the rest cannot change any verdict: nobody ahead moves backwards further than that, and nobody
+        behind accelerates harder than assumed.
         """
         v = self.scene.others_road[:, RoadState.SPEED]
         ahead = self._ahead - self._size + np.minimum(v, 0.0) * duration
         gain = 0.5 * self.config.assumptions.acceleration * duration * (duration + self.scene.dt)
         behind = -self._ahead - self._size - np.maximum(v, 0.0) * duration - gain
-        near = (ahead <= distance) & (behind <= 0.0) & ~self._owes
+        near = (ahead <= distance) & (behind <= 0.0)
         return np.flatnonzero(near & (np.abs(self._ahead) <= self.config.perception_range))
 
-    def clearance(self, paths: FloatArray, lanes: Any, hold: int = 0) -> Clearance:
+    def clearance(self, paths: FloatArray, candidates: Candidates, hold: int = 0) -> Clearance:
         """Margin of each path against the worst case of the others.
 
         Parameters
         ----------
         paths : road states of the ego after frames 1..K, (n, K, 4).
-        lanes : lane index that each path heads for first, (n,).
+        candidates : what the paths were rolled out from.
         hold : frames for which the others are *expected* to keep their speed (a forecast, not a bound).
         """
         n, frames, _ = paths.shape
         scene, config, dt = self.scene, self.config, self.scene.dt
         distance = float(paths[:, -1, RoadState.S].max() - scene.ego_road[RoadState.S])
         rows = self.relevant(distance, frames * dt)
-        if rows.size == 0:
-            margin = np.where(np.isfinite(paths).all(axis=(1, 2)), np.inf, np.nan)
-            return Clearance(margin, np.full(n, -1))
         s, r, psi = (paths[..., i] for i in (RoadState.S, RoadState.R, RoadState.HEADING))
         cos, sin = np.abs(np.cos(psi)), np.abs(np.sin(psi))
         lon = 0.5 * scene.ego[Vehicle.LENGTH] + config.buffer.longitudinal
         lat = 0.5 * scene.ego[Vehicle.WIDTH] + config.buffer.lateral
         half_s, half_r = lon * cos + lat * sin, lon * sin + lat * cos
-        low, high, home = self._lateral(rows, np.asarray(lanes), bound=hold == 0)
+        inside = self._ends_inside(candidates, r[:, -1], half_r[:, -1])
+        if rows.size == 0:
+            margin = np.where(np.isfinite(paths).all(axis=(1, 2)), np.minimum(np.inf, inside), np.nan)
+            return Clearance(margin, np.full(n, -1), np.full(n, frames))
+        lanes = candidates.lanes
+        low, high, home = self._lateral(rows, lanes, bound=hold == 0)
         gap = np.maximum(low[:, :, None] - (r + half_r)[:, None, :], (r - half_r)[:, None, :] - high[:, :, None])
         key = (frames, hold)
         if key not in self._rears:
@@ -116,9 +126,29 @@ class Surveyor:
         if mine.size:
             front = self._follower_front(rows[mine], home[:, mine], paths, hold)
             gap_s[:, mine] = np.maximum(gap_s[:, mine], (s - half_s)[:, None, :] - front)
-        least = np.maximum(gap, gap_s).min(axis=2)
+        separation = np.maximum(gap, gap_s)
+        if self._owes[rows].any():
+            separation = np.where(self._owed(rows, candidates)[:, :, None], np.inf, separation)
+        least = separation.min(axis=2)
         worst = least.argmin(axis=1)
-        return Clearance(least[np.arange(n), worst], rows[worst])
+        clear = ~(separation < 0).any(axis=1)
+        reached = np.where(clear.all(axis=1), frames, clear.argmin(axis=1))
+        return Clearance(np.minimum(least[np.arange(n), worst], inside), rows[worst], reached)
+
+    def _ends_inside(self, candidates: Candidates, r: FloatArray, half: FloatArray) -> FloatArray:
+        """+inf where the inflated ego ends inside the lane that it ends in, else by how much it does not (n,) [m]."""
+        room = 0.5 * self.scene.road.width - np.abs(r - self.scene.road.centers[candidates.fails]) - half
+        return np.where(room >= 0, np.inf, room)
+
+    def _owed(self, rows: Any, candidates: Candidates) -> Any:
+        """Which vehicles owe the ego their braking on each path, (n, len(rows)).
+
+        Those behind in an owned lane, unless they also touch a lane that the path newly enters.
+        """
+        lanes, fails = candidates.lanes, candidates.fails
+        new = np.where(self.owned[lanes], fails, lanes)
+        enters = ~self.owned[new]
+        return self._owes[rows][None, :] & ~(enters[:, None] & self._touches[rows][:, new].T)
 
     def _lateral(self, rows: Any, lanes: Any, bound: bool) -> tuple[FloatArray, FloatArray, Any]:
         """Lateral extent and home lane of each vehicle for each path, (n, len(rows)) or broadcastable to it.

@@ -192,7 +192,7 @@ class ShieldCore:
         fails = self._fail_lanes(scene, proposed.lane)
         candidates = brake_candidates(scene, [proposed] * len(fails), fails, 1, self.config.braking)
         paths, result = self._judge(scene, candidates)
-        best = int(result.margin.argmax())
+        best = _first_verified(result.margin)
         margin = float(result.margin[best])
         if margin >= 0:
             self.stored_lane = fails[best]
@@ -265,15 +265,14 @@ class ShieldCore:
         if self._visible is None or self._visible.shape != near.shape:
             self._visible = np.zeros(near.shape, dtype=int)
         self._visible = np.where(near, self._visible + 1, 0)
-        # A lane is owned from when the ego touches it with a verified plan to stop there, until it has left it
-        # for another that it owns.
+        # A lane is owned from when the ego touches it with a verified plan to stop there, until it has left it.
         here = np.arange(offset.size) == offset.argmin()
         owned = here if self._owned is None or self._owned.shape != here.shape else self._owned
         if self.stored_lane is not None:
             owned = owned | (np.arange(offset.size) == self.stored_lane)
         swing = 0.5 * float(scene.ego[Vehicle.LENGTH]) * abs(np.sin(scene.ego_road[RoadState.HEADING]))
         touched = offset < 1.0 + 0.5 * float(scene.ego[Vehicle.WIDTH]) + swing
-        self._owned = owned & touched if (owned & touched).any() else owned
+        self._owned = owned & touched
 
     def _fail_lanes(self, scene: Scene, lane: int) -> list[int]:
         """Lanes in which the fail-safe may stop: the committed one, the one that the ego is in, and the stored one."""
@@ -310,7 +309,7 @@ class ShieldCore:
         out = []
         for i in range(len(targets)):
             rows = [j for j, (k, _) in enumerate(pairs) if k == i]
-            best = max(rows, key=lambda j: margins[j])
+            best = rows[_first_verified(margins[rows])]
             out.append(Verdict(float(margins[best]), fails[best], paths[best]))
         return out
 
@@ -385,6 +384,12 @@ class ShieldCore:
         """No action verifies: slow down, and leave it to the frames to play the stored plan on."""
         tier = Tier.STORED_PLAN if self.stored_lane is not None else Tier.LARGEST_MARGIN
         return Decision(proposed, self._safe_action(scene), reason, tier, np.nan, perf_counter() - start)
+
+
+def _first_verified(margins: FloatArray) -> int:
+    """The first that verifies, in order of preference; the largest margin if none does."""
+    good = np.flatnonzero(margins >= 0)
+    return int(good[0]) if good.size else int(margins.argmax())
 
 
 def _frame(

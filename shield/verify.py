@@ -145,10 +145,11 @@ class Surveyor:
 
         Those behind in an owned lane, unless they also touch a lane that the path newly enters.
         """
-        lanes, fails = candidates.lanes, candidates.fails
-        new = np.where(self.owned[lanes], fails, lanes)
-        enters = ~self.owned[new]
-        return self._owes[rows][None, :] & ~(enters[:, None] & self._touches[rows][:, new].T)
+        touches, new = self._touches[rows], ~self.owned
+        entered = np.zeros((candidates.lanes.size, rows.size), dtype=bool)
+        for lanes in (candidates.lanes, candidates.fails):
+            entered |= new[lanes][:, None] & touches[:, lanes].T
+        return self._owes[rows][None, :] & ~entered
 
     def _lateral(self, rows: Any, lanes: Any, bound: bool) -> tuple[FloatArray, FloatArray, Any]:
         """Lateral extent and home lane of each vehicle for each path, (n, len(rows)) or broadcastable to it.

@@ -38,6 +38,7 @@ test-slow: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/pytest benchmarks --benchmark-only -m ""
+	$(BIN)/python benchmarks/ratios.py
 
 clean:
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache \

@@ -181,12 +181,14 @@ class Surveyor:
         frames = paths.shape[1]
         center = self.scene.road.centers[home]
         seen = np.abs(paths[:, None, :, RoadState.R] - center[:, :, None]) <= assumptions.visible_distance
-        first = np.where(seen.any(axis=2), seen.argmax(axis=2) + 1, frames)
+        # The duty starts when the ego has come into sight for good; losing sight of it starts the clock again.
+        hidden = ~seen
+        first = np.where(hidden.any(axis=2), frames - hidden[:, :, ::-1].argmax(axis=2) + 1, 1)
         reaction = int(np.ceil(assumptions.reaction_time / dt - 1e-9))
         react = first + reaction
         if self.visible is not None:
             already = np.asarray(self.visible)[home]
-            react = np.where(already > 0, np.maximum(reaction + 1 - already, 0), react)
+            react = np.where((first == 1) & (already > 0), np.maximum(reaction + 1 - already, 0), react)
         k, turn = np.arange(frames), react[:, :, None]
         gain = assumptions.acceleration * dt * np.maximum(np.minimum(k, turn) - hold, 0)
         loss = assumptions.follower_braking * dt * np.maximum(k - turn, 0)

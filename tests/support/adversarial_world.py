@@ -67,9 +67,11 @@ class World:
     speeds: tuple[float, ...] = (20.0, 25.0, 30.0)
     road: StraightRoad = field(init=False)
     core: ShieldCore = field(init=False)
+    visible: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
         self.road = StraightRoad.from_lanes(self.lanes)
+        self.visible = np.zeros(self.lanes, dtype=int)
         self.core = ShieldCore(self.config)
 
     @property
@@ -156,13 +158,17 @@ class World:
     def move_cars(self, wishes: list[tuple[float, int]]) -> None:
         """One frame of the traffic; each wish is (acceleration, lane step), cut down to the assumptions."""
         a, moved = self.assumptions, []
+        near = np.abs(self.ego[1] - self.road.centers) <= a.visible_distance
+        self.visible = np.where(near, self.visible + 1, 0)
+        reaction = int(np.ceil(a.reaction_time / self.dt - 1e-9))
         for car, (wish, turn) in zip(self.cars, wishes, strict=True):
             centered = abs(car.r - self.road.centers[car.lane]) < 0.2 and abs(car.heading) < 0.02
             lane = car.lane + turn
             if turn and centered and car.speed > 15 and 0 <= lane < self.lanes and self.may_enter(car, lane):
                 car.lane = lane
             rate = float(np.clip(wish, -a.braking, a.acceleration))
-            if self.behind(car) and self.in_way(car):
+            reacts = self.visible[car.lane] > reaction
+            if self.behind(car) and (self.in_way(car) or reacts):
                 rates = [r for r in (rate, 0.0, -1.0, -2.0, -4.0) if r <= rate and self.keeps_distance(car, r)]
                 rate = rates[0] if rates else min(rate, -a.follower_braking)
             moved.append(rate)

@@ -63,7 +63,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         config: ShieldConfig | str | None = None,
         policy: Any = None,
     ) -> None:
-        RecordConstructorArgs.__init__(self, config=config, policy=policy)
+        RecordConstructorArgs.__init__(self, _disable_deepcopy=True, config=config, policy=policy)
         gym.Wrapper.__init__(self, env)
         if isinstance(config, str):
             config = ShieldConfig.load(config)
@@ -143,7 +143,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def _order(self, proposed: int) -> list[int] | None:
         scores = ranking_of(self.policy, self._observation)
-        if scores is None:
+        if scores is None or np.size(scores) != gym.spaces.flatdim(self.unwrapped.action_space):
             return None
         return order_from_scores(np.asarray(scores).reshape(-1), proposed)
 

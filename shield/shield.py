@@ -157,7 +157,7 @@ class Shield:
         proposed = action_index(proposal)
         if proposed < 0:
             return core.fallback(scene, proposal, reason or Reason.BAD_ACTION, start)
-        return core.decide(scene, proposed, lambda: ranking.order(i, proposed))
+        return core.decide(scene, proposed, lambda: ranking.order(i, proposed, len(scene.control.actions)))
 
 
 class _Ranking:
@@ -167,11 +167,13 @@ class _Ranking:
         self._policy, self._observation = policy, observation
         self._scores: Any = None
 
-    def order(self, row: int, proposed: int) -> list[int] | None:
+    def order(self, row: int, proposed: int, actions: int) -> list[int] | None:
         if self._scores is None:
             self._scores = (ranking_of(self._policy, self._observation),)
         scores = self._scores[0]
-        return None if scores is None else order_from_scores(np.atleast_2d(scores)[row], proposed)
+        if scores is None or np.atleast_2d(scores).shape[1] != actions:
+            return None
+        return order_from_scores(np.atleast_2d(scores)[row], proposed)
 
 
 def _base_environments(env: Any) -> list[Any]:

@@ -384,6 +384,19 @@ def test_the_spec_rebuilds_the_shielded_environment(config):
         np.testing.assert_array_equal(again.step(3)[0], env.step(3)[0])
 
 
+class Uncopied(Always):
+    """Holds what cannot be copied, as a model with environments in other processes does."""
+
+    def __deepcopy__(self, memo):
+        raise TypeError("cannot be copied")
+
+
+def test_a_policy_that_cannot_be_copied_gives_its_order_all_the_same():
+    env = ShieldedEnv(make(), policy=Uncopied(3))
+    env.reset(seed=0)
+    assert env.step(3)[4]["shield"]["tier"] in {"passed", "alternative", "governed"}
+
+
 def test_a_path_as_configuration_and_its_spec_as_json(tmp_path):
     path = str(tmp_path / "shield.toml")
     ShieldConfig(braking=5.5).save(path)

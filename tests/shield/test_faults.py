@@ -191,7 +191,16 @@ class Scored(Policy):
         return self.scores
 
 
-@pytest.mark.parametrize("scores", [RuntimeError("boom"), np.full((1, 5), NAN), "none"], ids=["raise", "nan", "text"])
+BAD_SCORES = {
+    "raise": RuntimeError("boom"),
+    "nan": np.full((1, 5), NAN),
+    "text": "none",
+    "too many": np.arange(7.0)[None],
+    "too few": np.arange(2.0)[None],
+}
+
+
+@pytest.mark.parametrize("scores", BAD_SCORES.values(), ids=BAD_SCORES)
 @pytest.mark.parametrize("door", ["env", "predict"])
 def test_scores_that_break_do_not_stop_an_override(scores, door):
     overridden = 0

@@ -26,7 +26,7 @@ from shield.decision import Decision, Reason, Tier
 from shield.monitor import AssumptionMonitor
 from shield.preference import Order, default_order, resolve
 from shield.rules import BufferRule, RssRule, Rule, TtcRule, make_rule
-from shield.verify import Clearance, Surveyor
+from shield.verify import Clearance, Surveyor, least_bad
 
 __all__ = ["FrameCommand", "ShieldCore", "Verdict"]
 
@@ -142,6 +142,8 @@ class ShieldCore:
                 ]
         else:
             alternatives = [a for a in wanted if a != proposed]
+        # An action that sets the same target would be the same action under another name.
+        alternatives = [a for a in alternatives if targets[a] != target]
         for action, verdict in self._verify_actions(scene, alternatives, targets):
             if verdict.margin >= 0:
                 return self._made(scene, proposed, action, reason, Tier.ALTERNATIVE, verdict, start)
@@ -251,7 +253,7 @@ class ShieldCore:
         score = np.where(result.margin >= 0, accelerations - cost, -np.inf)
         i = int(score.argmax())
         if evade or not np.isfinite(score[i]):
-            i = int(result.margin.argmax())
+            i = least_bad(result)
         t, fail = rows[i]
         command = FrameCommand(t.lane, float(accelerations[i]))
         return command, Verdict(float(result.margin[i]), fail, paths[i])

@@ -8,6 +8,7 @@ sequence is verified over `ShieldConfig.horizon` only: that is what its certific
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
@@ -25,6 +26,17 @@ from shield.rules import BufferRule, RssRule, Rule, TtcRule, make_rule
 from shield.verify import Surveyor
 
 __all__ = ["MetaCore"]
+
+
+@dataclass(frozen=True, slots=True)
+class _Best:
+    """The best sequence that starts with one action: margin [m], frames that stay clear, actions, path."""
+
+    margin: float
+    clear: int
+    sequence: tuple[int, ...]
+    path: FloatArray
+    occupancy: FloatArray | None
 
 
 class MetaCore:
@@ -88,17 +100,21 @@ class MetaCore:
             reason, best = Reason.BUFFER, None
         else:
             best = self._best(scene, [proposed])[proposed]
-            if best[0] >= 0:
+            if best.margin >= 0:
                 return self._made(scene, proposed, proposed, Reason.NONE, Tier.PASSED, best, start)
             reason = next((r.reason for r in self._explain if r.objects(scene, target)), Reason.UNVERIFIED)
         targets = [scene.target_of(a) for a in range(len(labels))]
         wanted = resolve(order)
         if wanted is None:
             wanted = default_order(scene, proposed, targets)
-        others = [a for a in wanted if a != proposed and not self._buffer_rule.objects(scene, targets[a])]
+        others = [
+            a
+            for a in wanted
+            if a != proposed and targets[a] != target and not self._buffer_rule.objects(scene, targets[a])
+        ]
         results = self._best(scene, others) if others else {}
         for action in others:
-            if results[action][0] >= 0:
+            if results[action].margin >= 0:
                 return self._made(scene, proposed, action, reason, Tier.ALTERNATIVE, results[action], start)
         if self._stored and not self.monitor.violated:
             action, self._stored = self._stored[0], self._stored[1:]
@@ -114,7 +130,8 @@ class MetaCore:
             results[proposed] = best
         if not results:
             return self.fallback(scene, proposed, Reason.NO_SAFE_PLAN, start)
-        action = max(results, key=lambda a: results[a][0])
+        # The one that stays clear longest, then the largest margin, then the slowest.
+        action = max(results, key=lambda a: (results[a].clear, results[a].margin, -targets[a].speed))
         return self._made(
             scene,
             proposed,
@@ -135,7 +152,7 @@ class MetaCore:
             action, tier = _slower(labels), Tier.EMERGENCY
         return Decision(proposed, action, reason, tier, np.nan, perf_counter() - start)
 
-    def _best(self, scene: Scene, actions: Sequence[int]) -> dict[int, tuple[float, tuple[int, ...], FloatArray, Any]]:
+    def _best(self, scene: Scene, actions: Sequence[int]) -> dict[int, _Best]:
         """For each first action: best margin [m], its sequence, its path, and the occupancy if recorded."""
         candidates, sequences = meta_candidates(scene, list(actions), self.config.horizon)
         if scene.dt not in self._rollouts:
@@ -149,8 +166,13 @@ class MetaCore:
         first = np.array([s[0] for s in sequences])
         out = {}
         for a in actions:
-            i = int(np.where(first == a, result.margin, -np.inf).argmax())
-            out[a] = (float(result.margin[i]), sequences[i], paths[i], occupancy)
+            mine = np.flatnonzero(first == a)
+            margins = np.nan_to_num(result.margin[mine], nan=-np.inf)
+            i = int(mine[np.lexsort((margins, result.clear[mine]))[-1]])
+            if margins.max() >= 0:
+                i = int(mine[margins.argmax()])
+            margin = float(result.margin[i])
+            out[a] = _Best(margin, int(result.clear[i]), sequences[i], paths[i], occupancy)
         return out
 
     def _made(
@@ -160,13 +182,13 @@ class MetaCore:
         executed: int,
         reason: Reason,
         tier: Tier,
-        best: tuple[float, tuple[int, ...], FloatArray, Any],
+        best: _Best,
         start: float,
     ) -> Decision:
-        margin, sequence, path, occupancy = best
-        self._stored = sequence[1:] if tier is not Tier.LARGEST_MARGIN else ()
-        plan = np.vstack([scene.ego_road, path])
-        return Decision(proposed, executed, reason, tier, margin, perf_counter() - start, plan, occupancy)
+        self._stored = best.sequence[1:] if tier is not Tier.LARGEST_MARGIN else ()
+        plan = np.vstack([scene.ego_road, best.path])
+        latency = perf_counter() - start
+        return Decision(proposed, executed, reason, tier, best.margin, latency, plan, best.occupancy)
 
 
 def _slower(labels: Sequence[str]) -> int:

@@ -30,7 +30,7 @@ from dynamics.state import FloatArray, RoadState, Vehicle
 from shield.candidates import Candidates
 from shield.config import ShieldConfig
 
-__all__ = ["Clearance", "Surveyor"]
+__all__ = ["Clearance", "Surveyor", "least_bad"]
 
 
 _GIVES_WAY = 1.0
@@ -115,8 +115,7 @@ class Surveyor:
         if rows.size == 0:
             margin = np.where(np.isfinite(paths).all(axis=(1, 2)), np.minimum(np.inf, inside), np.nan)
             return Clearance(margin, np.full(n, -1), np.full(n, frames))
-        lanes = candidates.lanes
-        low, high, home = self._lateral(rows, lanes, bound=hold == 0)
+        low, high, home = self._lateral(rows, candidates, bound=hold == 0)
         gap = np.maximum(low[:, :, None] - (r + half_r)[:, None, :], (r - half_r)[:, None, :] - high[:, :, None])
         key = (frames, hold)
         if key not in self._rears:
@@ -151,29 +150,35 @@ class Surveyor:
             entered |= new[lanes][:, None] & touches[:, lanes].T
         return self._owes[rows][None, :] & ~entered
 
-    def _lateral(self, rows: Any, lanes: Any, bound: bool) -> tuple[FloatArray, FloatArray, Any]:
+    def _lateral(self, rows: Any, candidates: Candidates, bound: bool) -> tuple[FloatArray, FloatArray, Any]:
         """Lateral extent and home lane of each vehicle for each path, (n, len(rows)) or broadcastable to it.
 
-        A vehicle two lanes over may enter the lane that the ego is about to enter, until it can see the ego there,
-        unless it is behind: then it gives way (highway-env's traffic aborts such a lane change).
+        A vehicle beyond a lane that the ego is about to enter may enter it too, until it can see the ego there. Where
+        the ego commits to that lane, one behind gives way (highway-env's traffic aborts such a lane change); nobody
+        knows of the lane in which the fail-safe would end.
         """
-        scene, assumptions, around = self.scene, self.config.assumptions, self.around
+        around = self.around
         low, high = around.low[rows][None, :], around.high[rows][None, :]
-        home = np.repeat(around.lane[rows][None, :], lanes.size, axis=0)
-        if not (assumptions.blind_merge and bound):
+        home = np.repeat(around.lane[rows][None, :], candidates.lanes.size, axis=0)
+        if not (self.config.assumptions.blind_merge and bound):
             return low, high, home
-        centers, r = scene.road.centers, scene.ego_road[RoadState.R]
-        goal = centers[lanes]
-        hidden = np.abs(r - goal) > assumptions.visible_distance
-        if not hidden.any():
-            return low, high, home
-        beyond = np.sign(goal - r)[:, None] * (centers[home] - goal[:, None])
-        far = (beyond > 0) & (beyond < 1.5 * scene.road.width) & hidden[:, None]
-        far &= self._ahead[rows][None, :] > -_GIVES_WAY
-        half = 0.5 * scene.others[rows, Vehicle.WIDTH]
-        low = np.where(far, np.minimum(low, goal[:, None] - half), low)
-        high = np.where(far, np.maximum(high, goal[:, None] + half), high)
-        return low, high, np.where(far, lanes[:, None], home)
+        centers, width = self.scene.road.centers, self.scene.road.width
+        r = self.scene.ego_road[RoadState.R]
+        half, lane = 0.5 * self.scene.others[rows, Vehicle.WIDTH], home
+        for entered, blind in (
+            (candidates.lanes, self._ahead[rows] > -_GIVES_WAY),
+            (candidates.fails, np.ones(rows.size, dtype=bool)),
+        ):
+            goal = centers[entered]
+            hidden = np.abs(r - goal) > self.config.assumptions.visible_distance
+            if not hidden.any():
+                continue
+            beyond = np.sign(goal - r)[:, None] * (centers[lane] - goal[:, None])
+            far = (beyond > 0) & (beyond < 1.5 * width) & hidden[:, None] & blind
+            low = np.where(far, np.minimum(low, goal[:, None] - half), low)
+            high = np.where(far, np.maximum(high, goal[:, None] + half), high)
+            home = np.where(far, entered[:, None], home)
+        return low, high, home
 
     def _follower_front(self, rows: Any, home: Any, paths: FloatArray, hold: int) -> FloatArray:
         """Greatest front (n, len(rows), K) of vehicles behind: they accelerate until they owe braking."""
@@ -202,3 +207,9 @@ class Surveyor:
         rest = last**2 / (2 * assumptions.follower_braking) + 0.5 * last * dt
         front[..., -1] += np.where(paths[:, -1, RoadState.SPEED] < 0.5, 1.0, 0.0)[:, None] * rest
         return front
+
+
+def least_bad(result: Clearance) -> int:
+    """The trajectory to take when none verifies: the one that stays clear longest, then the largest margin."""
+    margin = np.nan_to_num(result.margin, nan=-np.inf)
+    return int(np.lexsort((margin, result.clear))[-1])

@@ -22,7 +22,7 @@ class Assumptions:
     ----------
     braking : greatest deceleration of a vehicle ahead [m/s^2].
     acceleration : greatest acceleration of any vehicle [m/s^2].
-    max_speed : speed above which nobody accelerates [m/s].
+    max_speed : greatest speed that a slower vehicle accelerates to [m/s]; one that is faster keeps its speed or slows.
     min_speed : speed below which a moving vehicle does not brake on purpose [m/s]; 0 lets it stop.
     follower_braking : deceleration that a follower owes to an ego that has entered its lane [m/s^2].
     reaction_time : time after which the follower does so [s], counted from when the ego is visible in its lane.

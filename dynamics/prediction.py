@@ -90,15 +90,19 @@ class Surroundings:
         self.moving = (turning | (np.abs(offset) > assumptions.keeping_offset)) & (others[:, Vehicle.SPEED] != 0)
         # Towards its heading, else back to the centre of its lane.
         toward = np.where(turning, np.sign(states[:, RoadState.HEADING]), -np.sign(offset))
-        step = np.where(self.moving & (toward * offset >= 0), toward, 0.0)
+        leaving = self.moving & (toward * offset >= 0)
+        step = np.where(leaving, toward, 0.0)
         end = centers[np.minimum(np.maximum(lane + step, 0), centers.size - 1).astype(np.intp)]
         bound = np.where(self.moving, np.maximum(assumptions.max_heading, heading), np.maximum(heading, tolerance))
-        self._cos = np.where(self.moving, np.cos(bound), np.cos(heading))
+        self._cos = np.cos(np.minimum(bound, np.pi / 2))
         swing = np.sin(np.minimum(bound, np.pi / 2))
         half = 0.5 * (width + length * swing)
         self.reach = 0.5 * (length + width * swing)
-        self.low = np.minimum(np.minimum(r, center), end) - half
-        self.high = np.maximum(np.maximum(r, center), end) + half
+        # One that is coming back to its lane's centre turns no further outwards than it is turned now.
+        outer = 0.5 * (width + length * np.sin(np.minimum(np.maximum(heading, tolerance), np.pi / 2)))
+        coming = self.moving & ~leaving
+        self.low = np.minimum(np.minimum(r, center), end) - np.where(coming & (offset < 0), outer, half)
+        self.high = np.maximum(np.maximum(r, center), end) + np.where(coming & (offset > 0), outer, half)
 
     def rear(self, frames: int, dt: float, hold: int = 0) -> FloatArray:
         """Least s of each body after 1..K frames, (m, K) [m].

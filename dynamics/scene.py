@@ -86,9 +86,7 @@ class Scene:
     def finite(self) -> bool:
         """Whether every number in the scene is finite."""
         return bool(
-            np.isfinite(self.ego_road).all()
-            and np.isfinite(self.others).all()
-            and np.isfinite(self.control.target.speed)
+            np.isfinite(self.ego).all() and np.isfinite(self.others).all() and np.isfinite(self.control.target.speed)
         )
 
     @classmethod
@@ -152,6 +150,11 @@ class SceneReader:
         """The simulator's road; a new object with each episode."""
         return self._env.road
 
+    @property
+    def actions(self) -> tuple[str, ...]:
+        """Labels of the meta-actions, by index."""
+        return tuple(getattr(self._env.action_type, "actions", {}).values())
+
     def read(self) -> Scene:
         """The scene now.
 
@@ -167,16 +170,18 @@ class SceneReader:
             self._road = StraightRoad.from_network(env.road.network)
             self._network = env.road.network
         ego = env.vehicle
+        if ego is None:
+            raise SceneError("the environment has no ego vehicle; call reset() first")
         others = [_row(v) for v in env.road.vehicles if v is not ego]
         others += [_row(o) for o in env.road.objects if o.solid]
-        config, action_type = env.config, env.action_type
+        config = env.config
         control = EgoControl(
             target=Target(
                 int(getattr(ego, "target_lane_index", ego.lane_index)[2]),
                 float(getattr(ego, "target_speed", ego.speed)),
             ),
             target_speeds=tuple(map(float, getattr(ego, "target_speeds", ()))),
-            actions=tuple(getattr(action_type, "actions", {}).values()),
+            actions=self.actions,
         )
         return Scene(
             ego=np.array(_row(ego), dtype=float),

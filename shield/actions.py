@@ -19,7 +19,7 @@ def action_index(action: Any) -> int:
     """
     try:
         array = np.asarray(action, dtype=float).reshape(-1)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return -1
     if array.size != 1 or not np.isfinite(array[0]) or array[0] != np.rint(array[0]):
         return -1

@@ -64,7 +64,10 @@ def brake_candidates(
 
 
 def meta_candidates(scene: Scene, actions: list[int], horizon: float) -> tuple[Candidates, list[tuple[int, ...]]]:
-    """Sequences of meta-actions: each action, then at most one lane change, then SLOWER to the end.
+    """Sequences of meta-actions: each action, then SLOWER to the end.
+
+    A lane change later in a sequence would be no fail-safe: until it has begun, nobody knows of it, and another
+    vehicle may take the place first.
 
     Parameters
     ----------
@@ -84,26 +87,19 @@ def meta_candidates(scene: Scene, actions: list[int], horizon: float) -> tuple[C
         periods = 2 + int(np.ceil((max(float(scene.ego[State.SPEED]), 0.0) / step) + 2))
     else:
         periods = max(2, int(np.ceil(horizon / duration)))
-    tails = [slower] + [labels.index(x) for x in ("LANE_LEFT", "LANE_RIGHT") if x in labels]
-    sequences = [(a, t, *([slower] * (periods - 2))) for a in actions for t in tails]
+    sequences = [(a, *([slower] * (periods - 1))) for a in actions]
     commands = np.empty((len(sequences), periods * period, 3))
     commands[:, :, 2] = NO_LIMIT
     lanes = np.empty(len(sequences), dtype=int)
     fails = np.empty(len(sequences), dtype=int)
     decay = (1 - KP_SPEED * dt) ** period
-    last = scene.road.centers.size - 1
     for i, sequence in enumerate(sequences):
         target, v = scene.target_of(sequence[0]), float(scene.ego[State.SPEED])
         lanes[i] = target.lane
         for j, action in enumerate(sequence):
-            if j:
-                label = labels[action]
-                if label == "SLOWER":
-                    index = max(speed_to_index(v, speeds) - 1, 0)
-                    target = Target(target.lane, speeds[index])
-                elif label in ("LANE_LEFT", "LANE_RIGHT"):
-                    side = 1 if label == "LANE_RIGHT" else -1
-                    target = Target(min(max(target.lane + side, 0), last), target.speed)
+            if j and labels[action] == "SLOWER":
+                index = max(speed_to_index(v, speeds) - 1, 0)
+                target = Target(target.lane, speeds[index])
             rows = slice(j * period, (j + 1) * period)
             commands[i, rows, 0] = scene.road.centers[target.lane]
             commands[i, rows, 1] = target.speed

@@ -100,9 +100,9 @@ class ShieldCore:
         if self.config.mode == "none":
             return Decision(proposed, proposed, Reason.NONE, Tier.OFF, np.nan, 0.0)
         if not 0 <= proposed < len(scene.control.actions):
-            return self._fallback(scene, proposed, Reason.BAD_ACTION, start)
+            return self.fallback(scene.control.actions, proposed, Reason.BAD_ACTION, start)
         if not scene.finite:
-            return self._fallback(scene, proposed, Reason.BAD_SCENE, start)
+            return self.fallback(scene.control.actions, proposed, Reason.BAD_SCENE, start)
         if self._rule is not None:
             return self._by_rule(scene, proposed, start)
         self._observe(scene)
@@ -154,7 +154,7 @@ class ShieldCore:
             _, verdict = self._hold_back(probe)
             if verdict.margin >= 0:
                 return self._made(scene, proposed, action, reason, Tier.GOVERNED, verdict, start)
-        return self._fallback(scene, proposed, Reason.NO_SAFE_PLAN, start)
+        return self.fallback(labels, proposed, Reason.NO_SAFE_PLAN, start)
 
     def action_mask(self, scene: Scene) -> Any:
         """Which actions verify as they are, (actions,) bool; all False only if none does."""
@@ -300,18 +300,25 @@ class ShieldCore:
         paths = self._rollouts_for(scene.dt).run(scene.ego_road, candidates.commands)
         return paths, self._survey(scene).clearance(paths, candidates, hold)
 
-    def _verify(self, scene: Scene, targets: list[Target]) -> list[Verdict]:
-        """Margin of each target: sound for one frame, and forecast over the decision period."""
+    def _verify(self, scene: Scene, targets: list[Target], forecast: bool = False) -> list[Verdict]:
+        """Margin of each target, committed to for one frame: the bound that the certificate rests on.
+
+        With `forecast`, those that are expected to need holding back within the decision period (at constant speed
+        of the others) are marked down too: an alternative should last for the whole period.
+        """
         pairs = [(i, f) for i, t in enumerate(targets) for f in self._fail_lanes(scene, t.lane)]
         chosen, fails = [targets[i] for i, _ in pairs], [f for _, f in pairs]
         period, braking = scene.frames_per_decision, self.config.braking
-        _, bound = self._judge(scene, brake_candidates(scene, chosen, fails, 1, braking), 0)
-        paths, forecast = self._judge(scene, brake_candidates(scene, chosen, fails, period, braking), period)
-        margins = np.minimum(bound.margin, forecast.margin)
+        paths, bound = self._judge(scene, brake_candidates(scene, chosen, fails, 1, braking))
+        margins = bound.margin
+        if forecast:
+            paths, expected = self._judge(scene, brake_candidates(scene, chosen, fails, period, braking), period)
+            margins = np.minimum(margins, expected.margin)
+        owner = np.array([i for i, _ in pairs])
         out = []
         for i in range(len(targets)):
-            rows = [j for j, (k, _) in enumerate(pairs) if k == i]
-            best = rows[_first_verified(margins[rows])]
+            rows = np.flatnonzero(owner == i)
+            best = int(rows[_first_verified(margins[rows])])
             out.append(Verdict(float(margins[best]), fails[best], paths[best]))
         return out
 
@@ -335,7 +342,7 @@ class ShieldCore:
             tried += [Target(targets[a].lane, speed) for speed in sorted(speeds)]
         if not tried:
             return []
-        verdicts = self._verify(scene, tried)
+        verdicts = self._verify(scene, tried, forecast=True)
         best: dict[int, Verdict] = {}
         for a, verdict in zip(owner, verdicts, strict=True):
             if a not in best or verdict.margin > best[a].margin:
@@ -345,15 +352,10 @@ class ShieldCore:
     def _by_rule(self, scene: Scene, proposed: int, start: float) -> Decision:
         assert self._rule is not None
         objects = self._rule.objects(scene, scene.target_of(proposed))
-        executed = self._safe_action(scene) if objects else proposed
+        executed = _slower(scene.control.actions) if objects else proposed
         tier = Tier.ALTERNATIVE if executed != proposed else Tier.PASSED
         reason = self._rule.reason if executed != proposed else Reason.NONE
         return Decision(proposed, executed, reason, tier, np.nan, perf_counter() - start)
-
-    @staticmethod
-    def _safe_action(scene: Scene) -> int:
-        labels = scene.control.actions
-        return labels.index("SLOWER") if "SLOWER" in labels else labels.index("IDLE")
 
     def _made(
         self,
@@ -370,7 +372,8 @@ class ShieldCore:
         occupancy = None
         if self.config.record:
             around = self._survey(scene).around
-            occupancy = around.occupancy(len(verdict.path), scene.dt, scene.frames_per_decision).rectangles()
+            hold = scene.frames_per_decision if tier is Tier.ALTERNATIVE else 0
+            occupancy = around.occupancy(len(verdict.path), scene.dt, hold).rectangles()
         return Decision(
             proposed,
             executed,
@@ -382,10 +385,20 @@ class ShieldCore:
             occupancy,
         )
 
-    def _fallback(self, scene: Scene, proposed: Any, reason: Reason, start: float) -> Decision:
+    def fallback(self, labels: Sequence[str], proposed: Any, reason: Reason, start: float) -> Decision:
         """No action verifies: slow down, and leave it to the frames to play the stored plan on."""
-        tier = Tier.STORED_PLAN if self.stored_lane is not None else Tier.LARGEST_MARGIN
-        return Decision(proposed, self._safe_action(scene), reason, tier, np.nan, perf_counter() - start)
+        tier = Tier.STORED_PLAN if self.stored_lane is not None else Tier.EMERGENCY
+        return Decision(proposed, _slower(labels), reason, tier, np.nan, perf_counter() - start)
+
+    def brake_in_lane(self, lane: int, start: float) -> tuple[FrameCommand, Decision]:
+        """The last resort of a frame, for when a stage has failed: brake in the stored lane, else in `lane`."""
+        command = FrameCommand(lane if self.stored_lane is None else self.stored_lane, -self.config.braking)
+        target = Target(lane, 0.0)
+        return command, _frame(target, command, Reason.STAGE_FAILED, Tier.EMERGENCY, np.nan, start)
+
+
+def _slower(labels: Sequence[str]) -> int:
+    return list(labels).index("SLOWER" if "SLOWER" in labels else "IDLE")
 
 
 def _first_verified(margins: FloatArray) -> int:

@@ -24,6 +24,7 @@ class Reason(StrEnum):
     BAD_ACTION = "bad_action"
     BAD_SCENE = "bad_scene"
     POLICY_FAILED = "policy_failed"
+    STAGE_FAILED = "stage_failed"
 
     @property
     def text(self) -> str:
@@ -41,6 +42,7 @@ _TEXT = {
     Reason.NO_SAFE_PLAN: "nothing verified; the fallback acted (stored plan, or the largest margin)",
     Reason.BAD_ACTION: "the policy's action was outside the action space or not finite",
     Reason.BAD_SCENE: "the scene could not be read or was not finite; the fallback acted",
+    Reason.STAGE_FAILED: "a stage of the shield raised (the error is logged); the fallback acted",
     Reason.POLICY_FAILED: "the policy raised or returned NaN; the fallback acted",
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from time import perf_counter
 from typing import Any
@@ -14,11 +15,13 @@ from dynamics.scene import SceneReader
 from shield.actions import action_index
 from shield.config import ShieldConfig
 from shield.core import FrameCommand, ShieldCore
-from shield.decision import Decision, Tier
+from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
 from shield.preference import order_from_scores, ranking_of
 
 __all__ = ["ShieldedEnv"]
+
+_log = logging.getLogger(__name__)
 
 
 class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
@@ -71,6 +74,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self.core = ShieldCore(self.config)
         self.policy = policy
         self._reader = SceneReader(env)
+        self._base: Any = env.unwrapped
         self._check_action_type()
         self._observation: Any = None
         self._supervising = 0.0
@@ -104,12 +108,11 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self.frame_decisions = []
         self._supervising = 0.0
         deciding = perf_counter() - start
-        executed = np.asarray(decision.executed)
         if self.config.mode == "full":
-            with _Supervised(self.unwrapped, self._frame):
-                obs, reward, terminated, truncated, info = self.env.step(int(executed))
+            with _Supervised(self._base, self._frame):
+                obs, reward, terminated, truncated, info = self.env.step(decision.executed)
         else:
-            obs, reward, terminated, truncated, info = self.env.step(int(executed))
+            obs, reward, terminated, truncated, info = self.env.step(decision.executed)
         self._observation = obs
         frames = [d for d in self.frame_decisions if d.overridden]
         worst = next((d for d in frames if d.tier.fallback), frames[0] if frames else None)
@@ -135,11 +138,20 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return mask if mask.any() else np.ones_like(mask)
 
     def _decide(self, action: Any) -> Decision:
+        start = perf_counter()
+        if self.config.mode == "none":
+            return Decision(action, action, Reason.NONE, Tier.OFF, np.nan, 0.0)
         scene = self._reader.read()
         proposed = action_index(action)
-        if self.policy is None:
-            return self.core.decide(scene, proposed)
-        return self.core.decide(scene, proposed, lambda: self._order(proposed))
+        if proposed < 0:
+            return self.core.fallback(self._reader.actions, action, Reason.BAD_ACTION, start)
+        order = None if self.policy is None else lambda: self._order(proposed)
+        try:
+            return self.core.decide(scene, proposed, order)
+        except Exception:
+            # Fail closed: a stage that breaks must not let the proposal through.
+            _log.exception("a stage of the shield raised; the fallback acts")
+            return self.core.fallback(self._reader.actions, action, Reason.STAGE_FAILED, start)
 
     def _order(self, proposed: int) -> list[int] | None:
         scores = ranking_of(self.policy, self._observation)
@@ -154,7 +166,11 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             self.frame_decisions.append(self.last_decision)
             return None
         start = perf_counter()
-        command, decision = self.core.supervise(self._reader.read(), fresh=first)
+        try:
+            command, decision = self.core.supervise(self._reader.read(), fresh=first)
+        except Exception:
+            _log.exception("a stage of the shield raised in a frame; the ego brakes in its lane")
+            command, decision = self.core.brake_in_lane(self._base.vehicle.lane_index[2], start)
         self.frame_decisions.append(decision)
         self._supervising += perf_counter() - start
         return command

@@ -1,7 +1,7 @@
 """The procedure for meta-actions only: what `Shield.predict` runs, once per decision.
 
-Without a brake of its own, the fail-safe is a short tree of meta-action sequences: the action, then at most one
-lane change, then SLOWER to the end. Where the ego's slowest target speed is above zero it cannot stop, and a
+Without a brake of its own, the fail-safe is a sequence of meta-actions: each action, a lane change among them, and
+then SLOWER to the end. Where the ego's slowest target speed is above zero it cannot stop, and a
 sequence is verified over `ShieldConfig.horizon` only: that is what its certificate says, and no more.
 """
 
@@ -79,9 +79,9 @@ class MetaCore:
         if self.config.mode == "none":
             return Decision(proposed, proposed, Reason.NONE, Tier.OFF, np.nan, 0.0)
         if not 0 <= proposed < len(labels):
-            return self.fallback(scene, proposed, Reason.BAD_ACTION, start)
+            return self.fallback(labels, proposed, Reason.BAD_ACTION, start)
         if not scene.finite:
-            return self.fallback(scene, proposed, Reason.BAD_SCENE, start)
+            return self.fallback(labels, proposed, Reason.BAD_SCENE, start)
         target = scene.target_of(proposed)
         if self._rule is not None:
             objects = self._rule.objects(scene, target)
@@ -129,7 +129,7 @@ class MetaCore:
         if best is not None:
             results[proposed] = best
         if not results:
-            return self.fallback(scene, proposed, Reason.NO_SAFE_PLAN, start)
+            return self.fallback(labels, proposed, Reason.NO_SAFE_PLAN, start)
         # The one that stays clear longest, then the largest margin, then the slowest.
         action = max(results, key=lambda a: (results[a].clear, results[a].margin, -targets[a].speed))
         return self._made(
@@ -142,13 +142,12 @@ class MetaCore:
             start,
         )
 
-    def fallback(self, scene: Scene | None, proposed: Any, reason: Reason, start: float) -> Decision:
+    def fallback(self, labels: Sequence[str], proposed: Any, reason: Reason, start: float) -> Decision:
         """Play the stored sequence on, or slow down; used when there is no proposal to verify."""
         if self._stored:
             action, self._stored = self._stored[0], self._stored[1:]
             tier = Tier.STORED_PLAN
         else:
-            labels = scene.control.actions if scene is not None else ("", "", "", "", "SLOWER")
             action, tier = _slower(labels), Tier.EMERGENCY
         return Decision(proposed, action, reason, tier, np.nan, perf_counter() - start)
 

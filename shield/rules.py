@@ -54,7 +54,9 @@ def rss_gap(
 
     d = v_r rho + a rho^2 / 2 + (v_r + rho a)^2 / (2 b_r) - v_f^2 / (2 b_f), and at least 0.
 
-    Source: Shalev-Shwartz, Shammah, Shashua 2017, definition 1.
+    Source: Shalev-Shwartz, Shammah, Shashua 2017, definition 1, which takes for granted that b_r <= b_f. A rear
+    vehicle that brakes harder comes nearest while both still move, when their speeds are equal; then the distance
+    to that moment is asked for as well.
     """
     v_r, v_f = np.maximum(rear_speed, 0.0), np.maximum(front_speed, 0.0)
     after = v_r + response_time * acceleration
@@ -64,6 +66,19 @@ def rss_gap(
         + after**2 / (2 * rear_braking)
         - v_f**2 / (2 * front_braking)
     )
+    if rear_braking > front_braking:
+        front_after = v_f - front_braking * response_time
+        closing = after - front_after
+        meet = closing / (rear_braking - front_braking)
+        moving = (closing > 0) & (after - rear_braking * meet >= 0) & (front_after > 0)
+        travelled = v_f * response_time - 0.5 * front_braking * response_time**2
+        nearest = (
+            v_r * response_time
+            + 0.5 * acceleration * response_time**2
+            - travelled
+            + closing**2 / (2 * (rear_braking - front_braking))
+        )
+        gap = np.where(moving, np.maximum(gap, nearest), gap)
     return np.maximum(gap, 0.0)
 
 
@@ -82,7 +97,7 @@ def rss_lateral_gap(
     rho = response_time
     v1, v2 = left_speed + rho * acceleration, right_speed - rho * acceleration
     toward = 0.5 * (left_speed + v1) * rho + np.sign(v1) * v1**2 / (2 * braking)
-    away = 0.5 * (right_speed + v2) * rho - np.sign(v2) * v2**2 / (2 * braking)
+    away = 0.5 * (right_speed + v2) * rho + np.sign(v2) * v2**2 / (2 * braking)
     return margin + np.maximum(toward - away, 0.0)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from time import perf_counter
 from typing import Any
 
@@ -16,6 +17,8 @@ from shield.meta import MetaCore
 from shield.preference import order_from_scores, ranking_of
 
 __all__ = ["Shield"]
+
+_log = logging.getLogger(__name__)
 
 
 class Shield:
@@ -126,6 +129,7 @@ class Shield:
                 observation, state=state, episode_start=episode_start, deterministic=deterministic
             )
         except Exception:
+            _log.exception("the policy raised; the fallback acts")
             # A policy that breaks must not take the car with it: the record says that it did.
             space = self._env.observation_space
             batched = np.ndim(observation) > len(space.shape or ()) or hasattr(self._env, "single_action_space")
@@ -150,14 +154,19 @@ class Shield:
         try:
             scene = reader.read()
         except SceneError:
-            return core.fallback(None, proposal, Reason.BAD_SCENE, start)
+            return core.fallback(reader.actions, proposal, Reason.BAD_SCENE, start)
         if reader.road is not self._roads[i]:
             self._roads[i] = reader.road
             core.reset()
         proposed = action_index(proposal)
         if proposed < 0:
-            return core.fallback(scene, proposal, reason or Reason.BAD_ACTION, start)
-        return core.decide(scene, proposed, lambda: ranking.order(i, proposed, len(scene.control.actions)))
+            return core.fallback(reader.actions, proposal, reason or Reason.BAD_ACTION, start)
+        try:
+            return core.decide(scene, proposed, lambda: ranking.order(i, proposed, len(scene.control.actions)))
+        except Exception:
+            # Fail closed: a stage that breaks must not let the proposal through.
+            _log.exception("a stage of the shield raised; the fallback acts")
+            return core.fallback(reader.actions, proposal, Reason.STAGE_FAILED, start)
 
 
 class _Ranking:

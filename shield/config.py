@@ -46,8 +46,8 @@ class ShieldConfig:
     mode : one of `MODES`.
     buffer : the distance that no verified action may violate.
     assumptions : what the others are assumed to keep to.
-    braking : deceleration of the ego's fail-safe manoeuvre [m/s^2]; highway-env's own speed controller
-        reaches 8.3 m/s^2 when it slows from 25 to 20 m/s.
+    braking : deceleration of the ego's fail-safe manoeuvre [m/s^2]: 1 g, the limit of a dry road; highway-env's own
+        speed controller reaches up to 12.5 m/s^2 on SLOWER, and 8.3 from 25 to 20 m/s.
     perception_range : vehicles further away than this do not count [m].
     distance : threshold D of the fixed-distance rule [m].
     time_to_collision : threshold of the TTC rule [s].
@@ -59,7 +59,7 @@ class ShieldConfig:
     mode: str = "full"
     buffer: Buffer = field(default_factory=Buffer)
     assumptions: Assumptions = field(default_factory=Assumptions.idm)
-    braking: float = 8.0
+    braking: float = 9.8
     perception_range: float = 200.0
     distance: float = 15.0
     time_to_collision: float = 2.0

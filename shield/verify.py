@@ -77,7 +77,6 @@ class Surveyor:
         # Which lanes each vehicle touches, (vehicles, lanes).
         centers = scene.road.centers
         self._touches = (self.around.low[:, None] < centers + 1.0) & (self.around.high[:, None] > centers - 1.0)
-        self._owes = self._behind & (self._touches & self.owned).any(axis=1)
         self._rears: dict[tuple[int, int], FloatArray] = {}
 
     def relevant(self, distance: float, duration: float) -> Any:
@@ -126,7 +125,7 @@ class Surveyor:
             front = self._follower_front(rows[mine], home[:, mine], paths, hold)
             gap_s[:, mine] = np.maximum(gap_s[:, mine], (s - half_s)[:, None, :] - front)
         separation = np.maximum(gap, gap_s)
-        if self._owes[rows].any():
+        if mine.size:
             separation = np.where(self._owed(rows, candidates)[:, :, None], np.inf, separation)
         least = separation.min(axis=2)
         worst = least.argmin(axis=1)
@@ -142,13 +141,16 @@ class Surveyor:
     def _owed(self, rows: Any, candidates: Candidates) -> Any:
         """Which vehicles owe the ego their braking on each path, (n, len(rows)).
 
-        Those behind in an owned lane, unless they also touch a lane that the path newly enters.
+        All those behind, where the path keeps to lanes that the ego owns: they must not run or move into it. Where it
+        enters another lane, those behind in an owned lane that do not touch the new one as well.
         """
         touches, new = self._touches[rows], ~self.owned
         entered = np.zeros((candidates.lanes.size, rows.size), dtype=bool)
         for lanes in (candidates.lanes, candidates.fails):
             entered |= new[lanes][:, None] & touches[:, lanes].T
-        return self._owes[rows][None, :] & ~entered
+        enters = (new[candidates.lanes] | new[candidates.fails])[:, None]
+        owned = (touches & self.owned).any(axis=1)
+        return self._behind[rows] & np.where(enters, owned & ~entered, True)
 
     def _lateral(self, rows: Any, candidates: Candidates, bound: bool) -> tuple[FloatArray, FloatArray, Any]:
         """Lateral extent and home lane of each vehicle for each path, (n, len(rows)) or broadcastable to it.

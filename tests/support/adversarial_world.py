@@ -106,7 +106,8 @@ class World:
 
     def in_way(self, car: Car) -> bool:
         """Whether a car's body, or its way to its lane, overlaps the ego's body sideways."""
-        half = 0.5 * WIDTH + 0.5 * LENGTH * abs(np.sin(self.ego[2]))
+        b = self.config.buffer
+        half = 0.5 * WIDTH + b.lateral + (0.5 * LENGTH + b.longitudinal) * abs(np.sin(self.ego[2]))
         center = self.road.centers[car.lane]
         swing = 0.5 * WIDTH + 0.5 * LENGTH * abs(np.sin(car.heading))
         low, high = min(car.r, center) - swing, max(car.r, center) + swing

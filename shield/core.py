@@ -154,6 +154,11 @@ class ShieldCore:
             _, verdict = self._hold_back(probe)
             if verdict.margin >= 0:
                 return self._made(scene, proposed, action, reason, Tier.GOVERNED, verdict, start)
+        # Whatever is left, whether or not it is expected to last: the certificate needs one frame only.
+        rest = [a for a in range(len(labels)) if a != proposed]
+        for action, verdict in self._verify_actions(scene, rest, targets, forecast=False):
+            if verdict.margin >= 0:
+                return self._made(scene, proposed, action, reason, Tier.ALTERNATIVE, verdict, start)
         return self.fallback(labels, proposed, Reason.NO_SAFE_PLAN, start)
 
     def action_mask(self, scene: Scene) -> Any:
@@ -327,6 +332,7 @@ class ShieldCore:
         scene: Scene,
         actions: Sequence[int],
         targets: list[Target],
+        forecast: bool = True,
     ) -> list[tuple[int, Verdict]]:
         """Verify alternatives in one batch; a lane change also with its speed held back by the frames."""
         labels, v = scene.control.actions, float(scene.ego[State.SPEED])
@@ -342,7 +348,7 @@ class ShieldCore:
             tried += [Target(targets[a].lane, speed) for speed in sorted(speeds)]
         if not tried:
             return []
-        verdicts = self._verify(scene, tried, forecast=True)
+        verdicts = self._verify(scene, tried, forecast)
         best: dict[int, Verdict] = {}
         for a, verdict in zip(owner, verdicts, strict=True):
             if a not in best or verdict.margin > best[a].margin:

@@ -111,7 +111,9 @@ class ShieldCore:
         if self._buffer_rule.objects(scene, target):
             reason = Reason.BUFFER
         else:
-            verdict = self._verify(scene, [target])[0]
+            # A longitudinal proposal can be held back by the frames; a lane change should be able to end well.
+            changes = target.lane != scene.road.lane_at(float(scene.ego_road[RoadState.R]))
+            verdict = self._verify(scene, [target], forecast=changes)[0]
             if verdict.margin >= 0:
                 return self._made(scene, proposed, proposed, reason, Tier.PASSED, verdict, start)
             reason = next((r.reason for r in self._explain if r.objects(scene, target)), Reason.UNVERIFIED)
@@ -144,6 +146,11 @@ class ShieldCore:
             alternatives = [a for a in wanted if a != proposed]
         # An action that sets the same target would be the same action under another name.
         alternatives = [a for a in alternatives if targets[a] != target]
+        if held is None:
+            # A lane change that only its speed stands in the way of.
+            for action, verdict in self._verify_actions(scene, [proposed], targets):
+                if verdict.margin >= 0:
+                    return self._made(scene, proposed, action, reason, Tier.GOVERNED, verdict, start)
         for action, verdict in self._verify_actions(scene, alternatives, targets):
             if verdict.margin >= 0:
                 return self._made(scene, proposed, action, reason, Tier.ALTERNATIVE, verdict, start)

@@ -39,8 +39,8 @@ def lane_progress(scene: Scene, lane: int) -> float:
 def default_order(scene: Scene, proposed: int, targets: list[Target]) -> list[int]:
     """Order for a policy that gives none.
 
-    First the lane changes into lanes that offer more room than the present one (most room first), then IDLE,
-    FASTER, SLOWER, then the other lane changes. The proposal itself is left out. The shield tries to hold a
+    First the lane changes into lanes that offer more room than the present one (most room first), then FASTER,
+    IDLE, SLOWER, then the other lane changes. The proposal itself is left out. The shield tries to hold a
     longitudinal proposal back at each frame before it falls from the first group to the second.
     """
     labels = scene.control.actions
@@ -54,7 +54,7 @@ def default_order(scene: Scene, proposed: int, targets: list[Target]) -> list[in
             continue
         gain = lane_progress(scene, targets[a].lane) - here
         (moves if gain > _GAIN else rest).append((-gain, a))
-    longitudinal = [labels.index(x) for x in ("IDLE", "FASTER", "SLOWER") if x in labels]
+    longitudinal = [labels.index(x) for x in ("FASTER", "IDLE", "SLOWER") if x in labels]
     return [a for _, a in sorted(moves)] + [a for a in longitudinal if a != proposed] + [a for _, a in sorted(rest)]
 
 

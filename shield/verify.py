@@ -114,17 +114,19 @@ class Surveyor:
         if rows.size == 0:
             margin = np.where(np.isfinite(paths).all(axis=(1, 2)), np.minimum(np.inf, inside), np.nan)
             return Clearance(margin, np.full(n, -1), np.full(n, frames))
-        low, high, home = self._lateral(rows, candidates, bound=hold == 0)
+        low, high, home = self._lateral(rows, candidates, r, bound=hold == 0)
         gap = np.maximum(low[:, :, None] - (r + half_r)[:, None, :], (r - half_r)[:, None, :] - high[:, :, None])
         key = (frames, hold)
         if key not in self._rears:
             self._rears[key] = self.around.rear(frames, dt, hold)
         gap_s = self._rears[key][rows][None] - (s + half_s)[:, None, :]
-        mine = np.flatnonzero(self._behind[rows])
+        mine, front = np.flatnonzero(self._behind[rows]), None
         if mine.size:
             front = self._follower_front(rows[mine], home[:, mine], paths, hold)
             gap_s[:, mine] = np.maximum(gap_s[:, mine], (s - half_s)[:, None, :] - front)
         separation = np.maximum(gap, gap_s)
+        ahead = self._coming_frame(paths, rows, mine, low, high, self._rears[key][rows], front)
+        separation = np.where(ahead < 0, np.minimum(separation, ahead), separation)
         if mine.size:
             separation = np.where(self._owed(rows, candidates)[:, :, None], np.inf, separation)
         least = separation.min(axis=2)
@@ -132,6 +134,36 @@ class Surveyor:
         clear = ~(separation < 0).any(axis=1)
         reached = np.where(clear.all(axis=1), frames, clear.argmin(axis=1))
         return Clearance(np.minimum(least[np.arange(n), worst], inside), rows[worst], reached)
+
+    def _coming_frame(
+        self,
+        paths: FloatArray,
+        rows: Any,
+        mine: Any,
+        low: FloatArray,
+        high: FloatArray,
+        rear: FloatArray,
+        front: FloatArray | None,
+    ) -> Any:
+        """Separation of the bodies (no buffer) one frame after each frame, at constant velocity, (n, m, K) [m].
+
+        highway-env counts a collision that constant velocity along the *heading* would bring within one frame
+        (`RoadObject._is_colliding`), whether or not the steering turns the ego away in time.
+        """
+        s, r, psi, v = (paths[..., i] for i in RoadState)
+        dt, length, width = self.scene.dt, self.scene.ego[Vehicle.LENGTH], self.scene.ego[Vehicle.WIDTH]
+        sin, cos = np.sin(psi), np.cos(psi)
+        if np.abs(sin).max() < 0.01:
+            return np.inf  # Going straight, the coming frame is the next of the path itself.
+        s, r = s + v * cos * dt, r + v * sin * dt
+        half_s = 0.5 * (length * np.abs(cos) + width * np.abs(sin))
+        half_r = 0.5 * (length * np.abs(sin) + width * np.abs(cos))
+        later = np.minimum(np.arange(s.shape[1]) + 1, s.shape[1] - 1)
+        gap = np.maximum(low[:, :, None] - (r + half_r)[:, None, :], (r - half_r)[:, None, :] - high[:, :, None])
+        gap_s = rear[None][:, :, later] - (s + half_s)[:, None, :]
+        if front is not None:
+            gap_s[:, mine] = np.maximum(gap_s[:, mine], (s - half_s)[:, None, :] - front[:, :, later])
+        return np.maximum(gap, gap_s)
 
     def _ends_inside(self, candidates: Candidates, r: FloatArray, half: FloatArray) -> FloatArray:
         """+inf where the inflated ego ends inside the lane that it ends in, else by how much it does not (n,) [m]."""
@@ -152,7 +184,9 @@ class Surveyor:
         owned = (touches & self.owned).any(axis=1)
         return self._behind[rows] & np.where(enters, owned & ~entered, True)
 
-    def _lateral(self, rows: Any, candidates: Candidates, bound: bool) -> tuple[FloatArray, FloatArray, Any]:
+    def _lateral(
+        self, rows: Any, candidates: Candidates, path: FloatArray, bound: bool
+    ) -> tuple[FloatArray, FloatArray, Any]:
         """Lateral extent and home lane of each vehicle for each path, (n, len(rows)) or broadcastable to it.
 
         A vehicle beyond a lane that the ego is about to enter may enter it too, until it can see the ego there. Where
@@ -172,7 +206,8 @@ class Surveyor:
             (candidates.fails, np.ones(rows.size, dtype=bool)),
         ):
             goal = centers[entered]
-            hidden = np.abs(r - goal) > self.config.assumptions.visible_distance
+            out = np.maximum(np.abs(r - goal), np.abs(path - goal[:, None]).max(axis=1))
+            hidden = out > self.config.assumptions.visible_distance
             if not hidden.any():
                 continue
             beyond = np.sign(goal - r)[:, None] * (centers[lane] - goal[:, None])

@@ -83,6 +83,7 @@ class ShieldCore:
         self._visible: Any = None
         self._owned: Any = None
         self._surveyor: Surveyor | None = None
+        self._seen: tuple[FloatArray, FloatArray] | None = None
 
     # -- decisions ---------------------------------------------------------------------------------------
 
@@ -112,8 +113,7 @@ class ShieldCore:
             reason = Reason.BUFFER
         else:
             # A longitudinal proposal can be held back by the frames; a lane change should be able to end well.
-            changes = target.lane != scene.road.lane_at(float(scene.ego_road[RoadState.R]))
-            verdict = self._verify(scene, [target], forecast=changes)[0]
+            verdict = self._verify(scene, [target], forecast=self._changes_lane(scene, target))[0]
             if verdict.margin >= 0:
                 return self._made(scene, proposed, proposed, reason, Tier.PASSED, verdict, start)
             reason = next((r.reason for r in self._explain if r.objects(scene, target)), Reason.UNVERIFIED)
@@ -131,7 +131,7 @@ class ShieldCore:
         labels = scene.control.actions
         targets = [scene.target_of(a) for a in range(len(labels))]
         # An override that has no policy order behind it holds the proposal back rather than drop it.
-        held = proposed if target.lane == scene.road.lane_at(float(scene.ego_road[1])) else None
+        held = None if self._changes_lane(scene, target) else proposed
         wanted = resolve(order)
         if wanted is None:
             alternatives = default_order(scene, proposed, targets)
@@ -175,10 +175,16 @@ class ShieldCore:
         mask = np.zeros(len(labels), dtype=bool)
         if not scene.finite:
             return mask
-        allowed = [a for a in range(len(labels)) if not self._buffer_rule.objects(scene, targets[a])]
-        if allowed:
-            verdicts = self._verify(scene, [targets[a] for a in allowed])
-            mask[allowed] = [v.margin >= 0 for v in verdicts]
+        self._observe(scene)
+        for forecast in (False, True):
+            group = [
+                a
+                for a, target in enumerate(targets)
+                if self._changes_lane(scene, target) is forecast and not self._buffer_rule.objects(scene, target)
+            ]
+            if group:
+                verdicts = self._verify(scene, [targets[a] for a in group], forecast)
+                mask[group] = [v.margin >= 0 for v in verdicts]
         return mask
 
     # -- frames ------------------------------------------------------------------------------------------
@@ -273,6 +279,11 @@ class ShieldCore:
     # -- pieces ------------------------------------------------------------------------------------------
 
     def _observe(self, scene: Scene) -> None:
+        """Take in the next instant, once."""
+        seen = self._seen
+        if seen is not None and np.array_equal(seen[0], scene.ego) and np.array_equal(seen[1], scene.others):
+            return
+        self._seen = (scene.ego, scene.others)
         self.monitor.update(scene)
         offset = np.abs(scene.ego_road[RoadState.R] - scene.road.centers)
         near = offset <= self.config.assumptions.visible_distance
@@ -287,6 +298,10 @@ class ShieldCore:
         swing = 0.5 * float(scene.ego[Vehicle.LENGTH]) * abs(np.sin(scene.ego_road[RoadState.HEADING]))
         touched = offset < 1.0 + 0.5 * float(scene.ego[Vehicle.WIDTH]) + swing
         self._owned = owned & touched
+
+    @staticmethod
+    def _changes_lane(scene: Scene, target: Target) -> bool:
+        return target.lane != scene.road.lane_at(float(scene.ego_road[RoadState.R]))
 
     def _fail_lanes(self, scene: Scene, lane: int) -> list[int]:
         """Lanes in which the fail-safe may stop: the committed one, the one that the ego is in, and the stored one."""

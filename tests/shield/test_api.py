@@ -2,6 +2,7 @@
 
 import pickle
 import warnings
+from collections import Counter
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -306,19 +307,18 @@ def test_the_order_reaches_the_other_door_too():
     executed = {}
     for name, scores in {"left": [4, 0, 1, 0, 2], "slower": [0, 1, 0, 0, 4]}.items():
         env = ShieldedEnv(make(duration=20), policy=Ranked(3, scores))
-        chosen = set()
+        chosen = Counter()
         for seed in range(4):
             env.reset(seed=seed)
             done = False
             while not done:
                 _, _, terminated, truncated, _ = env.step(3)
-                chosen |= {env.last_decision.executed} if env.last_decision.overridden else set()
+                chosen[env.last_decision.executed] += env.last_decision.overridden
                 done = terminated or truncated
         executed[name] = chosen
         env.close()
-    assert 0 in executed["left"]
-    assert 0 not in executed["slower"]
-    assert 4 in executed["slower"]
+    assert executed["left"][0] > executed["slower"][0]
+    assert executed["slower"][4] > executed["left"][4]
 
 
 # -- ShieldedEnv -------------------------------------------------------------------------------------------------
@@ -456,7 +456,8 @@ def test_a_masked_action_is_one_that_would_be_overridden():
             _, _, terminated, truncated, _ = env.step(3)
             if mask.sum() < 5 and mask.any():
                 disagreed += 1
-            assert env.last_decision.overridden == (not mask[3]) or not mask.any()
+            # All True also stands for none: MaskablePPO cannot handle an empty mask.
+            assert env.last_decision.overridden == (not mask[3]) or mask.all()
             done = terminated or truncated
     assert disagreed
     env.close()

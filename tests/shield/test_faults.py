@@ -168,7 +168,8 @@ def test_one_bad_row_of_a_batch_spoils_no_other():
     executed, _ = shield.predict(obs)
     assert executed[0] == SLOWER
     assert shield.last_decisions[0].tier.fallback
-    assert (executed[1], shield.last_decisions[1].tier) == (1, Tier.PASSED)
+    assert not shield.last_decisions[1].tier.fallback
+    assert shield.last_decisions[1].proposed == 1
 
 
 @pytest.mark.parametrize("policy", [object(), None, lambda obs: 1])
@@ -333,7 +334,7 @@ def test_a_stage_that_computes_nan_verifies_nothing(seed, spy):
     with np.errstate(all="ignore"):
         *_, info = env.step(3)
     assert 3 not in spy.seen
-    assert kind(info["shield"]) == ("no_safe_plan", "largest_margin")
+    assert kind(info["shield"]) == ("no_safe_plan", "emergency")
     assert info["shield"]["overridden"]
 
 

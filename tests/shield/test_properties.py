@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from adversarial_world import LENGTH, WIDTH, Car, World, corners, random_world, separation
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from dynamics.bicycle import step
 from dynamics.controllers import speed_control, steering_control
-from dynamics.scene import Scene, Target
-from dynamics.state import RoadState
-from shield import Buffer, ShieldConfig, Tier
-from shield.core import ShieldCore
-from adversarial_world import LENGTH, WIDTH, Car, World, corners, random_world, separation
+from dynamics.scene import Target
 
 SETTINGS = settings(deadline=None, max_examples=60, suppress_health_check=list(HealthCheck))
 SEEDS = st.integers(0, 2**32 - 1)

@@ -142,7 +142,7 @@ def test_the_distance_rule_refuses_lane_changes_near_anybody(others, target, obj
     ],
 )
 def test_the_rss_rule_asks_for_the_gaps_of_rss(others, target, objects):
-    assert RssRule(ShieldConfig()).objects(scene_of(*others), target) is objects
+    assert RssRule(ShieldConfig(braking=8.0)).objects(scene_of(*others), target) is objects
 
 
 def test_the_rss_rule_is_stricter_under_worse_assumptions():

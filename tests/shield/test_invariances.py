@@ -77,7 +77,7 @@ def test_shifting_the_road_changes_nothing(core: type, seed: int, action: int, s
     moved_ego, moved = base.ego.copy(), base.others.copy()
     moved_ego[Vehicle.X] += shift
     moved[:, Vehicle.X] += shift
-    same(verdict(core, base, action), verdict(core, replace(scene, ego=moved_ego, others=moved), action))
+    same(verdict(core, base, action), verdict(core, replace(base, ego=moved_ego, others=moved), action))
 
 
 @SETTINGS

@@ -1,0 +1,38 @@
+"""What the README shows works as shown."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from evaluation.cli import app
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
+COMMANDS = sorted({line for text in TEXT.values() for line in re.findall(r"^shield .*$", text, re.MULTILINE)})
+
+
+def test_the_readme_example_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    (block,) = re.findall(r"```python\n(.*?)```", TEXT["README.md"], re.DOTALL)
+    names: dict[str, object] = {}
+    exec(compile(block, "README.md", "exec"), names)
+    assert set(names["info"]["shield"]) >= {"overridden", "reason", "tier", "margin", "latency_ms"}  # type: ignore[index]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_option_of_every_command_exists(command: str) -> None:
+    words = command.split(">")[0].split()[1:]
+    help_text = CliRunner().invoke(app, [words[0], "--help"], env={"COLUMNS": "200"}).output
+    for option in (word for word in words if word.startswith("--")):
+        assert option in help_text, f"{option} of `{command}`"
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES], ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", TEXT[page.name]):
+        assert (page.parent / target).exists(), target

@@ -30,8 +30,8 @@ class Assumptions:
     keeping_offset, keeping_heading : a vehicle nearer than this to its lane's centre [m] and direction [rad]
         is keeping its lane; it does not leave it into the ego's way without the gap that RSS asks for.
     max_heading : greatest heading of a vehicle that changes lanes, relative to the road [rad].
-    blind_merge : whether a vehicle two lanes away may enter the lane that the ego is about to enter,
-        as long as the ego is not visible there.
+    blind_merge : whether a vehicle beside the lane that the ego is about to enter may enter it as well, as long as
+        the ego is not visible there.
     """
 
     braking: float = 6.0

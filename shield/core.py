@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from time import perf_counter
 from typing import Any
 
@@ -134,14 +135,10 @@ class ShieldCore:
         held = None if self._changes_lane(scene, target) else proposed
         wanted = resolve(order)
         if wanted is None:
-            alternatives = default_order(scene, proposed, targets)
-            if held is not None:
-                alternatives = alternatives[
-                    : next(
-                        (i for i, a in enumerate(alternatives) if not labels[a].startswith("LANE")),
-                        len(alternatives),
-                    )
-                ]
+            # What can be held back comes before what slows down on purpose.
+            stop = ("SLOWER",) if held is None else ("FASTER", "IDLE", "SLOWER")
+            ordered = default_order(scene, proposed, targets)
+            alternatives = list(takewhile(lambda a: labels[a] not in stop, ordered))
         else:
             alternatives = [a for a in wanted if a != proposed]
         # An action that sets the same target would be the same action under another name.

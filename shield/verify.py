@@ -189,9 +189,9 @@ class Surveyor:
     ) -> tuple[FloatArray, FloatArray, Any]:
         """Lateral extent and home lane of each vehicle for each path, (n, len(rows)) or broadcastable to it.
 
-        A vehicle beyond a lane that the ego is about to enter may enter it too, until it can see the ego there. Where
-        the ego commits to that lane, one behind gives way (highway-env's traffic aborts such a lane change). Of the
-        lane that the fail-safe would return to nobody knows: those in the ego's own lane may enter it, too.
+        A vehicle beside a lane that the ego is about to enter may enter it too, its own leader among them, until it can
+        see the ego there. Where the ego commits to that lane, one behind gives way (highway-env's traffic aborts such a
+        lane change); of the lane that the fail-safe would return to nobody knows.
         """
         around = self.around
         low, high = around.low[rows][None, :], around.high[rows][None, :]
@@ -201,20 +201,19 @@ class Surveyor:
         centers, width = self.scene.road.centers, self.scene.road.width
         r = self.scene.ego_road[RoadState.R]
         half, lane = 0.5 * self.scene.others[rows, Vehicle.WIDTH], home
-        returns = candidates.fails != candidates.lanes
-        for entered, blind, secret in (
-            (candidates.lanes, self._ahead[rows] > -_GIVES_WAY, np.zeros_like(returns)),
-            (candidates.fails, np.ones(rows.size, dtype=bool), returns),
+        for entered, blind in (
+            (candidates.lanes, self._ahead[rows] > -_GIVES_WAY),
+            (candidates.fails, np.ones(rows.size, dtype=bool)),
         ):
             goal = centers[entered]
             out = np.maximum(np.abs(r - goal), np.abs(path - goal[:, None]).max(axis=1))
             hidden = out > self.config.assumptions.visible_distance
             if not hidden.any():
                 continue
-            beyond = np.sign(goal - r)[:, None] * (centers[lane] - goal[:, None])
-            # Of a lane that the ego commits to, those before it know; of one to return to, nobody does.
-            from_there = (beyond > 0) | (secret[:, None] & (beyond < 0))
-            far = from_there & (np.abs(beyond) < 1.5 * width) & hidden[:, None] & blind
+            apart = np.abs(centers[lane] - goal[:, None])
+            far = (apart > 0) & (apart < 1.5 * width) & hidden[:, None] & blind
+            if entered is candidates.fails:
+                far &= (candidates.fails != candidates.lanes)[:, None]
             low = np.where(far, np.minimum(low, goal[:, None] - half), low)
             high = np.where(far, np.maximum(high, goal[:, None] + half), high)
             home = np.where(far, entered[:, None], home)

@@ -136,18 +136,14 @@ class World:
     def may_enter(self, car: Car, lane: int) -> bool:
         """Whether a lane change of `car` is allowed: out of the ego's way, or with the gap that RSS asks for."""
         half = 0.5 * WIDTH + 0.5 * LENGTH * abs(np.sin(self.ego[2])) + 1.0
-        low = min(car.r, self.road.centers[lane]) - 0.5 * WIDTH - 0.9
-        high = max(car.r, self.road.centers[lane]) + 0.5 * WIDTH + 0.9
-        touches_ego = low < self.ego[1] + half and high > self.ego[1] - half
-        goal = self.road.centers[self.target.lane]
-        touches_goal = low < goal + 1 and high > goal - 1
-        hidden = abs(self.ego[1] - goal) > self.assumptions.visible_distance
-        if not touches_ego and not (touches_goal and not hidden):
-            if not touches_goal:
-                return True
-            # The ego is about to enter that lane and is not visible there yet.
-            ahead = car.s > self.ego[0] - 1.0
-            return self.assumptions.blind_merge and abs(car.lane - self.target.lane) == 1 and ahead
+        center = self.road.centers[lane]
+        touches_ego = abs(self.ego[1] - center) < half + 0.5 * WIDTH + 0.9
+        visible = abs(self.ego[1] - center) <= self.assumptions.visible_distance
+        if not touches_ego and not visible:
+            # Nobody sees the ego in that lane. If it is about to enter it, those behind give way all the same.
+            behind = car.s <= self.ego[0] - 1.0
+            coming = self.target.lane == lane and abs(self.ego[1] - self.road.centers[lane]) > 0.5
+            return not coming or (self.assumptions.blind_merge and not behind)
         if self.behind(car):
             return self.keeps_distance(car, self.assumptions.acceleration)
         v, top = max(self.ego[3], 0.0), max(self.ego[3], 0.0) + 5 * self.dt

@@ -18,7 +18,7 @@ from evaluation.report.camera import Camera
 from evaluation.report.draw import AREA, GREEN, ORANGE, RED, Shot, draw
 from evaluation.settings import Setting, get_setting
 from evaluation.training import FIRST_EVALUATION_SEED
-from shield import ShieldConfig, ShieldedEnv
+from shield import ShieldConfig, ShieldedEnv, Tier
 from shield.errors import ConfigError
 
 __all__ = [
@@ -215,18 +215,22 @@ def still_of_override(
 ) -> Path:
     """Write the one frame of `film_override` that shows most: an override among many neighbours."""
     path = Path(path)
-    chosen, start = find_override(setting, policy, seed)
-    shots = record(setting, policy, chosen, first=start, last=start + _CLIP)
-    best = max(shots, key=_shows)
+    while True:
+        chosen, start = find_override(setting, policy, seed)
+        best = max(record(setting, policy, chosen, first=start, last=start + _CLIP), key=_shows)
+        # In some clips frames were held back but no action replaced, which a still does not show.
+        if _shows(best)[:2] == (True, True):
+            break
+        seed = chosen + 1
     path.parent.mkdir(parents=True, exist_ok=True)
     draw(best).save(path, optimize=True)
     return path
 
 
 def _shows(shot: Shot) -> tuple[bool, bool, int]:
-    """How much a shot shows: an overridden decision, areas, and early in the decision."""
+    """How much a shot shows: another action than was proposed, areas, and early in the decision."""
     areas = shot.decision.occupancy
-    return shot.decision.overridden, areas is not None, -shot.age
+    return shot.decision.tier is Tier.ALTERNATIVE, areas is not None, -shot.age
 
 
 def _write_gif(path: Path, pictures: Sequence[Image.Image], duration: float) -> None:

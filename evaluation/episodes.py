@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +15,6 @@ import gymnasium as gym
 import joblib
 import numpy as np
 import pandas as pd
-import torch
 from rich.progress import Progress
 
 from evaluation.attribution import AttributionRules, attribute_from_simulator_state
@@ -24,6 +22,7 @@ from evaluation.baselines import Policy, make_policy, policy_label, start_episod
 from evaluation.recorder import History, Recorder, Track
 from evaluation.records import EpisodeRecord, Variant
 from evaluation.settings import Setting, get_setting
+from evaluation.threads import one_thread
 from shield import Shield, ShieldedEnv
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError
@@ -181,7 +180,7 @@ def run_episode(
     setting = get_setting(setting) if isinstance(setting, str) else setting
     driver = _Driver(setting, policy, variant or Variant(), algorithm)
     try:
-        with _one_thread():
+        with one_thread():
             return driver.run(seed)
     finally:
         driver.env.close()
@@ -246,7 +245,7 @@ def _run_chunk(
     algorithm: str | None,
 ) -> list[dict[str, Any]]:
     rows = []
-    with _one_thread():
+    with one_thread():
         for variant in variants:
             driver = _Driver(setting, policy, variant, algorithm)
             try:
@@ -254,14 +253,3 @@ def _run_chunk(
             finally:
                 driver.env.close()
     return rows
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """One torch thread inside, the former number outside."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

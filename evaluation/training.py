@@ -11,8 +11,7 @@ import json
 import platform
 import shlex
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -21,12 +20,12 @@ from types import MappingProxyType
 from typing import Any
 
 import gymnasium as gym
-import torch
 from stable_baselines3 import A2C, DQN, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
 
 from evaluation.settings import Setting, get_setting
+from evaluation.threads import one_thread
 from shield.errors import ConfigError
 
 __all__ = [
@@ -220,7 +219,7 @@ def train(
                 f"{algorithm} cannot act in {setting.name!r}, whose actions are {env.action_space}; have {fitting}"
             )
         started = time.perf_counter()
-        with _one_thread():
+        with one_thread():
             # A copy: Stable-Baselines3 writes its own entries into `policy_kwargs`.
             arguments = {"policy": "MlpPolicy", **deepcopy(parameters)}
             model = algorithm_class(**arguments, env=env, seed=seed, device="cpu")
@@ -280,17 +279,6 @@ def _check(steps: int, seed: int, output: str | Path) -> Path:
         )
     path = Path(output)
     return path if path.suffix == ".zip" else path.with_name(path.name + ".zip")
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """One torch thread inside, the former number outside."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _call(setting: Setting, algorithm: str, steps: int, seed: int, parameters: dict[str, Any], path: Path) -> str:

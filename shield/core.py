@@ -26,7 +26,7 @@ from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.monitor import AssumptionMonitor
 from shield.preference import Order, default_order, resolve
-from shield.rules import BufferRule, RssRule, Rule, TtcRule, make_rule
+from shield.screen import Screen, slower
 from shield.verify import Clearance, Surveyor, least_bad
 
 __all__ = ["FrameCommand", "ShieldCore", "Verdict"]
@@ -68,13 +68,7 @@ class ShieldCore:
     def __init__(self, config: ShieldConfig | None = None) -> None:
         self.config = config if config is not None else ShieldConfig()
         self._rollouts: dict[float, Rollouts] = {}
-        mode = self.config.mode
-        self._rule: Rule | None = make_rule(mode, self.config) if mode in ("distance", "rss", "ttc") else None
-        self._buffer_rule = BufferRule(self.config.buffer.longitudinal)
-        self._explain: tuple[Rule, ...] = (
-            RssRule(self.config),
-            TtcRule(self.config.time_to_collision),
-        )
+        self._screen = Screen(self.config)
         self.reset()
 
     def reset(self) -> None:
@@ -99,25 +93,20 @@ class ShieldCore:
             `default_order` without one.
         """
         start = perf_counter()
-        if self.config.mode == "none":
-            return Decision(proposed, proposed, Reason.NONE, Tier.OFF, np.nan, 0.0)
-        if not 0 <= proposed < len(scene.control.actions):
-            return self.fallback(scene.control.actions, proposed, Reason.BAD_ACTION, start)
-        if not scene.finite:
-            return self.fallback(scene.control.actions, proposed, Reason.BAD_SCENE, start)
-        if self._rule is not None:
-            return self._by_rule(scene, proposed, start)
+        screened = self._screen.decide(scene, proposed, self.fallback, start)
+        if screened is not None:
+            return screened
         self._observe(scene)
         target = scene.target_of(proposed)
         reason = Reason.NONE
-        if self._buffer_rule.objects(scene, target):
+        if self._screen.buffer.objects(scene, target):
             reason = Reason.BUFFER
         else:
             # A longitudinal proposal can be held back by the frames; a lane change should be able to end well.
             verdict = self._verify(scene, [target], forecast=self._changes_lane(scene, target))[0]
             if verdict.margin >= 0:
                 return self._made(scene, proposed, proposed, reason, Tier.PASSED, verdict, start)
-            reason = next((r.reason for r in self._explain if r.objects(scene, target)), Reason.UNVERIFIED)
+            reason = self._screen.why(scene, target)
         return self._repair(scene, proposed, target, reason, order, start)
 
     def _repair(
@@ -177,7 +166,7 @@ class ShieldCore:
             group = [
                 a
                 for a, target in enumerate(targets)
-                if self._changes_lane(scene, target) is forecast and not self._buffer_rule.objects(scene, target)
+                if self._changes_lane(scene, target) is forecast and not self._screen.buffer.objects(scene, target)
             ]
             if group:
                 verdicts = self._verify(scene, [targets[a] for a in group], forecast)
@@ -358,7 +347,7 @@ class ShieldCore:
         owner: list[int] = []
         tried: list[Target] = []
         for a in actions:
-            if self._buffer_rule.objects(scene, targets[a]):
+            if self._screen.buffer.objects(scene, targets[a]):
                 continue
             speeds = {targets[a].speed}
             if labels[a].startswith("LANE"):
@@ -373,14 +362,6 @@ class ShieldCore:
             if a not in best or verdict.margin > best[a].margin:
                 best[a] = verdict
         return [(a, best[a]) for a in actions if a in best]
-
-    def _by_rule(self, scene: Scene, proposed: int, start: float) -> Decision:
-        assert self._rule is not None
-        objects = self._rule.objects(scene, scene.target_of(proposed))
-        executed = _slower(scene.control.actions) if objects else proposed
-        tier = Tier.ALTERNATIVE if executed != proposed else Tier.PASSED
-        reason = self._rule.reason if executed != proposed else Reason.NONE
-        return Decision(proposed, executed, reason, tier, np.nan, perf_counter() - start)
 
     def _made(
         self,
@@ -413,17 +394,13 @@ class ShieldCore:
     def fallback(self, labels: Sequence[str], proposed: Any, reason: Reason, start: float) -> Decision:
         """No action verifies: slow down, and leave it to the frames to play the stored plan on."""
         tier = Tier.STORED_PLAN if self.stored_lane is not None else Tier.EMERGENCY
-        return Decision(proposed, _slower(labels), reason, tier, np.nan, perf_counter() - start)
+        return Decision(proposed, slower(labels), reason, tier, np.nan, perf_counter() - start)
 
     def brake_in_lane(self, lane: int, start: float) -> tuple[FrameCommand, Decision]:
         """The last resort of a frame, for when a stage has failed: brake in the stored lane, else in `lane`."""
         command = FrameCommand(lane if self.stored_lane is None else self.stored_lane, -self.config.braking)
         target = Target(lane, 0.0)
         return command, _frame(target, command, Reason.STAGE_FAILED, Tier.EMERGENCY, np.nan, start)
-
-
-def _slower(labels: Sequence[str]) -> int:
-    return list(labels).index("SLOWER" if "SLOWER" in labels else "IDLE")
 
 
 def _first_verified(margins: FloatArray) -> int:

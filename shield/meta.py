@@ -22,7 +22,7 @@ from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.monitor import AssumptionMonitor
 from shield.preference import Order, default_order, resolve
-from shield.rules import BufferRule, RssRule, Rule, TtcRule, make_rule
+from shield.screen import Screen, slower
 from shield.verify import Surveyor
 
 __all__ = ["MetaCore"]
@@ -30,7 +30,7 @@ __all__ = ["MetaCore"]
 
 @dataclass(frozen=True, slots=True)
 class _Best:
-    """The best sequence that starts with one action: margin [m], frames that stay clear, actions, path."""
+    """The sequence that starts with one action: margin [m], frames that stay clear, actions, path."""
 
     margin: float
     clear: int
@@ -50,13 +50,7 @@ class MetaCore:
     def __init__(self, config: ShieldConfig | None = None) -> None:
         self.config = config if config is not None else ShieldConfig()
         self._rollouts: dict[float, Rollouts] = {}
-        mode = self.config.mode
-        self._rule: Rule | None = make_rule(mode, self.config) if mode in ("distance", "rss", "ttc") else None
-        self._buffer_rule = BufferRule(self.config.buffer.longitudinal)
-        self._explain: tuple[Rule, ...] = (
-            RssRule(self.config),
-            TtcRule(self.config.time_to_collision),
-        )
+        self._screen = Screen(self.config)
         self.reset()
 
     def reset(self) -> None:
@@ -76,33 +70,18 @@ class MetaCore:
         """
         start = perf_counter()
         labels = scene.control.actions
-        if self.config.mode == "none":
-            return Decision(proposed, proposed, Reason.NONE, Tier.OFF, np.nan, 0.0)
-        if not 0 <= proposed < len(labels):
-            return self.fallback(labels, proposed, Reason.BAD_ACTION, start)
-        if not scene.finite:
-            return self.fallback(labels, proposed, Reason.BAD_SCENE, start)
+        screened = self._screen.decide(scene, proposed, self.fallback, start)
+        if screened is not None:
+            return screened
         target = scene.target_of(proposed)
-        if self._rule is not None:
-            objects = self._rule.objects(scene, target)
-            executed = _slower(labels) if objects else proposed
-            changed = executed != proposed
-            return Decision(
-                proposed,
-                executed,
-                self._rule.reason if changed else Reason.NONE,
-                Tier.ALTERNATIVE if changed else Tier.PASSED,
-                np.nan,
-                perf_counter() - start,
-            )
         self.monitor.update(scene, scene.frames_per_decision * scene.dt)
-        if self._buffer_rule.objects(scene, target):
+        if self._screen.buffer.objects(scene, target):
             reason, best = Reason.BUFFER, None
         else:
             best = self._best(scene, [proposed])[proposed]
             if best.margin >= 0:
                 return self._made(scene, proposed, proposed, Reason.NONE, Tier.PASSED, best, start)
-            reason = next((r.reason for r in self._explain if r.objects(scene, target)), Reason.UNVERIFIED)
+            reason = self._screen.why(scene, target)
         targets = [scene.target_of(a) for a in range(len(labels))]
         wanted = resolve(order)
         if wanted is None:
@@ -110,22 +89,14 @@ class MetaCore:
         others = [
             a
             for a in wanted
-            if a != proposed and targets[a] != target and not self._buffer_rule.objects(scene, targets[a])
+            if a != proposed and targets[a] != target and not self._screen.buffer.objects(scene, targets[a])
         ]
         results = self._best(scene, others) if others else {}
         for action in others:
             if results[action].margin >= 0:
                 return self._made(scene, proposed, action, reason, Tier.ALTERNATIVE, results[action], start)
         if self._stored and not self.monitor.violated:
-            action, self._stored = self._stored[0], self._stored[1:]
-            return Decision(
-                proposed,
-                action,
-                Reason.NO_SAFE_PLAN,
-                Tier.STORED_PLAN,
-                np.nan,
-                perf_counter() - start,
-            )
+            return self.fallback(labels, proposed, Reason.NO_SAFE_PLAN, start)
         if best is not None:
             results[proposed] = best
         if not results:
@@ -148,11 +119,11 @@ class MetaCore:
             action, self._stored = self._stored[0], self._stored[1:]
             tier = Tier.STORED_PLAN
         else:
-            action, tier = _slower(labels), Tier.EMERGENCY
+            action, tier = slower(labels), Tier.EMERGENCY
         return Decision(proposed, action, reason, tier, np.nan, perf_counter() - start)
 
     def _best(self, scene: Scene, actions: Sequence[int]) -> dict[int, _Best]:
-        """For each first action: best margin [m], its sequence, its path, and the occupancy if recorded."""
+        """For each first action: the margin [m] of its one sequence, its path, and the occupancy if recorded."""
         candidates, sequences = meta_candidates(scene, list(actions), self.config.horizon)
         if scene.dt not in self._rollouts:
             self._rollouts[scene.dt] = Rollouts(scene.dt)
@@ -162,17 +133,10 @@ class MetaCore:
         occupancy = None
         if self.config.record:
             occupancy = surveyor.around.occupancy(paths.shape[1], scene.dt).rectangles()
-        first = np.array([s[0] for s in sequences])
-        out = {}
-        for a in actions:
-            mine = np.flatnonzero(first == a)
-            margins = np.nan_to_num(result.margin[mine], nan=-np.inf)
-            i = int(mine[np.lexsort((margins, result.clear[mine]))[-1]])
-            if margins.max() >= 0:
-                i = int(mine[margins.argmax()])
-            margin = float(result.margin[i])
-            out[a] = _Best(margin, int(result.clear[i]), sequences[i], paths[i], occupancy)
-        return out
+        return {
+            a: _Best(float(result.margin[i]), int(result.clear[i]), sequences[i], paths[i], occupancy)
+            for i, a in enumerate(actions)
+        }
 
     def _made(
         self,
@@ -188,7 +152,3 @@ class MetaCore:
         plan = np.vstack([scene.ego_road, best.path])
         latency = perf_counter() - start
         return Decision(proposed, executed, reason, tier, best.margin, latency, plan, best.occupancy)
-
-
-def _slower(labels: Sequence[str]) -> int:
-    return labels.index("SLOWER") if "SLOWER" in labels else labels.index("IDLE")

@@ -112,7 +112,7 @@ class Surveyor:
         half_s, half_r = lon * cos + lat * sin, lon * sin + lat * cos
         inside = self._ends_inside(candidates, r[:, -1], half_r[:, -1])
         if rows.size == 0:
-            margin = np.where(np.isfinite(paths).all(axis=(1, 2)), np.minimum(np.inf, inside), np.nan)
+            margin = np.where(np.isfinite(paths).all(axis=(1, 2)), inside, np.nan)
             return Clearance(margin, np.full(n, -1), np.full(n, frames))
         low, high, home = self._lateral(rows, candidates, r, bound=hold == 0)
         gap = np.maximum(low[:, :, None] - (r + half_r)[:, None, :], (r - half_r)[:, None, :] - high[:, :, None])

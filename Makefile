@@ -34,7 +34,7 @@ test: lint
 	$(BIN)/pytest -n auto
 
 test-slow: $(STAMP)
-	$(BIN)/pytest -n auto -m slow
+	HYPOTHESIS_PROFILE=explore $(BIN)/pytest -n auto -m slow
 
 bench: $(STAMP)
 	$(BIN)/pytest benchmarks --benchmark-only -m ""

@@ -93,11 +93,16 @@ class Surroundings:
         leaving = self.moving & (toward * offset >= 0)
         step = np.where(leaving, toward, 0.0)
         end = centers[np.minimum(np.maximum(lane + step, 0), centers.size - 1).astype(np.intp)]
-        bound = np.where(self.moving, np.maximum(assumptions.max_heading, heading), np.maximum(heading, tolerance))
-        self._cos = np.cos(np.minimum(bound, np.pi / 2))
-        swing = np.sin(np.minimum(bound, np.pi / 2))
+        # Even one that keeps its lane may start to leave it at the next frame.
+        turn = np.minimum(np.maximum(assumptions.max_heading, heading), np.pi / 2)
+        self._cos = np.cos(turn)
+        # v (1 - cos psi) <= tan(psi / 2) v sin psi: what a single lane change costs it along the road.
+        self._change = np.where(self.moving, np.inf, np.tan(0.5 * turn) * road.width)
+        swing = np.sin(np.where(self.moving, turn, np.minimum(np.maximum(heading, tolerance), np.pi / 2)))
         half = 0.5 * (width + length * swing)
-        self.reach = 0.5 * (length + width * swing)
+        # The extent along the road is greatest at the heading of the diagonal, or as near to it as it can turn.
+        diagonal = np.minimum(turn, np.arctan2(width, length))
+        self.reach = 0.5 * (length * np.cos(diagonal) + width * np.sin(diagonal))
         # One that is coming back to its lane's centre turns no further outwards than it is turned now.
         outer = 0.5 * (width + length * np.sin(np.minimum(np.maximum(heading, tolerance), np.pi / 2)))
         coming = self.moving & ~leaving
@@ -120,8 +125,13 @@ class Surroundings:
             wreck = v[:, None] * (1 - dt) ** k
             slow = np.where(crashed[:, None], np.minimum(slow, wreck), slow)
         # On a heading of up to the bound, only the cosine of the speed advances along the road.
-        slow = np.minimum(slow, slow * self._cos[:, None])
-        return (self.states[:, RoadState.S] - self.reach)[:, None] + np.cumsum(slow, axis=1) * dt
+        way = np.cumsum(slow, axis=1) * dt
+        loss = np.maximum(np.minimum((1 - self._cos)[:, None] * way, self._change[:, None]), 0.0)
+        if hold:
+            # One that keeps its lane is expected to go on doing so.
+            loss = np.where(self.moving[:, None], loss, 0.0)
+        way -= loss
+        return (self.states[:, RoadState.S] - self.reach)[:, None] + way
 
     def front(self, frames: int, dt: float, hold: int = 0) -> FloatArray:
         """Greatest s of each body after 1..K frames, with no duty to react, (m, K) [m]."""

@@ -232,7 +232,7 @@ class TtcRule:
         closing = np.where(ahead, v - others_v, others_v - scene.ego[State.SPEED])
         if target.lane == now:
             here &= ahead
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             ttc = np.where(closing > 0, np.maximum(gaps, 0.0) / closing, np.inf)
         return bool((here & ((ttc < self.threshold) | (gaps < 0))).any())
 

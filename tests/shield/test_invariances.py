@@ -9,9 +9,9 @@ import highway_env  # noqa: F401
 import numpy as np
 import pytest
 from adversarial_world import Car, World, random_world
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import HealthCheck, Phase, assume, given, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 
 from dynamics.road import StraightRoad
 from dynamics.scene import Scene
@@ -183,6 +183,23 @@ Traffic.TestCase.settings = settings(
     deadline=None, max_examples=25, stateful_step_count=40, suppress_health_check=list(HealthCheck)
 )
 TestTraffic = Traffic.TestCase
+
+
+@pytest.mark.slow
+def test_long_searches_find_no_traffic_that_comes_nearer_than_the_buffer() -> None:
+    more = settings(Traffic.TestCase.settings, max_examples=1500, phases=[Phase.generate, Phase.target])
+    run_state_machine_as_test(Traffic, settings=more)
+
+
+def test_a_leader_that_starts_to_turn_away_swings_its_tail_towards_the_ego() -> None:
+    """Found by the search: a close leader that had kept its lane so far left it, and lost ground doing so."""
+    traffic, still = Traffic(), [0] * 8
+    traffic.start(seed=716)
+    assert traffic.safe
+    traffic.second(action=0, turns=[0, 0, -1, 0, 0, 0, 0, 0], wish=-5.0)
+    for wish in (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 3.0):
+        traffic.second(action=0, turns=still, wish=wish)
+    traffic.second(action=0, turns=[-1, 0, 0, 0, 0, 0, 0, 0], wish=0.0)
 
 
 @pytest.mark.parametrize("seed", [5001, 5030, 5056])

@@ -8,12 +8,14 @@ track [m/s], and the greatest deceleration [m/s^2]. The acceleration is
     a = max(KP (v* - v), -b, -max(v, 0) / dt)
 
 so that with b = NO_LIMIT and v* >= 0 it is highway-env's own control, bit for bit in exact arithmetic, and with
-v* = BRAKE it brakes at b to a stop and stays there.
+v* = BRAKE it brakes at b to a stop and stays there. An *input* per frame is (a, delta): acceleration [m/s^2] and
+front wheel angle [rad], with no law in between.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -22,12 +24,14 @@ from dynamics.bicycle import step_expression
 from dynamics.controllers import KP_SPEED, steering_expression
 from dynamics.state import FloatArray
 
-__all__ = ["BRAKE", "NO_LIMIT", "Rollouts", "frame_function"]
+__all__ = ["BRAKE", "NO_LIMIT", "Rollouts", "frame_function", "input_function"]
 
 BRAKE = -1e9
 """Target speed that stands for braking as hard as the command allows [m/s]."""
 NO_LIMIT = 1e12
 """Deceleration bound that stands for none [m/s^2]."""
+_Kind = Literal["commands", "inputs"]
+_COLUMNS: dict[_Kind, int] = {"commands": 3, "inputs": 2}
 _ROWS = (1, 2, 4, 8, 16, 32)
 _FRAMES = 8
 
@@ -39,9 +43,16 @@ def frame_function(dt: float) -> ca.Function:
     return ca.Function("frame", [x, c], [step_expression(x, a, steering_expression(x, c[0]), dt)])
 
 
+def input_function(dt: float) -> ca.Function:
+    """One frame of the bare bicycle: state (4), input (2) -> next state (4), with highway-env's speed limits."""
+    x, u = ca.SX.sym("x", 4), ca.SX.sym("u", 2)
+    return ca.Function("input_frame", [x, u], [step_expression(x, u[0], u[1], dt)])
+
+
 @lru_cache(maxsize=256)
-def _compiled(rows: int, frames: int, dt: float) -> ca.Function:
-    return frame_function(dt).mapaccum(frames).map(rows)
+def _compiled(kind: _Kind, rows: int, frames: int, dt: float) -> ca.Function:
+    frame = frame_function(dt) if kind == "commands" else input_function(dt)
+    return frame.mapaccum(frames).map(rows)
 
 
 class Rollouts:
@@ -54,7 +65,7 @@ class Rollouts:
 
     def __init__(self, dt: float) -> None:
         self.dt = dt
-        self._slots: dict[tuple[int, int], tuple[FloatArray, FloatArray, FloatArray, object]] = {}
+        self._slots: dict[tuple[_Kind, int, int], tuple[FloatArray, FloatArray, FloatArray, _Call]] = {}
 
     def run(self, state: FloatArray, commands: FloatArray) -> FloatArray:
         """Roll one state under several command sequences.
@@ -68,21 +79,39 @@ class Rollouts:
         -------
         Road states after each frame, shape (n, frames, 4).
         """
-        n, frames, _ = commands.shape
+        return self._roll("commands", state, commands)
+
+    def run_inputs(self, state: FloatArray, inputs: FloatArray) -> FloatArray:
+        """Roll one state under several sequences of raw inputs.
+
+        Parameters
+        ----------
+        state : road state, shape (4,).
+        inputs : acceleration [m/s^2] and front wheel angle [rad] of each frame, shape (n, frames, 2). They are
+            applied as they are; only highway-env's limits above `bicycle.MAX_SPEED` act on the acceleration.
+
+        Returns
+        -------
+        Road states after each frame, shape (n, frames, 4).
+        """
+        return self._roll("inputs", state, inputs)
+
+    def _roll(self, kind: _Kind, state: FloatArray, controls: FloatArray) -> FloatArray:
+        n, frames, _ = controls.shape
         rows = next((r for r in _ROWS if r >= n), n)
         padded = -(-frames // _FRAMES) * _FRAMES
-        x0, c, out, call = self._slot(rows, padded)
+        x0, c, out, call = self._slot(kind, rows, padded)
         x0[:] = state
-        c[:n, :frames] = commands
-        call()  # type: ignore[operator]
+        c[:n, :frames] = controls
+        call()
         return out[:n, :frames].copy()
 
-    def _slot(self, rows: int, frames: int) -> tuple[FloatArray, FloatArray, FloatArray, object]:
-        key = (rows, frames)
+    def _slot(self, kind: _Kind, rows: int, frames: int) -> tuple[FloatArray, FloatArray, FloatArray, _Call]:
+        key = (kind, rows, frames)
         if key not in self._slots:
             x0 = np.zeros((rows, 4))
-            c, out = np.zeros((rows, frames, 3)), np.zeros((rows, frames, 4))
-            buffer, call = _compiled(rows, frames, self.dt).buffer()
+            c, out = np.zeros((rows, frames, _COLUMNS[kind])), np.zeros((rows, frames, 4))
+            buffer, call = _compiled(kind, rows, frames, self.dt).buffer()
             buffer.set_arg(0, memoryview(x0))  # type: ignore[call-arg, arg-type]
             buffer.set_arg(1, memoryview(c))  # type: ignore[call-arg, arg-type]
             buffer.set_res(0, memoryview(out))  # type: ignore[call-arg, arg-type]

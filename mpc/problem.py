@@ -1,0 +1,218 @@
+"""What the predictive filter is asked: settings once, a problem each time.
+
+Notation
+--------
+Road frame: s [m] along, r [m] across, psi [rad], v [m/s]. N stages of `substeps` frames of dt [s]; stage k ends at
+time k * substeps * dt. Input (a, delta): acceleration [m/s^2], front wheel angle [rad].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from dynamics.errors import ConfigError, SceneError
+from dynamics.state import FloatArray
+
+__all__ = ["BACKENDS", "FREE", "FilterProblem", "FilterSettings", "Occupied", "Reference", "Side"]
+
+BACKENDS = ("osqp",)
+FREE = 1e6
+"""Stands for no bound [m]; every bound is limited to it, so that arithmetic stays finite."""
+
+
+class Occupied(IntEnum):
+    """Columns of an occupancy rectangle [m]."""
+
+    S_MIN = 0
+    S_MAX = 1
+    R_MIN = 2
+    R_MAX = 3
+
+
+class Side(IntEnum):
+    """Where the plan passes a rectangle: behind it, ahead of it, at lower r, at higher r."""
+
+    BEHIND = 0
+    AHEAD = 1
+    LOW = 2
+    HIGH = 3
+
+
+@dataclass(frozen=True, slots=True)
+class FilterSettings:
+    """Fixed for the life of a filter.
+
+    Parameters
+    ----------
+    dt : frame of the simulation [s].
+    substeps : frames in a stage; the first input is held for one stage.
+    stages : stages in the horizon.
+    obstacles : how many obstacles the filter is compiled for at once; more are accepted (up to `MOST_OBSTACLES`)
+        at the price of compiling once more.
+    acceleration : least and greatest acceleration [m/s^2].
+    steering : greatest front wheel angle to either side [rad].
+    braking : deceleration that the end of the plan can count on, for the stop after the horizon [m/s^2].
+    smoothing : weight of the changes of later inputs, relative to 1 for the first input's deviation.
+    magnitude : weight of later inputs themselves (steering: beyond what the road's bend needs).
+    penalty : cost of a violated constraint [1/m], where 1 is the cost of a first input half a range away.
+    trust : how far headings may move from those that the dynamics are linearised about [rad].
+    sweeps : greatest number of linearisations in one `solve`; 1 is the real-time iteration.
+    settled : change of the first input below which no further linearisation is made, as a share of the range.
+    tolerance : violation by the exact rollout up to which a plan counts as solved [m].
+    accuracy : absolute and relative tolerance of the quadratic programs.
+    max_iter : iterations of one quadratic program, the deterministic deadline.
+    time_limit : wall time of one `solve` [s], behind it; 0 for none.
+    backend : who solves the quadratic programs, one of `BACKENDS`.
+
+    Raises
+    ------
+    ConfigError
+        If a value is out of its range.
+    """
+
+    dt: float = 1 / 15
+    substeps: int = 3
+    stages: int = 20
+    obstacles: int = 6
+    acceleration: tuple[float, float] = (-5.0, 5.0)
+    steering: float = float(np.pi / 4)
+    braking: float = 5.0
+    smoothing: float = 1e-3
+    magnitude: float = 1e-3
+    penalty: float = 100.0
+    trust: float = 0.3
+    sweeps: int = 3
+    settled: float = 0.002
+    tolerance: float = 0.02
+    accuracy: float = 1e-4
+    max_iter: int = 400
+    time_limit: float = 0.0
+    backend: str = "osqp"
+
+    def __post_init__(self) -> None:
+        positive = ("dt", "braking", "smoothing", "magnitude", "penalty", "trust", "settled", "tolerance", "accuracy")
+        for name in positive:
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise ConfigError(f"{name} must be positive and finite, got {value!r}")
+        for name, least, most in (
+            ("substeps", 1, 100),
+            ("stages", 2, 200),
+            ("obstacles", 0, MOST_OBSTACLES),
+            ("sweeps", 1, 50),
+            ("max_iter", 1, 1_000_000),
+        ):
+            value = getattr(self, name)
+            if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
+                raise ConfigError(f"{name} must be an integer from {least} to {most}, got {value!r}")
+        low, high = self.acceleration
+        if not (np.isfinite(low) and np.isfinite(high) and low < 0 <= high):
+            raise ConfigError(f"acceleration must be (low < 0, high >= 0) [m/s^2], got {self.acceleration!r}")
+        if not 0 < self.steering <= np.pi / 3:
+            raise ConfigError(f"steering must be in (0, pi/3] rad, got {self.steering!r}")
+        if not (np.isfinite(self.time_limit) and self.time_limit >= 0):
+            raise ConfigError(f"time_limit must be 0 (none) or positive [s], got {self.time_limit!r}")
+        if self.backend not in BACKENDS:
+            raise ConfigError(f"unknown backend {self.backend!r}; have {', '.join(BACKENDS)}")
+
+    @property
+    def stage(self) -> float:
+        """Duration of a stage [s]."""
+        return self.dt * self.substeps
+
+    @property
+    def horizon(self) -> float:
+        """Duration of the plan [s]."""
+        return self.stage * self.stages
+
+
+MOST_OBSTACLES = 96
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """Where a plan should go: least squares, beside or instead of a proposal.
+
+    Parameters
+    ----------
+    r : lateral position [m], scalar or (N,).
+    v : speed [m/s], scalar or (N,).
+    lateral : weight [1/m^2] of r.
+    heading : weight [1/rad^2] of psi.
+    speed : weight [s^2/m^2] of v.
+    """
+
+    r: Any
+    v: Any
+    lateral: float = 0.02
+    heading: float = 0.5
+    speed: float = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class FilterProblem:
+    """One question to the filter, in the road frame.
+
+    Parameters
+    ----------
+    state : (s, r, psi, v), shape (4,).
+    proposal : input to stay near to, shape (2,); None with a `reference` only.
+    occupancy : rectangles that others may occupy at the end of each stage, columns `Occupied`, shape (N, m, 4) [m],
+        not inflated; +-inf stands for unbounded.
+    half : half extents (along, across) of the ego's buffered footprint at heading zero [m].
+    edges : (low, high) r that the buffered footprint has to stay between [m], each scalar or (N,).
+    corridor : (low, high) r that the centre has to stay between [m], each scalar or (N,).
+    curvature : of the reference path [1/m], (N,); None on a straight road.
+    rest : where the rear of each obstacle comes to rest at the earliest [m], (m,): the plan must be able to stop
+        behind it if it ends behind the obstacle. By default s_min at the end of the horizon.
+    stop : s that the front of the buffered footprint must be able to stop before [m]; +inf for none.
+    reference : what to aim at, in addition to the proposal or instead of it.
+    limits : inputs allowed here, rows a and delta, columns least and greatest, (2, 2); by default the settings'.
+
+    Raises
+    ------
+    SceneError
+        If a shape is wrong, or neither proposal nor reference is given. Values that are not finite are no error
+        here: `PredictiveFilter.solve` answers them with `Status.BAD_INPUT`.
+    """
+
+    state: FloatArray
+    proposal: FloatArray | None
+    occupancy: FloatArray
+    half: tuple[float, float]
+    edges: tuple[Any, Any] = (-np.inf, np.inf)
+    corridor: tuple[Any, Any] = (-np.inf, np.inf)
+    curvature: FloatArray | None = None
+    rest: FloatArray | None = None
+    stop: float = np.inf
+    reference: Reference | None = None
+    limits: FloatArray | None = field(default=None)
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.occupancy)
+        if len(shape) != 3 or shape[2] != len(Occupied):
+            raise SceneError(f"occupancy must have shape (stages, obstacles, 4), got {shape}")
+        stages, m, _ = shape
+        wanted: tuple[tuple[str, tuple[int, ...]], ...] = (
+            ("state", (4,)),
+            ("proposal", (2,)),
+            ("half", (2,)),
+            ("curvature", (stages,)),
+            ("rest", (m,)),
+            ("limits", (2, 2)),
+        )
+        for name, expected in wanted:
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != expected:
+                raise SceneError(f"{name} must have shape {expected}, got {np.shape(value)}")
+        if self.proposal is None and self.reference is None:
+            raise SceneError("a problem needs a proposal, a reference or both; both are None")
+
+    @property
+    def stages(self) -> int:
+        """Stages that the occupancy covers."""
+        return int(np.shape(self.occupancy)[0])

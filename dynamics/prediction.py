@@ -98,13 +98,13 @@ class Surroundings:
         self._cos = np.cos(turn)
         # v (1 - cos psi) <= tan(psi / 2) v sin psi: what a single lane change costs it along the road.
         self._change = np.where(self.moving, np.inf, np.tan(0.5 * turn) * road.width)
-        swing = np.sin(np.where(self.moving, turn, np.minimum(np.maximum(heading, tolerance), np.pi / 2)))
-        half = 0.5 * (width + length * swing)
+        # One that is coming back to its lane's centre turns no further outwards than it is turned now.
+        swing = np.sin(np.minimum(np.maximum(heading, tolerance), np.pi / 2))
+        outer = 0.5 * (width + length * swing)
+        half = 0.5 * (width + length * np.where(self.moving, np.sin(turn), swing))
         # The extent along the road is greatest at the heading of the diagonal, or as near to it as it can turn.
         diagonal = np.minimum(turn, np.arctan2(width, length))
         self.reach = 0.5 * (length * np.cos(diagonal) + width * np.sin(diagonal))
-        # One that is coming back to its lane's centre turns no further outwards than it is turned now.
-        outer = 0.5 * (width + length * np.sin(np.minimum(np.maximum(heading, tolerance), np.pi / 2)))
         coming = self.moving & ~leaving
         self.low = np.minimum(np.minimum(r, center), end) - np.where(coming & (offset < 0), outer, half)
         self.high = np.maximum(np.maximum(r, center), end) + np.where(coming & (offset > 0), outer, half)
@@ -116,13 +116,13 @@ class Surroundings:
         `hold` > 0 the result is a forecast and not a bound.
         """
         a, v = self.assumptions, self.states[:, RoadState.SPEED]
-        k = np.arange(frames)
+        braked = np.maximum(np.arange(-hold, frames - hold), 0)
         floor = np.minimum(v, a.min_speed)[:, None]
-        slow = np.maximum(v[:, None] - a.braking * dt * np.maximum(k - hold, 0), floor)
+        slow = np.maximum(v[:, None] - a.braking * dt * braked, floor)
         crashed = self.others[:, Vehicle.CRASHED] > 0
         if crashed.any():
             # highway-env: a crashed vehicle brakes at -1 * speed per second.
-            wreck = v[:, None] * (1 - dt) ** k
+            wreck = v[:, None] * (1 - dt) ** np.arange(frames)
             slow = np.where(crashed[:, None], np.minimum(slow, wreck), slow)
         # On a heading of up to the bound, only the cosine of the speed advances along the road.
         way = np.cumsum(slow, axis=1) * dt

@@ -194,5 +194,5 @@ class SceneReader:
 
 
 def _row(v: Any) -> tuple[float, ...]:
-    x, y = v.position
+    x, y = v.position.tolist()
     return (x, y, v.heading, v.speed, v.LENGTH, v.WIDTH, v.crashed)

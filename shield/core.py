@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.controllers import KP_SPEED
+from dynamics.prediction import Surroundings
 from dynamics.rollout import Rollouts
 from dynamics.scene import Scene, Target
 from dynamics.state import FloatArray, RoadState, State, Vehicle
@@ -78,7 +79,7 @@ class ShieldCore:
         self._visible: Any = None
         self._owned: Any = None
         self._surveyor: Surveyor | None = None
-        self._seen: tuple[FloatArray, FloatArray] | None = None
+        self._seen: tuple[FloatArray, FloatArray, Surroundings] | None = None
 
     # -- decisions ---------------------------------------------------------------------------------------
 
@@ -269,8 +270,9 @@ class ShieldCore:
         seen = self._seen
         if seen is not None and np.array_equal(seen[0], scene.ego) and np.array_equal(seen[1], scene.others):
             return
-        self._seen = (scene.ego, scene.others)
-        self.monitor.update(scene)
+        around = Surroundings(scene.others, scene.others_road, scene.road, self.config.assumptions)
+        self._seen = (scene.ego, scene.others, around)
+        self.monitor.update(scene, around=around)
         offset = np.abs(scene.ego_road[RoadState.R] - scene.road.centers)
         near = offset <= self.config.assumptions.visible_distance
         if self._visible is None or self._visible.shape != near.shape:
@@ -306,7 +308,9 @@ class ShieldCore:
         """The surveyor of this instant; scenes that differ in the ego's target only share it."""
         held = self._surveyor
         if held is None or held.scene.ego is not scene.ego or held.scene.others is not scene.others:
-            held = self._surveyor = Surveyor(scene, self.config, self._visible, self._owned)
+            seen = self._seen
+            around = seen[2] if seen is not None and seen[1] is scene.others else None
+            held = self._surveyor = Surveyor(scene, self.config, self._visible, self._owned, around)
         return held
 
     def _judge(self, scene: Scene, candidates: Candidates, hold: int = 0) -> tuple[FloatArray, Clearance]:

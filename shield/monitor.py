@@ -33,10 +33,10 @@ class AssumptionMonitor:
         self.count = 0
         self.violated = False
 
-    def update(self, scene: Scene, elapsed: float | None = None) -> None:
+    def update(self, scene: Scene, elapsed: float | None = None, around: Surroundings | None = None) -> None:
         """Take in the next scene, `elapsed` seconds after the last (one frame by default).
 
-        Vehicles are matched by their order.
+        Vehicles are matched by their order. `around` saves building the scene's surroundings once more.
         """
         self.violated = False
         rows, states = scene.others, scene.others_road
@@ -44,27 +44,28 @@ class AssumptionMonitor:
         if rows.shape[0] == 0:
             return
         a = self._config.assumptions
-        around = Surroundings(rows, states, scene.road, a)
+        if around is None:
+            around = Surroundings(rows, states, scene.road, a)
         low, high = around.low, around.high
         self._last = (rows, low, high)
         if last is None or last[0].shape != rows.shape:
             return
         before, low0, high0 = last
-        rate = (rows[:, Vehicle.SPEED] - before[:, Vehicle.SPEED]) / (elapsed or scene.dt)
-        crashed = (rows[:, Vehicle.CRASHED] > 0) & (before[:, Vehicle.CRASHED] == 0)
-        hard = (rate < -a.braking - _TOLERANCE) & (before[:, Vehicle.CRASHED] == 0)
-        hard |= (rate > a.acceleration + _TOLERANCE) & (before[:, Vehicle.CRASHED] == 0)
+        speed = rows[:, Vehicle.SPEED]
+        rate = (speed - before[:, Vehicle.SPEED]) / (elapsed or scene.dt)
+        moved = (rate < -a.braking - _TOLERANCE) | (rate > a.acceleration + _TOLERANCE)
+        found = (moved | (rows[:, Vehicle.CRASHED] > 0)) & (before[:, Vehicle.CRASHED] == 0)
         ego = scene.ego_road
         body = 0.5 * scene.ego[Vehicle.WIDTH]
-        touches = (low < ego[RoadState.R] + body) & (high > ego[RoadState.R] - body)
-        touched = (low0 < ego[RoadState.R] + body) & (high0 > ego[RoadState.R] - body)
+        left, right = ego[RoadState.R] - body, ego[RoadState.R] + body
+        came = (low < right) & (high > left) & ~((low0 < right) & (high0 > left))
+        if not (found | came).any():
+            return
         ds = states[:, RoadState.S] - ego[RoadState.S]
         bumper = ds - 0.5 * (rows[:, Vehicle.LENGTH] + scene.ego[Vehicle.LENGTH])
         stop = max(float(ego[RoadState.SPEED]), 0.0) ** 2 / (2 * self._config.braking)
-        room = bumper + np.maximum(rows[:, Vehicle.SPEED], 0.0) ** 2 / (2 * a.braking) - stop
-        cut = touches & ~touched & (ds > -0.5 * scene.ego[Vehicle.LENGTH])
-        cut &= room < self._config.buffer.longitudinal
-        found = crashed | hard | cut
+        room = bumper + np.maximum(speed, 0.0) ** 2 / (2 * a.braking) - stop
+        found |= came & (ds > -0.5 * scene.ego[Vehicle.LENGTH]) & (room < self._config.buffer.longitudinal)
         self.count += int(found.sum())
         near = np.abs(ds) < stop + 50.0
         self.violated = bool((found & near).any())

@@ -44,12 +44,10 @@ class Clearance:
     Attributes
     ----------
     margin : least separation beyond the buffer, (n,) [m]; +inf with nobody in reach.
-    vehicle : row of the scene's others that is nearest in that sense, (n,); -1 with nobody in reach.
     clear : frames before the first violation, (n,); all of them without one.
     """
 
     margin: FloatArray
-    vehicle: Any
     clear: Any
 
 
@@ -62,35 +60,46 @@ class Surveyor:
     config : buffer, assumptions and perception range.
     visible : frames for which the ego has been visible in each lane already, (lanes,); none by default.
     owned : which lanes the ego owns, (lanes,) bool; the one that it is in by default.
+    around : the scene's surroundings, where they have been built already.
     """
 
-    def __init__(self, scene: Scene, config: ShieldConfig, visible: Any = None, owned: Any = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        config: ShieldConfig,
+        visible: Any = None,
+        owned: Any = None,
+        around: Surroundings | None = None,
+    ) -> None:
         self.scene, self.config, self.visible = scene, config, visible
         if owned is None:
             owned = np.arange(scene.road.centers.size) == scene.road.lane_at(float(scene.ego_road[RoadState.R]))
         self.owned = np.asarray(owned, dtype=bool)
-        self.around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions)
+        if around is None:
+            around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions)
+        self.around = around
         ego, states, length = scene.ego_road, scene.others_road, scene.ego[Vehicle.LENGTH]
         self._ahead = states[:, RoadState.S] - ego[RoadState.S]
-        self._size = self.around.reach + 0.5 * length + 2.0 + config.buffer.longitudinal
+        self._size = around.reach + 0.5 * length + 2.0 + config.buffer.longitudinal
         self._behind = self._ahead < -0.5 * length
-        # Which lanes each vehicle touches, (vehicles, lanes).
-        centers = scene.road.centers
-        self._touches = (self.around.low[:, None] < centers + 1.0) & (self.around.high[:, None] > centers - 1.0)
         self._rears: dict[tuple[int, int], FloatArray] = {}
 
-    def relevant(self, distance: float, duration: float) -> Any:
+    def relevant(self, distance: float, duration: float, followers: bool = True) -> Any:
         """Rows of those who can come into reach of an ego that travels at most `distance` [m] in `duration` [s].
 
         Dropping the rest cannot change any verdict: nobody ahead moves backwards further than that, and nobody
-        behind accelerates harder than assumed.
+        behind accelerates harder than assumed. Without `followers`, those behind are left out altogether.
         """
         v = self.scene.others_road[:, RoadState.SPEED]
-        ahead = self._ahead - self._size + np.minimum(v, 0.0) * duration
-        gain = 0.5 * self.config.assumptions.acceleration * duration * (duration + self.scene.dt)
-        behind = -self._ahead - self._size - np.maximum(v, 0.0) * duration - gain
-        near = (ahead <= distance) & (behind <= 0.0)
-        return np.flatnonzero(near & (np.abs(self._ahead) <= self.config.perception_range))
+        # Written so that a distance that is not a number drops nobody.
+        near = ~(self._ahead - self._size + np.minimum(v, 0.0) * duration > distance)
+        near &= np.abs(self._ahead) <= self.config.perception_range
+        if followers:
+            gain = 0.5 * self.config.assumptions.acceleration * duration * (duration + self.scene.dt)
+            near &= -self._ahead - self._size - np.maximum(v, 0.0) * duration - gain <= 0.0
+        else:
+            near &= ~self._behind
+        return np.flatnonzero(near)
 
     def clearance(self, paths: FloatArray, candidates: Candidates, hold: int = 0) -> Clearance:
         """Margin of each path against the worst case of the others.
@@ -104,8 +113,8 @@ class Surveyor:
         n, frames, _ = paths.shape
         scene, config, dt = self.scene, self.config, self.scene.dt
         distance = float(paths[:, -1, RoadState.S].max() - scene.ego_road[RoadState.S])
-        rows = self.relevant(distance, frames * dt)
-        s, r, psi = (paths[..., i] for i in (RoadState.S, RoadState.R, RoadState.HEADING))
+        rows, owed = self._threats(candidates, distance, frames * dt)
+        s, r, psi = paths[..., RoadState.S], paths[..., RoadState.R], paths[..., RoadState.HEADING]
         cos, sin = np.abs(np.cos(psi)), np.abs(np.sin(psi))
         lon = 0.5 * scene.ego[Vehicle.LENGTH] + config.buffer.longitudinal
         lat = 0.5 * scene.ego[Vehicle.WIDTH] + config.buffer.lateral
@@ -113,32 +122,33 @@ class Surveyor:
         inside = self._ends_inside(candidates, r[:, -1], half_r[:, -1])
         if rows.size == 0:
             margin = np.where(np.isfinite(paths).all(axis=(1, 2)), inside, np.nan)
-            return Clearance(margin, np.full(n, -1), np.full(n, frames))
+            return Clearance(margin, np.full(n, frames))
         low, high, home = self._lateral(rows, candidates, r, bound=hold == 0)
         gap = np.maximum(low[:, :, None] - (r + half_r)[:, None, :], (r - half_r)[:, None, :] - high[:, :, None])
         key = (frames, hold)
         if key not in self._rears:
             self._rears[key] = self.around.rear(frames, dt, hold)
-        gap_s = self._rears[key][rows][None] - (s + half_s)[:, None, :]
-        mine, front = np.flatnonzero(self._behind[rows]), None
-        if mine.size:
+        rear = self._rears[key][rows]
+        gap_s = rear - (s + half_s)[:, None, :]
+        mine, front = None, None
+        if owed is not None and self._behind[rows].any():
+            mine = np.flatnonzero(self._behind[rows])
             front = self._follower_front(rows[mine], home[:, mine], paths, hold)
             gap_s[:, mine] = np.maximum(gap_s[:, mine], (s - half_s)[:, None, :] - front)
         separation = np.maximum(gap, gap_s)
-        ahead = self._coming_frame(paths, rows, mine, low, high, self._rears[key][rows], front)
-        separation = np.where(ahead < 0, np.minimum(separation, ahead), separation)
-        if mine.size:
-            separation = np.where(self._owed(rows, candidates)[:, :, None], np.inf, separation)
-        least = separation.min(axis=2)
-        worst = least.argmin(axis=1)
-        clear = ~(separation < 0).any(axis=1)
-        reached = np.where(clear.all(axis=1), frames, clear.argmin(axis=1))
-        return Clearance(np.minimum(least[np.arange(n), worst], inside), rows[worst], reached)
+        if not sin.max() < 0.01:  # Going straight, the coming frame is the next of the path itself.
+            ahead = self._coming_frame(paths, mine, low, high, rear, front)
+            separation = np.where(ahead < 0, np.minimum(separation, ahead), separation)
+        if owed is not None:
+            separation = np.where(owed[:, :, None], np.inf, separation)
+        least = separation.min(axis=1)
+        bad = least < 0
+        reached = np.where(bad.any(axis=1), bad.argmax(axis=1), frames)
+        return Clearance(np.minimum(least.min(axis=1), inside), reached)
 
     def _coming_frame(
         self,
         paths: FloatArray,
-        rows: Any,
         mine: Any,
         low: FloatArray,
         high: FloatArray,
@@ -153,8 +163,6 @@ class Surveyor:
         s, r, psi, v = (paths[..., i] for i in RoadState)
         dt, length, width = self.scene.dt, self.scene.ego[Vehicle.LENGTH], self.scene.ego[Vehicle.WIDTH]
         sin, cos = np.sin(psi), np.cos(psi)
-        if np.abs(sin).max() < 0.01:
-            return np.inf  # Going straight, the coming frame is the next of the path itself.
         s, r = s + v * cos * dt, r + v * sin * dt
         half_s = 0.5 * (length * np.abs(cos) + width * np.abs(sin))
         half_r = 0.5 * (length * np.abs(sin) + width * np.abs(cos))
@@ -170,19 +178,28 @@ class Surveyor:
         room = 0.5 * self.scene.road.width - np.abs(r - self.scene.road.centers[candidates.fails]) - half
         return np.where(room >= 0, np.inf, room)
 
-    def _owed(self, rows: Any, candidates: Candidates) -> Any:
-        """Which vehicles owe the ego their braking on each path, (n, len(rows)).
+    def _threats(self, candidates: Candidates, distance: float, duration: float) -> tuple[Any, Any]:
+        """Rows of those in reach who do not owe the ego their braking on every path, and who of them owes it on which,
+        (n, rows) bool, or None where nobody does.
 
-        All those behind, where the path keeps to lanes that the ego owns: they must not run or move into it. Where it
-        enters another lane, those behind in an owned lane that do not touch the new one as well.
+        All those behind owe it where the path keeps to lanes that the ego owns: they must not run or move into it.
+        Where it enters another lane, those behind in an owned lane that do not touch the new one as well.
         """
-        touches, new = self._touches[rows], ~self.owned
+        new = ~self.owned
+        enters = new[candidates.lanes] | new[candidates.fails]
+        if not enters.any():
+            return self.relevant(distance, duration, followers=False), None
+        rows = self.relevant(distance, duration)
+        around, centers = self.around, self.scene.road.centers
+        # Which lanes each vehicle touches, (rows, lanes).
+        touches = (around.low[rows, None] < centers + 1.0) & (around.high[rows, None] > centers - 1.0)
         entered = np.zeros((candidates.lanes.size, rows.size), dtype=bool)
         for lanes in (candidates.lanes, candidates.fails):
             entered |= new[lanes][:, None] & touches[:, lanes].T
-        enters = (new[candidates.lanes] | new[candidates.fails])[:, None]
         owned = (touches & self.owned).any(axis=1)
-        return self._behind[rows] & np.where(enters, owned & ~entered, True)
+        owed = self._behind[rows] & ((owned & ~entered) | ~enters[:, None])
+        kept = ~owed.all(axis=0)
+        return rows[kept], owed[:, kept]
 
     def _lateral(
         self, rows: Any, candidates: Candidates, path: FloatArray, bound: bool
@@ -193,29 +210,26 @@ class Surveyor:
         see the ego there. Where the ego commits to that lane, one behind gives way (highway-env's traffic aborts such a
         lane change); of the lane that the fail-safe would return to nobody knows.
         """
-        around = self.around
+        around, n = self.around, candidates.lanes.size
         low, high = around.low[rows][None, :], around.high[rows][None, :]
-        home = np.repeat(around.lane[rows][None, :], candidates.lanes.size, axis=0)
+        lane = home = np.broadcast_to(around.lane[rows], (n, rows.size))
         if not (self.config.assumptions.blind_merge and bound):
             return low, high, home
         centers, width = self.scene.road.centers, self.scene.road.width
         r = self.scene.ego_road[RoadState.R]
-        half, lane = 0.5 * self.scene.others[rows, Vehicle.WIDTH], home
-        for entered, blind in (
-            (candidates.lanes, self._ahead[rows] > -_GIVES_WAY),
-            (candidates.fails, np.ones(rows.size, dtype=bool)),
-        ):
-            goal = centers[entered]
-            out = np.maximum(np.abs(r - goal), np.abs(path - goal[:, None]).max(axis=1))
-            hidden = out > self.config.assumptions.visible_distance
+        half = 0.5 * self.scene.others[rows, Vehicle.WIDTH]
+        returns = candidates.fails != candidates.lanes
+        for entered in (candidates.lanes, candidates.fails) if returns.any() else (candidates.lanes,):
+            goal = centers[entered][:, None]
+            hidden = np.abs(path - goal).max(axis=1) > self.config.assumptions.visible_distance
+            hidden |= np.abs(r - goal[:, 0]) > self.config.assumptions.visible_distance
             if not hidden.any():
                 continue
-            apart = np.abs(centers[lane] - goal[:, None])
-            far = (apart > 0) & (apart < 1.5 * width) & hidden[:, None] & blind
-            if entered is candidates.fails:
-                far &= (candidates.fails != candidates.lanes)[:, None]
-            low = np.where(far, np.minimum(low, goal[:, None] - half), low)
-            high = np.where(far, np.maximum(high, goal[:, None] + half), high)
+            apart = np.abs(centers[lane] - goal)
+            far = (apart > 0) & (apart < 1.5 * width) & hidden[:, None]
+            far &= returns[:, None] if entered is candidates.fails else self._ahead[rows] > -_GIVES_WAY
+            low = np.where(far, np.minimum(low, goal - half), low)
+            high = np.where(far, np.maximum(high, goal + half), high)
             home = np.where(far, entered[:, None], home)
         return low, high, home
 

@@ -75,10 +75,18 @@ class Assumptions:
         return cls(braking=8.0, acceleration=4.0, max_speed=45.0, follower_braking=4.0, reaction_time=1.0)
 
     @classmethod
+    def moderate(cls) -> Assumptions:
+        """Traffic whose leaders do not brake harder than 3 m/s^2: what `Shield` assumes over its seconds of look-ahead.
+
+        An ego that cannot go below 20 m/s has no plan against a leader that may stop, so that the worst case would
+        leave it without any. highway-env's traffic seldom brakes harder; the monitor counts each time that it does.
+        """
+        return cls(braking=3.0)
+
+    @classmethod
     def profile(cls, name: str) -> Assumptions:
-        """A profile by name: "idm" or "rss"."""
-        if name == "idm":
-            return cls.idm()
-        if name == "rss":
-            return cls.rss()
-        raise ConfigError(f"unknown assumptions {name!r}; valid are 'idm', 'rss'")
+        """A profile by name: "idm", "moderate" or "rss"."""
+        profiles = {"idm": cls.idm, "moderate": cls.moderate, "rss": cls.rss}
+        if name not in profiles:
+            raise ConfigError(f"unknown assumptions {name!r}; valid are {', '.join(map(repr, profiles))}")
+        return profiles[name]()

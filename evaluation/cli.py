@@ -179,9 +179,9 @@ def _split(values: list[str]) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def _read_config(path: Path | None) -> ShieldConfig:
+def _read_config(path: Path | None) -> ShieldConfig | None:
     if path is None:
-        return ShieldConfig()
+        return None
     if not path.is_file():
         raise ConfigError(f"there is no shield configuration {path}; `shield config` prints one")
     return ShieldConfig.load(path)

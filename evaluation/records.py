@@ -42,16 +42,18 @@ class Variant:
 def make_variants(modes: Sequence[str], doors: Sequence[str], config: ShieldConfig | None = None) -> list[Variant]:
     """Each mode behind each door; the mode "none" stands for driving without any shield.
 
+    Without a config, each door has its own defaults.
+
     Examples
     --------
     >>> [(v.door, v.mode) for v in make_variants(["none", "full"], ["env", "policy"])]
     [('none', 'none'), ('env', 'full'), ('policy', 'full')]
     """
-    config = config or ShieldConfig()
     variants: list[Variant] = []
     for mode in modes:
         for door in ["none"] if mode == "none" else doors:
-            variant = Variant(door, config if door == "none" else config.replace(mode=mode))
+            chosen = config or (ShieldConfig.for_meta_actions() if door == "policy" else ShieldConfig())
+            variant = Variant(door, chosen if door == "none" else chosen.replace(mode=mode))
             if variant not in variants:
                 variants.append(variant)
     return variants

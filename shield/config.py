@@ -86,6 +86,11 @@ class ShieldConfig:
         ):
             _positive("ShieldConfig", name, getattr(self, name))
 
+    @classmethod
+    def for_meta_actions(cls) -> ShieldConfig:
+        """The defaults of `Shield`, whose meta-actions cannot stop the ego: moderate assumptions."""
+        return cls(assumptions=Assumptions.moderate())
+
     def replace(self, **changes: Any) -> ShieldConfig:
         """A copy with some settings changed."""
         return replace(self, **changes)
@@ -98,7 +103,7 @@ class ShieldConfig:
     def from_toml(cls, text: str) -> ShieldConfig:
         """Read what `to_toml` wrote; tables and keys may be left out.
 
-        `assumptions` may be a table or the name of a profile ("idm", "rss").
+        `assumptions` may be a table or the name of a profile ("idm", "moderate", "rss").
 
         Raises
         ------

@@ -44,11 +44,11 @@ class MetaCore:
 
     Parameters
     ----------
-    config : settings; `ShieldConfig()` by default.
+    config : settings; `ShieldConfig.for_meta_actions()` by default.
     """
 
     def __init__(self, config: ShieldConfig | None = None) -> None:
-        self.config = config if config is not None else ShieldConfig()
+        self.config = config if config is not None else ShieldConfig.for_meta_actions()
         self._rollouts: dict[float, Rollouts] = {}
         self._screen = Screen(self.config)
         self.reset()

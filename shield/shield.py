@@ -31,7 +31,7 @@ class Shield:
     policy : an SB3 or sb3-contrib model, a bare `BasePolicy`, or any object with SB3's `predict()`.
     env : the environment(s) that the actions are meant for: a Gymnasium environment or a VecEnv. Without it the
         environment that the model carries is used.
-    config : settings.
+    config : settings; `ShieldConfig.for_meta_actions()` by default.
 
     Raises
     ------
@@ -61,7 +61,7 @@ class Shield:
                 "object with predict(obs, state, episode_start, deterministic)"
             )
         self.policy = policy
-        self.config = config if config is not None else ShieldConfig()
+        self.config = config if config is not None else ShieldConfig.for_meta_actions()
         if env is None:
             env = policy.get_env() if callable(getattr(policy, "get_env", None)) else None
         if env is None:

@@ -74,7 +74,7 @@ def test_what_is_left_out_keeps_its_default():
     assert config == ShieldConfig(braking=5.0, buffer=Buffer(lateral=1.0), assumptions=Assumptions(braking=3.0))
 
 
-@pytest.mark.parametrize("name", ["idm", "rss"])
+@pytest.mark.parametrize("name", ["idm", "moderate", "rss"])
 def test_assumptions_can_be_a_profile(name):
     config = ShieldConfig.from_toml(f'assumptions = "{name}"')
     assert config.assumptions == Assumptions.profile(name) == getattr(Assumptions, name)()
@@ -90,7 +90,7 @@ def test_assumptions_can_be_a_profile(name):
         ("[extra]\nx = 1", "unknown key 'extra'"),
         ("buffer = 2.0", "buffer must be a table"),
         ("assumptions = 2.0", "assumptions must be a table"),
-        ('assumptions = "reckless"', "valid are 'idm', 'rss'"),
+        ('assumptions = "reckless"', "valid are 'idm', 'moderate', 'rss'"),
         ('mode = "off"', "valid are none, distance, rss, ttc, full"),
         ('braking = "hard"', "ShieldConfig.braking must be a finite number above 0"),
         ("braking = 0", "above 0"),

@@ -171,7 +171,10 @@ class Surveyor:
         gap_s = rear[None][:, :, later] - (s + half_s)[:, None, :]
         if front is not None:
             gap_s[:, mine] = np.maximum(gap_s[:, mine], (s - half_s)[:, None, :] - front[:, :, later])
-        return np.maximum(gap, gap_s)
+        separation = np.maximum(gap, gap_s)
+        # Nothing is said about the frame after the last: an ego that brakes stands by then.
+        separation[..., -1] = np.inf
+        return separation
 
     def _ends_inside(self, candidates: Candidates, r: FloatArray, half: FloatArray) -> FloatArray:
         """+inf where the inflated ego ends inside the lane that it ends in, else by how much it does not (n,) [m]."""

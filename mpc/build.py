@@ -5,7 +5,7 @@ The problem
 With z = u / (half the range of the input), proposal z_p, road states x_k at the end of stage k:
 
     min  w |z_0 - z_p|^2 + smoothing sum |z_k - z_{k-1}|^2 + magnitude sum |z_k - z_ff|^2
-         + reference terms in r_k, psi_k, v_k + penalty sum sigma_k
+         + reference terms in r_k, psi_k, v_k + penalty sum sigma
     s.t. x_{k+1} = F(x_k, u_k) (Euler frames, exactly)                    u in its box, v_k >= 0
          s_k + h_s(psi_k) <= s_min of those that are passed behind        s_k - h_s >= s_max of those passed ahead
          r_k + lat cos psi_k +- lon sin psi_k <= r_min, upper edge        the same at the lower side
@@ -13,33 +13,36 @@ With z = u / (half the range of the input), proposal z_p, road states x_k at the
          s_N + h_s + v_N^2 / (2 b) <= where those behind which it ends come to rest, and `stop`
          r_N + v_N^2 / (2 b) sin psi_N, with the footprint, between the edges
 
-where every constraint after the box is relaxed by the slack sigma_k >= 0 [m] of its stage. All obstacles that are
-passed on the same side share a row: only the tightest bound counts, so that the size of the program does not
-depend on their number.
+where every constraint after the box is relaxed by the slack sigma >= 0 [m] that the stages of a move share. All
+obstacles that are passed on the same side share a row: only the tightest bound counts, so that the size of the
+program does not depend on their number.
 
-It is linearised about the rollout of guessed inputs; the program's unknowns are the deviations from it, per stage
-(dz (2), dx_{k+1} (4) / `STATE_SCALE`, sigma), so that zero is a feasible point up to slack. The heading's
-deviation is limited to the trust region.
+It is linearised about the rollout of guessed inputs and condensed: the unknowns are the changes of the inputs about
+the guess, one for each *move* (several stages that change alike; the guess itself may differ from stage to stage, so
+that moving a plan on loses nothing), and the slack of each move. Zero is always a feasible point up to slack. The
+heading's change is limited to the trust region.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy import sparse
 
 from dynamics.state import FloatArray
 from mpc.problem import FREE, FilterProblem, FilterSettings, Occupied
 from mpc.road_step import stage_expression
-from mpc.rows import COLUMNS, INFINITY, ROWS, STATE_SCALE, assemble, end_function, objective, row_function
+from mpc.rows import SOFT, Sensitivity, end_function, objective, row_function
 from mpc.sides import SideChoice
 
-__all__ = ["COLUMNS", "INFINITY", "ROWS", "STATE_SCALE", "Program", "Weights", "build"]
+__all__ = ["INFINITY", "Program", "Weights", "bind", "build"]
 
+INFINITY = 1e30
+"""Stands for no bound in a program."""
 _FAR = 1e3
 """No soft bound is further away from the guess than this [m]."""
 
@@ -65,36 +68,41 @@ class Weights:
 
 
 class Program:
-    """One compiled problem size: fill the inputs, `call`, read the outputs. Owns every array, sizes never change.
+    """One compiled problem size: fill the inputs, `linearise`, read the outputs. Owns every array, sizes never change.
+
+    min 1/2 w' H w + g' w  s.t.  low <= w <= high,  lower <= A w <= upper
 
     Attributes
     ----------
     state (4,), inputs (N, 2), occupancy (N, m, 4), rest (m,), edges (N, 2), corridor (N, 2), curvature (N,),
-    aim (N, 2), misc (15,) : what to fill in; misc is lon, lat, stop, proposal (2), limits (4), weights (6).
-    P, A : csc matrices whose `data` the call writes; P holds the upper triangle.
-    q, lower, upper : the rest of the program.
-    states (N, 4), sides (N, m), violation (1,) : of the guess.
+    aim (N, 2), misc (15,), given (N, m) : what to fill in. misc is lon, lat, stop, proposal (2), limits (4),
+        weights (6); given is a side, or -1 where it is to be chosen.
+    H, A : dense, column-major.
+    g, low, high, lower, upper : the rest of the program.
+    states (N, 4), sides (N, m), violation (1,), cost (1,) : of the guess, by the exact rollout.
     """
 
-    def __init__(self, settings: FilterSettings, capacity: int, curved: bool) -> None:
+    def __init__(self, settings: FilterSettings, capacity: int, curved: bool, aimed: bool) -> None:
         n, m = settings.stages, capacity
-        function, p_pattern, a_pattern = _compiled(settings, capacity, curved)
-        self.capacity, self.curved = capacity, curved
+        function, rollout, shape = _compiled(settings, capacity, curved, aimed)
+        self.settings = settings
         self.state, self.inputs = np.zeros(4), np.zeros((n, 2))
         self.occupancy, self.rest = np.full((n, m, 4), FREE), np.full(m, FREE)
         self.edges, self.corridor = np.tile([-FREE, FREE], (n, 1)), np.tile([-FREE, FREE], (n, 1))
         self.curvature, self.aim, self.misc = np.zeros(n), np.zeros((n, 2)), np.zeros(_MISC)
-        self.P, self.A = _csc(p_pattern), _csc(a_pattern)
-        rows, columns = self.A.shape
-        self.q, self.lower, self.upper = np.zeros(columns), np.zeros(rows), np.zeros(rows)
-        self.states, self.sides, self.violation = np.zeros((n, 4)), np.zeros((n, m)), np.zeros(1)
-        self._buffer, self._call = function.buffer()
+        rows, columns = shape
+        self.H, self.A = np.zeros((columns, columns), order="F"), np.zeros((rows, columns), order="F")
+        self.g, self.low, self.high = np.zeros(columns), np.zeros(columns), np.zeros(columns)
+        self.lower, self.upper = np.zeros(rows), np.zeros(rows)
+        self.states, self.sides, self.given = np.zeros((n, 4)), np.zeros((n, m)), np.full((n, m), -1.0)
+        self.violation, self.cost = np.zeros(1), np.zeros(1)
+        self.scale = np.array([0.5 * (settings.acceleration[1] - settings.acceleration[0]), settings.steering])
         arguments = (self.state, self.inputs, self.occupancy, self.rest, self.edges, self.corridor, self.curvature)
-        for i, array in enumerate((*arguments, self.aim, self.misc)):
-            self._buffer.set_arg(i, memoryview(array.reshape(-1)))  # type: ignore[call-arg, arg-type]
-        results = (self.P.data, self.A.data, self.q, self.lower, self.upper, self.states, self.sides, self.violation)
-        for i, array in enumerate(results):
-            self._buffer.set_res(i, memoryview(array.reshape(-1)))  # type: ignore[call-arg, arg-type]
+        program = (self.H, self.A, self.g, self.low, self.high, self.lower, self.upper)
+        rest = (self.states, self.sides, self.violation, self.cost)
+        given = (*arguments, self.aim, self.misc, self.given)
+        self._linearise = bind(function, given, (*program, *rest))
+        self._roll_out = bind(rollout, given, (self.states, self.violation))
 
     def fill(self, problem: FilterProblem, settings: FilterSettings) -> None:
         """Everything but the guess, which is `inputs`."""
@@ -136,78 +144,130 @@ class Program:
         """Least and greatest input, (2,) each."""
         return self.misc[5:9:2], self.misc[6:9:2]
 
-    def call(self) -> None:
-        """Linearise about the rollout of `inputs`."""
-        self._call()
+    def free_sides(self) -> None:
+        """Choose the sides anew with each guess."""
+        self.given[:] = -1.0
+
+    def keep_sides(self) -> None:
+        """Stay with the sides chosen by the last call."""
+        self.given[:] = self.sides
+
+    def linearise(self) -> None:
+        """About the rollout of `inputs`: fills every output."""
+        self._linearise()
+
+    def roll_out(self) -> None:
+        """`inputs` again, for `states` and `violation` alone."""
+        self._roll_out()
 
 
 def build(problem: FilterProblem, inputs: FloatArray, settings: FilterSettings) -> Program:
     """The program for one problem, linearised about the rollout of `inputs` (N, 2); pure, without a solver."""
     curved = problem.curvature is not None and bool(np.any(problem.curvature))
-    program = Program(settings, max(int(problem.occupancy.shape[1]), 1), curved)
+    program = Program(settings, max(int(problem.occupancy.shape[1]), 1), curved, problem.reference is not None)
     program.fill(problem, settings)
     program.inputs[:] = inputs
-    program.call()
+    program.linearise()
     return program
 
 
 _MISC = 15
+_OPTIONS = {"cse": True}
+_HEADING = ca.SX(ca.DM([[0, 0, 1, 0]]))
+_SPEED = ca.SX(ca.DM([[0, 0, 0, 1]]))
+_LEVER = 5.0
+"""What a radian of heading beyond the limit counts for in slack [m]."""
+TANGENTS = (6.0, 12.0, 18.0, 24.0, 30.0)
+"""Further speeds at which the way to a stop is linearised [m/s]."""
+_TURNED = ca.SX(ca.DM([[0, 0, _LEVER, 0], [0, 0, -_LEVER, 0]]))
 
 
-def _csc(pattern: ca.Sparsity) -> Any:
-    rows, columns = pattern.shape
-    data = np.zeros(pattern.nnz())
-    return sparse.csc_matrix((data, np.array(pattern.row()), np.array(pattern.colind())), shape=(rows, columns))
+def bind(
+    function: ca.Function, arguments: tuple[FloatArray, ...], results: tuple[FloatArray, ...]
+) -> Callable[[], None]:
+    """A call of the function that reads and writes these arrays in place, without copies or conversions."""
+    buffer, call = function.buffer()
+    for i, array in enumerate(arguments):
+        buffer.set_arg(i, memoryview(array.reshape(-1, order="A")))  # type: ignore[call-arg, arg-type]
+    for i, array in enumerate(results):
+        buffer.set_res(i, memoryview(array.reshape(-1, order="A")))  # type: ignore[call-arg, arg-type]
+
+    def run(keep: tuple[Any, ...] = (buffer, arguments, results)) -> None:
+        call()
+
+    return run
 
 
-@lru_cache(maxsize=16)
-def _compiled(settings: FilterSettings, m: int, curved: bool) -> tuple[ca.Function, ca.Sparsity, ca.Sparsity]:
+@lru_cache(maxsize=32)
+def _compiled(
+    settings: FilterSettings, m: int, curved: bool, aimed: bool
+) -> tuple[ca.Function, ca.Function, tuple[int, int]]:
     n = settings.stages
     x0, u = ca.SX.sym("x0", 4), ca.SX.sym("u", 2, n)
     occupied = ca.SX.sym("occupied", 4, m * n)
     rest, edges, corridor = ca.SX.sym("rest", m), ca.SX.sym("edges", 2, n), ca.SX.sym("corridor", 2, n)
     curvature, aim, misc = ca.SX.sym("curvature", n), ca.SX.sym("aim", 2, n), ca.SX.sym("misc", _MISC)
     lon, lat, stop, near, limits, weights = misc[0], misc[1], misc[2], misc[3:5], misc[5:9], misc[9:15]
+    given = ca.SX.sym("given", m, n)
     scale = ca.DM([0.5 * (settings.acceleration[1] - settings.acceleration[0]), settings.steering])
-    stage = _stage_function(settings, curved)
-    row = row_function()
-    bounds = SideChoice(m, lon, lat, settings.stage)
+    stage, row = _stage_function(settings, curved), row_function()
+    choice, slope = SideChoice(m, lon, lat, settings.stage, given), Sensitivity(settings, scale)
 
-    x, states, blocks, violations = x0, [], [], []
+    x, states, slopes, violations, rows = x0, [], [], [], []
     lower: list[Any] = []
     upper: list[Any] = []
-    bounds.start(x0, occupied[:, :m])
-    for k in range(n):
-        x, jx, ju = stage(x, u[:, k], curvature[k])
-        states.append(x)
-        tight, clear = bounds.step(k, x, occupied[:, k * m : (k + 1) * m])
-        s_high, s_low, r_high, r_low = tight
-        r_high, r_low = ca.fmin(r_high, edges[1, k]), ca.fmax(r_low, edges[0, k])
-        values, jacobian = row(x, lon, lat)
-        limit = ca.vertcat(s_high, -s_low, r_high, r_high, -r_low, -r_low, corridor[1, k], -corridor[0, k])
-        room = limit - values
-        outside = ca.vertcat(edges[1, k] - values[2:4], -edges[0, k] - values[4:6], room[6:8])
-        violations.append(ca.fmax(-ca.mmin(outside), -clear))
-        blocks.append((jx, ju, jacobian))
-        dz = ca.vertcat(limits[0], limits[2], limits[1], limits[3]) - ca.vertcat(u[:, k], u[:, k])
-        lower += [ca.DM.zeros(4), dz[:2] / scale, (ca.fmin(x[3], 0) - x[3]) / STATE_SCALE[3]]
-        lower += [-settings.trust / STATE_SCALE[2], 0, -INFINITY * ca.DM.ones(8)]
-        upper += [ca.DM.zeros(4), dz[2:] / scale, INFINITY, settings.trust / STATE_SCALE[2], INFINITY]
-        upper += [ca.fmin(room, _FAR)]
+    low: list[Any] = []
+    high: list[Any] = []
+    choice.start(x0, occupied[:, :m])
+    k = 0
+    for j, length in enumerate(settings.moves):
+        below, above = ca.SX(-FREE * ca.DM.ones(2)), ca.SX(FREE * ca.DM.ones(2))
+        for _ in range(length):
+            below = ca.fmax(below, (limits[0::2] - u[:, k]) / scale)
+            above = ca.fmin(above, (limits[1::2] - u[:, k]) / scale)
+            x, jx, ju = stage(x, u[:, k], curvature[k])
+            slopes.append(slope.step(j, jx, ju))
+            states.append(x)
+            (s_high, s_low, r_high, r_low), clear = choice.step(k, x, occupied[:, k * m : (k + 1) * m])
+            r_high, r_low = ca.fmin(r_high, edges[1, k]), ca.fmax(r_low, edges[0, k])
+            values, jacobian = row(x, lon, lat)
+            room = ca.vertcat(s_high, -s_low, r_high, r_high, -r_low, -r_low, corridor[1, k], -corridor[0, k]) - values
+            outside = ca.vertcat(edges[1, k] - values[2:4], -edges[0, k] - values[4:6], room[6:8])
+            violations.append(ca.fmax(-ca.mmin(outside), -clear))
+            rows.append(slope.rows(jacobian, j))
+            lower.append(-INFINITY * ca.DM.ones(SOFT))
+            upper.append(ca.fmin(room, _FAR))
+            k += 1
+        # Speed is linear within a move: not negative at its end is not negative within.
+        rows += [slope.hard(_SPEED), slope.hard(_HEADING), slope.rows(_TURNED, j)]
+        lower += [ca.fmin(x[3], 0) - x[3], -settings.trust, -INFINITY * ca.DM.ones(2)]
+        upper += [INFINITY, settings.trust, _LEVER * (settings.heading - x[2]), _LEVER * (settings.heading + x[2])]
+        low.append(below)
+        high.append(above)
     values, jacobian = end_function(settings.braking)(x, lon, lat)
-    ends = ca.fmin(bounds.rest(rest), stop)
+    ends = ca.fmin(choice.rest(rest), stop)
     room = ca.vertcat(ends, ca.repmat(edges[1, n - 1], 2, 1), ca.repmat(-edges[0, n - 1], 2, 1)) - values
     violations.append(-ca.mmin(room))
-    lower.append(-INFINITY * ca.DM.ones(5))
-    upper.append(ca.fmin(room, _FAR))
+    # The stop is convex in the speed: tangents at other speeds than the guess's are valid rows as well, and tighten it.
+    others = ca.DM(TANGENTS)
+    gain = (others - x[3]) ** 2 / (2 * settings.braking)
+    bent = ca.repmat(jacobian[0, :], others.numel(), 1)
+    bent[:, 3] = others / settings.braking
+    rows.append(slope.rows(ca.vertcat(jacobian, bent), len(settings.moves) - 1))
+    lower.append(-INFINITY * ca.DM.ones(5 + others.numel()))
+    upper.append(ca.fmin(ca.vertcat(room, room[0] + gain), _FAR))
+    low.append(ca.DM.zeros(len(settings.moves)))
+    high.append(INFINITY * ca.DM.ones(len(settings.moves)))
 
-    a = assemble(blocks, jacobian, scale)
-    p, q = objective(settings, states, u, curvature, aim, near, weights, scale)
+    a = ca.sparsify(ca.vertcat(*rows))
+    h, g, cost = objective(settings, states, slopes, u, curvature, aim if aimed else None, near, weights, scale, x0[3])
     violation = ca.fmax(0, ca.mmax(ca.vertcat(*violations)))
-    out = [p, a, q, ca.vertcat(*lower), ca.vertcat(*upper), ca.horzcat(*states), bounds.table(), violation]
-    arguments = [x0, u, occupied, rest, edges, corridor, curvature, aim, misc]
-    function = ca.Function("program", arguments, out, {"cse": True})
-    return function, p.sparsity(), a.sparsity()
+    out = [h, a, g, ca.vertcat(*low), ca.vertcat(*high), ca.vertcat(*lower), ca.vertcat(*upper)]
+    out += [ca.horzcat(*states), choice.table(), violation, cost]
+    arguments = [x0, u, occupied, rest, edges, corridor, curvature, aim, misc, given]
+    function = ca.Function("program", arguments, [ca.densify(o) for o in out], _OPTIONS)
+    rollout = ca.Function("rollout", arguments, [ca.horzcat(*states), violation], _OPTIONS)
+    return function, rollout, a.shape
 
 
 def _stage_function(settings: FilterSettings, curved: bool) -> ca.Function:

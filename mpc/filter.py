@@ -18,28 +18,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import perf_counter
-from typing import Any, Protocol
 
 import numpy as np
 
 from dynamics.errors import ConfigError
-from dynamics.state import FloatArray, RoadState
-from mpc.build import COLUMNS, Program
+from dynamics.state import FloatArray
+from mpc.build import Program
+from mpc.descent import Descent, descend
 from mpc.guess import brake_guess, shifted
-from mpc.osqp_backend import Answer, OsqpBackend
-from mpc.problem import MOST_OBSTACLES, FilterProblem, FilterSettings
+from mpc.problem import FilterProblem, FilterSettings, readable
 from mpc.result import FilterResult, Status
+from mpc.solver import QuadraticSolver, Solver
 
 __all__ = ["PredictiveFilter"]
-
-
-class Backend(Protocol):
-    """Solves the quadratic programs."""
-
-    def solve(self, program: Program, x: FloatArray | None, y: FloatArray | None, time_limit: float) -> Answer: ...
-
-    def reset(self) -> None: ...
 
 
 class PredictiveFilter:
@@ -52,7 +45,7 @@ class PredictiveFilter:
     Raises
     ------
     ConfigError
-        If `settings` is none.
+        If `settings` is something else.
     """
 
     def __init__(self, settings: FilterSettings | None = None) -> None:
@@ -60,20 +53,19 @@ class PredictiveFilter:
         if not isinstance(settings, FilterSettings):
             raise ConfigError(f"settings must be FilterSettings, got {type(settings).__name__}")
         self.settings = settings
-        self._backend: Backend = OsqpBackend(settings)
-        self._programs: dict[tuple[int, bool], Program] = {}
+        self._solver: QuadraticSolver = Solver(settings)
+        self._programs: dict[tuple[int, bool, bool], Program] = {}
         self._plan: FloatArray | None = None
-        self._dual: FloatArray | None = None
-        self._program(settings.obstacles, False)
+        self._program(settings.obstacles, False, False)
 
     def __reduce__(self) -> tuple[type[PredictiveFilter], tuple[FilterSettings]]:
         """Copies and pickles start fresh: compiled programs and solvers do not travel."""
         return type(self), (self.settings,)
 
     def reset(self) -> None:
-        """Forget the last plan and the solver's warm start: the next answer is that of a new filter."""
-        self._plan = self._dual = None
-        self._backend.reset()
+        """Forget the last plan: the next answer is that of a new filter."""
+        self._plan = None
+        self._solver.reset()
 
     def solve(
         self, problem: FilterProblem, guess: FloatArray | None = None, elapsed: int | None = None
@@ -84,7 +76,7 @@ class PredictiveFilter:
         ----------
         problem : what is asked, in the road frame.
         guess : inputs to linearise about and to take the sides from, (N, 2); by default the last plan, shifted, or
-            else the proposal for one stage and then full braking.
+            else the proposal for one stage and then full braking. Where a guess leads nowhere, braking is tried too.
         elapsed : frames since the last call, for the shift; one stage by default.
 
         Returns
@@ -102,146 +94,72 @@ class PredictiveFilter:
             raise ConfigError(f"occupancy covers {problem.stages} stages; this filter has {settings.stages}")
         if guess is not None and np.shape(guess) != (settings.stages, 2):
             raise ConfigError(f"guess must have shape {(settings.stages, 2)}, got {np.shape(guess)}")
-        if not _readable(problem, guess):
+        if not readable(problem, guess):
             self.reset()
             return _nothing(Status.BAD_INPUT, problem, perf_counter() - start)
-        curved = problem.curvature is not None and bool(np.any(problem.curvature))
-        program = self._program(int(problem.occupancy.shape[1]), curved)
-        program.fill(problem, settings)
-        frames = settings.substeps if elapsed is None else max(int(elapsed), 0)
-        if guess is not None:
-            program.inputs[:] = guess
-        elif self._plan is not None:
-            program.inputs[:] = shifted(self._plan, frames, settings.substeps)
-        else:
-            program.inputs[:] = brake_guess(problem, settings)
-        low, high = program.limits
-        np.clip(program.inputs, low, high, out=program.inputs)
-        dual = None
-        if guess is None and self._dual is not None and frames % settings.substeps == 0:
-            dual = _shift_dual(self._dual, frames // settings.substeps, settings.stages)
-        return self._sweep(problem, program, dual, start)
-
-    def _sweep(self, problem: FilterProblem, program: Program, dual: FloatArray | None, start: float) -> FilterResult:
-        settings = self.settings
-        low, high = program.limits
-        scale = np.array([0.5 * (settings.acceleration[1] - settings.acceleration[0]), settings.steering])
-        program.call()
-        built, solved = perf_counter() - start, 0.0
-        iterations, sweeps, change, answer = 0, 0, np.inf, None
-        while sweeps < settings.sweeps:
-            left = 0.0
-            if settings.time_limit > 0:
-                left = settings.time_limit - (perf_counter() - start)
-                if left <= 0:
-                    break
-            mark = perf_counter()
-            answer = self._backend.solve(program, None, dual, left)
-            after = perf_counter()
-            solved += after - mark
-            iterations += answer.iterations
-            sweeps += 1
-            if answer.x is None or answer.y is None:
-                self.reset()
-                return _nothing(Status.ERROR, problem, built, solved, iterations, sweeps)
-            step = answer.x.reshape(settings.stages, COLUMNS)
-            before = program.inputs[0].copy()
-            program.inputs += step[:, :2] * scale
-            np.clip(program.inputs, low, high, out=program.inputs)
-            dual, slack = answer.y, float(step[:, 6].max())
-            change = float(np.abs((program.inputs[0] - before) / scale).max() / 2)
-            primal, residual, state = answer.primal, answer.dual, answer.state
-            program.call()
-            built += perf_counter() - after
-            if state == "time" or (change < settings.settled and program.violation[0] < settings.tolerance):
-                break
-        if answer is None:
+        deadline = start + settings.time_limit if settings.time_limit > 0 else np.inf
+        try:
+            best, restarted = self._search(problem, guess, elapsed, deadline)
+        except (ArithmeticError, RuntimeError, ValueError):  # fail closed: the caller has a plan of its own
             self.reset()
-            return _nothing(Status.TIME_LIMIT, problem, built)
-        violation = float(program.violation[0])
-        if not (np.isfinite(program.states).all() and np.isfinite(violation)):
+            return _nothing(Status.ERROR, problem, perf_counter() - start)
+        built = perf_counter() - start - best.solved
+        if best.status is Status.ERROR or not np.isfinite(best.violation):
             self.reset()
-            return _nothing(Status.ERROR, problem, built, solved, iterations, sweeps)
-        self._plan, self._dual = program.inputs.copy(), dual
+            return _nothing(best.status, problem, built, best)
+        self._plan = best.inputs
         return FilterResult(
-            _status(state, violation, settings.tolerance),
-            program.inputs.copy(),
-            program.states.copy(),
-            program.sides[:, : problem.occupancy.shape[1]].astype(np.int64),
-            max(slack, 0.0),
-            violation,
-            change,
-            primal,
-            residual,
-            iterations,
-            sweeps,
+            best.status,
+            best.inputs.copy(),
+            best.states,
+            best.sides[:, : problem.occupancy.shape[1]].astype(np.int64),
+            best.slack,
+            best.violation,
+            best.change,
+            best.primal,
+            best.dual,
+            best.active,
+            best.sweeps,
+            restarted,
             built,
-            solved,
+            best.solved,
         )
 
-    def _program(self, obstacles: int, curved: bool) -> Program:
+    def _search(
+        self, problem: FilterProblem, guess: FloatArray | None, elapsed: int | None, deadline: float
+    ) -> tuple[Descent, bool]:
+        settings = self.settings
+        curved = problem.curvature is not None and bool(np.any(problem.curvature))
+        program = self._program(int(problem.occupancy.shape[1]), curved, problem.reference is not None)
+        program.fill(problem, settings)
+        if guess is None and self._plan is not None:
+            guess = shifted(self._plan, settings.substeps if elapsed is None else elapsed, settings.substeps)
+        if guess is None:
+            return descend(program, self._solver, brake_guess(problem, settings), deadline), False
+        first = descend(program, self._solver, guess, deadline)
+        if first.status.usable or perf_counter() >= deadline:
+            return first, False
+        # The braking guess takes other sides.
+        second = descend(program, self._solver, brake_guess(problem, settings), deadline)
+        best = second if second.rank < first.rank else first
+        work = {name: getattr(first, name) + getattr(second, name) for name in ("active", "sweeps", "solved")}
+        return replace(best, **work), True
+
+    def _program(self, obstacles: int, curved: bool, aimed: bool) -> Program:
         """The compiled program for at least that many obstacles."""
         capacity = max(self.settings.obstacles, 1)
         while capacity < obstacles:
             capacity *= 2
-        key = (capacity, curved)
+        key = (capacity, curved, aimed)
         if key not in self._programs:
-            self._programs[key] = Program(self.settings, capacity, curved)
+            self._programs[key] = Program(self.settings, *key)
         return self._programs[key]
 
 
-def _status(state: str, violation: float, tolerance: float) -> Status:
-    if state == "time":
-        return Status.TIME_LIMIT
-    if violation > tolerance:
-        return Status.SLACK
-    return {"solved": Status.SOLVED, "inaccurate": Status.INACCURATE}.get(state, Status.MAX_ITER)
-
-
-def _readable(problem: FilterProblem, guess: FloatArray | None) -> bool:
-    """Whether the arithmetic will stay finite: NaN nowhere, infinity only where it stands for unbounded."""
-    if problem.occupancy.shape[1] > MOST_OBSTACLES:
-        return False
-    finite: list[Any] = [problem.state, problem.half]
-    finite += [v for v in (problem.proposal, problem.curvature, guess, problem.limits) if v is not None]
-    if problem.reference is not None:
-        aim = problem.reference
-        finite += [aim.r, aim.v, (aim.lateral, aim.heading, aim.speed)]
-        if min(aim.lateral, aim.heading, aim.speed) < 0:
-            return False
-    if not all(np.isfinite(v).all() for v in finite):
-        return False
-    open_ended: list[Any] = [problem.occupancy, *problem.edges, *problem.corridor, problem.stop]
-    if problem.rest is not None:
-        open_ended.append(problem.rest)
-    if any(np.isnan(v).any() for v in open_ended):
-        return False
-    if problem.limits is not None and np.any(problem.limits[:, 0] > problem.limits[:, 1]):
-        return False
-    ordered = problem.occupancy[..., 0::2] <= problem.occupancy[..., 1::2]
-    state = problem.state
-    sane = abs(state[RoadState.SPEED]) < 200 and abs(state[RoadState.HEADING]) < 10
-    return bool(ordered.all() and sane and min(problem.half) >= 0)
-
-
-def _shift_dual(dual: FloatArray, stages: int, n: int) -> FloatArray:
-    """Multipliers moved to the stages that they belong to now; the last stage's are repeated."""
-    rows = (dual.size - 5) // n
-    table = dual[: rows * n].reshape(n, rows)
-    index = np.minimum(np.arange(n) + stages, n - 1)
-    return np.concatenate([table[index].ravel(), dual[rows * n :]])
-
-
-def _nothing(
-    status: Status,
-    problem: FilterProblem,
-    built: float,
-    solved: float = 0.0,
-    iterations: int = 0,
-    sweeps: int = 0,
-) -> FilterResult:
+def _nothing(status: Status, problem: FilterProblem, built: float, descent: Descent | None = None) -> FilterResult:
     n, m = problem.stages, int(problem.occupancy.shape[1])
     inf = float("inf")
+    active, sweeps, solved = (descent.active, descent.sweeps, descent.solved) if descent is not None else (0, 0, 0.0)
     return FilterResult(
         status,
         np.full((n, 2), np.nan),
@@ -252,8 +170,9 @@ def _nothing(
         inf,
         inf,
         inf,
-        iterations,
+        active,
         sweeps,
+        False,
         built,
         solved,
     )

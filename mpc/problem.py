@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 
 from dynamics.errors import ConfigError, SceneError
-from dynamics.state import FloatArray
+from dynamics.state import FloatArray, RoadState
 
-__all__ = ["BACKENDS", "FREE", "FilterProblem", "FilterSettings", "Occupied", "Reference", "Side"]
+__all__ = ["FREE", "FilterProblem", "FilterSettings", "Occupied", "Reference", "Side", "readable"]
 
-BACKENDS = ("osqp",)
+MOST_OBSTACLES = 96
+"""More than these are refused as bad input."""
 FREE = 1e6
 """Stands for no bound [m]; every bound is limited to it, so that arithmetic stays finite."""
 
@@ -58,15 +59,18 @@ class FilterSettings:
     braking : deceleration that the end of the plan can count on, for the stop after the horizon [m/s^2].
     smoothing : weight of the changes of later inputs, relative to 1 for the first input's deviation.
     magnitude : weight of later inputs themselves (steering: beyond what the road's bend needs).
+    free_moves : how many changes of the inputs the plan has; the first belongs to the first stage alone, later ones
+        to more and more stages (`moves`).
+    curving : weight of the squared slack [1/m^2], which keeps the programs strictly convex.
     penalty : cost of a violated constraint [1/m], where 1 is the cost of a first input half a range away.
+    heading : greatest heading of a plan relative to the road [rad], where it can be kept.
     trust : how far headings may move from those that the dynamics are linearised about [rad].
     sweeps : greatest number of linearisations in one `solve`; 1 is the real-time iteration.
     settled : change of the first input below which no further linearisation is made, as a share of the range.
     tolerance : violation by the exact rollout up to which a plan counts as solved [m].
-    accuracy : absolute and relative tolerance of the quadratic programs.
+    accuracy : residuals up to which a quadratic program counts as solved.
     max_iter : iterations of one quadratic program, the deterministic deadline.
     time_limit : wall time of one `solve` [s], behind it; 0 for none.
-    backend : who solves the quadratic programs, one of `BACKENDS`.
 
     Raises
     ------
@@ -83,18 +87,31 @@ class FilterSettings:
     braking: float = 5.0
     smoothing: float = 1e-3
     magnitude: float = 1e-3
+    free_moves: int = 8
     penalty: float = 100.0
+    curving: float = 1.0
+    heading: float = 0.4
     trust: float = 0.3
     sweeps: int = 3
     settled: float = 0.002
     tolerance: float = 0.02
-    accuracy: float = 1e-4
-    max_iter: int = 400
+    accuracy: float = 1e-5
+    max_iter: int = 300
     time_limit: float = 0.0
-    backend: str = "osqp"
 
     def __post_init__(self) -> None:
-        positive = ("dt", "braking", "smoothing", "magnitude", "penalty", "trust", "settled", "tolerance", "accuracy")
+        positive = (
+            "dt",
+            "braking",
+            "smoothing",
+            "magnitude",
+            "penalty",
+            "curving",
+            "trust",
+            "settled",
+            "tolerance",
+            "accuracy",
+        )
         for name in positive:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
@@ -103,6 +120,7 @@ class FilterSettings:
             ("substeps", 1, 100),
             ("stages", 2, 200),
             ("obstacles", 0, MOST_OBSTACLES),
+            ("free_moves", 1, self.stages),
             ("sweeps", 1, 50),
             ("max_iter", 1, 1_000_000),
         ):
@@ -116,8 +134,6 @@ class FilterSettings:
             raise ConfigError(f"steering must be in (0, pi/3] rad, got {self.steering!r}")
         if not (np.isfinite(self.time_limit) and self.time_limit >= 0):
             raise ConfigError(f"time_limit must be 0 (none) or positive [s], got {self.time_limit!r}")
-        if self.backend not in BACKENDS:
-            raise ConfigError(f"unknown backend {self.backend!r}; have {', '.join(BACKENDS)}")
 
     @property
     def stage(self) -> float:
@@ -125,12 +141,16 @@ class FilterSettings:
         return self.dt * self.substeps
 
     @property
+    def moves(self) -> tuple[int, ...]:
+        """Stages of each move."""
+        n, count = self.stages, self.free_moves
+        ends = [max(round(n * (i / count) ** 1.8), i) for i in range(1, count)]
+        return tuple(int(d) for d in np.diff([0, *ends, n]))
+
+    @property
     def horizon(self) -> float:
         """Duration of the plan [s]."""
         return self.stage * self.stages
-
-
-MOST_OBSTACLES = 96
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,3 +236,29 @@ class FilterProblem:
     def stages(self) -> int:
         """Stages that the occupancy covers."""
         return int(np.shape(self.occupancy)[0])
+
+
+def readable(problem: FilterProblem, guess: FloatArray | None = None) -> bool:
+    """Whether the arithmetic will stay finite: NaN nowhere, infinity only where it stands for unbounded."""
+    finite: list[Any] = [problem.state, problem.half]
+    finite += [v for v in (problem.proposal, problem.curvature, guess, problem.limits) if v is not None]
+    if problem.reference is not None:
+        aim = problem.reference
+        weights = (aim.lateral, aim.heading, aim.speed)
+        finite += [aim.r, aim.v, weights]
+        if not min(weights) >= 0:
+            return False
+    if not all(np.isfinite(v).all() for v in finite):
+        return False
+    occupancy = problem.occupancy
+    if occupancy.shape[1] > MOST_OBSTACLES or not (occupancy[..., 0::2] <= occupancy[..., 1::2]).all():
+        return False
+    bounds: list[Any] = [*problem.edges, *problem.corridor, problem.stop]
+    if problem.rest is not None:
+        bounds.append(problem.rest)
+    if any(np.isnan(v).any() for v in bounds):
+        return False
+    if problem.limits is not None and not (problem.limits[:, 0] <= problem.limits[:, 1]).all():
+        return False
+    speed, heading = problem.state[RoadState.SPEED], problem.state[RoadState.HEADING]
+    return bool(abs(speed) < 200 and abs(heading) < 10 and min(problem.half) >= 0)

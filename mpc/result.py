@@ -14,17 +14,17 @@ class Status(StrEnum):
     """How a `solve` ended; the text says what to do."""
 
     SOLVED = "solved: verify the plan, then use its first input"
-    INACCURATE = "solved to a loose accuracy: verify the plan, or raise max_iter"
-    SLACK = "the constraints cannot all be met from here: use the stored plan, or brake"
-    MAX_ITER = "iteration limit reached: use the stored plan, or raise max_iter or shorten the horizon"
-    TIME_LIMIT = "time limit reached: use the stored plan, or raise time_limit or lower sweeps"
+    INACCURATE = "the plan holds but another linearisation may find a nearer one: verify it, or raise sweeps"
+    UNSETTLED = "the exact rollout still violates a constraint: use the stored plan, or raise sweeps"
+    SLACK = "the constraints cannot all be met on these sides: use the stored plan, or brake"
+    TIME_LIMIT = "time limit reached before the plan held: use the stored plan, or raise time_limit or lower sweeps"
     BAD_INPUT = "the problem holds values that are not finite or out of range: repair what built it"
     ERROR = "the solver failed and was rebuilt: use the stored plan; report it if it happens again"
 
     @property
     def usable(self) -> bool:
-        """Whether there is a plan that is worth verifying."""
-        return self in (Status.SOLVED, Status.INACCURATE, Status.MAX_ITER, Status.TIME_LIMIT)
+        """Whether the plan keeps the constraints by the exact rollout, so that it is worth verifying."""
+        return self in (Status.SOLVED, Status.INACCURATE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,14 +36,15 @@ class FilterResult:
     status : how it ended. No plan was verified frame by frame: that is the caller's part.
     inputs : (a [m/s^2], delta [rad]) of each stage, (N, 2), inside the bounds; NaN where there is no plan.
     states : road states at the end of each stage by the exact rollout of `inputs`, (N, 4).
-    sides : on which `Side` the plan passes each obstacle at each stage, (N, m).
+    sides : on which `Side` the plan was to pass each obstacle at each stage, (N, m); -1 where there is no plan.
     slack : greatest slack that the last quadratic program had to use [m].
-    violation : greatest violation of a constraint by `states` [m], whichever side is counted; 0 for none.
-    change : greatest change of the first input in the last linearisation, as a share of the range.
-    primal, dual : residuals of the last quadratic program, computed here and not by the solver (scaled variables).
-    iterations : of the solver, all sweeps together.
+    violation : greatest violation of a constraint by `states` [m], whichever side an obstacle is passed on.
+    change : of the first input by the last linearisation, as a share of the range.
+    primal, dual : residuals of the last quadratic program, computed here and not by the solver.
+    active : bounds and rows that hold with equality, all quadratic programs together: the solver's work.
     sweeps : linearisations made.
-    build_time, solve_time : spent on the quadratic programs' data and on their solutions [s].
+    restarted : whether the guess led nowhere, so that the braking guess was tried as well.
+    build_time, solve_time : spent around the quadratic programs and on their solutions [s].
     """
 
     status: Status
@@ -55,7 +56,8 @@ class FilterResult:
     change: float
     primal: float
     dual: float
-    iterations: int
+    active: int
     sweeps: int
+    restarted: bool
     build_time: float
     solve_time: float

@@ -1,4 +1,10 @@
-"""The rows and the objective of the filter's program, as CasADi expressions; `mpc.build` puts them together."""
+"""Sensitivities, rows and objective of the filter's program, as CasADi expressions; `mpc.build` puts them together.
+
+Notation
+--------
+w = (dz of each move (2 each), slack of each move): the unknowns. dz is the change of the scaled inputs of all stages
+of a move about the guess. S_k = d x_k / d w over the inputs' columns, (4, 2 moves), by the chain rule over the stages.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +14,37 @@ from mpc.problem import FilterSettings
 from mpc.road_step import feed_forward
 from mpc.sides import along
 
-__all__ = ["COLUMNS", "INFINITY", "ROWS", "STATE_SCALE", "assemble", "end_function", "objective", "row_function"]
+__all__ = ["SOFT", "Sensitivity", "end_function", "objective", "row_function"]
 
-STATE_SCALE = (20.0, 2.0, 0.2, 5.0)
-"""What a state's deviation is measured in: s, r, psi, v [m, m, rad, m/s]."""
-INFINITY = 1e30
-"""OSQP's infinity."""
-COLUMNS = 7
-"""Unknowns of a stage: two inputs, four states, the slack."""
-ROWS = 17
-"""Constraints of a stage: four of the dynamics, two inputs, speed, heading, slack, eight soft ones."""
+SOFT = 8
+"""Soft constraints of a stage."""
+_CALM = 5.0
+"""Above this speed later steering costs more, by the square of the speed [m/s]."""
+
+
+class Sensitivity:
+    """Carries d x_k / d w from stage to stage (at build time)."""
+
+    def __init__(self, settings: FilterSettings, scale: ca.DM) -> None:
+        self._scale = scale
+        self._moves = len(settings.moves)
+        self.now = ca.SX(4, 2 * self._moves)
+
+    def step(self, move: int, jx: ca.SX, ju: ca.SX) -> ca.SX:
+        """After one stage with Jacobians jx (4, 4) and ju (4, 2), which belongs to that move."""
+        own = ca.horzcat(ca.SX(4, 2 * move), ju @ ca.diag(self._scale), ca.SX(4, 2 * (self._moves - move - 1)))
+        self.now = ca.sparsify(jx @ self.now + own)
+        return self.now
+
+    def rows(self, jacobian: ca.SX, move: int) -> ca.SX:
+        """Soft rows (n, unknowns) of a stage of that move, from their Jacobian by its state (n, 4)."""
+        count = jacobian.shape[0]
+        slack = ca.horzcat(ca.SX(count, move), -ca.SX.ones(count, 1), ca.SX(count, self._moves - move - 1))
+        return ca.horzcat(ca.sparsify(jacobian @ self.now), slack)
+
+    def hard(self, row: ca.SX) -> ca.SX:
+        """A row (1, 4) by the state without slack."""
+        return ca.horzcat(ca.sparsify(row @ self.now), ca.SX(1, self._moves))
 
 
 def row_function() -> ca.Function:
@@ -43,65 +70,42 @@ def end_function(braking: float) -> ca.Function:
     return ca.Function("ends", [x, lon, lat], [values, ca.jacobian(values, x)])
 
 
-def assemble(blocks: list[tuple[ca.SX, ca.SX, ca.SX]], end: ca.SX, scale: ca.DM) -> ca.SX:
-    """The constraint matrix in scaled variables."""
-    n = len(blocks)
-    d = ca.diag(ca.DM(STATE_SCALE))
-    inverse = ca.diag(1 / ca.DM(STATE_SCALE))
-    rows: list[ca.SX] = []
-    slack = ca.SX(-1)
-    for k, (jx, ju, soft) in enumerate(blocks):
-        before = ca.SX(9 + 8, COLUMNS * k)
-        if k:
-            dynamics = ca.sparsify(inverse @ jx @ d)
-            link = ca.vertcat(dynamics, ca.SX(13, 4))
-            before = ca.horzcat(ca.SX(17, COLUMNS * (k - 1) + 2), link, ca.SX(17, 1))
-        own = ca.blockcat(
-            [
-                [ca.sparsify(inverse @ ju @ ca.diag(scale)), -ca.SX.eye(4), ca.SX(4, 1)],
-                [ca.SX.eye(2), ca.SX(2, 4), ca.SX(2, 1)],
-                [ca.SX(1, 2), _unit(3), ca.SX(1, 1)],
-                [ca.SX(1, 2), _unit(2), ca.SX(1, 1)],
-                [ca.SX(1, 2), ca.SX(1, 4), ca.SX(1)],
-                [ca.SX(8, 2), ca.sparsify(soft @ d), ca.repmat(slack, 8, 1)],
-            ]
-        )
-        rows.append(ca.horzcat(before, own, ca.SX(17, COLUMNS * (n - k - 1))))
-    last = ca.horzcat(ca.SX(5, COLUMNS * (n - 1) + 2), ca.sparsify(end @ d), ca.repmat(slack, 5, 1))
-    return ca.vertcat(*rows, last)
-
-
-def _unit(i: int) -> ca.SX:
-    out = ca.SX(1, 4)
-    out[0, i] = 1
-    return out
-
-
 def objective(
     settings: FilterSettings,
     states: list[ca.SX],
+    slopes: list[ca.SX],
     u: ca.SX,
     curvature: ca.SX,
-    aim: ca.SX,
+    aim: ca.SX | None,
     near: ca.SX,
     weights: ca.SX,
     scale: ca.DM,
-) -> tuple[ca.SX, ca.SX]:
-    """Upper triangle of the Hessian, and the gradient at the guess."""
-    n = settings.stages
-    y = ca.SX.sym("y", COLUMNS, n)
-    z = y[:2, :] + u / ca.repmat(scale, 1, n)
-    cost = ca.dot(weights[:2], (z[:, 0] - near / scale) ** 2)
-    for k in range(n):
-        dx = y[2:6, k] * ca.DM(STATE_SCALE)
-        x = states[k] + dx
-        cost += weights[3] * (x[1] - aim[0, k]) ** 2 + weights[4] * x[2] ** 2 + weights[5] * (x[3] - aim[1, k]) ** 2
-        cost += settings.penalty * y[6, k]
-        if k:
-            change = z[:, k] - z[:, k - 1]
-            weight = weights[2] if k == 1 else settings.smoothing
-            ideal = ca.vertcat(0, feed_forward(curvature[k], aim[0, k]) / scale[1])
-            cost += weight * ca.sumsqr(change) + settings.magnitude * ca.sumsqr(z[:, k] - ideal)
-    flat = ca.vec(y)
-    hessian, gradient = ca.hessian(cost, flat)
-    return ca.triu(hessian), ca.substitute(gradient, flat, ca.DM.zeros(COLUMNS * n))
+    speed: ca.SX,
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Hessian, gradient at the guess, and cost of the guess itself; `aim` None leaves the reference out."""
+    moves = len(settings.moves)
+    w = ca.SX.sym("w", 3 * moves)
+    of = [j for j, length in enumerate(settings.moves) for _ in range(length)]
+    z = u / ca.repmat(scale, 1, settings.stages)
+    moved = [z[:, k] + w[2 * j : 2 * j + 2] for k, j in enumerate(of)]
+    cost = ca.dot(weights[:2], (moved[0] - near / scale) ** 2)
+    for k in range(1, settings.stages):
+        weight = weights[2] if k == 1 else settings.smoothing
+        center = ca.SX(0) if aim is None else aim[0, k]
+        off = moved[k] - ca.vertcat(0, feed_forward(curvature[k], center) / scale[1])
+        cost += weight * ca.sumsqr(moved[k] - moved[k - 1])
+        cost += settings.magnitude * (off[0] ** 2 + (1 + (speed / _CALM) ** 2) * off[1] ** 2)
+    slack = w[2 * moves :]
+    cost += settings.penalty * ca.sum1(slack) + 0.5 * settings.curving * ca.sumsqr(slack)
+    hessian, gradient = ca.hessian(cost, w)
+    here = ca.substitute(cost, w, ca.DM.zeros(3 * moves))
+    gradient = ca.substitute(gradient, w, ca.DM.zeros(3 * moves))
+    if aim is None:
+        return hessian, gradient, here
+    for k, (x, slope) in enumerate(zip(states, slopes, strict=True)):
+        for i, weight, wanted in ((1, weights[3], aim[0, k]), (2, weights[4], 0), (3, weights[5], aim[1, k])):
+            row = ca.horzcat(slope[i, :], ca.SX(1, moves))
+            hessian += 2 * weight * (row.T @ row)
+            gradient += 2 * weight * (x[i] - wanted) * row.T
+            here += weight * (x[i] - wanted) ** 2
+    return hessian, gradient, here

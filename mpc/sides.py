@@ -28,7 +28,8 @@ def along(psi: ca.SX, lon: ca.SX, lat: ca.SX) -> ca.SX:
 class SideChoice:
     """Writes the choice of sides as expressions, one stage after the other (at build time)."""
 
-    def __init__(self, obstacles: int, lon: ca.SX, lat: ca.SX, stage: float) -> None:
+    def __init__(self, obstacles: int, lon: ca.SX, lat: ca.SX, stage: float, given: ca.SX) -> None:
+        self._given = given
         self._m, self._lon, self._lat, self._stage = obstacles, lon, lat, stage
         self._sides: list[ca.SX] = []
         self._chosen: list[list[ca.SX]] = []
@@ -47,6 +48,7 @@ class SideChoice:
             best = self._best(gaps, (k + 1) * self._stage)
             opposite = best == before + 1 - 2 * ca.fmod(before, 2)
             side = ca.if_else(ca.logic_or(greatest < 0, opposite), before, best)
+            side = ca.if_else(self._given[j, k] >= 0, self._given[j, k], side)
             self._sides[j] = side
             s_high = ca.fmin(s_high, ca.if_else(side == Side.BEHIND, rectangle[Occupied.S_MIN], FREE))
             s_low = ca.fmax(s_low, ca.if_else(side == Side.AHEAD, rectangle[Occupied.S_MAX], -FREE))

@@ -1,0 +1,107 @@
+"""From one guess to a plan: linearise, solve, roll out, until the first input has settled and the rollout holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from dynamics.state import FloatArray
+from mpc.build import Program
+from mpc.result import Status
+from mpc.solver import QuadraticSolver
+
+__all__ = ["Descent", "descend"]
+
+
+@dataclass(frozen=True, slots=True)
+class Descent:
+    """Where a guess has led. Attributes as in `FilterResult`; `solved` is the time spent in the solver [s]."""
+
+    status: Status
+    inputs: FloatArray
+    states: FloatArray
+    sides: FloatArray
+    slack: float
+    violation: float
+    change: float
+    primal: float
+    dual: float
+    active: int
+    sweeps: int
+    solved: float
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """The smaller the better: a usable plan, then the smaller violation."""
+        return not self.status.usable, self.violation
+
+
+def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadline: float) -> Descent:
+    """Improve a guess (N, 2) by at most `settings.sweeps` linearisations; the sides are those of the guess.
+
+    Parameters
+    ----------
+    program : filled with the problem.
+    solver : of the quadratic programs.
+    guess : inputs; limited to the bounds here.
+    deadline : value of `perf_counter` after which no further linearisation is begun [s]; inf for none.
+    """
+    settings = program.settings
+    low, high = program.limits
+    moves = np.repeat(np.arange(len(settings.moves)), settings.moves)
+    program.free_sides()
+    np.clip(guess, low, high, out=program.inputs)
+    slack = change = primal = dual = np.inf
+    active, sweeps, solved = 0, 0, 0.0
+    status = Status.UNSETTLED
+    while sweeps < settings.sweeps:
+        if perf_counter() >= deadline:
+            status = Status.TIME_LIMIT
+            break
+        program.linearise()
+        program.keep_sides()
+        mark = perf_counter()
+        answer = solver.solve(program)
+        solved += perf_counter() - mark
+        sweeps += 1
+        if answer.x is None:
+            status = Status.ERROR
+            break
+        step = answer.x[: 2 * len(settings.moves)].reshape(-1, 2)
+        before = program.inputs[0].copy()
+        program.inputs += (step * program.scale)[moves]
+        np.clip(program.inputs, low, high, out=program.inputs)
+        program.roll_out()
+        change = float(np.abs((program.inputs[0] - before) / program.scale).max() / 2)
+        slack, primal, dual = max(float(answer.x[step.size :].max()), 0.0), answer.primal, answer.dual
+        active += answer.active
+        if program.violation[0] < settings.tolerance and change < settings.settled:
+            break
+    violation = float(program.violation[0])
+    if sweeps == 0 or not (np.isfinite(program.states).all() and np.isfinite(violation)):
+        status = Status.ERROR if status is not Status.TIME_LIMIT else status
+        violation = np.inf
+    elif status is Status.UNSETTLED:
+        status = _judge(violation, slack, change, settings.tolerance, settings.settled)
+    return Descent(
+        status,
+        program.inputs.copy(),
+        program.states.copy(),
+        program.sides.copy(),
+        slack,
+        violation,
+        change,
+        primal,
+        dual,
+        active,
+        sweeps,
+        solved,
+    )
+
+
+def _judge(violation: float, slack: float, change: float, tolerance: float, settled: float) -> Status:
+    if violation >= tolerance:
+        return Status.SLACK if slack >= tolerance else Status.UNSETTLED
+    return Status.SOLVED if change < settled else Status.INACCURATE

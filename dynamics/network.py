@@ -162,7 +162,7 @@ def _read_section(name: str, lanes: list[Any]) -> _Section:
 
 
 def _sine(lane: Any) -> Arcs:
-    """Biarcs through points of a sine: twice as many until all of it is within half of `SINE_ERROR`."""
+    """Biarcs through points of a sine: more and more until all of it is within 0.9 of `SINE_ERROR`."""
     n = 1 + int(lane.length * abs(lane.pulsation))
     fine = np.linspace(0.0, lane.length, 50 * n + 1)
     x = np.array([lane.position(t, 0.0) for t in fine])
@@ -171,9 +171,9 @@ def _sine(lane: Any) -> Arcs:
         arcs = biarc(poses[:-1], poses[1:])
         road = PathRoad(arcs, np.zeros(1), width=1e-6)
         states = np.column_stack([x, np.zeros((len(x), 2))])
-        if np.abs(road.to_road(states)[:, 1]).max() < SINE_ERROR / 2:
+        if np.abs(road.to_road(states)[:, 1]).max() < 0.9 * SINE_ERROR:
             return arcs
-        n *= 2
+        n += max(n // 8, 1)
 
 
 def _join(a: _Section, b: _Section) -> _Joint:

@@ -126,13 +126,14 @@ class PathRoad:
 
         return read_network(network)
 
-    def to_road(self, states: FloatArray, near: float | None = None) -> FloatArray:
+    def to_road(self, states: FloatArray, near: FloatArray | float | None = None) -> FloatArray:
         """World states (..., 4) to road states (..., 4).
 
         Parameters
         ----------
         states : world states, shape (..., 4).
-        near : on a closed road, s is within half a `length` of this [m]; by default s is in [0, length).
+        near : on a closed road, s is within half a `length` of this [m], broadcastable to (...); by default s is in
+            [0, length).
 
         Returns
         -------

@@ -24,6 +24,8 @@ class Road(Protocol):
     ----------
     centers : lateral position r of each lane's centre [m], shape (lanes,), ascending.
     width : lane width [m].
+    length : length of the path [m].
+    forbidden : of each lane, whether it may not be chosen as a target.
     """
 
     @property
@@ -32,8 +34,14 @@ class Road(Protocol):
     @property
     def width(self) -> float: ...
 
-    def to_road(self, states: FloatArray) -> FloatArray:
-        """World states (..., 4) to road states (..., 4)."""
+    @property
+    def length(self) -> float: ...
+
+    @property
+    def forbidden(self) -> tuple[bool, ...]: ...
+
+    def to_road(self, states: FloatArray, near: FloatArray | float | None = None) -> FloatArray:
+        """World states (..., 4) to road states (..., 4); on a closed road, with s within half a lap of `near` [m]."""
         ...
 
     def to_world(self, states: FloatArray) -> FloatArray:
@@ -42,6 +50,14 @@ class Road(Protocol):
 
     def curvature(self, s: FloatArray) -> FloatArray:
         """Curvature of the reference path [1/m] at arc length s [m]."""
+        ...
+
+    def lane_at(self, r: float) -> int:
+        """Index of the lane whose centre is nearest to lateral position r [m]."""
+        ...
+
+    def reachable(self, s: float, r: float) -> list[bool]:
+        """Which lanes highway-env lets a vehicle at (s, r) [m] choose as a target."""
         ...
 
 
@@ -129,8 +145,8 @@ class StraightRoad:
             forbidden=tuple(bool(lane.forbidden) for lane in lanes),
         )
 
-    def to_road(self, states: FloatArray) -> FloatArray:
-        """World states (..., 4) to road states (..., 4)."""
+    def to_road(self, states: FloatArray, near: FloatArray | float | None = None) -> FloatArray:
+        """World states (..., 4) to road states (..., 4); a straight road has no laps, so `near` has no effect."""
         dx = states[..., State.X] - self.origin[0]
         dy = states[..., State.Y] - self.origin[1]
         out = np.empty((*states.shape[:-1], 4))

@@ -9,7 +9,8 @@ track [m/s], and the greatest deceleration [m/s^2]. The acceleration is
 
 so that with b = NO_LIMIT and v* >= 0 it is highway-env's own control, bit for bit in exact arithmetic, and with
 v* = BRAKE it brakes at b to a stop and stays there. An *input* per frame is (a, delta): acceleration [m/s^2] and
-front wheel angle [rad], with no law in between.
+front wheel angle [rad], with no law in between. On a curved road (see `dynamics.curved`) r* is a line along the
+road, and the steering knows its curvature.
 """
 
 from __future__ import annotations
@@ -22,9 +23,20 @@ import numpy as np
 
 from dynamics.bicycle import step_expression
 from dynamics.controllers import KP_SPEED, steering_expression
+from dynamics.curved import ROW, curved_steering, curved_step, lookup
+from dynamics.path import CurvatureProfile, PathRoad
+from dynamics.road import StraightRoad
 from dynamics.state import FloatArray
 
-__all__ = ["BRAKE", "NO_LIMIT", "Rollouts", "frame_function", "input_function"]
+__all__ = [
+    "BRAKE",
+    "NO_LIMIT",
+    "Rollouts",
+    "curved_frame_function",
+    "curved_input_function",
+    "frame_function",
+    "input_function",
+]
 
 BRAKE = -1e9
 """Target speed that stands for braking as hard as the command allows [m/s]."""
@@ -39,8 +51,12 @@ _FRAMES = 8
 def frame_function(dt: float) -> ca.Function:
     """One frame: state (4), command (3) -> next state (4)."""
     x, c = ca.SX.sym("x", 4), ca.SX.sym("c", 3)
-    a = ca.fmax(ca.fmax(KP_SPEED * (c[1] - x[3]), -c[2]), -ca.fmax(x[3], 0) / dt)
+    a = _acceleration(x, c, dt)
     return ca.Function("frame", [x, c], [step_expression(x, a, steering_expression(x, c[0]), dt)])
+
+
+def _acceleration(x: ca.SX, c: ca.SX, dt: float) -> ca.SX:
+    return ca.fmax(ca.fmax(KP_SPEED * (c[1] - x[3]), -c[2]), -ca.fmax(x[3], 0) / dt)
 
 
 def input_function(dt: float) -> ca.Function:
@@ -49,22 +65,46 @@ def input_function(dt: float) -> ca.Function:
     return ca.Function("input_frame", [x, u], [step_expression(x, u[0], u[1], dt)])
 
 
+def curved_frame_function(dt: float, road: PathRoad | CurvatureProfile) -> ca.Function:
+    """`frame_function` on a curved road: the steering has the path's curvature as feed-forward."""
+    x, c, row = ca.SX.sym("x", 4), ca.SX.sym("c", 3), ca.SX.sym("row", ROW)
+    step = curved_step(x, _acceleration(x, c, dt), curved_steering(x, c[0], row[1], dt), row, dt)
+    return _on_path("curved_frame", ca.Function("step", [x, c, row], [step]), road)
+
+
+def curved_input_function(dt: float, road: PathRoad | CurvatureProfile) -> ca.Function:
+    """`input_function` on a curved road."""
+    x, u, row = ca.SX.sym("x", 4), ca.SX.sym("u", 2), ca.SX.sym("row", ROW)
+    return _on_path("curved_input_frame", ca.Function("step", [x, u, row], [curved_step(x, u[0], u[1], row, dt)]), road)
+
+
+def _on_path(name: str, step: ca.Function, road: PathRoad | CurvatureProfile) -> ca.Function:
+    profile = road.profile if isinstance(road, PathRoad) else road
+    x, u = ca.MX.sym("x", 4), ca.MX.sym("u", step.size1_in(1))
+    return ca.Function(name, [x, u], [step(x, u, lookup(profile, x[0]))])
+
+
 @lru_cache(maxsize=256)
-def _compiled(kind: _Kind, rows: int, frames: int, dt: float) -> ca.Function:
-    frame = frame_function(dt) if kind == "commands" else input_function(dt)
+def _compiled(kind: _Kind, rows: int, frames: int, dt: float, profile: CurvatureProfile | None) -> ca.Function:
+    if profile is None:
+        frame = frame_function(dt) if kind == "commands" else input_function(dt)
+    else:
+        frame = (curved_frame_function if kind == "commands" else curved_input_function)(dt, profile)
     return frame.mapaccum(frames).map(rows)
 
 
 class Rollouts:
-    """Owns the buffers of the compiled rollouts for one frame duration.
+    """Owns the buffers of the compiled rollouts for one frame duration on one road.
 
     Parameters
     ----------
     dt : frame duration [s].
+    road : the road; its road frame is that of the states. Every straight road has the same rollouts.
     """
 
-    def __init__(self, dt: float) -> None:
+    def __init__(self, dt: float, road: StraightRoad | PathRoad | None = None) -> None:
         self.dt = dt
+        self._profile = road.profile if isinstance(road, PathRoad) else None
         self._slots: dict[tuple[_Kind, int, int], tuple[FloatArray, FloatArray, FloatArray, _Call]] = {}
 
     def run(self, state: FloatArray, commands: FloatArray) -> FloatArray:
@@ -111,7 +151,7 @@ class Rollouts:
         if key not in self._slots:
             x0 = np.zeros((rows, 4))
             c, out = np.zeros((rows, frames, _COLUMNS[kind])), np.zeros((rows, frames, 4))
-            buffer, call = _compiled(kind, rows, frames, self.dt).buffer()
+            buffer, call = _compiled(kind, rows, frames, self.dt, self._profile).buffer()
             buffer.set_arg(0, memoryview(x0))  # type: ignore[call-arg, arg-type]
             buffer.set_arg(1, memoryview(c))  # type: ignore[call-arg, arg-type]
             buffer.set_res(0, memoryview(out))  # type: ignore[call-arg, arg-type]

@@ -92,10 +92,8 @@ def test_there_and_back_changes_nothing(maps, name):
     road, rng = maps[name][1], np.random.default_rng(1)
     local = on_road(road, rng, 3000)
     world = road.to_world(local)
-    back = np.array([road.to_road(w, near=s) for w, s in zip(world[:300], local[:300, 0], strict=True)])
-    assert np.abs(back[:, 1:] - local[:300, 1:]).max() < INVERSE
-    half = np.abs(np.abs(back[:, 0] - local[:300, 0]) - road.length) < 1e-6  # exactly half a lap away either way
-    assert np.abs(back[:, 0] - local[:300, 0])[~half].max() < INVERSE
+    back = road.to_road(world, near=local[:, 0])
+    assert np.abs(back - local).max() < INVERSE
     again = road.to_world(road.to_road(world))
     assert np.abs(again[:, :2] - world[:, :2]).max() < INVERSE
     assert np.abs(wrap_to_pi(again[:, 2] - world[:, 2] + 1) - 1).max() < INVERSE
@@ -125,7 +123,7 @@ def exact_stretches(road, network):
 
 
 @pytest.mark.parametrize(
-    ("name", "share"), [("racetrack-v0", 0.8), ("racetrack-large-v0", 0.6), ("racetrack-oval-v0", 0.99)]
+    ("name", "share"), [("racetrack-v0", 0.75), ("racetrack-large-v0", 0.6), ("racetrack-oval-v0", 0.99)]
 )
 def test_where_the_map_is_exact_coordinates_are_those_of_the_lanes(maps, name, share):
     network, road = maps[name]
@@ -211,7 +209,7 @@ def test_coordinates_are_continuous_across_every_joint_and_the_closing_point(map
         world = road.to_world(states)
         assert np.abs(np.diff(world[..., :2], axis=1)).max() < 1e-6
         assert np.abs(wrap_to_pi(np.diff(world[..., 2], axis=1) + 1) - 1).max() < 1e-6
-        local = np.array([road.to_road(w, near=j) for w, j in zip(world, joints, strict=True)])
+        local = road.to_road(world, near=joints[:, None])
         np.testing.assert_allclose(local[..., :2], states[..., :2], rtol=0, atol=INVERSE)
 
 

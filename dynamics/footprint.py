@@ -1,0 +1,104 @@
+r"""What it costs to take a car for a rectangle in the frame of a curved road.
+
+Notation
+--------
+A car of length l and width w [m] at (s, r) with heading psi [rad] relative to the path has, on a straight road, the
+half extents
+
+    h_along = l/2 |cos psi| + w/2 |sin psi|        h_across = l/2 |sin psi| + w/2 |cos psi|
+
+On a bend of curvature k the ends of the car lie further out than its middle, and a metre of the car covers
+1 / (1 - k r) metres of the path. Seen from the centre of the bend, the car is a convex set: its greatest angle and its
+greatest distance are at corners, its least distance is at a corner or at the foot of the perpendicular on a side.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dynamics.arcs import STRAIGHT, project
+from dynamics.errors import SceneError
+from dynamics.path import PathRoad
+from dynamics.state import FloatArray, RoadState, State
+
+__all__ = ["bend_growth", "road_growth"]
+
+_CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
+_BESIDE = np.linspace(-1.0, 1.0, 5)
+_ORIGIN = np.zeros(3)
+
+
+def bend_growth(length: Any, width: Any, heading: Any, r: Any, curvature: Any) -> tuple[FloatArray, FloatArray]:
+    """Extra half extents (along, across) [m] that a road-frame rectangle needs to contain a car on a bend.
+
+    Parameters
+    ----------
+    length, width : of the car [m].
+    heading : of the car relative to the path [rad].
+    r : lateral position of its centre [m].
+    curvature : of the path [1/m], the same all along the car. All five broadcast.
+
+    Returns
+    -------
+    What to add to h_along, in metres of the path, and to h_across; not negative, and the least that is enough.
+
+    Raises
+    ------
+    SceneError
+        If the car reaches the centre of the bend.
+    """
+    length, width, heading, r, curvature = np.broadcast_arrays(
+        *(np.asarray(value, dtype=float) for value in (length, width, heading, r, curvature))
+    )
+    a, b = length[..., None] / 2 * _CORNERS[:, 0], width[..., None] / 2 * _CORNERS[:, 1]
+    cos, sin = np.cos(heading)[..., None], np.sin(heading)[..., None]
+    x, y = a * cos - b * sin, r[..., None] + a * sin + b * cos
+    h_along, h_across = np.abs(x).max(axis=-1), np.abs(y - r[..., None]).max(axis=-1)
+    if np.any(curvature * r + np.abs(curvature) * np.hypot(h_along, h_across) >= 1):
+        raise SceneError(
+            f"a car reaches the centre of the bend: curvatures {curvature.min():.4g} to {curvature.max():.4g} 1/m, "
+            f"r {r.min():.2f} to {r.max():.2f} m; valid are cars with curvature * r and its half diagonal below 1"
+        )
+    # the foot of the perpendicular from the centre (0, 1/k) on each side, or the corner next to it
+    k = np.where(np.abs(curvature) < STRAIGHT, STRAIGHT, curvature)[..., None]
+    dx, dy = np.roll(x, -1, axis=-1) - x, np.roll(y, -1, axis=-1) - y
+    share = np.clip((-x * dx + (1 / k - y) * dy) / (dx**2 + dy**2), 0.0, 1.0)
+    s, across = project(
+        _ORIGIN, curvature[..., None], np.concatenate([x, x + share * dx], -1), np.concatenate([y, y + share * dy], -1)
+    )
+    along = np.abs(s).max(axis=-1) - h_along
+    across = np.abs(across - r[..., None]).max(axis=-1) - h_across
+    return np.maximum(along, 0.0), np.maximum(across, 0.0)
+
+
+def road_growth(road: PathRoad, states: FloatArray, length: Any, width: Any) -> tuple[FloatArray, FloatArray]:
+    """`bend_growth` of cars anywhere on a road, its joints included.
+
+    Parameters
+    ----------
+    states : road states, shape (..., 4).
+    length, width : of the cars [m], broadcastable to (...).
+
+    Returns
+    -------
+    Extra half extents along and across [m], shape (...). Along, it is the least that is enough: lines s = constant
+    are straight, so the greatest and the least s of a convex car are at its corners. Across, it is the greatest over
+    the curvatures of the path beside the car (of pieces longer than a quarter of its diagonal): the path lies
+    between the arcs of greatest and least curvature through the point at s, so each distance does too.
+    """
+    length, width = (np.broadcast_to(np.asarray(value, dtype=float), states.shape[:-1]) for value in (length, width))
+    s, r, psi = (states[..., i] for i in (RoadState.S, RoadState.R, RoadState.HEADING))
+    world = road.to_world(states)
+    a, b = length[..., None] / 2 * _CORNERS[:, 0], width[..., None] / 2 * _CORNERS[:, 1]
+    cos, sin = np.cos(world[..., State.HEADING, None]), np.sin(world[..., State.HEADING, None])
+    corners = np.zeros((*a.shape, 4))
+    corners[..., State.X] = world[..., State.X, None] + a * cos - b * sin
+    corners[..., State.Y] = world[..., State.Y, None] + a * sin + b * cos
+    reached = np.abs(road.to_road(corners, near=s[..., None])[..., RoadState.S] - s[..., None])
+    h_along = length / 2 * np.abs(np.cos(psi)) + width / 2 * np.abs(np.sin(psi))
+    farthest = reached.max(axis=-1)
+    beside = road.curvature(s[..., None] + farthest[..., None] * _BESIDE)
+    _, across = bend_growth(length[..., None], width[..., None], psi[..., None], r[..., None], beside)
+    return np.maximum(farthest - h_along, 0.0), across.max(axis=-1)

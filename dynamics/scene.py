@@ -12,7 +12,8 @@ import numpy as np
 
 from dynamics.controllers import speed_to_index
 from dynamics.errors import ActionError, SceneError
-from dynamics.road import StraightRoad
+from dynamics.path import PathRoad
+from dynamics.road import Road, StraightRoad
 from dynamics.state import FloatArray, State, Vehicle
 
 __all__ = ["EgoControl", "Scene", "SceneReader", "Target"]
@@ -50,7 +51,7 @@ class Scene:
     ----------
     ego : vehicle row, shape (7,), columns `Vehicle`, world frame.
     others : other vehicles and obstacles, shape (n, 7).
-    road : the static road map.
+    road : the static road map, a `Road`: a `StraightRoad`, or a `PathRoad` for a reader of curved roads.
     control : the ego's meta-action interface.
     dt : duration of a simulation frame [s].
     frames_per_decision : simulation frames in one decision period.
@@ -58,7 +59,7 @@ class Scene:
 
     ego: FloatArray
     others: FloatArray
-    road: StraightRoad
+    road: Any
     control: EgoControl
     dt: float
     frames_per_decision: int
@@ -80,7 +81,7 @@ class Scene:
                 f"0 to {self.road.centers.size - 1}"
             )
         object.__setattr__(self, "ego_road", self.road.to_road(self.ego))
-        object.__setattr__(self, "others_road", self.road.to_road(self.others))
+        object.__setattr__(self, "others_road", self.road.to_road(self.others, near=float(self.ego_road[0])))
 
     @property
     def finite(self) -> bool:
@@ -90,9 +91,9 @@ class Scene:
         )
 
     @classmethod
-    def from_env(cls, env: Any) -> Scene:
+    def from_env(cls, env: Any, curved: bool = False) -> Scene:
         """Read the true state of a highway-env environment (see `SceneReader`)."""
-        return SceneReader(env).read()
+        return SceneReader(env, curved).read()
 
     def target_of(self, action: int, reachable: list[bool] | None = None) -> Target:
         """What the controllers will track after meta-action index `action`.
@@ -128,6 +129,8 @@ class SceneReader:
     Parameters
     ----------
     env : a highway-env environment, wrapped or not, with one controlled vehicle.
+    curved : whether a road that is not straight may be read, as a `PathRoad`. Only for a reader whose rollouts and
+        bounds know the curvature of the road (`Rollouts(dt, scene.road)`); otherwise such a road is refused.
 
     Raises
     ------
@@ -135,7 +138,7 @@ class SceneReader:
         If the environment has no road, several controlled vehicles, or an unsupported road.
     """
 
-    def __init__(self, env: Any) -> None:
+    def __init__(self, env: Any, curved: bool = False) -> None:
         base = getattr(env, "unwrapped", env)
         if not hasattr(base, "road") or not hasattr(base, "controlled_vehicles"):
             raise SceneError(f"{type(base).__name__} is not a highway-env environment: it has no road and vehicles")
@@ -143,7 +146,8 @@ class SceneReader:
             raise SceneError(f"the shield supports one controlled vehicle, got {len(base.controlled_vehicles)}")
         self._env = base
         self._network: Any = None
-        self._road: StraightRoad | None = None
+        self._road: Road | None = None
+        self._curved = curved
 
     @property
     def road(self) -> Any:
@@ -167,7 +171,7 @@ class SceneReader:
         if env.road is None:
             raise SceneError("the environment has no road yet; call reset() first")
         if env.road.network is not self._network or self._road is None:
-            self._road = StraightRoad.from_network(env.road.network)
+            self._road = _road_of(env.road.network, self._curved)
             self._network = env.road.network
         ego = env.vehicle
         if ego is None:
@@ -191,6 +195,12 @@ class SceneReader:
             dt=1 / config["simulation_frequency"],
             frames_per_decision=int(config["simulation_frequency"] // config["policy_frequency"]),
         )
+
+
+def _road_of(network: Any, curved: bool) -> Road:
+    kinds = {type(lane).__name__ for lane in network.lanes_list()}
+    straight = kinds == {"StraightLane"} and sum(map(len, network.graph.values())) == 1
+    return StraightRoad.from_network(network) if straight or not curved else PathRoad.from_network(network)
 
 
 def _row(v: Any) -> tuple[float, ...]:

@@ -144,6 +144,13 @@ class Program:
         """Least and greatest input, (2,) each."""
         return self.misc[5:9:2], self.misc[6:9:2]
 
+    @property
+    def wanted(self) -> FloatArray | None:
+        """The nearest allowed input to the proposal, (2,); None where a reference is aimed at as well."""
+        if self.misc[9] == 0 or self.misc[12:15].any():
+            return None
+        return np.clip(self.misc[3:5], *self.limits)
+
     def free_sides(self) -> None:
         """Choose the sides anew with each guess."""
         self.given[:] = -1.0

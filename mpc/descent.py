@@ -53,6 +53,7 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
     moves = np.repeat(np.arange(len(settings.moves)), settings.moves)
     program.free_sides()
     np.clip(guess, low, high, out=program.inputs)
+    wanted, near = program.wanted, 2 * settings.settled * program.scale
     slack = change = primal = dual = np.inf
     active, sweeps, solved = 0, 0, 0.0
     status = Status.UNSETTLED
@@ -77,8 +78,15 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
         change = float(np.abs((program.inputs[0] - before) / program.scale).max() / 2)
         slack, primal, dual = max(float(answer.x[step.size :].max()), 0.0), answer.primal, answer.dual
         active += answer.active
-        if program.violation[0] < settings.tolerance and change < settings.settled:
-            break
+        if program.violation[0] < settings.tolerance:
+            if (
+                wanted is not None
+                and bool((np.abs(program.inputs[0] - wanted) < near).all())
+                and _adopt(program, wanted)
+            ):
+                change = 0.0
+            if change < settings.settled:
+                break
     violation = float(program.violation[0])
     if sweeps == 0 or not (np.isfinite(program.states).all() and np.isfinite(violation)):
         status = Status.ERROR if status is not Status.TIME_LIMIT else status
@@ -99,6 +107,18 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
         sweeps,
         solved,
     )
+
+
+def _adopt(program: Program, wanted: FloatArray) -> bool:
+    """Take the proposal itself as the first input if the plan holds with it: nothing is nearer to it."""
+    before = program.inputs[0].copy()
+    program.inputs[0] = wanted
+    program.roll_out()
+    if program.violation[0] < program.settings.tolerance:
+        return True
+    program.inputs[0] = before
+    program.roll_out()
+    return False
 
 
 def _judge(violation: float, slack: float, change: float, tolerance: float, settled: float) -> Status:

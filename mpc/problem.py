@@ -68,7 +68,7 @@ class FilterSettings:
     sweeps : greatest number of linearisations in one `solve`; 1 is the real-time iteration.
     settled : change of the first input below which no further linearisation is made, as a share of the range.
     tolerance : violation by the exact rollout up to which a plan counts as solved [m].
-    accuracy : residuals up to which a quadratic program counts as solved.
+    accuracy : residuals up to which a quadratic program counts as solved [m]; the rollout has the last word.
     max_iter : iterations of one quadratic program, the deterministic deadline.
     time_limit : wall time of one `solve` [s], behind it; 0 for none.
 
@@ -94,8 +94,8 @@ class FilterSettings:
     trust: float = 0.3
     sweeps: int = 3
     settled: float = 0.002
-    tolerance: float = 0.02
-    accuracy: float = 1e-5
+    tolerance: float = 0.05
+    accuracy: float = 5e-3
     max_iter: int = 300
     time_limit: float = 0.0
 

@@ -39,7 +39,7 @@ class FilterResult:
     sides : on which `Side` the plan was to pass each obstacle at each stage, (N, m); -1 where there is no plan.
     slack : greatest slack that the last quadratic program had to use [m].
     violation : greatest violation of a constraint by `states` [m], whichever side an obstacle is passed on.
-    change : of the first input by the last linearisation, as a share of the range.
+    change : of the first input by the last linearisation, as a share of the range; 0 where it is the proposal.
     primal, dual : residuals of the last quadratic program, computed here and not by the solver.
     active : bounds and rows that hold with equality, all quadratic programs together: the solver's work.
     sweeps : linearisations made.

@@ -9,7 +9,8 @@ half extents
 
 On a bend of curvature k the ends of the car lie further out than its middle, and a metre of the car covers
 1 / (1 - k r) metres of the path. Seen from the centre of the bend, the car is a convex set: its greatest angle and its
-greatest distance are at corners, its least distance is at a corner or at the foot of the perpendicular on a side.
+greatest distance are at corners. Inwards nothing is needed: a point at Y has r' <= Y for k > 0 (r' >= Y for k < 0),
+because going along the tangent leads away from the centre.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.arcs import STRAIGHT, project
+from dynamics.arcs import project
 from dynamics.errors import SceneError
 from dynamics.path import PathRoad
 from dynamics.state import FloatArray, RoadState, State
@@ -61,13 +62,7 @@ def bend_growth(length: Any, width: Any, heading: Any, r: Any, curvature: Any) -
             f"a car reaches the centre of the bend: curvatures {curvature.min():.4g} to {curvature.max():.4g} 1/m, "
             f"r {r.min():.2f} to {r.max():.2f} m; valid are cars with curvature * r and its half diagonal below 1"
         )
-    # the foot of the perpendicular from the centre (0, 1/k) on each side, or the corner next to it
-    k = np.where(np.abs(curvature) < STRAIGHT, STRAIGHT, curvature)[..., None]
-    dx, dy = np.roll(x, -1, axis=-1) - x, np.roll(y, -1, axis=-1) - y
-    share = np.clip((-x * dx + (1 / k - y) * dy) / (dx**2 + dy**2), 0.0, 1.0)
-    s, across = project(
-        _ORIGIN, curvature[..., None], np.concatenate([x, x + share * dx], -1), np.concatenate([y, y + share * dy], -1)
-    )
+    s, across = project(_ORIGIN, curvature[..., None], x, y)
     along = np.abs(s).max(axis=-1) - h_along
     across = np.abs(across - r[..., None]).max(axis=-1) - h_across
     return np.maximum(along, 0.0), np.maximum(across, 0.0)

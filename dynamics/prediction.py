@@ -18,6 +18,7 @@ Source: Responsibility-Sensitive Safety (Shalev-Shwartz et al. 2017), set-based 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -86,28 +87,40 @@ class Surroundings:
         self.lane = lane.astype(np.intp)
         center = centers[self.lane]
         offset = r - center
-        turning = heading > tolerance
-        self.moving = (turning | (np.abs(offset) > assumptions.keeping_offset)) & (others[:, Vehicle.SPEED] != 0)
-        # Towards its heading, else back to the centre of its lane.
-        toward = np.where(turning, np.sign(states[:, RoadState.HEADING]), -np.sign(offset))
-        leaving = self.moving & (toward * offset >= 0)
-        step = np.where(leaving, toward, 0.0)
-        end = centers[np.minimum(np.maximum(lane + step, 0), centers.size - 1).astype(np.intp)]
+        self.moving = (heading > tolerance) | (np.abs(offset) > assumptions.keeping_offset)
+        self.moving &= others[:, Vehicle.SPEED] != 0
         # Even one that keeps its lane may start to leave it at the next frame.
         turn = np.minimum(np.maximum(assumptions.max_heading, heading), np.pi / 2)
         self._cos = np.cos(turn)
         # v (1 - cos psi) <= tan(psi / 2) v sin psi: what a single lane change costs it along the road.
-        self._change = np.where(self.moving, np.inf, np.tan(0.5 * turn) * road.width)
-        # One that is coming back to its lane's centre turns no further outwards than it is turned now.
-        swing = np.sin(np.minimum(np.maximum(heading, tolerance), np.pi / 2))
-        outer = 0.5 * (width + length * swing)
-        half = 0.5 * (width + length * np.where(self.moving, np.sin(turn), swing))
+        self._change = np.tan(0.5 * turn) * road.width
         # The extent along the road is greatest at the heading of the diagonal, or as near to it as it can turn.
         diagonal = np.minimum(turn, np.arctan2(width, length))
         self.reach = 0.5 * (length * np.cos(diagonal) + width * np.sin(diagonal))
-        coming = self.moving & ~leaving
-        self.low = np.minimum(np.minimum(r, center), end) - np.where(coming & (offset < 0), outer, half)
-        self.high = np.maximum(np.maximum(r, center), end) + np.where(coming & (offset > 0), outer, half)
+        half = 0.5 * (width + length * np.sin(np.minimum(np.maximum(heading, tolerance), np.pi / 2)))
+        self.low, self.high = np.minimum(r, center) - half, np.maximum(r, center) + half
+        across = np.flatnonzero(self.moving)
+        if across.size:
+            self._change[across] = np.inf
+            self._widen(across, turn[across], half[across], centers)
+
+    def _widen(self, across: Any, turn: FloatArray, half: FloatArray, centers: FloatArray) -> None:
+        """Set the hull of those that move across: to the lane that they move to, on headings of up to `turn` [rad]."""
+        r, psi, lane = self.states[across, RoadState.R], self.states[across, RoadState.HEADING], self.lane[across]
+        center = centers[lane]
+        offset = r - center
+        turning = np.abs(psi) > self.assumptions.keeping_heading
+        # Towards its heading, else back to the centre of its lane.
+        toward = np.where(turning, np.sign(psi), -np.sign(offset))
+        leaving = toward * offset >= 0
+        beside = np.minimum(np.maximum(lane + toward.astype(np.intp), 0), centers.size - 1)
+        end = centers[np.where(leaving, beside, lane)]
+        turned = 0.5 * (self.others[across, Vehicle.WIDTH] + self.others[across, Vehicle.LENGTH] * np.sin(turn))
+        # One that is coming back to its lane's centre turns no further outwards than it is turned now.
+        outer_low = np.where(~leaving & (offset < 0), half, turned)
+        outer_high = np.where(~leaving & (offset > 0), half, turned)
+        self.low[across] = np.minimum(np.minimum(r, center), end) - outer_low
+        self.high[across] = np.maximum(np.maximum(r, center), end) + outer_high
 
     def rear(self, frames: int, dt: float, hold: int = 0) -> FloatArray:
         """Least s of each body after 1..K frames, (m, K) [m].

@@ -279,13 +279,13 @@ class ShieldCore:
             self._visible = np.zeros(near.shape, dtype=int)
         self._visible = np.where(near, self._visible + 1, 0)
         # A lane is owned from when the ego touches it with a verified plan to stop there, until it has left it.
-        here = np.arange(offset.size) == offset.argmin()
-        owned = here if self._owned is None or self._owned.shape != here.shape else self._owned
-        if self.stored_lane is not None:
-            owned = owned | (np.arange(offset.size) == self.stored_lane)
+        if self._owned is None or self._owned.shape != near.shape:
+            self._owned = np.arange(offset.size) == offset.argmin()
         swing = 0.5 * float(scene.ego[Vehicle.LENGTH]) * abs(np.sin(scene.ego_road[RoadState.HEADING]))
         touched = offset < 1.0 + 0.5 * float(scene.ego[Vehicle.WIDTH]) + swing
-        self._owned = owned & touched
+        if self.stored_lane is not None:
+            self._owned = self._owned | (np.arange(offset.size) == self.stored_lane)
+        self._owned = self._owned & touched
 
     @staticmethod
     def _changes_lane(scene: Scene, target: Target) -> bool:

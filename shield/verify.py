@@ -213,9 +213,9 @@ class Surveyor:
         see the ego there. Where the ego commits to that lane, one behind gives way (highway-env's traffic aborts such a
         lane change); of the lane that the fail-safe would return to nobody knows.
         """
-        around, n = self.around, candidates.lanes.size
+        around = self.around
         low, high = around.low[rows][None, :], around.high[rows][None, :]
-        lane = home = np.broadcast_to(around.lane[rows], (n, rows.size))
+        lane = home = around.lane[rows][None, :]
         if not (self.config.assumptions.blind_merge and bound):
             return low, high, home
         centers, width = self.scene.road.centers, self.scene.road.width

@@ -112,7 +112,7 @@ class Rollouts:
 
         Parameters
         ----------
-        state : road state, shape (4,).
+        state : road state, shape (4,), or one for each sequence, (n, 4).
         commands : shape (n, frames, 3).
 
         Returns
@@ -126,7 +126,7 @@ class Rollouts:
 
         Parameters
         ----------
-        state : road state, shape (4,).
+        state : road state, shape (4,), or one for each sequence, (n, 4).
         inputs : acceleration [m/s^2] and front wheel angle [rad] of each frame, shape (n, frames, 2). They are
             applied as they are; only highway-env's limits above `bicycle.MAX_SPEED` act on the acceleration.
 
@@ -141,7 +141,7 @@ class Rollouts:
         rows = next((r for r in _ROWS if r >= n), n)
         padded = -(-frames // _FRAMES) * _FRAMES
         x0, c, out, call = self._slot(kind, rows, padded)
-        x0[:] = state
+        x0[:n] = state
         c[:n, :frames] = controls
         call()
         return out[:n, :frames].copy()

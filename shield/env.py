@@ -17,6 +17,7 @@ from shield.config import ShieldConfig
 from shield.core import FrameCommand, ShieldCore
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
+from shield.inputs import InputDoor
 from shield.preference import order_from_scores, ranking_of
 
 __all__ = ["ShieldedEnv"]
@@ -25,11 +26,12 @@ _log = logging.getLogger(__name__)
 
 
 class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
-    """Wraps a highway-env environment with meta-actions; reads the simulator's true state.
+    """Wraps a highway-env environment with meta-actions or continuous ones; reads the simulator's true state.
 
     At each decision the proposed meta-action is verified and, if need be, replaced. Between two decisions every
     simulation frame is supervised: when the committed meta-action has become unsafe, the frame is held back
-    with bounded acceleration, or the ego keeps its lane.
+    with bounded acceleration, or the ego keeps its lane. Throttle and steering are verified at every frame, and
+    replaced by the nearest inputs that verify.
 
     Parameters
     ----------
@@ -43,7 +45,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     SceneError
         If the environment's road or number of controlled vehicles is not supported.
     ConfigError
-        If its action type is not `DiscreteMetaAction`.
+        If its action type is neither `DiscreteMetaAction` nor `ContinuousAction`.
 
     Notes
     -----
@@ -71,11 +73,14 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if isinstance(config, str):
             config = ShieldConfig.load(config)
         self.config = config if config is not None else ShieldConfig()
-        self.core = ShieldCore(self.config)
         self.policy = policy
         self._reader = SceneReader(env)
         self._base: Any = env.unwrapped
         self._check_action_type()
+        self._inputs: InputDoor | None = None
+        if type(self._base.action_type).__name__ == "ContinuousAction":
+            self._inputs = InputDoor(self._base, self._reader, self.config)
+        self.core = ShieldCore(self.config) if self._inputs is None else self._inputs.core
         self._observation: Any = None
         self._supervising = 0.0
         self.last_decision: Decision | None = None
@@ -83,9 +88,9 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def _check_action_type(self) -> None:
         kind = type(getattr(self.unwrapped, "action_type", None)).__name__
-        if kind != "DiscreteMetaAction":
+        if kind not in ("DiscreteMetaAction", "ContinuousAction"):
             raise ConfigError(
-                f"ShieldedEnv filters DiscreteMetaAction; this environment has {kind}. Pass "
+                f"ShieldedEnv filters DiscreteMetaAction and ContinuousAction; this environment has {kind}. Pass "
                 'config={"action": {"type": "DiscreteMetaAction"}} to gym.make'
             )
 
@@ -103,7 +108,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """Filter one meta-action, run it under supervision, and report in `info["shield"]`."""
         start = perf_counter()
         before = self.core.monitor.count
-        decision = self._decide(action)
+        decision = self._decide(action) if self._inputs is None else self._inputs.decide(action)
         self.last_decision = decision
         self.frame_decisions = []
         self._supervising = 0.0
@@ -134,6 +139,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
         (MaskablePPO cannot handle an empty mask; `step` then falls back whatever is chosen.)
         """
+        if self._inputs is not None:
+            raise ConfigError("action_masks() needs DiscreteMetaAction; this environment has ContinuousAction")
         mask = self.core.action_mask(self._reader.read())
         return mask if mask.any() else np.ones_like(mask)
 
@@ -159,7 +166,13 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             return None
         return order_from_scores(np.asarray(scores).reshape(-1), proposed)
 
-    def _frame(self) -> FrameCommand | None:
+    def _frame(self) -> FrameCommand | dict[str, float] | None:
+        if self._inputs is not None:
+            start = perf_counter()
+            raw, decision = self._inputs.frame()
+            self.frame_decisions.append(decision)
+            self._supervising += perf_counter() - start
+            return raw
         first = not self.frame_decisions
         if first and self.last_decision is not None and self.last_decision.tier is Tier.PASSED:
             # The decision has just verified this very frame, with this very target.
@@ -179,7 +192,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 class _Supervised:
     """For the duration of one step, lets `frame` have the last word on the ego's low-level action."""
 
-    def __init__(self, env: Any, frame: Callable[[], FrameCommand | None]) -> None:
+    def __init__(self, env: Any, frame: Callable[[], FrameCommand | dict[str, float] | None]) -> None:
         self._env, self._frame = env, frame
 
     def __enter__(self) -> None:
@@ -191,7 +204,9 @@ class _Supervised:
             if action is not None:
                 return
             command = frame()
-            if command is not None:
+            if isinstance(command, dict):
+                ego.action = command
+            elif command is not None:
                 lane = (*ego.target_lane_index[:2], command.lane)
                 if command.lane != ego.target_lane_index[2]:
                     ego.target_lane_index = lane

@@ -1,0 +1,297 @@
+"""The procedure for throttle and steering: the nearest input that verifies.
+
+An input (a, delta) is verified for one frame: after it, the fail-safe (brake to a stop in a lane, steered by
+highway-env's own lane controller) must stay clear of every place where the others can be, the ego's body must stay
+on the road, and the ego must not roll backwards. The set of inputs that verify is not convex, so the repair looks for
+the nearest one in three ways, and verifies each like any other: the predictive filter (`mpc.filter`), a fan of
+inputs between the proposal and braking in a lane, and then the segment from the best of them to the proposal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from dynamics.controllers import steering_control
+from dynamics.rollout import BRAKE
+from dynamics.scene import Scene
+from dynamics.state import FloatArray, RoadState, State, Vehicle
+from mpc.filter import PredictiveFilter
+from mpc.problem import FilterProblem, FilterSettings
+from shield.actuators import Actuators
+from shield.candidates import Candidates
+from shield.config import ShieldConfig
+from shield.core import ShieldCore
+from shield.decision import Decision, Reason, Tier
+from shield.errors import ConfigError
+from shield.verify import Clearance, least_bad
+
+__all__ = ["ContinuousCore"]
+
+_STAGE, _STAGES = 0.2, 20
+"""Stage of the predictive filter [s], and how many."""
+_FAN = np.array([(i, j) for j in (0.0, 0.25, 0.5, 0.75, 1.0) for i in (0.0, 0.25, 0.5, 0.75, 0.9, 1.0)][1:])
+"""Shares of the way from the proposal to braking in a lane: (acceleration, steering)."""
+_SEGMENT = np.linspace(0.0, 1.0, 9)[1:-1]
+"""Where the segment between the best verified input and the proposal is looked at, in each of two passes."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """Inputs (n, 2), and the best fail-safe of each: margin [m], frames that stay clear, lane, path."""
+
+    inputs: FloatArray
+    margin: FloatArray
+    clear: Any
+    lanes: Any
+    paths: FloatArray
+
+
+class ContinuousCore(ShieldCore):
+    """Filters throttle and steering, frame by frame.
+
+    Parameters
+    ----------
+    config : settings; `ShieldConfig()` by default.
+    actuators : what the policy controls. The fail-safe and the repair may use the throttle, the brake
+        (`config.braking`) and the wheel in any case: they act between the decision and the actuators.
+    predictive : whether the predictive filter takes part in the repair.
+
+    Raises
+    ------
+    ConfigError
+        If the mode is one of the rules for meta-actions.
+    """
+
+    def __init__(
+        self, config: ShieldConfig | None = None, actuators: Actuators | None = None, predictive: bool = True
+    ) -> None:
+        super().__init__(config)
+        if self.config.mode not in ("none", "full"):
+            raise ConfigError(f"mode {self.config.mode!r} judges meta-actions; for ContinuousAction use none or full")
+        self.actuators = actuators if actuators is not None else Actuators()
+        self.predictive = predictive
+        self._filters: dict[float, PredictiveFilter] = {}
+
+    def reset(self) -> None:
+        """Forget everything about the episode."""
+        super().reset()
+        for each in getattr(self, "_filters", {}).values():
+            each.reset()
+
+    def filter(self, scene: Scene, proposal: FloatArray) -> tuple[FloatArray, Decision]:
+        """What the actuators get for the next frame.
+
+        Parameters
+        ----------
+        scene : the scene now.
+        proposal : (acceleration [m/s^2], front wheel angle [rad]), shape (2,).
+
+        Returns
+        -------
+        The inputs (2,), `proposal` itself where it verifies; and the record.
+        """
+        start = perf_counter()
+        if not scene.finite:
+            return self.brake_inputs(scene, proposal, Reason.BAD_SCENE, start)
+        self._observe(scene)
+        judged = self._judge_inputs(scene, proposal[None])
+        if judged.margin[0] >= 0:
+            return proposal, self._record(scene, proposal, judged, 0, Reason.NONE, Tier.PASSED, start)
+        return self._repair_inputs(scene, proposal, judged, start)
+
+    def brake_inputs(
+        self, scene: Scene | None, proposal: Any, reason: Reason, start: float, tier: Tier = Tier.EMERGENCY
+    ) -> tuple[FloatArray, Decision]:
+        """The fail-safe manoeuvre's inputs for one frame, in the stored lane where there is one.
+
+        Without a readable scene the wheel is kept straight.
+        """
+        inputs = np.array([-self.config.braking, 0.0])
+        if scene is not None and scene.finite:
+            inputs = self._law(scene, self._stop_lane(scene))
+        return inputs, Decision(proposal, inputs, reason, tier, np.nan, perf_counter() - start)
+
+    # -- repair ------------------------------------------------------------------------------------------
+
+    def _repair_inputs(
+        self, scene: Scene, proposal: FloatArray, first: _Judged, start: float
+    ) -> tuple[FloatArray, Decision]:
+        lane = self._stop_lane(scene)
+        law = self._law(scene, lane)
+        floor = np.array([self._floor(scene), -np.inf])
+        tried = [np.maximum(proposal + _FAN * (law - proposal), floor)]
+        if self.predictive:
+            plan = self._predict(scene, proposal, law, int(first.lanes[0]))
+            if plan is not None:
+                tried.insert(0, np.maximum(plan, floor)[None])
+        judged = self._judge_inputs(scene, np.vstack(tried))
+        good = np.flatnonzero(judged.margin >= 0)
+        if not good.size:
+            return self._fall_back(scene, proposal, judged, law, start)
+        for _ in range(2):
+            best = int(good[self._distance(judged.inputs[good], proposal).argmin()])
+            nearer = judged.inputs[best] + _SEGMENT[:, None] * (proposal - judged.inputs[best])
+            judged = _join(judged, best, self._judge_inputs(scene, np.maximum(nearer, floor)))
+            good = np.flatnonzero(judged.margin >= 0)
+        best = int(good[self._distance(judged.inputs[good], proposal).argmin()])
+        return judged.inputs[best], self._record(scene, proposal, judged, best, Reason.UNVERIFIED, Tier.GOVERNED, start)
+
+    def _fall_back(
+        self, scene: Scene, proposal: FloatArray, judged: _Judged, law: FloatArray, start: float
+    ) -> tuple[FloatArray, Decision]:
+        if self.stored_lane is not None and not self.monitor.violated:
+            return self.brake_inputs(scene, proposal, Reason.NO_SAFE_PLAN, start, Tier.STORED_PLAN)
+        best = least_bad(Clearance(judged.margin, judged.clear))
+        inputs = judged.inputs[best]
+        decision = self._record(scene, proposal, judged, best, Reason.NO_SAFE_PLAN, Tier.LARGEST_MARGIN, start)
+        self.stored_lane = None
+        return inputs, decision
+
+    def _predict(self, scene: Scene, proposal: FloatArray, law: FloatArray, lane: int) -> FloatArray | None:
+        """First input of the predictive filter's plan, or None where it has none that keeps its constraints."""
+        solver = self._filters.get(scene.dt)
+        if solver is None:
+            substeps = max(1, round(_STAGE / scene.dt))
+            settings = FilterSettings(
+                dt=scene.dt,
+                substeps=substeps,
+                stages=_STAGES,
+                acceleration=(-self.config.braking, max(self.actuators.acceleration[1], 1.0)),
+                steering=max(abs(self.actuators.steering[0]), abs(self.actuators.steering[1])),
+                braking=self.config.braking,
+            )
+            solver = self._filters[scene.dt] = PredictiveFilter(settings)
+        settings = solver.settings
+        survey, b, road = self._survey(scene), self.config.buffer, scene.road
+        ends = settings.substeps * np.arange(1, settings.stages + 1) - 1
+        frames = int(ends[-1]) + 1
+        here = road.lane_at(float(scene.ego_road[RoadState.R]))
+        owned = survey.owned[here] and survey.owned[lane]
+        v = max(float(scene.ego[State.SPEED]), 0.0)
+        rows = survey.relevant((v + 2.0) * frames * scene.dt, frames * scene.dt, followers=not owned)
+        rows = rows[np.argsort(np.abs(scene.others_road[rows, RoadState.S] - scene.ego_road[RoadState.S]))][:12]
+        seen = survey.around.occupancy(frames, scene.dt)
+        boxes = np.empty((settings.stages, rows.size, 4))
+        boxes[..., 0], boxes[..., 1] = seen.rear[np.ix_(rows, ends)].T, seen.front[np.ix_(rows, ends)].T
+        boxes[..., 2], boxes[..., 3] = seen.low[rows], seen.high[rows]
+        lanes = road.centers[[here, lane]]
+        problem = FilterProblem(
+            state=scene.ego_road,
+            proposal=proposal,
+            occupancy=boxes,
+            half=(0.5 * scene.ego[Vehicle.LENGTH] + b.longitudinal, 0.5 * scene.ego[Vehicle.WIDTH] + b.lateral),
+            edges=(float(lanes.min()) - 0.5 * road.width, float(lanes.max()) + 0.5 * road.width),
+        )
+        result = solver.solve(problem, elapsed=1)
+        return result.inputs[0] if result.status.usable else None
+
+    # -- pieces ------------------------------------------------------------------------------------------
+
+    def _judge_inputs(self, scene: Scene, inputs: FloatArray) -> _Judged:
+        """Each input for one frame and then the fail-safe, in the lane where it has the best certificate."""
+        road, dt, braking = scene.road, scene.dt, self.config.braking
+        here = road.lane_at(float(scene.ego_road[RoadState.R]))
+        near = [self._stop_lane(scene), here, here - 1, here + 1]
+        lanes = np.array(list(dict.fromkeys(i for i in near if 0 <= i < road.centers.size)))
+        rolled = self._rollouts_for(dt)
+        one = rolled.run_inputs(scene.ego_road, inputs[:, None, :])
+        top = max(float(one[:, 0, RoadState.SPEED].max()), 0.0)
+        frames = int(np.ceil(top / (braking * dt))) + 1
+        n, f = len(inputs), lanes.size
+        fails = np.tile(lanes, n)
+        commands = np.empty((n * f, frames, 3))
+        commands[..., 0] = road.centers[fails][:, None]
+        commands[..., 1], commands[..., 2] = BRAKE, braking
+        began = np.repeat(one, f, axis=0)
+        paths = np.concatenate([began, rolled.run(began[:, 0], commands)], axis=1)
+        entered, room = self._entered(scene, paths, fails)
+        result = self._survey(scene).clearance(paths, Candidates(commands, entered, fails))
+        margin = np.minimum(result.margin, room)
+        # Rolling backwards has no fail-safe: the brake stands still.
+        margin = np.where(began[:, 0, RoadState.SPEED] < -1e-9, -np.inf, margin).reshape(n, f)
+        # The first lane that verifies, in order; else the best.
+        good = margin >= 0
+        pick = np.where(good.any(axis=1), good.argmax(axis=1), np.nan_to_num(margin, nan=-np.inf).argmax(axis=1))
+        rows = np.arange(n) * f + pick
+        return _Judged(inputs, margin.reshape(-1)[rows], result.clear[rows], fails[rows], paths[rows])
+
+    def _entered(self, scene: Scene, paths: FloatArray, fails: Any) -> tuple[Any, FloatArray]:
+        """The lane that the body of each path enters beside those that the ego owns, and the room that it leaves [m].
+
+        Room is what is left to the road's edge; none where a path enters lanes on both sides.
+        """
+        road, ego = scene.road, scene.ego
+        sin, cos = np.abs(np.sin(paths[..., RoadState.HEADING])), np.abs(np.cos(paths[..., RoadState.HEADING]))
+        half = 0.5 * (ego[Vehicle.LENGTH] * sin + ego[Vehicle.WIDTH] * cos)
+        low = (paths[..., RoadState.R] - half).min(axis=1)
+        high = (paths[..., RoadState.R] + half).max(axis=1)
+        centers, side = road.centers, 0.5 * road.width
+        touched = (high[:, None] > centers - side) & (low[:, None] < centers + side)
+        new = touched & ~self._survey(scene).owned
+        new[np.arange(len(fails)), fails] = False
+        entered = np.where(new.any(axis=1), new.argmax(axis=1), fails)
+        room = np.minimum(low - (centers[0] - side), (centers[-1] + side) - high)
+        room = np.where(room >= 0, np.inf, room)
+        return entered, np.where(new.sum(axis=1) > 1, -np.inf, room)
+
+    def _stop_lane(self, scene: Scene) -> int:
+        """The lane in which the fail-safe of the frame before would stop; the ego's own without one."""
+        here = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
+        stored = self.stored_lane
+        return here if stored is None or abs(stored - here) > 1 else stored
+
+    def _floor(self, scene: Scene) -> float:
+        """The acceleration that just stops the ego within the frame [m/s^2]."""
+        return -max(float(scene.ego[State.SPEED]), 0.0) / scene.dt
+
+    def _law(self, scene: Scene, lane: int) -> FloatArray:
+        """Inputs of the fail-safe manoeuvre for one frame: brake, and steer to the lane's centre."""
+        wheel = float(steering_control(scene.ego_road, scene.road.centers[lane]))
+        v = float(scene.ego[State.SPEED])
+        brake = max(-self.config.braking, self._floor(scene)) if v >= 0 else min(-v / scene.dt, self.config.braking)
+        return np.array([brake, wheel])
+
+    def _distance(self, inputs: FloatArray, proposal: FloatArray) -> FloatArray:
+        """How far inputs (n, 2) are from the proposal, in shares of the actuators' ranges."""
+        spans = np.array([np.ptp(self.actuators.acceleration), np.ptp(self.actuators.steering)])
+        return np.asarray(np.square((inputs - proposal) / spans).sum(axis=1))
+
+    def _record(
+        self,
+        scene: Scene,
+        proposal: FloatArray,
+        judged: _Judged,
+        i: int,
+        reason: Reason,
+        tier: Tier,
+        start: float,
+    ) -> Decision:
+        if tier is not Tier.LARGEST_MARGIN:
+            self.stored_lane = int(judged.lanes[i])
+        plan = np.vstack([scene.ego_road, judged.paths[i]])
+        occupancy = None
+        if self.config.record:
+            occupancy = self._survey(scene).around.occupancy(len(judged.paths[i]), scene.dt).rectangles()
+        margin = float(judged.margin[i])
+        return Decision(proposal, judged.inputs[i], reason, tier, margin, perf_counter() - start, plan, occupancy)
+
+
+def _join(first: _Judged, keep: int, second: _Judged) -> _Judged:
+    """One row of the first, and the second; paths are padded with their last state."""
+    frames = max(first.paths.shape[1], second.paths.shape[1])
+
+    def pad(paths: FloatArray) -> FloatArray:
+        return np.pad(paths, ((0, 0), (0, frames - paths.shape[1]), (0, 0)), mode="edge")
+
+    one = slice(keep, keep + 1)
+    return _Judged(
+        np.vstack([first.inputs[one], second.inputs]),
+        np.concatenate([first.margin[one], second.margin]),
+        np.concatenate([first.clear[one], second.clear]),
+        np.concatenate([first.lanes[one], second.lanes]),
+        np.concatenate([pad(first.paths[one]), pad(second.paths)]),
+    )

@@ -1,0 +1,85 @@
+"""The door for `ContinuousAction`: from normalised actions to filtered inputs, frame by frame."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from dynamics.errors import SceneError
+from dynamics.scene import Scene, SceneReader
+from dynamics.state import FloatArray
+from shield.actuators import Actuators
+from shield.config import ShieldConfig
+from shield.continuous import ContinuousCore
+from shield.decision import Decision, Reason, Tier
+
+__all__ = ["InputDoor"]
+
+_log = logging.getLogger(__name__)
+
+
+class InputDoor:
+    """Filters the throttle and steering of one environment.
+
+    Parameters
+    ----------
+    base : the highway-env environment, unwrapped.
+    reader : reads its scenes.
+    config : settings.
+
+    Raises
+    ------
+    ConfigError
+        If the mode is one of the rules for meta-actions.
+    """
+
+    def __init__(self, base: Any, reader: SceneReader, config: ShieldConfig) -> None:
+        self._base, self._reader = base, reader
+        self.actuators = Actuators.of(base.action_type)
+        self.core = ContinuousCore(config, self.actuators)
+        self._off = config.mode == "none"
+        self._proposal: FloatArray | None = None
+        self._first: tuple[FloatArray, Decision] | None = None
+
+    def decide(self, action: Any) -> Decision:
+        """Filter an action for its first frame; `executed` is the action itself where that verifies.
+
+        Otherwise it is the normalised action nearest to what the actuators get: the shield brakes harder than the
+        policy can if it has to.
+        """
+        start = perf_counter()
+        if self._off:
+            return Decision(action, action, Reason.NONE, Tier.OFF, np.nan, 0.0)
+        read = self.actuators.read(action)
+        self._proposal = None if read is None else self.actuators.physical(read)
+        inputs, decision = self._filter(start)
+        self._first = inputs, decision
+        executed = action if decision.tier is Tier.PASSED else self.actuators.normalised(inputs)
+        return replace(decision, proposed=action, executed=executed)
+
+    def frame(self) -> tuple[dict[str, float] | None, Decision]:
+        """The low-level action of the next frame, None where the proposal's own stands; and the record."""
+        first, self._first = self._first, None
+        inputs, decision = first if first is not None else self._filter(perf_counter())
+        if decision.tier is Tier.PASSED:
+            return None, decision
+        return {"acceleration": float(inputs[0]), "steering": float(inputs[1])}, decision
+
+    def _filter(self, start: float) -> tuple[FloatArray, Decision]:
+        scene: Scene | None = None
+        proposal = self._proposal
+        try:
+            scene = self._reader.read()
+            if proposal is None:
+                return self.core.brake_inputs(scene, proposal, Reason.BAD_ACTION, start)
+            return self.core.filter(scene, proposal)
+        except SceneError:
+            return self.core.brake_inputs(None, proposal, Reason.BAD_SCENE, start)
+        except Exception:
+            # Fail closed: a stage that breaks must not let the proposal through.
+            _log.exception("a stage of the shield raised; the ego brakes in its lane")
+            return self.core.brake_inputs(scene, proposal, Reason.STAGE_FAILED, start)

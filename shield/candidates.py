@@ -36,31 +36,31 @@ class Candidates:
 
 
 def brake_candidates(
-    scene: Scene, targets: list[Target], fail_lanes: list[int], commit: int, braking: float
+    scene: Scene, target_lanes: Any, target_speeds: Any, fail_lanes: Any, commit: int, braking: float
 ) -> Candidates:
     """Commit to each target for `commit` frames, then brake to a stop in the fail-safe lane.
 
     Parameters
     ----------
-    targets, fail_lanes : one of each per candidate.
+    target_lanes, target_speeds, fail_lanes : one of each per candidate, (n,); speeds [m/s].
     braking : deceleration of the fail-safe [m/s^2].
     """
     centers, dt = scene.road.centers, scene.dt
-    lanes = np.array([t.lane for t in targets])
-    speeds = np.array([t.speed for t in targets])
+    lanes, fails = np.asarray(target_lanes), np.asarray(fail_lanes)
+    speeds = np.asarray(target_speeds, dtype=float)
     v0 = float(scene.ego[State.SPEED])
     # The speed after the commitment follows the controller's geometric law exactly.
     v_end = speeds + (v0 - speeds) * (1 - KP_SPEED * dt) ** commit
     top = max(v0, float(v_end.max()), 0.0)
     frames = commit + int(np.ceil(top / (braking * dt))) + 1
-    commands = np.empty((len(targets), frames, 3))
+    commands = np.empty((lanes.size, frames, 3))
     commands[:, :commit, 0] = centers[lanes][:, None]
     commands[:, :commit, 1] = speeds[:, None]
     commands[:, :commit, 2] = NO_LIMIT
-    commands[:, commit:, 0] = centers[fail_lanes][:, None]
+    commands[:, commit:, 0] = centers[fails][:, None]
     commands[:, commit:, 1] = BRAKE
     commands[:, commit:, 2] = braking
-    return Candidates(commands, lanes, np.array(fail_lanes))
+    return Candidates(commands, lanes, fails)
 
 
 def meta_candidates(scene: Scene, actions: list[int], horizon: float) -> tuple[Candidates, list[tuple[int, ...]]]:

@@ -197,7 +197,8 @@ class ShieldCore:
         if not fresh:
             self._observe(scene)
         fails = self._fail_lanes(scene, proposed.lane)
-        candidates = brake_candidates(scene, [proposed] * len(fails), fails, 1, self.config.braking)
+        lanes, speeds = [proposed.lane] * len(fails), [proposed.speed] * len(fails)
+        candidates = brake_candidates(scene, lanes, speeds, fails, 1, self.config.braking)
         paths, result = self._judge(scene, candidates)
         best = _first_verified(result.margin)
         margin = float(result.margin[best])
@@ -246,22 +247,20 @@ class ShieldCore:
             here = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
             beside = (here - 1, here, here + 1)
             lanes = [lane for lane in beside if 0 <= lane < scene.road.centers.size]
-        steer = [lane for lane in lanes for _ in grid]
-        speeds = [v + a / KP_SPEED for _ in lanes for a in grid]
-        targets = [Target(lane, speed) for lane, speed in zip(steer, speeds, strict=True)]
         # An evading ego stops where it steers to; otherwise each steering is tried with each fail-safe lane.
-        rows = [(t, t.lane) for t in targets] if evade else [(t, f) for f in lanes for t in targets]
-        candidates = brake_candidates(scene, [t for t, _ in rows], [f for _, f in rows], 1, braking)
+        steer = np.repeat(lanes, grid.size)
+        fails = steer if evade else np.repeat(lanes, steer.size)
+        steer = np.resize(steer, fails.size)
+        accelerations = np.resize(grid, fails.size)
+        candidates = brake_candidates(scene, steer, v + accelerations / KP_SPEED, fails, 1, braking)
         paths, result = self._judge(scene, candidates)
-        accelerations = np.tile(grid, len(rows) // len(grid))
         cost = np.where(candidates.lanes == target.lane, 0.0, _LANE_PENALTY)
         score = np.where(result.margin >= 0, accelerations - cost, -np.inf)
         i = int(score.argmax())
         if evade or not np.isfinite(score[i]):
             i = least_bad(result)
-        t, fail = rows[i]
-        command = FrameCommand(t.lane, float(accelerations[i]))
-        return command, Verdict(float(result.margin[i]), fail, paths[i])
+        command = FrameCommand(int(steer[i]), float(accelerations[i]))
+        return command, Verdict(float(result.margin[i]), int(fails[i]), paths[i])
 
     # -- pieces ------------------------------------------------------------------------------------------
 
@@ -324,12 +323,14 @@ class ShieldCore:
         of the others) are marked down too: an alternative should last for the whole period.
         """
         pairs = [(i, f) for i, t in enumerate(targets) for f in self._fail_lanes(scene, t.lane)]
-        chosen, fails = [targets[i] for i, _ in pairs], [f for _, f in pairs]
+        lanes, speeds = [targets[i].lane for i, _ in pairs], [targets[i].speed for i, _ in pairs]
+        fails = [f for _, f in pairs]
         period, braking = scene.frames_per_decision, self.config.braking
-        paths, bound = self._judge(scene, brake_candidates(scene, chosen, fails, 1, braking))
+        paths, bound = self._judge(scene, brake_candidates(scene, lanes, speeds, fails, 1, braking))
         margins = bound.margin
         if forecast:
-            paths, expected = self._judge(scene, brake_candidates(scene, chosen, fails, period, braking), period)
+            lasting = brake_candidates(scene, lanes, speeds, fails, period, braking)
+            paths, expected = self._judge(scene, lasting, period)
             margins = np.minimum(margins, expected.margin)
         owner = np.array([i for i, _ in pairs])
         out = []

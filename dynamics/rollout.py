@@ -44,7 +44,7 @@ NO_LIMIT = 1e12
 """Deceleration bound that stands for none [m/s^2]."""
 _Kind = Literal["commands", "inputs"]
 _COLUMNS: dict[_Kind, int] = {"commands": 3, "inputs": 2}
-_ROWS = (1, 2, 4, 8, 16, 32)
+_ROWS = (1, 2, 4, 8, 16, 32, 48, 64, 96, 128, 256, 512)
 _FRAMES = 8
 
 

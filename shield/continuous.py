@@ -98,7 +98,10 @@ class ContinuousCore(ShieldCore):
         if not scene.finite:
             return self.brake_inputs(scene, proposal, Reason.BAD_SCENE, start)
         self._observe(scene)
-        judged = self._judge_inputs(scene, proposal[None])
+        first, *others = self._stop_lanes(scene)
+        judged = self._judge_inputs(scene, proposal[None], [first])
+        if not judged.margin[0] >= 0 and others:
+            judged = self._judge_inputs(scene, proposal[None], [first, *others])
         if judged.margin[0] >= 0:
             return proposal, self._record(scene, proposal, judged, 0, Reason.NONE, Tier.PASSED, start)
         return self._repair_inputs(scene, proposal, judged, start)
@@ -128,14 +131,15 @@ class ContinuousCore(ShieldCore):
             plan = self._predict(scene, proposal, law, int(first.lanes[0]))
             if plan is not None:
                 tried.insert(0, np.maximum(plan, floor)[None])
-        judged = self._judge_inputs(scene, np.vstack(tried))
+        lanes = list(dict.fromkeys((lane, int(first.lanes[0]))))
+        judged = self._judge_inputs(scene, np.vstack(tried), lanes)
         good = np.flatnonzero(judged.margin >= 0)
         if not good.size:
             return self._fall_back(scene, proposal, judged, law, start)
         for _ in range(2):
             best = int(good[self._distance(judged.inputs[good], proposal).argmin()])
             nearer = judged.inputs[best] + _SEGMENT[:, None] * (proposal - judged.inputs[best])
-            judged = _join(judged, best, self._judge_inputs(scene, np.maximum(nearer, floor)))
+            judged = _join(judged, best, self._judge_inputs(scene, np.maximum(nearer, floor), lanes))
             good = np.flatnonzero(judged.margin >= 0)
         best = int(good[self._distance(judged.inputs[good], proposal).argmin()])
         return judged.inputs[best], self._record(scene, proposal, judged, best, Reason.UNVERIFIED, Tier.GOVERNED, start)
@@ -191,12 +195,9 @@ class ContinuousCore(ShieldCore):
 
     # -- pieces ------------------------------------------------------------------------------------------
 
-    def _judge_inputs(self, scene: Scene, inputs: FloatArray) -> _Judged:
-        """Each input for one frame and then the fail-safe, in the lane where it has the best certificate."""
-        road, dt, braking = scene.road, scene.dt, self.config.braking
-        here = road.lane_at(float(scene.ego_road[RoadState.R]))
-        near = [self._stop_lane(scene), here, here - 1, here + 1]
-        lanes = np.array(list(dict.fromkeys(i for i in near if 0 <= i < road.centers.size)))
+    def _judge_inputs(self, scene: Scene, inputs: FloatArray, stops: list[int]) -> _Judged:
+        """Each input for one frame and then the fail-safe, in the first of the lanes `stops` where that verifies."""
+        road, dt, braking, lanes = scene.road, scene.dt, self.config.braking, np.array(stops)
         rolled = self._rollouts_for(dt)
         one = rolled.run_inputs(scene.ego_road, inputs[:, None, :])
         top = max(float(one[:, 0, RoadState.SPEED].max()), 0.0)
@@ -237,6 +238,12 @@ class ContinuousCore(ShieldCore):
         room = np.minimum(low - (centers[0] - side), (centers[-1] + side) - high)
         room = np.where(room >= 0, np.inf, room)
         return entered, np.where(new.sum(axis=1) > 1, -np.inf, room)
+
+    def _stop_lanes(self, scene: Scene) -> list[int]:
+        """Lanes in which the fail-safe may stop, in order of preference."""
+        here = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
+        near = (self._stop_lane(scene), here, here - 1, here + 1)
+        return list(dict.fromkeys(i for i in near if 0 <= i < scene.road.centers.size))
 
     def _stop_lane(self, scene: Scene) -> int:
         """The lane in which the fail-safe of the frame before would stop; the ego's own without one."""

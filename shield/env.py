@@ -78,7 +78,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._base: Any = env.unwrapped
         self._check_action_type()
         self._inputs: InputDoor | None = None
-        if type(self._base.action_type).__name__ == "ContinuousAction":
+        if self._kind() == "ContinuousAction":
             self._inputs = InputDoor(self._base, self._reader, self.config)
         self.core = ShieldCore(self.config) if self._inputs is None else self._inputs.core
         self._observation: Any = None
@@ -86,8 +86,11 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self.last_decision: Decision | None = None
         self.frame_decisions: list[Decision] = []
 
+    def _kind(self) -> str:
+        return type(getattr(self.unwrapped, "action_type", None)).__name__
+
     def _check_action_type(self) -> None:
-        kind = type(getattr(self.unwrapped, "action_type", None)).__name__
+        kind = self._kind()
         if kind not in ("DiscreteMetaAction", "ContinuousAction"):
             raise ConfigError(
                 f"ShieldedEnv filters DiscreteMetaAction and ContinuousAction; this environment has {kind}. Pass "

@@ -102,7 +102,7 @@ class Program:
         rest = (self.states, self.sides, self.violation, self.cost)
         given = (*arguments, self.aim, self.misc, self.given)
         self._linearise = bind(function, given, (*program, *rest))
-        self._roll_out = bind(rollout, given, (self.states, self.violation))
+        self._roll_out = bind(rollout, given, (self.states, self.violation, self.cost))
 
     def fill(self, problem: FilterProblem, settings: FilterSettings) -> None:
         """Everything but the guess, which is `inputs`."""
@@ -151,6 +151,11 @@ class Program:
             return None
         return np.clip(self.misc[3:5], *self.limits)
 
+    @property
+    def merit(self) -> float:
+        """Cost of `inputs` with what they violate beyond the tolerance: what a step has to lower."""
+        return float(self.cost[0] + self.settings.penalty * max(self.violation[0] - self.settings.tolerance, 0.0))
+
     def free_sides(self) -> None:
         """Choose the sides anew with each guess."""
         self.given[:] = -1.0
@@ -164,7 +169,7 @@ class Program:
         self._linearise()
 
     def roll_out(self) -> None:
-        """`inputs` again, for `states` and `violation` alone."""
+        """`inputs` again, for `states`, `violation` and `cost` alone."""
         self._roll_out()
 
 
@@ -273,7 +278,7 @@ def _compiled(
     out += [ca.horzcat(*states), choice.table(), violation, cost]
     arguments = [x0, u, occupied, rest, edges, corridor, curvature, aim, misc, given]
     function = ca.Function("program", arguments, [ca.densify(o) for o in out], _OPTIONS)
-    rollout = ca.Function("rollout", arguments, [ca.horzcat(*states), violation], _OPTIONS)
+    rollout = ca.Function("rollout", arguments, [ca.horzcat(*states), violation, cost], _OPTIONS)
     return function, rollout, a.shape
 
 

@@ -41,6 +41,9 @@ class Descent:
 def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadline: float) -> Descent:
     """Improve a guess (N, 2) by at most `settings.sweeps` linearisations; the sides are those of the guess.
 
+    Full steps, since the next linearisation repairs what the last one got wrong; one that is worse than the best
+    plan so far is taken half way back to it. The best plan is what is returned: a guess that holds is never lost.
+
     Parameters
     ----------
     program : filled with the problem.
@@ -55,7 +58,8 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
     np.clip(guess, low, high, out=program.inputs)
     wanted, near = program.wanted, 2 * settings.settled * program.scale
     slack = change = primal = dual = np.inf
-    active, sweeps, solved = 0, 0, 0.0
+    active, sweeps, solved, best = 0, 0, 0.0, np.inf
+    kept = program.inputs.copy()
     status = Status.UNSETTLED
     while sweeps < settings.sweeps:
         if perf_counter() >= deadline:
@@ -63,6 +67,8 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
             break
         program.linearise()
         program.keep_sides()
+        if sweeps == 0:
+            best = program.merit
         mark = perf_counter()
         answer = solver.solve(program)
         solved += perf_counter() - mark
@@ -75,6 +81,11 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
         program.inputs += (step * program.scale)[moves]
         np.clip(program.inputs, low, high, out=program.inputs)
         program.roll_out()
+        if sweeps > 1 and program.merit >= best:
+            program.inputs[:] = 0.5 * (program.inputs + kept)
+            program.roll_out()
+        if program.merit < best:
+            best, kept = program.merit, program.inputs.copy()
         change = float(np.abs((program.inputs[0] - before) / program.scale).max() / 2)
         slack, primal, dual = max(float(answer.x[step.size :].max()), 0.0), answer.primal, answer.dual
         active += answer.active
@@ -87,6 +98,11 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
                 change = 0.0
             if change < settings.settled:
                 break
+    if not (program.violation[0] < settings.tolerance and change < settings.settled) and np.isfinite(best):
+        # The best that was met; a guess that still holds is a plan.
+        program.inputs[:] = kept
+        program.roll_out()
+        status = Status.UNSETTLED if program.violation[0] < settings.tolerance else status
     violation = float(program.violation[0])
     if sweeps == 0 or not (np.isfinite(program.states).all() and np.isfinite(violation)):
         status = Status.ERROR if status is not Status.TIME_LIMIT else status

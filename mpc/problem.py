@@ -59,6 +59,8 @@ class FilterSettings:
     braking : deceleration that the end of the plan can count on, for the stop after the horizon [m/s^2].
     smoothing : weight of the changes of later inputs, relative to 1 for the first input's deviation.
     magnitude : weight of later inputs themselves (steering: beyond what the road's bend needs).
+    damping : weight of the changes of later steering about the guess: without it, linearised plans swing from side
+        to side. It vanishes where the linearisations settle.
     free_moves : how many changes of the inputs the plan has; the first belongs to the first stage alone, later ones
         to more and more stages (`moves`).
     curving : weight of the squared slack [1/m^2], which keeps the programs strictly convex.
@@ -87,6 +89,7 @@ class FilterSettings:
     braking: float = 5.0
     smoothing: float = 1e-3
     magnitude: float = 1e-3
+    damping: float = 1e-3
     free_moves: int = 8
     penalty: float = 100.0
     curving: float = 1.0

@@ -94,7 +94,9 @@ def objective(
         center = ca.SX(0) if aim is None else aim[0, k]
         off = moved[k] - ca.vertcat(0, feed_forward(curvature[k], center) / scale[1])
         cost += weight * ca.sumsqr(moved[k] - moved[k - 1])
-        cost += settings.magnitude * (off[0] ** 2 + (1 + (speed / _CALM) ** 2) * off[1] ** 2)
+        lively = 1 + (speed / _CALM) ** 2
+        cost += settings.magnitude * (off[0] ** 2 + lively * off[1] ** 2)
+        cost += settings.damping * lively * w[2 * of[k] + 1] ** 2
     slack = w[2 * moves :]
     cost += settings.penalty * ca.sum1(slack) + 0.5 * settings.curving * ca.sumsqr(slack)
     hessian, gradient = ca.hessian(cost, w)

@@ -73,7 +73,7 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
         answer = solver.solve(program)
         solved += perf_counter() - mark
         sweeps += 1
-        if answer.x is None:
+        if answer.x is None or not np.isfinite(answer.x).all():
             status = Status.ERROR
             break
         step = answer.x[: 2 * len(settings.moves)].reshape(-1, 2)
@@ -98,7 +98,8 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
                 change = 0.0
             if change < settings.settled:
                 break
-    if not (program.violation[0] < settings.tolerance and change < settings.settled) and np.isfinite(best):
+    holds = program.violation[0] < settings.tolerance
+    if status is not Status.ERROR and sweeps > 0 and not (holds and change < settings.settled):
         # The best that was met; a guess that still holds is a plan.
         program.inputs[:] = kept
         program.roll_out()

@@ -62,24 +62,25 @@ class Actuators:
         return np.clip(array, -1.0, 1.0)
 
     def physical(self, action: FloatArray) -> FloatArray:
-        """(acceleration [m/s^2], front wheel angle [rad]) of a normalised action.
+        """(acceleration [m/s^2], front wheel angle [rad]) of normalised actions, (..., size) to (..., 2).
 
-        Source: `utils.lmap` as `ContinuousAction.get_action` of highway-env 1.12 uses it.
+        What is not controlled is zero. Source: `utils.lmap` as `ContinuousAction.get_action` of highway-env 1.12 uses it.
         """
-        parts = iter(action)
-        a = _map(next(parts), (-1.0, 1.0), self.acceleration) if self.longitudinal else 0.0
-        delta = _map(next(parts), (-1.0, 1.0), self.steering) if self.lateral else 0.0
-        return np.array([a, delta])
+        action = np.asarray(action, dtype=float)
+        out = np.zeros((*action.shape[:-1], 2))
+        for column, (i, limits) in enumerate(self._columns()):
+            out[..., i] = _map(action[..., column], (-1.0, 1.0), limits)
+        return out
 
-    def normalised(self, inputs: FloatArray) -> FloatArray:
-        """The normalised action nearest to physical inputs (2,), as float32."""
-        parts = []
-        if self.longitudinal:
-            parts.append(_map(inputs[0], self.acceleration, (-1.0, 1.0)))
-        if self.lateral:
-            parts.append(_map(inputs[1], self.steering, (-1.0, 1.0)))
-        return np.clip(np.array(parts), -1.0, 1.0).astype(np.float32)
+    def normalised(self, inputs: FloatArray) -> Any:
+        """The normalised actions nearest to physical inputs, (..., 2) to (..., size) float32."""
+        parts = [_map(inputs[..., i], limits, (-1.0, 1.0)) for i, limits in self._columns()]
+        return np.clip(np.stack(parts, axis=-1), -1.0, 1.0).astype(np.float32)
+
+    def _columns(self) -> list[tuple[int, tuple[float, float]]]:
+        both = ((self.longitudinal, self.acceleration), (self.lateral, self.steering))
+        return [(i, limits) for i, (there, limits) in enumerate(both) if there]
 
 
-def _map(value: Any, x: tuple[float, float], y: tuple[float, float]) -> float:
-    return float(y[0] + (value - x[0]) * (y[1] - y[0]) / (x[1] - x[0]))
+def _map(value: Any, x: tuple[float, float], y: tuple[float, float]) -> Any:
+    return y[0] + (value - x[0]) * (y[1] - y[0]) / (x[1] - x[0])

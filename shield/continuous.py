@@ -29,7 +29,7 @@ from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
 from shield.verify import Clearance, least_bad
 
-__all__ = ["ContinuousCore"]
+__all__ = ["ContinuousCore", "Judged"]
 
 _STAGE, _STAGES = 0.2, 20
 """Stage of the predictive filter [s], and how many."""
@@ -40,7 +40,7 @@ _SEGMENT = np.linspace(0.0, 1.0, 9)[1:-1]
 
 
 @dataclass(frozen=True, slots=True)
-class _Judged:
+class Judged:
     """Inputs (n, 2), and the best fail-safe of each: margin [m], frames that stay clear, lane, path."""
 
     inputs: FloatArray
@@ -121,7 +121,7 @@ class ContinuousCore(ShieldCore):
     # -- repair ------------------------------------------------------------------------------------------
 
     def _repair_inputs(
-        self, scene: Scene, proposal: FloatArray, first: _Judged, start: float
+        self, scene: Scene, proposal: FloatArray, first: Judged, start: float
     ) -> tuple[FloatArray, Decision]:
         lane = self._stop_lane(scene)
         law = self._law(scene, lane)
@@ -145,7 +145,7 @@ class ContinuousCore(ShieldCore):
         return judged.inputs[best], self._record(scene, proposal, judged, best, Reason.UNVERIFIED, Tier.GOVERNED, start)
 
     def _fall_back(
-        self, scene: Scene, proposal: FloatArray, judged: _Judged, law: FloatArray, start: float
+        self, scene: Scene, proposal: FloatArray, judged: Judged, law: FloatArray, start: float
     ) -> tuple[FloatArray, Decision]:
         if self.stored_lane is not None and not self.monitor.violated:
             return self.brake_inputs(scene, proposal, Reason.NO_SAFE_PLAN, start, Tier.STORED_PLAN)
@@ -195,30 +195,34 @@ class ContinuousCore(ShieldCore):
 
     # -- pieces ------------------------------------------------------------------------------------------
 
-    def _judge_inputs(self, scene: Scene, inputs: FloatArray, stops: list[int]) -> _Judged:
+    def _judge_inputs(self, scene: Scene, inputs: FloatArray, stops: list[int]) -> Judged:
         """Each input for one frame and then the fail-safe, in the first of the lanes `stops` where that verifies."""
-        road, dt, braking, lanes = scene.road, scene.dt, self.config.braking, np.array(stops)
-        rolled = self._rollouts_for(dt)
-        one = rolled.run_inputs(scene.ego_road, inputs[:, None, :])
-        top = max(float(one[:, 0, RoadState.SPEED].max()), 0.0)
-        frames = int(np.ceil(top / (braking * dt))) + 1
+        lanes = np.array(stops)
         n, f = len(inputs), lanes.size
         fails = np.tile(lanes, n)
-        commands = np.empty((n * f, frames, 3))
-        commands[..., 0] = road.centers[fails][:, None]
-        commands[..., 1], commands[..., 2] = BRAKE, braking
-        began = np.repeat(one, f, axis=0)
-        paths = np.concatenate([began, rolled.run(began[:, 0], commands)], axis=1)
+        held = np.broadcast_to(inputs[:, None, :], (n, self._frames, 2))
+        began = self._rollouts_for(scene.dt).run_inputs(scene.ego_road, held)
+        paths = self._stopped(scene, np.repeat(began, f, axis=0), fails)
         entered, room = self._entered(scene, paths, fails)
-        result = self._survey(scene).clearance(paths, Candidates(commands, entered, fails))
+        result = self._survey(scene).clearance(paths, Candidates(paths, entered, fails))
         margin = np.minimum(result.margin, room)
         # Rolling backwards has no fail-safe: the brake stands still.
-        margin = np.where(began[:, 0, RoadState.SPEED] < -1e-9, -np.inf, margin).reshape(n, f)
+        backwards = np.repeat(began[:, -1, RoadState.SPEED] < -1e-9, f)
+        margin = np.where(backwards, -np.inf, margin).reshape(n, f)
         # The first lane that verifies, in order; else the best.
         good = margin >= 0
         pick = np.where(good.any(axis=1), good.argmax(axis=1), np.nan_to_num(margin, nan=-np.inf).argmax(axis=1))
         rows = np.arange(n) * f + pick
-        return _Judged(inputs, margin.reshape(-1)[rows], result.clear[rows], fails[rows], paths[rows])
+        return Judged(inputs, margin.reshape(-1)[rows], result.clear[rows], fails[rows], paths[rows])
+
+    def _stopped(self, scene: Scene, began: FloatArray, fails: Any) -> FloatArray:
+        """Paths (n, h, 4) and the fail-safe after them, each in its lane of `fails`, (n, h + frames, 4)."""
+        top = max(float(began[:, -1, RoadState.SPEED].max()), 0.0)
+        frames = int(np.ceil(top / (self.config.braking * scene.dt))) + 1
+        commands = np.empty((len(fails), frames, 3))
+        commands[..., 0] = scene.road.centers[fails][:, None]
+        commands[..., 1], commands[..., 2] = BRAKE, self.config.braking
+        return np.concatenate([began, self._rollouts_for(scene.dt).run(began[:, -1], commands)], axis=1)
 
     def _entered(self, scene: Scene, paths: FloatArray, fails: Any) -> tuple[Any, FloatArray]:
         """The lane that the body of each path enters beside those that the ego owns, and the room that it leaves [m].
@@ -253,14 +257,14 @@ class ContinuousCore(ShieldCore):
 
     def _floor(self, scene: Scene) -> float:
         """The acceleration that just stops the ego within the frame [m/s^2]."""
-        return -max(float(scene.ego[State.SPEED]), 0.0) / scene.dt
+        return -max(float(scene.ego[State.SPEED]), 0.0) / (self._frames * scene.dt)
 
     def _law(self, scene: Scene, lane: int) -> FloatArray:
         """Inputs of the fail-safe manoeuvre for one frame: brake, and steer to the lane's centre."""
         wheel = float(steering_control(scene.ego_road, scene.road.centers[lane]))
         v = float(scene.ego[State.SPEED])
-        brake = max(-self.config.braking, self._floor(scene)) if v >= 0 else min(-v / scene.dt, self.config.braking)
-        return np.array([brake, wheel])
+        period, b = self._frames * scene.dt, self.config.braking
+        return np.array([max(-b, self._floor(scene)) if v >= 0 else min(-v / period, b), wheel])
 
     def _distance(self, inputs: FloatArray, proposal: FloatArray) -> FloatArray:
         """How far inputs (n, 2) are from the proposal, in shares of the actuators' ranges."""
@@ -271,7 +275,7 @@ class ContinuousCore(ShieldCore):
         self,
         scene: Scene,
         proposal: FloatArray,
-        judged: _Judged,
+        judged: Judged,
         i: int,
         reason: Reason,
         tier: Tier,
@@ -287,7 +291,7 @@ class ContinuousCore(ShieldCore):
         return Decision(proposal, judged.inputs[i], reason, tier, margin, perf_counter() - start, plan, occupancy)
 
 
-def _join(first: _Judged, keep: int, second: _Judged) -> _Judged:
+def _join(first: Judged, keep: int, second: Judged) -> Judged:
     """One row of the first, and the second; paths are padded with their last state."""
     frames = max(first.paths.shape[1], second.paths.shape[1])
 
@@ -295,7 +299,7 @@ def _join(first: _Judged, keep: int, second: _Judged) -> _Judged:
         return np.pad(paths, ((0, 0), (0, frames - paths.shape[1]), (0, 0)), mode="edge")
 
     one = slice(keep, keep + 1)
-    return _Judged(
+    return Judged(
         np.vstack([first.inputs[one], second.inputs]),
         np.concatenate([first.margin[one], second.margin]),
         np.concatenate([first.clear[one], second.clear]),

@@ -66,6 +66,9 @@ class ShieldCore:
     config : settings; `ShieldConfig()` by default.
     """
 
+    _frames = 1
+    """Simulation frames between two scenes."""
+
     def __init__(self, config: ShieldConfig | None = None) -> None:
         self.config = config if config is not None else ShieldConfig()
         self._rollouts: dict[float, Rollouts] = {}
@@ -271,12 +274,12 @@ class ShieldCore:
             return
         around = Surroundings(scene.others, scene.others_road, scene.road, self.config.assumptions)
         self._seen = (scene.ego, scene.others, around)
-        self.monitor.update(scene, around=around)
+        self.monitor.update(scene, self._frames * scene.dt, around)
         offset = np.abs(scene.ego_road[RoadState.R] - scene.road.centers)
         near = offset <= self.config.assumptions.visible_distance
         if self._visible is None or self._visible.shape != near.shape:
             self._visible = np.zeros(near.shape, dtype=int)
-        self._visible = np.where(near, self._visible + 1, 0)
+        self._visible = np.where(near, self._visible + self._frames, 0)
         # A lane is owned from when the ego touches it with a verified plan to stop there, until it has left it.
         if self._owned is None or self._owned.shape != near.shape:
             self._owned = np.arange(offset.size) == offset.argmin()

@@ -13,6 +13,7 @@ from dynamics.errors import SceneError
 from dynamics.scene import Scene, SceneReader
 from dynamics.state import FloatArray
 from shield.actuators import Actuators
+from shield.agent import AgentCore
 from shield.config import ShieldConfig
 from shield.continuous import ContinuousCore
 from shield.decision import Decision, Reason, Tier
@@ -30,6 +31,7 @@ class InputDoor:
     base : the highway-env environment, unwrapped.
     reader : reads its scenes.
     config : settings.
+    agent : whether the shield acts through the actions only (`AgentCore`) and not at every frame.
 
     Raises
     ------
@@ -37,13 +39,21 @@ class InputDoor:
         If the mode is one of the rules for meta-actions.
     """
 
-    def __init__(self, base: Any, reader: SceneReader, config: ShieldConfig) -> None:
+    def __init__(self, base: Any, reader: SceneReader, config: ShieldConfig, agent: bool = False) -> None:
         self._base, self._reader = base, reader
         self.actuators = Actuators.of(base.action_type)
         self.core = ContinuousCore(config, self.actuators)
+        if agent:
+            period = int(base.config["simulation_frequency"] // base.config["policy_frequency"])
+            self.core = AgentCore(config, self.actuators, period)
         self._off = config.mode == "none"
         self._proposal: FloatArray | None = None
         self._first: tuple[FloatArray, Decision] | None = None
+
+    def reset(self) -> None:
+        """Forget everything about the episode."""
+        self.core.reset()
+        self._first = None
 
     def decide(self, action: Any) -> Decision:
         """Filter an action for its first frame; `executed` is the action itself where that verifies.

@@ -250,10 +250,10 @@ class ContinuousCore(ShieldCore):
         return list(dict.fromkeys(i for i in near if 0 <= i < scene.road.centers.size))
 
     def _stop_lane(self, scene: Scene) -> int:
-        """The lane in which the fail-safe of the frame before would stop; the ego's own without one."""
-        here = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
-        stored = self.stored_lane
-        return here if stored is None or abs(stored - here) > 1 else stored
+        """The lane in which the fail-safe of the frame before would stop, however far; the ego's own without one."""
+        if self.stored_lane is not None:
+            return self.stored_lane
+        return scene.road.lane_at(float(scene.ego_road[RoadState.R]))
 
     def _floor(self, scene: Scene) -> float:
         """The acceleration that just stops the ego within the frame [m/s^2]."""

@@ -142,8 +142,7 @@ class World:
         if not touches_ego and not visible:
             # Nobody sees the ego in that lane. If it is about to enter it, those behind give way all the same.
             behind = car.s <= self.ego[0] - 1.0
-            coming = self.target.lane == lane and abs(self.ego[1] - self.road.centers[lane]) > 0.5
-            return not coming or (self.assumptions.blind_merge and not behind)
+            return not self.coming(car, lane) or (self.assumptions.blind_merge and not behind)
         if self.behind(car):
             return self.keeps_distance(car, self.assumptions.acceleration)
         v, top = max(self.ego[3], 0.0), max(self.ego[3], 0.0) + 5 * self.dt
@@ -151,6 +150,14 @@ class World:
         free = car.s - self.ego[0] - LENGTH - self.config.buffer.longitudinal - 1.5
         lead = (0.93 * car.speed) ** 2 / (2 * self.assumptions.braking)
         return bool(free > 1.0 and free + lead > need)
+
+    def owes(self, car: Car) -> bool:
+        """Whether a car, where it is behind, owes the ego its distance as soon as it touches its way."""
+        return self.in_way(car)
+
+    def coming(self, car: Car, lane: int) -> bool:
+        """Whether `car` knows that the ego is about to enter `lane`."""
+        return self.target.lane == lane and abs(self.ego[1] - self.road.centers[lane]) > 0.5
 
     def move_cars(self, wishes: list[tuple[float, int]]) -> None:
         """One frame of the traffic; each wish is (acceleration, lane step), cut down to the assumptions."""
@@ -165,7 +172,7 @@ class World:
                 car.lane = lane
             rate = float(np.clip(wish, -a.braking, a.acceleration))
             reacts = self.visible[car.lane] > reaction
-            if self.behind(car) and (self.in_way(car) or reacts):
+            if self.behind(car) and (self.owes(car) or reacts):
                 rates = [r for r in (rate, 0.0, -1.0, -2.0, -4.0) if r <= rate and self.keeps_distance(car, r)]
                 rate = rates[0] if rates else min(rate, -a.follower_braking)
             moved.append(rate)

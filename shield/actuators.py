@@ -64,7 +64,7 @@ class Actuators:
     def physical(self, action: FloatArray) -> FloatArray:
         """(acceleration [m/s^2], front wheel angle [rad]) of normalised actions, (..., size) to (..., 2).
 
-        What is not controlled is zero. Source: `utils.lmap` as `ContinuousAction.get_action` of highway-env 1.12 uses it.
+        What is not controlled is zero. Source: `ContinuousAction.get_action` of highway-env 1.12.
         """
         action = np.asarray(action, dtype=float)
         out = np.zeros((*action.shape[:-1], 2))

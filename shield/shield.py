@@ -1,8 +1,9 @@
-"""`Shield(policy)`: a drop-in for an SB3 model's `predict` that filters its meta-actions."""
+"""`Shield(policy)`: a drop-in for an SB3 model's `predict` that filters its actions."""
 
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
@@ -11,8 +12,10 @@ import numpy as np
 from dynamics.scene import SceneReader
 from shield.actions import action_index
 from shield.config import ShieldConfig
+from shield.continuous import ContinuousCore
 from shield.decision import Decision, Reason
 from shield.errors import ConfigError, PolicyError, SceneError
+from shield.inputs import InputDoor
 from shield.meta import MetaCore
 from shield.preference import order_from_scores, ranking_of
 
@@ -31,14 +34,14 @@ class Shield:
     policy : an SB3 or sb3-contrib model, a bare `BasePolicy`, or any object with SB3's `predict()`.
     env : the environment(s) that the actions are meant for: a Gymnasium environment or a VecEnv. Without it the
         environment that the model carries is used.
-    config : settings; `ShieldConfig.for_meta_actions()` by default.
+    config : settings; by default `ShieldConfig.for_meta_actions()`, for throttle and steering `ShieldConfig()`.
 
     Raises
     ------
     PolicyError
         If `policy` has no `predict`.
     ConfigError
-        If there is no environment to read the scene from, or its actions are not meta-actions.
+        If there is no environment to read the scene from, or its actions are neither meta-actions nor continuous.
 
     Examples
     --------
@@ -61,7 +64,6 @@ class Shield:
                 "object with predict(obs, state, episode_start, deterministic)"
             )
         self.policy = policy
-        self.config = config if config is not None else ShieldConfig.for_meta_actions()
         if env is None:
             env = policy.get_env() if callable(getattr(policy, "get_env", None)) else None
         if env is None:
@@ -71,15 +73,23 @@ class Shield:
             )
         self._env = env
         bases = _base_environments(env)
-        for base in bases:
-            kind = type(getattr(base, "action_type", None)).__name__
-            if kind != "DiscreteMetaAction":
-                raise ConfigError(
-                    f"Shield filters DiscreteMetaAction; this environment has {kind}. Pass "
-                    'config={"action": {"type": "DiscreteMetaAction"}} to gym.make'
-                )
+        kinds = {type(getattr(base, "action_type", None)).__name__ for base in bases}
+        if len(kinds) != 1 or not kinds <= {"DiscreteMetaAction", "ContinuousAction"}:
+            raise ConfigError(
+                f"Shield filters DiscreteMetaAction or ContinuousAction; this environment has "
+                f"{', '.join(sorted(kinds))}. "
+                'Pass config={"action": {"type": "DiscreteMetaAction"}} to gym.make'
+            )
         self._readers = [SceneReader(base) for base in bases]
-        self._cores = [MetaCore(self.config) for _ in bases]
+        self._doors: list[InputDoor] = []
+        if kinds == {"ContinuousAction"}:
+            self.config = config if config is not None else ShieldConfig()
+            pairs = zip(bases, self._readers, strict=True)
+            self._doors = [InputDoor(base, reader, self.config, agent=True) for base, reader in pairs]
+            self._cores: list[MetaCore | ContinuousCore] = [door.core for door in self._doors]
+        else:
+            self.config = config if config is not None else ShieldConfig.for_meta_actions()
+            self._cores = [MetaCore(self.config) for _ in bases]
         self._roads: list[Any] = [None] * len(bases)
         self.last_decisions: list[Decision] = []
 
@@ -124,6 +134,7 @@ class Shield:
         """
         reason: Reason | None = None
         proposals: Any
+        size = self._doors[0].actuators.size if self._doors else 1
         try:
             proposals, state = self.policy.predict(
                 observation, state=state, episode_start=episode_start, deterministic=deterministic
@@ -133,14 +144,17 @@ class Shield:
             # A policy that breaks must not take the car with it: the record says that it did.
             space = self._env.observation_space
             batched = np.ndim(observation) > len(space.shape or ()) or hasattr(self._env, "single_action_space")
-            proposals = np.full((len(self._cores),) if batched else (), np.nan)
+            shape = (len(self._cores),) if batched else ()
+            proposals = np.full((*shape, size) if self._doors else shape, np.nan)
             reason = Reason.POLICY_FAILED
         flat = np.asarray(proposals).reshape(-1)
-        if flat.size != len(self._cores):
+        if flat.size != len(self._cores) * size:
             raise ConfigError(
-                f"the policy returned {flat.size} actions for {len(self._cores)} environments; a batch "
+                f"the policy returned {flat.size / size:g} actions for {len(self._cores)} environments; a batch "
                 "needs one row per environment"
             )
+        if self._doors:
+            return self._predict_inputs(np.asarray(proposals), reason), state
         if reason is None and flat.dtype.kind == "f" and not np.isfinite(flat).all():
             reason = Reason.POLICY_FAILED
         ranking = _Ranking(self.policy, observation)
@@ -148,8 +162,27 @@ class Shield:
         executed = np.array([d.executed for d in self.last_decisions], dtype=np.int64)
         return executed.reshape(np.shape(proposals)), state
 
+    def _predict_inputs(self, proposals: Any, reason: Reason | None) -> Any:
+        """Filter continuous actions; where all of them verify, what is returned is the policy's own array."""
+        rows = proposals.reshape(len(self._doors), -1)
+        self.last_decisions = []
+        for door, reader, row in zip(self._doors, self._readers, rows, strict=True):
+            i = len(self.last_decisions)
+            if reader.road is not self._roads[i]:
+                self._roads[i] = reader.road
+                door.reset()
+            decision = door.decide(row)
+            if reason is not None and decision.reason is Reason.BAD_ACTION:
+                decision = replace(decision, reason=reason)
+            self.last_decisions.append(decision)
+        if not any(d.overridden for d in self.last_decisions):
+            return proposals
+        executed = [np.asarray(d.executed, dtype=proposals.dtype).reshape(-1) for d in self.last_decisions]
+        return np.stack(executed).reshape(proposals.shape)
+
     def _decide(self, i: int, proposal: Any, ranking: _Ranking, reason: Reason | None) -> Decision:
         core, reader = self._cores[i], self._readers[i]
+        assert isinstance(core, MetaCore)
         start = perf_counter()
         try:
             scene = reader.read()

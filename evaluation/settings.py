@@ -12,6 +12,8 @@ The ``abz`` family is the highway of the ABZ 2025 case study: three lanes, targe
 0, 5, …, 40 m/s. ``abz`` and ``abz-adversarial`` are for training (5 Hz), ``abz-idm`` and
 ``abz-aggressive`` for testing (15 Hz). The two tests and ``abz`` share one reward, so that returns
 can be compared across them.
+
+``highway-continuous`` and ``racetrack`` are driven with throttle and steering, or steering alone.
 """
 
 from __future__ import annotations
@@ -131,6 +133,25 @@ _ABZ_ADVERSARIAL = {
     "normalize_reward": True,
 }
 
+# Everything else is highway-v0's default, its reward too, which suits a wheel and a throttle: the speed that it pays
+# for is the one along the road, a crash costs 1 / 1.5 of what a decision can bring, and off the road nothing is paid.
+# `offroad_terminal` is not: without it a car that has left the road goes on unpunished by anything but zeros.
+_CONTINUOUS: dict[str, Any] = {
+    "action": {"type": "ContinuousAction"},
+    "simulation_frequency": 20,
+    "policy_frequency": 10,
+    "duration": 40,
+    "offroad_terminal": True,
+}
+
+# Decisions last twice as long and there are fewer vehicles: a second of driving costs a seventh of what it costs above.
+_CONTINUOUS_TRAINING: dict[str, Any] = {
+    **_CONTINUOUS,
+    "simulation_frequency": 10,
+    "policy_frequency": 5,
+    "vehicles_count": 12,
+}
+
 SETTINGS: Mapping[str, Setting] = MappingProxyType(
     {
         setting.name: setting
@@ -165,6 +186,19 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
                 },
                 "ABZ 2025, test: aggressive traffic at 15 Hz, the reward of abz",
             ),
+            Setting(
+                "highway-continuous",
+                "highway-v0",
+                _CONTINUOUS,
+                "highway-v0 with throttle and steering: decisions at 10 Hz, 20 Hz, 40 s, ends off the road",
+            ),
+            Setting(
+                "highway-continuous-training",
+                "highway-fast-v0",
+                {**_CONTINUOUS_TRAINING, "lanes_count": 4},
+                "highway-continuous, training: decisions at 5 Hz, 10 Hz, 12 other vehicles",
+            ),
+            Setting("racetrack", "racetrack-v0", {}, "racetrack-v0 as it comes: steering alone, 5 Hz, 15 Hz, 300 s"),
         )
     }
 )

@@ -1,0 +1,136 @@
+"""highway-env's default observations, computed at once instead of through data frames: for training on one core.
+
+They are equal to the originals up to rounding (the tests say so), and cost a tenth of them: of a decision on the
+racetrack the original observation takes nine tenths of the time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.state import FloatArray
+from shield.errors import ConfigError
+
+__all__ = ["FastObservations"]
+
+_Observation = NDArray[np.float32]
+_KINEMATICS = ["presence", "x", "y", "vx", "vy"]
+_GRID = ["presence", "on_road"]
+_REACH = 100.0
+"""highway-env draws each lane this far before and behind [m]."""
+
+
+class FastObservations(gym.Wrapper[Any, Any, Any, Any]):
+    """Replaces how an environment computes its observation, not what it observes.
+
+    Parameters
+    ----------
+    env : a highway-env environment with the default features of Kinematics, or with the racetracks' OccupancyGrid.
+
+    Raises
+    ------
+    ConfigError
+        At the first reset, if its observation or its lanes are others.
+    """
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Reset the environment, whose observation type is a new object after it."""
+        obs, info = self.env.reset(seed=seed, options=options)
+        base: Any = self.env.unwrapped
+        kind = base.observation_type
+        builders: dict[str, Callable[[Any], Callable[[], _Observation]]] = {
+            "KinematicObservation": _kinematics,
+            "OccupancyGridObservation": _grid,
+        }
+        name = type(kind).__name__
+        if name not in builders:
+            raise ConfigError(f"there is no fast observation for {name}; have {', '.join(sorted(builders))}")
+        kind.observe = builders[name](base)
+        return obs, info
+
+
+def _kinematics(base: Any) -> Callable[[], _Observation]:
+    """Source: `KinematicObservation.observe` of highway-env 1.12."""
+    kind = base.observation_type
+    plain = kind.normalize and kind.clip and not kind.absolute and kind.order == "sorted"
+    if list(kind.features) != _KINEMATICS or not plain:
+        raise ConfigError(f"fast Kinematics has the features {_KINEMATICS}, relative, normalised, clipped and sorted")
+    count, ranges = kind.vehicles_count, kind.features_range  # made by the first, original observation
+    span = np.array([[-1.0, 1.0], *(ranges[name] for name in _KINEMATICS[1:])])
+    low, width = span[:, 0], span[:, 1] - span[:, 0]
+
+    def observe() -> _Observation:
+        ego = kind.observer_vehicle
+        near = base.road.close_objects_to(
+            ego,
+            base.PERCEPTION_DISTANCE,
+            count=count - 1,
+            see_behind=kind.see_behind,
+            sort=True,
+            vehicles_only=not kind.include_obstacles,
+        )
+        rows = np.array([(1.0, *v.position, *v.velocity) for v in (ego, *near[-count + 1 :])])
+        rows[1:, 1:] -= rows[0, 1:]
+        out = np.zeros((count, len(_KINEMATICS)))
+        out[: len(rows)] = np.clip(-1 + 2 * (rows - low) / width, -1, 1)
+        out[: len(rows), 0] = 1.0
+        return out.astype(np.float32)
+
+    return observe
+
+
+def _grid(base: Any) -> Callable[[], _Observation]:
+    """Source: `OccupancyGridObservation.observe` and `fill_road_layer_by_lanes` of highway-env 1.12."""
+    kind = base.observation_type
+    if list(kind.features) != _GRID or not kind.align_to_vehicle_axes or kind.as_image:
+        raise ConfigError(f"the fast OccupancyGrid has the features {_GRID}, in the vehicle's axes, and is no image")
+    shape, corner, step = kind.grid.shape, kind.grid_size[:, 0], kind.grid_step
+    trace = _lane_points(base.road.network.lanes_list(), float(np.amin(step)))
+
+    def observe() -> _Observation:
+        ego = kind.observer_vehicle
+        c, s = np.cos(ego.heading), np.sin(ego.heading)
+        grid = np.zeros(shape, dtype=np.float32)
+        vehicles = np.array([v.position for v in base.road.vehicles])
+        for layer, points in enumerate((vehicles, trace(ego.position))):
+            x, y = (points - ego.position).T
+            cell = np.floor((np.stack([c * x + s * y, c * y - s * x], axis=-1) - corner) / step).astype(int)
+            inside = np.all((cell >= 0) & (cell < shape[1:]), axis=-1)
+            grid[layer, cell[inside, 0], cell[inside, 1]] = 1.0
+        return grid
+
+    return observe
+
+
+def _lane_points(lanes: list[Any], spacing: float) -> Callable[[FloatArray], FloatArray]:
+    """A function from a position (2,) to the points (n, 2) of the lanes around it that highway-env draws [m]."""
+    names = {type(lane).__name__ for lane in lanes}
+    if not names <= {"StraightLane", "CircularLane"}:
+        raise ConfigError(f"the fast OccupancyGrid draws StraightLane and CircularLane; this road has {sorted(names)}")
+    straight = [lane for lane in lanes if type(lane).__name__ == "StraightLane"]
+    bent = [lane for lane in lanes if type(lane).__name__ == "CircularLane"]
+    steps = spacing * np.arange(int(np.ceil(2 * _REACH / spacing))) - _REACH
+    start = np.array([lane.start for lane in straight], dtype=float).reshape(-1, 2)
+    direction = np.array([lane.direction for lane in straight], dtype=float).reshape(-1, 2)
+    center = np.array([lane.center for lane in bent], dtype=float).reshape(-1, 2)
+    radius = np.array([lane.radius for lane in bent], dtype=float)
+    sign = np.array([lane.direction for lane in bent], dtype=float)
+    phase = np.array([lane.start_phase for lane in bent], dtype=float)
+    length_1, length_2 = (np.array([[lane.length] for lane in row]).reshape(-1, 1) for row in (straight, bent))
+
+    def trace(position: FloatArray) -> FloatArray:
+        along = ((position - start) * direction).sum(axis=-1)[:, None] + steps
+        one = start[:, None] + np.clip(along, 0.0, length_1)[..., None] * direction[:, None]
+        delta = position - center
+        turned = (np.arctan2(delta[:, 1], delta[:, 0]) - phase + np.pi) % (2 * np.pi) - np.pi
+        along = np.clip((sign * turned * radius)[:, None] + steps, 0.0, length_2)
+        angle = (sign / radius)[:, None] * along + phase[:, None]
+        two = center[:, None] + radius[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        return np.concatenate([one.reshape(-1, 2), two.reshape(-1, 2)])
+
+    return trace

@@ -139,6 +139,8 @@ def step_share(policy: Any, decisions: int) -> tuple[list[float], list[float], l
         obs, _, terminated, truncated, info = shielded.step(action)
         middle = perf_counter()
         executed = int(shielded.last_decision.executed) if shielded.last_decision else action
+        # The bare step, too, comes right after the policy has run, as it does where one drives.
+        policy.predict(obs, deterministic=True)
         again = perf_counter()
         _, _, ended, cut, _ = bare.step(executed)
         end = perf_counter()

@@ -95,7 +95,7 @@ class Scene:
         """Read the true state of a highway-env environment (see `SceneReader`)."""
         return SceneReader(env, curved).read()
 
-    def target_of(self, action: int, reachable: list[bool] | None = None) -> Target:
+    def target_of(self, action: int) -> Target:
         """What the controllers will track after meta-action index `action`.
 
         Source: `ControlledVehicle.act` and `MDPVehicle.act` of highway-env 1.12.
@@ -117,8 +117,7 @@ class Scene:
         if label in ("LANE_LEFT", "LANE_RIGHT"):
             step = 1 if label == "LANE_RIGHT" else -1
             lane = min(max(now.lane + step, 0), self.road.centers.size - 1)
-            if reachable is None:
-                reachable = self.road.reachable(float(self.ego_road[0]), float(self.ego_road[1]))
+            reachable = self.road.reachable(float(self.ego_road[0]), float(self.ego_road[1]))
             return Target(lane if reachable[lane] else now.lane, now.speed)
         return now
 

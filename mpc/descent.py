@@ -81,12 +81,13 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
         program.inputs += (step * program.scale)[moves]
         np.clip(program.inputs, low, high, out=program.inputs)
         program.roll_out()
+        change = float(np.abs((program.inputs[0] - before) / program.scale).max() / 2)
         if sweeps > 1 and program.merit >= best:
             program.inputs[:] = 0.5 * (program.inputs + kept)
             program.roll_out()
+            change = max(change, float(np.abs((program.inputs[0] - kept[0]) / program.scale).max() / 2))
         if program.merit < best:
             best, kept = program.merit, program.inputs.copy()
-        change = float(np.abs((program.inputs[0] - before) / program.scale).max() / 2)
         slack, primal, dual = max(float(answer.x[step.size :].max()), 0.0), answer.primal, answer.dual
         active += answer.active
         if program.violation[0] < settings.tolerance:

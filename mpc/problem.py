@@ -58,7 +58,9 @@ class FilterSettings:
     steering : greatest front wheel angle to either side [rad].
     braking : deceleration that the end of the plan can count on, for the stop after the horizon [m/s^2].
     smoothing : weight of the changes of later inputs, relative to 1 for the first input's deviation.
-    magnitude : weight of later inputs themselves (steering: beyond what the road's bend needs).
+    magnitude : weight of later accelerations.
+    steadiness : weight of later steering beyond what the road's bend needs, times 1 + (v / 5 m/s)^2: without it, the
+        cheapest way to cover less road is to swerve.
     damping : weight of the changes of later steering about the guess: without it, linearised plans swing from side
         to side. It vanishes where the linearisations settle.
     free_moves : how many changes of the inputs the plan has; the first belongs to the first stage alone, later ones
@@ -89,6 +91,7 @@ class FilterSettings:
     braking: float = 5.0
     smoothing: float = 1e-3
     magnitude: float = 1e-3
+    steadiness: float = 0.1
     damping: float = 1e-3
     free_moves: int = 8
     penalty: float = 100.0

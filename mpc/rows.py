@@ -95,7 +95,7 @@ def objective(
         off = moved[k] - ca.vertcat(0, feed_forward(curvature[k], center) / scale[1])
         cost += weight * ca.sumsqr(moved[k] - moved[k - 1])
         lively = 1 + (speed / _CALM) ** 2
-        cost += settings.magnitude * (off[0] ** 2 + lively * off[1] ** 2)
+        cost += settings.magnitude * off[0] ** 2 + settings.steadiness * lively * off[1] ** 2
         cost += settings.damping * lively * w[2 * of[k] + 1] ** 2
     slack = w[2 * moves :]
     cost += settings.penalty * ca.sum1(slack) + 0.5 * settings.curving * ca.sumsqr(slack)

@@ -56,7 +56,8 @@ def program(settings, curved=False, blocked=True, quiet=True):
             off = u[:, k]
             if k > 1:
                 cost += settings.smoothing * ca.sumsqr(u[:, k] - u[:, k - 1])
-            cost += settings.magnitude * (off[0] ** 2 + (1 + (x0[3] / 5) ** 2) * off[1] ** 2)
+            cost += settings.magnitude * off[0] ** 2
+            cost += settings.steadiness * (1 + (x0[3] / 5) ** 2) * off[1] ** 2
     way = v * ca.fabs(v) / (2 * settings.braking)
     drift = r + way * ca.sin(psi)
     soft += [rest - s - h - way + e]

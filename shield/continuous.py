@@ -3,8 +3,9 @@
 An input (a, delta) is verified for one frame: after it, the fail-safe (brake to a stop in a lane, steered by
 highway-env's own lane controller) must stay clear of every place where the others can be, the ego's body must stay
 on the road, and the ego must not roll backwards. The set of inputs that verify is not convex, so the repair looks for
-the nearest one in three ways, and verifies each like any other: the predictive filter (`mpc.filter`), a fan of
-inputs between the proposal and braking in a lane, and then the segment from the best of them to the proposal.
+the nearest one in three steps, and verifies each input like any other: the predictive filter (`mpc.filter`); where its
+answer does not verify, a fan of inputs between the proposal and braking in a lane; and then the segment from the best
+so far to the proposal.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from shield.config import ShieldConfig
 from shield.core import ShieldCore
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
-from shield.verify import Clearance, least_bad
+from shield.verify import Clearance, Surveyor, least_bad
 
 __all__ = ["ContinuousCore", "Judged"]
 
@@ -126,13 +127,11 @@ class ContinuousCore(ShieldCore):
         lane = self._stop_lane(scene)
         law = self._law(scene, lane)
         floor = np.array([self._floor(scene), -np.inf])
-        tried = [np.maximum(proposal + _FAN * (law - proposal), floor)]
-        if self.predictive:
-            plan = self._predict(scene, proposal, law, int(first.lanes[0]))
-            if plan is not None:
-                tried.insert(0, np.maximum(plan, floor)[None])
         lanes = list(dict.fromkeys((lane, int(first.lanes[0]))))
-        judged = self._judge_inputs(scene, np.vstack(tried), lanes)
+        plan = self._predict(scene, proposal, int(first.lanes[0])) if self.predictive else None
+        judged = None if plan is None else self._judge_inputs(scene, np.maximum(plan, floor)[None], lanes)
+        if judged is None or not judged.margin[0] >= 0:
+            judged = self._judge_inputs(scene, np.maximum(proposal + _FAN * (law - proposal), floor), lanes)
         good = np.flatnonzero(judged.margin >= 0)
         if not good.size:
             return self._fall_back(scene, proposal, judged, law, start)
@@ -155,7 +154,7 @@ class ContinuousCore(ShieldCore):
         self.stored_lane = None
         return inputs, decision
 
-    def _predict(self, scene: Scene, proposal: FloatArray, law: FloatArray, lane: int) -> FloatArray | None:
+    def _predict(self, scene: Scene, proposal: FloatArray, lane: int) -> FloatArray | None:
         """First input of the predictive filter's plan, or None where it has none that keeps its constraints."""
         solver = self._filters.get(scene.dt)
         if solver is None:
@@ -224,6 +223,14 @@ class ContinuousCore(ShieldCore):
         commands[..., 1], commands[..., 2] = BRAKE, self.config.braking
         return np.concatenate([began, self._rollouts_for(scene.dt).run(began[:, -1], commands)], axis=1)
 
+    def _survey(self, scene: Scene) -> Surveyor:
+        held = self._surveyor
+        if held is None or held.scene.ego is not scene.ego or held.scene.others is not scene.others:
+            seen = self._seen
+            around = seen[2] if seen is not None and seen[1] is scene.others else None
+            held = self._surveyor = _Unannounced(scene, self.config, self._visible, self._owned, around)
+        return held
+
     def _entered(self, scene: Scene, paths: FloatArray, fails: Any) -> tuple[Any, FloatArray]:
         """The lane that the body of each path enters beside those that the ego owns, and the room that it leaves [m].
 
@@ -289,6 +296,35 @@ class ContinuousCore(ShieldCore):
             occupancy = self._survey(scene).around.occupancy(len(judged.paths[i]), scene.dt).rectangles()
         margin = float(judged.margin[i])
         return Decision(proposal, judged.inputs[i], reason, tier, margin, perf_counter() - start, plan, occupancy)
+
+
+class _Unannounced(Surveyor):
+    """Judges the paths of an ego whose intentions nobody knows, so that nobody gives way to them.
+
+    highway-env's traffic aborts a lane change for the target of a `ControlledVehicle` only, which an ego with
+    `ContinuousAction` is not: until it is visible in a lane, one behind may move there as well as one ahead.
+    """
+
+    def _lateral(
+        self, rows: Any, candidates: Candidates, path: FloatArray, bound: bool
+    ) -> tuple[FloatArray, FloatArray, Any]:
+        around, assumptions, centers = self.around, self.config.assumptions, self.scene.road.centers
+        low, high, home = around.low[rows][None, :], around.high[rows][None, :], around.lane[rows][None, :]
+        if not (assumptions.blind_merge and bound):
+            return low, high, home
+        half, lane, r = 0.5 * self.scene.others[rows, Vehicle.WIDTH], home, self.scene.ego_road[RoadState.R]
+        both = (candidates.lanes, candidates.fails)
+        for entered in both if (both[0] != both[1]).any() else both[:1]:
+            goal = centers[entered][:, None]
+            hidden = np.maximum(np.abs(path - goal).max(axis=1), np.abs(r - goal[:, 0])) > assumptions.visible_distance
+            if not hidden.any():
+                continue
+            apart = np.abs(centers[lane] - goal)
+            far = (apart > 0) & (apart < 1.5 * self.scene.road.width) & hidden[:, None]
+            low = np.where(far, np.minimum(low, goal - half), low)
+            high = np.where(far, np.maximum(high, goal + half), high)
+            home = np.where(far, entered[:, None], home)
+        return low, high, home
 
 
 def _join(first: Judged, keep: int, second: Judged) -> Judged:

@@ -138,13 +138,46 @@ def test_a_model_without_an_environment_is_told_what_to_pass(tmp_path, models):
 
 
 @pytest.mark.parametrize("kind", [SAC, TD3])
-def test_continuous_actions_are_told_what_to_do(kind):
-    continuous = make(action={"type": "ContinuousAction"})
-    model = kind("MlpPolicy", continuous, policy_kwargs={"net_arch": [8]}, buffer_size=100, device="cpu")
-    with pytest.raises(ConfigError, match=r"ContinuousAction. Pass\s+config=.*DiscreteMetaAction"):
-        Shield(model)
+@pytest.mark.parametrize("size", [1, 2])
+def test_continuous_models_are_filtered(kind, size):
+    action = {"type": "ContinuousAction", "longitudinal": size == 2}
+    env = make(action=action, simulation_frequency=10, policy_frequency=5)
+    model = kind("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, buffer_size=100, seed=0, device="cpu")
+    shielded = Shield(model)
+    obs, _ = env.reset(seed=0)
+    for _ in range(8):
+        proposed, _ = model.predict(obs, deterministic=True)
+        action, state = shielded.predict(obs, deterministic=True)
+        assert state is None
+        assert action.shape == (size,)
+        assert env.action_space.contains(action)
+        decision = shielded.last_decision
+        assert decision.overridden or action.tobytes() == proposed.tobytes()
+        obs, *_ = env.step(action)
+    mean, _ = evaluate_policy(shielded, DummyVecEnv([lambda: env]), n_eval_episodes=1)
+    assert np.isfinite(mean)
+
+
+def test_a_batch_of_continuous_actions_is_filtered_row_by_row():
+    action = {"type": "ContinuousAction"}
+    venv = DummyVecEnv([lambda: make(action=action, simulation_frequency=10, policy_frequency=5)] * 2)
+    model = SAC("MlpPolicy", venv, policy_kwargs={"net_arch": [8]}, buffer_size=100, seed=0, device="cpu")
+    shielded = Shield(model)
+    obs = venv.reset()
+    for _ in range(5):
+        actions, _ = shielded.predict(obs)
+        assert actions.shape == (2, 2)
+        assert len(shielded.last_decisions) == 2
+        obs, *_ = venv.step(actions)
+
+
+def test_the_other_door_has_no_masks_for_continuous_actions():
+    env = ShieldedEnv(make(action={"type": "ContinuousAction"}))
+    env.reset(seed=0)
     with pytest.raises(ConfigError, match="DiscreteMetaAction"):
-        ShieldedEnv(continuous)
+        env.action_masks()
+    with pytest.raises(ConfigError, match="use none or full"):
+        ShieldedEnv(make(action={"type": "ContinuousAction"}), ShieldConfig(mode="ttc"))
 
 
 @pytest.mark.parametrize("policy", [None, 3, object(), "ppo", make])

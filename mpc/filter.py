@@ -63,9 +63,8 @@ class PredictiveFilter:
         return type(self), (self.settings,)
 
     def reset(self) -> None:
-        """Forget the last plan: the next answer is that of a new filter."""
+        """Forget the last plan, the only memory there is: the next answer is that of a new filter."""
         self._plan = None
-        self._solver.reset()
 
     def solve(
         self, problem: FilterProblem, guess: FloatArray | None = None, elapsed: int | None = None
@@ -101,11 +100,11 @@ class PredictiveFilter:
         try:
             best, restarted = self._search(problem, guess, elapsed, deadline)
         except (ArithmeticError, RuntimeError, ValueError):  # fail closed: the caller has a plan of its own
-            self.reset()
+            self._discard()
             return _nothing(Status.ERROR, problem, perf_counter() - start)
         built = perf_counter() - start - best.solved
         if best.status is Status.ERROR or not np.isfinite(best.violation):
-            self.reset()
+            self._discard()
             return _nothing(best.status, problem, built, best)
         self._plan = best.inputs
         return FilterResult(
@@ -124,6 +123,11 @@ class PredictiveFilter:
             built,
             best.solved,
         )
+
+    def _discard(self) -> None:
+        """Throw the solver's objects away, with the plan."""
+        self._solver.reset()
+        self.reset()
 
     def _search(
         self, problem: FilterProblem, guess: FloatArray | None, elapsed: int | None, deadline: float
@@ -153,6 +157,7 @@ class PredictiveFilter:
         key = (capacity, curved, aimed)
         if key not in self._programs:
             self._programs[key] = Program(self.settings, *key)
+            self._solver.prepare(self._programs[key])
         return self._programs[key]
 
 

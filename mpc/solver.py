@@ -47,6 +47,10 @@ _FAILED = Answer(None, np.inf, np.inf, 0)
 class QuadraticSolver(Protocol):
     """Solves one program after the other."""
 
+    def prepare(self, program: Program) -> None:
+        """Compile ahead of the first use."""
+        ...
+
     def solve(self, program: Program) -> Answer:
         """Never raises."""
         ...
@@ -72,13 +76,17 @@ class Solver:
         """Forget the compiled solvers."""
         self._slots = {}
 
+    def prepare(self, program: Program) -> None:
+        """Compile ahead of the first use."""
+        self._slots[id(program)] = self._compile(program)
+
     def solve(self, program: Program) -> Answer:
         """From scratch, each time."""
         if not _sane(program):
             return _FAILED
         try:
             if id(program) not in self._slots:
-                self._slots[id(program)] = self._compile(program)
+                self.prepare(program)
             slot = self._slots[id(program)]
             slot.x[:] = np.nan
             slot.call()

@@ -143,6 +143,9 @@ class Broken:
     def reset(self):
         self.resets, self.how = self.resets + 1, None
 
+    def prepare(self, program):
+        self.well.prepare(program)
+
     def solve(self, program):
         answer = self.well.solve(program)
         return answer if self.how is None else self.how(answer)
@@ -178,6 +181,7 @@ def test_a_solver_that_claims_nonsense_is_found_out_by_the_rollout(expected):
     result = used.solve(clean())
     if result.status.usable:
         assert result.violation < SETTINGS.tolerance
+    used._solver = Solver(SETTINGS)
     recovers(used, expected)
 
 

@@ -239,16 +239,18 @@ class ContinuousCore(ShieldCore):
         road, ego = scene.road, scene.ego
         sin, cos = np.abs(np.sin(paths[..., RoadState.HEADING])), np.abs(np.cos(paths[..., RoadState.HEADING]))
         half = 0.5 * (ego[Vehicle.LENGTH] * sin + ego[Vehicle.WIDTH] * cos)
-        low = (paths[..., RoadState.R] - half).min(axis=1)
-        high = (paths[..., RoadState.R] + half).max(axis=1)
-        centers, side = road.centers, 0.5 * road.width
-        touched = (high[:, None] > centers - side) & (low[:, None] < centers + side)
-        new = touched & ~self._survey(scene).owned
+        low, high = paths[..., RoadState.R] - half, paths[..., RoadState.R] + half
+        least, most = low.min(axis=1), high.max(axis=1)
+        centers, side, owned = road.centers, 0.5 * road.width, self._survey(scene).owned
+        new = (most[:, None] > centers - side) & (least[:, None] < centers + side) & ~owned
         new[np.arange(len(fails)), fails] = False
         entered = np.where(new.any(axis=1), new.argmax(axis=1), fails)
-        room = np.minimum(low - (centers[0] - side), (centers[-1] + side) - high)
+        room = np.minimum(least - (centers[0] - side), (centers[-1] + side) - most)
         room = np.where(room >= 0, np.inf, room)
-        return entered, np.where(new.sum(axis=1) > 1, -np.inf, room)
+        # Nobody keeps a place free in a lane that the ego has left: it does not come back to one.
+        within = (low[..., None] < centers[owned] + 1.0) & (high[..., None] > centers[owned] - 1.0)
+        returns = (within[:, 1:] & ~within[:, :-1]).any(axis=(1, 2))
+        return entered, np.where((new.sum(axis=1) > 1) | returns, -np.inf, room)
 
     def _stop_lanes(self, scene: Scene) -> list[int]:
         """Lanes in which the fail-safe may stop, in order of preference."""

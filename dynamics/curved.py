@@ -22,6 +22,8 @@ a bend of radius 1/kappa asks for: sin(beta) = kappa L / 2 with kappa = k / (1 -
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import casadi as ca
 import numpy as np
 
@@ -30,7 +32,7 @@ from dynamics.bicycle import LENGTH, step_expression
 from dynamics.controllers import KP_HEADING, KP_LATERAL, MAX_STEERING
 from dynamics.path import CurvatureProfile
 
-__all__ = ["ROW", "curved_steering", "curved_step", "lookup"]
+__all__ = ["ROW", "curved_steering", "curved_step", "lookup", "steering_function"]
 
 ROW = 5
 """Size of what `lookup` finds: curvature before, here and after [1/m], way to the piece's start and end [m]."""
@@ -97,6 +99,15 @@ def curved_steering(state: ca.SX, target_r: ca.SX, k: ca.SX, dt: float) -> ca.SX
     error = error - 2 * np.pi * ca.floor((error + np.pi) / (2 * np.pi))
     slip = ca.asin(clip(LENGTH / 2 / v * KP_HEADING * error + bend, 1.0))
     return clip(ca.atan(2 * ca.tan(slip)), MAX_STEERING)
+
+
+@lru_cache(maxsize=64)
+def steering_function(profile: CurvatureProfile, dt: float) -> ca.Function:
+    """Road state (4), target r -> wheel angle: `curved_steering` anywhere on a path."""
+    x, r, k = ca.SX.sym("x", 4), ca.SX.sym("r"), ca.SX.sym("k")
+    law = ca.Function("law", [x, r, k], [curved_steering(x, r, k, dt)])
+    state, goal = ca.MX.sym("x", 4), ca.MX.sym("r")
+    return ca.Function("steering", [state, goal], [law(state, goal, lookup(profile, state[0])[1])])
 
 
 def _project(x: ca.SX, y: ca.SX, k: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -15,14 +15,16 @@ because going along the tangent leads away from the centre.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dynamics.arcs import project
 from dynamics.errors import SceneError
-from dynamics.path import PathRoad
 from dynamics.state import FloatArray, RoadState, State
+
+if TYPE_CHECKING:
+    from dynamics.path import PathRoad
 
 __all__ = ["bend_growth", "road_growth"]
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.arcs import Arcs, place, project
+from dynamics.bends import Bends
 from dynamics.errors import SceneError
 from dynamics.state import FloatArray, RoadState, State, wrap_to_pi
 
@@ -73,6 +74,7 @@ class PathRoad:
     deviation: float = 0.0
     length: float = field(init=False, default=0.0)
     profile: CurvatureProfile = field(init=False, repr=False)
+    _bends: Bends = field(init=False, repr=False)
     _starts: FloatArray = field(init=False, repr=False)
     _turn: float = field(init=False, repr=False, default=0.0)
     _middles: FloatArray = field(init=False, repr=False)
@@ -108,6 +110,9 @@ class PathRoad:
         put(self, "forbidden", self.forbidden or (False,) * centers.size)
         put(self, "length", float(breaks[-1]))
         put(self, "profile", CurvatureProfile(tuple(breaks.tolist()), tuple(p.curvatures.tolist()), self.closed))
+        k = p.curvatures
+        low, high = edges.tolist()
+        put(self, "_bends", Bends(min(float(k.min()), 0.0), max(float(k.max()), 0.0), low, high, self.deviation))
         put(self, "_starts", breaks[:-1])
         put(self, "_turn", float(turns.sum()))
         # projection from the middle of a piece: an arc is then met up to half a turn before and after
@@ -125,6 +130,11 @@ class PathRoad:
         from dynamics.network import read_network
 
         return read_network(network)
+
+    @property
+    def bends(self) -> Bends:
+        """Bounds over its bends."""
+        return self._bends
 
     def to_road(self, states: FloatArray, near: FloatArray | float | None = None) -> FloatArray:
         """World states (..., 4) to road states (..., 4).

@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from dynamics.assumptions import Assumptions
-from dynamics.road import StraightRoad
+from dynamics.bends import Bends
+from dynamics.road import Road
 from dynamics.state import FloatArray, RoadState, Vehicle
 
 __all__ = ["Occupancy", "Surroundings", "constant_velocity", "predict_occupancy"]
@@ -76,11 +77,17 @@ class Surroundings:
     moving : whether it moves across lanes, (m,).
     low, high : lateral hull of where it can be, (m,) [m].
     reach : half the length that its body covers along the road, (m,) [m].
+    stretch : least and greatest metres of s in a metre driven, each (m,); None on a straight road.
     """
 
-    def __init__(self, others: FloatArray, states: FloatArray, road: StraightRoad, assumptions: Assumptions) -> None:
+    def __init__(self, others: FloatArray, states: FloatArray, road: Road, assumptions: Assumptions) -> None:
         self.others, self.states, self.assumptions = others, states, assumptions
+        bends = road.bends
         centers, tolerance = road.centers, assumptions.keeping_heading
+        self.stretch: tuple[FloatArray, FloatArray] | None = None
+        if bends is not None:
+            tolerance += bends.slip
+        self._tolerance = tolerance
         r, heading = states[:, RoadState.R], np.abs(states[:, RoadState.HEADING])
         length, width = others[:, Vehicle.LENGTH], others[:, Vehicle.WIDTH]
         lane = np.minimum(np.maximum(np.rint((r - centers[0]) / road.width), 0), centers.size - 1)
@@ -103,13 +110,26 @@ class Surroundings:
         if across.size:
             self._change[across] = np.inf
             self._widen(across, turn[across], half[across], centers)
+        if bends is not None:
+            self._bend(bends)
+
+    def _bend(self, bends: Bends) -> None:
+        """Grow what was computed as on a straight road by what the bends cost at worst."""
+        least, _ = bends.stretch(self.low)
+        _, greatest = bends.stretch(self.high)
+        least_high, greatest_low = bends.stretch(self.high)[0], bends.stretch(self.low)[1]
+        self.stretch = np.minimum(least, least_high), np.maximum(greatest, greatest_low)
+        sizes = self.others[:, [Vehicle.LENGTH, Vehicle.WIDTH]]
+        grown = np.array([bends.growth(*size) for size in sizes]).reshape(-1, 2)
+        self.reach = self.reach + grown[:, 0]
+        self.low, self.high = self.low - grown[:, 1], self.high + grown[:, 1]
 
     def _widen(self, across: Any, turn: FloatArray, half: FloatArray, centers: FloatArray) -> None:
         """Set the hull of those that move across: to the lane that they move to, on headings of up to `turn` [rad]."""
         r, psi, lane = self.states[across, RoadState.R], self.states[across, RoadState.HEADING], self.lane[across]
         center = centers[lane]
         offset = r - center
-        turning = np.abs(psi) > self.assumptions.keeping_heading
+        turning = np.abs(psi) > self._tolerance
         # Towards its heading, else back to the centre of its lane.
         toward = np.where(turning, np.sign(psi), -np.sign(offset))
         leaving = toward * offset >= 0
@@ -144,6 +164,8 @@ class Surroundings:
             # One that keeps its lane is expected to go on doing so.
             loss = np.where(self.moving[:, None], loss, 0.0)
         way -= loss
+        if self.stretch is not None:
+            way = np.minimum(way * self.stretch[0][:, None], way * self.stretch[1][:, None])
         return (self.states[:, RoadState.S] - self.reach)[:, None] + way
 
     def front(self, frames: int, dt: float, hold: int = 0) -> FloatArray:
@@ -151,6 +173,8 @@ class Surroundings:
         a, v = self.assumptions, self.states[:, RoadState.SPEED]
         fast = v[:, None] + a.acceleration * dt * np.maximum(np.arange(frames) - hold, 0)
         fast = np.minimum(fast, np.maximum(v, a.max_speed)[:, None])
+        if self.stretch is not None:
+            fast = fast * self.stretch[1][:, None]
         return (self.states[:, RoadState.S] + self.reach)[:, None] + np.cumsum(fast, axis=1) * dt
 
     def occupancy(self, frames: int, dt: float, hold: int = 0) -> Occupancy:
@@ -162,7 +186,7 @@ class Surroundings:
 def predict_occupancy(
     others: FloatArray,
     states: FloatArray,
-    road: StraightRoad,
+    road: Road,
     assumptions: Assumptions,
     frames: int,
     dt: float,

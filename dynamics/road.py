@@ -40,6 +40,11 @@ class Road(Protocol):
     @property
     def forbidden(self) -> tuple[bool, ...]: ...
 
+    @property
+    def bends(self) -> Any:
+        """Bounds over its bends (`dynamics.bends.Bends`), None on a straight road."""
+        ...
+
     def to_road(self, states: FloatArray, near: FloatArray | float | None = None) -> FloatArray:
         """World states (..., 4) to road states (..., 4); on a closed road, with s within half a lap of `near` [m]."""
         ...
@@ -144,6 +149,10 @@ class StraightRoad:
             heading=float(first.heading),
             forbidden=tuple(bool(lane.forbidden) for lane in lanes),
         )
+
+    @property
+    def bends(self) -> None:
+        """None: there are no bends."""
 
     def to_road(self, states: FloatArray, near: FloatArray | float | None = None) -> FloatArray:
         """World states (..., 4) to road states (..., 4); a straight road has no laps, so `near` has no effect."""

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.controllers import steering_control
+from dynamics.curved import steering_function
 from dynamics.rollout import BRAKE
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, State, Vehicle
@@ -182,11 +183,19 @@ class ContinuousCore(ShieldCore):
         boxes[..., 0], boxes[..., 1] = seen.rear[np.ix_(rows, ends)].T, seen.front[np.ix_(rows, ends)].T
         boxes[..., 2], boxes[..., 3] = seen.low[rows], seen.high[rows]
         lanes = road.centers[[here, lane]]
+        along, across = survey.growth
+        bend = None
+        if road.bends is not None:
+            bend = road.curvature(float(scene.ego_road[RoadState.S]) + v * settings.stage * np.arange(settings.stages))
         problem = FilterProblem(
             state=scene.ego_road,
             proposal=proposal,
             occupancy=boxes,
-            half=(0.5 * scene.ego[Vehicle.LENGTH] + b.longitudinal, 0.5 * scene.ego[Vehicle.WIDTH] + b.lateral),
+            half=(
+                0.5 * scene.ego[Vehicle.LENGTH] + b.longitudinal + along,
+                0.5 * scene.ego[Vehicle.WIDTH] + b.lateral + across,
+            ),
+            curvature=bend,
             edges=(float(lanes.min()) - 0.5 * road.width, float(lanes.max()) + 0.5 * road.width),
         )
         result = solver.solve(problem, elapsed=1)
@@ -200,7 +209,7 @@ class ContinuousCore(ShieldCore):
         n, f = len(inputs), lanes.size
         fails = np.tile(lanes, n)
         held = np.broadcast_to(inputs[:, None, :], (n, self._frames, 2))
-        began = self._rollouts_for(scene.dt).run_inputs(scene.ego_road, held)
+        began = self._rollouts_for(scene).run_inputs(scene.ego_road, held)
         paths = self._stopped(scene, np.repeat(began, f, axis=0), fails)
         entered, room = self._entered(scene, paths, fails)
         result = self._survey(scene).clearance(paths, Candidates(paths, entered, fails))
@@ -221,7 +230,7 @@ class ContinuousCore(ShieldCore):
         commands = np.empty((len(fails), frames, 3))
         commands[..., 0] = scene.road.centers[fails][:, None]
         commands[..., 1], commands[..., 2] = BRAKE, self.config.braking
-        return np.concatenate([began, self._rollouts_for(scene.dt).run(began[:, -1], commands)], axis=1)
+        return np.concatenate([began, self._rollouts_for(scene).run(began[:, -1], commands)], axis=1)
 
     def _survey(self, scene: Scene) -> Surveyor:
         held = self._surveyor
@@ -238,7 +247,7 @@ class ContinuousCore(ShieldCore):
         """
         road, ego = scene.road, scene.ego
         sin, cos = np.abs(np.sin(paths[..., RoadState.HEADING])), np.abs(np.cos(paths[..., RoadState.HEADING]))
-        half = 0.5 * (ego[Vehicle.LENGTH] * sin + ego[Vehicle.WIDTH] * cos)
+        half = 0.5 * (ego[Vehicle.LENGTH] * sin + ego[Vehicle.WIDTH] * cos) + self._survey(scene).bare[1]
         low, high = paths[..., RoadState.R] - half, paths[..., RoadState.R] + half
         least, most = low.min(axis=1), high.max(axis=1)
         centers, side, owned = road.centers, 0.5 * road.width, self._survey(scene).owned
@@ -270,7 +279,11 @@ class ContinuousCore(ShieldCore):
 
     def _law(self, scene: Scene, lane: int) -> FloatArray:
         """Inputs of the fail-safe manoeuvre for one frame: brake, and steer to the lane's centre."""
-        wheel = float(steering_control(scene.ego_road, scene.road.centers[lane]))
+        goal = scene.road.centers[lane]
+        if scene.road.bends is None:
+            wheel = float(steering_control(scene.ego_road, goal))
+        else:
+            wheel = float(steering_function(scene.road.profile, scene.dt)(scene.ego_road, goal))
         v = float(scene.ego[State.SPEED])
         period, b = self._frames * scene.dt, self.config.braking
         return np.array([max(-b, self._floor(scene)) if v >= 0 else min(-v / period, b), wheel])

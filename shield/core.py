@@ -71,7 +71,7 @@ class ShieldCore:
 
     def __init__(self, config: ShieldConfig | None = None) -> None:
         self.config = config if config is not None else ShieldConfig()
-        self._rollouts: dict[float, Rollouts] = {}
+        self._rollouts: dict[tuple[float, Any], Rollouts] = {}
         self._screen = Screen(self.config)
         self.reset()
 
@@ -301,10 +301,11 @@ class ShieldCore:
             stored = here
         return list(dict.fromkeys((lane, here, stored)))
 
-    def _rollouts_for(self, dt: float) -> Rollouts:
-        if dt not in self._rollouts:
-            self._rollouts[dt] = Rollouts(dt)
-        return self._rollouts[dt]
+    def _rollouts_for(self, scene: Scene) -> Rollouts:
+        key = scene.dt, getattr(scene.road, "profile", None)
+        if key not in self._rollouts:
+            self._rollouts[key] = Rollouts(scene.dt, scene.road)
+        return self._rollouts[key]
 
     def _survey(self, scene: Scene) -> Surveyor:
         """The surveyor of this instant; scenes that differ in the ego's target only share it."""
@@ -316,7 +317,7 @@ class ShieldCore:
         return held
 
     def _judge(self, scene: Scene, candidates: Candidates, hold: int = 0) -> tuple[FloatArray, Clearance]:
-        paths = self._rollouts_for(scene.dt).run(scene.ego_road, candidates.commands)
+        paths = self._rollouts_for(scene).run(scene.ego_road, candidates.commands)
         return paths, self._survey(scene).clearance(paths, candidates, hold)
 
     def _verify(self, scene: Scene, targets: list[Target], forecast: bool = False) -> list[Verdict]:

@@ -74,9 +74,9 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             config = ShieldConfig.load(config)
         self.config = config if config is not None else ShieldConfig()
         self.policy = policy
-        self._reader = SceneReader(env)
         self._base: Any = env.unwrapped
         self._check_action_type()
+        self._reader = SceneReader(env, curved=self._kind() == "ContinuousAction")
         self._inputs: InputDoor | None = None
         if self._kind() == "ContinuousAction":
             self._inputs = InputDoor(self._base, self._reader, self.config)
@@ -101,6 +101,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """Reset the environment and forget everything about the last episode."""
         obs, info = self.env.reset(seed=seed, options=options)
         self.core.reset()
+        if self._inputs is not None:
+            self._inputs.reset()
         self._check_action_type()
         self._observation = obs
         self.last_decision = None

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.errors import SceneError
+from dynamics.controllers import KP_SPEED
+from dynamics.errors import ConfigError, SceneError
 from dynamics.scene import Scene, SceneReader
-from dynamics.state import FloatArray
+from dynamics.state import FloatArray, State
 from shield.actuators import Actuators
 from shield.agent import AgentCore
 from shield.config import ShieldConfig
@@ -21,6 +22,9 @@ from shield.decision import Decision, Reason, Tier
 __all__ = ["InputDoor"]
 
 _log = logging.getLogger(__name__)
+
+_SAME_SPEED = 1e-3
+"""Speeds that count as the same [m/s]."""
 
 
 class InputDoor:
@@ -47,13 +51,20 @@ class InputDoor:
             period = int(base.config["simulation_frequency"] // base.config["policy_frequency"])
             self.core = AgentCore(config, self.actuators, period)
         self._off = config.mode == "none"
+        if getattr(base.action_type, "dynamical", False):
+            raise ConfigError(
+                "the shield knows highway-env's kinematic bicycle only; this environment's ContinuousAction is "
+                'dynamical. Pass config={"action": {"type": "ContinuousAction", "dynamical": False}} to gym.make'
+            )
+        self._agent = agent
+        self._cruise: float | None = None
         self._proposal: FloatArray | None = None
         self._first: tuple[FloatArray, Decision] | None = None
 
     def reset(self) -> None:
         """Forget everything about the episode."""
         self.core.reset()
-        self._first = None
+        self._first = self._cruise = None
 
     def decide(self, action: Any) -> Decision:
         """Filter an action for its first frame; `executed` is the action itself where that verifies.
@@ -79,6 +90,23 @@ class InputDoor:
             return None, decision
         return {"acceleration": float(inputs[0]), "steering": float(inputs[1])}, decision
 
+    def _cruising(self, scene: Scene, proposal: FloatArray) -> FloatArray:
+        """The proposal of a policy without a throttle, brought back to the speed that the shield has taken from it."""
+        if self.actuators.longitudinal or self._agent or not scene.finite:
+            return proposal
+        v = float(scene.ego[State.SPEED])
+        if self._cruise is None:
+            self._cruise = v
+        if abs(v - self._cruise) < _SAME_SPEED:
+            return proposal
+        low, high = self.actuators.acceleration
+        return np.array([np.clip(KP_SPEED * (self._cruise - v), low, high), proposal[1]])
+
+    def _resume(self, inputs: FloatArray, decision: Decision) -> tuple[FloatArray, Decision]:
+        if decision.tier is Tier.PASSED and self._proposal is not None and inputs[0] != self._proposal[0]:
+            return inputs, replace(decision, reason=Reason.RESUME, tier=Tier.GOVERNED)
+        return inputs, decision
+
     def _filter(self, start: float) -> tuple[FloatArray, Decision]:
         scene: Scene | None = None
         proposal = self._proposal
@@ -86,7 +114,7 @@ class InputDoor:
             scene = self._reader.read()
             if proposal is None:
                 return self.core.brake_inputs(scene, proposal, Reason.BAD_ACTION, start)
-            return self.core.filter(scene, proposal)
+            return self._resume(*self.core.filter(scene, self._cruising(scene, proposal)))
         except SceneError:
             return self.core.brake_inputs(None, proposal, Reason.BAD_SCENE, start)
         except Exception:

@@ -80,7 +80,15 @@ class Surveyor:
         self.around = around
         ego, states, length = scene.ego_road, scene.others_road, scene.ego[Vehicle.LENGTH]
         self._ahead = states[:, RoadState.S] - ego[RoadState.S]
-        self._size = around.reach + 0.5 * length + 2.0 + config.buffer.longitudinal
+        bends = scene.road.bends
+        b = config.buffer
+        # What the ego's buffered footprint, and its body, need beyond a straight road's rectangle.
+        self.growth, self.bare = (0.0, 0.0), (0.0, 0.0)
+        if bends is not None:
+            width = float(scene.ego[Vehicle.WIDTH])
+            self.growth = bends.growth(float(length) + 2 * b.longitudinal, width + 2 * b.lateral)
+            self.bare = bends.growth(float(length), width)
+        self._size = around.reach + 0.5 * length + 2.0 + b.longitudinal + self.growth[0]
         self._behind = self._ahead < -0.5 * length
         self._rears: dict[tuple[int, int], FloatArray] = {}
 
@@ -90,12 +98,16 @@ class Surveyor:
         Dropping the rest cannot change any verdict: nobody ahead moves backwards further than that, and nobody
         behind accelerates harder than assumed. Without `followers`, those behind are left out altogether.
         """
-        v = self.scene.others_road[:, RoadState.SPEED]
+        v: Any = self.scene.others_road[:, RoadState.SPEED]
+        if self.around.stretch is not None:
+            v = v * self.around.stretch[1]
         # Written so that a distance that is not a number drops nobody.
         near = ~(self._ahead - self._size + np.minimum(v, 0.0) * duration > distance)
         near &= np.abs(self._ahead) <= self.config.perception_range
         if followers:
-            gain = 0.5 * self.config.assumptions.acceleration * duration * (duration + self.scene.dt)
+            gain: Any = 0.5 * self.config.assumptions.acceleration * duration * (duration + self.scene.dt)
+            if self.around.stretch is not None:
+                gain = gain * self.around.stretch[1]
             near &= -self._ahead - self._size - np.maximum(v, 0.0) * duration - gain <= 0.0
         else:
             near &= ~self._behind
@@ -119,7 +131,12 @@ class Surveyor:
         lon = 0.5 * scene.ego[Vehicle.LENGTH] + config.buffer.longitudinal
         lat = 0.5 * scene.ego[Vehicle.WIDTH] + config.buffer.lateral
         half_s, half_r = lon * cos + lat * sin, lon * sin + lat * cos
-        inside = self._ends_inside(candidates, r[:, -1], half_r[:, -1])
+        end = half_r[:, -1]
+        if scene.road.bends is not None:
+            half_s, half_r = half_s + self.growth[0], half_r + self.growth[1]
+            # In its lane, what lies ahead and behind bends with the road: only the body has to fit.
+            end = 0.5 * scene.ego[Vehicle.LENGTH] * sin[:, -1] + lat * cos[:, -1] + self.bare[1]
+        inside = self._ends_inside(candidates, r[:, -1], end)
         if rows.size == 0:
             margin = np.where(np.isfinite(paths).all(axis=(1, 2)), inside, np.nan)
             return Clearance(margin, np.full(n, frames))
@@ -164,8 +181,8 @@ class Surveyor:
         dt, length, width = self.scene.dt, self.scene.ego[Vehicle.LENGTH], self.scene.ego[Vehicle.WIDTH]
         sin, cos = np.sin(psi), np.cos(psi)
         s, r = s + v * cos * dt, r + v * sin * dt
-        half_s = 0.5 * (length * np.abs(cos) + width * np.abs(sin))
-        half_r = 0.5 * (length * np.abs(sin) + width * np.abs(cos))
+        half_s = 0.5 * (length * np.abs(cos) + width * np.abs(sin)) + self.bare[0]
+        half_r = 0.5 * (length * np.abs(sin) + width * np.abs(cos)) + self.bare[1]
         later = np.minimum(np.arange(s.shape[1]) + 1, s.shape[1] - 1)
         gap = np.maximum(low[:, :, None] - (r + half_r)[:, None, :], (r - half_r)[:, None, :] - high[:, :, None])
         gap_s = rear[None][:, :, later] - (s + half_s)[:, None, :]
@@ -257,12 +274,14 @@ class Surveyor:
         top = np.minimum(v0 + gain, np.maximum(v0, assumptions.max_speed))
         v = np.maximum(top - loss, 0.0)
         start = self.scene.others_road[rows, RoadState.S] + self.around.reach[rows]
-        front = start[None, :, None] + np.cumsum(v, axis=2) * dt
+        way = np.cumsum(v, axis=2) * dt
         # Where the ego has come to rest at the last frame, its follower may still be doing so.
         last = v[..., -1]
         rest = last**2 / (2 * assumptions.follower_braking) + 0.5 * last * dt
-        front[..., -1] += np.where(paths[:, -1, RoadState.SPEED] < 0.5, 1.0, 0.0)[:, None] * rest
-        return front
+        way[..., -1] += np.where(paths[:, -1, RoadState.SPEED] < 0.5, 1.0, 0.0)[:, None] * rest
+        if self.around.stretch is not None:
+            way *= self.around.stretch[1][rows][None, :, None]
+        return np.asarray(start[None, :, None] + way)
 
 
 def least_bad(result: Clearance) -> int:

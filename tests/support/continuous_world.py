@@ -94,7 +94,7 @@ def random_continuous_world(
         if near or (car_lane == lane and abs(s) < 8):
             continue
         speed = float(rng.uniform(5, 35)) if rng.random() < 0.5 else float(np.clip(ego[3] + rng.normal(0, 4), 0, 35))
-        placed.append(Car(s, 4.0 * car_lane, speed, car_lane))
+        placed.append(Car(s, 4.0 * car_lane + float(rng.uniform(-0.35, 0.35)), speed, car_lane))
     world = ContinuousWorld(config, lanes, ego, Target(lane, 25.0), placed, dt, 1, predictive=predictive)
     world.claim(lane)
     # A follower too close for its speed is not one that has kept to its duty so far.

@@ -13,6 +13,8 @@ from enum import StrEnum
 import numpy as np
 
 from dynamics.assumptions import Assumptions
+from dynamics.errors import SceneError
+from dynamics.road import StraightRoad
 from dynamics.state import FloatArray
 from evaluation.recorder import History, Track
 
@@ -33,6 +35,7 @@ class Cause(StrEnum):
     STRUCK_FROM_SIDE = "struck_from_side"
     SPAWNED_IN_COLLISION = "spawned_in_collision"
     ASSUMPTION_VIOLATED = "assumption_violated"
+    UNATTRIBUTED = "unattributed"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +95,7 @@ def attribute_from_simulator_state(history: History, rules: AttributionRules | N
 
     In this order, and the first that holds:
 
+    - `UNATTRIBUTED`: the road is not straight. What follows compares lanes and gaps along a straight road.
     - `SPAWNED_IN_COLLISION`: within `spawn_window` of the reset, and at the reset the two
       overlapped, or one followed the other so fast that full braking could not have helped.
     - `STRUCK_FROM_BEHIND`: the partner was behind, in line with the ego and closing, and the ego
@@ -106,6 +110,8 @@ def attribute_from_simulator_state(history: History, rules: AttributionRules | N
     crash = history.crash_frame
     if crash is None:
         return Cause.NONE
+    if not isinstance(history.road, StraightRoad):
+        return Cause.UNATTRIBUTED
     partner = _partner(history, crash)
     if partner is None:
         return Cause.EGO_AT_FAULT
@@ -166,14 +172,21 @@ def _hopeless(ego: FloatArray, other: FloatArray, braking: float) -> bool:
 def _kept_lane(history: History, before: int, rules: AttributionRules) -> bool:
     """Whether the ego's footprint was inside one lane over the last `lane_window` seconds."""
     first = max(before - round(rules.lane_window / history.dt), 0)
+    road = _straight(history)
     center = _lane_center(history, before)
     recent = history.ego[first : before + 1]
     outside = np.abs(recent[:, Track.R] - center) + recent[:, Track.WIDTH] / 2
-    return bool(np.all(outside <= history.road.width / 2))
+    return bool(np.all(outside <= road.width / 2))
+
+
+def _straight(history: History) -> StraightRoad:
+    if not isinstance(history.road, StraightRoad):
+        raise SceneError(f"lanes are compared on a StraightRoad only, not on {type(history.road).__name__}")
+    return history.road
 
 
 def _lane_center(history: History, frame: int) -> float:
-    road = history.road
+    road = _straight(history)
     return float(road.centers[road.lane_at(float(history.ego[frame, Track.R]))])
 
 
@@ -186,7 +199,7 @@ def _from_behind(ego: FloatArray, other: FloatArray) -> bool:
 def _from_side(history: History, ego: FloatArray, other: FloatArray, rules: AttributionRules) -> bool:
     """Whether the other entered the ego's lane sideways, alongside or with too small a gap."""
     center = _lane_center(history, len(ego) - 1)
-    inside = np.abs(other[:, Track.R] - center) < (history.road.width + other[:, Track.WIDTH]) / 2
+    inside = np.abs(other[:, Track.R] - center) < (_straight(history).width + other[:, Track.WIDTH]) / 2
     first = max(len(ego) - 1 - round(rules.lane_window / history.dt), 0)
     outside = np.flatnonzero(~inside[first:])
     if not outside.size:

@@ -12,14 +12,17 @@ All have the `predict` signature of Stable-Baselines3:
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Protocol
 
 import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 
 from evaluation.policies import list_references, load_reference
 from evaluation.training import ALGORITHMS, get_algorithm, manifest_path
+from shield.actuators import Actuators
 from shield.errors import ConfigError
 
 __all__ = [
@@ -32,10 +35,12 @@ __all__ = [
     "start_episode",
 ]
 
-_CONSTANT = {"faster": "FASTER", "slower": "SLOWER", "idle": "IDLE"}
+_META = {"faster": "FASTER", "slower": "SLOWER", "idle": "IDLE"}
+_INPUTS = {"throttle", "idle"}
 
-BASELINES = (*sorted(_CONSTANT), "random")
-"""Names of the policies that need no training."""
+BASELINES = (*sorted(_META.keys() | _INPUTS), "random")
+"""Names of the policies that need no training: `faster` and `slower` for meta-actions, `throttle` (full throttle, the
+wheel straight) for continuous actions, `idle` and `random` for both."""
 
 
 class Policy(Protocol):
@@ -53,14 +58,14 @@ class Policy(Protocol):
 
 
 class ConstantPolicy:
-    """The same meta-action at every decision.
+    """The same action at every decision.
 
     Parameters
     ----------
-    action : index in the discrete action space.
+    action : index of a meta-action, or a normalised continuous action.
     """
 
-    def __init__(self, action: int) -> None:
+    def __init__(self, action: int | NDArray[np.float32]) -> None:
         self.action = action
 
     def predict(
@@ -71,7 +76,7 @@ class ConstantPolicy:
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
         """The one action; nothing else is looked at."""
-        return np.asarray(self.action), state
+        return np.array(self.action), state
 
 
 class RandomPolicy:
@@ -132,8 +137,8 @@ def make_policy(name: str, env: gym.Env[Any, Any], algorithm: str | None = None)
     ConfigError
         On an unknown name, or a zip file of unknown algorithm; the message lists what is valid.
     """
-    if name in _CONSTANT:
-        return ConstantPolicy(_action_index(env, _CONSTANT[name]))
+    if name in _META or name in _INPUTS:
+        return ConstantPolicy(_constant(name, env))
     if name == "random":
         return RandomPolicy(env.action_space)
     if name in list_references():
@@ -144,14 +149,37 @@ def make_policy(name: str, env: gym.Env[Any, Any], algorithm: str | None = None)
     raise ConfigError(f"unknown policy {name!r}; have {known}, or the path of an SB3 .zip file")
 
 
-def _action_index(env: gym.Env[Any, Any], action: str) -> int:
+def _constant(name: str, env: gym.Env[Any, Any]) -> int | NDArray[np.float32]:
+    """The action that a constant policy stands for in an environment."""
     kind = env.unwrapped.action_type  # type: ignore[attr-defined]
-    if not isinstance(env.action_space, gym.spaces.Discrete):
-        raise ConfigError(f"{action} is a meta-action; this environment takes {type(kind).__name__}")
+    label = type(kind).__name__
+    if label == "ContinuousAction":
+        return _inputs(name, Actuators.of(kind))
+    if label != "DiscreteMetaAction":
+        raise ConfigError(
+            f"policy {name!r} needs DiscreteMetaAction or ContinuousAction; this environment takes {label}; have random"
+        )
+    if name not in _META:
+        raise ConfigError(f"{name!r} needs ContinuousAction; this environment takes {label}; have {_list(_META)}")
     indexes: dict[str, int] = kind.actions_indexes
-    if action not in indexes:
-        raise ConfigError(f"this environment has no action {action}; have {sorted(indexes)}")
-    return int(indexes[action])
+    if _META[name] not in indexes:
+        raise ConfigError(f"this environment has no action {_META[name]}; have {sorted(indexes)}")
+    return int(indexes[_META[name]])
+
+
+def _inputs(name: str, actuators: Actuators) -> NDArray[np.float32]:
+    """The normalised action of a constant policy for throttle and steering."""
+    valid = _INPUTS if actuators.longitudinal else _INPUTS - {"throttle"}
+    if name not in _INPUTS:
+        raise ConfigError(f"{name!r} is a meta-action; this environment takes ContinuousAction; have {_list(valid)}")
+    if name not in valid:
+        raise ConfigError(f"this environment's ContinuousAction has no {name}; have {_list(valid)}")
+    acceleration = actuators.acceleration[1] if name == "throttle" else 0.0
+    return actuators.normalised(np.array([acceleration, 0.0]))
+
+
+def _list(names: Iterable[str]) -> str:
+    return ", ".join([*sorted(names), "random"])
 
 
 def _load_zip(path: Path, algorithm: str | None) -> Policy:

@@ -10,7 +10,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from evaluation.training import ALGORITHMS, FIRST_EVALUATION_SEED, RECIPES, train, train_recipe
+from evaluation.baselines import BASELINES
+from evaluation.recipes import RECIPES
+from evaluation.training import ALGORITHMS, FIRST_EVALUATION_SEED, train, train_recipe
 from shield.config import MODES, ShieldConfig
 from shield.errors import ConfigError, ShieldError
 
@@ -45,7 +47,7 @@ def train_command(
     recipe: Annotated[str | None, typer.Option(help=f"Train a reference policy: {', '.join(RECIPES)}.")] = None,
     setting: Annotated[str | None, typer.Option(help="Environment setting to train in, without --recipe.")] = None,
     algorithm: Annotated[str, typer.Option(help=f"One of {', '.join(ALGORITHMS)}.")] = "ppo",
-    steps: Annotated[int, typer.Option(help="Training steps (decisions, 1 s each).")] = 10_000,
+    steps: Annotated[int, typer.Option(help="Training steps (decisions).")] = 10_000,
     seed: Annotated[int, typer.Option(help=f"Training seed, below {FIRST_EVALUATION_SEED}.")] = 0,
     output: Annotated[Path | None, typer.Option(help="The zip file to write; a manifest goes beside it.")] = None,
 ) -> None:
@@ -66,9 +68,7 @@ def evaluate(
     setting: Annotated[list[str], typer.Option(help="Environment setting (repeatable, or a comma list).")] = _SETTINGS,
     policy: Annotated[
         list[str],
-        typer.Option(
-            help="faster, idle, slower, random, a reference policy, or an SB3 .zip (repeatable, or a comma list)."
-        ),
+        typer.Option(help=f"{', '.join(BASELINES)}, a reference policy, or an SB3 .zip (repeatable, or a comma list)."),
     ] = _POLICIES,
     shield: Annotated[
         list[str],
@@ -78,7 +78,7 @@ def evaluate(
         Door,
         typer.Option(
             help="env: the shield acts at each simulation frame;"
-            " policy: it chooses among meta-actions; both: one after the other."
+            " policy: it chooses among actions; both: one after the other."
         ),
     ] = Door.ENV,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes for each row.")] = 100,

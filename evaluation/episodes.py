@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 from rich.progress import Progress
 
+from dynamics.path import PathRoad
 from evaluation.attribution import AttributionRules, attribute_from_simulator_state
 from evaluation.baselines import Policy, make_policy, policy_label, start_episode
 from evaluation.recorder import History, Recorder, Track
@@ -109,10 +110,13 @@ class _Driver:
             mode=self.variant.mode,
             seed=seed,
             crashed=history.crash_frame is not None,
+            off_road=history.off_road,
             attribution=attribute_from_simulator_state(history, self.rules).value,
             return_=total,
             steps=steps,
             **_driving(history),
+            mean_jerk=history.mean_jerk(),
+            mean_lateral_acceleration=history.mean_lateral_acceleration(),
             overridden=tally.overridden,
             reasons=dict(tally.reasons),
             tiers=dict(tally.tiers),
@@ -150,14 +154,20 @@ def _plain(action: Any) -> Any:
 
 def _driving(history: History) -> dict[str, Any]:
     """Speed, way and lanes of the ego, up to a crash."""
-    crash = history.crash_frame
+    crash, road = history.crash_frame, history.road
     ego = history.ego if crash is None else history.ego[: crash + 1]
-    lanes = [history.road.lane_at(float(r)) for r in ego[:, Track.R]]
-    return {
-        "duration": (len(ego) - 1) * history.dt,
-        "mean_speed": float(ego[:, Track.SPEED].mean()),
-        "distance": float(ego[-1, Track.S] - ego[0, Track.S]),
-        "lane_changes": int(np.count_nonzero(np.diff(lanes))),
+    driving = {"duration": (len(ego) - 1) * history.dt, "mean_speed": float(ego[:, Track.SPEED].mean())}
+    if road is None:
+        steps = np.diff(ego[:, [Track.S, Track.R]], axis=0)
+        way = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+        return driving | {"distance": way, "lane_changes": float("nan"), "laps": float("nan")}
+    way = float(ego[-1, Track.S] - ego[0, Track.S])
+    lanes = [road.lane_at(float(r)) for r in ego[:, Track.R]]
+    closed = isinstance(road, PathRoad) and road.closed
+    return driving | {
+        "distance": way,
+        "lane_changes": float(np.count_nonzero(np.diff(lanes))),
+        "laps": way / road.length if closed else float("nan"),
     }
 
 

@@ -30,6 +30,7 @@ GROUP = ["setting", "policy", "door", "mode"]
 """Columns that say what was measured."""
 
 _PAIR = ["setting", "policy"]
+_MEANS = ("lane_changes", "laps", "mean_jerk", "mean_lateral_acceleration")
 _FALLBACKS = [f"tier_{tier.value}" for tier in Tier if tier.fallback]
 _REASONS = [f"reason_{reason.value}" for reason in Reason if reason is not Reason.NONE]
 
@@ -41,9 +42,11 @@ def summarise(episodes: pd.DataFrame) -> pd.DataFrame:
     -------
     A table with, after the columns of `GROUP`:
 
-    - `episodes`, `crashes`; `crash_rate` and `ego_fault_rate` with Wilson intervals;
+    - `episodes`, `crashes`, `off_roads`; `crash_rate`, `off_road_rate` and `ego_fault_rate` with Wilson intervals, the
+      last NaN where a crash could not be attributed;
     - `return` with a bootstrap interval;
-    - the means of `mean_speed` [m/s], `distance` [m] and `lane_changes`;
+    - the means of `mean_speed` [m/s], `distance` [m], `lane_changes`, `laps`, `mean_jerk` [m/s^3] and
+      `mean_lateral_acceleration` [m/s^2]; NaN where they are not defined;
     - `override_rate`, `fallback_rate` and `reason_…`: shares of all decisions;
       `frame_override_rate`: share of all simulation frames;
     - `violations` of the assumptions by the traffic, summed; NaN where they are not counted;
@@ -60,16 +63,17 @@ def summarise(episodes: pd.DataFrame) -> pd.DataFrame:
 def _summary(group: pd.DataFrame) -> dict[str, Any]:
     n, decisions = len(group), int(group["steps"].sum())
     p50, p99 = quantiles(np.concatenate([np.asarray(x, float) for x in group["latencies_ms"]]))
-    at_fault = int((group["attribution"] == Cause.EGO_AT_FAULT.value).sum())
     return {
         "episodes": n,
         "crashes": int(group["crashed"].sum()),
         **_columns("crash_rate", wilson(int(group["crashed"].sum()), n)),
-        **_columns("ego_fault_rate", wilson(at_fault, n)),
+        "off_roads": int(group["off_road"].sum()),
+        **_columns("off_road_rate", wilson(int(group["off_road"].sum()), n)),
+        **_columns("ego_fault_rate", _ego_fault(group["attribution"], n)),
         **_columns("return", bootstrap_mean(group["return"])),
         "mean_speed": float(group["mean_speed"].mean()),
         "distance": float(group["distance"].mean()),
-        "lane_changes": float(group["lane_changes"].mean()),
+        **{name: float(group[name].astype(float).mean()) for name in _MEANS},
         "override_rate": float(group["overridden"].sum() / decisions),
         "frame_override_rate": float(group["frames_overridden"].sum() / group["frames"].sum()),
         **{reason: float(group[reason].sum() / decisions) for reason in _REASONS},
@@ -82,6 +86,13 @@ def _summary(group: pd.DataFrame) -> dict[str, Any]:
     }
 
 
+def _ego_fault(causes: pd.Series, n: int) -> Interval:
+    """Share of the episodes with a crash by the ego's fault; unknown where the cause of any crash is."""
+    if (causes == Cause.UNATTRIBUTED.value).any():
+        return Interval(float("nan"), float("nan"), float("nan"), n)
+    return wilson(int((causes == Cause.EGO_AT_FAULT.value).sum()), n)
+
+
 def compare(episodes: pd.DataFrame) -> pd.DataFrame:
     """Each shielded row against driving without a shield, paired on the same seeds.
 
@@ -90,8 +101,8 @@ def compare(episodes: pd.DataFrame) -> pd.DataFrame:
     A table with, after the columns of `GROUP`:
 
     - `pairs`: their number;
-    - `crash_rate_difference`, `return_difference`, `mean_speed_difference` [m/s]: means of shielded
-      minus unshielded, with intervals (Bonett-Price for the crashes, else bootstrap);
+    - `crash_rate_difference`, `off_road_rate_difference`, `return_difference`, `mean_speed_difference` [m/s]: means
+      of shielded minus unshielded, with intervals (Bonett-Price for the two rates, else bootstrap);
     - `crashes_prevented`, `crashes_added`: pairs in which only one of the two crashed, and
       `mcnemar_p`, the exact McNemar test of them.
 
@@ -115,6 +126,10 @@ def _differences(pairs: pd.DataFrame) -> dict[str, Any]:
     out: dict[str, Any] = {
         "pairs": len(pairs),
         **_columns("crash_rate_difference", paired_rate_difference(crashed, bare)),
+        **_columns(
+            "off_road_rate_difference",
+            paired_rate_difference(pairs["off_road"].astype(bool), pairs["off_road_bare"].astype(bool)),
+        ),
     }
     for name in ("return", "mean_speed"):
         difference = paired_difference(pairs[name], pairs[f"{name}_bare"])
@@ -132,7 +147,7 @@ def _columns(name: str, interval: Interval) -> dict[str, float]:
 
 
 def _check(episodes: pd.DataFrame) -> None:
-    missing = sorted({*GROUP, "seed", "crashed", "return", "latencies_ms"} - set(episodes.columns))
+    missing = sorted({*GROUP, "seed", "crashed", "off_road", "return", "latencies_ms"} - set(episodes.columns))
     if missing:
         raise ConfigError(f"this is not a table of episodes: column {missing[0]!r} is missing")
     if episodes.duplicated([*GROUP, "seed"]).any():

@@ -12,14 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.road import StraightRoad
-from dynamics.state import FloatArray
+from dynamics.errors import SceneError
+from dynamics.path import PathRoad
+from dynamics.road import Road, StraightRoad
+from dynamics.state import FloatArray, wrap_to_pi
+from evaluation.rectangles import separation
 
-__all__ = ["History", "Recorder", "Track"]
+__all__ = ["History", "Recorder", "Track", "read_road"]
 
 
 class Track(IntEnum):
-    """Columns of a history, in the road frame: [m], [m], [rad], [m/s], [m], [m], 0 or 1."""
+    """Columns of a history: [m], [m], [rad], [m/s], [m], [m], 0 or 1, 0 or 1; the first three in the road frame.
+
+    A vehicle is off the road where highway-env says so: its centre is in no lane. Noted of the ego alone.
+    """
 
     S = 0
     R = 1
@@ -28,6 +34,7 @@ class Track(IntEnum):
     LENGTH = 4
     WIDTH = 5
     CRASHED = 6
+    OFF_ROAD = 7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,20 +43,24 @@ class History:
 
     Attributes
     ----------
-    states : shape (frames, vehicles, 7), columns `Track`; vehicle 0 is the ego.
-    road : the road that S and R refer to.
+    states : shape (frames, vehicles, 8), columns `Track`; vehicle 0 is the ego. On a closed road S goes on counting
+        from lap to lap, and the others' S is the one within half a lap of the ego's.
+    road : the road that S and R refer to; None on a network that is no single road, where the states are in the
+        world frame.
     dt : time between two frames [s].
     from_reset : whether the first frame is the scene that the episode was reset to.
+    world : the states in the world frame; None on a straight road, where nothing needs them.
     """
 
     states: FloatArray
-    road: StraightRoad
+    road: Road | None
     dt: float
     from_reset: bool = True
+    world: FloatArray | None = None
 
     @property
     def ego(self) -> FloatArray:
-        """The ego's states, shape (frames, 7)."""
+        """The ego's states, shape (frames, 8)."""
         return self.states[:, 0]
 
     @property
@@ -58,21 +69,53 @@ class History:
         crashed = np.flatnonzero(self.ego[:, Track.CRASHED])
         return int(crashed[0]) if crashed.size else None
 
+    @property
+    def off_road(self) -> bool:
+        """Whether the ego's centre ever left the road."""
+        return bool(self.ego[:, Track.OFF_ROAD].any())
+
     def gaps(self, frame: int) -> FloatArray:
         """Clearance between the ego and each other vehicle in a frame [m], shape (vehicles - 1,).
 
-        Footprints are the smallest boxes along the road that hold the rotated rectangles.
+        On a straight road footprints are the smallest boxes along the road that hold the rotated rectangles,
+        elsewhere the rectangles themselves.
         """
-        return clearance(self.states[frame, 0], self.states[frame, 1:])
+        return self._clearance(frame)
 
     def min_gap(self) -> float:
         """Smallest clearance between the ego and anybody, up to a crash [m]; inf when alone."""
         if self.states.shape[1] < 2:
             return float("inf")
-        end = self.crash_frame
-        if end is not None:
+        if self.crash_frame is not None:
             return 0.0
-        return float(clearance(self.states[:, :1], self.states[:, 1:]).min())
+        return float(self._clearance(slice(None)).min())
+
+    def _clearance(self, frames: Any) -> FloatArray:
+        if isinstance(self.road, StraightRoad):
+            distance = clearance(self.states[frames, :1], self.states[frames, 1:])
+        else:
+            world = self._world()[frames]
+            distance = separation(*(world[..., part, : Track.CRASHED] for part in (slice(1), slice(1, None))))
+        return distance
+
+    def mean_jerk(self) -> float:
+        """Mean size of the jerk along the way, frame by frame up to a crash [m/s^3]; NaN in less than three frames."""
+        jerk = np.diff(self._driven()[:, Track.SPEED], 2) / self.dt**2
+        return float(np.abs(jerk).mean()) if jerk.size else float("nan")
+
+    def mean_lateral_acceleration(self) -> float:
+        """Mean size of speed times yaw rate, up to a crash [m/s^2]; NaN in less than two frames."""
+        driven = self._driven()
+        rate = wrap_to_pi(np.diff(driven[:, Track.HEADING])) / self.dt
+        return float(np.abs(driven[:-1, Track.SPEED] * rate).mean()) if rate.size else float("nan")
+
+    def _driven(self) -> FloatArray:
+        """The ego in the world frame, before a crash (which changes its speed within a frame)."""
+        return self._world()[: self.crash_frame, 0]
+
+    def _world(self) -> FloatArray:
+        """States in the world frame, or (on a straight road) in one that is only turned and moved."""
+        return self.states if self.world is None else self.world
 
 
 def clearance(first: FloatArray, second: FloatArray) -> FloatArray:
@@ -94,26 +137,22 @@ def _half_extents(states: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 class Recorder:
-    """Records one episode of a highway-env environment.
+    """Records one episode of a highway-env environment, whatever its road and its actions.
 
     Parameters
     ----------
     env : the environment, wrapped or not, after `reset`; make a recorder for each episode.
-
-    Raises
-    ------
-    SceneError
-        If the road is not one that `StraightRoad` can describe.
     """
 
     def __init__(self, env: Any) -> None:
         base = env.unwrapped
         road = base.road
-        self._map = StraightRoad.from_network(road.network)
+        self._map = read_road(road.network)
         self._dt = 1.0 / base.config["simulation_frequency"]
         others = [vehicle for vehicle in road.vehicles if vehicle is not base.vehicle]
         self._vehicles = [base.vehicle, *others, *road.objects]
         self._rows: list[list[tuple[float, ...]]] = []
+        self._off_road: list[bool] = []
         inner = road.step
 
         def step(dt: float) -> None:
@@ -127,9 +166,33 @@ class Recorder:
         self._rows.append(
             [(v.position[0], v.position[1], v.heading, v.speed, v.LENGTH, v.WIDTH, v.crashed) for v in self._vehicles]
         )
+        self._off_road.append(not self._vehicles[0].on_road)
 
     def history(self) -> History:
         """All frames so far; the first is the scene after reset."""
-        states = np.array(self._rows, dtype=float)
-        states[..., :4] = self._map.to_road(states[..., :4])
-        return History(states, self._map, self._dt)
+        rows = np.array(self._rows, dtype=float)
+        world = np.concatenate([rows, np.zeros((*rows.shape[:2], 1))], axis=-1)
+        world[:, 0, Track.OFF_ROAD] = self._off_road
+        if self._map is None:
+            return History(world, None, self._dt, world=world)
+        states = world.copy()
+        if isinstance(self._map, StraightRoad):
+            states[..., :4] = self._map.to_road(world[..., :4])
+            return History(states, self._map, self._dt)
+        ego = self._map.to_road(world[:, 0, :4])
+        if self._map.closed:
+            ego[:, Track.S] = np.unwrap(ego[:, Track.S], period=self._map.length)
+        states[:, 0, :4] = ego
+        states[:, 1:, :4] = self._map.to_road(world[:, 1:, :4], near=ego[:, None, Track.S])
+        return History(states, self._map, self._dt, world=world)
+
+
+def read_road(network: Any) -> StraightRoad | PathRoad | None:
+    """The road of a network; None where it is no single road of parallel lanes."""
+    kinds: tuple[type[StraightRoad] | type[PathRoad], ...] = (StraightRoad, PathRoad)
+    for kind in kinds:
+        try:
+            return kind.from_network(network)
+        except SceneError:
+            continue
+    return None

@@ -69,13 +69,17 @@ class EpisodeRecord:
     door, mode : what stood between the two (see `Variant`).
     seed : seed of the episode.
     crashed : whether the ego crashed.
+    off_road : whether the ego's centre left the road.
     attribution : the `Cause` of it, judged from the simulator's state.
     return_ : undiscounted sum of rewards (column "return").
     steps : decisions taken.
     duration : time driven, up to a crash [s].
     mean_speed : mean of the ego's speed over it [m/s].
-    distance : way along the road [m].
-    lane_changes : how often the nearest lane changed.
+    distance : way along the road [m]; on a network that is no single road, the way that was driven.
+    lane_changes : how often the nearest lane changed; NaN on a network that is no single road.
+    laps : share of a closed road that was driven, 1 for a lap; NaN on any other.
+    mean_jerk : mean size of the jerk along the way, frame by frame [m/s^3].
+    mean_lateral_acceleration : mean size of speed times yaw rate, frame by frame [m/s^2].
     overridden : decisions in which something else than the proposal was done, in part or whole.
     reasons, tiers : decisions by `Reason` and `Tier` (columns "reason_…", "tier_…").
     frames, frames_overridden : simulation frames, and those in which the shield acted.
@@ -91,13 +95,17 @@ class EpisodeRecord:
     mode: str
     seed: int
     crashed: bool
+    off_road: bool
     attribution: str
     return_: float
     steps: int
     duration: float
     mean_speed: float
     distance: float
-    lane_changes: int
+    lane_changes: float
+    laps: float
+    mean_jerk: float
+    mean_lateral_acceleration: float
     overridden: int
     reasons: Mapping[str, int]
     tiers: Mapping[str, int]

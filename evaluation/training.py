@@ -1,4 +1,4 @@
-"""Training of policies with Stable-Baselines3, and the recipes of the reference policies.
+"""Training of policies with Stable-Baselines3.
 
 One thread, one seed, one zip file and beside it a JSON manifest that says how to make it again.
 Training takes seeds below `FIRST_EVALUATION_SEED`; evaluation takes the others, so that no policy
@@ -11,19 +11,23 @@ import json
 import platform
 import shlex
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import gymnasium as gym
+import torch
 from stable_baselines3 import A2C, DQN, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
 
+from evaluation.normalisation import NORMALISABLE, fold, normalised
+from evaluation.observations import FastObservations
+from evaluation.recipes import get_recipe
 from evaluation.settings import Setting, get_setting
 from evaluation.threads import one_thread
 from shield.errors import ConfigError
@@ -31,11 +35,8 @@ from shield.errors import ConfigError
 __all__ = [
     "ALGORITHMS",
     "FIRST_EVALUATION_SEED",
-    "RECIPES",
-    "Recipe",
     "TrainedPolicy",
     "get_algorithm",
-    "get_recipe",
     "manifest_path",
     "train",
     "train_recipe",
@@ -56,6 +57,7 @@ _ACTION_SPACES: dict[str, tuple[type[gym.Space[Any]], ...]] = {
     "sac": (gym.spaces.Box,),
     "td3": (gym.spaces.Box,),
 }
+_ON_POLICY = ("a2c", "ppo")
 _PACKAGES = ("highway-shield", "highway-env", "gymnasium", "stable-baselines3", "torch", "numpy")
 
 
@@ -72,103 +74,12 @@ class TrainedPolicy:
     manifest: Mapping[str, Any]
 
 
-@dataclass(frozen=True)
-class Recipe:
-    """All that `train` needs for one reference policy.
-
-    Attributes:
-        name: the name of the policy, and of its file.
-        setting: a name in `evaluation.settings.SETTINGS`.
-        algorithm: a name in `ALGORITHMS`.
-        steps: environment steps (decisions of 1 s).
-        seed: the training seed.
-        hyperparameters: keyword arguments of the algorithm.
-        description: one line for people.
-    """
-
-    name: str
-    setting: str
-    algorithm: str
-    steps: int
-    seed: int
-    hyperparameters: Mapping[str, Any] = field(hash=False)
-    description: str = ""
-
-
-# The hyperparameters that highway-env's own examples use, but for the discount factor of the DQNs.
-# Where a recipe's seed is not 0, the policy of seed 0 missed what the recipe is for (a PPO that crashes
-# now and then, an adversary that nearly always does) on traffic seeds 0 to 49.
-_PPO_HIGHWAY: dict[str, Any] = {
-    "policy_kwargs": {"net_arch": {"pi": [256, 256], "vf": [256, 256]}},
-    "n_steps": 160,
-    "batch_size": 64,
-    "n_epochs": 10,
-    "learning_rate": 5e-4,
-    "gamma": 0.8,
-}
-_DQN_ABZ: dict[str, Any] = {
-    "policy_kwargs": {"net_arch": [256, 256]},
-    "learning_rate": 5e-4,
-    "buffer_size": 15_000,
-    "learning_starts": 200,
-    "batch_size": 32,
-    "gamma": 0.9,
-    "train_freq": 1,
-    "gradient_steps": 1,
-    "target_update_interval": 50,
-}
-
-RECIPES: Mapping[str, Recipe] = MappingProxyType(
-    {
-        recipe.name: recipe
-        for recipe in (
-            Recipe(
-                "ppo-highway-fast",
-                "highway-fast",
-                "ppo",
-                10_000,
-                1,
-                _PPO_HIGHWAY,
-                "PPO on highway-fast-v0 as it comes: drives, and crashes now and then",
-            ),
-            Recipe(
-                "dqn-abz-base",
-                "abz",
-                "dqn",
-                20_000,
-                0,
-                _DQN_ABZ,
-                "DQN on the ABZ 2025 highway, crash reward -1",
-            ),
-            Recipe(
-                "dqn-abz-adversarial",
-                "abz-adversarial",
-                "dqn",
-                20_000,
-                1,
-                _DQN_ABZ,
-                "DQN on the ABZ 2025 highway, crash reward +1: it has learned to crash",
-            ),
-        )
-    }
-)
-"""The recipes of the reference policies in `evaluation.policies`."""
-
-
 def get_algorithm(name: str) -> type[BaseAlgorithm]:
     """The Stable-Baselines3 class of that name (any case); a `ConfigError` if there is none."""
     try:
         return ALGORITHMS[name.lower()]
     except KeyError:
         raise ConfigError(f"unknown algorithm {name!r}; have {sorted(ALGORITHMS)}") from None
-
-
-def get_recipe(name: str) -> Recipe:
-    """The recipe of that name; a `ConfigError` that lists the names if there is none."""
-    try:
-        return RECIPES[name]
-    except KeyError:
-        raise ConfigError(f"unknown recipe {name!r}; have {sorted(RECIPES)}") from None
 
 
 def manifest_path(policy: Path) -> Path:
@@ -184,6 +95,9 @@ def train(
     *,
     output: str | Path,
     hyperparameters: Mapping[str, Any] | None = None,
+    normalise: Collection[str] = (),
+    exploration: Sequence[float] = (),
+    fast: bool = False,
     progress: bool = True,
     command: str | None = None,
 ) -> TrainedPolicy:
@@ -192,12 +106,17 @@ def train(
     Args:
         setting: the environment to train in, by name or as a `Setting`.
         algorithm: a name in `ALGORITHMS`.
-        steps: environment steps, 1 s of driving each by default. PPO and A2C round up to whole
+        steps: environment steps (decisions). PPO and A2C round up to whole
             rollouts; the manifest has both numbers.
         seed: 0 to 9,999; seeds from `FIRST_EVALUATION_SEED` on belong to evaluation.
         output: the zip file to write; the suffix is added if it is missing.
         hyperparameters: keyword arguments of the algorithm; what is not given is
             Stable-Baselines3's default, with the policy "MlpPolicy".
+        normalise: any of "observations" and "rewards", by their running means and variances, for PPO and A2C. The
+            policy that is saved takes observations as the environment gives them.
+        exploration: standard deviation of each continuous action at the start of training, for PPO and A2C; by
+            default Stable-Baselines3's `log_std_init` for all of them.
+        fast: whether to compute observations at once (see `FastObservations`); they are the same.
         progress: whether to show a progress bar.
         command: the shell command that repeats this; by default one that calls this function.
 
@@ -210,7 +129,13 @@ def train(
     parameters = dict(hyperparameters or {})
     path = _check(steps, seed, output)
 
-    env = Monitor(setting.make())
+    if normalise and (algorithm not in _ON_POLICY or not set(normalise) <= set(NORMALISABLE)):
+        raise ConfigError(
+            f"{algorithm} cannot normalise {', '.join(normalise)}; {' and '.join(_ON_POLICY)} can normalise"
+            f" {' and '.join(NORMALISABLE)}"
+        )
+    made = setting.make()
+    env = Monitor(FastObservations(made) if fast else made)
     try:
         accepted = _ACTION_SPACES[algorithm]
         if not isinstance(env.action_space, accepted):
@@ -222,16 +147,23 @@ def train(
         with one_thread():
             # A copy: Stable-Baselines3 writes its own entries into `policy_kwargs`.
             arguments = {"policy": "MlpPolicy", **deepcopy(parameters)}
-            model = algorithm_class(**arguments, env=env, seed=seed, device="cpu")
+            world = normalised(env, normalise, parameters.get("gamma", 0.99)) if normalise else env
+            model = algorithm_class(**arguments, env=world, seed=seed, device="cpu")
+            if exploration:
+                _explore(model, exploration)
             model.learn(steps, progress_bar=progress)
+            if "observations" in normalise:
+                fold(model)
         seconds = time.perf_counter() - started
         path.parent.mkdir(parents=True, exist_ok=True)
         model.save(path)
     finally:
         env.close()
 
+    options: dict[str, Any] = {"normalise": list(normalise), "exploration": list(exploration), "fast": fast}
+    options = {name: value for name, value in options.items() if value}
     manifest = {
-        "command": command or _call(setting, algorithm, steps, seed, parameters, path),
+        "command": command or _call(setting, algorithm, steps, seed, parameters, path, options),
         "algorithm": algorithm,
         "setting": {
             "name": setting.name,
@@ -242,6 +174,7 @@ def train(
         "steps_taken": model.num_timesteps,
         "seed": seed,
         "hyperparameters": parameters,
+        **options,
         "training_seconds": round(seconds, 1),
         "versions": {"python": platform.python_version(), **{p: version(p) for p in _PACKAGES}},
     }
@@ -253,7 +186,7 @@ def train_recipe(name: str, output: str | Path | None = None, *, progress: bool 
     """Train a reference policy again, by default into ``runs/policies/NAME.zip``.
 
     Args:
-        name: a name in `RECIPES`.
+        name: a name in `evaluation.recipes.RECIPES`.
         output: the zip file to write instead.
         progress: whether to show a progress bar.
     """
@@ -264,6 +197,9 @@ def train_recipe(name: str, output: str | Path | None = None, *, progress: bool 
         recipe.steps,
         recipe.seed,
         hyperparameters=recipe.hyperparameters,
+        normalise=recipe.normalise,
+        exploration=recipe.exploration,
+        fast=recipe.fast,
         output=output if output is not None else Path("runs", "policies", f"{name}.zip"),
         progress=progress,
         command=f"shield train --recipe {name}",
@@ -281,10 +217,32 @@ def _check(steps: int, seed: int, output: str | Path) -> Path:
     return path if path.suffix == ".zip" else path.with_name(path.name + ".zip")
 
 
-def _call(setting: Setting, algorithm: str, steps: int, seed: int, parameters: dict[str, Any], path: Path) -> str:
+def _explore(model: BaseAlgorithm, deviations: Sequence[float]) -> None:
+    """Set the standard deviation of each action."""
+    log_std: Any = getattr(model.policy, "log_std", None)
+    actions = 0 if log_std is None else len(log_std)
+    if actions != len(deviations) or min(deviations) <= 0:
+        raise ConfigError(
+            f"exploration is a positive number for each continuous action of PPO or A2C, of which there are {actions}"
+            f" here; got {list(deviations)}"
+        )
+    with torch.no_grad():
+        log_std.copy_(torch.log(torch.tensor(deviations)))
+
+
+def _call(
+    setting: Setting,
+    algorithm: str,
+    steps: int,
+    seed: int,
+    parameters: dict[str, Any],
+    path: Path,
+    options: dict[str, Any],
+) -> str:
+    more = "".join(f", {name}={value!r}" for name, value in options.items())
     code = (
         "from evaluation.settings import Setting; from evaluation.training import train; "
         f"train(Setting({setting.name!r}, {setting.env_id!r}, {dict(setting.config)!r}), "
-        f"{algorithm!r}, {steps}, {seed}, hyperparameters={parameters!r}, output={path.name!r})"
+        f"{algorithm!r}, {steps}, {seed}, hyperparameters={parameters!r}{more}, output={path.name!r})"
     )
     return f"python -c {shlex.quote(code)}"

@@ -8,8 +8,10 @@ from typing import Any, cast
 
 import numpy as np
 
+from dynamics.errors import SceneError
 from dynamics.road import StraightRoad
-from dynamics.state import RoadState, State
+from dynamics.state import FloatArray, RoadState, State
+from evaluation.recorder import read_road
 from evaluation.report.draw import Shot
 from shield import ShieldedEnv
 
@@ -22,6 +24,11 @@ class Camera:
     Parameters
     ----------
     env : the environment, after `reset`.
+
+    Raises
+    ------
+    SceneError
+        If its road is no single road of parallel lanes: plans and areas have no place on it.
     """
 
     def __init__(self, env: ShieldedEnv) -> None:
@@ -32,7 +39,10 @@ class Camera:
         self._base.enable_auto_render = False
         self._viewer: Any = self._base.viewer
         self._viewer.enabled = True  # highway-env draws nothing under SDL's dummy driver otherwise
-        self._road = StraightRoad.from_network(self._base.road.network)
+        road = read_road(self._base.road.network)
+        if road is None:
+            raise SceneError("this road cannot be filmed; have single roads of parallel lanes, straight or curved")
+        self._road = road
         self._viewer.observer_vehicle = SimpleNamespace(position=np.zeros(2))
         self._dt = 1.0 / self._base.config["simulation_frequency"]
         self._taken: list[dict[str, Any]] = []
@@ -54,10 +64,7 @@ class Camera:
 
     def _take(self) -> None:
         ego = self._base.vehicle
-        state = np.array([*ego.position, ego.heading, ego.speed])
-        middle = self._road.to_road(state)
-        middle[RoadState.R] = self._road.centers.mean()
-        self._viewer.observer_vehicle.position = self._road.to_world(middle)[: State.Y + 1]
+        self._viewer.observer_vehicle.position = self._middle(ego)
         self._viewer.display()
         surface = self._viewer.sim_surface
         self._taken.append(
@@ -71,11 +78,22 @@ class Camera:
             }
         )
 
+    def _middle(self, ego: Any) -> FloatArray:
+        """What is drawn in the middle: the ego, or on a straight road the middle of the road beside it [m]."""
+        state = np.array([*ego.position, ego.heading, ego.speed])
+        if isinstance(self._road, StraightRoad):
+            state = self._road.to_road(state)
+            state[RoadState.R] = self._road.centers.mean()
+            state = self._road.to_world(state)
+        return np.asarray(state[: State.Y + 1])
+
     def develop(self) -> list[Shot]:
         """The shots of the last step, with the decisions that were taken in it."""
         env, frames = self._env, self._env.frame_decisions
-        labels = self._base.action_type.actions
-        actions = tuple(labels[i] for i in sorted(labels))
+        actions: tuple[str, ...] = ()
+        if type(self._base.action_type).__name__ == "DiscreteMetaAction":
+            labels = self._base.action_type.actions
+            actions = tuple(labels[i] for i in sorted(labels))
         assert env.last_decision is not None
         return [
             Shot(

@@ -16,7 +16,7 @@ from matplotlib import font_manager
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from dynamics.road import StraightRoad
+from dynamics.road import Road
 from dynamics.state import FloatArray, RoadState, State
 from shield.decision import Decision, Tier
 
@@ -46,7 +46,7 @@ class Shot:
     dt : duration of a simulation frame [s].
     time, speed : time since reset [s], and the ego's speed [m/s].
     size : the ego's length and width [m].
-    actions : label of each action index.
+    actions : label of each action index; none where actions are throttle and steering.
     decision, frame : the decision about the action, and about this frame (None in modes without).
     age : frames since `decision` was made.
     """
@@ -54,7 +54,7 @@ class Shot:
     image: NDArray[np.uint8]
     origin: tuple[float, float]
     scaling: float
-    road: StraightRoad
+    road: Road
     dt: float
     time: float
     speed: float
@@ -157,6 +157,8 @@ def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
 
 
 def _label(shot: Shot, action: Any) -> str:
+    if not shot.actions:
+        return ", ".join(f"{x:+.2f}" for x in np.ravel(action)).replace("-", "−")
     try:
         return shot.actions[int(action)]
     except (TypeError, ValueError, IndexError):
@@ -164,7 +166,10 @@ def _label(shot: Shot, action: Any) -> str:
 
 
 def _executed(shot: Shot) -> str:
-    """What the ego does: the meta-action, and the acceleration where the frame was held back."""
+    """What the ego does: the action, and what it was replaced with where the frame was held back."""
+    if not shot.actions and shot.frame is not None and shot.frame.overridden:
+        acceleration, wheel = np.ravel(shot.frame.executed)
+        return f"{acceleration:+.1f} m/s², {np.degrees(wheel):+.1f}°".replace("-", "−")
     text = _label(shot, shot.decision.executed)
     if shot.frame is not None and shot.frame.overridden:
         acceleration = getattr(shot.frame.executed, "acceleration", None)

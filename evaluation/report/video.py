@@ -9,7 +9,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
+import gymnasium as gym
 import numpy as np
 from PIL import Image
 
@@ -36,11 +38,11 @@ FILM_POLICY = "dqn-abz-adversarial"
 """Filmed unless something else is asked for: the agent that has learned to crash."""
 
 _FREQUENCY = 15
-"""Films run at this simulation frequency [Hz]: at 5 Hz, as in highway-fast-v0, they would jerk."""
+"""Films run at this simulation frequency at least [Hz]: at 5 Hz, as in highway-fast-v0, they would jerk."""
 _CLIP = 9
-"""Length of a film [decisions of 1 s]."""
+"""Length of a film [s]."""
 _LEAD = 1
-"""Decisions shown before the first override."""
+"""Time shown before the first override [s]."""
 _WANTED = 3
 """A seed whose episode has this many overridden decisions in one clip is worth filming."""
 _SEARCH = 30
@@ -66,15 +68,17 @@ class Film:
     frames: int
 
 
+_ROAD = {"screen_width": 1100, "screen_height": 150, "scaling": 9.0, "centering_position": [0.2, 0.5]}
+_TRACK = {"screen_width": 1000, "screen_height": 500, "scaling": 9.0, "centering_position": [0.5, 0.5]}
+"""Pictures: a strip along a straight road, and what is around the ego on a track."""
+
+
 def _filmed(setting: Setting) -> Setting:
     """The setting as it is filmed: large pictures, and a high simulation frequency."""
     return setting.override(
         {
-            "simulation_frequency": _FREQUENCY,
-            "screen_width": 1100,
-            "screen_height": 150,
-            "scaling": 9.0,
-            "centering_position": [0.2, 0.5],
+            "simulation_frequency": max(_FREQUENCY, setting.config.get("simulation_frequency", 0)),
+            **(_TRACK if "racetrack" in setting.env_id else _ROAD),
             "offscreen_rendering": True,
         }
     )
@@ -135,21 +139,30 @@ def _shielded(
         bare.close()
 
 
-def _overridden(setting: Setting, policy: str, seed: int) -> list[bool]:
-    """Which decisions of an episode end in another action; nothing is drawn."""
+def _overridden(setting: Setting, policy: str, seed: int) -> tuple[list[bool], int]:
+    """Which decisions of an episode end in another action, and how many there are in a second; nothing is drawn."""
     with _shielded(_filmed(setting), policy, seed, ShieldConfig(), None) as (env, decide):
         flags, done = [], False
         while not done:
             done = decide()
             decision = env.last_decision
-            flags.append(decision is not None and decision.executed != decision.proposed)
-        return flags
+            flags.append(decision is not None and not np.array_equal(decision.executed, decision.proposed))
+        return flags, _rate(env)
 
 
-def _best_clip(flags: Sequence[bool]) -> tuple[int, int]:
-    """First decision of the clip with the most overrides, after one that passed; and how many."""
-    starts = [i for i in range(len(flags)) if not flags[i] and any(flags[i + 1 : i + 1 + _LEAD])]
-    counts = [(sum(flags[i : i + _CLIP]), -i) for i in starts]
+def _rate(env: gym.Env[Any, Any]) -> int:
+    """Decisions in a second."""
+    return max(1, round(cast(Any, env.unwrapped).config["policy_frequency"]))
+
+
+def _best_clip(flags: Sequence[bool], rate: int = 1) -> tuple[int, int]:
+    """First decision of the clip with the most overrides, after one that passed; and how many.
+
+    `rate` is the number of decisions in a second.
+    """
+    lead, clip = _LEAD * rate, _CLIP * rate
+    starts = [i for i in range(len(flags)) if not flags[i] and any(flags[i + 1 : i + 1 + lead])]
+    counts = [(sum(flags[i : i + clip]), -i) for i in starts]
     if not counts:
         return 0, 0
     count, negative = max(counts)
@@ -172,7 +185,7 @@ def find_override(setting: str | Setting = FILM_SETTING, policy: str = FILM_POLI
         )
     best = (0, seed, 0)
     for candidate in range(seed, seed + _SEARCH):
-        start, count = _best_clip(_overridden(setting, policy, candidate))
+        start, count = _best_clip(*_overridden(setting, policy, candidate))
         if count > best[0]:
             best = (count, candidate, start)
         if count >= _WANTED:
@@ -180,6 +193,16 @@ def find_override(setting: str | Setting = FILM_SETTING, policy: str = FILM_POLI
     if best[0] == 0:
         raise ConfigError(f"{policy} was not overridden in {_SEARCH} episodes of {setting.name}")
     return best[1], best[2]
+
+
+def _decisions(setting: str | Setting) -> int:
+    """Decisions in a clip."""
+    setting = get_setting(setting) if isinstance(setting, str) else setting
+    env = setting.make()
+    try:
+        return _CLIP * _rate(env)
+    finally:
+        env.close()
 
 
 def film_override(
@@ -200,7 +223,7 @@ def film_override(
     if path.suffix != ".gif":
         raise ConfigError(f"a film is written as .gif, not {path.suffix or 'without an ending'!r}")
     chosen, start = find_override(setting, policy, seed)
-    shots = record(setting, policy, chosen, first=start, last=start + _CLIP)
+    shots = record(setting, policy, chosen, first=start, last=start + _decisions(setting))
     path.parent.mkdir(parents=True, exist_ok=True)
     _write_gif(path, [draw(shot) for shot in shots], 1000 * shots[0].dt)
     overrides = len({id(s.decision) for s in shots if s.decision.overridden})
@@ -217,7 +240,7 @@ def still_of_override(
     path = Path(path)
     while True:
         chosen, start = find_override(setting, policy, seed)
-        best = max(record(setting, policy, chosen, first=start, last=start + _CLIP), key=_shows)
+        best = max(record(setting, policy, chosen, first=start, last=start + _decisions(setting)), key=_shows)
         # In some clips frames were held back but no action replaced, which a still does not show.
         if _shows(best)[:2] == (True, True):
             break

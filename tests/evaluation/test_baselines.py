@@ -38,14 +38,90 @@ def test_constant_policies_find_their_action_without_lane_changes():
         env.close()
 
 
-def test_meta_actions_need_a_discrete_action_space():
-    setting = get_setting("highway-fast").override({"action": {"type": "ContinuousAction"}})
-    env = setting.make()
+def continuous(**action):
+    env = get_setting("highway-fast").override({"action": {"type": "ContinuousAction", **action}}).make()
+    env.reset(seed=0)
+    return env
+
+
+@pytest.mark.parametrize(
+    ("action", "throttle", "idle"),
+    [
+        ({}, [1.0, 0.0], [0.0, 0.0]),
+        ({"lateral": False}, [1.0], [0.0]),
+        ({"acceleration_range": [-6.0, 2.0]}, [1.0, 0.0], [0.5, 0.0]),
+        ({"longitudinal": False}, None, [0.0]),
+    ],
+)
+def test_constant_inputs_are_what_they_are_called(action, throttle, idle):
+    env = continuous(**action)
     try:
-        with pytest.raises(ConfigError, match="ContinuousAction"):
-            make_policy("faster", env)
-        action, _ = make_policy("random", env).predict(None)
-        assert env.action_space.contains(action)
+        for name, expected in (("throttle", throttle), ("idle", idle)):
+            if expected is None:
+                with pytest.raises(ConfigError, match="no throttle; have idle, random"):
+                    make_policy(name, env)
+                continue
+            chosen = make_policy(name, env).predict(None)[0]
+            assert env.action_space.contains(chosen)
+            np.testing.assert_allclose(chosen, expected, atol=1e-7)
+            env.step(chosen)
+            inputs = env.unwrapped.vehicle.action
+            assert inputs["steering"] == pytest.approx(0.0, abs=1e-7)
+            fastest = env.unwrapped.action_type.acceleration_range[1]
+            assert inputs["acceleration"] == pytest.approx(fastest if name == "throttle" else 0.0, abs=1e-6)
+    finally:
+        env.close()
+
+
+@pytest.mark.parametrize("name", ["faster", "slower"])
+def test_meta_actions_are_refused_where_there_is_a_wheel(name):
+    env = continuous()
+    try:
+        with pytest.raises(ConfigError, match=r"takes ContinuousAction; have idle, throttle, random"):
+            make_policy(name, env)
+    finally:
+        env.close()
+
+
+def test_a_throttle_is_refused_where_there_are_meta_actions(env):
+    with pytest.raises(ConfigError, match=r"takes DiscreteMetaAction; have faster, idle, slower, random"):
+        make_policy("throttle", env)
+
+
+def test_other_actions_have_no_constant_policy():
+    env = get_setting("highway-fast").override({"action": {"type": "DiscreteAction"}}).make()
+    try:
+        with pytest.raises(ConfigError, match="takes DiscreteAction; have random"):
+            make_policy("idle", env)
+    finally:
+        env.close()
+
+
+def test_a_constant_action_cannot_be_changed_from_outside():
+    env = continuous()
+    try:
+        policy = make_policy("throttle", env)
+        policy.predict(None)[0][:] = 0.5
+        np.testing.assert_array_equal(policy.predict(None)[0], np.array([1.0, 0.0], dtype=np.float32))
+    finally:
+        env.close()
+
+
+def test_random_inputs_depend_on_the_episode_seed_alone():
+    env = continuous()
+    try:
+        policy = make_policy("random", env)
+
+        def actions(seed):
+            start_episode(policy, seed)
+            return np.array([policy.predict(None, deterministic=True)[0] for _ in range(200)])
+
+        first = actions(7)
+        np.testing.assert_array_equal(actions(7), first)
+        assert (actions(8) != first).any()
+        assert all(env.action_space.contains(action) for action in first)
+        assert (first.min(axis=0) < -0.9).all()
+        assert (first.max(axis=0) > 0.9).all()
     finally:
         env.close()
 

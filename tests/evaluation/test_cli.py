@@ -47,7 +47,7 @@ def test_evaluate_prints_markdown_and_writes_three_tables(tmp_path):
     ("arguments", "message"),
     [
         (["evaluate", "--shield", "fulll"], "valid are none, distance, rss, ttc, full"),
-        (["evaluate", "--policy", "fastest", "--jobs", "1"], "have faster, idle, slower, random"),
+        (["evaluate", "--policy", "fastest", "--jobs", "1"], "have faster, idle, slower, throttle, random"),
         (["evaluate", "--setting", "motorway"], "highway-fast"),
         (["evaluate", "--output", "x.xlsx"], ".csv or .parquet"),
         (["evaluate", "--config", "missing.toml"], "missing.toml"),

@@ -29,13 +29,17 @@ def record(seed, door, crashed, **changes):
         "mode": "full" if shielded else "none",
         "seed": seed,
         "crashed": crashed,
+        "off_road": False,
         "attribution": "ego_at_fault" if crashed else "none",
         "return_": 10.0 + seed if shielded else 5.0 + seed,
         "steps": 10,
         "duration": 10.0,
         "mean_speed": 25.0,
         "distance": 250.0,
-        "lane_changes": 1,
+        "lane_changes": 1.0,
+        "laps": float("nan"),
+        "mean_jerk": 2.0,
+        "mean_lateral_acceleration": 0.5,
         "overridden": 4 if shielded else 0,
         "reasons": {"none": 6, "rss": 4} if shielded else {"none": 10},
         "tiers": {"passed": 6, "alternative": 3, "stored_plan": 1} if shielded else {"off": 10},
@@ -78,6 +82,34 @@ def test_crashes_that_others_cause_are_not_the_egos(episodes):
     summary = summarise(episodes)
     assert summary.loc[0, "crash_rate"] == 0.75
     assert summary.loc[0, "ego_fault_rate"] == 0.5
+
+
+def test_leaving_the_road_is_an_outcome_of_its_own(episodes):
+    episodes.loc[[0, 3], "off_road"] = True
+    summary, (row,) = summarise(episodes), compare(episodes).to_dict("records")
+    assert list(summary["off_roads"]) == [2, 0]
+    assert summary.loc[0, "off_road_rate"] == 0.5
+    assert summary.loc[0, "off_road_rate_low"] < 0.5 < summary.loc[0, "off_road_rate_high"]
+    assert summary.loc[0, "crashes"] == 3
+    assert row["off_road_rate_difference"] == pytest.approx(-0.5)
+    assert "50.0 [" in markdown(summary, SUMMARY)
+
+
+def test_fault_is_unknown_where_a_crash_could_not_be_attributed(episodes):
+    episodes.loc[0, "attribution"] = "unattributed"
+    bare, shielded = summarise(episodes).to_dict("records")
+    assert bare["crash_rate"] == 0.75
+    assert math.isnan(bare["ego_fault_rate"])
+    assert shielded["ego_fault_rate"] == 0.0
+
+
+def test_comfort_and_laps_are_means_over_episodes(episodes):
+    episodes.loc[0, ["mean_jerk", "laps"]] = [6.0, 1.5]
+    summary = summarise(episodes)
+    assert summary.loc[0, "mean_jerk"] == pytest.approx(3.0)
+    assert summary.loc[0, "laps"] == pytest.approx(1.5)
+    assert summary.loc[0, "mean_lateral_acceleration"] == pytest.approx(0.5)
+    assert math.isnan(summary.loc[1, "laps"])
 
 
 def test_a_comparison_is_paired_by_seed(episodes):

@@ -1,12 +1,15 @@
 """Pictures show the scene, carry the right colour, and land where highway-env drew the vehicles."""
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from PIL import Image
 
+from dynamics.errors import SceneError
 from dynamics.state import RoadState
-from evaluation.report.draw import GREEN, ORANGE, RED, Shot, draw
-from evaluation.report.video import _best_clip, film_override, find_override, record
+from evaluation.report.camera import Camera
+from evaluation.report.draw import GREEN, ORANGE, RED, Shot, _executed, _label, draw
+from evaluation.report.video import _best_clip, _decisions, _filmed, film_override, find_override, record
 from evaluation.settings import get_setting
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
@@ -37,6 +40,57 @@ def test_the_plan_begins_where_the_ego_is_drawn(shots):
     assert green > red + 50, "the ego is green in highway-env's picture"
     assert green > blue + 50
     assert plan[0, RoadState.SPEED] == pytest.approx(shot.speed)
+
+
+WHEEL = get_setting("highway-continuous").override({"vehicles_count": 10}, name="wheel")
+
+
+def test_a_film_of_throttle_and_steering_shows_what_replaced_them():
+    shots = record(WHEEL, "throttle", 0, first=30, last=60)
+    assert len(shots) == 60
+    np.testing.assert_allclose(np.diff([shot.time for shot in shots]), 1 / 20)
+    assert shots[0].actions == ()
+    held = [shot for shot in shots if shot.color != GREEN]
+    assert held, "full throttle for six seconds is not let through"
+    assert _executed(held[0]).endswith("°")
+    assert _label(shots[0], shots[0].decision.proposed) == "+1.00, +0.00"
+    for shot in (shots[0], held[0]):
+        assert draw(shot).getpixel((5, shot.image.shape[0] + 82)) == shot.color
+
+
+def test_decisions_of_a_tenth_of_a_second_are_counted_in_seconds():
+    assert _decisions(WHEEL) == 90
+    assert _decisions("highway-fast") == 9
+    assert _best_clip([False] * 30 + [True] * 60 + [False] * 100, rate=10) == (20, 60)
+
+
+def test_a_curved_road_is_filmed_around_the_ego():
+    setting = get_setting("racetrack")
+    bare = _filmed(setting).make(render_mode="rgb_array")
+    try:
+        bare.reset(seed=0)
+        ego = bare.unwrapped.vehicle
+        camera = Camera(bare)
+        camera._take()
+        (taken,) = camera._taken
+        height, width, _ = taken["image"].shape
+        assert (width, height) == (1000, 500)
+        x, y = np.round((ego.position - taken["origin"]) * taken["scaling"]).astype(int)
+        assert (x, y) == pytest.approx((500, 250), abs=2)
+        red, green, blue = taken["image"][y, x].astype(int)
+        assert min(red, green) > blue + 50, "a car with a wheel is yellow in highway-env's picture"
+    finally:
+        bare.close()
+
+
+def test_a_road_that_branches_is_not_filmed():
+    env = gym.make("merge-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    try:
+        with pytest.raises(SceneError, match="straight or curved"):
+            Camera(env)
+    finally:
+        env.close()
 
 
 def test_recording_does_not_change_the_drive():

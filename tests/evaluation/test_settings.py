@@ -92,6 +92,47 @@ def test_the_lane_change_reward_does_nothing_in_highway_env():
         env.close()
 
 
+def _continuous_reward(**state):
+    env = get_setting("highway-continuous").override({"vehicles_count": 0}).make()
+    try:
+        env.reset(seed=0)
+        base = env.unwrapped
+        vehicle, lane = base.vehicle, base.road.network.get_lane(("0", "1", 0))
+        vehicle.position = lane.position(100.0, state.pop("lateral", 0.0))
+        vehicle.heading, vehicle.speed, vehicle.crashed = 0.0, 25.0, False
+        for name, value in state.items():
+            setattr(vehicle, name, value)
+        vehicle.on_state_update()
+        return base._reward(np.zeros(2)), base._is_terminated()
+    finally:
+        env.close()
+
+
+def test_the_continuous_reward_pays_for_speed_along_the_road_and_punishes_crashes_and_leaving_it():
+    best, ended = _continuous_reward(speed=30.0)
+    assert not ended
+    assert _continuous_reward(speed=20.0)[0] < _continuous_reward(speed=25.0)[0] < best <= 1.0
+    assert _continuous_reward(speed=30.0, heading=np.pi / 4)[0] < best
+    crash, ended = _continuous_reward(speed=30.0, crashed=True)
+    assert ended
+    assert crash == pytest.approx(best - 1 / 1.5)
+    assert _continuous_reward(speed=30.0, lateral=-2.5) == (0.0, True)
+
+
+def test_continuous_settings_say_what_is_driven():
+    env = get_setting("highway-continuous").make()
+    default = gym.make("highway-v0")
+    try:
+        config, base = env.unwrapped.config, default.unwrapped.config
+        differ = {key for key in config if config[key] != base.get(key)}
+        assert differ == {"action", "simulation_frequency", "policy_frequency", "offroad_terminal"}
+        assert env.action_space.shape == (2,)
+        assert get_setting("racetrack").make().action_space.shape == (1,)
+    finally:
+        env.close()
+        default.close()
+
+
 def test_the_same_seed_gives_the_same_traffic():
     setting = get_setting("abz-idm")
     first, second = setting.make(), setting.make()

@@ -1,18 +1,22 @@
 """Training writes what it says, and the reference policies load and act."""
 
 import json
+import shlex
 
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import DQN
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from stable_baselines3 import DQN, PPO
 
+from evaluation.normalisation import fold, normalised
 from evaluation.policies import list_references, load_reference, reference_manifest
+from evaluation.recipes import RECIPES
 from evaluation.settings import Setting, get_setting
 from evaluation.training import (
     FIRST_EVALUATION_SEED,
-    RECIPES,
     get_algorithm,
     manifest_path,
     train,
@@ -88,6 +92,82 @@ def test_the_same_seed_trains_the_same_policy(tmp_path):
         assert torch.equal(value, weights[1][key]), key
 
 
+NORMALISED = {"normalise": ["observations", "rewards"], "exploration": [0.3, 0.05], "fast": True}
+ROLLOUT = {**SMALL_NET, "n_steps": 32, "batch_size": 16, "n_epochs": 1}
+
+
+def test_options_are_in_the_manifest_and_its_command_repeats_the_training(tmp_path, monkeypatch):
+    arguments = {"hyperparameters": ROLLOUT, "progress": False, **NORMALISED}
+    first = train(CONTINUOUS, "ppo", 60, seed=3, output=tmp_path / "a.zip", **arguments)
+    assert {key: first.manifest[key] for key in NORMALISED} == NORMALISED
+    (tmp_path / "again").mkdir()
+    monkeypatch.chdir(tmp_path / "again")
+    code = shlex.split(first.manifest["command"])[2].replace("train(Setting", "train(progress=False, setting=Setting")
+    code = code.replace("'ppo', 60, 3,", "algorithm='ppo', steps=60, seed=3,")
+    exec(code, {})
+    policies = [PPO.load(path, device="cpu").policy.state_dict() for path in (first.path, tmp_path / "again" / "a.zip")]
+    for key, value in policies[0].items():
+        assert torch.equal(value, policies[1][key]), key
+
+
+def test_fast_observations_train_the_same_policy(tmp_path):
+    weights = []
+    for fast in (False, True):
+        path = train(
+            CONTINUOUS, "ppo", 64, 3, output=tmp_path / str(fast), hyperparameters=ROLLOUT, fast=fast, progress=False
+        ).path
+        weights.append(PPO.load(path, device="cpu").policy.state_dict())
+    for key, value in weights[0].items():
+        torch.testing.assert_close(value, weights[1][key], atol=1e-4, rtol=1e-3)
+
+
+def test_exploration_starts_where_it_is_told(tmp_path):
+    hyperparameters = {**ROLLOUT, "learning_rate": 0.0}
+    trained = train(
+        CONTINUOUS, "ppo", 32, 0, output=tmp_path / "x", hyperparameters=hyperparameters, progress=False, **NORMALISED
+    )
+    deviations = PPO.load(trained.path, device="cpu").policy.log_std.exp().detach().numpy()
+    np.testing.assert_allclose(deviations, [0.3, 0.05], rtol=1e-6)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**31), st.floats(0.01, 100), st.floats(-20, 20))
+def test_a_folded_policy_does_with_raw_observations_what_it_did_with_normalised_ones(seed, spread, middle):
+    random = np.random.default_rng(seed)
+
+    class Scattered(gym.Env):
+        observation_space = gym.spaces.Box(-np.inf, np.inf, (3, 2), np.float32)
+        action_space = gym.spaces.Box(-1, 1, (2,), np.float32)
+
+        def reset(self, *, seed=None, options=None):
+            return self.step(None)[0], {}
+
+        def step(self, action):
+            return (middle + spread * random.standard_normal((3, 2))).astype(np.float32), 1.0, False, False, {}
+
+    world = normalised(Scattered(), ["observations"], 0.9)
+    model = PPO("MlpPolicy", world, n_steps=32, batch_size=16, n_epochs=1, seed=seed, policy_kwargs={"net_arch": [8]})
+    model.learn(32)
+    raw = middle + spread * random.standard_normal((20, 3, 2))
+    before = model.policy.get_distribution(torch.as_tensor(world.normalize_obs(raw)).float()).distribution.mean
+    value = model.policy.predict_values(torch.as_tensor(world.normalize_obs(raw)).float())
+    fold(model)
+    after = model.policy.get_distribution(torch.as_tensor(raw).float()).distribution.mean
+    torch.testing.assert_close(after, before, atol=2e-4, rtol=1e-3)
+    torch.testing.assert_close(model.policy.predict_values(torch.as_tensor(raw).float()), value, atol=5e-3, rtol=1e-2)
+
+
+def test_only_what_was_normalised_can_be_folded(tmp_path):
+    env = TINY.make()
+    try:
+        with pytest.raises(ConfigError, match="nothing to fold"):
+            fold(PPO("MlpPolicy", env, policy_kwargs={"net_arch": [8]}))
+        with pytest.raises(ConfigError, match="not DQNPolicy"):
+            fold(DQN("MlpPolicy", env, buffer_size=10))
+    finally:
+        env.close()
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -96,6 +176,11 @@ def test_the_same_seed_trains_the_same_policy(tmp_path):
         ({"algorithm": "sac"}, "have .*'dqn'"),
         ({"setting": CONTINUOUS}, "have .*'sac'"),
         ({"steps": 0}, "positive"),
+        ({"normalise": ["rewards"]}, "dqn cannot normalise rewards; a2c and ppo can"),
+        ({"algorithm": "ppo", "normalise": ["actions"]}, "can normalise observations and rewards"),
+        ({"exploration": [0.1]}, "of which there are 0"),
+        ({"algorithm": "ppo", "setting": CONTINUOUS, "exploration": [0.1]}, "of which there are 2"),
+        ({"algorithm": "ppo", "setting": CONTINUOUS, "exploration": [0.1, 0.0]}, "positive number"),
         ({"seed": FIRST_EVALUATION_SEED}, "kept for evaluation"),
         ({"seed": -1}, "training seeds"),
     ],
@@ -127,6 +212,9 @@ def test_a_reference_policy_is_small_and_its_manifest_repeats_its_recipe(name):
     assert manifest["steps"] == recipe.steps
     assert manifest["seed"] == recipe.seed
     assert manifest["hyperparameters"] == recipe.hyperparameters
+    assert manifest.get("normalise", []) == list(recipe.normalise)
+    assert manifest.get("exploration", []) == list(recipe.exploration)
+    assert manifest.get("fast", False) == recipe.fast
     setting = get_setting(recipe.setting)
     assert manifest["setting"] == {
         "name": setting.name,
@@ -143,7 +231,7 @@ def test_a_reference_policy_loads_with_its_environment_and_acts(name):
         obs, _ = env.reset(seed=0)
         action, _ = model.predict(obs, deterministic=True)
         again, _ = load_reference(name).predict(obs, deterministic=True)
-        assert env.action_space.contains(int(action))
+        assert env.action_space.contains(action if isinstance(env.action_space, gym.spaces.Box) else int(action))
         np.testing.assert_array_equal(action, again)
     finally:
         env.close()

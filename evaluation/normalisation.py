@@ -1,0 +1,69 @@
+"""Running normalisation in training, folded into the policy afterwards: what is saved takes raw observations."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import FlattenExtractor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+from shield.errors import ConfigError
+
+__all__ = ["NORMALISABLE", "fold", "normalised"]
+
+NORMALISABLE = ("observations", "rewards")
+"""What can be normalised."""
+
+_VARIANCE = 1e-3
+"""Added to every variance: an entry that hardly varies in training must not swamp the others once it does."""
+
+
+def normalised(env: gym.Env[Any, Any], what: Collection[str], gamma: float) -> VecNormalize:
+    """The environment with running normalisation.
+
+    Parameters
+    ----------
+    env : a single environment.
+    what : any of `NORMALISABLE`.
+    gamma : the discount with which rewards are summed up, whose variance they are divided by.
+    """
+    return VecNormalize(
+        DummyVecEnv([lambda: env]),
+        norm_obs="observations" in what,
+        norm_reward="rewards" in what,
+        clip_obs=float("inf"),  # unclipped normalisation is linear, so that `fold` is exact
+        gamma=gamma,
+        epsilon=_VARIANCE,
+    )
+
+
+def fold(model: BaseAlgorithm) -> None:
+    """Put the normalisation of observations that a model was trained with into its first layers, in place.
+
+    W (x - mean) / sigma + b = W' x + b' with W' = W / sigma and b' = b - W' mean.
+
+    Raises
+    ------
+    ConfigError
+        If the model is not an actor and critic of dense layers, or was trained without normalised observations.
+    """
+    policy, env = model.policy, model.get_vec_normalize_env()
+    if not isinstance(policy, ActorCriticPolicy) or not isinstance(policy.features_extractor, FlattenExtractor):
+        raise ConfigError(f"normalisation can be folded into an MlpPolicy of PPO or A2C, not {type(policy).__name__}")
+    if env is None or not env.norm_obs:
+        raise ConfigError("this model was trained without normalised observations; have nothing to fold")
+    statistics: Any = env.obs_rms
+    mean = torch.as_tensor(statistics.mean.reshape(-1))
+    sigma = torch.as_tensor(np.sqrt(statistics.var.reshape(-1) + env.epsilon))
+    first: list[Any] = [policy.mlp_extractor.policy_net[0], policy.mlp_extractor.value_net[0]]
+    with torch.no_grad():
+        for layer in first:
+            weight = layer.weight.double() / sigma
+            layer.bias.copy_(layer.bias.double() - weight @ mean)
+            layer.weight.copy_(weight)

@@ -21,12 +21,14 @@ class Actuators:
     acceleration : accelerations [m/s^2] that -1 and 1 stand for.
     steering : front wheel angles [rad] that -1 and 1 stand for.
     longitudinal, lateral : whether there is a throttle, a steering wheel.
+    clip : whether the environment cuts actions down to [-1, 1].
     """
 
     acceleration: tuple[float, float] = (-5.0, 5.0)
     steering: tuple[float, float] = (-float(np.pi / 4), float(np.pi / 4))
     longitudinal: bool = True
     lateral: bool = True
+    clip: bool = True
 
     @classmethod
     def of(cls, action_type: Any) -> Actuators:
@@ -38,6 +40,7 @@ class Actuators:
             (float(left), float(right)),
             bool(action_type.longitudinal),
             bool(action_type.lateral),
+            bool(action_type.clip),
         )
 
     @property
@@ -46,7 +49,7 @@ class Actuators:
         return int(self.longitudinal) + int(self.lateral)
 
     def read(self, action: Any) -> FloatArray | None:
-        """One normalised action as floats, clipped to [-1, 1] as highway-env does; None where it is not one.
+        """One normalised action (size,), clipped to [-1, 1] where the environment does so; None where it is not one.
 
         Examples
         --------
@@ -54,12 +57,14 @@ class Actuators:
         (array([1. , 0.5]), None, None)
         """
         try:
-            array = np.asarray(action, dtype=float).reshape(-1)
+            array = np.asarray(action, dtype=float)
         except (TypeError, ValueError, OverflowError):
             return None
-        if array.size != self.size or not np.isfinite(array).all():
+        if array.shape != (self.size,) or not np.isfinite(array).all():
             return None
-        return np.clip(array, -1.0, 1.0)
+        clipped = np.clip(array, -1.0, 1.0)
+        # An environment that does not clip would carry out more than the actuators' range.
+        return clipped if self.clip or np.array_equal(clipped, array) else None
 
     def physical(self, action: FloatArray) -> FloatArray:
         """(acceleration [m/s^2], front wheel angle [rad]) of normalised actions, (..., size) to (..., 2).

@@ -109,14 +109,21 @@ class ContinuousCore(ShieldCore):
         return self._repair_inputs(scene, proposal, judged, start)
 
     def brake_inputs(
-        self, scene: Scene | None, proposal: Any, reason: Reason, start: float, tier: Tier = Tier.EMERGENCY
+        self,
+        scene: Scene | None,
+        proposal: Any,
+        reason: Reason,
+        start: float,
+        tier: Tier = Tier.EMERGENCY,
+        floor: float = -np.inf,
     ) -> tuple[FloatArray, Decision]:
         """The fail-safe manoeuvre's inputs for one frame, in the stored lane where there is one.
 
-        Without a readable scene the wheel is kept straight.
+        Without a readable scene, or with an ego that is not finite in it, the wheel is kept straight and the brake is
+        limited to `floor`, the acceleration that just stops the ego [m/s^2].
         """
-        inputs = np.array([-self.config.braking, 0.0])
-        if scene is not None and scene.finite:
+        inputs = np.array([max(-self.config.braking, floor), 0.0])
+        if scene is not None and np.isfinite(scene.ego).all():
             inputs = self._law(scene, self._stop_lane(scene))
         return inputs, Decision(proposal, inputs, reason, tier, np.nan, perf_counter() - start)
 
@@ -199,7 +206,8 @@ class ContinuousCore(ShieldCore):
             edges=(float(lanes.min()) - 0.5 * road.width, float(lanes.max()) + 0.5 * road.width),
         )
         result = solver.solve(problem, elapsed=1)
-        return result.inputs[0] if result.status.usable else None
+        first = result.inputs[0]
+        return first if result.status.usable and np.isfinite(first).all() else None
 
     # -- pieces ------------------------------------------------------------------------------------------
 

@@ -47,9 +47,9 @@ class InputDoor:
         self._base, self._reader = base, reader
         self.actuators = Actuators.of(base.action_type)
         self.core = ContinuousCore(config, self.actuators)
+        self._period = int(base.config["simulation_frequency"] // base.config["policy_frequency"])
         if agent:
-            period = int(base.config["simulation_frequency"] // base.config["policy_frequency"])
-            self.core = AgentCore(config, self.actuators, period)
+            self.core = AgentCore(config, self.actuators, self._period)
         self._off = config.mode == "none"
         if getattr(base.action_type, "dynamical", False):
             raise ConfigError(
@@ -116,8 +116,16 @@ class InputDoor:
                 return self.core.brake_inputs(scene, proposal, Reason.BAD_ACTION, start)
             return self._resume(*self.core.filter(scene, self._cruising(scene, proposal)))
         except SceneError:
-            return self.core.brake_inputs(None, proposal, Reason.BAD_SCENE, start)
+            return self.core.brake_inputs(None, proposal, Reason.BAD_SCENE, start, floor=self._floor())
         except Exception:
             # Fail closed: a stage that breaks must not let the proposal through.
             _log.exception("a stage of the shield raised; the ego brakes in its lane")
-            return self.core.brake_inputs(scene, proposal, Reason.STAGE_FAILED, start)
+            return self.core.brake_inputs(scene, proposal, Reason.STAGE_FAILED, start, floor=self._floor())
+
+    def _floor(self) -> float:
+        """The acceleration that just stops the ego, from its speed alone [m/s^2]; none where that is not known."""
+        speed = float(getattr(self._base.vehicle, "speed", np.nan))
+        if not np.isfinite(speed):
+            return -np.inf
+        frames = self._period if self._agent else 1
+        return -max(speed, 0.0) * self._base.config["simulation_frequency"] / frames

@@ -1,0 +1,84 @@
+"""The shield acts on throttle and steering: who drives into the leader without it does not with it."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+import pytest
+
+from shield import ShieldedEnv
+
+CONFIG = {
+    "action": {"type": "ContinuousAction"},
+    "simulation_frequency": 20,
+    "policy_frequency": 10,
+    "vehicles_count": 30,
+    "duration": 15,
+}
+
+
+def ramming(env: gym.Env, rng: np.random.Generator) -> np.ndarray:
+    """Full throttle, steering into the nearest vehicle ahead."""
+    base = env.unwrapped
+    ego = base.vehicle
+    ahead = [v for v in base.road.vehicles if v is not ego and v.position[0] > ego.position[0]]
+    if not ahead:
+        return np.array([1.0, 0.0], dtype=np.float32)
+    leader = min(ahead, key=lambda v: np.hypot(*(v.position - ego.position)))
+    dx, dy = leader.position - ego.position
+    wheel = (np.arctan2(dy, dx) - ego.heading) * min(1.0, 10 / max(ego.speed, 1.0))
+    return np.array([1.0, np.clip(wheel / (np.pi / 4), -1, 1)], dtype=np.float32)
+
+
+def throttle(env: gym.Env, rng: np.random.Generator) -> np.ndarray:
+    return np.array([1.0, 0.0], dtype=np.float32)
+
+
+def at_random(env: gym.Env, rng: np.random.Generator) -> np.ndarray:
+    return rng.uniform(-1, 1, 2).astype(np.float32)
+
+
+def drive(policy, seed: int, shielded: bool, duration: int = 15) -> tuple[bool, bool, int, float]:
+    """One episode: whether it crashed, whether it left the road, frames overridden, and the mean speed [m/s]."""
+    env = gym.make("highway-v0", config=CONFIG | {"duration": duration})
+    if shielded:
+        env = ShieldedEnv(env)
+    env.reset(seed=seed)
+    rng, done, overridden, off, speeds = np.random.default_rng(seed), False, 0, False, []
+    while not done:
+        *_, terminated, truncated, info = env.step(policy(env, rng))
+        vehicle = env.unwrapped.vehicle
+        off |= not vehicle.on_road
+        speeds.append(vehicle.speed)
+        overridden += info["shield"]["frames_overridden"] if shielded else 0
+        assert vehicle.speed >= -1e-6 or not shielded
+        done = terminated or truncated
+    env.close()
+    return bool(info["crashed"]), off, overridden, float(np.mean(speeds))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_unshielded_it_rams_its_leader(seed: int) -> None:
+    crashed, *_ = drive(ramming, seed, shielded=False)
+    assert crashed
+
+
+@pytest.mark.parametrize("policy", [ramming, throttle, at_random])
+@pytest.mark.parametrize("seed", range(3))
+def test_shielded_it_is_overridden_and_neither_crashes_nor_leaves_the_road(policy, seed: int) -> None:
+    crashed, off, overridden, speed = drive(policy, seed, shielded=True)
+    assert not crashed
+    assert not off
+    assert overridden
+    if policy is not at_random:
+        assert speed > 15  # it has not merely stopped
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", [ramming, throttle, at_random])
+def test_over_twenty_long_episodes_it_neither_crashes_nor_leaves_the_road(policy) -> None:
+    for seed in range(100, 120):
+        crashed, off, *_ = drive(policy, seed, shielded=True, duration=40)
+        assert not crashed, seed
+        assert not off, seed

@@ -17,6 +17,8 @@ __all__ = ["MODES", "Buffer", "ShieldConfig"]
 
 MODES = ("none", "distance", "rss", "ttc", "full")
 """Valid `ShieldConfig.mode`: no shield, one rule alone, or the whole procedure."""
+REPAIRS = ("hold", "filter", "brake")
+"""Valid `ShieldConfig.repair`: hold the meta-action back, take the nearest inputs, or brake."""
 
 
 def _positive(owner: str, name: str, value: Any, *, zero: bool = False) -> None:
@@ -53,6 +55,9 @@ class ShieldConfig:
     time_to_collision : threshold of the TTC rule [s].
     response_time : the ego's response time in the RSS rule used alone [s].
     horizon : how far `Shield`, which has meta-actions only, looks ahead when the ego cannot stop [s].
+    repair : what `ShieldedEnv` does between two decisions with a meta-action that has become unsafe: "hold" gives it
+        the greatest acceleration that verifies, "filter" the nearest inputs (the predictive filter), "brake" plays
+        the stored fail-safe on.
     record : keep the others' occupancy in each `Decision` (for drawing).
     """
 
@@ -65,11 +70,14 @@ class ShieldConfig:
     time_to_collision: float = 2.0
     response_time: float = 0.5
     horizon: float = 4.0
+    repair: str = "hold"
     record: bool = False
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:
             raise ConfigError(f"unknown shield mode {self.mode!r}; valid are {', '.join(MODES)}")
+        if self.repair not in REPAIRS:
+            raise ConfigError(f"unknown repair {self.repair!r}; valid are {', '.join(REPAIRS)}")
         if not isinstance(self.buffer, Buffer):
             raise ConfigError(f"ShieldConfig.buffer must be a Buffer, got {self.buffer!r}")
         if not isinstance(self.assumptions, Assumptions):

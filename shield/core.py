@@ -43,10 +43,11 @@ _CAPS = (-4.0, -2.0, 0.0, 5.0)
 @dataclass(frozen=True, slots=True)
 class FrameCommand:
     """What the actuators get for one frame: the lane to steer to and an acceleration [m/s^2]; None lets the
-    environment's own controller act."""
+    environment's own controller act. A front wheel angle [rad], where given, takes the place of the steering."""
 
     lane: int
     acceleration: float
+    steering: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +210,7 @@ class ShieldCore:
             self.stored_lane = fails[best]
             record = _frame(proposed, None, Reason.NONE, Tier.PASSED, margin, start, paths[best])
             return None, record
-        command, verdict = self._hold_back(scene)
+        command, verdict = self._mend(scene)
         if verdict.margin >= 0:
             self.stored_lane = verdict.fail_lane
             return command, _frame(
@@ -235,6 +236,10 @@ class ShieldCore:
             start,
             verdict.path,
         )
+
+    def _mend(self, scene: Scene) -> tuple[FrameCommand, Verdict]:
+        """What takes the place of a committed target that does not verify at this frame."""
+        return self._hold_back(scene)
 
     def _hold_back(self, scene: Scene, evade: bool = False) -> tuple[FrameCommand, Verdict]:
         """The least intervention for one frame: the greatest acceleration that verifies, committed lane first.

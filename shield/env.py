@@ -14,10 +14,11 @@ from gymnasium.utils import RecordConstructorArgs
 from dynamics.scene import SceneReader
 from shield.actions import action_index
 from shield.config import ShieldConfig
-from shield.core import FrameCommand, ShieldCore
+from shield.core import FrameCommand
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
 from shield.inputs import InputDoor
+from shield.mend import make_core
 from shield.preference import order_from_scores, ranking_of
 
 __all__ = ["ShieldedEnv"]
@@ -80,7 +81,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._inputs: InputDoor | None = None
         if self._kind() == "ContinuousAction":
             self._inputs = InputDoor(self._base, self._reader, self.config)
-        self.core = ShieldCore(self.config) if self._inputs is None else self._inputs.core
+        self.core = make_core(self.config) if self._inputs is None else self._inputs.core
         self._observation: Any = None
         self._supervising = 0.0
         self.last_decision: Decision | None = None
@@ -216,8 +217,9 @@ class _Supervised:
                 if command.lane != ego.target_lane_index[2]:
                     ego.target_lane_index = lane
                 floor = -max(ego.speed, 0.0) * self._env.config["simulation_frequency"]
+                wheel = command.steering
                 ego.action = {
-                    "steering": ego.steering_control(lane),
+                    "steering": ego.steering_control(lane) if wheel is None else wheel,
                     "acceleration": max(command.acceleration, floor),
                 }
 

@@ -160,14 +160,14 @@ def _driving(history: History) -> dict[str, Any]:
     if road is None:
         steps = np.diff(ego[:, [Track.S, Track.R]], axis=0)
         way = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
-        return driving | {"distance": way, "lane_changes": float("nan"), "laps": float("nan")}
+        return driving | {"distance": way, "lane_changes": np.nan, "laps": np.nan}
     way = float(ego[-1, Track.S] - ego[0, Track.S])
     lanes = [road.lane_at(float(r)) for r in ego[:, Track.R]]
     closed = isinstance(road, PathRoad) and road.closed
     return driving | {
         "distance": way,
         "lane_changes": float(np.count_nonzero(np.diff(lanes))),
-        "laps": way / road.length if closed else float("nan"),
+        "laps": way / road.length if closed else np.nan,
     }
 
 

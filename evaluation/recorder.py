@@ -101,13 +101,13 @@ class History:
     def mean_jerk(self) -> float:
         """Mean size of the jerk along the way, frame by frame up to a crash [m/s^3]; NaN in less than three frames."""
         jerk = np.diff(self._driven()[:, Track.SPEED], 2) / self.dt**2
-        return float(np.abs(jerk).mean()) if jerk.size else float("nan")
+        return float(np.abs(jerk).mean()) if jerk.size else np.nan
 
     def mean_lateral_acceleration(self) -> float:
         """Mean size of speed times yaw rate, up to a crash [m/s^2]; NaN in less than two frames."""
         driven = self._driven()
         rate = wrap_to_pi(np.diff(driven[:, Track.HEADING])) / self.dt
-        return float(np.abs(driven[:-1, Track.SPEED] * rate).mean()) if rate.size else float("nan")
+        return float(np.abs(driven[:-1, Track.SPEED] * rate).mean()) if rate.size else np.nan
 
     def _driven(self) -> FloatArray:
         """The ego in the world frame, before a crash (which changes its speed within a frame)."""

@@ -71,6 +71,30 @@ def test_without_a_shield_there_is_no_margin_and_no_override(episodes):
     assert (bare["tier_off"] == bare["steps"]).all()
 
 
+WHEEL = get_setting("highway-continuous").override({"duration": 10, "vehicles_count": 12}, name="wheel-short")
+
+
+@pytest.mark.parametrize("policy", ["throttle", "random"])
+def test_throttle_and_steering_are_driven_with_and_without_a_shield(policy):
+    frame = run_paired(WHEEL, policy, make_variants(["none", "full"], ["env"]), range(3, 5))
+    bare, shielded = frame[frame["door"] == "none"], frame[frame["door"] == "env"]
+    assert (bare["off_road"] | bare["crashed"]).any(), "the policy is a bad driver"
+    assert not (shielded["off_road"] | shielded["crashed"]).any()
+    assert (shielded["steps"] >= 100).all()
+    assert (shielded["frames"] == 2 * shielded["steps"]).all()
+    assert (shielded["overridden"] > 0).all()
+    assert (shielded["mean_jerk"] > 0).all()
+    assert shielded["laps"].isna().all()
+    assert [len(row) for row in shielded["latencies_ms"]] == list(shielded["steps"])
+
+
+def test_recording_does_not_depend_on_the_shield_being_there():
+    alone = run_episode(WHEEL, "throttle", seed=4)
+    watched = run_episode(WHEEL, "throttle", Variant("env", ShieldConfig(mode="none")), seed=4)
+    for name in ("return_", "crashed", "off_road", "distance", "mean_jerk", "mean_lateral_acceleration", "attribution"):
+        assert getattr(alone, name) == getattr(watched, name), name
+
+
 def test_random_policies_are_paired_too():
     first = run_episode(SHORT, "random", seed=5)
     second = run_episode(SHORT, "random", seed=5)

@@ -1,5 +1,7 @@
 """Every named setting makes the environment that it says."""
 
+from functools import partial
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -92,8 +94,8 @@ def test_the_lane_change_reward_does_nothing_in_highway_env():
         env.close()
 
 
-def _continuous_reward(**state):
-    env = get_setting("highway-continuous").override({"vehicles_count": 0}).make()
+def _continuous_reward(setting="highway-continuous", **state):
+    env = get_setting(setting).override({"vehicles_count": 0}).make()
     try:
         env.reset(seed=0)
         base = env.unwrapped
@@ -117,6 +119,15 @@ def test_the_continuous_reward_pays_for_speed_along_the_road_and_punishes_crashe
     assert ended
     assert crash == pytest.approx(best - 1 / 1.5)
     assert _continuous_reward(speed=30.0, lateral=-2.5) == (0.0, True)
+
+
+def test_standing_still_is_worthless_in_training():
+    reward = partial(_continuous_reward, "highway-continuous-training")
+    assert reward(speed=0.0)[0] == pytest.approx(0.0)
+    assert reward(speed=0.0)[0] < reward(speed=15.0)[0] < reward(speed=25.0)[0]
+    assert reward(speed=25.0, crashed=True)[0] < 0
+    # the note beside the setting:
+    assert _continuous_reward(speed=0.0)[0] == pytest.approx(1 / 1.5)
 
 
 def test_continuous_settings_say_what_is_driven():

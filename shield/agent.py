@@ -15,7 +15,7 @@ import numpy as np
 from dynamics.held import HeldRollouts
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState
-from shield.actuators import Actuators
+from dynamics.actuators import Actuators
 from shield.config import ShieldConfig
 from shield.continuous import ContinuousCore, Judged
 

@@ -4,8 +4,8 @@ An input (a, delta) is verified for one frame: after it, the fail-safe (brake to
 highway-env's own lane controller) must stay clear of every place where the others can be, the ego's body must stay
 on the road, and the ego must not roll backwards. The set of inputs that verify is not convex, so the repair looks for
 the nearest one in three steps, and verifies each input like any other: the predictive filter (`mpc.filter`); where its
-answer does not verify, a fan of inputs between the proposal and braking in a lane; and then the segment from the best
-so far to the proposal.
+answer does not verify, a fan of inputs between the proposal and braking in a lane; and then rings around the proposal,
+nearer than the best so far.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, State, Vehicle
 from mpc.filter import PredictiveFilter
 from mpc.problem import FilterProblem, FilterSettings
-from shield.actuators import Actuators
+from dynamics.actuators import Actuators
 from shield.candidates import Candidates
 from shield.config import ShieldConfig
 from shield.core import ShieldCore
@@ -37,8 +37,22 @@ _STAGE, _STAGES = 0.2, 20
 """Stage of the predictive filter [s], and how many."""
 _FAN = np.array([(i, j) for j in (0.0, 0.25, 0.5, 0.75, 1.0) for i in (0.0, 0.25, 0.5, 0.75, 0.9, 1.0)][1:])
 """Shares of the way from the proposal to braking in a lane: (acceleration, steering)."""
-_SEGMENT = np.linspace(0.0, 1.0, 9)[1:-1]
-"""Where the segment between the best verified input and the proposal is looked at, in each of two passes."""
+
+
+def _polar(radii: tuple[float, ...], angles: FloatArray) -> FloatArray:
+    radius, angle = (x.reshape(-1) for x in np.meshgrid(radii, angles, indexing="ij"))
+    return np.stack([radius, angle], axis=1)
+
+
+_NEARER = (
+    _polar((0.3, 0.6, 0.85), np.linspace(-np.pi, np.pi, 17)[1:]),
+    _polar((0.45, 0.65, 0.8, 0.92), np.linspace(-0.4, 0.4, 11)),
+    _polar((0.8, 0.88, 0.94, 0.98), np.linspace(-0.12, 0.12, 11)),
+)
+"""Where nearer inputs are looked for, seen from the proposal: shares of the distance of the best so far, and angles
+[rad] from it. First all around, for what verifies need not be on the way to the best."""
+_NEAR = 0.01
+"""Distance from the proposal below which no nearer input is looked for, as a share of the actuators' ranges."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,12 +157,14 @@ class ContinuousCore(ShieldCore):
         good = np.flatnonzero(judged.margin >= 0)
         if not good.size:
             return self._fall_back(scene, proposal, judged, law, start)
-        for _ in range(2):
-            best = int(good[self._distance(judged.inputs[good], proposal).argmin()])
-            nearer = judged.inputs[best] + _SEGMENT[:, None] * (proposal - judged.inputs[best])
+        best = int(good[self._distance(judged.inputs[good], proposal).argmin()])
+        for pattern in _NEARER:
+            nearer = self._nearer(judged.inputs[best], proposal, pattern)
+            if nearer is None:
+                break
             judged = _join(judged, best, self._judge_inputs(scene, np.maximum(nearer, floor), lanes))
             good = np.flatnonzero(judged.margin >= 0)
-        best = int(good[self._distance(judged.inputs[good], proposal).argmin()])
+            best = int(good[self._distance(judged.inputs[good], proposal).argmin()])
         return judged.inputs[best], self._record(scene, proposal, judged, best, Reason.UNVERIFIED, Tier.GOVERNED, start)
 
     def _fall_back(
@@ -295,6 +311,19 @@ class ContinuousCore(ShieldCore):
         v = float(scene.ego[State.SPEED])
         period, b = self._frames * scene.dt, self.config.braking
         return np.array([max(-b, self._floor(scene)) if v >= 0 else min(-v / period, b), wheel])
+
+    def _nearer(self, inputs: FloatArray, proposal: FloatArray, pattern: FloatArray) -> FloatArray | None:
+        """Inputs (n, 2) that are nearer to the proposal than `inputs`; None where these are near enough."""
+        spans = np.array([np.ptp(self.actuators.acceleration), np.ptp(self.actuators.steering)])
+        a, delta = (inputs - proposal) / spans
+        distance = float(np.hypot(a, delta))
+        if not distance >= _NEAR:
+            return None
+        radius, angle = distance * pattern[:, 0], np.arctan2(delta, a) + pattern[:, 1]
+        around = proposal + spans * np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+        least = np.minimum((-self.config.braking, self.actuators.steering[0]), proposal)
+        most = np.maximum((self.actuators.acceleration[1], self.actuators.steering[1]), proposal)
+        return np.clip(around, least, most)
 
     def _distance(self, inputs: FloatArray, proposal: FloatArray) -> FloatArray:
         """How far inputs (n, 2) are from the proposal, in shares of the actuators' ranges."""

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from dynamics.actuators import Actuators
 from dynamics.held import HeldRollouts
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState
-from dynamics.actuators import Actuators
 from shield.config import ShieldConfig
 from shield.continuous import ContinuousCore, Judged
 

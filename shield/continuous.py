@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from dynamics.actuators import Actuators
 from dynamics.controllers import steering_control
 from dynamics.curved import steering_function
 from dynamics.rollout import BRAKE
@@ -23,7 +24,6 @@ from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, State, Vehicle
 from mpc.filter import PredictiveFilter
 from mpc.problem import FilterProblem, FilterSettings
-from dynamics.actuators import Actuators
 from shield.candidates import Candidates
 from shield.config import ShieldConfig
 from shield.core import ShieldCore
@@ -207,6 +207,7 @@ class ContinuousCore(ShieldCore):
         boxes[..., 2], boxes[..., 3] = seen.low[rows], seen.high[rows]
         lanes = road.centers[[here, lane]]
         along, across = survey.growth
+        side, r = 0.5 * float(scene.ego[Vehicle.WIDTH]) + b.lateral + across, float(scene.ego_road[RoadState.R])
         bend = None
         if road.bends is not None:
             bend = road.curvature(float(scene.ego_road[RoadState.S]) + v * settings.stage * np.arange(settings.stages))
@@ -214,12 +215,13 @@ class ContinuousCore(ShieldCore):
             state=scene.ego_road,
             proposal=proposal,
             occupancy=boxes,
-            half=(
-                0.5 * scene.ego[Vehicle.LENGTH] + b.longitudinal + along,
-                0.5 * scene.ego[Vehicle.WIDTH] + b.lateral + across,
-            ),
+            half=(0.5 * scene.ego[Vehicle.LENGTH] + b.longitudinal + along, side),
             curvature=bend,
-            edges=(float(lanes.min()) - 0.5 * road.width, float(lanes.max()) + 0.5 * road.width),
+            # A change of lane that is half done may still use the lane that it came from.
+            edges=(
+                min(float(lanes.min()) - 0.5 * road.width, r - side),
+                max(float(lanes.max()) + 0.5 * road.width, r + side),
+            ),
         )
         result = solver.solve(problem, elapsed=1)
         first = result.inputs[0]

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from dynamics.actuators import Actuators
 from dynamics.controllers import KP_SPEED
 from dynamics.errors import ConfigError, SceneError
 from dynamics.scene import Scene, SceneReader
 from dynamics.state import FloatArray, State
-from dynamics.actuators import Actuators
 from shield.agent import AgentCore
 from shield.config import ShieldConfig
 from shield.continuous import ContinuousCore

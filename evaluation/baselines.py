@@ -20,9 +20,10 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.actuators import Actuators
 from evaluation.policies import list_references, load_reference
 from evaluation.training import ALGORITHMS, get_algorithm, manifest_path
-from shield.actuators import Actuators
+from mpc import MPCPolicy
 from shield.errors import ConfigError
 
 __all__ = [
@@ -38,9 +39,10 @@ __all__ = [
 _META = {"faster": "FASTER", "slower": "SLOWER", "idle": "IDLE"}
 _INPUTS = {"throttle", "idle"}
 
-BASELINES = (*sorted(_META.keys() | _INPUTS), "random")
+BASELINES = (*sorted(_META.keys() | _INPUTS), "random", "mpc")
 """Names of the policies that need no training: `faster` and `slower` for meta-actions, `throttle` (full throttle, the
-wheel straight) for continuous actions, `idle` and `random` for both."""
+wheel straight) for continuous actions, `idle` and `random` for both; `mpc` drives with continuous actions by itself
+(`mpc.MPCPolicy`, on the simulator's true state)."""
 
 
 class Policy(Protocol):
@@ -141,6 +143,8 @@ def make_policy(name: str, env: gym.Env[Any, Any], algorithm: str | None = None)
         return ConstantPolicy(_constant(name, env))
     if name == "random":
         return RandomPolicy(env.action_space)
+    if name == "mpc":
+        return MPCPolicy(env)
     if name in list_references():
         return load_reference(name)
     if name.endswith(".zip"):

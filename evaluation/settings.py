@@ -197,6 +197,12 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
                 "highway-v0 with throttle and steering: decisions at 10 Hz, 20 Hz, 40 s, ends off the road",
             ),
             Setting(
+                "highway-fast-continuous",
+                "highway-fast-v0",
+                {"action": {"type": "ContinuousAction"}, "policy_frequency": 5, "offroad_terminal": True},
+                "highway-fast-v0 with throttle and steering, 5 Hz: returns are 5 times those of highway-fast",
+            ),
+            Setting(
                 "highway-continuous-training",
                 "highway-fast-v0",
                 {**_CONTINUOUS_TRAINING, "lanes_count": 4},

@@ -165,3 +165,12 @@ def test_other_action_spaces_have_no_random_policy(env):
     policy._space = gym.spaces.MultiBinary(2)
     with pytest.raises(ConfigError, match="Discrete or a Box"):
         policy.predict(None)
+
+
+def test_the_model_predictive_controller_is_a_policy_by_name():
+    env = get_setting("highway-fast-continuous").make()
+    policy = make_policy("mpc", env)
+    obs, _ = env.reset(seed=0)
+    assert env.action_space.contains(policy.predict(obs, deterministic=True)[0])
+    with pytest.raises(ConfigError, match="ContinuousAction"):
+        make_policy("mpc", get_setting("highway-fast").make())

@@ -11,12 +11,12 @@ from continuous_world import STYLES, Adversary, ContinuousWorld, propose, random
 from hypothesis import HealthCheck, Phase, assume, example, given, reject, settings
 from hypothesis import strategies as st
 
+from dynamics.actuators import Actuators
 from dynamics.bicycle import step
 from dynamics.road import StraightRoad
 from dynamics.scene import EgoControl, Scene, Target
 from dynamics.state import Vehicle
 from shield import Buffer, ShieldConfig, Tier
-from shield.actuators import Actuators
 from shield.continuous import ContinuousCore
 
 SETTINGS = settings(deadline=None, max_examples=50, suppress_health_check=list(HealthCheck))

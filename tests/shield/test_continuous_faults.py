@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from continuous_world import random_continuous_world
 
+from dynamics.actuators import Actuators
 from dynamics.prediction import Surroundings
 from dynamics.rollout import Rollouts
 from dynamics.scene import Scene, SceneReader
 from dynamics.state import Vehicle
 from mpc.filter import PredictiveFilter
 from shield import Reason, Shield, ShieldConfig, ShieldedEnv, Tier
-from shield.actuators import Actuators
 from shield.continuous import ContinuousCore
 from shield.errors import ConfigError, SceneError
 

@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from adversarial_world import LENGTH, WIDTH, Car, World, corners
 
+from dynamics.actuators import Actuators
 from dynamics.bicycle import step
 from dynamics.scene import Target
 from shield import ShieldConfig
-from shield.actuators import Actuators
 from shield.continuous import ContinuousCore
 
 __all__ = ["STYLES", "Adversary", "ContinuousWorld", "propose", "random_continuous_world"]

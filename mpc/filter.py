@@ -1,7 +1,8 @@
 """The predictive safety filter: the nearest inputs to a proposal that keep clear, on the road and able to stop.
 
 >>> import numpy as np
->>> from mpc.problem import FilterProblem, FilterSettings
+>>> from mpc.osqp_solver import OsqpSolver
+from mpc.problem import FilterProblem, FilterSettings
 >>> leader = np.zeros((20, 1, 4))
 >>> leader[:, 0] = [30.0, 35.0, -1.0, 1.0]  # standing 30 m ahead: s_min, s_max, r_min, r_max
 >>> problem = FilterProblem(
@@ -28,6 +29,7 @@ from dynamics.state import FloatArray
 from mpc.build import Program
 from mpc.descent import Descent, descend
 from mpc.guess import brake_guess, shifted
+from mpc.osqp_solver import OsqpSolver
 from mpc.problem import FilterProblem, FilterSettings, readable
 from mpc.result import FilterResult, Status
 from mpc.solver import QuadraticSolver, Solver
@@ -53,7 +55,7 @@ class PredictiveFilter:
         if not isinstance(settings, FilterSettings):
             raise ConfigError(f"settings must be FilterSettings, got {type(settings).__name__}")
         self.settings = settings
-        self._solver: QuadraticSolver = Solver(settings)
+        self._solver: QuadraticSolver = Solver(settings) if settings.backend == "daqp" else OsqpSolver(settings)
         self._programs: dict[tuple[int, bool, bool], Program] = {}
         self._plan: FloatArray | None = None
         self._program(settings.obstacles, False, False)

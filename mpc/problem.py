@@ -19,6 +19,8 @@ from dynamics.state import FloatArray, RoadState
 
 __all__ = ["FREE", "FilterProblem", "FilterSettings", "Occupied", "Reference", "Side", "readable"]
 
+BACKENDS = ("daqp", "osqp")
+"""Valid `FilterSettings.backend`."""
 MOST_OBSTACLES = 96
 """More than these are refused as bad input."""
 FREE = 1e6
@@ -73,6 +75,7 @@ class FilterSettings:
     settled : change of the first input below which no further linearisation is made, as a share of the range.
     tolerance : violation by the exact rollout up to which a plan counts as solved [m].
     accuracy : residuals up to which a quadratic program counts as solved [m]; the rollout has the last word.
+    backend : solver of the quadratic programs, "daqp" or "osqp" (slower; see docs/predictive-filter.md).
     max_iter : iterations of one quadratic program, the deterministic deadline.
     time_limit : wall time of one `solve` [s], behind it; 0 for none.
 
@@ -102,6 +105,7 @@ class FilterSettings:
     settled: float = 0.002
     tolerance: float = 0.05
     accuracy: float = 5e-3
+    backend: str = "daqp"
     max_iter: int = 300
     time_limit: float = 0.0
 
@@ -133,6 +137,8 @@ class FilterSettings:
             value = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
                 raise ConfigError(f"{name} must be an integer from {least} to {most}, got {value!r}")
+        if self.backend not in BACKENDS:
+            raise ConfigError(f"unknown backend {self.backend!r}; valid are {', '.join(BACKENDS)}")
         low, high = self.acceleration
         if not (np.isfinite(low) and np.isfinite(high) and low < 0 <= high):
             raise ConfigError(f"acceleration must be (low < 0, high >= 0) [m/s^2], got {self.acceleration!r}")

@@ -18,9 +18,9 @@ from dynamics.state import FloatArray
 from mpc.build import Program, bind
 from mpc.problem import FilterSettings
 
-__all__ = ["Answer", "QuadraticSolver", "Solver", "residuals"]
+__all__ = ["FAILED", "GREATEST", "Answer", "QuadraticSolver", "Solver", "residuals", "sane"]
 
-_GREATEST = 1e6
+GREATEST = 1e6
 """No unknown of a sane program is larger."""
 
 
@@ -41,7 +41,8 @@ class Answer:
     active: int
 
 
-_FAILED = Answer(None, np.inf, np.inf, 0)
+FAILED = Answer(None, np.inf, np.inf, 0)
+"""There is no answer."""
 
 
 class QuadraticSolver(Protocol):
@@ -82,8 +83,8 @@ class Solver:
 
     def solve(self, program: Program) -> Answer:
         """From scratch, each time."""
-        if not _sane(program):
-            return _FAILED
+        if not sane(program):
+            return FAILED
         try:
             if id(program) not in self._slots:
                 self.prepare(program)
@@ -92,11 +93,11 @@ class Solver:
             slot.call()
         except Exception:  # whatever a solver raises, the answer is that there is none
             self.reset()
-            return _FAILED
+            return FAILED
         primal, dual = residuals(program, slot.x, slot.bounds, slot.rows)
         limit = self.settings.accuracy
-        if not (primal < limit and dual < limit and np.abs(slot.x).max() < _GREATEST):
-            return _FAILED
+        if not (primal < limit and dual < limit and np.abs(slot.x).max() < GREATEST):
+            return FAILED
         return Answer(slot.x.copy(), primal, dual, int(np.count_nonzero(slot.bounds) + np.count_nonzero(slot.rows)))
 
     def _compile(self, program: Program) -> _Slot:
@@ -134,7 +135,7 @@ def residuals(program: Program, x: FloatArray, bounds: FloatArray, rows: FloatAr
     return float(np.maximum(np.maximum(outside, beyond), 0.0)), float(dual)
 
 
-def _sane(program: Program) -> bool:
+def sane(program: Program) -> bool:
     """Finite data and ordered bounds; NaN fails every comparison."""
     total = program.g.sum() + program.A.sum() + program.H.sum()
     ordered = (program.lower <= program.upper).all() and (program.low <= program.high).all()

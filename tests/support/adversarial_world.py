@@ -16,6 +16,7 @@ from dynamics.road import StraightRoad
 from dynamics.scene import EgoControl, Scene, Target
 from shield import Assumptions, ShieldConfig
 from shield.core import FrameCommand, ShieldCore
+from shield.mend import make_core
 
 LENGTH, WIDTH = 5.0, 2.0
 
@@ -72,7 +73,7 @@ class World:
     def __post_init__(self) -> None:
         self.road = StraightRoad.from_lanes(self.lanes)
         self.visible = np.zeros(self.lanes, dtype=int)
-        self.core = ShieldCore(self.config)
+        self.core = make_core(self.config)
 
     @property
     def assumptions(self) -> Assumptions:
@@ -99,7 +100,9 @@ class World:
         else:
             lane, a = command.lane, max(command.acceleration, -max(self.ego[3], 0.0) / self.dt)
             self.target = Target(lane, self.target.speed)
-        wheel = float(steering_control(self.ego, self.road.centers[lane]))
+        wheel = None if command is None else command.steering
+        if wheel is None:
+            wheel = float(steering_control(self.ego, self.road.centers[lane]))
         self.ego = step(self.ego, a, wheel, self.dt)
 
     # -- the traffic ---------------------------------------------------------------------------------------

@@ -1,0 +1,62 @@
+"""The ways to mend a frame of a meta-action keep the same promise, and differ in what they keep of the intent."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import highway_env  # noqa: F401
+import numpy as np
+import pytest
+from adversarial_world import random_world
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from shield import ShieldConfig, ShieldedEnv, Tier
+from shield.errors import ConfigError
+from shield.mend import BrakingCore, FilteringCore, make_core
+
+
+@pytest.mark.parametrize("repair", ["filter", "brake"])
+@settings(deadline=None, max_examples=12, suppress_health_check=list(HealthCheck))
+@given(seed=st.integers(0, 10_000))
+def test_the_buffer_holds_however_a_frame_is_mended(repair: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    world = random_world(rng, ShieldConfig(repair=repair))
+    if world.core.decide(world.scene(), 1).tier.fallback:
+        return
+    world.core.reset()
+    for k in range(60):
+        scene = world.scene()
+        if k % world.period == 0:
+            world.target = scene.target_of(world.core.decide(scene, int(rng.integers(5))).executed)
+        command, decision = world.core.supervise(world.scene())
+        assert command is None or decision.tier is not Tier.PASSED
+        world.move_cars([(float(rng.uniform(-9, 9)), int(rng.integers(-1, 2))) for _ in world.cars])
+        world.move_ego(command)
+        assert world.buffer_gap() >= -1e-6
+
+
+def test_each_name_has_its_core() -> None:
+    assert type(make_core(ShieldConfig(repair="filter"))) is FilteringCore
+    assert type(make_core(ShieldConfig(repair="brake"))) is BrakingCore
+    with pytest.raises(ConfigError, match="valid are hold, filter, brake"):
+        ShieldConfig(repair="swerve")
+
+
+def test_real_episodes_end_well_and_a_brake_alone_gives_away_speed() -> None:
+    speed = {}
+    for repair in ("hold", "filter", "brake"):
+        env = ShieldedEnv(gym.make("highway-fast-v0", config={"duration": 12}), ShieldConfig(repair=repair))
+        seen, mended = [], 0
+        for seed in range(2):
+            env.reset(seed=seed)
+            done = False
+            while not done:
+                _, _, terminated, truncated, info = env.step(3)
+                seen.append(info["speed"])
+                mended += info["shield"]["frames_overridden"]
+                done = terminated or truncated
+            assert not info["crashed"]
+        assert mended > 0
+        speed[repair] = float(np.mean(seen))
+        env.close()
+    assert speed["brake"] < min(speed["hold"], speed["filter"])

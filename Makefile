@@ -39,6 +39,8 @@ test-slow: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/pytest benchmarks --benchmark-only -m ""
 	$(BIN)/python benchmarks/ratios.py
+	$(BIN)/python benchmarks/continuous.py
+	$(BIN)/python benchmarks/filter_rivals.py
 
 clean:
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache \

@@ -39,20 +39,21 @@ _FAN = np.array([(i, j) for j in (0.0, 0.25, 0.5, 0.75, 1.0) for i in (0.0, 0.25
 """Shares of the way from the proposal to braking in a lane: (acceleration, steering)."""
 
 
-def _polar(radii: tuple[float, ...], angles: FloatArray) -> FloatArray:
-    radius, angle = (x.reshape(-1) for x in np.meshgrid(radii, angles, indexing="ij"))
-    return np.stack([radius, angle], axis=1)
+def _rings(count: int, angles: FloatArray) -> FloatArray:
+    taken, angle = (x.reshape(-1) for x in np.meshgrid(np.arange(1, count) / count, angles, indexing="ij"))
+    return np.stack([taken, angle], axis=1)
 
 
 _NEARER = (
-    _polar((0.3, 0.6, 0.85), np.linspace(-np.pi, np.pi, 17)[1:]),
-    _polar((0.45, 0.65, 0.8, 0.92), np.linspace(-0.4, 0.4, 11)),
-    _polar((0.8, 0.88, 0.94, 0.98), np.linspace(-0.12, 0.12, 11)),
+    (4, _rings(4, np.linspace(-np.pi, np.pi, 17)[1:])),
+    (5, _rings(5, np.linspace(-0.4, 0.4, 11))),
+    (5, _rings(5, np.linspace(-0.12, 0.12, 11))),
 )
-"""Where nearer inputs are looked for, seen from the proposal: shares of the distance of the best so far, and angles
-[rad] from it. First all around, for what verifies need not be on the way to the best."""
+"""Where nearer inputs are looked for, seen from the proposal: shares of a step that are taken off the distance of the
+best so far, and angles [rad] from it. The first step is the distance itself, the next ones what lies between two rings
+of the last. First all around, for what verifies need not be on the way to the best."""
 _NEAR = 0.01
-"""Distance from the proposal below which no nearer input is looked for, as a share of the actuators' ranges."""
+"""Step below which no nearer input is looked for, as a share of the actuators' ranges."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,13 +159,15 @@ class ContinuousCore(ShieldCore):
         if not good.size:
             return self._fall_back(scene, proposal, judged, law, start)
         best = int(good[self._distance(judged.inputs[good], proposal).argmin()])
-        for pattern in _NEARER:
-            nearer = self._nearer(judged.inputs[best], proposal, pattern)
-            if nearer is None:
+        step = float(np.sqrt(self._distance(judged.inputs[best], proposal)))
+        for count, rings in _NEARER:
+            if not step > _NEAR:
                 break
+            nearer = self._nearer(judged.inputs[best], proposal, step, rings)
             judged = _join(judged, best, self._judge_inputs(scene, np.maximum(nearer, floor), lanes))
             good = np.flatnonzero(judged.margin >= 0)
             best = int(good[self._distance(judged.inputs[good], proposal).argmin()])
+            step /= count
         return judged.inputs[best], self._record(scene, proposal, judged, best, Reason.UNVERIFIED, Tier.GOVERNED, start)
 
     def _fall_back(
@@ -314,23 +317,21 @@ class ContinuousCore(ShieldCore):
         period, b = self._frames * scene.dt, self.config.braking
         return np.array([max(-b, self._floor(scene)) if v >= 0 else min(-v / period, b), wheel])
 
-    def _nearer(self, inputs: FloatArray, proposal: FloatArray, pattern: FloatArray) -> FloatArray | None:
-        """Inputs (n, 2) that are nearer to the proposal than `inputs`; None where these are near enough."""
+    def _nearer(self, inputs: FloatArray, proposal: FloatArray, step: float, rings: FloatArray) -> FloatArray:
+        """Inputs (n, 2) on `rings` around the proposal, up to `step` nearer to it than `inputs` (2,)."""
         spans = np.array([np.ptp(self.actuators.acceleration), np.ptp(self.actuators.steering)])
         a, delta = (inputs - proposal) / spans
-        distance = float(np.hypot(a, delta))
-        if not distance >= _NEAR:
-            return None
-        radius, angle = distance * pattern[:, 0], np.arctan2(delta, a) + pattern[:, 1]
+        radius = np.maximum(np.hypot(a, delta) - step * rings[:, 0], 0.0)
+        angle = np.arctan2(delta, a) + rings[:, 1]
         around = proposal + spans * np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
         least = np.minimum((-self.config.braking, self.actuators.steering[0]), proposal)
         most = np.maximum((self.actuators.acceleration[1], self.actuators.steering[1]), proposal)
         return np.clip(around, least, most)
 
     def _distance(self, inputs: FloatArray, proposal: FloatArray) -> FloatArray:
-        """How far inputs (n, 2) are from the proposal, in shares of the actuators' ranges."""
+        """How far inputs (..., 2) are from the proposal, in shares of the actuators' ranges, squared."""
         spans = np.array([np.ptp(self.actuators.acceleration), np.ptp(self.actuators.steering)])
-        return np.asarray(np.square((inputs - proposal) / spans).sum(axis=1))
+        return np.asarray(np.square((inputs - proposal) / spans).sum(axis=-1))
 
     def _record(
         self,

@@ -1,8 +1,9 @@
 """`MPCPolicy`: model predictive control that drives by itself, with SB3's `predict`.
 
 At each decision it chooses a lane, and then solves the predictive filter's problem with a reference (that lane, the
-desired speed) in place of a proposal: clear of every place where the others can be under the assumptions, on the road,
-and able to stop. It reads the simulator's true state.
+desired speed) and, as the proposal, what would track it on an empty road: clear of every place where the others can be
+under the assumptions, on the road, and able to stop. A reference alone would follow too far behind: the plan then ends in
+a stop, and a constant low speed costs the least. It reads the simulator's true state.
 
 Lanes are compared by room: the way to the next vehicle ahead, and what it will have gained in `_LOOK` seconds at its
 present speed. A lane is changed for `_WORTH` metres of room, and only where the change leaves followers their distance.
@@ -29,13 +30,15 @@ from mpc.result import FilterResult
 __all__ = ["MPCPolicy"]
 
 _LOOK = 4.0
-_WORTH = 10.0
-_FAR = 120.0
+_WORTH = 4.0
+_FAR = 200.0
 """Room beyond which a lane is as good as empty [m]."""
 _STAGE, _HORIZON = 0.2, 6.0
 """Stage and horizon of the plan [s]; a stage is no shorter than a decision period."""
-_DRIFT = 1.5
+_DRIFT = 2.5
 """Lateral speed at which a new lane is approached [m/s]."""
+_AHEAD = 5
+"""Stage of the way to the lane that it steers to now."""
 _BEND = 4.0
 """Lateral acceleration at which bends are taken [m/s^2]."""
 _NEAREST = 12
@@ -50,7 +53,7 @@ class MPCPolicy:
     env : the highway-env environment, wrapped or not.
     speed : what it would like to drive [m/s]; where the policy has no throttle, it keeps the speed that it has.
     buffer : (longitudinal, lateral) clearance that plans keep [m].
-    assumptions : what the others may do; `Assumptions.idm()` by default.
+    assumptions : what the others may do; `Assumptions.moderate()` by default.
 
     Attributes
     ----------
@@ -82,7 +85,7 @@ class MPCPolicy:
         if not (np.isfinite(buffer).all() and min(buffer) >= 0):
             raise ConfigError(f"buffer must be two lengths of at least 0 m, got {buffer!r}")
         self.speed, self.buffer = float(speed), buffer
-        self.assumptions = assumptions if assumptions is not None else Assumptions.idm()
+        self.assumptions = assumptions if assumptions is not None else Assumptions.moderate()
         self.actuators = Actuators.of(base.action_type)
         self._reader = SceneReader(base, curved=True)
         self._filter: PredictiveFilter | None = None
@@ -185,21 +188,32 @@ class MPCPolicy:
         settings, road, ego = self._filter.settings, scene.road, scene.ego_road
         ends = settings.substeps * np.arange(1, settings.stages + 1) - 1
         here = road.lane_at(float(ego[RoadState.R]))
-        rows = self._rows(scene, around, here, lane)
-        seen = around.occupancy(int(ends[-1]) + 1, scene.dt)
-        boxes = np.empty((settings.stages, rows.size, 4))
-        boxes[..., 0], boxes[..., 1] = seen.rear[np.ix_(rows, ends)].T, seen.front[np.ix_(rows, ends)].T
-        boxes[..., 2], boxes[..., 3] = around.low[rows], around.high[rows]
+        lanes = road.centers[[here, lane]]
         length, width = float(scene.ego[Vehicle.LENGTH]), float(scene.ego[Vehicle.WIDTH])
         half = (0.5 * length + self.buffer[0], 0.5 * width + self.buffer[1])
-        bend, v = None, float(ego[RoadState.SPEED])
+        bend, v, r = None, float(ego[RoadState.SPEED]), float(ego[RoadState.R])
         if road.bends is not None:
             grown = road.bends.growth(length, width)
             half = (half[0] + grown[0], half[1] + grown[1])
             bend = road.curvature(float(ego[RoadState.S]) + v * settings.stage * np.arange(settings.stages))
-        lanes = road.centers[[here, lane]]
+        # A change of lane that is half done may still use the lane that it came from.
+        edges = (
+            min(float(lanes.min()) - 0.5 * road.width, r - half[1]),
+            max(float(lanes.max()) + 0.5 * road.width, r + half[1]),
+        )
+        rows = self._rows(scene, around, here, lane, edges)
+        seen = around.occupancy(int(ends[-1]) + 1, scene.dt)
+        boxes = np.empty((settings.stages, rows.size, 4))
+        boxes[..., 0], boxes[..., 1] = seen.rear[np.ix_(rows, ends)].T, seen.front[np.ix_(rows, ends)].T
+        boxes[..., 2], boxes[..., 3] = around.low[rows], around.high[rows]
+        # Followers have been left the distance to brake in (`_free`), and do not accelerate into it.
+        behind = np.flatnonzero(scene.others_road[rows, RoadState.S] < ego[RoadState.S])
+        back = rows[behind]
+        w = np.maximum(scene.others_road[back, RoadState.SPEED], 0.0)
+        steady = scene.others_road[back, RoadState.S] + around.reach[back] + w * ((ends + 1) * scene.dt)[:, None]
+        boxes[:, behind, 1] = np.minimum(boxes[:, behind, 1], steady)
         times = settings.stage * np.arange(1, settings.stages + 1)
-        aim, r = float(road.centers[lane]), float(ego[RoadState.R])
+        aim = float(road.centers[lane])
         way = r + np.clip(aim - r, -_DRIFT * times, _DRIFT * times)
         speed = np.full(settings.stages, self.speed if self.actuators.longitudinal else v)
         if bend is not None:
@@ -207,36 +221,40 @@ class MPCPolicy:
             speed = np.minimum(speed, np.sqrt(_BEND / np.maximum(tight, 1e-6)))
         problem = FilterProblem(
             state=ego,
-            proposal=None,
+            proposal=self._wish(scene, float(speed[0]), float(way[min(_AHEAD, settings.stages) - 1])),
             occupancy=boxes,
             half=half,
-            # A change of lane that is half done may still use the lane that it came from.
-            edges=(
-                min(float(lanes.min()) - 0.5 * road.width, r - half[1]),
-                max(float(lanes.max()) + 0.5 * road.width, r + half[1]),
-            ),
+            edges=edges,
             curvature=bend,
-            reference=Reference(r=way, v=speed, lateral=0.05, speed=0.02),
+            reference=Reference(r=way, v=speed, lateral=0.01, heading=0.1, speed=1e-4),
         )
         return self._filter.solve(problem, elapsed=max(1, round(period / scene.dt)))
 
-    def _rows(self, scene: Scene, around: Surroundings, here: int, lane: int) -> Any:
-        """Those that the plan has to keep clear of: the nearest, without followers in the ego's own lane."""
+    def _rows(self, scene: Scene, around: Surroundings, here: int, lane: int, edges: tuple[float, float]) -> Any:
+        """Those that the plan has to keep clear of: the nearest between the edges, without own followers."""
         ds = scene.others_road[:, RoadState.S] - scene.ego_road[RoadState.S]
         behind = ds < -0.5 * scene.ego[Vehicle.LENGTH]
         center = scene.road.centers[lane]
         enters = (around.low < center + 1.0) & (around.high > center - 1.0) & (lane != here)
-        rows = np.flatnonzero(~behind | enters)
+        between = (around.low < edges[1]) & (around.high > edges[0])
+        rows = np.flatnonzero((~behind | enters) & between)
         return rows[np.argsort(np.abs(ds[rows]), kind="stable")][:_NEAREST]
+
+    def _wish(self, scene: Scene, speed: float, r: float) -> FloatArray:
+        """What it would do on an empty road: track a speed [m/s] and a lateral position [m]."""
+        low, high = self.actuators.acceleration if self.actuators.longitudinal else (0.0, 0.0)
+        a = float(np.clip(KP_SPEED * (speed - scene.ego_road[RoadState.SPEED]), low, high))
+        return np.array([a, float(np.clip(self._wheel(scene, r), *self.actuators.steering))])
+
+    def _wheel(self, scene: Scene, r: float) -> float:
+        if scene.road.bends is None:
+            return float(steering_control(scene.ego_road, r))
+        return float(steering_function(scene.road.profile, scene.dt)(scene.ego_road, r))
 
     def _brake(self, scene: Scene) -> FloatArray:
         """Brake in the lane that the ego is in, as hard as the actuators can."""
         road, ego = scene.road, scene.ego_road
-        goal = road.centers[road.lane_at(float(ego[RoadState.R]))]
-        if road.bends is None:
-            wheel = float(steering_control(ego, goal))
-        else:
-            wheel = float(steering_function(road.profile, scene.dt)(ego, goal))
+        wheel = self._wheel(scene, float(road.centers[road.lane_at(float(ego[RoadState.R]))]))
         v = float(ego[RoadState.SPEED])
         stop = -v / (scene.frames_per_decision * scene.dt)
         least = self.actuators.acceleration[0] if v > 0 else 0.0

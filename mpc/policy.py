@@ -2,8 +2,8 @@
 
 At each decision it chooses a lane, and then solves the predictive filter's problem with a reference (that lane, the
 desired speed) and, as the proposal, what would track it on an empty road: clear of every place where the others can be
-under the assumptions, on the road, and able to stop. A reference alone would follow too far behind: the plan then ends in
-a stop, and a constant low speed costs the least. It reads the simulator's true state.
+under the assumptions, on the road, and able to stop. A reference alone would follow too far behind: the plan then ends
+in a stop, and a constant low speed costs the least. It reads the simulator's true state.
 
 Lanes are compared by room: the way to the next vehicle ahead, and what it will have gained in `_LOOK` seconds at its
 present speed. A lane is changed for `_WORTH` metres of room, and only where the change leaves followers their distance.

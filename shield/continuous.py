@@ -202,15 +202,21 @@ class ContinuousCore(ShieldCore):
         here = road.lane_at(float(scene.ego_road[RoadState.R]))
         owned = survey.owned[here] and survey.owned[lane]
         v = max(float(scene.ego[State.SPEED]), 0.0)
-        rows = survey.relevant((v + 2.0) * frames * scene.dt, frames * scene.dt, followers=not owned)
-        rows = rows[np.argsort(np.abs(scene.others_road[rows, RoadState.S] - scene.ego_road[RoadState.S]))][:12]
-        seen = survey.around.occupancy(frames, scene.dt)
-        boxes = np.empty((settings.stages, rows.size, 4))
-        boxes[..., 0], boxes[..., 1] = seen.rear[np.ix_(rows, ends)].T, seen.front[np.ix_(rows, ends)].T
-        boxes[..., 2], boxes[..., 3] = seen.low[rows], seen.high[rows]
         lanes = road.centers[[here, lane]]
         along, across = survey.growth
         side, r = 0.5 * float(scene.ego[Vehicle.WIDTH]) + b.lateral + across, float(scene.ego_road[RoadState.R])
+        # A change of lane that is half done may still use the lane that it came from.
+        low = min(float(lanes.min()) - 0.5 * road.width, r - side)
+        high = max(float(lanes.max()) + 0.5 * road.width, r + side)
+        rows = survey.relevant((v + 2.0) * frames * scene.dt, frames * scene.dt, followers=not owned)
+        around = survey.around
+        # Beyond its edges the plan meets nobody, and need not stay behind them either.
+        rows = rows[(around.low[rows] < high) & (around.high[rows] > low)]
+        rows = rows[np.argsort(np.abs(scene.others_road[rows, RoadState.S] - scene.ego_road[RoadState.S]))][:12]
+        seen = around.occupancy(frames, scene.dt)
+        boxes = np.empty((settings.stages, rows.size, 4))
+        boxes[..., 0], boxes[..., 1] = seen.rear[np.ix_(rows, ends)].T, seen.front[np.ix_(rows, ends)].T
+        boxes[..., 2], boxes[..., 3] = seen.low[rows], seen.high[rows]
         bend = None
         if road.bends is not None:
             bend = road.curvature(float(scene.ego_road[RoadState.S]) + v * settings.stage * np.arange(settings.stages))
@@ -219,12 +225,8 @@ class ContinuousCore(ShieldCore):
             proposal=proposal,
             occupancy=boxes,
             half=(0.5 * scene.ego[Vehicle.LENGTH] + b.longitudinal + along, side),
+            edges=(low, high),
             curvature=bend,
-            # A change of lane that is half done may still use the lane that it came from.
-            edges=(
-                min(float(lanes.min()) - 0.5 * road.width, r - side),
-                max(float(lanes.max()) + 0.5 * road.width, r + side),
-            ),
         )
         result = solver.solve(problem, elapsed=1)
         first = result.inputs[0]

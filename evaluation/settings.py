@@ -209,12 +209,6 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
                 "highway-continuous, training: decisions at 5 Hz, 10 Hz, 12 other vehicles, nothing for standing",
             ),
             Setting("racetrack", "racetrack-v0", {}, "racetrack-v0 as it comes: steering alone, 5 Hz, 15 Hz, 300 s"),
-            Setting(
-                "racetrack-training",
-                "racetrack-v0",
-                {"other_vehicles": 4, "duration": 60},
-                "racetrack, training: up to 4 other vehicles, 60 s, so that there is somebody to overtake",
-            ),
         )
     }
 )

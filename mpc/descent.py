@@ -7,12 +7,15 @@ from time import perf_counter
 
 import numpy as np
 
-from dynamics.state import FloatArray
+from dynamics.state import FloatArray, RoadState
 from mpc.build import Program
 from mpc.result import Status
 from mpc.solver import QuadraticSolver
 
 __all__ = ["Descent", "descend"]
+
+_STILL = 1e-9
+"""Speed backwards that rounding may leave [m/s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,13 +131,18 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
 
 
 def _adopt(program: Program, wanted: FloatArray) -> bool:
-    """Take the proposal itself as the first input if the plan holds with it: nothing is nearer to it."""
-    before = program.inputs[0].copy()
+    """Take the proposal itself as the first input if the plan holds with it: nothing is nearer to it.
+
+    The second input makes up for the difference, so that the rest of the plan stays what it was.
+    """
+    before = program.inputs[:2].copy()
+    low, high = program.limits
     program.inputs[0] = wanted
+    program.inputs[1] = np.clip(before[1] + before[0] - wanted, low, high)
     program.roll_out()
-    if program.violation[0] < program.settings.tolerance:
+    if program.violation[0] < program.settings.tolerance and program.states[:, RoadState.SPEED].min() >= -_STILL:
         return True
-    program.inputs[0] = before
+    program.inputs[:2] = before
     program.roll_out()
     return False
 

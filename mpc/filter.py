@@ -1,8 +1,7 @@
 """The predictive safety filter: the nearest inputs to a proposal that keep clear, on the road and able to stop.
 
 >>> import numpy as np
->>> from mpc.osqp_solver import OsqpSolver
-from mpc.problem import FilterProblem, FilterSettings
+>>> from mpc.problem import FilterProblem, FilterSettings
 >>> leader = np.zeros((20, 1, 4))
 >>> leader[:, 0] = [30.0, 35.0, -1.0, 1.0]  # standing 30 m ahead: s_min, s_max, r_min, r_max
 >>> problem = FilterProblem(

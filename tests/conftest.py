@@ -1,9 +1,24 @@
-"""Hypothesis profiles: the default suite repeats itself exactly; `make test-slow` explores new examples."""
+"""Hypothesis profiles (the default suite repeats itself exactly; `make test-slow` explores new examples), and traffic
+that no test leaves changed behind.
+"""
 
 import os
+from collections.abc import Iterator
 
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
 from hypothesis import settings
 
 settings.register_profile("repeatable", derandomize=True, database=None)
 settings.register_profile("explore", derandomize=False, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
+
+_TRAFFIC = {name: getattr(IDMVehicle, name) for name in ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")}
+
+
+@pytest.fixture(autouse=True)
+def traffic_as_it_comes() -> Iterator[None]:
+    """highway-env's intersection sets these on the class: every later environment of the process would feel it."""
+    yield
+    for name, value in _TRAFFIC.items():
+        setattr(IDMVehicle, name, value)

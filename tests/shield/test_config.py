@@ -109,7 +109,7 @@ def test_what_is_wrong_is_named(text, word):
         ShieldConfig.from_toml(text)
 
 
-NUMBERS = [f.name for f in fields(ShieldConfig) if f.name not in ("mode", "buffer", "assumptions", "record")]
+NUMBERS = [f.name for f in fields(ShieldConfig) if f.name not in ("mode", "buffer", "assumptions", "repair", "record")]
 
 
 @pytest.mark.parametrize("name", NUMBERS)

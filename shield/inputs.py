@@ -56,6 +56,11 @@ class InputDoor:
                 "the shield knows highway-env's kinematic bicycle only; this environment's ContinuousAction is "
                 'dynamical. Pass config={"action": {"type": "ContinuousAction", "dynamical": False}} to gym.make'
             )
+        if getattr(base.action_type, "speed_range", None):
+            raise ConfigError(
+                f"the shield's rollouts assume highway-env's own speed limits; this environment's ContinuousAction has "
+                f"speed_range {base.action_type.speed_range}. Leave speed_range out of the action's config"
+            )
         self._agent = agent
         self._cruise: float | None = None
         self._proposal: FloatArray | None = None

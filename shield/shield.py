@@ -177,7 +177,9 @@ class Shield:
             self.last_decisions.append(decision)
         if not any(d.overridden for d in self.last_decisions):
             return proposals
-        executed = [np.asarray(d.executed, dtype=proposals.dtype).reshape(-1) for d in self.last_decisions]
+        # Whole numbers cannot hold what was verified.
+        kind = proposals.dtype if proposals.dtype.kind == "f" else np.dtype(np.float32)
+        executed = [np.asarray(d.executed, dtype=kind).reshape(-1) for d in self.last_decisions]
         return np.stack(executed).reshape(proposals.shape)
 
     def _decide(self, i: int, proposal: Any, ranking: _Ranking, reason: Reason | None) -> Decision:

@@ -171,6 +171,20 @@ def test_a_batch_of_continuous_actions_is_filtered_row_by_row():
         obs, *_ = venv.step(actions)
 
 
+def test_what_was_verified_leaves_as_it_is_even_where_the_policy_speaks_in_whole_numbers():
+    env = make(action={"type": "ContinuousAction"}, simulation_frequency=10, policy_frequency=5)
+    env.reset(seed=0)
+    shielded = Shield(Always(np.array([1, 1])), env=env)
+    action, _ = shielded.predict(None)
+    assert shielded.last_decision.overridden
+    np.testing.assert_array_equal(action, shielded.last_decision.executed)
+
+
+def test_speed_limits_of_another_kind_are_refused():
+    with pytest.raises(ConfigError, match="speed_range"):
+        ShieldedEnv(make(action={"type": "ContinuousAction", "speed_range": (0, 20)}))
+
+
 def test_the_other_door_has_no_masks_for_continuous_actions():
     env = ShieldedEnv(make(action={"type": "ContinuousAction"}))
     env.reset(seed=0)

@@ -23,16 +23,18 @@ a bend of radius 1/kappa asks for: sin(beta) = kappa L / 2 with kappa = k / (1 -
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from dynamics.arcs import STRAIGHT
 from dynamics.bicycle import LENGTH, step_expression
-from dynamics.controllers import KP_HEADING, KP_LATERAL, MAX_STEERING
+from dynamics.controllers import KP_HEADING, KP_LATERAL, MAX_STEERING, steering_control
 from dynamics.path import CurvatureProfile
+from dynamics.state import FloatArray
 
-__all__ = ["ROW", "curved_steering", "curved_step", "lookup", "steering_function"]
+__all__ = ["ROW", "curved_steering", "curved_step", "lookup", "steer", "steering_function"]
 
 ROW = 5
 """Size of what `lookup` finds: curvature before, here and after [1/m], way to the piece's start and end [m]."""
@@ -108,6 +110,13 @@ def steering_function(profile: CurvatureProfile, dt: float) -> ca.Function:
     law = ca.Function("law", [x, r, k], [curved_steering(x, r, k, dt)])
     state, goal = ca.MX.sym("x", 4), ca.MX.sym("r")
     return ca.Function("steering", [state, goal], [law(state, goal, lookup(profile, state[0])[1])])
+
+
+def steer(road: Any, state: FloatArray, r: float, dt: float) -> float:
+    """Wheel angle [rad] that leads a road state (4,) to lateral position `r` [m] on any road."""
+    if road.bends is None:
+        return float(steering_control(state, r))
+    return float(steering_function(road.profile, dt)(state, r))
 
 
 def _project(x: ca.SX, y: ca.SX, k: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -17,8 +17,8 @@ import numpy as np
 
 from dynamics.actuators import Actuators
 from dynamics.assumptions import Assumptions
-from dynamics.controllers import KP_SPEED, steering_control
-from dynamics.curved import steering_function
+from dynamics.controllers import KP_SPEED
+from dynamics.curved import steer
 from dynamics.errors import ConfigError, SceneError
 from dynamics.prediction import Surroundings
 from dynamics.scene import Scene, SceneReader
@@ -247,9 +247,7 @@ class MPCPolicy:
         return np.array([a, float(np.clip(self._wheel(scene, r), *self.actuators.steering))])
 
     def _wheel(self, scene: Scene, r: float) -> float:
-        if scene.road.bends is None:
-            return float(steering_control(scene.ego_road, r))
-        return float(steering_function(scene.road.profile, scene.dt)(scene.ego_road, r))
+        return steer(scene.road, scene.ego_road, r, scene.dt)
 
     def _brake(self, scene: Scene) -> FloatArray:
         """Brake in the lane that the ego is in, as hard as the actuators can."""

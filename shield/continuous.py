@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.actuators import Actuators
-from dynamics.controllers import steering_control
-from dynamics.curved import steering_function
+from dynamics.curved import steer
 from dynamics.rollout import BRAKE
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, State, Vehicle
@@ -29,7 +28,7 @@ from shield.config import ShieldConfig
 from shield.core import ShieldCore
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
-from shield.verify import Clearance, Surveyor, least_bad
+from shield.verify import Clearance, least_bad
 
 __all__ = ["ContinuousCore", "Judged"]
 
@@ -82,6 +81,9 @@ class ContinuousCore(ShieldCore):
     ConfigError
         If the mode is one of the rules for meta-actions.
     """
+
+    # highway-env's traffic aborts a lane change for the target of a `ControlledVehicle`; this ego is none.
+    _announced = False
 
     def __init__(
         self, config: ShieldConfig | None = None, actuators: Actuators | None = None, predictive: bool = True
@@ -263,14 +265,6 @@ class ContinuousCore(ShieldCore):
         commands[..., 1], commands[..., 2] = BRAKE, self.config.braking
         return np.concatenate([began, self._rollouts_for(scene).run(began[:, -1], commands)], axis=1)
 
-    def _survey(self, scene: Scene) -> Surveyor:
-        held = self._surveyor
-        if held is None or held.scene.ego is not scene.ego or held.scene.others is not scene.others:
-            seen = self._seen
-            around = seen[2] if seen is not None and seen[1] is scene.others else None
-            held = self._surveyor = _Unannounced(scene, self.config, self._visible, self._owned, around)
-        return held
-
     def _entered(self, scene: Scene, paths: FloatArray, fails: Any) -> tuple[Any, FloatArray]:
         """The lane that the body of each path enters beside those that the ego owns, and the room that it leaves [m].
 
@@ -310,11 +304,7 @@ class ContinuousCore(ShieldCore):
 
     def _law(self, scene: Scene, lane: int) -> FloatArray:
         """Inputs of the fail-safe manoeuvre for one frame: brake, and steer to the lane's centre."""
-        goal = scene.road.centers[lane]
-        if scene.road.bends is None:
-            wheel = float(steering_control(scene.ego_road, goal))
-        else:
-            wheel = float(steering_function(scene.road.profile, scene.dt)(scene.ego_road, goal))
+        wheel = steer(scene.road, scene.ego_road, scene.road.centers[lane], scene.dt)
         v = float(scene.ego[State.SPEED])
         period, b = self._frames * scene.dt, self.config.braking
         return np.array([max(-b, self._floor(scene)) if v >= 0 else min(-v / period, b), wheel])
@@ -353,35 +343,6 @@ class ContinuousCore(ShieldCore):
             occupancy = self._survey(scene).around.occupancy(len(judged.paths[i]), scene.dt).rectangles()
         margin = float(judged.margin[i])
         return Decision(proposal, judged.inputs[i], reason, tier, margin, perf_counter() - start, plan, occupancy)
-
-
-class _Unannounced(Surveyor):
-    """Judges the paths of an ego whose intentions nobody knows, so that nobody gives way to them.
-
-    highway-env's traffic aborts a lane change for the target of a `ControlledVehicle` only, which an ego with
-    `ContinuousAction` is not: until it is visible in a lane, one behind may move there as well as one ahead.
-    """
-
-    def _lateral(
-        self, rows: Any, candidates: Candidates, path: FloatArray, bound: bool
-    ) -> tuple[FloatArray, FloatArray, Any]:
-        around, assumptions, centers = self.around, self.config.assumptions, self.scene.road.centers
-        low, high, home = around.low[rows][None, :], around.high[rows][None, :], around.lane[rows][None, :]
-        if not (assumptions.blind_merge and bound):
-            return low, high, home
-        half, lane, r = 0.5 * self.scene.others[rows, Vehicle.WIDTH], home, self.scene.ego_road[RoadState.R]
-        both = (candidates.lanes, candidates.fails)
-        for entered in both if (both[0] != both[1]).any() else both[:1]:
-            goal = centers[entered][:, None]
-            hidden = np.maximum(np.abs(path - goal).max(axis=1), np.abs(r - goal[:, 0])) > assumptions.visible_distance
-            if not hidden.any():
-                continue
-            apart = np.abs(centers[lane] - goal)
-            far = (apart > 0) & (apart < 1.5 * self.scene.road.width) & hidden[:, None]
-            low = np.where(far, np.minimum(low, goal - half), low)
-            high = np.where(far, np.maximum(high, goal + half), high)
-            home = np.where(far, entered[:, None], home)
-        return low, high, home
 
 
 def _join(first: Judged, keep: int, second: Judged) -> Judged:

@@ -69,6 +69,8 @@ class ShieldCore:
 
     _frames = 1
     """Simulation frames between two scenes."""
+    _announced = True
+    """Whether the traffic knows of the lane that the ego commits to."""
 
     def __init__(self, config: ShieldConfig | None = None) -> None:
         self.config = config if config is not None else ShieldConfig()
@@ -318,7 +320,7 @@ class ShieldCore:
         if held is None or held.scene.ego is not scene.ego or held.scene.others is not scene.others:
             seen = self._seen
             around = seen[2] if seen is not None and seen[1] is scene.others else None
-            held = self._surveyor = Surveyor(scene, self.config, self._visible, self._owned, around)
+            held = self._surveyor = Surveyor(scene, self.config, self._visible, self._owned, around, self._announced)
         return held
 
     def _judge(self, scene: Scene, candidates: Candidates, hold: int = 0) -> tuple[FloatArray, Clearance]:

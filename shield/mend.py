@@ -34,7 +34,7 @@ class FilteringCore(ContinuousCore):
     """Takes the verified inputs that are nearest to those of the environment's own controllers."""
 
     # Unlike a throttle and a wheel, meta-actions announce a lane change to highway-env's traffic.
-    _survey = ShieldCore._survey
+    _announced = True
 
     def _mend(self, scene: Scene) -> tuple[FrameCommand, Verdict]:
         start, target = perf_counter(), scene.control.target

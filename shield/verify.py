@@ -61,6 +61,7 @@ class Surveyor:
     visible : frames for which the ego has been visible in each lane already, (lanes,); none by default.
     owned : which lanes the ego owns, (lanes,) bool; the one that it is in by default.
     around : the scene's surroundings, where they have been built already.
+    announced : whether the traffic knows of the lane that a path commits to, so that one behind gives way.
     """
 
     def __init__(
@@ -70,7 +71,9 @@ class Surveyor:
         visible: Any = None,
         owned: Any = None,
         around: Surroundings | None = None,
+        announced: bool = True,
     ) -> None:
+        self.announced = announced
         self.scene, self.config, self.visible = scene, config, visible
         if owned is None:
             owned = np.arange(scene.road.centers.size) == scene.road.lane_at(float(scene.ego_road[RoadState.R]))
@@ -227,8 +230,8 @@ class Surveyor:
         """Lateral extent and home lane of each vehicle for each path, (n, len(rows)) or broadcastable to it.
 
         A vehicle beside a lane that the ego is about to enter may enter it too, its own leader among them, until it can
-        see the ego there. Where the ego commits to that lane, one behind gives way (highway-env's traffic aborts such a
-        lane change); of the lane that the fail-safe would return to nobody knows.
+        see the ego there. Where an ego that announces it commits to that lane, one behind gives way (highway-env's
+        traffic aborts such a lane change); of the lane that the fail-safe would return to nobody knows.
         """
         around = self.around
         low, high = around.low[rows][None, :], around.high[rows][None, :]
@@ -247,7 +250,10 @@ class Surveyor:
                 continue
             apart = np.abs(centers[lane] - goal)
             far = (apart > 0) & (apart < 1.5 * width) & hidden[:, None]
-            far &= returns[:, None] if entered is candidates.fails else self._ahead[rows] > -_GIVES_WAY
+            if entered is candidates.fails:
+                far &= returns[:, None]
+            elif self.announced:
+                far &= self._ahead[rows] > -_GIVES_WAY
             low = np.where(far, np.minimum(low, goal - half), low)
             high = np.where(far, np.maximum(high, goal + half), high)
             home = np.where(far, entered[:, None], home)

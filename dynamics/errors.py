@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["ActionError", "ConfigError", "PolicyError", "SceneError", "ShieldError"]
+__all__ = ["ActionError", "ConfigError", "DataError", "ModelError", "PolicyError", "SceneError", "ShieldError"]
 
 
 class ShieldError(Exception):
@@ -19,6 +19,14 @@ class SceneError(ShieldError, ValueError):
 
 class ActionError(ShieldError, ValueError):
     """An action is outside the action space."""
+
+
+class DataError(ShieldError, ValueError):
+    """Recorded data are empty, of the wrong shape, not finite, or in a file that cannot be read."""
+
+
+class ModelError(ShieldError, ValueError):
+    """A dynamics model is given arrays that it cannot use, or a file that it cannot be read from."""
 
 
 class PolicyError(ShieldError, TypeError):

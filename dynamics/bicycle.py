@@ -22,7 +22,10 @@ import numpy as np
 
 from dynamics.state import FloatArray, State
 
-__all__ = ["LENGTH", "MAX_SPEED", "WIDTH", "step", "step_expression"]
+__all__ = ["LENGTH", "MAX_SPEED", "WIDTH", "Columns", "slip_of", "slip_step", "step", "step_expression"]
+
+Columns = tuple[Any, Any, Any, Any]
+"""State as expressions (x, y, psi, v) or (s, r, psi, v): scalars, or columns with a row for each vehicle."""
 
 LENGTH = 5.0
 """Vehicle length [m] (`Vehicle.LENGTH`)."""
@@ -30,6 +33,8 @@ WIDTH = 2.0
 """Vehicle width [m] (`Vehicle.WIDTH`)."""
 MAX_SPEED = 40.0
 """Speed above which highway-env limits the acceleration [m/s] (`Vehicle.MAX_SPEED`)."""
+_FREE = 1e15
+"""Greater than any acceleration [m/s^2]."""
 
 
 def step(states: FloatArray, acceleration: Any, steering: Any, dt: float) -> FloatArray:
@@ -59,13 +64,26 @@ def step(states: FloatArray, acceleration: Any, steering: Any, dt: float) -> Flo
 
 def step_expression(state: ca.SX, acceleration: ca.SX, steering: ca.SX, dt: float) -> ca.SX:
     """The same step as a CasADi expression: state (4, 1) to next state (4, 1)."""
-    x, y, psi, v = (state[i] for i in range(4))
-    a = ca.if_else(v > MAX_SPEED, ca.fmin(acceleration, MAX_SPEED - v), acceleration)
-    a = ca.if_else(v < -MAX_SPEED, ca.fmax(a, -MAX_SPEED - v), a)
-    beta = ca.atan(0.5 * ca.tan(steering))
-    return ca.vertcat(
-        x + v * ca.cos(psi + beta) * dt,
-        y + v * ca.sin(psi + beta) * dt,
-        psi + v * ca.sin(beta) / (LENGTH / 2) * dt,
+    after: Any = slip_step((state[0], state[1], state[2], state[3]), acceleration, slip_of(steering), dt)
+    return ca.vertcat(*after)
+
+
+def slip_step(state: Columns, acceleration: Any, slip: Any, dt: float) -> Columns:
+    """The same step in the sine of the slip angle, element by element: scalars or columns of vehicles."""
+    x, y, psi, v = state
+    sin, cos, way = ca.sin(psi), ca.cos(psi), v * dt
+    ahead = ca.sqrt(1 - slip * slip)
+    a = ca.fmin(acceleration, MAX_SPEED - v + _FREE * (v <= MAX_SPEED))
+    a = ca.fmax(a, -MAX_SPEED - v - _FREE * (v >= -MAX_SPEED))
+    return (
+        x + way * (cos * ahead - sin * slip),
+        y + way * (sin * ahead + cos * slip),
+        psi + way * slip * (2 / LENGTH),
         v + a * dt,
     )
+
+
+def slip_of(steering: Any) -> Any:
+    """Sine of the slip angle of a front wheel angle [rad], as a CasADi expression."""
+    half = 0.5 * ca.tan(steering)
+    return half / ca.sqrt(1 + half * half)

@@ -14,18 +14,23 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from dynamics.bicycle import LENGTH
+from dynamics.bicycle import LENGTH, Columns
 from dynamics.state import FloatArray, RoadState, wrap_to_pi
 
 __all__ = [
     "KP_HEADING",
     "KP_LATERAL",
     "KP_SPEED",
+    "MAX_SLIP",
     "MAX_STEERING",
+    "clip_expression",
+    "nonzero_expression",
+    "slip_expression",
     "speed_control",
     "speed_to_index",
     "steering_control",
     "steering_expression",
+    "wrap_expression",
 ]
 
 KP_SPEED = 1 / 0.6
@@ -36,6 +41,8 @@ KP_HEADING = 1 / 0.2
 """Heading gain [1/s] (`ControlledVehicle.KP_HEADING`)."""
 MAX_STEERING = np.pi / 3
 """Limit of the wheel angle [rad] (`ControlledVehicle.MAX_STEERING_ANGLE`)."""
+MAX_SLIP = float(np.sin(np.arctan(0.5 * np.tan(MAX_STEERING))))
+"""Sine of the slip angle at that limit."""
 _NONZERO = 1e-2
 
 
@@ -64,17 +71,30 @@ def steering_control(states: FloatArray, target_r: Any) -> FloatArray:
 
 def steering_expression(state: ca.SX, target_r: ca.SX) -> ca.SX:
     """`steering_control` as a CasADi expression for one road state (4, 1)."""
+    return ca.atan(2 * ca.tan(ca.asin(slip_expression((state[0], state[1], state[2], state[3]), target_r))))
 
-    def clip(x: ca.SX, bound: float) -> ca.SX:
-        return ca.fmin(ca.fmax(x, -bound), bound)
 
-    r, psi, v = state[1], state[2], state[3]
-    v = ca.if_else(ca.fabs(v) > _NONZERO, v, ca.if_else(v >= 0, ca.SX(_NONZERO), ca.SX(-_NONZERO)))
-    heading_ref = clip(ca.asin(clip(-KP_LATERAL * (r - target_r) / v, 1.0)), np.pi / 4)
-    error = heading_ref - psi
-    error = error - 2 * np.pi * ca.floor((error + np.pi) / (2 * np.pi))
-    slip = ca.asin(clip(LENGTH / 2 / v * KP_HEADING * error, 1.0))
-    return clip(ca.atan(2 * ca.tan(slip)), MAX_STEERING)
+def slip_expression(state: Columns, target_r: Any) -> Any:
+    """Sine of the slip angle that `steering_control` asks for, element by element: scalars or columns of vehicles."""
+    _, r, psi, v = state
+    v = nonzero_expression(v)
+    heading_ref = ca.asin(clip_expression(KP_LATERAL * (target_r - r) / v, np.sin(np.pi / 4)))
+    return clip_expression((LENGTH / 2 * KP_HEADING) * wrap_expression(heading_ref - psi) / v, MAX_SLIP)
+
+
+def nonzero_expression(x: Any) -> Any:
+    """The speed that highway-env divides by."""
+    return (2 * (x >= 0) - 1) * ca.fmax(ca.fabs(x), _NONZERO)
+
+
+def wrap_expression(angle: Any) -> Any:
+    """An angle [rad] in [-pi, pi)."""
+    return angle - 2 * np.pi * ca.floor((angle + np.pi) / (2 * np.pi))
+
+
+def clip_expression(x: Any, bound: float) -> Any:
+    """x limited to +-bound."""
+    return ca.fmin(ca.fmax(x, -bound), bound)
 
 
 def speed_to_index(speed: float, target_speeds: tuple[float, ...]) -> int:

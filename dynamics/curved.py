@@ -29,87 +29,84 @@ import casadi as ca
 import numpy as np
 
 from dynamics.arcs import STRAIGHT
-from dynamics.bicycle import LENGTH, step_expression
-from dynamics.controllers import KP_HEADING, KP_LATERAL, MAX_STEERING, steering_control
+from dynamics.bicycle import LENGTH, Columns, slip_step
+from dynamics.controllers import (
+    KP_HEADING,
+    KP_LATERAL,
+    MAX_SLIP,
+    clip_expression,
+    nonzero_expression,
+    steering_control,
+    wrap_expression,
+)
 from dynamics.path import CurvatureProfile
 from dynamics.state import FloatArray
 
-__all__ = ["ROW", "curved_steering", "curved_step", "lookup", "steer", "steering_function"]
+__all__ = ["Row", "curved_slip", "curved_step", "lookup", "steer", "steering_function"]
 
-ROW = 5
-"""Size of what `lookup` finds: curvature before, here and after [1/m], way to the piece's start and end [m]."""
+Row = tuple[Any, Any, Any, Any, Any]
+"""What `lookup` finds: curvature before, here and after [1/m], way to the piece's start and end [m]."""
 _FAR = 1e9
 """Where an open path's first and last piece begin and end [m]."""
 _NEAREST = 0.1
 """Least share of the radius of a bend at which its centre is taken to be."""
 _MAX_SLIP = 0.7
 """Greatest sine of the slip angle that is asked for in advance; the wheel's limit allows 0.65."""
-_NONZERO = 1e-2
 
 
-def lookup(profile: CurvatureProfile, s: ca.MX) -> ca.MX:
-    """The row (`ROW`,) of the path's table at arc length s [m]."""
+def lookup(profile: CurvatureProfile, s: Any) -> Row:
+    """The row of the path's table at arc lengths s [m], a scalar or a column (MX)."""
     breaks, k = np.array(profile.breaks), np.array(profile.curvatures)
     starts, ends = breaks[:-1].copy(), breaks[1:].copy()
     before, after = np.roll(k, 1), np.roll(k, -1)
     if not profile.closed:
         starts[0], ends[-1], before[0], after[-1] = -_FAR, _FAR, k[0], k[-1]
-    table = ca.MX(ca.DM(np.stack([before, k, after, starts, ends])))
     within = s - breaks[-1] * ca.floor(s / breaks[-1]) if profile.closed else s
-    row = table[:, ca.low(ca.DM(breaks), within)] if k.size > 1 else table
-    return ca.vertcat(row[:3], row[3:] - within)
+    index = ca.low(ca.DM(breaks), within)
+    found = [ca.MX(ca.DM(c))[index] if k.size > 1 else ca.MX(c[0]) for c in (before, k, after, starts, ends)]
+    return found[0], found[1], found[2], found[3] - within, found[4] - within
 
 
-def curved_step(state: ca.SX, acceleration: ca.SX, steering: ca.SX, row: ca.SX, dt: float) -> ca.SX:
-    """One simulation frame, road state (4, 1) to road state (4, 1); `row` is that of `lookup` at its s."""
-    move = step_expression(ca.vertcat(0, state[1], state[2], state[3]), acceleration, steering, dt)
-    k = row[1]
-    first, _ = _project(move[0], move[1], k)
-    ahead, behind = first > row[4], first < row[3]
-    joint = ca.if_else(ahead, row[4], ca.if_else(behind, row[3], 0))
+def curved_step(state: Columns, acceleration: Any, slip: Any, row: Row, dt: float) -> Columns:
+    """One simulation frame in road states, element by element; `row` is that of `lookup` at their s."""
+    s, r, psi, v = state
+    x, y, heading, speed = slip_step((0, r, psi, v), acceleration, slip, dt)
+    before, k, after, start, end = row
+    first, _ = _project(x, y, k)
+    ahead, behind = first > end, first < start
+    joint = ahead * end + behind * start
     # a start that rounding puts just outside its piece makes no difference: then the joint is where it stands
-    next_k = ca.if_else(ahead, row[2], ca.if_else(behind, row[0], k))
+    next_k = _choose(ahead, after, _choose(behind, before, k))
     turn = k * joint
-    bent = ca.fabs(k) >= STRAIGHT
-    safe = ca.if_else(bent, k, 1)
-    jx = ca.if_else(bent, ca.sin(turn) / safe, joint)
-    jy = ca.if_else(bent, 2 * ca.sin(turn / 2) ** 2 / safe, 0)
-    dx, dy = move[0] - jx, move[1] - jy
     cos, sin = ca.cos(turn), ca.sin(turn)
+    bent = ca.fabs(k) >= STRAIGHT
+    safe = _choose(bent, k, 1)
+    dx = x - _choose(bent, sin / safe, joint)
+    dy = y - bent * (2 * ca.sin(turn / 2) ** 2) / safe
     along, across = _project(cos * dx + sin * dy, cos * dy - sin * dx, next_k)
-    return ca.vertcat(state[0] + joint + along, across, move[2] - turn - next_k * along, move[3])
+    return s + joint + along, across, heading - turn - next_k * along, speed
 
 
-def curved_steering(state: ca.SX, target_r: ca.SX, k: ca.SX, dt: float) -> ca.SX:
-    """Wheel angle [rad] that leads a road state (4, 1) to lateral position `target_r` [m].
+def curved_slip(state: Columns, target_r: Any, k: Any, dt: float) -> Any:
+    """Sine of the slip angle that leads road states to lateral position `target_r` [m], element by element.
 
-    The path has curvature k [1/m] at s, a frame lasts dt [s].
-
-    At k = 0 it is `controllers.steering_expression`.
+    The path has curvature k [1/m] at s, a frame lasts dt [s]. At k = 0 it is `controllers.slip_expression`.
     """
-
-    def clip(x: ca.SX, bound: float) -> ca.SX:
-        return ca.fmin(ca.fmax(x, -bound), bound)
-
-    r, psi, v = state[1], state[2], state[3]
-    v = ca.if_else(ca.fabs(v) > _NONZERO, v, ca.if_else(v >= 0, ca.SX(_NONZERO), ca.SX(-_NONZERO)))
+    _, r, psi, v = state
+    v = nonzero_expression(v)
     kappa = k / ca.fmax(1 - k * r, _NEAREST)
-    bend = clip(LENGTH / 2 * kappa, _MAX_SLIP)
-    chord = clip(kappa * v * dt / 2, _MAX_SLIP)
-    heading_ref = clip(ca.asin(clip(-KP_LATERAL * (r - target_r) / v, 1.0)), np.pi / 4) + chord - ca.asin(bend)
-    error = heading_ref - psi
-    error = error - 2 * np.pi * ca.floor((error + np.pi) / (2 * np.pi))
-    slip = ca.asin(clip(LENGTH / 2 / v * KP_HEADING * error + bend, 1.0))
-    return clip(ca.atan(2 * ca.tan(slip)), MAX_STEERING)
+    bend = clip_expression(LENGTH / 2 * kappa, _MAX_SLIP)
+    chord = clip_expression(kappa * v * (dt / 2), _MAX_SLIP)
+    heading_ref = ca.asin(clip_expression(KP_LATERAL * (target_r - r) / v, np.sin(np.pi / 4))) + chord - ca.asin(bend)
+    return clip_expression((LENGTH / 2 * KP_HEADING) * wrap_expression(heading_ref - psi) / v + bend, MAX_SLIP)
 
 
 @lru_cache(maxsize=64)
 def steering_function(profile: CurvatureProfile, dt: float) -> ca.Function:
-    """Road state (4), target r -> wheel angle: `curved_steering` anywhere on a path."""
-    x, r, k = ca.SX.sym("x", 4), ca.SX.sym("r"), ca.SX.sym("k")
-    law = ca.Function("law", [x, r, k], [curved_steering(x, r, k, dt)])
-    state, goal = ca.MX.sym("x", 4), ca.MX.sym("r")
-    return ca.Function("steering", [state, goal], [law(state, goal, lookup(profile, state[0])[1])])
+    """Road state (4), target r -> wheel angle [rad]: the law of `curved_slip` anywhere on a path."""
+    x, r = ca.MX.sym("x", 4), ca.MX.sym("r")
+    slip = curved_slip((x[0], x[1], x[2], x[3]), r, lookup(profile, x[0])[1], dt)
+    return ca.Function("steering", [x, r], [ca.atan(2 * ca.tan(ca.asin(slip)))])
 
 
 def steer(road: Any, state: FloatArray, r: float, dt: float) -> float:
@@ -119,9 +116,14 @@ def steer(road: Any, state: FloatArray, r: float, dt: float) -> float:
     return float(steering_function(road.profile, dt)(state, r))
 
 
-def _project(x: ca.SX, y: ca.SX, k: ca.SX) -> tuple[ca.SX, ca.SX]:
+def _choose(condition: Any, then: Any, otherwise: Any) -> Any:
+    """Element by element; both must be finite."""
+    return condition * then + (1 - condition) * otherwise
+
+
+def _project(x: Any, y: Any, k: Any) -> tuple[Any, Any]:
     """`arcs.project` in the frame of the path."""
     rest, bent = 1 - k * y, ca.fabs(k) >= STRAIGHT
-    s = ca.if_else(bent, ca.atan2(k * x, rest) / ca.if_else(bent, k, 1), x)
+    s = _choose(bent, ca.atan2(k * x, rest) / _choose(bent, k, 1), x)
     r = (2 * y - k * (x * x + y * y)) / (1 + ca.sqrt(rest * rest + (k * x) ** 2))
     return s, r

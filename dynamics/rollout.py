@@ -16,81 +16,74 @@ road, and the steering knows its curvature.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 
-from dynamics.bicycle import step_expression
-from dynamics.controllers import KP_SPEED, steering_expression
-from dynamics.curved import ROW, curved_steering, curved_step, lookup
+from dynamics.bicycle import Columns, slip_of, slip_step
+from dynamics.controllers import KP_SPEED, slip_expression
+from dynamics.curved import curved_slip, curved_step, lookup
 from dynamics.path import CurvatureProfile, PathRoad
 from dynamics.road import StraightRoad
 from dynamics.state import FloatArray
 
-__all__ = [
-    "BRAKE",
-    "NO_LIMIT",
-    "Rollouts",
-    "curved_frame_function",
-    "curved_input_function",
-    "frame_function",
-    "input_function",
-]
+__all__ = ["BRAKE", "NO_LIMIT", "Rollouts", "frame_function"]
 
 BRAKE = -1e9
 """Target speed that stands for braking as hard as the command allows [m/s]."""
 NO_LIMIT = 1e12
 """Deceleration bound that stands for none [m/s^2]."""
 _Kind = Literal["commands", "inputs"]
+_OPTIONS = {"cse": True}
 _COLUMNS: dict[_Kind, int] = {"commands": 3, "inputs": 2}
-_ROWS = (1, 2, 4, 8, 16, 32, 48, 64, 96, 128, 256, 512)
+_ROWS = (1, 2, 4, 8, 16, 24, 32, 48, 64, 96, 128, 256, 512)
 _FRAMES = 8
-
-
-def frame_function(dt: float) -> ca.Function:
-    """One frame: state (4), command (3) -> next state (4)."""
-    x, c = ca.SX.sym("x", 4), ca.SX.sym("c", 3)
-    a = _acceleration(x, c, dt)
-    return ca.Function("frame", [x, c], [step_expression(x, a, steering_expression(x, c[0]), dt)])
-
-
-def _acceleration(x: ca.SX, c: ca.SX, dt: float) -> ca.SX:
-    return ca.fmax(ca.fmax(KP_SPEED * (c[1] - x[3]), -c[2]), -ca.fmax(x[3], 0) / dt)
-
-
-def input_function(dt: float) -> ca.Function:
-    """One frame of the bare bicycle: state (4), input (2) -> next state (4), with highway-env's speed limits."""
-    x, u = ca.SX.sym("x", 4), ca.SX.sym("u", 2)
-    return ca.Function("input_frame", [x, u], [step_expression(x, u[0], u[1], dt)])
-
-
-def curved_frame_function(dt: float, road: PathRoad | CurvatureProfile) -> ca.Function:
-    """`frame_function` on a curved road: the steering has the path's curvature as feed-forward."""
-    x, c, row = ca.SX.sym("x", 4), ca.SX.sym("c", 3), ca.SX.sym("row", ROW)
-    step = curved_step(x, _acceleration(x, c, dt), curved_steering(x, c[0], row[1], dt), row, dt)
-    return _on_path("curved_frame", ca.Function("step", [x, c, row], [step]), road)
-
-
-def curved_input_function(dt: float, road: PathRoad | CurvatureProfile) -> ca.Function:
-    """`input_function` on a curved road."""
-    x, u, row = ca.SX.sym("x", 4), ca.SX.sym("u", 2), ca.SX.sym("row", ROW)
-    return _on_path("curved_input_frame", ca.Function("step", [x, u, row], [curved_step(x, u[0], u[1], row, dt)]), road)
-
-
-def _on_path(name: str, step: ca.Function, road: PathRoad | CurvatureProfile) -> ca.Function:
-    profile = road.profile if isinstance(road, PathRoad) else road
-    x, u = ca.MX.sym("x", 4), ca.MX.sym("u", step.size1_in(1))
-    return ca.Function(name, [x, u], [step(x, u, lookup(profile, x[0]))])
+_WIDE = 4
+"""From how many rows on they are rolled out as columns."""
 
 
 @lru_cache(maxsize=256)
 def _compiled(kind: _Kind, rows: int, frames: int, dt: float, profile: CurvatureProfile | None) -> ca.Function:
+    if rows < _WIDE:
+        return frame_function(kind, 1, dt, profile).mapaccum(frames).map(rows)
+    return frame_function(kind, rows, dt, profile).mapaccum(frames)
+
+
+def frame_function(kind: _Kind, rows: int, dt: float, profile: CurvatureProfile | None = None) -> ca.Function:
+    """One frame of `rows` vehicles: states (rows, 4), commands (rows, 3) or inputs (rows, 2) -> states (rows, 4).
+
+    A single one is (4, 1) to (4, 1), as scalars. CasADi interprets its programs: with columns, each instruction serves
+    all rows. On the path of `profile`, where one is given, the steering has the path's curvature as feed-forward.
+    """
+    count = _COLUMNS[kind]
+    state: tuple[Any, ...]
+    control: tuple[Any, ...]
+    if rows > 1:
+        x, c = ca.MX.sym("x", rows, 4), ca.MX.sym("c", rows, count)
+        state, control = tuple(x[:, i] for i in range(4)), tuple(c[:, i] for i in range(count))
+        row = None if profile is None else lookup(profile, state[0])
+        return ca.Function("frame", [x, c], [ca.horzcat(*_frame(kind, state, control, row, dt))], _OPTIONS)
+    one, u, found = ca.SX.sym("x", 4), ca.SX.sym("c", count), ca.SX.sym("row", 5)
+    state, control = tuple(one[i] for i in range(4)), tuple(u[i] for i in range(count))
     if profile is None:
-        frame = frame_function(dt) if kind == "commands" else input_function(dt)
+        return ca.Function("frame", [one, u], [ca.vertcat(*_frame(kind, state, control, None, dt))], _OPTIONS)
+    step = ca.vertcat(*_frame(kind, state, control, tuple(found[i] for i in range(5)), dt))
+    x, c = ca.MX.sym("x", 4), ca.MX.sym("c", count)
+    after = ca.Function("step", [one, u, found], [step], _OPTIONS)(x, c, ca.vertcat(*lookup(profile, x[0])))
+    return ca.Function("frame", [x, c], [after])
+
+
+def _frame(kind: _Kind, state: Any, control: Any, row: Any, dt: float) -> Columns:
+    if kind == "inputs":
+        acceleration, slip = control[0], slip_of(control[1])
     else:
-        frame = (curved_frame_function if kind == "commands" else curved_input_function)(dt, profile)
-    return frame.mapaccum(frames).map(rows)
+        v = state[3]
+        acceleration = ca.fmax(ca.fmax(KP_SPEED * (control[1] - v), -control[2]), ca.fmax(v, 0) * (-1 / dt))
+        slip = slip_expression(state, control[0]) if row is None else curved_slip(state, control[0], row[1], dt)
+    if row is None:
+        return slip_step(state, acceleration, slip, dt)
+    return curved_step(state, acceleration, slip, row, dt)
 
 
 class Rollouts:
@@ -147,14 +140,19 @@ class Rollouts:
         return out[:n, :frames].copy()
 
     def _slot(self, kind: _Kind, rows: int, frames: int) -> tuple[FloatArray, FloatArray, FloatArray, _Call]:
+        """Start (rows, 4), controls (rows, frames, columns) and path (rows, frames, 4) of a compiled rollout."""
         key = (kind, rows, frames)
         if key not in self._slots:
-            x0 = np.zeros((rows, 4))
-            c, out = np.zeros((rows, frames, _COLUMNS[kind])), np.zeros((rows, frames, 4))
+            columns, wide = _COLUMNS[kind], rows >= _WIDE
+            x0 = np.zeros((4, rows) if wide else (rows, 4))
+            c = np.zeros((frames, columns, rows) if wide else (rows, frames, columns))
+            out = np.zeros((frames, 4, rows) if wide else (rows, frames, 4))
             buffer, call = _compiled(kind, rows, frames, self.dt, self._profile).buffer()
             buffer.set_arg(0, memoryview(x0))  # type: ignore[call-arg, arg-type]
             buffer.set_arg(1, memoryview(c))  # type: ignore[call-arg, arg-type]
             buffer.set_res(0, memoryview(out))  # type: ignore[call-arg, arg-type]
+            if wide:
+                x0, c, out = x0.T, c.transpose(2, 0, 1), out.transpose(2, 0, 1)
             self._slots[key] = (x0, c, out, _Call(buffer, call))
         return self._slots[key]
 

@@ -101,7 +101,7 @@ def test_a_thousand_controlled_frames_agree(angle, dt):
     rng = np.random.default_rng(3)
     road = make_road(angle)
     map_ = StraightRoad.from_network(road.network)
-    frame = frame_function(dt)
+    frame = frame_function("commands", 1, dt)
     n = 1000
     local = np.column_stack(
         [rng.uniform(0, 1000, n), rng.uniform(-2, 14, n), rng.uniform(-0.8, 0.8, n), rng.uniform(-2, 45, n)]

@@ -1,0 +1,233 @@
+"""Training of a `LinearStructuredModel`: one-step or multi-step loss, held-out episodes, early stopping."""
+
+from __future__ import annotations
+
+import copy
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dynamics.data import Transitions
+from dynamics.errors import ConfigError, DataError, ModelError
+from dynamics.learned import LinearStructuredModel, ModelConfig
+
+__all__ = ["Fit", "FitConfig", "fit"]
+
+
+@dataclass(frozen=True, slots=True)
+class FitConfig:
+    """How a model is trained.
+
+    Attributes
+    ----------
+    horizon : the loss is over predictions of so many decisions in a row; 1 is the one-step loss.
+    epochs : at most so many passes over the training windows.
+    batch : windows in a step of the optimiser; None for all of them.
+    rate : highest learning rate (Adam); it falls to 0 along a cosine, unless `constant_rate`.
+    held_out : share of the episodes that training never sees.
+    patience : stop after so many checks without a better held-out loss; the best weights are kept.
+    check_every : epochs between checks.
+    seed : of the split and of the batches.
+    """
+
+    horizon: int = 5
+    epochs: int = 200
+    batch: int | None = 256
+    rate: float = 5e-3
+    constant_rate: bool = False
+    held_out: float = 0.2
+    patience: int = 20
+    check_every: int = 5
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        counts = {"horizon": self.horizon, "epochs": self.epochs, "patience": self.patience}
+        counts |= {"check_every": self.check_every, "batch": 1 if self.batch is None else self.batch}
+        for name, count in counts.items():
+            if type(count) is not int or count < 1:
+                raise ConfigError(f"{name} must be a positive whole number, got {count!r}")
+        if not self.rate > 0:
+            raise ConfigError(f"rate must be positive, got {self.rate!r}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A trained model and how its training went.
+
+    Attributes
+    ----------
+    model : with the weights of the best held-out loss.
+    train, held_out : the two parts of the data.
+    history : (epoch, training loss, held-out loss) at each check.
+    seconds : wall-clock time of the training.
+    """
+
+    model: LinearStructuredModel
+    train: Transitions
+    held_out: Transitions
+    history: list[tuple[int, float, float]]
+    seconds: float
+
+
+def fit(
+    data: Transitions,
+    model: ModelConfig | LinearStructuredModel,
+    config: FitConfig | None = None,
+    *,
+    progress: bool = False,
+    tensorboard: str | None = None,
+) -> Fit:
+    """Train a new model, or a given one further (a copy of it; its normalisation stays).
+
+    One torch thread, and the same result for the same seeds on the same machine.
+
+    Parameters
+    ----------
+    data : the transitions; the split is by episode.
+    model : what to train.
+    progress : whether to show a progress bar on stderr.
+    tensorboard : folder for TensorBoard's event files.
+
+    Raises
+    ------
+    ConfigError
+        If TensorBoard is asked for and not installed.
+    DataError
+        If the data do not fit the model or have too few or too short episodes.
+    ModelError
+        If the training diverges.
+    """
+    config = config or FitConfig()
+    target = model if isinstance(model, ModelConfig) else model.config
+    if data.widths != (target.state_dim, target.action_dim):
+        raise DataError(f"the model takes widths {(target.state_dim, target.action_dim)}, the data have {data.widths}")
+    if abs(data.dt - target.dt) > 1e-9:
+        raise DataError(f"the model's decisions take {target.dt} s, the data's {data.dt} s")
+    write = _writer(tensorboard)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        return _fit(data, model, config, progress, write)
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _fit(
+    data: Transitions,
+    model: ModelConfig | LinearStructuredModel,
+    config: FitConfig,
+    progress: bool,
+    write: Callable[[int, float, float], None],
+) -> Fit:
+    started = time.perf_counter()
+    train, held_out = data.split(config.held_out, config.seed)
+    if isinstance(model, ModelConfig):
+        network = LinearStructuredModel(model)
+        network.normalise(*(_tensor(part) for part in (train.states, train.actions, train.next_states)))
+    else:
+        network = copy.deepcopy(model)
+    batches, checks = (_windows(part, config.horizon) for part in (train, held_out))
+    scale = _loss_scale(network, train)
+    generator = torch.Generator().manual_seed(config.seed)
+    count = len(batches[0])
+    size = min(config.batch or count, count)
+    optimiser = torch.optim.Adam(network.parameters(), lr=config.rate)
+    steps = config.epochs * -(-count // size)
+    schedule = torch.optim.lr_scheduler.LambdaLR(
+        optimiser, lambda i: 1.0 if config.constant_rate else 0.5 * (1 + np.cos(np.pi * i / steps))
+    )
+    best, best_weights, waited = np.inf, copy.deepcopy(network.state_dict()), 0
+    history: list[tuple[int, float, float]] = []
+    with _bar(config.epochs, progress) as bar:
+        for epoch in range(1, config.epochs + 1):
+            total = 0.0
+            for rows in torch.randperm(count, generator=generator).split(size):
+                states, actions, after = batches
+                loss = _loss(network, states[rows], actions[rows], after[rows], scale)
+                optimiser.zero_grad()
+                loss.backward()
+                optimiser.step()
+                schedule.step()
+                total += float(loss.detach()) * len(rows) / count
+            bar.update()
+            if not np.isfinite(total):
+                raise ModelError(f"the training diverged in epoch {epoch}; lower rate (now {config.rate})")
+            if epoch % config.check_every and epoch != config.epochs:
+                continue
+            with torch.no_grad():
+                check = float(_loss(network, *checks, scale))
+            history.append((epoch, total, check))
+            write(epoch, total, check)
+            bar.set_postfix(train=f"{total:.2e}", held_out=f"{check:.2e}")
+            waited += 1
+            if check < best:
+                best, best_weights, waited = check, copy.deepcopy(network.state_dict()), 0
+            if waited == config.patience:
+                break
+    network.load_state_dict(best_weights)
+    network.eval().requires_grad_(False)
+    network.require_finite()
+    return Fit(network, train, held_out, history, time.perf_counter() - started)
+
+
+def _loss(network: LinearStructuredModel, states: Tensor, actions: Tensor, after: Tensor, scale: Tensor) -> Tensor:
+    """Mean squared error over members, windows, decisions and columns; each member rolls out by itself."""
+    now = states
+    total = torch.zeros(())
+    for k in range(actions.shape[1]):
+        now = network.members(now, actions[:, k].expand(*now.shape[:-1], -1))
+        total = total + ((now - after[:, k]) / scale).square().mean()
+    return total / actions.shape[1]
+
+
+def _windows(data: Transitions, horizon: int) -> tuple[Tensor, Tensor, Tensor]:
+    states, actions, after = data.sequences(horizon)
+    if not len(states):
+        raise DataError(
+            f"the loss needs {horizon} transitions in a row, and no episode of the training or held-out part has them"
+        )
+    return _tensor(states), _tensor(actions), _tensor(after)
+
+
+def _loss_scale(network: LinearStructuredModel, data: Transitions) -> Tensor:
+    """What an error in each column is measured in: its usual change in one decision, the same for x and y of a pair."""
+    config = network.config
+    if config.units is not None:
+        return torch.tensor(config.units, dtype=torch.float32)
+    change = np.square(data.next_states - data.states).mean(axis=0)
+    for pair in (config.layout.position, config.layout.heading, *config.layout.vectors):
+        change[list(pair)] = change[list(pair)].mean()
+    return _tensor(np.where(change > 1e-12, np.sqrt(change), 1.0))
+
+
+def _tensor(array: Any) -> Tensor:
+    return torch.as_tensor(np.asarray(array, dtype=np.float32))
+
+
+def _writer(folder: str | None) -> Callable[[int, float, float], None]:
+    if folder is None:
+        return lambda epoch, train, held_out: None
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError as error:
+        raise ConfigError("TensorBoard is not installed: pip install tensorboard, or leave it out") from error
+    writer = SummaryWriter(folder)  # type: ignore[no-untyped-call]
+
+    def write(epoch: int, train: float, held_out: float) -> None:
+        writer.add_scalar("loss/train", train, epoch)  # type: ignore[no-untyped-call]
+        writer.add_scalar("loss/held_out", held_out, epoch)  # type: ignore[no-untyped-call]
+        writer.flush()  # type: ignore[no-untyped-call]
+
+    return write
+
+
+def _bar(total: int, progress: bool) -> Any:
+    from tqdm import tqdm
+
+    return tqdm(total=total, desc="fit", unit="epoch", disable=not progress, file=sys.stderr)

@@ -1,0 +1,145 @@
+"""`CEMPolicy`: a sampling planner that drives by itself, with SB3's `predict`.
+
+What it plans for is a `Task`: how to read states from observations, and what is to be small. `ParkingTask` is the one
+for `parking-v0`; `CEMPolicy.parking(env)` puts model, planner and task together.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+
+from dynamics.errors import ConfigError
+from dynamics.model import StepModel
+from dynamics.oracle import BicycleModel
+from mpc.cem import CEM, PlannerSettings
+from mpc.parking_task import ParkingTask, brake
+from mpc.plan import Cost, Plan, PlanMemory, PlanStatus
+
+__all__ = ["CEMPolicy", "Planner", "Task"]
+
+
+class Planner(Protocol):
+    """What searches: `CEM`, `MPPI` or `CategoricalCEM`."""
+
+    def plan(self, state: Any, cost: Cost, memory: PlanMemory | None = None) -> Plan:
+        """The cheapest plan that was found."""
+        ...
+
+
+class Task(Protocol):
+    """What a policy plans for."""
+
+    def read(self, observation: Any) -> tuple[Any, Any, bool]:
+        """States (E, d), a mark (E, k) that is another in another episode, and whether there was one state alone."""
+        ...
+
+    def cost(self, observation: Any, started: Any) -> Cost:
+        """What is to be small now; `started` (E,) are the rows in which an episode begins."""
+        ...
+
+
+Memory: TypeAlias = tuple[PlanMemory, Any]
+
+
+class CEMPolicy:
+    """Plans at each decision, and does the first input of the plan.
+
+    Parameters
+    ----------
+    planner : what searches. task : what it searches for.
+
+    Attributes
+    ----------
+    last_plan : the last plan, of all environments; None before the first.
+    fallbacks : decisions so far, over all environments, in which no plan was usable and the fallback acted.
+
+    Examples
+    --------
+    >>> import gymnasium as gym, highway_env
+    >>> env = gym.make("parking-v0")
+    >>> obs, _ = env.reset(seed=0)
+    >>> policy = CEMPolicy.parking(env)
+    >>> action, state = policy.predict(obs)
+    >>> action.shape, policy.last_plan.status[0].name
+    ((2,), 'PLANNED')
+    """
+
+    def __init__(self, planner: Planner, task: Task) -> None:
+        self.planner, self.task = planner, task
+        self.reset()
+
+    @classmethod
+    def parking(
+        cls,
+        env: Any,
+        model: StepModel | None = None,
+        settings: PlannerSettings | None = None,
+        task: ParkingTask | None = None,
+    ) -> CEMPolicy:
+        """The policy for `parking-v0`.
+
+        Parameters
+        ----------
+        env : the environment or VecEnv; obstacles are read from it, and the bicycle where there is no model.
+        model : of the states of `dynamics.parking`; the true bicycle by default.
+        settings : how to search; `ParkingTask.settings()` by default.
+        task : what is to be small; `ParkingTask(env)` by default.
+
+        Raises
+        ------
+        ConfigError
+            If the environment is not parking with continuous actions.
+        """
+        settings = settings if settings is not None else ParkingTask.settings()
+        task = task if task is not None else ParkingTask(env, look=settings.stride)
+        model = model if model is not None else BicycleModel.of(task.bases[0], np.float32)
+        if (model.state_dim, model.action_dim) != (6, 2):
+            raise ConfigError(
+                f"parking has 6 state variables and 2 inputs; this model has {model.state_dim} and {model.action_dim}"
+            )
+        planner = CEM(model, settings, fallback=brake(task.bases[0]))
+        return cls(planner, task)
+
+    def reset(self) -> None:
+        """Forget the last plans; done by itself where an episode begins."""
+        self._memory: Memory | None = None
+        self.last_plan: Plan | None = None
+        self.fallbacks = 0
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Any, Any]:
+        """SB3's `predict`.
+
+        Parameters
+        ----------
+        observation : of one environment, or a batch.
+        state : what the last call returned; without it the policy's own memory of the last call is used.
+        episode_start : which environments have just been reset; without it an episode begins where the goal changes.
+        deterministic : not looked at: plans depend on the observations since the start of the episode alone.
+
+        Returns
+        -------
+        The action, (m,) float32, or (E, m) for a batch; and the state for the next call.
+        """
+        states, mark, single = self.task.read(observation)
+        memory, started = self._recall(len(states), mark, state, episode_start)
+        plan = self.planner.plan(states, self.task.cost(observation, started), memory)
+        self.last_plan = plan
+        self.fallbacks += sum(s is PlanStatus.FALLBACK for s in plan.status)
+        self._memory = (plan.memory, mark)
+        return plan.action[0] if single else plan.action, self._memory
+
+    def _recall(self, e: int, mark: Any, state: Any, episode_start: Any) -> tuple[PlanMemory | None, Any]:
+        """The memory to plan with, and the rows in which an episode begins."""
+        last = self._memory if state is None else state
+        if last is None or len(last[0].count) != e:
+            return None, np.ones(e, bool)
+        memory, before = last
+        if episode_start is None:
+            started = np.any(before != mark, axis=1)
+        else:
+            started = np.broadcast_to(np.asarray(episode_start, bool).reshape(-1), (e,))
+        return memory.forget(started) if started.any() else memory, started

@@ -1,0 +1,164 @@
+"""What a sampling planner is asked and what it answers, whatever the way it searches.
+
+Notation
+--------
+E states that are planned for at once, S sampled plans for each, B blocks of inputs held for `hold` decisions, m inputs
+and d state variables. A trajectory has T looked-at states, one every `look` decisions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.errors import ConfigError, ModelError
+from dynamics.model import StepModel, rollout_held
+
+__all__ = ["Cost", "Fallback", "Plan", "PlanMemory", "PlanStatus", "Trajectories", "evaluate", "read_states"]
+
+Fallback = Callable[[Any], Any]
+"""Actions (E, m) for states (E, d) where no plan is usable."""
+
+
+class PlanStatus(StrEnum):
+    """How a plan came about; the text says what to do."""
+
+    PLANNED = "planned: use its action"
+    TIME_LIMIT = "the time limit ended the search early: use its action, or raise time_limit or lower iterations"
+    FALLBACK = "no sampled plan has a finite cost: the fallback action; repair the model or the cost"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectories:
+    """Sampled plans and where the model says they lead.
+
+    Attributes
+    ----------
+    start : states now, (E, d).
+    states : looked-at states, (E, S, T, d); the first is one `look` after `start`.
+    actions : what leads to each of them, (E, S, T, m).
+    look : decisions between two looked-at states.
+    """
+
+    start: Any
+    states: Any
+    actions: Any
+    look: int
+
+
+class Cost(Protocol):
+    """What is to be small."""
+
+    def __call__(self, trajectories: Trajectories) -> Any:
+        """Cost of each plan, (E, S). What is not finite is never chosen."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanMemory:
+    """What the next search starts from, one row for each state.
+
+    Attributes
+    ----------
+    mean : the best plan, (E, B, m). elites : the best plans, (E, K, B, m).
+    count : searches since the start of the episode, (E,); the random numbers of a search depend on it alone.
+    warm : rows that hold a plan, (E,).
+    """
+
+    mean: Any
+    elites: Any
+    count: NDArray[np.int64]
+    warm: NDArray[np.bool_]
+
+    def forget(self, rows: Any) -> PlanMemory:
+        """The same with these rows (mask or indices) as at the start of an episode."""
+        count, warm = self.count.copy(), self.warm.copy()
+        count[rows], warm[rows] = 0, False
+        return PlanMemory(self.mean, self.elites, count, warm)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """The answer of a planner. The arrays are the caller's own; without the axis E where one state was asked about.
+
+    Attributes
+    ----------
+    action : what to do now, (E, m), inside the bounds, always finite; of a categorical planner (E,) integers.
+    inputs : inputs of each block, (E, B, m). trajectory : looked-at states, (E, T, d), NaN in a fallback.
+    cost : of the plan, (E,), inf in a fallback.
+    elites, elite_costs : the best plans of the last iteration, (E, K, B, m), and their costs, (E, K).
+    status : `PlanStatus` of each state, a tuple of E.
+    iterations : iterations that were completed.
+    time : spent on the search [s].
+    memory : what the next search starts from (with the axis E).
+    """
+
+    action: Any
+    inputs: Any
+    trajectory: Any
+    cost: Any
+    elites: Any
+    elite_costs: Any
+    status: tuple[PlanStatus, ...]
+    iterations: int
+    time: float
+    memory: PlanMemory
+
+    def single(self) -> Plan:
+        """The plan of the first state, without the axis E."""
+        names = ("action", "inputs", "trajectory", "cost", "elites", "elite_costs")
+        return replace(self, **{name: getattr(self, name)[0] for name in names})
+
+
+def read_states(model: StepModel, states: Any) -> tuple[Any, bool]:
+    """States as (E, d), and whether there was one alone.
+
+    Raises
+    ------
+    ModelError
+        If they are no states of this model.
+    """
+    array = np.asarray(states)
+    single = array.ndim == 1
+    array = array[None] if single else array
+    if array.ndim != 2 or array.shape[1] != model.state_dim or not len(array):
+        d = model.state_dim
+        raise ModelError(f"states must have shape ({d},) or (E, {d}), got {np.shape(states)}")
+    return array, single
+
+
+def evaluate(model: StepModel, cost: Cost, states: Any, samples: Any, hold: int, look: int) -> tuple[Any, Any]:
+    """Cost of sampled plans, and their trajectories.
+
+    Parameters
+    ----------
+    states : (E, d). samples : inputs of each block, (E, S, B, m).
+    hold, look : decisions of a block and between looked-at states; `hold` is a multiple of `look`.
+
+    Returns
+    -------
+    Costs (E, S), inf where a state or a cost is not finite, and states (E, S, T, d).
+
+    Raises
+    ------
+    ModelError, ConfigError
+        If the model or the cost answers with another shape.
+    """
+    e, s = samples.shape[:2]
+    actions = np.repeat(samples, hold // look, axis=2) if hold != look else samples
+    steps = actions.shape[2]
+    flat = rollout_held(model, np.repeat(states, s, axis=0), actions.reshape(e * s, steps, -1), look)
+    if np.shape(flat) != (e * s, steps, model.state_dim):
+        raise ModelError(f"the model's rollout must be {(e * s, steps, model.state_dim)}, got {np.shape(flat)}")
+    reached = np.asarray(flat).reshape(e, s, steps, -1)
+    with np.errstate(all="ignore"):
+        costs = np.asarray(cost(Trajectories(states, reached, actions, look)))
+        if costs.shape != (e, s):
+            raise ConfigError(f"the cost must have shape {(e, s)}, got {costs.shape}")
+        good = np.isfinite(costs) & np.isfinite(reached.sum(axis=(2, 3)))
+    return np.where(good, costs, np.inf), reached

@@ -82,18 +82,18 @@ class LinearStructuredModel(nn.Module):
         d, m, layout = config.state_dim, config.action_dim, config.layout
         body = config.form == "body"
         constant = {*layout.position, *(layout.heading if body else ())}
-        self._seen = [i for i in range(d) if i not in constant]
+        self.seen = [i for i in range(d) if i not in constant]
         zero = ({*layout.position} if config.hide_position or body else set()) | (
             {layout.heading[1]} if body else set()
         )
         self._multiplied = [i for i in range(d) if i not in zero]
         generator = torch.Generator().manual_seed(config.seed)
-        inputs, k = len(self._seen) + m, len(self._multiplied)
+        inputs, k = len(self.seen) + m, len(self._multiplied)
         self.a_network = _Ensemble([inputs, *config.hidden, d * k], config.members, config.activation, generator)
         self.b_network = _Ensemble([inputs, *config.hidden, d * m], config.members, config.activation, generator)
         units = torch.ones(d) if config.units is None else torch.tensor(config.units, dtype=torch.float32)
         self.register_buffer("mean", torch.zeros(inputs))
-        self.register_buffer("std", torch.cat([units[self._seen], torch.ones(m)]))
+        self.register_buffer("std", torch.cat([units[self.seen], torch.ones(m)]))
         self.register_buffer("state_scale", units[self._multiplied].clone())
         self.register_buffer("rate_scale", units.clone())
 
@@ -112,7 +112,7 @@ class LinearStructuredModel(nn.Module):
     def _local(self, states: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         """What A multiplies (..., d), and what the networks see (..., inputs)."""
         z = self.config.layout.to_body(states) if self.config.form == "body" else states
-        return z, torch.cat([z[..., self._seen], actions], dim=-1)
+        return z, torch.cat([z[..., self.seen], actions], dim=-1)
 
     def local_matrices(self, states: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         """Each member's A (E, n, d, k), of the columns it multiplies alone, and B (E, n, d, m), in its own frame."""

@@ -196,16 +196,14 @@ def distill(model: LinearStructuredModel, data: Transitions, config: DistillConf
     generator = np.random.default_rng(config.seed)
     coefficients, agreement = {}, {}
     for hold in sorted({1, *config.holds}):
-        x, y = (
-            _terms(basis, allowed, *(sample := _draw(model, basis, config.samples, generator))),
-            _teach(model, *sample, hold),
-        )
-        c, k = np.linalg.lstsq(x, y, rcond=None)[0].T, len(model.seen)
+        w, u = _draw(model, basis, config.samples, generator)
+        c = np.linalg.lstsq(_terms(basis, allowed, w, u), _teach(model, w, u, hold), rcond=None)[0].T
+        k = len(model.seen)
         full = np.zeros((k + 3, *allowed.shape))
         full[:, allowed] = c
         coefficients[hold] = np.ascontiguousarray(full.reshape(-1, allowed.shape[1]), dtype=np.float32)
-        sample = _draw(model, basis, config.samples // 4, generator)
-        error = _terms(basis, allowed, *sample) @ c.T - _teach(model, *sample, hold)
+        w, u = _draw(model, basis, max(config.samples // 4, 1), generator)
+        error = _terms(basis, allowed, w, u) @ c.T - _teach(model, w, u, hold)
         distance = np.hypot(error[:, k], error[:, k + 1])
         agreement[hold] = Agreement(*(float(np.quantile(distance, q)) for q in (0.5, 0.99, 1.0)))
         if not agreement[hold].p99 <= config.tolerance:
@@ -223,8 +221,8 @@ def _basis(model: LinearStructuredModel, data: Transitions, config: DistillConfi
     reached = np.concatenate([known, layout.to_body(model.step(known, data.actions).astype(float))])[:, seen]
     low, high = reached.min(axis=0), reached.max(axis=0)
     margin = np.maximum((config.stretch - 1) / 2 * (high - low), 1e-3)
-    low, high = ((part).astype(np.float32)[:, None] for part in (low - margin, high + margin))
-    never_varied = set(np.flatnonzero(np.ptp(known[:, seen], axis=0) < 1e-6))
+    low, high = (part.astype(np.float32)[:, None] for part in (low - margin, high + margin))
+    never_varied = np.flatnonzero(np.ptp(known[:, seen], axis=0) < 1e-6).tolist()
     phi = Monomials(len(seen), config.degree, linear=never_varied)
     return _Basis(phi, Monomials(model.action_dim, config.degree), low, high)
 

@@ -206,7 +206,7 @@ def measure(stages: int, questions: int) -> dict[str, Any]:
             own.reset()
             beside.reset()
             plan = None
-        guess = brake_guess(problem, settings) if plan is None else shifted(plan, settings.substeps, settings.substeps)
+        guess = brake_guess(problem, settings) if plan is None else shifted(plan, settings.substeps, settings)
         start = perf_counter()
         result = own.solve(problem)
         times["filter"].append(perf_counter() - start)

@@ -222,25 +222,27 @@ def _compiled(
     lon, lat, stop, near, limits, weights = misc[0], misc[1], misc[2], misc[3:5], misc[5:9], misc[9:15]
     given = ca.SX.sym("given", m, n)
     scale = ca.DM([0.5 * (settings.acceleration[1] - settings.acceleration[0]), settings.steering])
-    stage, row = _stage_function(settings, curved), row_function()
-    choice, slope = SideChoice(m, lon, lat, settings.stage, given), Sensitivity(settings, scale)
+    stages = {frames: _stage_function(settings, frames, curved) for frames in set(settings.frames)}
+    row, ends = row_function(), settings.ends
+    choice, slope = SideChoice(m, lon, lat, given), Sensitivity(settings, scale)
 
     x, states, slopes, violations, rows = x0, [], [], [], []
     lower: list[Any] = []
     upper: list[Any] = []
     low: list[Any] = []
     high: list[Any] = []
-    choice.start(x0, occupied[:, :m])
+    choice.start(x0, occupied[:, :m], settings.dt * ends[0])
     k = 0
     for j, length in enumerate(settings.moves):
         below, above = ca.SX(-FREE * ca.DM.ones(2)), ca.SX(FREE * ca.DM.ones(2))
         for _ in range(length):
             below = ca.fmax(below, (limits[0::2] - u[:, k]) / scale)
             above = ca.fmin(above, (limits[1::2] - u[:, k]) / scale)
-            x, jx, ju = stage(x, u[:, k], curvature[k])
+            x, jx, ju = stages[settings.frames[k]](x, u[:, k], curvature[k])
             slopes.append(slope.step(j, jx, ju))
             states.append(x)
-            (s_high, s_low, r_high, r_low), clear = choice.step(k, x, occupied[:, k * m : (k + 1) * m])
+            bounds, clear = choice.step(k, x, occupied[:, k * m : (k + 1) * m], settings.dt * ends[k])
+            s_high, s_low, r_high, r_low = bounds
             r_high, r_low = ca.fmin(r_high, edges[1, k]), ca.fmax(r_low, edges[0, k])
             values, jacobian = row(x, lon, lat)
             room = ca.vertcat(s_high, -s_low, r_high, r_high, -r_low, -r_low, corridor[1, k], -corridor[0, k]) - values
@@ -257,8 +259,8 @@ def _compiled(
         low.append(below)
         high.append(above)
     values, jacobian = end_function(settings.braking)(x, lon, lat)
-    ends = ca.fmin(choice.rest(rest), stop)
-    room = ca.vertcat(ends, ca.repmat(edges[1, n - 1], 2, 1), ca.repmat(-edges[0, n - 1], 2, 1)) - values
+    limit = ca.fmin(choice.rest(rest), stop)
+    room = ca.vertcat(limit, ca.repmat(edges[1, n - 1], 2, 1), ca.repmat(-edges[0, n - 1], 2, 1)) - values
     violations.append(-ca.mmin(room))
     # The stop is convex in the speed: tangents at other speeds than the guess's are valid rows as well, and tighten it.
     others = ca.DM(TANGENTS)
@@ -282,8 +284,8 @@ def _compiled(
     return function, rollout, a.shape
 
 
-def _stage_function(settings: FilterSettings, curved: bool) -> ca.Function:
-    """One stage and its Jacobians."""
+def _stage_function(settings: FilterSettings, frames: int, curved: bool) -> ca.Function:
+    """One stage of so many frames and its Jacobians."""
     x, u, k = ca.SX.sym("x", 4), ca.SX.sym("u", 2), ca.SX.sym("k")
-    after = stage_expression(x, u, k if curved else None, settings.dt, settings.substeps)
+    after = stage_expression(x, u, k if curved else None, settings.dt, frames)
     return ca.Function("stage", [x, u, k], [after, ca.jacobian(after, x), ca.jacobian(after, u)])

@@ -77,7 +77,7 @@ class PredictiveFilter:
         problem : what is asked, in the road frame.
         guess : inputs to linearise about and to take the sides from, (N, 2); by default the last plan, shifted, or
             else the proposal for one stage and then full braking. Where a guess leads nowhere, braking is tried too.
-        elapsed : frames since the last call, for the shift; one stage by default.
+        elapsed : frames since the last call, for the shift; the first stage by default.
 
         Returns
         -------
@@ -138,7 +138,7 @@ class PredictiveFilter:
         program = self._program(int(problem.occupancy.shape[1]), curved, problem.reference is not None)
         program.fill(problem, settings)
         if guess is None and self._plan is not None:
-            guess = shifted(self._plan, settings.substeps if elapsed is None else elapsed, settings.substeps)
+            guess = shifted(self._plan, settings.frames[0] if elapsed is None else elapsed, settings)
         if guess is None:
             return descend(program, self._solver, brake_guess(problem, settings), deadline), False
         first = descend(program, self._solver, guess, deadline)

@@ -20,11 +20,11 @@ _STRAIGHTEN = 0.5
 """Share of the heading that a braking guess takes back in each stage."""
 
 
-def shifted(plan: FloatArray, frames: int, substeps: int) -> FloatArray:
-    """The plan's inputs (N, 2) as seen `frames` later; the last one is held."""
-    n = plan.shape[0]
-    index = (np.arange(n) * substeps + frames) // substeps
-    return np.asarray(plan[np.minimum(index, n - 1)])
+def shifted(plan: FloatArray, frames: int, settings: FilterSettings) -> FloatArray:
+    """The plan's inputs (N, 2) as seen `frames` later: those in force when each stage begins; the last one is held."""
+    ends = np.array(settings.ends)
+    begins = ends - settings.frames + frames
+    return np.asarray(plan[np.minimum(np.searchsorted(ends, begins, side="right"), len(plan) - 1)])
 
 
 def brake_guess(problem: FilterProblem, settings: FilterSettings) -> FloatArray:
@@ -38,11 +38,11 @@ def brake_guess(problem: FilterProblem, settings: FilterSettings) -> FloatArray:
 
 @lru_cache(maxsize=16)
 def _braking(settings: FilterSettings) -> ca.Function:
-    n, duration = settings.stages, settings.stage
+    n = settings.stages
     x0, first, curvature = ca.SX.sym("x", 4), ca.SX.sym("first", 2), ca.SX.sym("k", n)
     x, inputs = x0, []
-    for k in range(n):
-        psi, v = x[2], x[3]
+    for k, frames in enumerate(settings.frames):
+        psi, v, duration = x[2], x[3], settings.dt * frames
         a = ca.fmax(settings.acceleration[0], -ca.fmax(v, 0) / duration)
         turn = ca.fmax(ca.fabs(v) * duration / (LENGTH / 2), 0.5)
         most = _TURN / turn
@@ -57,5 +57,5 @@ def _braking(settings: FilterSettings) -> ca.Function:
         steer = ca.fmax(ca.fmin(steer, settings.steering), -settings.steering)
         u = ca.vertcat(a, steer)
         inputs.append(u)
-        x = stage_expression(x, u, curvature[k], settings.dt, settings.substeps)
+        x = stage_expression(x, u, curvature[k], settings.dt, frames)
     return ca.Function("braking", [x0, first, curvature], [ca.horzcat(*inputs)])

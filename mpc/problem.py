@@ -2,14 +2,16 @@
 
 Notation
 --------
-Road frame: s [m] along, r [m] across, psi [rad], v [m/s]. N stages of `substeps` frames of dt [s]; stage k ends at
-time k * substeps * dt. Input (a, delta): acceleration [m/s^2], front wheel angle [rad].
+Road frame: s [m] along, r [m] across, psi [rad], v [m/s]. N stages of `substeps` frames of dt [s], but the first one of
+`hold` frames; stage k = 1..N ends after `FilterSettings.ends[k - 1]` frames. Input (a, delta): acceleration [m/s^2],
+front wheel angle [rad].
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -52,7 +54,9 @@ class FilterSettings:
     Parameters
     ----------
     dt : frame of the simulation [s].
-    substeps : frames in a stage; the first input is held for one stage.
+    substeps : frames in a stage, whose input is held.
+    hold : frames in the first stage: for how long the first input will be executed at least; `substeps` by default.
+        A filter that is asked again at every frame, and asked to hold its answer for longer, brakes early.
     stages : stages in the horizon.
     obstacles : how many obstacles the filter is compiled for at once; more are accepted (up to `MOST_OBSTACLES`)
         at the price of compiling once more.
@@ -87,6 +91,7 @@ class FilterSettings:
 
     dt: float = 1 / 15
     substeps: int = 3
+    hold: int | None = None
     stages: int = 20
     obstacles: int = 6
     acceleration: tuple[float, float] = (-5.0, 5.0)
@@ -137,6 +142,10 @@ class FilterSettings:
             value = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
                 raise ConfigError(f"{name} must be an integer from {least} to {most}, got {value!r}")
+        if self.hold is not None and (isinstance(self.hold, bool) or self.hold not in range(1, self.substeps + 1)):
+            raise ConfigError(
+                f"hold must be None or an integer from 1 to {self.substeps} (substeps), got {self.hold!r}"
+            )
         if self.backend not in BACKENDS:
             raise ConfigError(f"unknown backend {self.backend!r}; valid are {', '.join(BACKENDS)}")
         low, high = self.acceleration
@@ -160,9 +169,19 @@ class FilterSettings:
         return tuple(int(d) for d in np.diff([0, *ends, n]))
 
     @property
+    def frames(self) -> tuple[int, ...]:
+        """Frames of each stage."""
+        return (self.substeps if self.hold is None else self.hold, *[self.substeps] * (self.stages - 1))
+
+    @property
+    def ends(self) -> tuple[int, ...]:
+        """Frames from now to the end of each stage."""
+        return tuple(accumulate(self.frames))
+
+    @property
     def horizon(self) -> float:
         """Duration of the plan [s]."""
-        return self.stage * self.stages
+        return self.dt * self.ends[-1]
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,24 +28,24 @@ def along(psi: ca.SX, lon: ca.SX, lat: ca.SX) -> ca.SX:
 class SideChoice:
     """Writes the choice of sides as expressions, one stage after the other (at build time)."""
 
-    def __init__(self, obstacles: int, lon: ca.SX, lat: ca.SX, stage: float, given: ca.SX) -> None:
+    def __init__(self, obstacles: int, lon: ca.SX, lat: ca.SX, given: ca.SX) -> None:
         self._given = given
-        self._m, self._lon, self._lat, self._stage = obstacles, lon, lat, stage
+        self._m, self._lon, self._lat = obstacles, lon, lat
         self._sides: list[ca.SX] = []
         self._chosen: list[list[ca.SX]] = []
 
-    def start(self, x: ca.SX, rectangles: ca.SX) -> None:
-        """Sides at the present state, against where others can be at the end of the first stage."""
-        self._sides = [self._best(self._gaps(x, rectangles[:, j]), self._stage) for j in range(self._m)]
+    def start(self, x: ca.SX, rectangles: ca.SX, time: float) -> None:
+        """Sides at the present state, against where others can be at the end of the first stage, after `time` [s]."""
+        self._sides = [self._best(self._gaps(x, rectangles[:, j]), time) for j in range(self._m)]
 
-    def step(self, k: int, x: ca.SX, rectangles: ca.SX) -> tuple[tuple[ca.SX, ca.SX, ca.SX, ca.SX], ca.SX]:
-        """Tightest bounds (s high, s low, r high, r low) of stage k, and the least separation there [m]."""
+    def step(self, k: int, x: ca.SX, rectangles: ca.SX, time: float) -> tuple[tuple[ca.SX, ca.SX, ca.SX, ca.SX], ca.SX]:
+        """Tightest bounds (s high, s low, r high, r low) of stage k, which ends after `time` [s]; least separation [m]."""
         s_high, s_low, r_high, r_low, clear = (ca.SX(v) for v in (FREE, -FREE, FREE, -FREE, FREE))
         for j in range(self._m):
             rectangle, before = rectangles[:, j], self._sides[j]
             gaps = self._gaps(x, rectangle)
             greatest = ca.mmax(gaps)
-            best = self._best(gaps, (k + 1) * self._stage)
+            best = self._best(gaps, time)
             opposite = best == before + 1 - 2 * ca.fmod(before, 2)
             side = ca.if_else(ca.logic_or(greatest < 0, opposite), before, best)
             side = ca.if_else(self._given[j, k] >= 0, self._given[j, k], side)

@@ -17,7 +17,8 @@ from dynamics.held import HeldRollouts
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState
 from shield.config import ShieldConfig
-from shield.continuous import ContinuousCore, Judged
+from shield.continuous import ContinuousCore
+from shield.search import Judged
 
 __all__ = ["AgentCore"]
 
@@ -44,10 +45,10 @@ class AgentCore(ContinuousCore):
         self._held: dict[float, HeldRollouts] = {}
         self._wheel = min(abs(x) for x in actuators.steering) if actuators.lateral else 0.0
 
-    def _judge_inputs(self, scene: Scene, inputs: FloatArray, stops: list[int]) -> Judged:
+    def _judge_inputs(self, scene: Scene, inputs: FloatArray, stops: list[int], parts: bool = False) -> Judged:
         # What is verified is what the environment will make of the action, rounding included.
         exact = self.actuators.physical(self.actuators.normalised(inputs))
-        return super()._judge_inputs(scene, exact, stops)
+        return super()._judge_inputs(scene, exact, stops, parts)
 
     def _stopped(self, scene: Scene, began: FloatArray, fails: Any) -> FloatArray:
         if scene.dt not in self._held:

@@ -2,15 +2,13 @@
 
 An input (a, delta) is verified for one frame: after it, the fail-safe (brake to a stop in a lane, steered by
 highway-env's own lane controller) must stay clear of every place where the others can be, the ego's body must stay
-on the road, and the ego must not roll backwards. The set of inputs that verify is not convex, so the repair looks for
-the nearest one in three steps, and verifies each input like any other: the predictive filter (`mpc.filter`); where its
-answer does not verify, a fan of inputs between the proposal and braking in a lane; and then rings around the proposal,
-nearer than the best so far.
+on the road, and the ego must not roll backwards. A proposal that does not verify is replaced by the nearest input that
+does (`shield.search`); where the search finds none, by the first input of the predictive filter's plan (`mpc.filter`),
+which is verified like any other.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
@@ -28,42 +26,12 @@ from shield.config import ShieldConfig
 from shield.core import ShieldCore
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
-from shield.verify import Clearance, least_bad
+from shield.search import Judged, Search
 
-__all__ = ["ContinuousCore", "Judged"]
+__all__ = ["ContinuousCore"]
 
 _STAGE, _STAGES = 0.2, 20
 """Stage of the predictive filter [s], and how many."""
-_FAN = np.array([(i, j) for j in (0.0, 0.25, 0.5, 0.75, 1.0) for i in (0.0, 0.25, 0.5, 0.75, 0.9, 1.0)][1:])
-"""Shares of the way from the proposal to braking in a lane: (acceleration, steering)."""
-
-
-def _rings(count: int, angles: FloatArray) -> FloatArray:
-    taken, angle = (x.reshape(-1) for x in np.meshgrid(np.arange(1, count) / count, angles, indexing="ij"))
-    return np.stack([taken, angle], axis=1)
-
-
-_NEARER = (
-    (4, _rings(4, np.linspace(-np.pi, np.pi, 17)[1:])),
-    (5, _rings(5, np.linspace(-0.4, 0.4, 11))),
-    (5, _rings(5, np.linspace(-0.12, 0.12, 11))),
-)
-"""Where nearer inputs are looked for, seen from the proposal: shares of a step that are taken off the distance of the
-best so far, and angles [rad] from it. The first step is the distance itself, the next ones what lies between two rings
-of the last. First all around, for what verifies need not be on the way to the best."""
-_NEAR = 0.01
-"""Step below which no nearer input is looked for, as a share of the actuators' ranges."""
-
-
-@dataclass(frozen=True, slots=True)
-class Judged:
-    """Inputs (n, 2), and the best fail-safe of each: margin [m], frames that stay clear, lane, path."""
-
-    inputs: FloatArray
-    margin: FloatArray
-    clear: Any
-    lanes: Any
-    paths: FloatArray
 
 
 class ContinuousCore(ShieldCore):
@@ -153,35 +121,31 @@ class ContinuousCore(ShieldCore):
         law = self._law(scene, lane)
         floor = np.array([self._floor(scene), -np.inf])
         lanes = list(dict.fromkeys((lane, int(first.lanes[0]))))
-        plan = self._predict(scene, proposal, int(first.lanes[0])) if self.predictive else None
-        judged = None if plan is None else self._judge_inputs(scene, np.maximum(plan, floor)[None], lanes)
-        if judged is None or not judged.margin[0] >= 0:
-            judged = self._judge_inputs(scene, np.maximum(proposal + _FAN * (law - proposal), floor), lanes)
-        good = np.flatnonzero(judged.margin >= 0)
-        if not good.size:
+        least = np.minimum((-self.config.braking, self.actuators.steering[0]), proposal)
+        most = np.maximum((self.actuators.acceleration[1], self.actuators.steering[1]), proposal)
+
+        def judge(inputs: FloatArray, lanes: list[int], parts: bool) -> Judged:
+            return self._judge_inputs(scene, inputs, lanes, parts)
+
+        search = Search(judge, proposal, self._spans, np.maximum(least, floor), np.maximum(most, floor))
+        judged = search.run(lanes, law)
+        if not judged.margin[0] >= 0 and self.predictive:
+            plan = self._predict(scene, proposal, int(first.lanes[0]))
+            if plan is not None:
+                found = self._judge_inputs(scene, np.maximum(plan, floor)[None], lanes)
+                judged = found if found.margin[0] >= 0 else judged
+        if not judged.margin[0] >= 0:
             return self._fall_back(scene, proposal, judged, law, start)
-        best = int(good[self._distance(judged.inputs[good], proposal).argmin()])
-        step = float(np.sqrt(self._distance(judged.inputs[best], proposal)))
-        for count, rings in _NEARER:
-            if not step > _NEAR:
-                break
-            nearer = self._nearer(judged.inputs[best], proposal, step, rings)
-            judged = _join(judged, best, self._judge_inputs(scene, np.maximum(nearer, floor), lanes))
-            good = np.flatnonzero(judged.margin >= 0)
-            best = int(good[self._distance(judged.inputs[good], proposal).argmin()])
-            step /= count
-        return judged.inputs[best], self._record(scene, proposal, judged, best, Reason.UNVERIFIED, Tier.GOVERNED, start)
+        return judged.inputs[0], self._record(scene, proposal, judged, 0, Reason.UNVERIFIED, Tier.GOVERNED, start)
 
     def _fall_back(
         self, scene: Scene, proposal: FloatArray, judged: Judged, law: FloatArray, start: float
     ) -> tuple[FloatArray, Decision]:
         if self.stored_lane is not None and not self.monitor.violated:
             return self.brake_inputs(scene, proposal, Reason.NO_SAFE_PLAN, start, Tier.STORED_PLAN)
-        best = least_bad(Clearance(judged.margin, judged.clear))
-        inputs = judged.inputs[best]
-        decision = self._record(scene, proposal, judged, best, Reason.NO_SAFE_PLAN, Tier.LARGEST_MARGIN, start)
+        decision = self._record(scene, proposal, judged, 0, Reason.NO_SAFE_PLAN, Tier.LARGEST_MARGIN, start)
         self.stored_lane = None
-        return inputs, decision
+        return judged.inputs[0], decision
 
     def _predict(self, scene: Scene, proposal: FloatArray, lane: int) -> FloatArray | None:
         """First input of the predictive filter's plan, or None where it has none that keeps its constraints."""
@@ -190,7 +154,8 @@ class ContinuousCore(ShieldCore):
             substeps = max(1, round(_STAGE / scene.dt))
             settings = FilterSettings(
                 dt=scene.dt,
-                substeps=substeps,
+                substeps=max(substeps, self._frames),
+                hold=self._frames,
                 stages=_STAGES,
                 acceleration=(-self.config.braking, max(self.actuators.acceleration[1], 1.0)),
                 steering=max(abs(self.actuators.steering[0]), abs(self.actuators.steering[1])),
@@ -199,8 +164,8 @@ class ContinuousCore(ShieldCore):
             solver = self._filters[scene.dt] = PredictiveFilter(settings)
         settings = solver.settings
         survey, b, road = self._survey(scene), self.config.buffer, scene.road
-        ends = settings.substeps * np.arange(1, settings.stages + 1) - 1
-        frames = int(ends[-1]) + 1
+        ends = np.array(settings.ends) - 1
+        frames = settings.ends[-1]
         here = road.lane_at(float(scene.ego_road[RoadState.R]))
         owned = survey.owned[here] and survey.owned[lane]
         v = max(float(scene.ego[State.SPEED]), 0.0)
@@ -221,7 +186,7 @@ class ContinuousCore(ShieldCore):
         boxes[..., 2], boxes[..., 3] = seen.low[rows], seen.high[rows]
         bend = None
         if road.bends is not None:
-            bend = road.curvature(float(scene.ego_road[RoadState.S]) + v * settings.stage * np.arange(settings.stages))
+            bend = road.curvature(float(scene.ego_road[RoadState.S]) + v * scene.dt * (ends + 1 - settings.frames))
         problem = FilterProblem(
             state=scene.ego_road,
             proposal=proposal,
@@ -230,23 +195,27 @@ class ContinuousCore(ShieldCore):
             edges=(low, high),
             curvature=bend,
         )
-        result = solver.solve(problem, elapsed=1)
+        result = solver.solve(problem)
         first = result.inputs[0]
         return first if result.status.usable and np.isfinite(first).all() else None
 
     # -- pieces ------------------------------------------------------------------------------------------
 
-    def _judge_inputs(self, scene: Scene, inputs: FloatArray, stops: list[int]) -> Judged:
-        """Each input for one frame and then the fail-safe, in the first of the lanes `stops` where that verifies."""
+    def _judge_inputs(self, scene: Scene, inputs: FloatArray, stops: list[int], parts: bool = False) -> Judged:
+        """Each input for one frame and then the fail-safe, in the first of the lanes `stops` where that verifies.
+
+        With `parts`, for which there must be one lane only, what their margins are made of comes along.
+        """
         lanes = np.array(stops)
         n, f = len(inputs), lanes.size
         fails = np.tile(lanes, n)
         held = np.broadcast_to(inputs[:, None, :], (n, self._frames, 2))
         began = self._rollouts_for(scene).run_inputs(scene.ego_road, held)
         paths = self._stopped(scene, np.repeat(began, f, axis=0), fails)
-        entered, room = self._entered(scene, paths, fails)
-        result = self._survey(scene).clearance(paths, Candidates(paths, entered, fails))
-        margin = np.minimum(result.margin, room)
+        entered, edges, allowed = self._entered(scene, paths, fails)
+        result = self._survey(scene).clearance(paths, Candidates(paths, entered, fails), parts=parts)
+        room = edges.min(axis=1)
+        margin = np.where(allowed, np.minimum(result.margin, np.where(room >= 0, np.inf, room)), -np.inf)
         # Rolling backwards has no fail-safe: the brake stands still.
         backwards = np.repeat(began[:, -1, RoadState.SPEED] < -1e-9, f)
         margin = np.where(backwards, -np.inf, margin).reshape(n, f)
@@ -254,7 +223,8 @@ class ContinuousCore(ShieldCore):
         good = margin >= 0
         pick = np.where(good.any(axis=1), good.argmax(axis=1), np.nan_to_num(margin, nan=-np.inf).argmax(axis=1))
         rows = np.arange(n) * f + pick
-        return Judged(inputs, margin.reshape(-1)[rows], result.clear[rows], fails[rows], paths[rows])
+        of = None if result.parts is None else np.hstack([result.parts, edges])
+        return Judged(inputs, margin.reshape(-1)[rows], result.clear[rows], fails[rows], paths[rows], of)
 
     def _stopped(self, scene: Scene, began: FloatArray, fails: Any) -> FloatArray:
         """Paths (n, h, 4) and the fail-safe after them, each in its lane of `fails`, (n, h + frames, 4)."""
@@ -265,10 +235,9 @@ class ContinuousCore(ShieldCore):
         commands[..., 1], commands[..., 2] = BRAKE, self.config.braking
         return np.concatenate([began, self._rollouts_for(scene).run(began[:, -1], commands)], axis=1)
 
-    def _entered(self, scene: Scene, paths: FloatArray, fails: Any) -> tuple[Any, FloatArray]:
-        """The lane that the body of each path enters beside those that the ego owns, and the room that it leaves [m].
-
-        Room is what is left to the road's edge; none where a path enters lanes on both sides.
+    def _entered(self, scene: Scene, paths: FloatArray, fails: Any) -> tuple[Any, FloatArray, Any]:
+        """The lane that the body of each path enters beside those that the ego owns, (n,); the room that it leaves to
+        the road's edges, (n, 2) [m]; and whether it may go there, (n,): not into lanes on both sides at once.
         """
         road, ego = scene.road, scene.ego
         sin, cos = np.abs(np.sin(paths[..., RoadState.HEADING])), np.abs(np.cos(paths[..., RoadState.HEADING]))
@@ -279,12 +248,11 @@ class ContinuousCore(ShieldCore):
         new = (most[:, None] > centers - side) & (least[:, None] < centers + side) & ~owned
         new[np.arange(len(fails)), fails] = False
         entered = np.where(new.any(axis=1), new.argmax(axis=1), fails)
-        room = np.minimum(least - (centers[0] - side), (centers[-1] + side) - most)
-        room = np.where(room >= 0, np.inf, room)
+        edges = np.stack([least - (centers[0] - side), (centers[-1] + side) - most], axis=1)
         # Nobody keeps a place free in a lane that the ego has left: it does not come back to one.
         within = (low[..., None] < centers[owned] + 1.0) & (high[..., None] > centers[owned] - 1.0)
         returns = (within[:, 1:] & ~within[:, :-1]).any(axis=(1, 2))
-        return entered, np.where((new.sum(axis=1) > 1) | returns, -np.inf, room)
+        return entered, edges, ~((new.sum(axis=1) > 1) | returns)
 
     def _stop_lanes(self, scene: Scene) -> list[int]:
         """Lanes in which the fail-safe may stop, in order of preference."""
@@ -302,28 +270,17 @@ class ContinuousCore(ShieldCore):
         """The acceleration that just stops the ego within the frame [m/s^2]."""
         return -max(float(scene.ego[State.SPEED]), 0.0) / (self._frames * scene.dt)
 
+    @property
+    def _spans(self) -> FloatArray:
+        """Ranges of the actuators, (2,) [m/s^2, rad]."""
+        return np.array([np.ptp(self.actuators.acceleration), np.ptp(self.actuators.steering)])
+
     def _law(self, scene: Scene, lane: int) -> FloatArray:
         """Inputs of the fail-safe manoeuvre for one frame: brake, and steer to the lane's centre."""
         wheel = steer(scene.road, scene.ego_road, scene.road.centers[lane], scene.dt)
         v = float(scene.ego[State.SPEED])
         period, b = self._frames * scene.dt, self.config.braking
         return np.array([max(-b, self._floor(scene)) if v >= 0 else min(-v / period, b), wheel])
-
-    def _nearer(self, inputs: FloatArray, proposal: FloatArray, step: float, rings: FloatArray) -> FloatArray:
-        """Inputs (n, 2) on `rings` around the proposal, up to `step` nearer to it than `inputs` (2,)."""
-        spans = np.array([np.ptp(self.actuators.acceleration), np.ptp(self.actuators.steering)])
-        a, delta = (inputs - proposal) / spans
-        radius = np.maximum(np.hypot(a, delta) - step * rings[:, 0], 0.0)
-        angle = np.arctan2(delta, a) + rings[:, 1]
-        around = proposal + spans * np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-        least = np.minimum((-self.config.braking, self.actuators.steering[0]), proposal)
-        most = np.maximum((self.actuators.acceleration[1], self.actuators.steering[1]), proposal)
-        return np.clip(around, least, most)
-
-    def _distance(self, inputs: FloatArray, proposal: FloatArray) -> FloatArray:
-        """How far inputs (..., 2) are from the proposal, in shares of the actuators' ranges, squared."""
-        spans = np.array([np.ptp(self.actuators.acceleration), np.ptp(self.actuators.steering)])
-        return np.asarray(np.square((inputs - proposal) / spans).sum(axis=-1))
 
     def _record(
         self,
@@ -343,20 +300,3 @@ class ContinuousCore(ShieldCore):
             occupancy = self._survey(scene).around.occupancy(len(judged.paths[i]), scene.dt).rectangles()
         margin = float(judged.margin[i])
         return Decision(proposal, judged.inputs[i], reason, tier, margin, perf_counter() - start, plan, occupancy)
-
-
-def _join(first: Judged, keep: int, second: Judged) -> Judged:
-    """One row of the first, and the second; paths are padded with their last state."""
-    frames = max(first.paths.shape[1], second.paths.shape[1])
-
-    def pad(paths: FloatArray) -> FloatArray:
-        return np.pad(paths, ((0, 0), (0, frames - paths.shape[1]), (0, 0)), mode="edge")
-
-    one = slice(keep, keep + 1)
-    return Judged(
-        np.vstack([first.inputs[one], second.inputs]),
-        np.concatenate([first.margin[one], second.margin]),
-        np.concatenate([first.clear[one], second.clear]),
-        np.concatenate([first.lanes[one], second.lanes]),
-        np.concatenate([pad(first.paths[one]), pad(second.paths)]),
-    )

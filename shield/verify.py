@@ -45,10 +45,13 @@ class Clearance:
     ----------
     margin : least separation beyond the buffer, (n,) [m]; +inf with nobody in reach.
     clear : frames before the first violation, (n,); all of them without one.
+    parts : where asked for, what the margin is the least of, (n, vehicles + 1) [m]: the least separation from each
+        vehicle in reach, +inf from one that owes the ego its distance; and the room in the lane that is stopped in.
     """
 
     margin: FloatArray
     clear: Any
+    parts: FloatArray | None = None
 
 
 class Surveyor:
@@ -116,7 +119,7 @@ class Surveyor:
             near &= ~self._behind
         return np.flatnonzero(near)
 
-    def clearance(self, paths: FloatArray, candidates: Candidates, hold: int = 0) -> Clearance:
+    def clearance(self, paths: FloatArray, candidates: Candidates, hold: int = 0, parts: bool = False) -> Clearance:
         """Margin of each path against the worst case of the others.
 
         Parameters
@@ -124,6 +127,7 @@ class Surveyor:
         paths : road states of the ego after frames 1..K, (n, K, 4).
         candidates : what the paths were rolled out from.
         hold : frames for which the others are *expected* to keep their speed (a forecast, not a bound).
+        parts : whether the parts of the margins are wanted.
         """
         n, frames, _ = paths.shape
         scene, config, dt = self.scene, self.config, self.scene.dt
@@ -139,10 +143,11 @@ class Surveyor:
             half_s, half_r = half_s + self.growth[0], half_r + self.growth[1]
             # In its lane, what lies ahead and behind bends with the road: only the body has to fit.
             end = 0.5 * scene.ego[Vehicle.LENGTH] * sin[:, -1] + lat * cos[:, -1] + self.bare[1]
-        inside = self._ends_inside(candidates, r[:, -1], end)
+        room = self._room(candidates, r[:, -1], end)
+        inside = np.where(room >= 0, np.inf, room)
         if rows.size == 0:
             margin = np.where(np.isfinite(paths).all(axis=(1, 2)), inside, np.nan)
-            return Clearance(margin, np.full(n, frames))
+            return Clearance(margin, np.full(n, frames), room[:, None] if parts else None)
         low, high, home = self._lateral(rows, candidates, r, bound=hold == 0)
         gap = np.maximum(low[:, :, None] - (r + half_r)[:, None, :], (r - half_r)[:, None, :] - high[:, :, None])
         key = (frames, hold)
@@ -164,7 +169,8 @@ class Surveyor:
         least = separation.min(axis=1)
         bad = least < 0
         reached = np.where(bad.any(axis=1), bad.argmax(axis=1), frames)
-        return Clearance(np.minimum(least.min(axis=1), inside), reached)
+        of = np.column_stack([separation.min(axis=2), room]) if parts else None
+        return Clearance(np.minimum(least.min(axis=1), inside), reached, of)
 
     def _coming_frame(
         self,
@@ -196,10 +202,10 @@ class Surveyor:
         separation[..., -1] = np.inf
         return separation
 
-    def _ends_inside(self, candidates: Candidates, r: FloatArray, half: FloatArray) -> FloatArray:
-        """+inf where the inflated ego ends inside the lane that it ends in, else by how much it does not (n,) [m]."""
-        room = 0.5 * self.scene.road.width - np.abs(r - self.scene.road.centers[candidates.fails]) - half
-        return np.where(room >= 0, np.inf, room)
+    def _room(self, candidates: Candidates, r: FloatArray, half: FloatArray) -> FloatArray:
+        """What is left beside the inflated ego in the lane that it ends in, (n,) [m]; negative where it reaches out."""
+        offset = np.abs(r - self.scene.road.centers[candidates.fails])
+        return np.asarray(0.5 * self.scene.road.width - offset - half)
 
     def _threats(self, candidates: Candidates, distance: float, duration: float) -> tuple[Any, Any]:
         """Rows of those in reach who do not owe the ego their braking on every path, and who of them owes it on which,

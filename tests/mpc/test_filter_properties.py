@@ -160,13 +160,15 @@ def test_warm_and_cold_agree(gap, v):
         assert np.all(np.abs(warm.inputs[0] - cold.inputs[0]) <= 0.01 * np.array([10.0, np.pi / 2]))
 
 
-@given(st.integers(0, 200), st.integers(1, 6))
-def test_shifting_keeps_what_is_in_force_at_each_stage_start(frames, substeps):
+@given(st.integers(0, 200), st.integers(1, 6), st.data())
+def test_shifting_keeps_what_is_in_force_at_each_stage_start(frames, substeps, data):
+    hold = data.draw(st.one_of(st.none(), st.integers(1, substeps)))
+    config = FilterSettings(substeps=substeps, hold=hold)
     plan = np.arange(40.0).reshape(20, 2)
-    frame_by_frame = np.repeat(plan, substeps, axis=0)
+    frame_by_frame = np.repeat(plan, config.frames, axis=0)
+    begins = np.array(config.ends) - config.frames
     frame_by_frame = np.vstack([frame_by_frame, np.tile(plan[-1], (frames + 20 * substeps, 1))])
-    wanted = frame_by_frame[frames : frames + 20 * substeps : substeps]
-    np.testing.assert_array_equal(shifted(plan, frames, substeps), wanted)
+    np.testing.assert_array_equal(shifted(plan, frames, config), frame_by_frame[frames + begins])
 
 
 @given(scenes)

@@ -36,7 +36,7 @@ def compared():
         for i, (problem, first) in enumerate(record(SETTINGS, 60, kind, seed=20)):
             if first:
                 own.reset()
-            guess = brake_guess(problem, SETTINGS) if own._plan is None else shifted(own._plan, 3, 3)
+            guess = brake_guess(problem, SETTINGS) if own._plan is None else shifted(own._plan, 3, SETTINGS)
             result = own.solve(problem)
             if i % 3 or not result.status.usable or result.restarted:
                 continue

@@ -67,58 +67,67 @@ class Layout:
 
     def unit_heading(self, x: Any) -> Any:
         """The state with its heading scaled to length 1 (a heading of length 0 has no direction: NaN)."""
-        c, s = self.heading
-        return _replace(x, {c: _cos(x, c, s), s: _cos(x, s, c)})
+        c, s = self._direction(x)
+        parts = [c if i == self.heading[0] else s if i == self.heading[1] else x[..., i : i + 1] for i in _columns(x)]
+        return _join(x, parts)
 
     def to_body(self, x: Any) -> Any:
         """z of a state about itself."""
-        c, s = (_cos(x, *pair) for pair in (self.heading, self.heading[::-1]))
-        zero = 0 * c
-        out = {self.position[0]: zero, self.position[1]: zero, self.heading[0]: zero + 1, self.heading[1]: zero}
-        for a, b in self.vectors:
-            out[a], out[b] = c * x[..., a] + s * x[..., b], c * x[..., b] - s * x[..., a]
-        return _replace(x, out)
+        return self.about(x, x)
 
     def about(self, x: Any, other: Any) -> Any:
         """`other` in the body frame of x: position relative, vectors and heading turned."""
-        c, s = (_cos(x, *pair) for pair in (self.heading, self.heading[::-1]))
-        out = {}
-        for a, b in (self.position, self.heading, *self.vectors):
-            w, v = other[..., a], other[..., b]
-            if (a, b) == self.position:
-                w, v = w - x[..., a], v - x[..., b]
-            out[a], out[b] = c * w + s * v, c * v - s * w
-        return _replace(other, out)
+        c, s = self._direction(x)
+        return self._turn(other, c, -s, before=x)
 
     def to_world(self, x: Any, z: Any) -> Any:
         """A body-frame state z in the world, the frame being that of the state x; the inverse of `about`."""
-        c, s = (_cos(x, *pair) for pair in (self.heading, self.heading[::-1]))
-        out = {}
-        for a, b in (self.position, self.heading, *self.vectors):
-            w, v = c * z[..., a] - s * z[..., b], s * z[..., a] + c * z[..., b]
-            if (a, b) == self.position:
-                w, v = w + x[..., a], v + x[..., b]
-            out[a], out[b] = w, v
-        return _replace(z, out)
+        c, s = self._direction(x)
+        return self._turn(z, c, s, after=x)
+
+    def _direction(self, x: Any) -> tuple[Any, Any]:
+        """Cosine and sine of the heading, (..., 1)."""
+        c, s = (x[..., i : i + 1] for i in self.heading)
+        length = (c * c + s * s) ** 0.5
+        return c / length, s / length
+
+    def _turn(self, x: Any, c: Any, s: Any, before: Any = None, after: Any = None) -> Any:
+        """All vectors turned; the position relative to that of `before`, or added to that of `after`."""
+        pairs = (self.position, self.heading, *self.vectors)
+        first, second = (x[..., [pair[i] for pair in pairs]] for i in (0, 1))
+        if before is not None:
+            shift = [before[..., i : i + 1] for i in self.position]
+            first, second = (
+                _join(x, [p[..., :1] - q, p[..., 1:]]) for p, q in zip((first, second), shift, strict=True)
+            )
+        first, second = c * first - s * second, s * first + c * second
+        if after is not None:
+            shift = [after[..., i : i + 1] for i in self.position]
+            first, second = (
+                _join(x, [p[..., :1] + q, p[..., 1:]]) for p, q in zip((first, second), shift, strict=True)
+            )
+        source = {column: (i, part) for part in (0, 1) for i, column in enumerate(pair[part] for pair in pairs)}
+        count = len(pairs)
+        order = [source[i][1] * count + source[i][0] if i in source else 2 * count + i for i in _columns(x)]
+        return _join(x, [first, second, x])[..., order]
 
     def rotation(self, x: Any) -> Any:
         """The linear part of `to_world` as a matrix (d, d), for one state x (d,); numpy."""
-        c, s = (float(_cos(x, *pair)) for pair in (self.heading, self.heading[::-1]))
+        c, s = (float(part[0]) for part in self._direction(x))
         out = np.eye(len(x))
         for a, b in (self.position, self.heading, *self.vectors):
             out[np.ix_((a, b), (a, b))] = ((c, -s), (s, c))
         return out
 
 
-def _cos(x: Any, a: int, b: int) -> Any:
-    return x[..., a] / (x[..., a] ** 2 + x[..., b] ** 2) ** 0.5
+def _columns(x: Any) -> range:
+    return range(x.shape[-1])
 
 
-def _replace(x: Any, columns: dict[int, Any]) -> Any:
-    """A new array with some columns replaced; no writing in place, for the sake of gradients."""
-    parts = [columns.get(i, x[..., i]) for i in range(x.shape[-1])]
+def _join(x: Any, parts: list[Any]) -> Any:
+    """Side by side, in the library of x; no writing in place, for the sake of gradients."""
     if isinstance(x, np.ndarray):
-        return np.stack(parts, axis=-1)
+        return np.concatenate(parts, axis=-1)
     import torch
 
-    return torch.stack(parts, dim=-1)
+    return torch.cat(parts, dim=-1)

@@ -1,4 +1,8 @@
-"""Training of a `LinearStructuredModel`: one-step or multi-step loss, held-out episodes, early stopping."""
+"""Training of a `LinearStructuredModel`: one-step loss, then multi-step loss; held-out episodes, early stopping.
+
+The one-step loss comes first: it is cheap, and gets nearly everything. The multi-step loss, over the model's own
+rollouts, finishes on what adds up.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -19,6 +23,8 @@ from dynamics.learned import LinearStructuredModel, ModelConfig
 
 __all__ = ["Fit", "FitConfig", "fit"]
 
+_Windows: TypeAlias = tuple[Tensor, Tensor, Tensor]
+
 
 @dataclass(frozen=True, slots=True)
 class FitConfig:
@@ -26,34 +32,48 @@ class FitConfig:
 
     Attributes
     ----------
-    horizon : the loss is over predictions of so many decisions in a row; 1 is the one-step loss.
-    epochs : at most so many passes over the training windows.
+    epochs : at most so many passes over the training transitions with the one-step loss.
+    rate : its highest learning rate (Adam); it falls to 0 along a cosine, unless `constant_rate`.
+    horizon : the multi-step loss is over rollouts of so many decisions; 1 for none.
+    finish_epochs, finish_rate : the same for the multi-step loss.
     batch : windows in a step of the optimiser; None for all of them.
-    rate : highest learning rate (Adam); it falls to 0 along a cosine, unless `constant_rate`.
     held_out : share of the episodes that training never sees.
     patience : stop after so many checks without a better held-out loss; the best weights are kept.
     check_every : epochs between checks.
     seed : of the split and of the batches.
     """
 
-    horizon: int = 5
-    epochs: int = 200
-    batch: int | None = 256
-    rate: float = 5e-3
+    epochs: int = 300
+    rate: float = 2e-2
     constant_rate: bool = False
+    horizon: int = 5
+    finish_epochs: int = 30
+    finish_rate: float = 2e-3
+    batch: int | None = 256
     held_out: float = 0.2
     patience: int = 20
     check_every: int = 5
     seed: int = 0
 
     def __post_init__(self) -> None:
-        counts = {"horizon": self.horizon, "epochs": self.epochs, "patience": self.patience}
-        counts |= {"check_every": self.check_every, "batch": 1 if self.batch is None else self.batch}
+        counts = {"horizon": self.horizon, "patience": self.patience, "check_every": self.check_every}
+        counts |= {"batch": 1 if self.batch is None else self.batch, "epochs + finish_epochs": self.total_epochs}
         for name, count in counts.items():
             if type(count) is not int or count < 1:
                 raise ConfigError(f"{name} must be a positive whole number, got {count!r}")
-        if not self.rate > 0:
-            raise ConfigError(f"rate must be positive, got {self.rate!r}")
+        if not (self.rate > 0 and self.finish_rate > 0 and min(self.epochs, self.finish_epochs) >= 0):
+            raise ConfigError("rate and finish_rate must be positive, epochs and finish_epochs not negative")
+
+    @property
+    def phases(self) -> list[tuple[int, int, float]]:
+        """(horizon, epochs, rate) of the one-step and of the multi-step loss, if there are any."""
+        both = [(1, self.epochs, self.rate), (self.horizon, self.finish_epochs, self.finish_rate)]
+        return [phase for phase in both[: 1 if self.horizon == 1 else 2] if phase[1]]
+
+    @property
+    def total_epochs(self) -> int:
+        """Epochs at most."""
+        return sum(epochs for _, epochs, _ in self.phases)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +84,7 @@ class Fit:
     ----------
     model : with the weights of the best held-out loss.
     train, held_out : the two parts of the data.
-    history : (epoch, training loss, held-out loss) at each check.
+    history : (epoch, training loss, held-out loss) at each check; the loss is the multi-step one at the end.
     seconds : wall-clock time of the training.
     """
 
@@ -131,49 +151,72 @@ def _fit(
         network = LinearStructuredModel(model)
         network.normalise(*(_tensor(part) for part in (train.states, train.actions, train.next_states)))
     else:
-        network = copy.deepcopy(model)
-    batches, checks = (_windows(part, config.horizon) for part in (train, held_out))
-    scale = _loss_scale(network, train)
+        network = copy.deepcopy(model).train().requires_grad_(True)
     generator = torch.Generator().manual_seed(config.seed)
-    count = len(batches[0])
+    history: list[tuple[int, float, float]] = []
+    before = 0
+
+    def note(epoch: int, train_loss: float, held_out_loss: float) -> None:
+        history.append((before + epoch, train_loss, held_out_loss))
+        write(*history[-1])
+        bar.set_postfix(train=f"{train_loss:.2e}", held_out=f"{held_out_loss:.2e}")
+
+    with _bar(config.total_epochs, progress) as bar:
+        for horizon, epochs, rate in config.phases:
+            batches, checks = (_windows(part, horizon) for part in (train, held_out))
+            scale = _loss_scale(network, train)
+            _descend(network, batches, checks, scale, epochs, rate, config, generator, note, bar)
+            before = history[-1][0]
+    network.eval().requires_grad_(False)
+    network.require_finite()
+    return Fit(network, train, held_out, history, time.perf_counter() - started)
+
+
+def _descend(
+    network: LinearStructuredModel,
+    batches: _Windows,
+    checks: _Windows,
+    scale: Tensor,
+    epochs: int,
+    rate: float,
+    config: FitConfig,
+    generator: torch.Generator,
+    note: Callable[[int, float, float], None],
+    bar: Any,
+) -> None:
+    """One phase; leaves the best weights in the network."""
+    states, actions, after = batches
+    count = len(states)
     size = min(config.batch or count, count)
-    optimiser = torch.optim.Adam(network.parameters(), lr=config.rate)
-    steps = config.epochs * -(-count // size)
+    optimiser = torch.optim.Adam(network.parameters(), lr=rate)
+    steps = epochs * -(-count // size)
     schedule = torch.optim.lr_scheduler.LambdaLR(
         optimiser, lambda i: 1.0 if config.constant_rate else 0.5 * (1 + np.cos(np.pi * i / steps))
     )
     best, best_weights, waited = np.inf, copy.deepcopy(network.state_dict()), 0
-    history: list[tuple[int, float, float]] = []
-    with _bar(config.epochs, progress) as bar:
-        for epoch in range(1, config.epochs + 1):
-            total = 0.0
-            for rows in torch.randperm(count, generator=generator).split(size):
-                states, actions, after = batches
-                loss = _loss(network, states[rows], actions[rows], after[rows], scale)
-                optimiser.zero_grad()
-                loss.backward()
-                optimiser.step()
-                schedule.step()
-                total += float(loss.detach()) * len(rows) / count
-            bar.update()
-            if not np.isfinite(total):
-                raise ModelError(f"the training diverged in epoch {epoch}; lower rate (now {config.rate})")
-            if epoch % config.check_every and epoch != config.epochs:
-                continue
-            with torch.no_grad():
-                check = float(_loss(network, *checks, scale))
-            history.append((epoch, total, check))
-            write(epoch, total, check)
-            bar.set_postfix(train=f"{total:.2e}", held_out=f"{check:.2e}")
-            waited += 1
-            if check < best:
-                best, best_weights, waited = check, copy.deepcopy(network.state_dict()), 0
-            if waited == config.patience:
-                break
+    for epoch in range(1, epochs + 1):
+        total = 0.0
+        for rows in torch.randperm(count, generator=generator).split(size):
+            loss = _loss(network, states[rows], actions[rows], after[rows], scale)
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            schedule.step()
+            total += float(loss.detach()) * len(rows) / count
+        bar.update()
+        if not np.isfinite(total):
+            raise ModelError(f"the training diverged in epoch {epoch}; lower the rate (now {rate})")
+        if epoch % config.check_every and epoch != epochs:
+            continue
+        with torch.no_grad():
+            check = float(_loss(network, *checks, scale))
+        note(epoch, total, check)
+        waited += 1
+        if check < best:
+            best, best_weights, waited = check, copy.deepcopy(network.state_dict()), 0
+        if waited == config.patience:
+            break
     network.load_state_dict(best_weights)
-    network.eval().requires_grad_(False)
-    network.require_finite()
-    return Fit(network, train, held_out, history, time.perf_counter() - started)
 
 
 def _loss(network: LinearStructuredModel, states: Tensor, actions: Tensor, after: Tensor, scale: Tensor) -> Tensor:
@@ -186,7 +229,7 @@ def _loss(network: LinearStructuredModel, states: Tensor, actions: Tensor, after
     return total / actions.shape[1]
 
 
-def _windows(data: Transitions, horizon: int) -> tuple[Tensor, Tensor, Tensor]:
+def _windows(data: Transitions, horizon: int) -> _Windows:
     states, actions, after = data.sequences(horizon)
     if not len(states):
         raise DataError(

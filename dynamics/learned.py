@@ -72,7 +72,7 @@ class LinearStructuredModel(nn.Module):
 
     mean: Tensor
     std: Tensor
-    state_scale: Tensor
+    column_scale: Tensor
     rate_scale: Tensor
 
     def __init__(self, config: ModelConfig) -> None:
@@ -87,14 +87,16 @@ class LinearStructuredModel(nn.Module):
             {layout.heading[1]} if body else set()
         )
         self._multiplied = [i for i in range(d) if i not in zero]
-        generator = torch.Generator().manual_seed(config.seed)
         inputs, k = len(self.seen) + m, len(self._multiplied)
-        self.a_network = _Ensemble([inputs, *config.hidden, d * k], config.members, config.activation, generator)
-        self.b_network = _Ensemble([inputs, *config.hidden, d * m], config.members, config.activation, generator)
+        generator = torch.Generator().manual_seed(config.seed)
+        self.networks = nn.ModuleList(
+            _Ensemble([inputs, *config.hidden, d * columns], config.members, config.activation, generator)
+            for columns in ((k + m,) if config.shared else (k, m))
+        )
         units = torch.ones(d) if config.units is None else torch.tensor(config.units, dtype=torch.float32)
         self.register_buffer("mean", torch.zeros(inputs))
         self.register_buffer("std", torch.cat([units[self.seen], torch.ones(m)]))
-        self.register_buffer("state_scale", units[self._multiplied].clone())
+        self.register_buffer("column_scale", torch.cat([units[self._multiplied], torch.ones(m)]))
         self.register_buffer("rate_scale", units.clone())
 
     def normalise(self, states: Tensor, actions: Tensor, next_states: Tensor) -> None:
@@ -106,7 +108,7 @@ class LinearStructuredModel(nn.Module):
         rate = (after - z) / self.dt
         self.mean.copy_(seen.mean(0))
         self.std.copy_(_positive(seen.std(0, correction=0)))
-        self.state_scale.copy_(_positive(z[:, self._multiplied].square().mean(0).sqrt()))
+        self.column_scale[: len(self._multiplied)] = _positive(z[:, self._multiplied].square().mean(0).sqrt())
         self.rate_scale.copy_(_positive(rate.square().mean(0).sqrt()))
 
     def _local(self, states: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
@@ -114,26 +116,19 @@ class LinearStructuredModel(nn.Module):
         z = self.config.layout.to_body(states) if self.config.form == "body" else states
         return z, torch.cat([z[..., self.seen], actions], dim=-1)
 
-    def local_matrices(self, states: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
-        """Each member's A (E, n, d, k), of the columns it multiplies alone, and B (E, n, d, m), in its own frame."""
-        _, seen = self._local(states, actions)
-        return self._matrices((seen - self.mean) / self.std)
-
-    def _matrices(self, seen: Tensor) -> tuple[Tensor, Tensor]:
-        d, scale = self.state_dim, self.rate_scale[:, None]
-        a = self.a_network(seen).unflatten(-1, (d, -1)) * (scale / self.state_scale)
-        b = self.b_network(seen).unflatten(-1, (d, -1)) * scale
-        return a, b
+    def _matrices(self, seen: Tensor) -> Tensor:
+        """Each member's A (the columns that it multiplies) and B side by side, (E, n, d, k + m), in its own frame."""
+        seen = (seen - self.mean) / self.std
+        raw = [network(seen).unflatten(-1, (self.state_dim, -1)) for network in self.networks]
+        return (raw[0] if len(raw) == 1 else torch.cat(raw, dim=-1)) * (self.rate_scale[:, None] / self.column_scale)
 
     def members(self, states: Tensor, actions: Tensor) -> Tensor:
         """Each member's next states (E, n, d), of shared states (n, d) or of its own (E, n, d); differentiable."""
         z, seen = self._local(states, actions)
-        a, b = self._matrices((seen - self.mean) / self.std)
-        return self._advance(states, z, actions, a, b)
+        return self._advance(states, z, actions, self._matrices(seen))
 
-    def _advance(self, states: Tensor, z: Tensor, actions: Tensor, a: Tensor, b: Tensor) -> Tensor:
-        rate = (a @ z[..., self._multiplied, None] + b @ actions[..., None]).squeeze(-1)
-        out = z + self.dt * rate
+    def _advance(self, states: Tensor, z: Tensor, actions: Tensor, matrices: Tensor) -> Tensor:
+        out = z + self.dt * (matrices * torch.cat([z[..., self._multiplied], actions], dim=-1)[..., None, :]).sum(-1)
         layout = self.config.layout
         if self.config.form == "body":
             out = layout.to_world(states, out)
@@ -142,8 +137,7 @@ class LinearStructuredModel(nn.Module):
     def forward(self, states: Tensor, actions: Tensor) -> Tensor:
         """The ensemble's next states: (n, d) and (n, m) to (n, d); differentiable."""
         z, seen = self._local(states, actions)
-        a, b = self._matrices((seen - self.mean) / self.std)
-        return self._advance(states, z, actions, a.mean(0), b.mean(0))
+        return self._advance(states, z, actions, self._matrices(seen).mean(0))
 
     def step(self, states: Any, actions: Any) -> Float32Array:
         """The ensemble's prediction.
@@ -205,9 +199,10 @@ class LinearStructuredModel(nn.Module):
         x, u = np.asarray(state, dtype=float)[None], np.asarray(action, dtype=float)[None]
         protocol.check_batch(self, x, u)
         with torch.inference_mode():
-            a, b = (part.mean(0)[0].double().numpy() for part in self.local_matrices(_tensor(x), _tensor(u)))
-        full = np.zeros((self.state_dim, self.state_dim))
-        full[:, self._multiplied] = a
+            _, seen = self._local(_tensor(x), _tensor(u))
+            local = self._matrices(seen).mean(0)[0].double().numpy()
+        full, b = np.zeros((self.state_dim, self.state_dim)), local[:, len(self._multiplied) :]
+        full[:, self._multiplied] = local[:, : len(self._multiplied)]
         if self.config.form == "plain":
             return full, b
         turn = self.config.layout.rotation(x[0])

@@ -28,6 +28,7 @@ class ModelConfig:
     form : "body" or "plain".
     hide_position : plain form: whether A ignores the position too (in body frame there is none).
     hidden : widths of the hidden layers of the networks.
+    shared : whether A and B are outputs of one network, or of two.
     activation : one of `ACTIVATIONS`.
     members : size E of the ensemble.
     units : fixed scales of the state, shape (d,), in place of a fitted normalisation; None fits one.
@@ -47,6 +48,7 @@ class ModelConfig:
     form: Form = "body"
     hide_position: bool = True
     hidden: tuple[int, ...] = (32, 32)
+    shared: bool = True
     activation: str = "silu"
     members: int = 3
     units: tuple[float, ...] | None = None

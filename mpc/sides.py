@@ -39,7 +39,7 @@ class SideChoice:
         self._sides = [self._best(self._gaps(x, rectangles[:, j]), time) for j in range(self._m)]
 
     def step(self, k: int, x: ca.SX, rectangles: ca.SX, time: float) -> tuple[tuple[ca.SX, ca.SX, ca.SX, ca.SX], ca.SX]:
-        """Tightest bounds (s high, s low, r high, r low) of stage k, which ends after `time` [s]; least separation [m]."""
+        """Tightest bounds (s high, s low, r high, r low) of stage k, ending after `time` [s]; least separation [m]."""
         s_high, s_low, r_high, r_low, clear = (ca.SX(v) for v in (FREE, -FREE, FREE, -FREE, FREE))
         for j in range(self._m):
             rectangle, before = rectangles[:, j], self._sides[j]

@@ -206,25 +206,26 @@ class ContinuousCore(ShieldCore):
 
         With `parts`, for which there must be one lane only, what their margins are made of comes along.
         """
-        lanes = np.array(stops)
-        n, f = len(inputs), lanes.size
-        fails = np.tile(lanes, n)
-        held = np.broadcast_to(inputs[:, None, :], (n, self._frames, 2))
+        n, f = len(inputs), len(stops)
+        fails = np.array(stops * n)
+        held = inputs[:, None] if self._frames == 1 else np.repeat(inputs[:, None], self._frames, axis=1)
         began = self._rollouts_for(scene).run_inputs(scene.ego_road, held)
-        paths = self._stopped(scene, np.repeat(began, f, axis=0), fails)
+        paths = self._stopped(scene, np.repeat(began, f, axis=0) if f > 1 else began, fails)
         entered, edges, allowed = self._entered(scene, paths, fails)
         result = self._survey(scene).clearance(paths, Candidates(paths, entered, fails), parts=parts)
         room = edges.min(axis=1)
-        margin = np.where(allowed, np.minimum(result.margin, np.where(room >= 0, np.inf, room)), -np.inf)
         # Rolling backwards has no fail-safe: the brake stands still.
-        backwards = np.repeat(began[:, -1, RoadState.SPEED] < -1e-9, f)
-        margin = np.where(backwards, -np.inf, margin).reshape(n, f)
-        # The first lane that verifies, in order; else the best.
-        good = margin >= 0
-        pick = np.where(good.any(axis=1), good.argmax(axis=1), np.nan_to_num(margin, nan=-np.inf).argmax(axis=1))
-        rows = np.arange(n) * f + pick
+        allowed &= ~(paths[:, self._frames - 1, RoadState.SPEED] < -1e-9)
+        margin = np.where(allowed, np.minimum(result.margin, np.where(room >= 0, np.inf, room)), -np.inf)
         of = None if result.parts is None else np.hstack([result.parts, edges])
-        return Judged(inputs, margin.reshape(-1)[rows], result.clear[rows], fails[rows], paths[rows], of)
+        if f == 1:
+            return Judged(inputs, margin, result.clear, fails, paths, of)
+        # The first lane that verifies, in order; else the best.
+        each = margin.reshape(n, f)
+        good = each >= 0
+        pick = np.where(good.any(axis=1), good.argmax(axis=1), np.nan_to_num(each, nan=-np.inf).argmax(axis=1))
+        rows = np.arange(n) * f + pick
+        return Judged(inputs, margin[rows], result.clear[rows], fails[rows], paths[rows])
 
     def _stopped(self, scene: Scene, began: FloatArray, fails: Any) -> FloatArray:
         """Paths (n, h, 4) and the fail-safe after them, each in its lane of `fails`, (n, h + frames, 4)."""

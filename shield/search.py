@@ -32,7 +32,7 @@ _STEP = 2e-3
 """Step of the finite differences, as a share of the ranges."""
 _INSIDE = 0.003
 """How far inside of the boundary to aim [m]."""
-_SETTLED = 2e-3
+_SETTLED = 5e-3
 """Change below which nothing nearer is looked for, as a share of the ranges."""
 _RING = 0.8 * np.stack([f(np.linspace(-np.pi, np.pi, 13)[1:]) for f in (np.cos, np.sin)], axis=1)
 _FAN = np.array([(i, j) for j in (0.0, 0.25, 0.5, 0.75, 1.0) for i in (0.0, 0.25, 0.5, 0.75, 0.9, 1.0)][1:])

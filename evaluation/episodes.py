@@ -126,6 +126,7 @@ class _Driver:
             min_margin=tally.min_margin,
             min_gap=history.min_gap(),
             latencies=tuple(tally.latencies) if self.variant.door != "none" else (),
+            **_arrival(info, history),
         )
 
     def _shield_info(self, info: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -150,6 +151,15 @@ def _plain(action: Any) -> Any:
     """A single integer out of its array; any other action as it is."""
     array = np.asarray(action)
     return int(array.item()) if array.size == 1 and array.dtype.kind in "iu" else action
+
+
+def _arrival(info: Mapping[str, Any], history: History) -> dict[str, Any]:
+    """Whether the goal was reached, and how fast; a crash on arrival is no success."""
+    if "is_success" not in info:
+        return {"success": None, "arrival_speed": float("nan")}
+    success = bool(np.all(info["is_success"])) and history.crash_frame is None
+    speed = abs(float(history.ego[-1, Track.SPEED]))
+    return {"success": success, "arrival_speed": speed if success else float("nan")}
 
 
 def _driving(history: History) -> dict[str, Any]:

@@ -24,10 +24,13 @@ from evaluation.statistics import (
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError
 
-__all__ = ["GROUP", "compare", "summarise"]
+__all__ = ["GROUP", "STOPPED", "compare", "summarise"]
 
 GROUP = ["setting", "policy", "door", "mode"]
 """Columns that say what was measured."""
+
+STOPPED = 1.0
+"""Speed below which a vehicle has reached its goal standing [m/s]."""
 
 _PAIR = ["setting", "policy"]
 _MEANS = ("lane_changes", "laps", "mean_jerk", "mean_lateral_acceleration")
@@ -44,6 +47,8 @@ def summarise(episodes: pd.DataFrame) -> pd.DataFrame:
 
     - `episodes`, `crashes`, `off_roads`; `crash_rate`, `off_road_rate` and `ego_fault_rate` with Wilson intervals, the
       last NaN where a crash could not be attributed;
+    - `success_rate` and `stopped_rate` with Wilson intervals: the goal was reached, and at less than `STOPPED` [m/s];
+      NaN where there is no goal;
     - `return` with a bootstrap interval;
     - the means of `mean_speed` [m/s], `distance` [m], `lane_changes`, `laps`, `mean_jerk` [m/s^3] and
       `mean_lateral_acceleration` [m/s^2]; NaN where they are not defined;
@@ -70,6 +75,7 @@ def _summary(group: pd.DataFrame) -> dict[str, Any]:
         "off_roads": int(group["off_road"].sum()),
         **_columns("off_road_rate", wilson(int(group["off_road"].sum()), n)),
         **_columns("ego_fault_rate", _ego_fault(group["attribution"], n)),
+        **_arrivals(group),
         **_columns("return", bootstrap_mean(group["return"])),
         "mean_speed": float(group["mean_speed"].mean()),
         "distance": float(group["distance"].mean()),
@@ -83,6 +89,19 @@ def _summary(group: pd.DataFrame) -> dict[str, Any]:
         "min_gap": float(group["min_gap"].min()),
         "latency_p50_ms": p50,
         "latency_p99_ms": p99,
+    }
+
+
+def _arrivals(group: pd.DataFrame) -> dict[str, float]:
+    """Share of the episodes that reached the goal, and standing; unknown where any has none, or in older tables."""
+    n, nothing = len(group), Interval(float("nan"), float("nan"), float("nan"), len(group))
+    if "success" not in group or group["success"].isna().any():
+        return {**_columns("success_rate", nothing), **_columns("stopped_rate", nothing)}
+    success = group["success"].astype(bool)
+    stopped = success & (group["arrival_speed"].astype(float) < STOPPED)
+    return {
+        **_columns("success_rate", wilson(int(success.sum()), n)),
+        **_columns("stopped_rate", wilson(int(stopped.sum()), n)),
     }
 
 

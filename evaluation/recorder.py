@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from highway_env.envs.parking_env import ParkingEnv
+
 from dynamics.errors import SceneError
 from dynamics.path import PathRoad
 from dynamics.road import Road, StraightRoad
@@ -24,7 +26,8 @@ __all__ = ["History", "Recorder", "Track", "read_road"]
 class Track(IntEnum):
     """Columns of a history: [m], [m], [rad], [m/s], [m], [m], 0 or 1, 0 or 1; the first three in the road frame.
 
-    A vehicle is off the road where highway-env says so: its centre is in no lane. Noted of the ego alone.
+    A vehicle is off the road where highway-env says so: its centre is in no lane. Noted of the ego alone; on a parking
+    lot, where lanes are only the spots, nobody is.
     """
 
     S = 0
@@ -150,7 +153,9 @@ class Recorder:
         self._map = read_road(road.network)
         self._dt = 1.0 / base.config["simulation_frequency"]
         others = [vehicle for vehicle in road.vehicles if vehicle is not base.vehicle]
-        self._vehicles = [base.vehicle, *others, *road.objects]
+        # Landmarks, such as the spot that is to be reached, are nothing to collide with.
+        self._vehicles = [base.vehicle, *others, *(thing for thing in road.objects if thing.solid)]
+        self._lot = isinstance(base, ParkingEnv)
         self._rows: list[list[tuple[float, ...]]] = []
         self._off_road: list[bool] = []
         inner = road.step
@@ -166,7 +171,7 @@ class Recorder:
         self._rows.append(
             [(v.position[0], v.position[1], v.heading, v.speed, v.LENGTH, v.WIDTH, v.crashed) for v in self._vehicles]
         )
-        self._off_road.append(not self._vehicles[0].on_road)
+        self._off_road.append(not self._lot and not self._vehicles[0].on_road)
 
     def history(self) -> History:
         """All frames so far; the first is the scene after reset."""

@@ -87,6 +87,8 @@ class EpisodeRecord:
     min_margin : smallest margin of what was executed [m]; NaN where none was computed.
     min_gap : smallest clearance to anybody [m]; 0 in a crash.
     latencies : time that the shield took at each decision [ms] (column "latencies_ms").
+    success : whether the goal was reached; None where there is none.
+    arrival_speed : the ego's speed then [m/s]; NaN where it was not.
     """
 
     setting: str
@@ -115,6 +117,8 @@ class EpisodeRecord:
     min_margin: float
     min_gap: float
     latencies: tuple[float, ...] = field(repr=False)
+    success: bool | None = None
+    arrival_speed: float = float("nan")
 
     def row(self) -> dict[str, Any]:
         """The record as flat columns of a table."""

@@ -13,7 +13,8 @@ The ``abz`` family is the highway of the ABZ 2025 case study: three lanes, targe
 ``abz-aggressive`` for testing (15 Hz). The two tests and ``abz`` share one reward, so that returns
 can be compared across them.
 
-``highway-continuous`` and ``racetrack`` are driven with throttle and steering, or steering alone.
+``highway-continuous``, ``racetrack`` and the two of ``parking`` are driven with throttle and steering, or steering
+alone. Parking has a goal, and its results say how often it was reached.
 """
 
 from __future__ import annotations
@@ -207,6 +208,13 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
                 "highway-fast-v0",
                 {**_CONTINUOUS_TRAINING, "lanes_count": 4},
                 "highway-continuous, training: decisions at 5 Hz, 10 Hz, 12 other vehicles, nothing for standing",
+            ),
+            Setting("parking", "parking-v0", {}, "parking-v0 as it comes: an empty lot within walls, 5 Hz, 15 Hz, 100 s"),
+            Setting(
+                "parking-parked",
+                "parking-v0",
+                {"vehicles_count": 10},
+                "parking-v0 with 10 parked vehicles (parking-parked-v0): the observation does not show them",
             ),
             Setting("racetrack", "racetrack-v0", {}, "racetrack-v0 as it comes: steering alone, 5 Hz, 15 Hz, 300 s"),
         )

@@ -24,7 +24,7 @@ import numpy as np
 from dynamics.errors import ConfigError
 from dynamics.model import StepModel
 from mpc.noise import NoiseBank
-from mpc.plan import Cost, Fallback, Plan, PlanMemory, PlanStatus, evaluate, read_states
+from mpc.plan import Cost, Fallback, Grid, Plan, PlanMemory, PlanStatus, evaluate, read_states
 
 __all__ = ["CEM", "Eliting", "PlannerSettings", "SamplingPlanner", "Update"]
 
@@ -40,6 +40,7 @@ class PlannerSettings:
     ----------
     blocks, hold : inputs in a plan, and decisions for which each is held.
     look : decisions between the states that the cost sees; `hold` is a multiple of it. None for `hold`.
+    fine : blocks for which it is so; of the later ones the cost sees the last states alone. None for all.
     iterations, restarts : see the module.
     samples : of each restart in the first iteration. decay : samples of an iteration over those of the next, >= 1.
     elites : of each restart.
@@ -56,6 +57,7 @@ class PlannerSettings:
     blocks: int = 5
     hold: int = 5
     look: int | None = None
+    fine: int | None = None
     iterations: int = 5
     restarts: int = 1
     samples: int = 100
@@ -76,8 +78,11 @@ class PlannerSettings:
                 raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)!r}")
         if self.samples < self.elites or self.samples < 2:
             raise ConfigError(f"samples must be at least elites and 2, got {self.samples!r} for {self.elites} elites")
-        if self.hold % self.stride or self.stride < 1:
-            raise ConfigError(f"look must divide hold = {self.hold}, got {self.look!r}")
+        if self.grid.look < 1 or self.hold % self.grid.look or not 0 <= self.grid.fine <= self.blocks:
+            raise ConfigError(
+                f"look must divide hold = {self.hold} and fine be at most blocks = {self.blocks}, got {self.look!r} "
+                f"and {self.fine!r}"
+            )
         if not (self.decay >= 1 and self.std > 0 and self.min_std >= 0 and self.colour >= 0):
             raise ConfigError("decay must be at least 1, std positive, min_std and colour at least 0")
         if not (0 <= self.momentum < 1 and 0 <= self.keep <= 1):
@@ -86,9 +91,10 @@ class PlannerSettings:
             raise ConfigError(f"time_limit must be positive [s] or None, got {self.time_limit!r}")
 
     @property
-    def stride(self) -> int:
-        """Decisions between two looked-at states."""
-        return self.hold if self.look is None else self.look
+    def grid(self) -> Grid:
+        """Which states of a plan are looked at."""
+        fine = self.blocks if self.fine is None else self.fine
+        return Grid(self.hold, self.hold if self.look is None else self.look, fine)
 
     @property
     def kept(self) -> int:
@@ -247,7 +253,7 @@ class SamplingPlanner:
                 )
             samples = np.clip(samples, self.low, self.high)
             flat = samples.reshape(e, -1, *samples.shape[3:])
-            costs, reached = evaluate(self.model, cost, states, flat, s.hold, s.stride)
+            costs, reached = evaluate(self.model, cost, states, flat, s.grid)
             elites, elite_costs = _cheapest(samples, costs.reshape(samples.shape[:3]), s.elites)
             found.add(flat, costs, reached, elites, elite_costs)
             new_mean, new_std = self.update(elites, elite_costs)

@@ -93,7 +93,7 @@ class CEMPolicy:
             If the environment is not parking with continuous actions.
         """
         settings = settings if settings is not None else ParkingTask.settings()
-        task = task if task is not None else ParkingTask(env, look=settings.stride)
+        task = task if task is not None else ParkingTask(env)
         model = model if model is not None else BicycleModel.of(task.bases[0], np.float32)
         if (model.state_dim, model.action_dim) != (6, 2):
             raise ConfigError(

@@ -2,8 +2,8 @@ r"""Costs of plans: small objects that add up.
 
 Notation
 --------
-E states, S plans, T looked-at states. A *term* gives a cost to every looked-at state, c_i (E, S, T); a *factor* gives
-each a weight, w_j (E, S, T) or (T,). They are put together with `+`, and the cost of a plan is
+E states, S plans, T looked-at states (see `mpc.plan.Trajectories`). A *term* gives a cost to every looked-at state,
+c_i (E, S, T); a *factor* gives each a weight, w_j (E, S, T) or (T,). They are put together with `+`, and the cost of a plan is
 
     sum_t  w_1 ... w_k (c_1 + ... + c_n)
 
@@ -114,36 +114,39 @@ class Sum:
 
 @dataclass(frozen=True, slots=True)
 class TerminalWeight(Factor):
-    """The last looked-at state counts `weight` times."""
+    """The last looked-at state counts as if it lasted for `weight` decisions."""
 
     weight: float = 1.0
 
     def weights(self, trajectories: Trajectories) -> Any:
         """(T,)."""
         out = np.ones(trajectories.states.shape[2], trajectories.states.dtype)
-        out[-1] = self.weight
+        out[-1] = self.weight / trajectories.spans[-1]
         return out
 
 
 @dataclass(frozen=True, slots=True)
 class InputCost(Term):
-    """Squared size of the inputs."""
+    """Squared size of the inputs, for each decision."""
 
     def stages(self, trajectories: Trajectories) -> Any:
         """(E, S, T)."""
-        return np.square(trajectories.actions).sum(axis=-1)
+        return np.square(trajectories.actions).sum(axis=-1) * trajectories.spans
 
 
 @dataclass(frozen=True, slots=True)
 class SpeedCost(Term):
-    """Squared distance of the speed from a wanted one [m^2/s^2]; for states with velocity in columns 2 and 3."""
+    """Squared distance of the speed from a wanted one [m^2/s^2], for each decision.
+
+    For states with the velocity in columns 2 and 3.
+    """
 
     speed: float
 
     def stages(self, trajectories: Trajectories) -> Any:
         """(E, S, T)."""
         states = trajectories.states
-        return np.square(np.hypot(states[..., 2], states[..., 3]) - self.speed)
+        return np.square(np.hypot(states[..., 2], states[..., 3]) - self.speed) * trajectories.spans
 
 
 class Disagreeing(Protocol):
@@ -172,8 +175,8 @@ class DisagreementCost(Term):
 
 @dataclass(frozen=True, slots=True)
 class TimeCost(Term):
-    """One for every looked-at state: with a success mask, the time that it takes."""
+    """One for each decision: with a success mask, the time that it takes."""
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """(1,)."""
-        return np.ones(1, trajectories.states.dtype)
+        """(T,)."""
+        return trajectories.spans

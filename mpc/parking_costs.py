@@ -44,14 +44,14 @@ def goal_distance(states: Any, goal: Any, heading: float = 1.0) -> Any:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GoalCost(Term):
-    """Distance to the goal, (E, 6) or (6,); `heading` is a factor on its weight of the heading."""
+    """Distance to the goal, (E, 6) or (6,), for each decision; `heading` is a factor on its weight of the heading."""
 
     goal: Any
     heading: float = 1.0
 
     def stages(self, trajectories: Trajectories) -> Any:
         """(E, S, T)."""
-        return goal_distance(trajectories.states, self.goal, self.heading)
+        return goal_distance(trajectories.states, self.goal, self.heading) * trajectories.spans
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,8 +135,8 @@ class ObstacleCost(Term):
 
     def __post_init__(self) -> None:
         boxes = np.asarray(self.boxes, np.float32).reshape(-1, *np.shape(self.boxes)[-2:])
-        boxes = np.where(np.isnan(boxes).any(axis=-1, keepdims=True), np.float32([1e6, 1e6, 0, 1, 1]), boxes)
-        x, y, heading, half_length, half_width = np.moveaxis(boxes, -1, 0)
+        boxes = np.where(np.isnan(boxes).any(axis=-1, keepdims=True), np.array([1e6, 1e6, 0, 1, 1], np.float32), boxes)
+        x, y, heading, half_length, half_width = (boxes[..., i] for i in range(5))
         self._ready.extend((x, y, np.cos(heading), np.sin(heading), half_length, half_width))
 
     def stages(self, trajectories: Trajectories) -> Any:

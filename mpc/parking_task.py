@@ -39,7 +39,7 @@ class ParkingWeights:
     speed: float = 0.6
     threshold: float = 0.118
     stop_threshold: float = 0.122
-    heading: float = 1.0
+    heading: float = 4.0
     wall: float = 1.0
     wall_margin: float = 0.5
     obstacle: float = 1.0
@@ -53,7 +53,6 @@ class ParkingTask:
     ----------
     env : a parking environment, wrapped or not, or a VecEnv of them in this process.
     weights : how it is paid for.
-    look : decisions between two states of a plan that are looked at (`PlannerSettings.stride`).
 
     Raises
     ------
@@ -61,8 +60,7 @@ class ParkingTask:
         If it is not parking with one vehicle and continuous actions, or its environments are in other processes.
     """
 
-    def __init__(self, env: Any, weights: ParkingWeights | None = None, look: int = 1) -> None:
-        self.look = look
+    def __init__(self, env: Any, weights: ParkingWeights | None = None) -> None:
         self.weights = weights if weights is not None else ParkingWeights()
         self.bases = _bases(env)
         for base in self.bases:
@@ -80,8 +78,8 @@ class ParkingTask:
 
     @staticmethod
     def settings(**changes: Any) -> PlannerSettings:
-        """How to search for ways into a spot: 8 blocks of 0.8 s, 4 restarts."""
-        return PlannerSettings.multistart(blocks=8, hold=4, look=1).replace(**changes)
+        """How to search for ways into a spot: 8 blocks of 0.8 s, looked at closely in the first two, 4 restarts."""
+        return PlannerSettings.multistart(blocks=8, hold=4, look=1, fine=2).replace(**changes)
 
     def read(self, observation: Any) -> tuple[Any, Any, bool]:
         """States (E, 6), goals (E, 6), both float32, and whether there was one alone."""
@@ -94,7 +92,7 @@ class ParkingTask:
         goal, w = np.atleast_2d(parking.goal(observation)).astype(np.float32), self.weights
         if len(goal) != len(self.bases):
             raise ConfigError(f"{len(goal)} observations for {len(self.bases)} environments; a batch needs one each")
-        second = self.look / float(self.bases[0].config["policy_frequency"])
+        second = 1.0 / float(self.bases[0].config["policy_frequency"])
         total = (w.goal * second) * GoalCost(goal, w.heading) + w.stop * StopCost(goal, w.speed, w.stop_threshold)
         if w.time:
             total += (w.time * second) * TimeCost()

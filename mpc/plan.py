@@ -3,7 +3,8 @@
 Notation
 --------
 E states that are planned for at once, S sampled plans for each, B blocks of inputs held for `hold` decisions, m inputs
-and d state variables. A trajectory has T looked-at states, one every `look` decisions.
+and d state variables. A trajectory has T looked-at states: one every `look` decisions in the first `fine` blocks, then
+one at the end of each block.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from dynamics.errors import ConfigError, ModelError
 from dynamics.model import StepModel, rollout_held
 
-__all__ = ["Cost", "Fallback", "Plan", "PlanMemory", "PlanStatus", "Trajectories", "evaluate", "read_states"]
+__all__ = ["Cost", "Fallback", "Grid", "Plan", "PlanMemory", "PlanStatus", "Trajectories", "evaluate", "read_states"]
 
 Fallback = Callable[[Any], Any]
 """Actions (E, m) for states (E, d) where no plan is usable."""
@@ -40,15 +41,45 @@ class Trajectories:
     Attributes
     ----------
     start : states now, (E, d).
-    states : looked-at states, (E, S, T, d); the first is one `look` after `start`.
+    states : looked-at states, (E, S, T, d); the first is `spans[0]` decisions after `start`.
     actions : what leads to each of them, (E, S, T, m).
-    look : decisions between two looked-at states.
+    spans : decisions since the looked-at state before, (T,), in the type of the states.
     """
 
     start: Any
     states: Any
     actions: Any
+    spans: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Which states of a plan are looked at.
+
+    Attributes
+    ----------
+    hold : decisions of a block. look : decisions between states in the first `fine` blocks; divides `hold`.
+    fine : beyond these blocks only the last state of each is looked at.
+    """
+
+    hold: int
     look: int
+    fine: int
+
+    def rollout(self, model: StepModel, states: Any, samples: Any) -> tuple[Any, Any, Any]:
+        """Looked-at states (n, T, d), their actions (n, T, m) and spans (T,), of states (n, d), blocks (n, B, m)."""
+        parts = self.hold // self.look
+        near = np.repeat(samples[:, : self.fine], parts, axis=1) if parts > 1 else samples[:, : self.fine]
+        far = samples[:, self.fine :]
+        reached = [states[:, None]]
+        for actions, hold in ((near, self.look), (far, self.hold)):
+            if actions.shape[1]:
+                expected = (*actions.shape[:2], model.state_dim)
+                reached.append(np.asarray(rollout_held(model, reached[-1][:, -1], actions, hold)))
+                if reached[-1].shape != expected:
+                    raise ModelError(f"the model's rollout must be {expected}, got {reached[-1].shape}")
+        spans = np.repeat(np.array([self.look, self.hold], reached[-1].dtype), [near.shape[1], far.shape[1]])
+        return np.concatenate(reached[1:], axis=1), np.concatenate([near, far], axis=1), spans
 
 
 class Cost(Protocol):
@@ -132,13 +163,13 @@ def read_states(model: StepModel, states: Any) -> tuple[Any, bool]:
     return array, single
 
 
-def evaluate(model: StepModel, cost: Cost, states: Any, samples: Any, hold: int, look: int) -> tuple[Any, Any]:
+def evaluate(model: StepModel, cost: Cost, states: Any, samples: Any, grid: Grid) -> tuple[Any, Any]:
     """Cost of sampled plans, and their trajectories.
 
     Parameters
     ----------
     states : (E, d). samples : inputs of each block, (E, S, B, m).
-    hold, look : decisions of a block and between looked-at states; `hold` is a multiple of `look`.
+    grid : which states are looked at.
 
     Returns
     -------
@@ -150,14 +181,12 @@ def evaluate(model: StepModel, cost: Cost, states: Any, samples: Any, hold: int,
         If the model or the cost answers with another shape.
     """
     e, s = samples.shape[:2]
-    actions = np.repeat(samples, hold // look, axis=2) if hold != look else samples
-    steps = actions.shape[2]
-    flat = rollout_held(model, np.repeat(states, s, axis=0), actions.reshape(e * s, steps, -1), look)
-    if np.shape(flat) != (e * s, steps, model.state_dim):
-        raise ModelError(f"the model's rollout must be {(e * s, steps, model.state_dim)}, got {np.shape(flat)}")
-    reached = np.asarray(flat).reshape(e, s, steps, -1)
     with np.errstate(all="ignore"):
-        costs = np.asarray(cost(Trajectories(states, reached, actions, look)))
+        flat, inputs, spans = grid.rollout(
+            model, np.repeat(states, s, axis=0), samples.reshape(e * s, *samples.shape[2:])
+        )
+        reached, actions = (x.reshape(e, s, *x.shape[1:]) for x in (flat, inputs))
+        costs = np.asarray(cost(Trajectories(states, reached, actions, spans)))
         if costs.shape != (e, s):
             raise ConfigError(f"the cost must have shape {(e, s)}, got {costs.shape}")
         good = np.isfinite(costs) & np.isfinite(reached.sum(axis=(2, 3)))

@@ -86,6 +86,8 @@ SUMMARY: tuple[Column, ...] = (
     _interval("crashes %", "crash_rate", 100),
     _interval("ego's fault %", "ego_fault_rate", 100),
     _interval("off road %", "off_road_rate", 100),
+    _interval("success %", "success_rate", 100),
+    _interval("stopped %", "stopped_rate", 100),
     _interval("return", "return"),
     _plain("speed m/s", "mean_speed"),
     _plain("distance m", "distance", 0),

@@ -103,13 +103,14 @@ class LinearStructuredModel(nn.Module):
         """Take the normalisation from data, (n, d), (n, m), (n, d); a model with fixed `units` keeps them."""
         if self.config.units is not None:
             return
+        config, pairs = self.config, (self.config.layout.heading, *self.config.layout.vectors)
         z, seen = self._local(states, actions)
-        after = self.config.layout.about(states, next_states) if self.config.form == "body" else next_states
-        rate = (after - z) / self.dt
+        after = config.layout.about(states, next_states) if config.form == "body" else next_states
+        std, size, rate = (_scales(x, pairs) for x in (z - z.mean(0), z, (after - z) / self.dt))
         self.mean.copy_(seen.mean(0))
-        self.std.copy_(_positive(seen.std(0, correction=0)))
-        self.column_scale[: len(self._multiplied)] = _positive(z[:, self._multiplied].square().mean(0).sqrt())
-        self.rate_scale.copy_(_positive(rate.square().mean(0).sqrt()))
+        self.std.copy_(torch.cat([std[self.seen], _scales(actions - actions.mean(0))]))
+        self.column_scale[: len(self._multiplied)] = size[self._multiplied]
+        self.rate_scale.copy_(rate)
 
     def _local(self, states: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         """What A multiplies (..., d), and what the networks see (..., inputs)."""
@@ -158,7 +159,7 @@ class LinearStructuredModel(nn.Module):
         """
         protocol.check_batch(self, states, actions)
         with torch.inference_mode():
-            return self(_tensor(states), _tensor(actions)).numpy()
+            return self(self._tensor(states), self._tensor(actions)).numpy()
 
     def rollout(self, states: Any, actions: Any) -> Float32Array:
         """Repeated steps: (n, d) and (n, H, m) to the states after each, (n, H, d).
@@ -170,7 +171,7 @@ class LinearStructuredModel(nn.Module):
         """
         protocol.check_batch(self, states, actions, sequences=True)
         with torch.inference_mode():
-            now, inputs, out = _tensor(states), _tensor(actions), []
+            now, inputs, out = self._tensor(states), self._tensor(actions), []
             for k in range(inputs.shape[1]):
                 now = self(now, inputs[:, k])
                 out.append(now)
@@ -183,7 +184,7 @@ class LinearStructuredModel(nn.Module):
         """
         protocol.check_batch(self, states, actions)
         with torch.inference_mode():
-            return self.members(_tensor(states), _tensor(actions)).std(0, correction=0).numpy()
+            return self.members(self._tensor(states), self._tensor(actions)).std(0, correction=0).numpy()
 
     def matrices(self, state: Any, action: Any) -> tuple[FloatArray, FloatArray]:
         """A (d, d) and B (d, m) of the ensemble at one point, in the world frame: x+ = x + dt (A x + B u).
@@ -199,7 +200,7 @@ class LinearStructuredModel(nn.Module):
         x, u = np.asarray(state, dtype=float)[None], np.asarray(action, dtype=float)[None]
         protocol.check_batch(self, x, u)
         with torch.inference_mode():
-            _, seen = self._local(_tensor(x), _tensor(u))
+            _, seen = self._local(self._tensor(x), self._tensor(u))
             local = self._matrices(seen).mean(0)[0].double().numpy()
         full, b = np.zeros((self.state_dim, self.state_dim)), local[:, len(self._multiplied) :]
         full[:, self._multiplied] = local[:, : len(self._multiplied)]
@@ -219,11 +220,15 @@ class LinearStructuredModel(nn.Module):
         x, u = np.asarray(state, dtype=float), np.asarray(action, dtype=float)
         protocol.check_batch(self, x[None], u[None])
 
-        def step(x: Tensor, u: Tensor) -> Tensor:
-            return self(x[None], u[None])[0]
-
-        f, g = (part.double().numpy() for part in torch.func.jacrev(step, argnums=(0, 1))(_tensor(x), _tensor(u)))
+        with torch.enable_grad():
+            # As many copies of the point as there are outputs, each with the gradient of its own.
+            points = [self._tensor(np.tile(part, (self.state_dim, 1))).requires_grad_() for part in (x, u)]
+            gradients = torch.autograd.grad(self(*points).diagonal().sum(), points)
+        f, g = (part.double().numpy() for part in gradients)
         return f, g, self.step(x[None], u[None])[0] - f @ x - g @ u
+
+    def _tensor(self, array: Any) -> Tensor:
+        return torch.tensor(np.asarray(array), dtype=self.mean.dtype)
 
     @property
     def is_finite(self) -> bool:
@@ -236,10 +241,11 @@ class LinearStructuredModel(nn.Module):
             raise ModelError("the model has weights that are not finite; its training diverged or its file is damaged")
 
 
-def _tensor(array: Any) -> Tensor:
-    return torch.as_tensor(np.asarray(array, dtype=np.float32))
-
-
-def _positive(scale: Tensor) -> Tensor:
-    """Scales with 1 in place of (nearly) 0: what never varies needs no scaling."""
-    return torch.where(scale > 1e-6, scale, torch.ones_like(scale))
+def _scales(x: Tensor, pairs: Sequence[tuple[int, int]] = ()) -> Tensor:
+    """Root mean square of each column (n, d); that of its partner for a column of a vector that is next to nothing
+    beside it, and 1 for what is 0: what never varies (or by rounding alone) must not be blown up.
+    """
+    scale = x.square().mean(0).sqrt()
+    for a, b in (*pairs, *((b, a) for a, b in pairs)):
+        scale[a] = torch.where(scale[a] < 1e-3 * scale[b], scale[b], scale[a])
+    return torch.where(scale > 0, scale, torch.ones_like(scale))

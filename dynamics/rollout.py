@@ -28,7 +28,7 @@ from dynamics.path import CurvatureProfile, PathRoad
 from dynamics.road import StraightRoad
 from dynamics.state import FloatArray
 
-__all__ = ["BRAKE", "NO_LIMIT", "Rollouts", "frame_function"]
+__all__ = ["BRAKE", "MANY", "NO_LIMIT", "Bound", "Rollouts", "frame_function", "padded_rows"]
 
 BRAKE = -1e9
 """Target speed that stands for braking as hard as the command allows [m/s]."""
@@ -39,13 +39,13 @@ _OPTIONS = {"cse": True}
 _COLUMNS: dict[_Kind, int] = {"commands": 3, "inputs": 2}
 _ROWS = (1, 2, 4, 8, 16, 24, 32, 48, 64, 96, 128, 256, 512)
 _FRAMES = 8
-_WIDE = 4
+MANY = 4
 """From how many rows on they are rolled out as columns."""
 
 
 @lru_cache(maxsize=256)
 def _compiled(kind: _Kind, rows: int, frames: int, dt: float, profile: CurvatureProfile | None) -> ca.Function:
-    if rows < _WIDE:
+    if rows < MANY:
         return frame_function(kind, 1, dt, profile).mapaccum(frames).map(rows)
     return frame_function(kind, rows, dt, profile).mapaccum(frames)
 
@@ -86,6 +86,11 @@ def _frame(kind: _Kind, state: Any, control: Any, row: Any, dt: float) -> Column
     return curved_step(state, acceleration, slip, row, dt)
 
 
+def padded_rows(n: int) -> int:
+    """How many rows a rollout of n is compiled for."""
+    return next((r for r in _ROWS if r >= n), n)
+
+
 class Rollouts:
     """Owns the buffers of the compiled rollouts for one frame duration on one road.
 
@@ -98,7 +103,7 @@ class Rollouts:
     def __init__(self, dt: float, road: StraightRoad | PathRoad | None = None) -> None:
         self.dt = dt
         self._profile = road.profile if isinstance(road, PathRoad) else None
-        self._slots: dict[tuple[_Kind, int, int], tuple[FloatArray, FloatArray, FloatArray, _Call]] = {}
+        self._slots: dict[tuple[_Kind, int, int], Bound] = {}
 
     def run(self, state: FloatArray, commands: FloatArray) -> FloatArray:
         """Roll one state under several command sequences.
@@ -131,39 +136,48 @@ class Rollouts:
 
     def _roll(self, kind: _Kind, state: FloatArray, controls: FloatArray) -> FloatArray:
         n, frames, _ = controls.shape
-        rows = next((r for r in _ROWS if r >= n), n)
-        padded = -(-frames // _FRAMES) * _FRAMES
-        x0, c, out, call = self._slot(kind, rows, padded)
-        x0[:n] = state
-        c[:n, :frames] = controls
-        call()
-        return out[:n, :frames].copy()
+        bound = self._slot(kind, padded_rows(n), -(-frames // _FRAMES) * _FRAMES)
+        bound.start[:n] = state
+        bound.controls[:n, :frames] = controls
+        bound()
+        return bound.paths[:n, :frames].copy()
 
-    def _slot(self, kind: _Kind, rows: int, frames: int) -> tuple[FloatArray, FloatArray, FloatArray, _Call]:
-        """Start (rows, 4), controls (rows, frames, columns) and path (rows, frames, 4) of a compiled rollout."""
+    def _slot(self, kind: _Kind, rows: int, frames: int) -> Bound:
         key = (kind, rows, frames)
         if key not in self._slots:
-            columns, wide = _COLUMNS[kind], rows >= _WIDE
-            x0 = np.zeros((4, rows) if wide else (rows, 4))
-            c = np.zeros((frames, columns, rows) if wide else (rows, frames, columns))
-            out = np.zeros((frames, 4, rows) if wide else (rows, frames, 4))
-            buffer, call = _compiled(kind, rows, frames, self.dt, self._profile).buffer()
-            buffer.set_arg(0, memoryview(x0))  # type: ignore[call-arg, arg-type]
-            buffer.set_arg(1, memoryview(c))  # type: ignore[call-arg, arg-type]
-            buffer.set_res(0, memoryview(out))  # type: ignore[call-arg, arg-type]
-            if wide:
-                x0, c, out = x0.T, c.transpose(2, 0, 1), out.transpose(2, 0, 1)
-            self._slots[key] = (x0, c, out, _Call(buffer, call))
+            function = _compiled(kind, rows, frames, self.dt, self._profile)
+            self._slots[key] = Bound(function, rows, frames, _COLUMNS[kind], frames)
         return self._slots[key]
 
 
-class _Call:
-    """Keeps the CasADi buffer alive as long as its trigger."""
+class Bound:
+    """A compiled rollout and the arrays that it reads and writes.
 
-    __slots__ = ("_buffer", "_call")
+    Parameters
+    ----------
+    function : start and controls to paths, its last result; from `MANY` rows on as columns.
+    rows, steps, columns : of the controls.
+    frames : of the paths.
 
-    def __init__(self, buffer: object, call: object) -> None:
-        self._buffer, self._call = buffer, call
+    Attributes
+    ----------
+    start (rows, 4), controls (rows, steps, columns), paths (rows, frames, 4) : views of the arrays.
+    """
+
+    __slots__ = ("_buffer", "_call", "controls", "paths", "start")
+
+    def __init__(self, function: ca.Function, rows: int, steps: int, columns: int, frames: int) -> None:
+        wide = rows >= MANY
+        start = np.zeros((4, rows) if wide else (rows, 4))
+        controls = np.zeros((steps, columns, rows) if wide else (rows, steps, columns))
+        paths = np.zeros((frames, 4, rows) if wide else (rows, frames, 4))
+        self._buffer, self._call = function.buffer()
+        self._buffer.set_arg(0, memoryview(start))  # type: ignore[call-arg, arg-type]
+        self._buffer.set_arg(1, memoryview(controls))  # type: ignore[call-arg, arg-type]
+        self._buffer.set_res(function.n_out() - 1, memoryview(paths))  # type: ignore[call-arg, arg-type]
+        if wide:
+            start, controls, paths = start.T, controls.transpose(2, 0, 1), paths.transpose(2, 0, 1)
+        self.start, self.controls, self.paths = start, controls, paths
 
     def __call__(self) -> None:
         self._call()  # type: ignore[operator]

@@ -42,7 +42,7 @@ class AgentCore(ContinuousCore):
             config = replace(config, braking=min(config.braking, brake))
         super().__init__(config, actuators, predictive=predictive and actuators.size == 2)
         self._frames = hold
-        self._held: dict[float, HeldRollouts] = {}
+        self._held: dict[tuple[float, Any], HeldRollouts] = {}
         self._wheel = min(abs(x) for x in actuators.steering) if actuators.lateral else 0.0
 
     def _judge_inputs(self, scene: Scene, inputs: FloatArray, stops: list[int], parts: bool = False) -> Judged:
@@ -51,8 +51,9 @@ class AgentCore(ContinuousCore):
         return super()._judge_inputs(scene, exact, stops, parts)
 
     def _stopped(self, scene: Scene, began: FloatArray, fails: Any) -> FloatArray:
-        if scene.dt not in self._held:
-            self._held[scene.dt] = HeldRollouts(scene.dt, self._frames)
+        key = scene.dt, getattr(scene.road, "profile", None)
+        if key not in self._held:
+            self._held[key] = HeldRollouts(scene.dt, self._frames, scene.road)
         period = self._frames * scene.dt
         if self._stops:
             top = max(float(began[:, -1, RoadState.SPEED].max()), 0.0)
@@ -62,7 +63,7 @@ class AgentCore(ContinuousCore):
         stops = np.empty((len(fails), 3))
         stops[:, 0] = scene.road.centers[fails]
         stops[:, 1], stops[:, 2] = self.config.braking if self._stops else 0.0, self._wheel
-        return np.concatenate([began, self._held[scene.dt].run(began[:, -1], stops, periods)], axis=1)
+        return np.concatenate([began, self._held[key].run(began[:, -1], stops, periods)], axis=1)
 
     def _law(self, scene: Scene, lane: int) -> FloatArray:
         brake, wheel = super()._law(scene, lane)

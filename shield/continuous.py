@@ -211,21 +211,22 @@ class ContinuousCore(ShieldCore):
         held = inputs[:, None] if self._frames == 1 else np.repeat(inputs[:, None], self._frames, axis=1)
         began = self._rollouts_for(scene).run_inputs(scene.ego_road, held)
         paths = self._stopped(scene, np.repeat(began, f, axis=0) if f > 1 else began, fails)
-        entered, edges, allowed = self._entered(scene, paths, fails)
+        entered, edges, allowed, on_road = self._entered(scene, paths, fails)
         result = self._survey(scene).clearance(paths, Candidates(paths, entered, fails), parts=parts)
         room = edges.min(axis=1)
         # Rolling backwards has no fail-safe: the brake stands still.
         allowed &= ~(paths[:, self._frames - 1, RoadState.SPEED] < -1e-9)
         margin = np.where(allowed, np.minimum(result.margin, np.where(room >= 0, np.inf, room)), -np.inf)
+        clear = np.minimum(result.clear, on_road)
         of = None if result.parts is None else np.hstack([result.parts, edges])
         if f == 1:
-            return Judged(inputs, margin, result.clear, fails, paths, of)
+            return Judged(inputs, margin, clear, fails, paths, of)
         # The first lane that verifies, in order; else the best.
         each = margin.reshape(n, f)
         good = each >= 0
         pick = np.where(good.any(axis=1), good.argmax(axis=1), np.nan_to_num(each, nan=-np.inf).argmax(axis=1))
         rows = np.arange(n) * f + pick
-        return Judged(inputs, margin[rows], result.clear[rows], fails[rows], paths[rows])
+        return Judged(inputs, margin[rows], clear[rows], fails[rows], paths[rows])
 
     def _stopped(self, scene: Scene, began: FloatArray, fails: Any) -> FloatArray:
         """Paths (n, h, 4) and the fail-safe after them, each in its lane of `fails`, (n, h + frames, 4)."""
@@ -236,9 +237,10 @@ class ContinuousCore(ShieldCore):
         commands[..., 1], commands[..., 2] = BRAKE, self.config.braking
         return np.concatenate([began, self._rollouts_for(scene).run(began[:, -1], commands)], axis=1)
 
-    def _entered(self, scene: Scene, paths: FloatArray, fails: Any) -> tuple[Any, FloatArray, Any]:
+    def _entered(self, scene: Scene, paths: FloatArray, fails: Any) -> tuple[Any, FloatArray, Any, Any]:
         """The lane that the body of each path enters beside those that the ego owns, (n,); the room that it leaves to
-        the road's edges, (n, 2) [m]; and whether it may go there, (n,): not into lanes on both sides at once.
+        the road's edges, (n, 2) [m]; whether it may go there, (n,): not into lanes on both sides at once; and the
+        frames for which it stays on the road, (n,).
         """
         road, ego = scene.road, scene.ego
         sin, cos = np.abs(np.sin(paths[..., RoadState.HEADING])), np.abs(np.cos(paths[..., RoadState.HEADING]))
@@ -249,11 +251,16 @@ class ContinuousCore(ShieldCore):
         new = (most[:, None] > centers - side) & (least[:, None] < centers + side) & ~owned
         new[np.arange(len(fails)), fails] = False
         entered = np.where(new.any(axis=1), new.argmax(axis=1), fails)
-        edges = np.stack([least - (centers[0] - side), (centers[-1] + side) - most], axis=1)
+        ends = centers[0] - side, centers[-1] + side
+        edges = np.stack([least - ends[0], ends[1] - most], axis=1)
+        frames: Any = paths.shape[1]
+        if edges.min() < 0:
+            off = (low < ends[0]) | (high > ends[1])
+            frames = np.where(off.any(axis=1), off.argmax(axis=1), frames)
         # Nobody keeps a place free in a lane that the ego has left: it does not come back to one.
         within = (low[..., None] < centers[owned] + 1.0) & (high[..., None] > centers[owned] - 1.0)
         returns = (within[:, 1:] & ~within[:, :-1]).any(axis=(1, 2))
-        return entered, edges, ~((new.sum(axis=1) > 1) | returns)
+        return entered, edges, ~((new.sum(axis=1) > 1) | returns), frames
 
     def _stop_lanes(self, scene: Scene) -> list[int]:
         """Lanes in which the fail-safe may stop, in order of preference."""

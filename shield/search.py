@@ -58,8 +58,8 @@ _NEAR = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """Inputs (n, 2), and the best fail-safe of each: margin [m], frames that stay clear, lane, path; and what the
-    margin is made of (n, parts) [m], where it was asked for."""
+    """Inputs (n, 2), and the best fail-safe of each: margin [m], frames that stay clear and on the road, lane, path;
+    and what the margin is made of (n, parts) [m], where it was asked for."""
 
     inputs: FloatArray
     margin: FloatArray

@@ -80,7 +80,7 @@ class Shield:
                 f"{', '.join(sorted(kinds))}. "
                 'Pass config={"action": {"type": "DiscreteMetaAction"}} to gym.make'
             )
-        self._readers = [SceneReader(base) for base in bases]
+        self._readers = [SceneReader(base, curved=kinds == {"ContinuousAction"}) for base in bases]
         self._doors: list[InputDoor] = []
         if kinds == {"ContinuousAction"}:
             self.config = config if config is not None else ShieldConfig()

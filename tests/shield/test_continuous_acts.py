@@ -7,7 +7,7 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
 
-from shield import ShieldedEnv
+from shield import Shield, ShieldedEnv, Tier
 
 CONFIG = {
     "action": {"type": "ContinuousAction"},
@@ -82,3 +82,28 @@ def test_over_twenty_long_episodes_it_neither_crashes_nor_leaves_the_road(policy
         crashed, off, *_ = drive(policy, seed, shielded=True, duration=40)
         assert not crashed, seed
         assert not off, seed
+
+
+@pytest.mark.parametrize("kind", ["racetrack-v0", "racetrack-oval-v0"])
+def test_through_the_actions_alone_it_stays_on_a_curved_road(kind: str) -> None:
+    """A policy at random with a throttle and a wheel, filtered at its decisions (5 Hz) within its own ranges."""
+
+    class Random:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return rng.uniform(-1, 1, 2).astype(np.float32), None
+
+    rng = np.random.default_rng(1)
+    env = gym.make(kind, config={"action": {"type": "ContinuousAction", "longitudinal": True, "lateral": True}})
+    observation, _ = env.reset(seed=1)
+    shielded, tiers = Shield(Random(), env=env), set()
+    for _ in range(60):
+        action, _ = shielded.predict(observation)
+        assert env.action_space.contains(action)
+        observation, _, terminated, truncated, _ = env.step(action)
+        tiers.add(shielded.last_decision.tier)
+        ego = env.unwrapped.vehicle
+        assert ego.on_road
+        assert not ego.crashed
+        if terminated or truncated:
+            break
+    assert {Tier.PASSED, Tier.GOVERNED} <= tiers

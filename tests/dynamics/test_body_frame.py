@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from driving_data import angles, coordinates, moved, states
-from hypothesis import given
+from hypothesis import given, settings
 
 from dynamics.body_frame import Layout
 from dynamics.errors import ConfigError
@@ -14,12 +14,14 @@ from dynamics.errors import ConfigError
 LAYOUT = Layout()
 
 
+@settings(deadline=None)
 @given(states, states)
 def test_there_and_back(x, other):
     np.testing.assert_allclose(LAYOUT.to_world(x, LAYOUT.about(x, other)), other, atol=1e-9)
     np.testing.assert_allclose(LAYOUT.about(x, LAYOUT.to_world(x, other)), other, atol=1e-9)
 
 
+@settings(deadline=None)
 @given(states, coordinates, coordinates, angles)
 def test_the_ego_sees_no_rigid_motion(x, dx, dy, angle):
     z = LAYOUT.to_body(x)
@@ -27,6 +29,7 @@ def test_the_ego_sees_no_rigid_motion(x, dx, dy, angle):
     np.testing.assert_allclose(z[[0, 1, 4, 5]], [0, 0, 1, 0], atol=1e-12)
 
 
+@settings(deadline=None)
 @given(states, states)
 def test_torch_agrees_with_numpy(x, other):
     for name in ("about", "to_world"):
@@ -36,6 +39,7 @@ def test_torch_agrees_with_numpy(x, other):
     np.testing.assert_allclose(LAYOUT.unit_heading(torch.from_numpy(3 * x)).numpy()[4:], x[4:], atol=1e-12)
 
 
+@settings(deadline=None)
 @given(states, states)
 def test_the_rotation_is_the_linear_part(x, z):
     shift = np.r_[x[:2], np.zeros(4)]

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from driving_data import driving
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.data import Transitions
@@ -25,6 +25,7 @@ def walk(episode_lengths: list[int], first: int = 0) -> Transitions:
     return Transitions(states, np.zeros((n, 1)), after, episodes, 0.2)
 
 
+@settings(deadline=None)
 @given(lengths, st.integers(1, 8))
 def test_windows_are_all_runs_within_an_episode(episode_lengths, horizon):
     data = walk(episode_lengths)
@@ -34,6 +35,7 @@ def test_windows_are_all_runs_within_an_episode(episode_lengths, horizon):
     np.testing.assert_array_equal(after[..., 0], states[:, :1] + np.arange(1, horizon + 1))
 
 
+@settings(deadline=None)
 @given(lengths.filter(lambda x: len(x) > 1), st.floats(0.01, 0.99), st.integers(0, 9))
 def test_a_split_parts_whole_episodes_and_loses_nothing(episode_lengths, share, seed):
     data = walk(episode_lengths)
@@ -44,6 +46,7 @@ def test_a_split_parts_whole_episodes_and_loses_nothing(episode_lengths, share, 
     np.testing.assert_array_equal(data.split(share, seed)[0].states, train.states)
 
 
+@settings(deadline=None)
 @given(lengths, lengths)
 def test_joined_transitions_stay_different_episodes(a, b):
     joined = walk(a) + walk(b, first=100)
@@ -51,6 +54,7 @@ def test_joined_transitions_stay_different_episodes(a, b):
     assert np.unique(joined.episodes, return_counts=True)[1].tolist() == [*a, *b]
 
 
+@settings(deadline=None)
 @given(lengths, st.integers(0, 99))
 def test_a_file_brings_back_every_bit(tmp_path_factory, episode_lengths, seed):
     data = driving(len(episode_lengths), max(episode_lengths), seed)
@@ -61,6 +65,7 @@ def test_a_file_brings_back_every_bit(tmp_path_factory, episode_lengths, seed):
     assert (back.dt, back.origin) == (data.dt, data.origin)
 
 
+@settings(deadline=None)
 @given(st.integers(0, 29), st.sampled_from(["states", "actions", "next_states"]), st.sampled_from([np.nan, np.inf]))
 def test_what_is_not_finite_is_refused_and_named(row, name, value):
     parts = {k: getattr(driving(1), k).copy() for k in ("states", "actions", "next_states", "episodes")}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from driving_data import angles, coordinates, driving, inputs, moved, states
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.body_frame import Layout
@@ -25,6 +25,7 @@ def random_model(config: ModelConfig, seed: int = 0) -> LinearStructuredModel:
     return LinearStructuredModel(replace(config, seed=seed)).eval().requires_grad_(False)
 
 
+@settings(deadline=None)
 @given(st.integers(0, 1000), states, inputs)
 def test_the_plain_form_with_given_a_and_b_is_the_formula(seed, x, u):
     rng = np.random.default_rng(seed)
@@ -40,6 +41,7 @@ def test_the_plain_form_with_given_a_and_b_is_the_formula(seed, x, u):
     np.testing.assert_allclose(got_b, b, rtol=1e-6)
 
 
+@settings(deadline=None)
 @given(seeds, states, inputs, st.sampled_from([BODY, replace(PLAIN, members=2), replace(PLAIN, hide_position=True)]))
 def test_a_and_b_at_a_point_are_those_of_the_step(seed, x, u, config):
     model = random_model(config, seed)
@@ -50,6 +52,7 @@ def test_a_and_b_at_a_point_are_those_of_the_step(seed, x, u, config):
     np.testing.assert_allclose(model.step(x[None], u[None])[0], want, rtol=1e-4, atol=1e-4)
 
 
+@settings(deadline=None)
 @given(seeds, states, inputs, coordinates, coordinates, angles)
 def test_in_body_frame_a_rigid_motion_before_is_one_after(seed, x, u, dx, dy, angle):
     model = random_model(BODY, seed)
@@ -58,6 +61,7 @@ def test_in_body_frame_a_rigid_motion_before_is_one_after(seed, x, u, dx, dy, an
     np.testing.assert_allclose(before, after, atol=1e-4)
 
 
+@settings(deadline=None)
 @given(seeds, states, inputs, coordinates, coordinates, angles)
 def test_the_matrices_in_body_frame_turn_with_the_state(seed, x, u, dx, dy, angle):
     model = random_model(BODY, seed)
@@ -77,6 +81,7 @@ def test_the_notebooks_form_has_no_such_symmetry():
     np.testing.assert_allclose(before, after, atol=1e-4)
 
 
+@settings(deadline=None)
 @given(seeds, st.lists(states, min_size=1, max_size=4), st.integers(0, 6), st.sampled_from([BODY, PLAIN]))
 def test_a_rollout_is_a_repeated_step(seed, starts, horizon, config):
     model = random_model(config, seed)
@@ -89,6 +94,7 @@ def test_a_rollout_is_a_repeated_step(seed, starts, horizon, config):
         np.testing.assert_allclose(got[:, k], now, rtol=1e-5, atol=1e-4)
 
 
+@settings(deadline=None)
 @given(seeds, st.lists(states, min_size=2, max_size=5), inputs)
 def test_rows_do_not_meddle_with_each_other(seed, starts, u):
     model = random_model(BODY, seed)
@@ -101,6 +107,7 @@ def test_rows_do_not_meddle_with_each_other(seed, starts, u):
     np.testing.assert_allclose(got[1:], alone[1:], rtol=1e-5, atol=1e-5)
 
 
+@settings(deadline=None)
 @given(seeds, states, inputs, st.sampled_from([BODY, PLAIN]))
 def test_the_linearisation_is_exact_at_the_point_and_has_the_slopes_around_it(seed, x, u, config):
     model = random_model(replace(config, activation="tanh"), seed).double()
@@ -115,6 +122,7 @@ def test_the_linearisation_is_exact_at_the_point_and_has_the_slopes_around_it(se
         np.testing.assert_allclose((f @ dx + g @ du) / h, (ahead - behind) / (2 * h), rtol=1e-5, atol=1e-5)
 
 
+@settings(deadline=None)
 @given(seeds, states, inputs)
 def test_disagreement_is_the_spread_of_the_members(seed, x, u):
     model = random_model(BODY, seed)
@@ -124,6 +132,7 @@ def test_disagreement_is_the_spread_of_the_members(seed, x, u):
     assert (random_model(replace(BODY, members=1), seed).disagreement(x[None], u[None]) == 0).all()
 
 
+@settings(deadline=None)
 @given(seeds, states, inputs)
 def test_the_prediction_is_the_mean_of_the_members_but_for_the_heading(seed, x, u):
     model = random_model(replace(BODY, unit_heading=False), seed)
@@ -131,12 +140,14 @@ def test_the_prediction_is_the_mean_of_the_members_but_for_the_heading(seed, x, 
     np.testing.assert_allclose(model.step(x[None], u[None]), each.mean(axis=0), rtol=1e-5, atol=1e-4)
 
 
+@settings(deadline=None)
 @given(seeds, states, inputs)
 def test_the_heading_stays_a_direction(seed, x, u):
     got = random_model(BODY, seed).step(x[None], u[None])[0]
     assert np.hypot(got[4], got[5]) == pytest.approx(1, abs=1e-5)
 
 
+@settings(deadline=None)
 @given(st.floats(0.1, 10), st.floats(0.1, 10))
 def test_normalisation_is_inside(length, time):
     """Fitted to the same data in other units of length and time, it predicts the same in those units."""

@@ -29,7 +29,7 @@ def test_after_a_block_it_is_within_the_stated_distance(rows, hold, seed):
     want = MODEL.rollout(x, np.repeat(u, hold, axis=1))[:, -1]
     agreement = FAST.agreement[hold]
     assert agreement.median <= agreement.p99 <= agreement.worst
-    assert agreement.p99 < 0.03
+    assert agreement.p99 <= 0.03
     # The data's own states are well inside the range that the worst case was looked for in.
     assert np.hypot(*(got - want)[:, :2].T).max() <= 2 * agreement.worst + 1e-4
     np.testing.assert_allclose(got[:, 2:4], want[:, 2:4], atol=0.1)
@@ -104,8 +104,8 @@ def test_the_tolerance_is_kept_or_refused():
 def test_what_cannot_be_distilled_is_refused():
     with pytest.raises(ConfigError, match="in the form 'body'"):
         distill(LinearStructuredModel(ModelConfig(form="plain")), DATA)
-    with pytest.raises(ConfigError, match="too many for 100"):
-        distill(MODEL, DATA, DistillConfig(samples=100))
+    with pytest.raises(ConfigError, match="20 samples are too few"):
+        distill(MODEL, DATA, DistillConfig(samples=20))
     with pytest.raises(ModelError, match="1 or more"):
         FAST.rollout_held(DATA.states[:1], np.zeros((1, 1, 2)), 0)
     with pytest.raises(ModelError, match="must have shape"):

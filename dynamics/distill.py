@@ -27,8 +27,8 @@ class DistillConfig:
     degree : greatest total degree of the polynomials.
     samples : rollouts that each is fitted to, and a quarter as many to measure it on.
     stretch : w is drawn from the range that the data have, made so much longer.
-    tolerance : greatest 99 % quantile of the distance between model and polynomial [m] after one block; the lowest
-        degree that keeps it is taken.
+    tolerance : greatest 99 % quantile of the distance between model and polynomial after one block [m], for each
+        decision that the action is held. The lowest degree that keeps it is taken.
     seed : of the draws.
     """
 
@@ -36,7 +36,7 @@ class DistillConfig:
     degree: int = 9
     samples: int = 8192
     stretch: float = 1.25
-    tolerance: float = 0.03
+    tolerance: float = 0.02
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -83,7 +83,7 @@ def _macro_step(
     fresh = _draw(low, high, model.action_dim, max(config.samples // 4, 1), generator)
     targets, fresh_targets = _teach(model, w, u, hold), _teach(model, *fresh, hold)
     scaled, fresh_scaled = (2 * (x - low) / (high - low) - 1 for x in (w, fresh[0]))
-    found: Agreement | None = None
+    found, tolerance = None, config.tolerance * hold
     for degree in range(min(3, config.degree), config.degree + 1):
         phi, psi = Monomials(k, degree, linear), Monomials(model.action_dim, degree)
         allowed = np.add.outer(phi.exponents.sum(1), psi.exponents.sum(1)) <= degree
@@ -94,7 +94,7 @@ def _macro_step(
         distance, turn = np.hypot(error[:, k], error[:, k + 1]), error[:, k + 2]
         median, p99, worst = (float(np.quantile(distance, q)) for q in (0.5, 0.99, 1))
         found = Agreement(degree, median, p99, worst, float(np.quantile(turn, 0.99)))
-        if found.p99 <= config.tolerance:
+        if found.p99 <= tolerance:
             full = np.zeros((k + 3, *allowed.shape), np.float32)
             full[:, allowed] = c
             gain, shift = (x.astype(np.float32)[:, None] for x in (2 / (high - low), -(high + low) / (high - low)))
@@ -103,7 +103,7 @@ def _macro_step(
         raise ConfigError(f"{config.samples} samples are too few for polynomials of {k + model.action_dim} variables")
     raise ModelError(
         f"the polynomial of degree {found.degree} for {hold} held decisions is {found.p99:.3g} m from the model (99 % "
-        f"quantile), more than the tolerance of {config.tolerance} m; raise the degree, the samples or the tolerance"
+        f"quantile), more than the tolerance of {tolerance:.3g} m; raise the degree, the samples or the tolerance"
     )
 
 

@@ -83,7 +83,7 @@ class MacroStep:
 
 
 class DistilledModel:
-    """Macro-steps of a body-form model: a `DynamicsModel` with a fast `rollout_held`. Made by `dynamics.distill.distill`.
+    """Macro-steps of a body-form model, made by `dynamics.distill`: a `DynamicsModel` with a fast `rollout_held`.
 
     Attributes
     ----------

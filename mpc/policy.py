@@ -30,11 +30,13 @@ from mpc.result import FilterResult
 __all__ = ["MPCPolicy"]
 
 _LOOK = 4.0
-_WORTH = 4.0
+_WORTH = 1.0
 _FAR = 200.0
 """Room beyond which a lane is as good as empty [m]."""
 _STAGE, _HORIZON = 0.2, 6.0
 """Stage and horizon of the plan [s]; a stage is no shorter than a decision period."""
+_LATE = 0.0
+"""How much later a follower reacts to a car that comes into its lane [s]."""
 _DRIFT = 2.5
 """Lateral speed at which a new lane is approached [m/s]."""
 _AHEAD = 5
@@ -162,7 +164,7 @@ class MPCPolicy:
         v, w = max(float(ego[RoadState.SPEED]), 0.0), scene.others_road[:, RoadState.SPEED]
         behind = scene.others_road[:, RoadState.S] < ego[RoadState.S]
         brake = -self.actuators.acceleration[0]
-        reaction = a.reaction_time + 1.0  # a lane change is seen late
+        reaction = a.reaction_time + _LATE
         top = w + a.acceleration * reaction
         need = (
             w * reaction + 0.5 * a.acceleration * reaction**2 + top**2 / (2 * a.follower_braking) - v**2 / (2 * brake)

@@ -127,7 +127,7 @@ class ContinuousCore(ShieldCore):
         def judge(inputs: FloatArray, lanes: list[int], parts: bool) -> Judged:
             return self._judge_inputs(scene, inputs, lanes, parts)
 
-        search = Search(judge, proposal, self._spans, np.maximum(least, floor), np.maximum(most, floor))
+        search = Search(judge, proposal, self._spans(scene), np.maximum(least, floor), np.maximum(most, floor))
         judged = search.run(lanes, law)
         if not judged.margin[0] >= 0 and self.predictive:
             plan = self._predict(scene, proposal, int(first.lanes[0]))
@@ -278,9 +278,8 @@ class ContinuousCore(ShieldCore):
         """The acceleration that just stops the ego within the frame [m/s^2]."""
         return -max(float(scene.ego[State.SPEED]), 0.0) / (self._frames * scene.dt)
 
-    @property
-    def _spans(self) -> FloatArray:
-        """Ranges of the actuators, (2,) [m/s^2, rad]."""
+    def _spans(self, scene: Scene) -> FloatArray:
+        """Changes of throttle and steering that count alike, (2,) [m/s^2, rad]: the ranges of the actuators."""
         return np.array([np.ptp(self.actuators.acceleration), np.ptp(self.actuators.steering)])
 
     def _law(self, scene: Scene, lane: int) -> FloatArray:

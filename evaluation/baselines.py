@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.actuators import Actuators
+from evaluation.parking import PARKING_POLICIES, parking_policy
 from evaluation.policies import list_references, load_reference
 from evaluation.training import ALGORITHMS, get_algorithm, manifest_path
 from mpc import MPCPolicy
@@ -39,10 +40,10 @@ __all__ = [
 _META = {"faster": "FASTER", "slower": "SLOWER", "idle": "IDLE"}
 _INPUTS = {"throttle", "idle"}
 
-BASELINES = (*sorted(_META.keys() | _INPUTS), "random", "mpc")
+BASELINES = (*sorted(_META.keys() | _INPUTS), "random", "mpc", *PARKING_POLICIES)
 """Names of the policies that need no training: `faster` and `slower` for meta-actions, `throttle` (full throttle, the
 wheel straight) for continuous actions, `idle` and `random` for both; `mpc` drives with continuous actions by itself
-(`mpc.MPCPolicy`, on the simulator's true state)."""
+(`mpc.MPCPolicy`, on the simulator's true state); those of `evaluation.parking` park."""
 
 
 class Policy(Protocol):
@@ -145,6 +146,8 @@ def make_policy(name: str, env: gym.Env[Any, Any], algorithm: str | None = None)
         return RandomPolicy(env.action_space)
     if name == "mpc":
         return MPCPolicy(env)
+    if name in PARKING_POLICIES:
+        return parking_policy(name, env)
     if name in list_references():
         return load_reference(name)
     if name.endswith(".zip"):

@@ -1,4 +1,4 @@
-"""The command `shield`: train, evaluate, demo, config."""
+"""The command `shield`: train, evaluate, demo, config, dynamics."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ import typer
 from rich.console import Console
 
 from evaluation.baselines import BASELINES
+from evaluation.dynamics_cli import dynamics_app
 from evaluation.recipes import RECIPES
+from evaluation.settings import get_setting
 from evaluation.training import ALGORITHMS, FIRST_EVALUATION_SEED, train, train_recipe
 from shield.config import MODES, ShieldConfig
 from shield.errors import ConfigError, ShieldError
@@ -23,7 +25,7 @@ EVALUATION_SEED = 100_000
 
 DEMO_SETTING, DEMO_POLICY = "highway-fast", "ppo-highway-fast"
 
-_SETTINGS, _POLICIES, _SHIELDS = [DEMO_SETTING], [DEMO_POLICY], ["none,full"]
+_SETTINGS, _POLICIES = [DEMO_SETTING], [DEMO_POLICY]
 
 app = typer.Typer(
     help="A runtime safety shield around driving policies on highway-env.",
@@ -31,6 +33,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+app.add_typer(dynamics_app, name="dynamics")
 _out = Console()
 
 
@@ -71,9 +74,12 @@ def evaluate(
         typer.Option(help=f"{', '.join(BASELINES)}, a reference policy, or an SB3 .zip (repeatable, or a comma list)."),
     ] = _POLICIES,
     shield: Annotated[
-        list[str],
-        typer.Option(help=f"Shield modes: {', '.join(MODES)} (repeatable, or a comma list)."),
-    ] = _SHIELDS,
+        list[str] | None,
+        typer.Option(
+            help=f"Shield modes: {', '.join(MODES)} (repeatable, or a comma list)."
+            " By default none and full; none alone in a parking lot."
+        ),
+    ] = None,
     door: Annotated[
         Door,
         typer.Option(
@@ -110,14 +116,13 @@ def evaluate(
 
     shield_config = _read_config(config)
     doors = [Door.ENV.value, Door.POLICY.value] if door is Door.BOTH else [door.value]
-    variants = make_variants(_split(shield), doors, shield_config)
     if output is not None:
         _check_output(output)
     parts = [
         run_paired(
             name,
             driver,
-            variants,
+            make_variants(_shields(shield, name), doors, shield_config),
             range(seed, seed + episodes),
             jobs=jobs,
             algorithm=algorithm,
@@ -171,6 +176,13 @@ def picture(
 def config_command() -> None:
     """Print the shield's default settings as TOML."""
     typer.echo(ShieldConfig().to_toml(), nl=False)
+
+
+def _shields(asked: list[str] | None, setting: str) -> list[str]:
+    """The shield modes that were asked for, or those that a setting is driven with otherwise."""
+    if asked is not None:
+        return _split(asked)
+    return ["none", "full"] if get_setting(setting).road else ["none"]
 
 
 def _split(values: list[str]) -> list[str]:

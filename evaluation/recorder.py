@@ -11,7 +11,6 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-
 from highway_env.envs.parking_env import ParkingEnv
 
 from dynamics.errors import SceneError

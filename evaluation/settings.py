@@ -53,12 +53,15 @@ class Setting:
         config: what differs from the environment's default configuration; in highway-env's units
             (speeds in m/s, frequencies in Hz, durations in s). Read-only.
         description: one line for people.
+        road: whether it is a road, so that shields are compared on it unless others are asked for; they read none
+            in a parking lot, and stop.
     """
 
     name: str
     env_id: str
     config: Mapping[str, Any] = field(default_factory=dict, hash=False)
     description: str = ""
+    road: bool = True
 
     def __post_init__(self) -> None:
         # A deep copy behind a read-only view: no two settings share a nested dictionary.
@@ -209,12 +212,13 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
                 {**_CONTINUOUS_TRAINING, "lanes_count": 4},
                 "highway-continuous, training: decisions at 5 Hz, 10 Hz, 12 other vehicles, nothing for standing",
             ),
-            Setting("parking", "parking-v0", {}, "parking-v0 as it comes: an empty lot within walls, 5 Hz, 15 Hz, 100 s"),
+            Setting("parking", "parking-v0", {}, "parking-v0 as it comes: an empty lot, 5 Hz, 100 s", road=False),
             Setting(
                 "parking-parked",
                 "parking-v0",
                 {"vehicles_count": 10},
                 "parking-v0 with 10 parked vehicles (parking-parked-v0): the observation does not show them",
+                road=False,
             ),
             Setting("racetrack", "racetrack-v0", {}, "racetrack-v0 as it comes: steering alone, 5 Hz, 15 Hz, 300 s"),
         )

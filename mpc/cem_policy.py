@@ -14,7 +14,7 @@ from dynamics.errors import ConfigError
 from dynamics.model import StepModel
 from dynamics.oracle import BicycleModel
 from mpc.cem import CEM, PlannerSettings
-from mpc.parking_task import ParkingTask, brake
+from mpc.parking_task import ParkingTask, brake, parking_settings
 from mpc.plan import Cost, Plan, PlanMemory, PlanStatus
 
 __all__ = ["CEMPolicy", "Planner", "Task"]
@@ -84,7 +84,7 @@ class CEMPolicy:
         ----------
         env : the environment or VecEnv; obstacles are read from it, and the bicycle where there is no model.
         model : of the states of `dynamics.parking`; the true bicycle by default.
-        settings : how to search; `ParkingTask.settings()` by default.
+        settings : how to search; `parking_settings()` by default.
         task : what is to be small; `ParkingTask(env)` by default.
 
         Raises
@@ -92,7 +92,7 @@ class CEMPolicy:
         ConfigError
             If the environment is not parking with continuous actions.
         """
-        settings = settings if settings is not None else ParkingTask.settings()
+        settings = settings if settings is not None else parking_settings()
         task = task if task is not None else ParkingTask(env)
         model = model if model is not None else BicycleModel.of(task.bases[0], np.float32)
         if (model.state_dim, model.action_dim) != (6, 2):

@@ -3,7 +3,8 @@ r"""Costs of plans: small objects that add up.
 Notation
 --------
 E states, S plans, T looked-at states (see `mpc.plan.Trajectories`). A *term* gives a cost to every looked-at state,
-c_i (E, S, T); a *factor* gives each a weight, w_j (E, S, T) or (T,). They are put together with `+`, and the cost of a plan is
+c_i (E, S, T); a *factor* gives each a weight, w_j (E, S, T) or (T,).
+They are put together with `+`, and the cost of a plan is
 
     sum_t  w_1 ... w_k (c_1 + ... + c_n)
 

@@ -24,22 +24,32 @@ WEIGHTS = np.array([1.0, 0.3, 0.0, 0.0, 0.02, 0.02])
 """Weights of the reward on the observation's entries (`reward_weights`)."""
 SUCCESS = 0.12
 """Distance to the goal below which the environment says that parking has succeeded (`success_goal_reward`)."""
-_COLUMNS = np.flatnonzero(WEIGHTS)
-_SCALED = (WEIGHTS / SCALES)[_COLUMNS]
 
 
-def goal_distance(states: Any, goal: Any, heading: float = 1.0) -> Any:
-    """highway-env's distance to the goal: states (E, ..., 6) and a goal (E, 6) or (6,) to (E, ...).
+def goal_distance(states: Any, goal: Any) -> Any:
+    """highway-env's distance to the goal: states (E, ..., 6) and a goal (E, 6) or (6,) to (E, ...)."""
+    return np.sqrt(sum(_squares(states, goal)))
 
-    `heading` is a factor on its weight of the heading.
-    """
+
+def _squares(states: Any, goal: Any) -> tuple[Any, Any]:
+    """The parts of the squared distance that are position's and heading's, (E, ...) each."""
     goal = np.asarray(goal, states.dtype)
     goal = goal.reshape(*goal.shape[:-1], *(1,) * (states.ndim - 2 if goal.ndim > 1 else 0), goal.shape[-1])
-    total: Any = 0.0
-    for column, weight in zip(_COLUMNS, _SCALED, strict=True):
-        factor = heading if column >= Parking.COS else 1.0
-        total = total + states.dtype.type(factor * weight) * np.abs(states[..., column] - goal[..., column])
-    return np.sqrt(total)
+    x, y, cos, sin = (
+        states.dtype.type(WEIGHTS[i] / SCALES[i]) * np.abs(states[..., i] - goal[..., i])
+        for i in (Parking.X, Parking.Y, Parking.COS, Parking.SIN)
+    )
+    return x + y, cos + sin
+
+
+def _parts(trajectories: Trajectories, goal: Any) -> tuple[Any, Any]:
+    """`_squares` of looked-at states, worked out once for all parts of a cost that have the same goal."""
+    key = ("goal", id(goal))
+    if key not in trajectories.memo:
+        # The goal is kept with it, so that its id stays its own.
+        trajectories.memo[key] = (_squares(trajectories.states, goal), goal)
+    found: tuple[Any, Any] = trajectories.memo[key][0]
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +61,8 @@ class GoalCost(Term):
 
     def stages(self, trajectories: Trajectories) -> Any:
         """(E, S, T)."""
-        return goal_distance(trajectories.states, self.goal, self.heading) * trajectories.spans
+        position, heading = _parts(trajectories, self.goal)
+        return np.sqrt(position + self.heading * heading) * trajectories.spans
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,9 +79,9 @@ class SuccessMask(Factor):
 
     def weights(self, trajectories: Trajectories) -> Any:
         """(E, S, T), 1 up to and with the first success."""
-        done = goal_distance(trajectories.states, self.goal) < self.threshold
-        over = np.logical_or.accumulate(done, axis=2)
-        out = np.ones(done.shape, trajectories.states.dtype)
+        position, heading = _parts(trajectories, self.goal)
+        over = np.logical_or.accumulate(position + heading < self.threshold**2, axis=2)
+        out = np.ones(over.shape, trajectories.states.dtype)
         out[..., 1:] -= over[..., :-1]
         return out
 
@@ -80,15 +91,15 @@ class StopCost(Term):
     """Speed beyond `limit` [m/s] where parking has succeeded: with `SuccessMask`, the speed on arrival."""
 
     goal: Any
-    limit: float = 0.8
+    limit: float = 0.6
     threshold: float = SUCCESS
 
     def stages(self, trajectories: Trajectories) -> Any:
         """(E, S, T) [m/s]."""
         states = trajectories.states
+        position, heading = _parts(trajectories, self.goal)
         speed = np.hypot(states[..., Parking.VX], states[..., Parking.VY])
-        done = goal_distance(states, self.goal) < self.threshold
-        return np.maximum(speed - self.limit, 0) * done
+        return np.maximum(speed - self.limit, 0) * (position + heading < self.threshold**2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,11 @@ from mpc.costs import Sum, TerminalWeight, TimeCost
 from mpc.parking_costs import GoalCost, ObstacleCost, StopCost, SuccessMask, WallCost
 from mpc.plan import Fallback
 
-__all__ = ["ParkingTask", "ParkingWeights", "brake"]
+__all__ = ["PROFILES", "ParkingTask", "ParkingWeights", "brake", "parking_settings"]
+
+
+PROFILES = {"quality": 4, "fast": 2}
+"""Iterations of the planner's named profiles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +48,25 @@ class ParkingWeights:
     wall_margin: float = 0.5
     obstacle: float = 1.0
     obstacle_margin: float = 0.5
+
+
+def parking_settings(profile: str = "quality", **changes: Any) -> PlannerSettings:
+    """How to search for ways into a spot: 8 blocks of 0.8 s, looked at closely in the first two, 4 restarts.
+
+    Parameters
+    ----------
+    profile : one of `PROFILES`: "quality" has 4 iterations, "fast" has 2.
+    changes : other values of `PlannerSettings`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such profile, or a value is out of range.
+    """
+    if profile not in PROFILES:
+        raise ConfigError(f"unknown profile {profile!r}; have {', '.join(PROFILES)}")
+    settings = PlannerSettings.multistart(blocks=8, hold=4, look=1, fine=2, iterations=PROFILES[profile])
+    return settings.replace(**changes)
 
 
 class ParkingTask:
@@ -75,11 +98,6 @@ class ParkingTask:
                 )
         self._roads: list[Any] = [None] * len(self.bases)
         self._boxes: list[Any] = [np.empty((0, 5))] * len(self.bases)
-
-    @staticmethod
-    def settings(**changes: Any) -> PlannerSettings:
-        """How to search for ways into a spot: 8 blocks of 0.8 s, looked at closely in the first two, 4 restarts."""
-        return PlannerSettings.multistart(blocks=8, hold=4, look=1, fine=2).replace(**changes)
 
     def read(self, observation: Any) -> tuple[Any, Any, bool]:
         """States (E, 6), goals (E, 6), both float32, and whether there was one alone."""

@@ -10,7 +10,7 @@ one at the end of each block.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Protocol
 
@@ -44,12 +44,14 @@ class Trajectories:
     states : looked-at states, (E, S, T, d); the first is `spans[0]` decisions after `start`.
     actions : what leads to each of them, (E, S, T, m).
     spans : decisions since the looked-at state before, (T,), in the type of the states.
+    memo : what several parts of a cost need and one of them has worked out; it lives as long as this object.
     """
 
     start: Any
     states: Any
     actions: Any
     spans: Any
+    memo: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)

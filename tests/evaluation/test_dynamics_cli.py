@@ -1,0 +1,116 @@
+"""`shield dynamics`: a small model is fitted, stored, tested and drawn; what is wrong is said before any driving."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+import dynamics.variants as variants
+from dynamics.data import Transitions
+from dynamics.errors import ConfigError, ShieldError
+from dynamics.fit import FitConfig
+from dynamics.learned import ModelConfig
+from dynamics.open_loop import OpenLoop
+from dynamics.rounds import RoundsConfig
+from dynamics.store import load_model, read_config
+from dynamics.variants import VARIANTS, Variant, variant
+from evaluation.cli import app
+from evaluation.dynamics_study import HORIZON, Trial, errors, plot
+
+TINY = Variant(
+    "small",
+    ModelConfig(members=1, hidden=(16, 16)),
+    FitConfig(epochs=60, finish_epochs=0, batch=64),
+    RoundsConfig(transitions=200, rounds=1, per_round=60),
+)
+
+
+def shield(*words: object):
+    return CliRunner().invoke(app, ["dynamics", *map(str, words)])
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dynamics") / "model"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(variants, "VARIANTS", {"rounds": TINY})
+        result = shield("fit", "--seed", 3, "--output", folder)
+    assert result.exit_code == 0, result.output
+    return folder, result.output
+
+
+def test_fit_writes_a_model_with_its_data_and_says_how_good_it_is(model):
+    folder, output = model
+    data = Transitions.load(folder / "transitions.npz")
+    assert len(data) == 260
+    assert load_model(folder).config == replace(TINY.model, seed=3)
+    assert read_config(folder)["notes"]["transitions"] == 260
+    assert re.search(r"│ 1 +│ 260 +│", output)
+    assert f"wrote {folder}" in output.replace("\n", "")
+
+
+def test_evaluate_tests_a_stored_model_on_fresh_driving(model, tmp_path):
+    folder, _ = model
+    table = tmp_path / "errors.csv"
+    result = shield("evaluate", "--model", folder, "--transitions", 60, "--output", table, "--markdown")
+    assert result.exit_code == 0, result.output
+    (row,) = pd.read_csv(table).to_dict("records")
+    assert 0 < row["random_1"] < row["random_15"] < 5
+    assert row["on_policy_15"] <= row["on_policy_15_p95"]
+    assert f"{row['random_15']:.3f}" in result.output
+
+
+def test_plot_draws(model, tmp_path):
+    folder, _ = model
+    picture = tmp_path / "a" / "errors.png"
+    result = shield("plot", picture, "--model", folder, "--transitions", 60)
+    assert result.exit_code == 0, result.output
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["fit", "--env", "highway-v0"], "can be learned in parking-v0"),
+        (["fit", "--variant", "best"], "unknown variant 'best'; have notebook"),
+        (["fit", "--transitions", 0], "must be positive"),
+        (["evaluate", "--variant", "best"], "unknown variant"),
+        (["evaluate", "--variant", "body", "--model", "x"], "either --variant or --model"),
+        (["evaluate", "--output", "errors.xlsx"], "must end in"),
+        (["evaluate", "--model", "nowhere"], "nowhere is no model"),
+        (["plot", "errors.gif"], "a plot is one of"),
+    ],
+)
+def test_what_is_wrong_is_said(words, message):
+    result = shield(*words)
+    assert isinstance(result.exception, ShieldError)
+    assert message in str(result.exception)
+
+
+def _trial(name: str, seed: int, scale: float) -> Trial:
+    error = scale * np.outer(np.ones(5), np.arange(1, HORIZON + 1))
+    return Trial(name, seed, 100, 1.0, OpenLoop(error), OpenLoop(2 * error))
+
+
+def test_the_table_has_the_errors_after_one_and_all_decisions():
+    (row,) = errors([_trial("a", 0, 0.1)]).to_dict("records")
+    assert row["random_1"] == pytest.approx(0.1)
+    assert row[f"on_policy_{HORIZON}"] == pytest.approx(3.0)
+
+
+def test_a_picture_of_another_kind_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="a plot is one of"):
+        plot([_trial("a", 0, 0.1)], tmp_path / "a.gif")
+
+
+def test_every_variant_can_be_seeded_and_says_what_it_is():
+    assert len({v.what for v in VARIANTS.values()}) == len(VARIANTS)
+    for name in VARIANTS:
+        seeded = variant(name).seeded(7)
+        assert {seeded.model.seed, seeded.fit.seed, seeded.data.seed} == {7}
+        assert variant(name).model.seed == 0

@@ -17,7 +17,7 @@ from dynamics.fit import Fit, FitConfig, fit
 from dynamics.learned import LinearStructuredModel, ModelConfig
 from dynamics.state import FloatArray
 
-__all__ = ["Round", "RoundsConfig", "rounds"]
+__all__ = ["Round", "RoundsConfig", "first_driving", "rounds"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,16 +98,7 @@ def rounds(
     config = config or RoundsConfig()
     if config.rounds and policy_of is None:
         raise ConfigError("on-policy rounds need policy_of, which makes a policy from a model")
-    data = collect(
-        env,
-        None,
-        config.transitions,
-        _seed(config, 0),
-        state=state,
-        dt=model.dt,
-        episode_steps=config.episode_steps,
-        hold=config.hold,
-    )
+    data = first_driving(env, state, model.dt, config)
     start: ModelConfig | LinearStructuredModel = model
     for number in range(config.rounds + 1):
         if number:
@@ -127,6 +118,20 @@ def rounds(
         done = fit(data, start, fit_config, progress=progress, tensorboard=folder)
         yield Round(number, data, done)
         start = done.model
+
+
+def first_driving(env: Any, state: Callable[[Any], FloatArray], dt: float, config: RoundsConfig) -> Transitions:
+    """The random driving of round 0. Parameters and errors as in `rounds`; `dt` is the duration of a decision [s]."""
+    return collect(
+        env,
+        None,
+        config.transitions,
+        _seed(config, 0),
+        state=state,
+        dt=dt,
+        episode_steps=config.episode_steps,
+        hold=config.hold,
+    )
 
 
 def _seed(config: RoundsConfig, number: int) -> int:

@@ -7,7 +7,7 @@ on-policy rounds. Both are collected for the test alone, in episodes that no mod
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -21,11 +21,12 @@ from dynamics.collect import Predicts, collect
 from dynamics.data import Transitions
 from dynamics.distill import distill
 from dynamics.errors import ConfigError
+from dynamics.fit import Fit, fit
 from dynamics.learned import LinearStructuredModel
 from dynamics.model import DynamicsModel
 from dynamics.open_loop import OpenLoop, open_loop
 from dynamics.oracle import BicycleModel
-from dynamics.rounds import Round, rounds
+from dynamics.rounds import Round, RoundsConfig, first_driving, rounds
 from dynamics.store import load_model
 from dynamics.variants import DEFAULT, VARIANTS, Variant, variant
 
@@ -169,18 +170,38 @@ def study(
     out: list[Trial] = []
     for seed in seeds:
         progress(f"seed {seed}: {DEFAULT}, and test driving")
-        *_, best = learn(variant(DEFAULT).seeded(seed), env_id)
-        tests = fresh_driving(best.round.fit.model, best.round.data, seed, transitions, env_id)
+        default = variant(DEFAULT).seeded(seed)
+        learned = [timed.round for timed in learn(default, env_id)]
+        tests = fresh_driving(learned[-1].fit.model, learned[-1].data, seed, transitions, env_id)
+        random_data: dict[RoundsConfig, Transitions] = {replace(default.data, rounds=0): learned[0].data}
         for name, setup in setups.items():
-            if name == DEFAULT:
-                last = best
-            else:
-                progress(f"seed {seed}: {name}")
-                *_, last = learn(setup.seeded(seed), env_id)
-            fit = last.round.fit
-            out.append(trial(name, seed, fit.model, len(last.round.data), fit.seconds, tests))
+            progress(f"seed {seed}: {name}")
+            fitted, count = _learned(setup.seeded(seed), default, learned, random_data, env_id)
+            out.append(trial(name, seed, fitted.model, count, fitted.seconds, tests))
         out.append(trial("true bicycle", seed, BicycleModel(), 0, 0.0, tests))
     return out
+
+
+def _learned(
+    setup: Variant, default: Variant, rounds_done: Sequence[Round], driven: dict[RoundsConfig, Transitions], env_id: str
+) -> tuple[Fit, int]:
+    """The last fit of a variant and the size of its data; what has been driven or fitted before is not done again."""
+    number = setup.data.rounds
+    if (setup.model, setup.fit, replace(setup.data, rounds=0)) == (
+        default.model,
+        default.fit,
+        replace(default.data, rounds=0),
+    ) and number < len(rounds_done):
+        return rounds_done[number].fit, len(rounds_done[number].data)
+    if number:
+        *_, last = learn(setup, env_id)
+        return last.round.fit, len(last.round.data)
+    key = replace(setup.data, rounds=0, per_round=default.data.per_round)
+    if key not in driven:
+        env = _make(env_id)
+        driven[key] = first_driving(env, parking.state, setup.model.dt, setup.data)
+        env.close()
+    return fit(driven[key], setup.model, setup.fit), len(driven[key])
 
 
 def stored(folders: Mapping[str, Path], data_file: str, env_id: str, transitions: int = TEST) -> list[Trial]:

@@ -42,6 +42,7 @@ def measure(decisions: int, throttle: bool) -> tuple[list[float], list[float], l
         if done:
             obs, _ = env.reset(seed=seed)
             core.reset()
+            core.prepare(reader.read())
             seed += 1
         start = perf_counter()
         policy.predict(obs, deterministic=True)

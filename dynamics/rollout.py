@@ -38,7 +38,7 @@ _Kind = Literal["commands", "inputs"]
 _OPTIONS = {"cse": True}
 _COLUMNS: dict[_Kind, int] = {"commands": 3, "inputs": 2}
 _ROWS = (1, 2, 4, 8, 16, 24, 32, 48, 64, 96, 128, 256, 512)
-_FRAMES = 8
+_FRAMES = 16
 MANY = 4
 """From how many rows on they are rolled out as columns."""
 
@@ -105,6 +105,13 @@ class Rollouts:
         self._profile = road.profile if isinstance(road, PathRoad) else None
         self._slots: dict[tuple[_Kind, int, int], Bound] = {}
 
+    def prepare(self, rows: tuple[int, ...], inputs: int, commands: int) -> None:
+        """Compile ahead of the first use: for that many frames of inputs, and up to that many frames of commands."""
+        for n in map(padded_rows, rows):
+            self._slot("inputs", n, inputs)
+            for frames in range(_FRAMES, commands + _FRAMES, _FRAMES):
+                self._slot("commands", n, frames)
+
     def run(self, state: FloatArray, commands: FloatArray) -> FloatArray:
         """Roll one state under several command sequences.
 
@@ -136,7 +143,9 @@ class Rollouts:
 
     def _roll(self, kind: _Kind, state: FloatArray, controls: FloatArray) -> FloatArray:
         n, frames, _ = controls.shape
-        bound = self._slot(kind, padded_rows(n), -(-frames // _FRAMES) * _FRAMES)
+        # Commands go on until the ego stands, for ever other numbers of frames; inputs are held for a fixed one.
+        padded = frames if kind == "inputs" else -(-frames // _FRAMES) * _FRAMES
+        bound = self._slot(kind, padded_rows(n), padded)
         bound.start[:n] = state
         bound.controls[:n, :frames] = controls
         bound()

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.actuators import Actuators
+from dynamics.bicycle import MAX_SPEED
 from dynamics.curved import steer
 from dynamics.rollout import BRAKE
 from dynamics.scene import Scene
@@ -32,6 +33,8 @@ __all__ = ["ContinuousCore"]
 
 _STAGE, _STAGES = 0.2, 20
 """Stage of the predictive filter [s], and how many."""
+_USUAL = (1, 2, 3, 15, 29, 48, 58)
+"""How many inputs are judged at once in most frames."""
 
 
 class ContinuousCore(ShieldCore):
@@ -68,6 +71,11 @@ class ContinuousCore(ShieldCore):
         super().reset()
         for each in getattr(self, "_filters", {}).values():
             each.reset()
+
+    def prepare(self, scene: Scene) -> None:
+        """Compile what most frames on this road will need, so that none of them has to wait for it."""
+        frames = int(np.ceil(MAX_SPEED / (self.config.braking * scene.dt))) + 1
+        self._rollouts_for(scene).prepare(_USUAL, self._frames, frames)
 
     def filter(self, scene: Scene, proposal: FloatArray) -> tuple[FloatArray, Decision]:
         """What the actuators get for the next frame.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 from dataclasses import replace
 from time import perf_counter
 from typing import Any
@@ -70,6 +71,9 @@ class InputDoor:
         """Forget everything about the episode."""
         self.core.reset()
         self._first = self._cruise = None
+        if not self._off:
+            with suppress(SceneError):  # which the first decision will answer
+                self.core.prepare(self._reader.read())
 
     def decide(self, action: Any) -> Decision:
         """Filter an action for its first frame; `executed` is the action itself where that verifies.

@@ -150,7 +150,7 @@ class Search:
         for count, rings in _NEARER:
             if not step > _NEAR:
                 break
-            judged = self._judge(self._nearer(best.inputs[0], step, rings), lanes, False)
+            judged = self._judge(self._nearer(best.inputs[0], step, rings), [int(best.lanes[0])], False)
             if (judged.margin >= 0).any():
                 nearer = judged.row(self._nearest(judged))
                 best = min((nearer, best), key=lambda x: self._distance(x.inputs)[0])

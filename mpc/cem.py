@@ -15,7 +15,7 @@ least cost of all iterations and restarts is the answer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any, Protocol
 
@@ -24,7 +24,8 @@ import numpy as np
 from dynamics.errors import ConfigError
 from dynamics.model import StepModel
 from mpc.noise import NoiseBank
-from mpc.plan import Cost, Fallback, Grid, Plan, PlanMemory, PlanStatus, evaluate, read_states
+from mpc.plan import Cost, Fallback, Plan, PlanMemory, PlanStatus, evaluate, read_states
+from mpc.planner_settings import PlannerSettings
 
 __all__ = ["CEM", "Eliting", "PlannerSettings", "SamplingPlanner", "Update"]
 
@@ -32,110 +33,17 @@ _TABLES = 61
 """Noise tables; prime, so that searches of any number of iterations run through all of them."""
 
 
-@dataclass(frozen=True, slots=True)
-class PlannerSettings:
-    """How a planner searches.
-
-    Attributes
-    ----------
-    blocks, hold : inputs in a plan, and decisions for which each is held.
-    look : decisions between the states that the cost sees; `hold` is a multiple of it. None for `hold`.
-    fine : blocks for which it is so; of the later ones the cost sees the last states alone. None for all.
-    iterations, restarts : see the module.
-    samples : of each restart in the first iteration. decay : samples of an iteration over those of the next, >= 1.
-    elites : of each restart.
-    std, min_std : deviation at first and at least, in half ranges of the inputs.
-    colour : exponent of the noise's spectrum over the blocks; 0 is white.
-    momentum : share of the old distribution in the new one.
-    keep : share of the elites that stay among the next samples, also from decision to decision.
-    warm : whether the last plan is where the next search starts.
-    time_limit : greatest time of a search [s]; no iteration is begun that would be likely to exceed it. None for none.
-        With one, plans depend on the machine.
-    seed : of the planner's own random numbers.
-    """
-
-    blocks: int = 5
-    hold: int = 5
-    look: int | None = None
-    fine: int | None = None
-    iterations: int = 5
-    restarts: int = 1
-    samples: int = 100
-    decay: float = 1.0
-    elites: int = 10
-    std: float = 1.0
-    min_std: float = 0.0
-    colour: float = 0.0
-    momentum: float = 0.0
-    keep: float = 0.0
-    warm: bool = False
-    time_limit: float | None = None
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("blocks", "hold", "iterations", "restarts", "elites"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)!r}")
-        if self.samples < self.elites or self.samples < 2:
-            raise ConfigError(f"samples must be at least elites and 2, got {self.samples!r} for {self.elites} elites")
-        if self.grid.look < 1 or self.hold % self.grid.look or not 0 <= self.grid.fine <= self.blocks:
-            raise ConfigError(
-                f"look must divide hold = {self.hold} and fine be at most blocks = {self.blocks}, got {self.look!r} "
-                f"and {self.fine!r}"
-            )
-        if not (self.decay >= 1 and self.std > 0 and self.min_std >= 0 and self.colour >= 0):
-            raise ConfigError("decay must be at least 1, std positive, min_std and colour at least 0")
-        if not (0 <= self.momentum < 1 and 0 <= self.keep <= 1):
-            raise ConfigError("momentum must be in [0, 1) and keep in [0, 1]")
-        if self.time_limit is not None and not self.time_limit > 0:
-            raise ConfigError(f"time_limit must be positive [s] or None, got {self.time_limit!r}")
-
-    @property
-    def grid(self) -> Grid:
-        """Which states of a plan are looked at."""
-        fine = self.blocks if self.fine is None else self.fine
-        return Grid(self.hold, self.hold if self.look is None else self.look, fine)
-
-    @property
-    def kept(self) -> int:
-        """Elites that stay among the samples."""
-        return round(self.keep * self.elites)
-
-    def sizes(self) -> list[int]:
-        """Fresh samples of a restart in each iteration; never fewer than twice the elites, but for the first."""
-        least = min(2 * self.elites, self.samples)
-        return [max(least, round(self.samples * self.decay**-i)) for i in range(self.iterations)]
-
-    def replace(self, **changes: Any) -> PlannerSettings:
-        """The same with some values changed."""
-        return replace(self, **changes)
-
-    @classmethod
-    def notebook(cls, **changes: Any) -> PlannerSettings:
-        """highway-env's parking notebook: plain CEM, 5 x 100 samples, 10 elites, 5 blocks of 5 decisions."""
-        return cls().replace(**changes)
-
-    @classmethod
-    def icem(cls, **changes: Any) -> PlannerSettings:
-        """One restart of iCEM."""
-        improved = cls(
-            std=0.7, min_std=0.05, colour=1.0, momentum=0.1, keep=0.3, warm=True, samples=64, elites=8, decay=1.25
-        )
-        return improved.replace(**changes)
-
-    @classmethod
-    def multistart(cls, **changes: Any) -> PlannerSettings:
-        """Several restarts of iCEM."""
-        return cls.icem(restarts=4, samples=32, elites=5).replace(**changes)
-
-
 class Update(Protocol):
     """How a distribution moves to what was sampled from it."""
 
-    def __call__(self, samples: Any, costs: Any) -> tuple[Any, Any]:
-        """Mean and standard deviation, (..., B, m) each, from samples (..., N, B, m) and costs (..., N).
+    def __call__(self, samples: Any, costs: Any, std: Any) -> tuple[Any, Any]:
+        """Mean and standard deviation, (..., B, m) each.
 
-        Rows of samples with infinite cost have no weight; rows without any other are ignored by the caller.
+        Parameters
+        ----------
+        samples : (..., K, B, m), the cheapest first. costs : (..., K); samples of infinite cost have no weight. Where
+            there is no other, what is returned is not used.
+        std : deviation that they were drawn with, (..., B, m).
         """
         ...
 
@@ -144,7 +52,7 @@ class Update(Protocol):
 class Eliting:
     """Mean and deviation of the samples: the elites alone are handed to it."""
 
-    def __call__(self, samples: Any, costs: Any) -> tuple[Any, Any]:
+    def __call__(self, samples: Any, costs: Any, std: Any) -> tuple[Any, Any]:
         """See `Update`."""
         weight = np.isfinite(costs)[..., None, None].astype(samples.dtype)
         total = np.maximum(weight.sum(axis=-3), 1)
@@ -256,12 +164,16 @@ class SamplingPlanner:
             costs, reached = evaluate(self.model, cost, states, flat, s.grid)
             elites, elite_costs = _cheapest(samples, costs.reshape(samples.shape[:3]), s.elites)
             found.add(flat, costs, reached, elites, elite_costs)
-            new_mean, new_std = self.update(elites, elite_costs)
+            new_mean, new_std = self.update(elites, elite_costs, std)
             usable = np.isfinite(elite_costs).any(axis=-1)[..., None, None]
             mean = np.where(usable, s.momentum * mean + (1 - s.momentum) * new_mean, mean)
             std = np.where(usable, np.maximum(s.momentum * std + (1 - s.momentum) * new_std, s.min_std), std)
             kept = elites[:, :, : s.kept]
             slowest = max(slowest, perf_counter() - now)
+        if s.answer == "mean":
+            last = np.clip(mean[np.arange(e), found.winner], self.low, self.high)[:, None]
+            costs, reached = evaluate(self.model, cost, states, last, s.grid)
+            found.settle(last[:, 0], costs[:, 0], reached[:, 0])
         return found
 
     def _answer(self, states: Any, search: _Search, memory: PlanMemory, begin: float) -> Plan:
@@ -295,6 +207,7 @@ class _Search:
         self._rows, self._count = np.arange(e), elites
         self.cost = np.full(e, np.inf)
         self.iterations, self.limited = 0, False
+        self.winner = np.zeros(e, np.int64)
         self.inputs: Any = None
         self.trajectory: Any = None
         self.elites: Any = None
@@ -312,8 +225,15 @@ class _Search:
             self.cost = np.where(better, cost, self.cost)
             self.inputs = np.where(better[:, None, None], inputs, self.inputs)
             self.trajectory = np.where(better[:, None, None], trajectory, self.trajectory)
-        winner = elite_costs[..., 0].argmin(axis=1)
-        self.elites, self.elite_costs = elites[self._rows, winner], elite_costs[self._rows, winner]
+        self.winner = elite_costs[..., 0].argmin(axis=1)
+        self.elites, self.elite_costs = elites[self._rows, self.winner], elite_costs[self._rows, self.winner]
+
+    def settle(self, inputs: Any, costs: Any, reached: Any) -> None:
+        """Answer with these plans (E, B, m) where their cost is finite."""
+        good = np.isfinite(costs)
+        self.cost = np.where(good, costs, self.cost)
+        self.inputs = np.where(good[:, None, None], inputs, self.inputs)
+        self.trajectory = np.where(good[:, None, None], reached, self.trajectory)
 
 
 def _cheapest(samples: Any, costs: Any, count: int) -> tuple[Any, Any]:

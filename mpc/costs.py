@@ -154,15 +154,21 @@ class Disagreeing(Protocol):
     """A model that knows where it does not know."""
 
     def disagreement(self, states: Any, actions: Any) -> Any:
-        """Spread of its members' next states, (n,), for states (n, d) and actions (n, m)."""
+        """Spread of its members' next states, (n, d), for states (n, d) and actions (n, m)."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class DisagreementCost(Term):
-    """How far the members of an ensemble are apart along the plan."""
+    """How far the members of an ensemble are apart, one decision on from each looked-at state.
+
+    Attributes
+    ----------
+    model : the ensemble. scale : (d,) or a number, what a unit of each state variable costs.
+    """
 
     model: Disagreeing
+    scale: Any = 1.0
 
     def stages(self, trajectories: Trajectories) -> Any:
         """(E, S, T)."""
@@ -171,7 +177,7 @@ class DisagreementCost(Term):
         first = np.broadcast_to(t.start[:, None, None], (e, s, 1, t.start.shape[-1]))
         before = np.concatenate([first, t.states[:, :, :-1]], axis=2)
         flat = self.model.disagreement(before.reshape(-1, before.shape[-1]), t.actions.reshape(-1, t.actions.shape[-1]))
-        return np.asarray(flat).reshape(t.states.shape[:3])
+        return (np.asarray(flat) * np.asarray(self.scale)).sum(axis=-1).reshape(t.states.shape[:3])
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,7 @@ from dynamics.prediction import Surroundings
 from dynamics.scene import Scene, SceneReader
 from dynamics.state import FloatArray, RoadState, Vehicle
 from mpc.filter import PredictiveFilter
+from mpc.from_scene import curvature_ahead, edges_of, rectangles
 from mpc.problem import FilterProblem, FilterSettings, Reference
 from mpc.result import FilterResult
 
@@ -188,33 +189,22 @@ class MPCPolicy:
                 )
             )
         settings, road, ego = self._filter.settings, scene.road, scene.ego_road
-        ends = settings.substeps * np.arange(1, settings.stages + 1) - 1
-        here = road.lane_at(float(ego[RoadState.R]))
-        lanes = road.centers[[here, lane]]
+        here, v, r = road.lane_at(float(ego[RoadState.R])), float(ego[RoadState.SPEED]), float(ego[RoadState.R])
         length, width = float(scene.ego[Vehicle.LENGTH]), float(scene.ego[Vehicle.WIDTH])
         half = (0.5 * length + self.buffer[0], 0.5 * width + self.buffer[1])
-        bend, v, r = None, float(ego[RoadState.SPEED]), float(ego[RoadState.R])
         if road.bends is not None:
             grown = road.bends.growth(length, width)
             half = (half[0] + grown[0], half[1] + grown[1])
-            bend = road.curvature(float(ego[RoadState.S]) + v * settings.stage * np.arange(settings.stages))
-        # A change of lane that is half done may still use the lane that it came from.
-        edges = (
-            min(float(lanes.min()) - 0.5 * road.width, r - half[1]),
-            max(float(lanes.max()) + 0.5 * road.width, r + half[1]),
-        )
+        bend, edges = curvature_ahead(scene, v, settings), edges_of(road, [here, lane], r, half[1])
         rows = self._rows(scene, around, here, lane, edges)
-        seen = around.occupancy(int(ends[-1]) + 1, scene.dt)
-        boxes = np.empty((settings.stages, rows.size, 4))
-        boxes[..., 0], boxes[..., 1] = seen.rear[np.ix_(rows, ends)].T, seen.front[np.ix_(rows, ends)].T
-        boxes[..., 2], boxes[..., 3] = around.low[rows], around.high[rows]
+        boxes = rectangles(around, rows, settings)
+        times = scene.dt * np.array(settings.ends)
         # Followers have been left the distance to brake in (`_free`), and do not accelerate into it.
         behind = np.flatnonzero(scene.others_road[rows, RoadState.S] < ego[RoadState.S])
         back = rows[behind]
         w = np.maximum(scene.others_road[back, RoadState.SPEED], 0.0)
-        steady = scene.others_road[back, RoadState.S] + around.reach[back] + w * ((ends + 1) * scene.dt)[:, None]
+        steady = scene.others_road[back, RoadState.S] + around.reach[back] + w * times[:, None]
         boxes[:, behind, 1] = np.minimum(boxes[:, behind, 1], steady)
-        times = settings.stage * np.arange(1, settings.stages + 1)
         aim = float(road.centers[lane])
         way = r + np.clip(aim - r, -_DRIFT * times, _DRIFT * times)
         speed = np.full(settings.stages, self.speed if self.actuators.longitudinal else v)

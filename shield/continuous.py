@@ -21,6 +21,7 @@ from dynamics.rollout import BRAKE
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, State, Vehicle
 from mpc.filter import PredictiveFilter
+from mpc.from_scene import curvature_ahead, edges_of, rectangles
 from mpc.problem import FilterProblem, FilterSettings
 from shield.candidates import Candidates
 from shield.config import ShieldConfig
@@ -33,6 +34,8 @@ __all__ = ["ContinuousCore"]
 
 _STAGE, _STAGES = 0.2, 20
 """Stage of the predictive filter [s], and how many."""
+_NEAREST = 12
+"""Vehicles that a plan looks at."""
 _USUAL = (1, 2, 3, 15, 29, 48, 58)
 """How many inputs are judged at once in most frames."""
 
@@ -171,37 +174,27 @@ class ContinuousCore(ShieldCore):
             )
             solver = self._filters[scene.dt] = PredictiveFilter(settings)
         settings = solver.settings
-        survey, b, road = self._survey(scene), self.config.buffer, scene.road
-        ends = np.array(settings.ends) - 1
-        frames = settings.ends[-1]
-        here = road.lane_at(float(scene.ego_road[RoadState.R]))
-        owned = survey.owned[here] and survey.owned[lane]
-        v = max(float(scene.ego[State.SPEED]), 0.0)
-        lanes = road.centers[[here, lane]]
+        survey, b, road, dt = self._survey(scene), self.config.buffer, scene.road, scene.dt
+        here, v = road.lane_at(float(scene.ego_road[RoadState.R])), max(float(scene.ego[State.SPEED]), 0.0)
         along, across = survey.growth
-        side, r = 0.5 * float(scene.ego[Vehicle.WIDTH]) + b.lateral + across, float(scene.ego_road[RoadState.R])
-        # A change of lane that is half done may still use the lane that it came from.
-        low = min(float(lanes.min()) - 0.5 * road.width, r - side)
-        high = max(float(lanes.max()) + 0.5 * road.width, r + side)
-        rows = survey.relevant((v + 2.0) * frames * scene.dt, frames * scene.dt, followers=not owned)
+        half = (
+            0.5 * float(scene.ego[Vehicle.LENGTH]) + b.longitudinal + along,
+            0.5 * float(scene.ego[Vehicle.WIDTH]) + b.lateral + across,
+        )
+        low, high = edges_of(road, [here, lane], float(scene.ego_road[RoadState.R]), half[1])
+        owned, duration = survey.owned[here] and survey.owned[lane], settings.ends[-1] * dt
+        rows = survey.relevant((v + 2.0) * duration, duration, followers=not owned)
         around = survey.around
         # Beyond its edges the plan meets nobody, and need not stay behind them either.
         rows = rows[(around.low[rows] < high) & (around.high[rows] > low)]
-        rows = rows[np.argsort(np.abs(scene.others_road[rows, RoadState.S] - scene.ego_road[RoadState.S]))][:12]
-        seen = around.occupancy(frames, scene.dt)
-        boxes = np.empty((settings.stages, rows.size, 4))
-        boxes[..., 0], boxes[..., 1] = seen.rear[np.ix_(rows, ends)].T, seen.front[np.ix_(rows, ends)].T
-        boxes[..., 2], boxes[..., 3] = seen.low[rows], seen.high[rows]
-        bend = None
-        if road.bends is not None:
-            bend = road.curvature(float(scene.ego_road[RoadState.S]) + v * scene.dt * (ends + 1 - settings.frames))
+        rows = rows[np.argsort(np.abs(scene.others_road[rows, RoadState.S] - scene.ego_road[RoadState.S]))][:_NEAREST]
         problem = FilterProblem(
             state=scene.ego_road,
             proposal=proposal,
-            occupancy=boxes,
-            half=(0.5 * scene.ego[Vehicle.LENGTH] + b.longitudinal + along, side),
+            occupancy=rectangles(around, rows, settings),
+            half=half,
             edges=(low, high),
-            curvature=bend,
+            curvature=curvature_ahead(scene, v, settings),
         )
         result = solver.solve(problem)
         first = result.inputs[0]

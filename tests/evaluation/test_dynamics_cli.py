@@ -14,13 +14,14 @@ import dynamics.variants as variants
 from dynamics.data import Transitions
 from dynamics.errors import ConfigError, ShieldError
 from dynamics.fit import FitConfig
+from dynamics.fit import fit as original
 from dynamics.learned import ModelConfig
 from dynamics.open_loop import OpenLoop
 from dynamics.rounds import RoundsConfig
 from dynamics.store import load_model, read_config
 from dynamics.variants import VARIANTS, Variant, variant
 from evaluation.cli import app
-from evaluation.dynamics_study import HORIZON, Trial, errors, plot
+from evaluation.dynamics_study import HORIZON, Trial, errors, plot, study
 
 TINY = Variant(
     "small",
@@ -90,6 +91,30 @@ def test_what_is_wrong_is_said(words, message):
     result = shield(*words)
     assert isinstance(result.exception, ShieldError)
     assert message in str(result.exception)
+
+
+def test_a_study_tests_all_on_the_same_driving_and_fits_nothing_twice(monkeypatch):
+    first = replace(TINY, data=replace(TINY.data, rounds=0))
+    other = replace(first, model=replace(TINY.model, form="plain"))
+    apart = replace(first, data=RoundsConfig(transitions=150, rounds=0))
+    monkeypatch.setattr(variants, "VARIANTS", {"first": first, "other": other, "apart": apart, "rounds": TINY})
+    fits = []
+    for module in ("dynamics.rounds", "evaluation.dynamics_study"):
+        monkeypatch.setattr(f"{module}.fit", lambda *a, **k: fits.append(len(a[0])) or original(*a, **k))
+    trials = study(("first", "other", "apart", "rounds"), (1,), transitions=60)
+    # Rounds 0 and 1 of the default, then the two that are something else.
+    assert fits == [200, 260, 200, 150]
+    assert [(t.name, t.seed, t.transitions) for t in trials] == [
+        ("first", 1, 200),
+        ("other", 1, 200),
+        ("apart", 1, 150),
+        ("rounds", 1, 260),
+        ("true bicycle", 1, 0),
+    ]
+    assert len({t.random.position.shape for t in trials}) == len({t.on_policy.position.shape for t in trials}) == 1
+    assert max(trials[-1].random.position.max(), trials[-1].on_policy.position.max()) < 1e-3
+    medians = [t.random.median[-1] for t in trials]
+    assert len(set(medians)) == 5
 
 
 def _trial(name: str, seed: int, scale: float) -> Trial:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import copy
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -129,11 +130,11 @@ def fit(
         raise DataError(f"the model takes widths {(target.state_dim, target.action_dim)}, the data have {data.widths}")
     if abs(data.dt - target.dt) > 1e-9:
         raise DataError(f"the model's decisions take {target.dt} s, the data's {data.dt} s")
-    write = _writer(tensorboard)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        return _fit(data, model, config, progress, write)
+        with _writer(tensorboard) as write:
+            return _fit(data, model, config, progress, write)
     finally:
         torch.set_num_threads(threads)
 
@@ -253,9 +254,12 @@ def _tensor(array: Any) -> Tensor:
     return torch.as_tensor(np.asarray(array, dtype=np.float32))
 
 
-def _writer(folder: str | None) -> Callable[[int, float, float], None]:
+@contextmanager
+def _writer(folder: str | None) -> Iterator[Callable[[int, float, float], None]]:
+    """What notes (epoch, training loss, held-out loss) for TensorBoard, or nowhere."""
     if folder is None:
-        return lambda epoch, train, held_out: None
+        yield lambda epoch, train, held_out: None
+        return
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError as error:
@@ -265,9 +269,11 @@ def _writer(folder: str | None) -> Callable[[int, float, float], None]:
     def write(epoch: int, train: float, held_out: float) -> None:
         writer.add_scalar("loss/train", train, epoch)  # type: ignore[no-untyped-call]
         writer.add_scalar("loss/held_out", held_out, epoch)  # type: ignore[no-untyped-call]
-        writer.flush()  # type: ignore[no-untyped-call]
 
-    return write
+    try:
+        yield write
+    finally:
+        writer.close()  # type: ignore[no-untyped-call]
 
 
 def _bar(total: int, progress: bool) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from dynamics.open_loop import open_loop
 DATA = driving(16, 30)
 FRESH = driving(10, 20, seed=9)
 SMALL = ModelConfig(members=2, hidden=(16, 16))
+NAMES = ("loss/train", "loss/held_out")
 SHORT = FitConfig(epochs=60, finish_epochs=4, batch=64)
 
 
@@ -119,6 +121,28 @@ def test_missing_tensorboard_is_said_before_training(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     with pytest.raises(ConfigError, match="TensorBoard is not installed"):
         fit(DATA, SMALL, SHORT, tensorboard="anywhere")
+
+
+def test_losses_go_to_tensorboard(monkeypatch):
+    """TensorBoard itself is an extra: a stand-in for its writer."""
+    notes = []
+
+    class Writer:
+        def __init__(self, folder):
+            notes.append(folder)
+
+        def add_scalar(self, name, value, epoch):
+            notes.append((name, value, epoch))
+
+        def close(self):
+            notes.append("closed")
+
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", SimpleNamespace(SummaryWriter=Writer))
+    done = fit(driving(3, 8), SMALL, FitConfig(epochs=10, finish_epochs=2), tensorboard="there")
+    assert (notes[0], notes[-1]) == ("there", "closed")
+    want = [(name, loss, e) for e, *both in done.history for name, loss in zip(NAMES, both, strict=True)]
+    assert notes[1:-1] == want
+    assert [e for e, _, _ in done.history] == [5, 10, 12]
 
 
 def test_a_progress_bar_is_shown_when_asked_for(capsys):

@@ -25,9 +25,9 @@ from mpc.from_scene import curvature_ahead, edges_of, rectangles
 from mpc.problem import FilterProblem, FilterSettings
 from shield.candidates import Candidates
 from shield.config import ShieldConfig
-from shield.core import ShieldCore
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
+from shield.memory import Memory
 from shield.search import Judged, Search
 
 __all__ = ["ContinuousCore"]
@@ -40,7 +40,7 @@ _USUAL = (1, 2, 3, 15, 29, 48, 58)
 """How many inputs are judged at once in most frames."""
 
 
-class ContinuousCore(ShieldCore):
+class ContinuousCore(Memory):
     """Filters throttle and steering, frame by frame.
 
     Parameters

@@ -18,17 +18,15 @@ from typing import Any
 import numpy as np
 
 from dynamics.controllers import KP_SPEED
-from dynamics.prediction import Surroundings
-from dynamics.rollout import Rollouts
 from dynamics.scene import Scene, Target
-from dynamics.state import FloatArray, RoadState, State, Vehicle
+from dynamics.state import FloatArray, RoadState, State
 from shield.candidates import Candidates, brake_candidates
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
-from shield.monitor import AssumptionMonitor
+from shield.memory import Memory
 from shield.preference import Order, default_order, resolve
 from shield.screen import Screen, slower
-from shield.verify import Clearance, Surveyor, least_bad
+from shield.verify import Clearance, least_bad
 
 __all__ = ["FrameCommand", "ShieldCore", "Verdict"]
 
@@ -59,33 +57,17 @@ class Verdict:
     path: FloatArray
 
 
-class ShieldCore:
-    """Holds the memory of one shielded vehicle: stored plan, visibility clock, assumption monitor.
+class ShieldCore(Memory):
+    """Decides about meta-actions, and supervises the frames between two decisions.
 
     Parameters
     ----------
     config : settings; `ShieldConfig()` by default.
     """
 
-    _frames = 1
-    """Simulation frames between two scenes."""
-    _announced = True
-    """Whether the traffic knows of the lane that the ego commits to."""
-
     def __init__(self, config: ShieldConfig | None = None) -> None:
-        self.config = config if config is not None else ShieldConfig()
-        self._rollouts: dict[tuple[float, Any], Rollouts] = {}
+        super().__init__(config)
         self._screen = Screen(self.config)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything about the episode."""
-        self.monitor = AssumptionMonitor(self.config)
-        self.stored_lane: int | None = None
-        self._visible: Any = None
-        self._owned: Any = None
-        self._surveyor: Surveyor | None = None
-        self._seen: tuple[FloatArray, FloatArray, Surroundings] | None = None
 
     # -- decisions ---------------------------------------------------------------------------------------
 
@@ -274,28 +256,6 @@ class ShieldCore:
 
     # -- pieces ------------------------------------------------------------------------------------------
 
-    def _observe(self, scene: Scene) -> None:
-        """Take in the next instant, once."""
-        seen = self._seen
-        if seen is not None and np.array_equal(seen[0], scene.ego) and np.array_equal(seen[1], scene.others):
-            return
-        around = Surroundings(scene.others, scene.others_road, scene.road, self.config.assumptions)
-        self._seen = (scene.ego, scene.others, around)
-        self.monitor.update(scene, self._frames * scene.dt, around)
-        offset = np.abs(scene.ego_road[RoadState.R] - scene.road.centers)
-        near = offset <= self.config.assumptions.visible_distance
-        if self._visible is None or self._visible.shape != near.shape:
-            self._visible = np.zeros(near.shape, dtype=int)
-        self._visible = np.where(near, self._visible + self._frames, 0)
-        # A lane is owned from when the ego touches it with a verified plan to stop there, until it has left it.
-        if self._owned is None or self._owned.shape != near.shape:
-            self._owned = np.arange(offset.size) == offset.argmin()
-        swing = 0.5 * float(scene.ego[Vehicle.LENGTH]) * abs(np.sin(scene.ego_road[RoadState.HEADING]))
-        touched = offset < 1.0 + 0.5 * float(scene.ego[Vehicle.WIDTH]) + swing
-        if self.stored_lane is not None:
-            self._owned = self._owned | (np.arange(offset.size) == self.stored_lane)
-        self._owned = self._owned & touched
-
     @staticmethod
     def _changes_lane(scene: Scene, target: Target) -> bool:
         return target.lane != scene.road.lane_at(float(scene.ego_road[RoadState.R]))
@@ -307,21 +267,6 @@ class ShieldCore:
         if stored is None or abs(stored - here) > 1:
             stored = here
         return list(dict.fromkeys((lane, here, stored)))
-
-    def _rollouts_for(self, scene: Scene) -> Rollouts:
-        key = scene.dt, getattr(scene.road, "profile", None)
-        if key not in self._rollouts:
-            self._rollouts[key] = Rollouts(scene.dt, scene.road)
-        return self._rollouts[key]
-
-    def _survey(self, scene: Scene) -> Surveyor:
-        """The surveyor of this instant; scenes that differ in the ego's target only share it."""
-        held = self._surveyor
-        if held is None or held.scene.ego is not scene.ego or held.scene.others is not scene.others:
-            seen = self._seen
-            around = seen[2] if seen is not None and seen[1] is scene.others else None
-            held = self._surveyor = Surveyor(scene, self.config, self._visible, self._owned, around, self._announced)
-        return held
 
     def _judge(self, scene: Scene, candidates: Candidates, hold: int = 0) -> tuple[FloatArray, Clearance]:
         paths = self._rollouts_for(scene).run(scene.ego_road, candidates.commands)

@@ -18,6 +18,7 @@ from shield.core import FrameCommand
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
 from shield.inputs import InputDoor
+from shield.memory import Memory
 from shield.mend import make_core
 from shield.preference import order_from_scores, ranking_of
 
@@ -81,7 +82,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._inputs: InputDoor | None = None
         if self._kind() == "ContinuousAction":
             self._inputs = InputDoor(self._base, self._reader, self.config)
-        self.core = make_core(self.config) if self._inputs is None else self._inputs.core
+        self._meta = make_core(self.config)
+        self.core: Memory = self._meta if self._inputs is None else self._inputs.core
         self._observation: Any = None
         self._supervising = 0.0
         self.last_decision: Decision | None = None
@@ -147,7 +149,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """
         if self._inputs is not None:
             raise ConfigError("action_masks() needs DiscreteMetaAction; this environment has ContinuousAction")
-        mask = self.core.action_mask(self._reader.read())
+        mask = self._meta.action_mask(self._reader.read())
         return mask if mask.any() else np.ones_like(mask)
 
     def _decide(self, action: Any) -> Decision:
@@ -157,14 +159,14 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         scene = self._reader.read()
         proposed = action_index(action)
         if proposed < 0:
-            return self.core.fallback(self._reader.actions, action, Reason.BAD_ACTION, start)
+            return self._meta.fallback(self._reader.actions, action, Reason.BAD_ACTION, start)
         order = None if self.policy is None else lambda: self._order(proposed)
         try:
-            return self.core.decide(scene, proposed, order)
+            return self._meta.decide(scene, proposed, order)
         except Exception:
             # Fail closed: a stage that breaks must not let the proposal through.
             _log.exception("a stage of the shield raised; the fallback acts")
-            return self.core.fallback(self._reader.actions, action, Reason.STAGE_FAILED, start)
+            return self._meta.fallback(self._reader.actions, action, Reason.STAGE_FAILED, start)
 
     def _order(self, proposed: int) -> list[int] | None:
         scores = ranking_of(self.policy, self._observation)
@@ -186,10 +188,10 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             return None
         start = perf_counter()
         try:
-            command, decision = self.core.supervise(self._reader.read(), fresh=first)
+            command, decision = self._meta.supervise(self._reader.read(), fresh=first)
         except Exception:
             _log.exception("a stage of the shield raised in a frame; the ego brakes in its lane")
-            command, decision = self.core.brake_in_lane(self._base.vehicle.lane_index[2], start)
+            command, decision = self._meta.brake_in_lane(self._base.vehicle.lane_index[2], start)
         self.frame_decisions.append(decision)
         self._supervising += perf_counter() - start
         return command

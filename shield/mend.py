@@ -31,7 +31,7 @@ class BrakingCore(ShieldCore):
         return FrameCommand(lane, -self.config.braking), Verdict(-np.inf, lane, empty)
 
 
-class FilteringCore(ContinuousCore):
+class FilteringCore(ContinuousCore, ShieldCore):
     """Takes the verified inputs that are nearest to those of the environment's own controllers."""
 
     # Unlike a throttle and a wheel, meta-actions announce a lane change to highway-env's traffic.

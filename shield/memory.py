@@ -1,0 +1,87 @@
+"""What a shield remembers of one vehicle from frame to frame, and what it computes once for each instant."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dynamics.prediction import Surroundings
+from dynamics.rollout import Rollouts
+from dynamics.scene import Scene
+from dynamics.state import FloatArray, RoadState, Vehicle
+from shield.config import ShieldConfig
+from shield.monitor import AssumptionMonitor
+from shield.verify import Surveyor
+
+__all__ = ["Memory"]
+
+
+class Memory:
+    """The memory of one shielded vehicle: stored plan, lanes that it owns, visibility clock, assumption monitor.
+
+    Parameters
+    ----------
+    config : settings; `ShieldConfig()` by default.
+
+    Attributes
+    ----------
+    stored_lane : where the fail-safe that was verified last comes to rest; None without one.
+    monitor : counts how often the traffic has broken the assumptions.
+    """
+
+    _frames = 1
+    """Simulation frames between two scenes."""
+    _announced = True
+    """Whether the traffic knows of the lane that the ego commits to."""
+
+    def __init__(self, config: ShieldConfig | None = None) -> None:
+        self.config = config if config is not None else ShieldConfig()
+        self._rollouts: dict[tuple[float, Any], Rollouts] = {}
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything about the episode."""
+        self.monitor = AssumptionMonitor(self.config)
+        self.stored_lane: int | None = None
+        self._visible: Any = None
+        self._owned: Any = None
+        self._surveyor: Surveyor | None = None
+        self._seen: tuple[FloatArray, FloatArray, Surroundings] | None = None
+
+    def _observe(self, scene: Scene) -> None:
+        """Take in the next instant, once."""
+        seen = self._seen
+        if seen is not None and np.array_equal(seen[0], scene.ego) and np.array_equal(seen[1], scene.others):
+            return
+        around = Surroundings(scene.others, scene.others_road, scene.road, self.config.assumptions)
+        self._seen = (scene.ego, scene.others, around)
+        self.monitor.update(scene, self._frames * scene.dt, around)
+        offset = np.abs(scene.ego_road[RoadState.R] - scene.road.centers)
+        near = offset <= self.config.assumptions.visible_distance
+        if self._visible is None or self._visible.shape != near.shape:
+            self._visible = np.zeros(near.shape, dtype=int)
+        self._visible = np.where(near, self._visible + self._frames, 0)
+        # A lane is owned from when the ego touches it with a verified plan to stop there, until it has left it.
+        if self._owned is None or self._owned.shape != near.shape:
+            self._owned = np.arange(offset.size) == offset.argmin()
+        swing = 0.5 * float(scene.ego[Vehicle.LENGTH]) * abs(np.sin(scene.ego_road[RoadState.HEADING]))
+        touched = offset < 1.0 + 0.5 * float(scene.ego[Vehicle.WIDTH]) + swing
+        if self.stored_lane is not None:
+            self._owned = self._owned | (np.arange(offset.size) == self.stored_lane)
+        self._owned = self._owned & touched
+
+    def _rollouts_for(self, scene: Scene) -> Rollouts:
+        key = scene.dt, getattr(scene.road, "profile", None)
+        if key not in self._rollouts:
+            self._rollouts[key] = Rollouts(scene.dt, scene.road)
+        return self._rollouts[key]
+
+    def _survey(self, scene: Scene) -> Surveyor:
+        """The surveyor of this instant; scenes that differ in the ego's target only share it."""
+        held = self._surveyor
+        if held is None or held.scene.ego is not scene.ego or held.scene.others is not scene.others:
+            seen = self._seen
+            around = seen[2] if seen is not None and seen[1] is scene.others else None
+            held = self._surveyor = Surveyor(scene, self.config, self._visible, self._owned, around, self._announced)
+        return held

@@ -30,6 +30,9 @@ from dynamics.state import FloatArray, RoadState, Vehicle
 __all__ = ["Occupancy", "Surroundings", "constant_velocity", "predict_occupancy"]
 
 
+_ALL = slice(None)
+
+
 def constant_velocity(states: FloatArray, frames: int, dt: float) -> FloatArray:
     """Straight motion at constant speed: road states (m, 4) to (m, frames, 4) for frames 1..K."""
     out = np.repeat(states[:, None, :], frames, axis=1)
@@ -142,31 +145,31 @@ class Surroundings:
         self.low[across] = np.minimum(np.minimum(r, center), end) - outer_low
         self.high[across] = np.maximum(np.maximum(r, center), end) + outer_high
 
-    def rear(self, frames: int, dt: float, hold: int = 0) -> FloatArray:
-        """Least s of each body after 1..K frames, (m, K) [m].
+    def rear(self, frames: int, dt: float, hold: int = 0, rows: Any = _ALL) -> FloatArray:
+        """Least s of each body after 1..K frames, (m, K) [m]; of those in `rows` only, where given.
 
         `hold` is a number of frames of constant speed that are *expected* before the worst case starts. With
         `hold` > 0 the result is a forecast and not a bound.
         """
-        a, v = self.assumptions, self.states[:, RoadState.SPEED]
+        a, v = self.assumptions, self.states[rows, RoadState.SPEED]
         braked = np.maximum(np.arange(-hold, frames - hold), 0)
         floor = np.minimum(v, a.min_speed)[:, None]
         slow = np.maximum(v[:, None] - a.braking * dt * braked, floor)
-        crashed = self.others[:, Vehicle.CRASHED] > 0
+        crashed = self.others[rows, Vehicle.CRASHED] > 0
         if crashed.any():
             # highway-env: a crashed vehicle brakes at -1 * speed per second.
             wreck = v[:, None] * (1 - dt) ** np.arange(frames)
             slow = np.where(crashed[:, None], np.minimum(slow, wreck), slow)
         # On a heading of up to the bound, only the cosine of the speed advances along the road.
         way = np.cumsum(slow, axis=1) * dt
-        loss = np.maximum(np.minimum((1 - self._cos)[:, None] * way, self._change[:, None]), 0.0)
+        loss = np.maximum(np.minimum((1 - self._cos[rows])[:, None] * way, self._change[rows][:, None]), 0.0)
         if hold:
             # One that keeps its lane is expected to go on doing so.
-            loss = np.where(self.moving[:, None], loss, 0.0)
+            loss = np.where(self.moving[rows][:, None], loss, 0.0)
         way -= loss
         if self.stretch is not None:
-            way = np.minimum(way * self.stretch[0][:, None], way * self.stretch[1][:, None])
-        return (self.states[:, RoadState.S] - self.reach)[:, None] + way
+            way = np.minimum(way * self.stretch[0][rows][:, None], way * self.stretch[1][rows][:, None])
+        return (self.states[rows, RoadState.S] - self.reach[rows])[:, None] + way
 
     def front(self, frames: int, dt: float, hold: int = 0) -> FloatArray:
         """Greatest s of each body after 1..K frames, with no duty to react, (m, K) [m]."""

@@ -96,7 +96,6 @@ class Surveyor:
             self.bare = bends.growth(float(length), width)
         self._size = around.reach + 0.5 * length + 2.0 + b.longitudinal + self.growth[0]
         self._behind = self._ahead < -0.5 * length
-        self._rears: dict[tuple[int, int], FloatArray] = {}
 
     def relevant(self, distance: float, duration: float, followers: bool = True) -> Any:
         """Rows of those who can come into reach of an ego that travels at most `distance` [m] in `duration` [s].
@@ -150,10 +149,7 @@ class Surveyor:
             return Clearance(margin, np.full(n, frames), room[:, None] if parts else None)
         low, high, home = self._lateral(rows, candidates, r, bound=hold == 0)
         gap = np.maximum(low[:, :, None] - (r + half_r)[:, None, :], (r - half_r)[:, None, :] - high[:, :, None])
-        key = (frames, hold)
-        if key not in self._rears:
-            self._rears[key] = self.around.rear(frames, dt, hold)
-        rear = self._rears[key][rows]
+        rear = self.around.rear(frames, dt, hold, rows)
         gap_s = rear - (s + half_s)[:, None, :]
         mine, front = None, None
         if owed is not None and self._behind[rows].any():

@@ -1,0 +1,83 @@
+"""Alternatives are tried in the order of the policy's own scores."""
+
+from collections import Counter
+
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+import pytest
+import torch
+from policies import Always, Ranked, make
+
+from dynamics.scene import Scene
+from shield import Shield, ShieldedEnv
+from shield.meta import MetaCore
+from shield.preference import default_order, order_from_scores, ranking_of
+
+
+@pytest.mark.parametrize("name", ["PPO", "A2C", "TRPO", "MaskablePPO", "DQN", "QRDQN"])
+def test_the_order_is_that_of_the_models_own_scores(name, models):
+    model, obs = models[name], make().reset(seed=2)[0]
+    scores = np.asarray(ranking_of(model, obs)).reshape(-1)
+    tensor, _ = model.policy.obs_to_tensor(obs)
+    with torch.no_grad():
+        if name == "DQN":
+            want = model.policy.q_net(tensor)
+        elif name == "QRDQN":
+            want = model.policy.quantile_net(tensor).mean(dim=1)
+        else:
+            want = model.policy.get_distribution(tensor).distribution.probs
+    np.testing.assert_allclose(scores, want.numpy().reshape(-1))
+    best = int(model.predict(obs, deterministic=True)[0])
+    assert best == int(scores.argmax())
+    order = order_from_scores(scores, best)
+    assert sorted([*order, best]) == list(range(5))
+    assert (np.diff(scores[order]) <= 0).all()
+
+
+def test_scores_that_are_not_numbers_come_last():
+    assert order_from_scores([0.1, np.nan, 0.3, 0.2, np.nan], proposed=2) == [3, 0, 1, 4]
+
+
+def test_an_object_without_scores_has_no_ranking(env):
+    assert ranking_of(Always(3), env.reset(seed=0)[0]) is None
+
+
+@pytest.mark.parametrize("scores", [None, [4, 3, 2, 0, 1], [0, 1, 4, 0, 3], [0, 2, 1, 0, 4]])
+def test_an_override_is_the_first_in_order_that_verifies(scores):
+    env, seen = make(duration=20), 0
+    for seed in range(4):
+        obs, _ = env.reset(seed=seed)
+        shielded = Shield(Always(3) if scores is None else Ranked(3, scores), env=env)
+        done = False
+        while not done:
+            scene = Scene.from_env(env)
+            action, _ = shielded.predict(obs)
+            decision = shielded.last_decision
+            if decision.tier == "alternative":
+                seen += 1
+                targets = [scene.target_of(a) for a in range(5)]
+                order = default_order(scene, 3, targets) if scores is None else order_from_scores(scores, 3)
+                passed = [MetaCore().decide(scene, a).tier == "passed" for a in order]
+                assert decision.executed == order[passed.index(True)]
+            obs, _, terminated, truncated, _ = env.step(int(action))
+            done = terminated or truncated
+    assert seen > 3
+    env.close()
+
+
+def test_the_order_reaches_the_other_door_too():
+    executed = {}
+    for name, scores in {"left": [4, 0, 1, 0, 2], "slower": [0, 1, 0, 0, 4]}.items():
+        env = ShieldedEnv(make(duration=20), policy=Ranked(3, scores))
+        chosen = Counter()
+        for seed in range(4):
+            env.reset(seed=seed)
+            done = False
+            while not done:
+                _, _, terminated, truncated, _ = env.step(3)
+                chosen[env.last_decision.executed] += env.last_decision.overridden
+                done = terminated or truncated
+        executed[name] = chosen
+        env.close()
+    assert executed["left"][0] > executed["slower"][0]
+    assert executed["slower"][4] > executed["left"][4]

@@ -135,7 +135,7 @@ class DistilledModel:
         (n, blocks, m), calls, k = actions.shape, len(parts), len(self._seen)
         u = np.clip(np.ascontiguousarray(actions.transpose(2, 1, 0)).reshape(m, blocks * n), -1, 1)
         acting = {part: self._steps[part].acting(u, (blocks, n)) for part in set(parts)}
-        w = np.ascontiguousarray(self.config.layout.to_body(states)[:, self._seen].T)
+        w = self._seen_of(states)
         seen, moved = np.empty((k, blocks * calls, n), np.float32), np.empty((3, blocks * calls, n), np.float32)
         for call in range(blocks * calls):
             part = parts[call % calls]
@@ -143,6 +143,16 @@ class DistilledModel:
             w = w + y[:k]
             seen[:, call], moved[:, call] = w, y[k:]
         return self._compose(states, seen, moved)[calls - 1 :: calls].transpose(1, 0, 2)
+
+    def _seen_of(self, states: Float32Array) -> Float32Array:
+        """The part of the body-frame states that the polynomials see, (k, n): `Layout.to_body` without the rest."""
+        heading = states[:, self.config.layout.heading]
+        c, s = (heading / np.sqrt((heading * heading).sum(axis=1, keepdims=True))).T
+        body = {i: states[:, i] for i in self._numbers}
+        for i, j in self.config.layout.vectors:
+            a, b = states[:, i], states[:, j]
+            body[i], body[j] = c * a + s * b, c * b - s * a
+        return np.stack([body[i] for i in self._seen])
 
     def _compose(self, states: Float32Array, seen: Float32Array, moved: Float32Array) -> Float32Array:
         """World states (calls, n, d) of body-frame ones: turns and ways add up."""

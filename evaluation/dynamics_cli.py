@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from time import process_time
@@ -96,17 +97,26 @@ def evaluate(
     """Print open-loop position errors [m] of models after 1 and 15 decisions (0.2 s and 3 s).
 
     Medians and 95 % quantiles, in fresh random driving and in a planner's; with several seeds the
-    medians of these over the seeds. Without options every variant of the recipe is trained.
+    medians of these over the seeds. Without options every variant of the recipe is trained. Seeds
+    that are in --output already are not trained again.
     """
+    import pandas as pd
+
     from evaluation.dynamics_study import errors
     from evaluation.report.table import TABLE_ENDINGS, write_table
 
     if output is not None and output.suffix not in TABLE_ENDINGS:
         raise ConfigError(f"--output {output.name!r} must end in {' or '.join(TABLE_ENDINGS)}")
-    frame = errors(_trials(variant, model, env, seeds, transitions))
-    _print_errors(frame, markdown)
+    names = _names(variant, model)
+    frame = _done(output, names, transitions) if output is not None and not model else pd.DataFrame()
+    todo = [seed for seed in range(seeds) if frame.empty or seed not in set(frame["seed"])]
+    for trials in _trials(names, model, env, todo, transitions):
+        frame = pd.concat([frame, errors(trials).assign(tested_on=transitions)], ignore_index=True)
+        if output is not None:
+            write_table(frame, output)
+    _print_errors(frame[frame["seed"] < seeds], markdown)
     if output is not None:
-        _out.print(f"wrote {write_table(frame, output)}")
+        _out.print(f"wrote {output}")
 
 
 @dynamics_app.command()
@@ -124,24 +134,53 @@ def plot(
 
     if output.suffix not in PLOT_ENDINGS:
         raise ConfigError(f"a plot is one of {', '.join(PLOT_ENDINGS)}, not {output.name!r}")
-    _out.print(f"wrote {draw(_trials(variant, model, env, seeds, transitions), output)}")
+    trials = [each for part in _trials(_names(variant, model), model, env, range(seeds), transitions) for each in part]
+    _out.print(f"wrote {draw(trials, output)}")
 
 
-def _trials(variants: list[str], models: list[Path], env: str, seeds: int, transitions: int) -> Any:
-    from dynamics.variants import VARIANTS
-    from evaluation.dynamics_study import stored, study
+def _names(variants: list[str], models: list[Path]) -> list[str]:
+    """The variants that were asked for; all of them without any wish."""
+    from dynamics.variants import VARIANTS, variant
 
     names = list(dict.fromkeys(name.strip() for value in variants for name in value.split(",") if name.strip()))
     if models and names:
         raise ConfigError("give either --variant or --model")
+    for name in names:
+        variant(name)
+    return names or list(VARIANTS)
+
+
+def _done(output: Path, names: list[str], transitions: int) -> Any:
+    """Rows of an earlier run of the same study, of the seeds that it finished."""
+    import pandas as pd
+
+    from evaluation.dynamics_study import TRUTH
+
+    if not output.exists():
+        return pd.DataFrame()
+    try:
+        frame = pd.read_parquet(output) if output.suffix == ".parquet" else pd.read_csv(output)
+        rows = [set(group["model"]) for _, group in frame.groupby("seed")]
+        same = set(frame["tested_on"]) == {transitions} and all(row == {*names, TRUTH} for row in rows)
+    except (KeyError, ValueError, OSError) as error:
+        raise ConfigError(f"{output} is there and is no table of this command; name another file") from error
+    if not same:
+        raise ConfigError(f"{output} has other models or tests than were asked for; name another file")
+    return frame
+
+
+def _trials(names: list[str], models: list[Path], env: str, seeds: Iterable[int], transitions: int) -> Iterator[Any]:
+    """The trials of stored models, or those of each seed."""
+    from evaluation.dynamics_study import stored, study
 
     def say(line: str) -> None:
         if sys.stderr.isatty():
             _err.print(line, highlight=False)
 
     if models:
-        return stored({str(path): path for path in models}, DATA_FILE, env, transitions)
-    return study(names or tuple(VARIANTS), range(seeds), env, transitions, say)
+        yield stored({str(path): path for path in models}, DATA_FILE, env, transitions)
+    else:
+        yield from study(names, seeds, env, transitions, say)
 
 
 def _print_errors(frame: Any, markdown: bool) -> None:

@@ -35,6 +35,7 @@ __all__ = [
     "HORIZON",
     "PLOT_ENDINGS",
     "TEST",
+    "TRUTH",
     "Timed",
     "Trial",
     "errors",
@@ -52,6 +53,8 @@ HORIZON = 15
 TEST = 600
 """Transitions of each of the two kinds of driving that models are tested on."""
 
+TRUTH = "true bicycle"
+"""Name of the trial of the bicycle that the simulator itself uses."""
 PLOT_ENDINGS = (".png", ".svg", ".pdf")
 """File endings that `plot` knows."""
 
@@ -158,8 +161,8 @@ def study(
     env_id: str = "parking-v0",
     transitions: int = TEST,
     progress: Callable[[str], None] = lambda line: None,
-) -> list[Trial]:
-    """Train variants and test them; the last trial of each seed is the true bicycle.
+) -> Iterator[list[Trial]]:
+    """Train variants and test them, seed after seed; the last trial of each is the true bicycle.
 
     Raises
     ------
@@ -167,8 +170,8 @@ def study(
         If there is no such variant or environment.
     """
     setups = {name: variant(name) for name in names}
-    out: list[Trial] = []
     for seed in seeds:
+        out: list[Trial] = []
         progress(f"seed {seed}: {DEFAULT}, and test driving")
         default = variant(DEFAULT).seeded(seed)
         learned = [timed.round for timed in learn(default, env_id)]
@@ -178,8 +181,8 @@ def study(
             progress(f"seed {seed}: {name}")
             fitted, count = _learned(setup.seeded(seed), default, learned, random_data, env_id)
             out.append(trial(name, seed, fitted.model, count, fitted.seconds, tests))
-        out.append(trial("true bicycle", seed, BicycleModel(), 0, 0.0, tests))
-    return out
+        out.append(trial(TRUTH, seed, BicycleModel(), 0, 0.0, tests))
+        yield out
 
 
 def _learned(

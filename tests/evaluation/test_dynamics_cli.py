@@ -101,7 +101,7 @@ def test_a_study_tests_all_on_the_same_driving_and_fits_nothing_twice(monkeypatc
     fits = []
     for module in ("dynamics.rounds", "evaluation.dynamics_study"):
         monkeypatch.setattr(f"{module}.fit", lambda *a, **k: fits.append(len(a[0])) or original(*a, **k))
-    trials = study(("first", "other", "apart", "rounds"), (1,), transitions=60)
+    (trials,) = study(("first", "other", "apart", "rounds"), (1,), transitions=60)
     # Rounds 0 and 1 of the default, then the two that are something else.
     assert fits == [200, 260, 200, 150]
     assert [(t.name, t.seed, t.transitions) for t in trials] == [
@@ -115,6 +115,32 @@ def test_a_study_tests_all_on_the_same_driving_and_fits_nothing_twice(monkeypatc
     assert max(trials[-1].random.position.max(), trials[-1].on_policy.position.max()) < 1e-3
     medians = [t.random.median[-1] for t in trials]
     assert len(set(medians)) == 5
+
+
+def test_evaluate_goes_on_where_it_was_stopped(monkeypatch, tmp_path):
+    monkeypatch.setattr(variants, "VARIANTS", {"a": TINY, "b": TINY})
+    asked = []
+
+    def pretend(names, seeds, *rest):
+        for seed in seeds:
+            asked.append(seed)
+            if seed == 2 and asked == [0, 1, 2]:
+                raise KeyboardInterrupt
+            yield [_trial(name, seed, 0.1 * (seed + 1)) for name in (*names, "true bicycle")]
+
+    monkeypatch.setattr("evaluation.dynamics_study.study", pretend)
+    table = tmp_path / "errors.csv"
+    assert shield("evaluate", "--seeds", 3, "--output", table).exit_code != 0
+    assert len(pd.read_csv(table)) == 6
+    result = shield("evaluate", "--seeds", 3, "--output", table, "--markdown")
+    assert result.exit_code == 0, result.output
+    assert asked == [0, 1, 2, 2]
+    assert "| a | 100 | 1.0 | 0.200 |" in result.output  # the median of 0.1, 0.2 and 0.3
+    for words in (["--variant", "a"], ["--transitions", 100]):
+        result = shield("evaluate", "--output", table, *words)
+        assert "other models or tests" in str(result.exception)
+    table.write_text("x,y\n1,2\n")
+    assert "no table of this command" in str(shield("evaluate", "--output", table).exception)
 
 
 def _trial(name: str, seed: int, scale: float) -> Trial:

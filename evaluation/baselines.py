@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.actuators import Actuators
+from evaluation.highway_planner import highway_policy
 from evaluation.parking import PARKING_POLICIES, parking_policy
 from evaluation.policies import list_references, load_reference
 from evaluation.training import ALGORITHMS, get_algorithm, manifest_path
@@ -43,7 +44,8 @@ _INPUTS = {"throttle", "idle"}
 BASELINES = (*sorted(_META.keys() | _INPUTS), "random", "mpc", *PARKING_POLICIES)
 """Names of the policies that need no training: `faster` and `slower` for meta-actions, `throttle` (full throttle, the
 wheel straight) for continuous actions, `idle` and `random` for both; `mpc` drives with continuous actions by itself
-(`mpc.MPCPolicy`, on the simulator's true state); those of `evaluation.parking` park."""
+(`mpc.MPCPolicy`, on the simulator's true state); those of `evaluation.parking` park, and
+`cem` drives on a highway with meta-actions as well."""
 
 
 class Policy(Protocol):
@@ -146,6 +148,8 @@ def make_policy(name: str, env: gym.Env[Any, Any], algorithm: str | None = None)
         return RandomPolicy(env.action_space)
     if name == "mpc":
         return MPCPolicy(env)
+    if name == "cem" and type(env.unwrapped.action_type).__name__ == "DiscreteMetaAction":  # type: ignore[attr-defined]
+        return highway_policy(env)
     if name in PARKING_POLICIES:
         return parking_policy(name, env)
     if name in list_references():

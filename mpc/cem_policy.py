@@ -1,7 +1,8 @@
 """`CEMPolicy`: a sampling planner that drives by itself, with SB3's `predict`.
 
 What it plans for is a `Task`: how to read states from observations, and what is to be small. `ParkingTask` is the one
-for `parking-v0`; `CEMPolicy.parking(env)` puts model, planner and task together.
+for `parking-v0`; `CEMPolicy.parking(env)` puts model, planner and task together. `HighwayTask` and
+`CEMPolicy.highway(env, model)` are the same for meta-actions among traffic.
 """
 
 from __future__ import annotations
@@ -13,7 +14,10 @@ import numpy as np
 from dynamics.errors import ConfigError
 from dynamics.model import StepModel
 from dynamics.oracle import BicycleModel
+from dynamics.traffic import TrafficModel
+from mpc.categorical import CategoricalCEM, CategoricalSettings
 from mpc.cem import CEM, PlannerSettings
+from mpc.highway_task import HighwayTask
 from mpc.parking_task import ParkingTask, brake, parking_settings
 from mpc.plan import Cost, Plan, PlanMemory, PlanStatus
 
@@ -100,6 +104,37 @@ class CEMPolicy:
                 f"parking has 6 state variables and 2 inputs; this model has {model.state_dim} and {model.action_dim}"
             )
         planner = CEM(model, settings, fallback=brake(task.bases[0]))
+        return cls(planner, task)
+
+    @classmethod
+    def highway(
+        cls,
+        env: Any,
+        model: TrafficModel,
+        settings: CategoricalSettings | None = None,
+        task: HighwayTask | None = None,
+    ) -> CEMPolicy:
+        """The policy for a straight highway with meta-actions.
+
+        Parameters
+        ----------
+        env : the environment.
+        model : of the scene, with as many vehicles as the observation shows.
+        settings : how to search. task : what is to be small.
+
+        Raises
+        ------
+        ConfigError
+            If the model is of other actions or scenes than the environment has.
+        """
+        task = task if task is not None else HighwayTask(env)
+        if (model.pair.action_dim, model.vehicles) != (task.actions, task.vehicles):
+            raise ConfigError(
+                f"this environment has {task.actions} meta-actions and shows {task.vehicles} other vehicles; the model "
+                f"is of {model.pair.action_dim} and {model.vehicles}"
+            )
+        fallback = np.full(1, task.slower)
+        planner = CategoricalCEM(model, task.actions, settings, lambda states: np.repeat(fallback, len(states)))
         return cls(planner, task)
 
     def reset(self) -> None:

@@ -1,4 +1,4 @@
-# One command each: `make demo`, `make test`, `make test-slow`, `make lint`, `make bench`, `make clean`.
+# One command each: `make demo`, `make cem-demo`, `make test`, `make test-slow`, `make lint`, `make bench`, `make clean`.
 # PYTHON is the interpreter (3.11 or newer) that the virtual environment is made from.
 PYTHON ?= python3
 TORCH  ?= torch==2.13.0
@@ -11,7 +11,7 @@ export OMP_NUM_THREADS ?= 1
 export SDL_VIDEODRIVER ?= dummy
 export PYGAME_HIDE_SUPPORT_PROMPT ?= 1
 
-.PHONY: install demo test test-slow lint bench clean
+.PHONY: install demo cem-demo test test-slow lint bench clean
 
 install: $(STAMP)
 
@@ -23,6 +23,9 @@ $(STAMP): pyproject.toml constraints.txt
 
 demo: $(STAMP)
 	$(BIN)/shield demo
+
+cem-demo: $(STAMP)
+	$(BIN)/shield cem-demo
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -41,6 +44,7 @@ bench: $(STAMP)
 	$(BIN)/python benchmarks/ratios.py
 	$(BIN)/python benchmarks/continuous.py
 	$(BIN)/python benchmarks/filter_rivals.py
+	$(BIN)/python benchmarks/cem.py
 
 clean:
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache \

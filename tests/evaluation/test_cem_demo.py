@@ -1,0 +1,15 @@
+"""The demo of learning to park writes what it says, and what it films is parking."""
+
+import pytest
+from PIL import Image
+
+from evaluation.cem_demo import cem_demo
+
+
+@pytest.mark.slow
+def test_the_demo_parks_and_writes_its_files(tmp_path):
+    said: list[str] = []
+    film, picture = cem_demo(tmp_path / "deep", said.append)
+    assert sum("parked after" in line for line in said) >= 4
+    assert Image.open(film).n_frames > 50
+    assert Image.open(picture).width > 300

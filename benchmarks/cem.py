@@ -1,8 +1,8 @@
 """Planning to park: HighwayEnv's notebook, our planner on the true model, and on learned models, side by side.
 
-Time per decision is measured on the same observations, in turns, in one thread; the ratio is to the notebook as it is
-(with autograd's graphs). Outcomes are driven on evaluation seeds, with models of several training seeds; `--models`
-names a folder with one folder per training seed, where models are kept or made (20 s each).
+Time per decision is the processor's, on the same observations, in turns, in one thread; the ratio is to the notebook
+as it is (with autograd's graphs). Outcomes are driven on evaluation seeds, with models of several training seeds;
+`--models` names a folder with one folder per training seed, where models are kept or made (20 s each).
 
     python benchmarks/cem.py --train 0 --episodes 50
     python benchmarks/cem.py --train 0,1,2,3,4 --episodes 200 --setting parking
@@ -15,7 +15,7 @@ import json
 import platform
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
+from time import thread_time
 from typing import Any
 
 import joblib
@@ -77,7 +77,7 @@ def drive(setting: str, name: str, models: Path, seeds: list[int]) -> list[Outco
 
 
 def times(setting: str, models: Path, seeds: range, decisions: int) -> dict[str, list[float]]:
-    """Planning times [ms] of all policies along the same episodes, driven by the oracle."""
+    """Processor time [ms] of each decision of all policies along the same episodes, driven by the oracle."""
     env = get_setting(setting).make()
     env.reset(seed=seeds[0])
     policies = {name: make(name, env, models) for name in POLICIES}
@@ -89,9 +89,9 @@ def times(setting: str, models: Path, seeds: range, decisions: int) -> dict[str,
             for step in range(decisions):
                 actions = {}
                 for name, policy in policies.items():
-                    begin = perf_counter()
+                    begin = thread_time()
                     actions[name], states[name] = policy.predict(observation, states[name], np.array([step == 0]))
-                    spent[name].append(1e3 * (perf_counter() - begin))
+                    spent[name].append(1e3 * (thread_time() - begin))
                 observation, _, terminated, truncated, _ = env.step(actions["oracle"])
                 if terminated or truncated:
                     break

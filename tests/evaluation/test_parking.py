@@ -24,7 +24,6 @@ def test_planners_park_and_the_record_says_so(policy):
     assert record.arrival_speed < 1.0
     assert not record.crashed
     assert not record.off_road
-    assert record.steps < 200
 
 
 def test_records_repeat_themselves_whatever_came_before():

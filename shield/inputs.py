@@ -63,6 +63,7 @@ class InputDoor:
                 f"speed_range {base.action_type.speed_range}. Leave speed_range out of the action's config"
             )
         self._agent = agent
+        self._untouched = True
         self._cruise: float | None = None
         self._proposal: FloatArray | None = None
         self._first: tuple[FloatArray, Decision] | None = None
@@ -82,6 +83,7 @@ class InputDoor:
         policy can if it has to.
         """
         start = perf_counter()
+        self._untouched = True
         if self._off:
             return Decision(action, action, Reason.NONE, Tier.OFF, np.nan, 0.0)
         read = self.actuators.read(action)
@@ -92,10 +94,19 @@ class InputDoor:
         return replace(decision, proposed=action, executed=executed)
 
     def frame(self) -> tuple[dict[str, float] | None, Decision]:
-        """The low-level action of the next frame, None where the proposal's own stands; and the record."""
+        """The low-level action of the next frame, None where the environment's own stands; and the record.
+
+        highway-env repeats the low-level action that it has. So once a frame has been overridden, the next ones get
+        theirs from here, the proposal too; until then the proposal is what highway-env has made of it (it keeps an
+        acceleration that it has limited above `MAX_SPEED`).
+        """
         first, self._first = self._first, None
+        if first is None and self._untouched:
+            low = self._base.vehicle.action
+            self._proposal = np.array([float(low["acceleration"]), float(low["steering"])])
         inputs, decision = first if first is not None else self._filter(perf_counter())
-        if decision.tier is Tier.PASSED:
+        self._untouched = self._untouched and decision.tier is Tier.PASSED
+        if self._untouched:
             return None, decision
         return {"acceleration": float(inputs[0]), "steering": float(inputs[1])}, decision
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
@@ -107,3 +109,40 @@ def test_through_the_actions_alone_it_stays_on_a_curved_road(kind: str) -> None:
         if terminated or truncated:
             break
     assert {Tier.PASSED, Tier.GOVERNED} <= tiers
+
+
+@pytest.mark.parametrize(("kind", "config"), [("highway-v0", {**CONFIG, "policy_frequency": 5}), ("racetrack-v0", {})])
+@pytest.mark.parametrize("policy", ["throttle", "random", "weave"])
+def test_what_was_verified_is_what_happens(kind: str, config: dict, policy: str) -> None:
+    """At every frame the ego is where the verified plan of the frame before has it, whatever was overridden between."""
+    env = ShieldedEnv(gym.make(kind, config=config))
+    rng, size = np.random.default_rng(0), env.action_space.shape[0]
+    seen: list[tuple[np.ndarray, np.ndarray | None]] = []
+    core = env.core
+    own = core.filter
+
+    def watched(scene, proposal):
+        inputs, decision = own(scene, proposal)
+        seen.append((scene.ego_road, decision.plan))
+        if decision.tier is Tier.PASSED:
+            np.testing.assert_array_equal(inputs, proposal)
+        return inputs, decision
+
+    core.filter = watched
+    for seed in range(3):
+        env.reset(seed=seed)
+        seen.clear()
+        for k in range(60):
+            action = (
+                rng.uniform(-1, 1, 2) if policy == "random" else np.array([1.0, 0.3 * np.sin(k) * (policy == "weave")])
+            )
+            *_, terminated, truncated, _ = env.step(action[-size:].astype(np.float32))
+            if terminated or truncated:
+                break
+        compared = 0
+        for (_, plan), (state, _) in pairwise(seen):
+            if plan is not None:
+                # Not the first entry: it starts anew with each lap.
+                np.testing.assert_allclose(state[1:], plan[1][1:], rtol=0, atol=1e-6)
+                compared += 1
+        assert compared > 100

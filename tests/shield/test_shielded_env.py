@@ -13,7 +13,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 from shield import ShieldConfig, ShieldedEnv
 
-
 KEYS = {
     "overridden": bool,
     "reason": str,

@@ -6,6 +6,7 @@ latencies) are the same whatever the number of jobs.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -156,10 +157,10 @@ def _plain(action: Any) -> Any:
 def _arrival(info: Mapping[str, Any], history: History) -> dict[str, Any]:
     """Whether the goal was reached, and how fast; a crash on arrival is no success."""
     if "is_success" not in info:
-        return {"success": None, "arrival_speed": float("nan")}
+        return {"success": None, "arrival_speed": math.nan}
     success = bool(np.all(info["is_success"])) and history.crash_frame is None
     speed = abs(float(history.ego[-1, Track.SPEED]))
-    return {"success": success, "arrival_speed": speed if success else float("nan")}
+    return {"success": success, "arrival_speed": speed if success else math.nan}
 
 
 def _driving(history: History) -> dict[str, Any]:

@@ -129,7 +129,6 @@ class ContinuousCore(Memory):
         self, scene: Scene, proposal: FloatArray, first: Judged, start: float
     ) -> tuple[FloatArray, Decision]:
         lane = self._stop_lane(scene)
-        law = self._law(scene, lane)
         floor = np.array([self._floor(scene), -np.inf])
         lanes = list(dict.fromkeys((lane, int(first.lanes[0]))))
         least = np.minimum((-self.config.braking, self.actuators.steering[0]), proposal)
@@ -139,18 +138,18 @@ class ContinuousCore(Memory):
             return self._judge_inputs(scene, inputs, lanes, parts)
 
         search = Search(judge, proposal, self._spans(scene), np.maximum(least, floor), np.maximum(most, floor))
-        judged = search.run(lanes, law)
+        judged = search.run(lanes, self._law(scene, lane))
         if not judged.margin[0] >= 0 and self.predictive:
             plan = self._predict(scene, proposal, int(first.lanes[0]))
             if plan is not None:
                 found = self._judge_inputs(scene, np.maximum(plan, floor)[None], lanes)
                 judged = found if found.margin[0] >= 0 else judged
         if not judged.margin[0] >= 0:
-            return self._fall_back(scene, proposal, judged, law, start)
+            return self._fall_back(scene, proposal, judged, start)
         return judged.inputs[0], self._record(scene, proposal, judged, 0, Reason.UNVERIFIED, Tier.GOVERNED, start)
 
     def _fall_back(
-        self, scene: Scene, proposal: FloatArray, judged: Judged, law: FloatArray, start: float
+        self, scene: Scene, proposal: FloatArray, judged: Judged, start: float
     ) -> tuple[FloatArray, Decision]:
         if self.stored_lane is not None and not self.monitor.violated:
             return self.brake_inputs(scene, proposal, Reason.NO_SAFE_PLAN, start, Tier.STORED_PLAN)

@@ -146,7 +146,7 @@ class Search:
         if not (judged.margin >= 0).any():
             return judged.row(least_bad(Clearance(judged.margin, judged.clear)))
         best = judged.row(self._nearest(judged))
-        step = float(np.hypot(*((best.inputs[0] - self._proposal) / self._spans)))
+        step = float(self._distance(best.inputs)[0])
         for count, rings in _NEARER:
             if not step > _NEAR:
                 break

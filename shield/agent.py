@@ -45,9 +45,6 @@ class AgentCore(ContinuousCore):
         self._held: dict[tuple[float, Any], HeldRollouts] = {}
         self._wheel = min(abs(x) for x in actuators.steering) if actuators.lateral else 0.0
 
-    def prepare(self, scene: Scene) -> None:
-        """Nothing: a decision has more time than a frame."""
-
     def _judge_inputs(self, scene: Scene, inputs: FloatArray, stops: list[int], parts: bool = False) -> Judged:
         # What is verified is what the environment will make of the action, rounding included.
         exact = self.actuators.physical(self.actuators.normalised(inputs))

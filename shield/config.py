@@ -47,6 +47,7 @@ class ShieldConfig:
     ----------
     mode : one of `MODES`.
     buffer : the distance that no verified action may violate.
+    clearance : the same in a parking lot, on all sides [m].
     assumptions : what the others are assumed to keep to.
     braking : deceleration of the ego's fail-safe manoeuvre [m/s^2]: 1 g, the limit of a dry road; highway-env's own
         speed controller reaches up to 12.5 m/s^2 on SLOWER, and 8.3 from 25 to 20 m/s.
@@ -63,6 +64,7 @@ class ShieldConfig:
 
     mode: str = "full"
     buffer: Buffer = field(default_factory=Buffer)
+    clearance: float = 0.1
     assumptions: Assumptions = field(default_factory=Assumptions.idm)
     braking: float = 9.8
     perception_range: float = 200.0
@@ -85,6 +87,7 @@ class ShieldConfig:
         if not isinstance(self.record, bool):
             raise ConfigError(f"ShieldConfig.record must be true or false, got {self.record!r}")
         for name in (
+            "clearance",
             "braking",
             "perception_range",
             "distance",

@@ -17,7 +17,8 @@ from shield.config import ShieldConfig
 from shield.core import FrameCommand
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
-from shield.inputs import InputDoor
+from shield.inputs import InputDoor, refuse_lots
+from shield.lot import LotCore
 from shield.memory import Memory
 from shield.mend import make_core
 from shield.preference import order_from_scores, ranking_of
@@ -78,12 +79,12 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self.policy = policy
         self._base: Any = env.unwrapped
         self._check_action_type()
-        self._reader = SceneReader(env, curved=self._kind() == "ContinuousAction")
+        self._reader = SceneReader(env)
         self._inputs: InputDoor | None = None
         if self._kind() == "ContinuousAction":
-            self._inputs = InputDoor(self._base, self._reader, self.config)
+            self._inputs = InputDoor(self._base, self.config)
         self._meta = make_core(self.config)
-        self.core: Memory = self._meta if self._inputs is None else self._inputs.core
+        self.core: Memory | LotCore = self._meta if self._inputs is None else self._inputs.core
         self._observation: Any = None
         self._supervising = 0.0
         self.last_decision: Decision | None = None
@@ -99,6 +100,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
                 f"ShieldedEnv filters DiscreteMetaAction and ContinuousAction; this environment has {kind}. Pass "
                 'config={"action": {"type": "DiscreteMetaAction"}} to gym.make'
             )
+        if kind != "ContinuousAction":
+            refuse_lots([self._base])
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment and forget everything about the last episode."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from contextlib import suppress
 from dataclasses import replace
 from time import perf_counter
 from typing import Any
@@ -13,14 +12,16 @@ import numpy as np
 from dynamics.actuators import Actuators
 from dynamics.controllers import KP_SPEED
 from dynamics.errors import ConfigError, SceneError
-from dynamics.scene import Scene, SceneReader
+from dynamics.lot import LotReader, is_lot
+from dynamics.scene import SceneReader
 from dynamics.state import FloatArray, State
 from shield.agent import AgentCore
 from shield.config import ShieldConfig
 from shield.continuous import ContinuousCore
 from shield.decision import Decision, Reason, Tier
+from shield.lot import LotCore
 
-__all__ = ["InputDoor"]
+__all__ = ["InputDoor", "refuse_lots"]
 
 _log = logging.getLogger(__name__)
 
@@ -29,28 +30,36 @@ _SAME_SPEED = 1e-3
 
 
 class InputDoor:
-    """Filters the throttle and steering of one environment.
+    """Filters the throttle and steering of one environment: on its road, or in its parking lot (`is_lot`).
 
     Parameters
     ----------
     base : the highway-env environment, unwrapped.
-    reader : reads its scenes.
     config : settings.
     agent : whether the shield acts through the actions only (`AgentCore`) and not at every frame.
 
     Raises
     ------
     ConfigError
-        If the mode is one of the rules for meta-actions.
+        If the mode is one of the rules for meta-actions, or the actions are none that can be verified.
+    SceneError
+        If the environment has several controlled vehicles.
     """
 
-    def __init__(self, base: Any, reader: SceneReader, config: ShieldConfig, agent: bool = False) -> None:
-        self._base, self._reader = base, reader
+    def __init__(self, base: Any, config: ShieldConfig, agent: bool = False) -> None:
+        self._base = base
         self.actuators = Actuators.of(base.action_type)
-        self.core = ContinuousCore(config, self.actuators)
         self._period = int(base.config["simulation_frequency"] // base.config["policy_frequency"])
-        if agent:
+        self._lot = is_lot(base)
+        # A reader and a core belong together: what the one reads, the other judges.
+        self._reader: Any = LotReader(base) if self._lot else SceneReader(base, curved=True)
+        self.core: ContinuousCore | LotCore
+        if self._lot:
+            self.core = LotCore(config, self.actuators, self._period if agent else None)
+        elif agent:
             self.core = AgentCore(config, self.actuators, self._period)
+        else:
+            self.core = ContinuousCore(config, self.actuators)
         self._off = config.mode == "none"
         if getattr(base.action_type, "dynamical", False):
             raise ConfigError(
@@ -72,9 +81,6 @@ class InputDoor:
         """Forget everything about the episode."""
         self.core.reset()
         self._first = self._cruise = None
-        if not self._off:
-            with suppress(SceneError):  # which the first decision will answer
-                self.core.prepare(self._reader.read())
 
     def decide(self, action: Any) -> Decision:
         """Filter an action for its first frame; `executed` is the action itself where that verifies.
@@ -110,7 +116,7 @@ class InputDoor:
             return None, decision
         return {"acceleration": float(inputs[0]), "steering": float(inputs[1])}, decision
 
-    def _cruising(self, scene: Scene, proposal: FloatArray) -> FloatArray:
+    def _cruising(self, scene: Any, proposal: FloatArray) -> FloatArray:
         """The proposal of a policy without a throttle, brought back to the speed that the shield has taken from it."""
         if self.actuators.longitudinal or self._agent or not scene.finite:
             return proposal
@@ -128,7 +134,7 @@ class InputDoor:
         return inputs, decision
 
     def _filter(self, start: float) -> tuple[FloatArray, Decision]:
-        scene: Scene | None = None
+        scene: Any = None
         proposal = self._proposal
         try:
             scene = self._reader.read()
@@ -146,6 +152,24 @@ class InputDoor:
         """The acceleration that just stops the ego, from its speed alone [m/s^2]; none where that is not known."""
         speed = float(getattr(self._base.vehicle, "speed", np.nan))
         if not np.isfinite(speed):
-            return -np.inf
+            return 0.0 if self._lot else -np.inf
         frames = self._period if self._agent else 1
-        return -max(speed, 0.0) * self._base.config["simulation_frequency"] / frames
+        if not self._lot:
+            speed = max(speed, 0.0)
+        return -speed * self._base.config["simulation_frequency"] / frames
+
+
+def refuse_lots(bases: list[Any]) -> None:
+    """Raise where meta-actions are to be filtered in a parking lot: they steer to lanes, and there are none.
+
+    Raises
+    ------
+    ConfigError
+        If one of the environments is a parking lot.
+    """
+    for base in bases:
+        if is_lot(base):
+            raise ConfigError(
+                f"{type(base).__name__} with {type(base.action_type).__name__}: in a parking lot the shield filters "
+                'ContinuousAction only. Pass config={"action": {"type": "ContinuousAction"}} to gym.make'
+            )

@@ -15,7 +15,8 @@ from shield.config import ShieldConfig
 from shield.continuous import ContinuousCore
 from shield.decision import Decision, Reason
 from shield.errors import ConfigError, PolicyError, SceneError
-from shield.inputs import InputDoor
+from shield.inputs import InputDoor, refuse_lots
+from shield.lot import LotCore
 from shield.meta import MetaCore
 from shield.preference import order_from_scores, ranking_of
 
@@ -80,13 +81,14 @@ class Shield:
                 f"{', '.join(sorted(kinds))}. "
                 'Pass config={"action": {"type": "DiscreteMetaAction"}} to gym.make'
             )
-        self._readers = [SceneReader(base, curved=kinds == {"ContinuousAction"}) for base in bases]
+        if kinds != {"ContinuousAction"}:
+            refuse_lots(bases)
+        self._readers = [SceneReader(base) for base in bases]
         self._doors: list[InputDoor] = []
         if kinds == {"ContinuousAction"}:
             self.config = config if config is not None else ShieldConfig()
-            pairs = zip(bases, self._readers, strict=True)
-            self._doors = [InputDoor(base, reader, self.config, agent=True) for base, reader in pairs]
-            self._cores: list[MetaCore | ContinuousCore] = [door.core for door in self._doors]
+            self._doors = [InputDoor(base, self.config, agent=True) for base in bases]
+            self._cores: list[MetaCore | ContinuousCore | LotCore] = [door.core for door in self._doors]
         else:
             self.config = config if config is not None else ShieldConfig.for_meta_actions()
             self._cores = [MetaCore(self.config) for _ in bases]

@@ -28,14 +28,20 @@ _PARTS = 4
 class ContactCost(Term):
     """A cost for coming too near to another vehicle, and a smaller one for a gap that closes too fast.
 
+    Where the ego's centre enters the area around another vehicle's it is `entry`, and it rises to 1 where the bodies
+    touch; from then on it stays 1. Among plans that all come too near, the one that stays farthest away is the
+    cheapest, and among those that all crash, the one that does so last: it must not pay to drive through a vehicle.
+
     Attributes
     ----------
-    length, width : of the area around another vehicle's centre that the ego's must stay out of, half [m].
+    length, width : of the area around another vehicle's centre that the ego's must stay out of, half [m]; more than a
+        vehicle's. entry : cost of entering it.
     headway : seconds of the closing speed that the gap to a vehicle ahead should last. soft : cost of none.
     """
 
     length: float = LENGTH + 2.0
     width: float = WIDTH + 0.8
+    entry: float = 0.3
     headway: float = 2.0
     soft: float = 0.3
 
@@ -50,12 +56,18 @@ class ContactCost(Term):
         before = np.concatenate([first, others[:, :, :-1]], axis=2)
         share = (np.arange(1, _PARTS + 1) / _PARTS).astype(t.states.dtype)
         dx, dy = (before[..., i, None] + (others[..., i] - before[..., i])[..., None] * share for i in (1, 2))
-        near = (np.abs(dx) < self.length) & (np.abs(dy) < self.width) & (others[..., :1] > 0)
+        # Metres inside the area over those between its edge and contact, along and across; the lesser counts.
+        inside = np.minimum(
+            (self.length - np.abs(dx)) / (self.length - LENGTH), (self.width - np.abs(dy)) / (self.width - WIDTH)
+        )
+        near = (self.entry + (1 - self.entry) * np.clip(inside, 0, 1)) * ((inside > 0) & (others[..., :1] > 0))
+        worst = near.max(axis=(-1, -2))
+        crashed = np.maximum.accumulate(worst >= 1, axis=-1)
         gap, side, closing = others[..., 1] - self.length, np.abs(others[..., 2]), -others[..., 3]
         ahead = (others[..., 0] > 0) & (others[..., 1] > 0) & (side < self.width)
         need = self.headway * np.maximum(closing, 0) + 3.0
         short = np.clip(1 - gap / need, 0, 1) * ahead
-        return near.any(axis=(-1, -2)) + self.soft * short.max(axis=-1)
+        return np.where(crashed, 1.0, worst) + self.soft * short.max(axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,5 +175,5 @@ class HighwayTask:
             w.pace * PaceCost(*self.speeds)
             + w.lane * LaneCost(right=4.0 * (self.lanes - 1))
             + w.change * ChangeCost(self.changes)
-            + w.contact * ContactCost(w.length, w.width, w.headway)
+            + w.contact * ContactCost(w.length, w.width, headway=w.headway)
         )

@@ -79,7 +79,30 @@ def test_one_decision_of_the_simulator_is_about_a_step():
 def test_passing_through_a_vehicle_is_contact(dx0, dx1, dy):
     cost = ContactCost(soft=0.0).stages(along([scene((dx0, dy, 0.0)), scene((dx1, dy, 0.0))]))[0, 0, 0]
     moments = dx0 + (dx1 - dx0) * np.array([0.25, 0.5, 0.75, 1.0])
-    assert cost == float(np.any(np.abs(moments) < 7.0) and abs(dy) < 2.8)
+    assert (cost > 0) == bool(np.any(np.abs(moments) < 7.0 - 1e-5) and abs(dy) < 2.8 - 1e-5)
+    assert cost == 1.0 or not (np.any(np.abs(moments) < 4.999) and abs(dy) < 1.999)
+    assert cost == 0 or 0.3 <= cost <= 1.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(5, 7), st.floats(5, 7), st.floats(-1.9, 1.9))
+def test_farther_inside_the_margins_costs_more(a, b, dy):
+    near, far = min(a, b), max(a, b)
+    costs = [ContactCost(soft=0.0).stages(along([scene((d, dy, 0.0))] * 2))[0, 0, 0] for d in (near, far)]
+    assert costs[0] >= costs[1] - 1e-6
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 4), st.integers(1, 4))
+def test_driving_through_a_vehicle_does_not_pay(first, second):
+    # What comes after the crash is nothing: the same clear places cost 1 each once there was one.
+    def plan(at):
+        return along([scene((20.0, 0.0, 0.0))] + [scene((-20.0 if i > at else 3.0, 0.0, 0.0)) for i in range(1, 6)])
+
+    cost = ContactCost(soft=0.0)
+    assert cost.stages(plan(first)).tolist() == [[[1.0] * 5]]
+    late = along([scene((20.0, 0.0, 0.0))] * (1 + second) + [scene((3.0, 0.0, 0.0))] * (5 - second))
+    assert cost.stages(late).sum() == pytest.approx(5 - second)
 
 
 def test_a_vehicle_that_is_not_there_costs_nothing():

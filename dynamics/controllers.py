@@ -11,10 +11,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from dynamics.bicycle import LENGTH, Columns
+from dynamics.bicycle import LENGTH
 from dynamics.state import FloatArray, RoadState, wrap_to_pi
 
 __all__ = [
@@ -23,14 +22,9 @@ __all__ = [
     "KP_SPEED",
     "MAX_SLIP",
     "MAX_STEERING",
-    "clip_expression",
-    "nonzero_expression",
-    "slip_expression",
     "speed_control",
     "speed_to_index",
     "steering_control",
-    "steering_expression",
-    "wrap_expression",
 ]
 
 KP_SPEED = 1 / 0.6
@@ -67,34 +61,6 @@ def steering_control(states: FloatArray, target_r: Any) -> FloatArray:
     heading_rate = KP_HEADING * wrap_to_pi(heading_ref - psi)
     slip = np.arcsin(np.clip(LENGTH / 2 / v * heading_rate, -1, 1))
     return np.clip(np.arctan(2 * np.tan(slip)), -MAX_STEERING, MAX_STEERING)
-
-
-def steering_expression(state: ca.SX, target_r: ca.SX) -> ca.SX:
-    """`steering_control` as a CasADi expression for one road state (4, 1)."""
-    return ca.atan(2 * ca.tan(ca.asin(slip_expression((state[0], state[1], state[2], state[3]), target_r))))
-
-
-def slip_expression(state: Columns, target_r: Any) -> Any:
-    """Sine of the slip angle that `steering_control` asks for, element by element: scalars or columns of vehicles."""
-    _, r, psi, v = state
-    v = nonzero_expression(v)
-    heading_ref = ca.asin(clip_expression(KP_LATERAL * (target_r - r) / v, np.sin(np.pi / 4)))
-    return clip_expression((LENGTH / 2 * KP_HEADING) * wrap_expression(heading_ref - psi) / v, MAX_SLIP)
-
-
-def nonzero_expression(x: Any) -> Any:
-    """The speed that highway-env divides by."""
-    return (2 * (x >= 0) - 1) * ca.fmax(ca.fabs(x), _NONZERO)
-
-
-def wrap_expression(angle: Any) -> Any:
-    """An angle [rad] in [-pi, pi)."""
-    return angle - 2 * np.pi * ca.floor((angle + np.pi) / (2 * np.pi))
-
-
-def clip_expression(x: Any, bound: float) -> Any:
-    """x limited to +-bound."""
-    return ca.fmin(ca.fmax(x, -bound), bound)
 
 
 def speed_to_index(speed: float, target_speeds: tuple[float, ...]) -> int:

@@ -15,56 +15,18 @@ once in a period.
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any
+import numpy as np
 
-import casadi as ca
-
-from dynamics.bicycle import slip_of, slip_step
-from dynamics.controllers import slip_expression
-from dynamics.curved import curved_slip, curved_step, lookup
-from dynamics.path import CurvatureProfile, PathRoad
+from dynamics.kernels import roll_stops, table_of
+from dynamics.path import PathRoad
 from dynamics.road import StraightRoad
-from dynamics.rollout import MANY, Bound, padded_rows
 from dynamics.state import FloatArray
 
-__all__ = ["HeldRollouts", "period_function"]
-
-_PERIODS = 4
-
-
-def period_function(rows: int, dt: float, hold: int, profile: CurvatureProfile | None = None) -> ca.Function:
-    """One decision period: states (rows, 4), stops (rows, 3) -> states after it (rows, 4), after each frame
-    (rows, 4 hold); a single one is (4, 1), (3, 1) -> (4, 1), (4, hold)."""
-    one = rows == 1
-    symbol: Any = ca.SX.sym if one and profile is None else ca.MX.sym
-    x, c = (symbol(name, n, 1) if one else symbol(name, rows, n) for name, n in (("x", 4), ("c", 3)))
-    state: Any = tuple(x[i] if one else x[:, i] for i in range(4))
-    goal, braking, most = (c[i] if one else c[:, i] for i in range(3))
-    a = -ca.fmin(braking, ca.fmax(state[3], 0) / (hold * dt))
-    row = None if profile is None else lookup(profile, state[0])
-    slip = slip_expression(state, goal) if row is None else curved_slip(state, goal, row[1], dt)
-    limit = slip_of(most)
-    slip = ca.fmin(ca.fmax(slip, -limit), limit)
-    states: list[Any] = []
-    for _ in range(hold):
-        if profile is None:
-            state = slip_step(state, a, slip, dt)
-        else:
-            state = curved_step(state, a, slip, lookup(profile, state[0]), dt)
-        states.append(ca.vertcat(*state) if one else ca.horzcat(*state))
-    return ca.Function("period", [x, c], [states[-1], ca.horzcat(*states)], {"cse": True})
-
-
-@lru_cache(maxsize=128)
-def _compiled(rows: int, periods: int, dt: float, hold: int, profile: CurvatureProfile | None) -> ca.Function:
-    if rows < MANY:
-        return period_function(1, dt, hold, profile).mapaccum(periods).map(rows)
-    return period_function(rows, dt, hold, profile).mapaccum(periods)
+__all__ = ["HeldRollouts"]
 
 
 class HeldRollouts:
-    """Owns the buffers of the compiled rollouts for one frame duration and decision period on one road.
+    """The rollouts for one frame duration and decision period on one road.
 
     Parameters
     ----------
@@ -74,9 +36,8 @@ class HeldRollouts:
     """
 
     def __init__(self, dt: float, hold: int, road: StraightRoad | PathRoad | None = None) -> None:
-        self.dt, self.hold = dt, hold
-        self._profile = road.profile if isinstance(road, PathRoad) else None
-        self._slots: dict[tuple[int, int], Bound] = {}
+        self.dt, self.hold = float(dt), int(hold)
+        self._table = table_of(road)
 
     def run(self, states: FloatArray, stops: FloatArray, periods: int) -> FloatArray:
         """Brake from each state.
@@ -89,13 +50,7 @@ class HeldRollouts:
         -------
         Road states after each frame, (n, periods * hold, 4).
         """
-        n = len(states)
-        rows, padded = padded_rows(n), -(-periods // _PERIODS) * _PERIODS
-        key = (rows, padded)
-        if key not in self._slots:
-            function = _compiled(rows, padded, self.dt, self.hold, self._profile)
-            self._slots[key] = Bound(function, rows, padded, 3, padded * self.hold)
-        bound = self._slots[key]
-        bound.start[:n], bound.controls[:n] = states, stops[:, None]
-        bound()
-        return bound.paths[:n, : periods * self.hold].copy()
+        states, stops = (np.ascontiguousarray(x, float) for x in (states, stops))
+        paths = np.empty((len(states), periods * self.hold, 4))
+        roll_stops(states, stops, self.hold, self._table, self.dt, paths)
+        return paths

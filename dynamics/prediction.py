@@ -24,13 +24,14 @@ import numpy as np
 
 from dynamics.assumptions import Assumptions
 from dynamics.bends import Bends
+from dynamics.hulls import HIGH, LOW, REACH, hulls, rears
 from dynamics.road import Road
 from dynamics.state import FloatArray, RoadState, Vehicle
 
 __all__ = ["Occupancy", "Surroundings", "constant_velocity", "predict_occupancy"]
 
 
-_ALL = slice(None)
+_STRAIGHT = np.zeros((2, 0))
 
 
 def constant_velocity(states: FloatArray, frames: int, dt: float) -> FloatArray:
@@ -84,35 +85,26 @@ class Surroundings:
     """
 
     def __init__(self, others: FloatArray, states: FloatArray, road: Road, assumptions: Assumptions) -> None:
+        others, states = np.ascontiguousarray(others, float), np.ascontiguousarray(states, float)
         self.others, self.states, self.assumptions = others, states, assumptions
-        bends = road.bends
-        centers, tolerance = road.centers, assumptions.keeping_heading
+        bends, m = road.bends, states.shape[0]
+        tolerance = assumptions.keeping_heading + (bends.slip if bends is not None else 0.0)
+        self.lane, self.moving, self._found = np.empty(m, np.intp), np.empty(m, np.bool_), np.empty((5, m))
+        hulls(
+            others,
+            states,
+            road.centers,
+            float(road.width),
+            tolerance,
+            assumptions.keeping_offset,
+            assumptions.max_heading,
+            self.lane,
+            self.moving,
+            self._found,
+        )
+        self.low, self.high, self.reach = self._found[LOW], self._found[HIGH], self._found[REACH]
         self.stretch: tuple[FloatArray, FloatArray] | None = None
-        if bends is not None:
-            tolerance += bends.slip
-        self._tolerance = tolerance
-        r, heading = states[:, RoadState.R], np.abs(states[:, RoadState.HEADING])
-        length, width = others[:, Vehicle.LENGTH], others[:, Vehicle.WIDTH]
-        lane = np.minimum(np.maximum(np.rint((r - centers[0]) / road.width), 0), centers.size - 1)
-        self.lane = lane.astype(np.intp)
-        center = centers[self.lane]
-        offset = r - center
-        self.moving = (heading > tolerance) | (np.abs(offset) > assumptions.keeping_offset)
-        self.moving &= others[:, Vehicle.SPEED] != 0
-        # Even one that keeps its lane may start to leave it at the next frame.
-        turn = np.minimum(np.maximum(assumptions.max_heading, heading), np.pi / 2)
-        self._cos = np.cos(turn)
-        # v (1 - cos psi) <= tan(psi / 2) v sin psi: what a single lane change costs it along the road.
-        self._change = np.tan(0.5 * turn) * road.width
-        # The extent along the road is greatest at the heading of the diagonal, or as near to it as it can turn.
-        diagonal = np.minimum(turn, np.arctan2(width, length))
-        self.reach = 0.5 * (length * np.cos(diagonal) + width * np.sin(diagonal))
-        half = 0.5 * (width + length * np.sin(np.minimum(np.maximum(heading, tolerance), np.pi / 2)))
-        self.low, self.high = np.minimum(r, center) - half, np.maximum(r, center) + half
-        across = np.flatnonzero(self.moving)
-        if across.size:
-            self._change[across] = np.inf
-            self._widen(across, turn[across], half[across], centers)
+        self._stretches = _STRAIGHT
         if bends is not None:
             self._bend(bends)
 
@@ -122,54 +114,36 @@ class Surroundings:
         _, greatest = bends.stretch(self.high)
         least_high, greatest_low = bends.stretch(self.high)[0], bends.stretch(self.low)[1]
         self.stretch = np.minimum(least, least_high), np.maximum(greatest, greatest_low)
+        self._stretches = np.stack(self.stretch)
         sizes = self.others[:, [Vehicle.LENGTH, Vehicle.WIDTH]]
         grown = np.array([bends.growth(*size) for size in sizes]).reshape(-1, 2)
-        self.reach = self.reach + grown[:, 0]
-        self.low, self.high = self.low - grown[:, 1], self.high + grown[:, 1]
+        self._found[REACH] += grown[:, 0]
+        self._found[LOW] -= grown[:, 1]
+        self._found[HIGH] += grown[:, 1]
 
-    def _widen(self, across: Any, turn: FloatArray, half: FloatArray, centers: FloatArray) -> None:
-        """Set the hull of those that move across: to the lane that they move to, on headings of up to `turn` [rad]."""
-        r, psi, lane = self.states[across, RoadState.R], self.states[across, RoadState.HEADING], self.lane[across]
-        center = centers[lane]
-        offset = r - center
-        turning = np.abs(psi) > self._tolerance
-        # Towards its heading, else back to the centre of its lane.
-        toward = np.where(turning, np.sign(psi), -np.sign(offset))
-        leaving = toward * offset >= 0
-        beside = np.minimum(np.maximum(lane + toward.astype(np.intp), 0), centers.size - 1)
-        end = centers[np.where(leaving, beside, lane)]
-        turned = 0.5 * (self.others[across, Vehicle.WIDTH] + self.others[across, Vehicle.LENGTH] * np.sin(turn))
-        # One that is coming back to its lane's centre turns no further outwards than it is turned now.
-        outer_low = np.where(~leaving & (offset < 0), half, turned)
-        outer_high = np.where(~leaving & (offset > 0), half, turned)
-        self.low[across] = np.minimum(np.minimum(r, center), end) - outer_low
-        self.high[across] = np.maximum(np.maximum(r, center), end) + outer_high
-
-    def rear(self, frames: int, dt: float, hold: int = 0, rows: Any = _ALL) -> FloatArray:
+    def rear(self, frames: int, dt: float, hold: int = 0, rows: Any = None) -> FloatArray:
         """Least s of each body after 1..K frames, (m, K) [m]; of those in `rows` only, where given.
 
         `hold` is a number of frames of constant speed that are *expected* before the worst case starts. With
         `hold` > 0 the result is a forecast and not a bound.
         """
-        a, v = self.assumptions, self.states[rows, RoadState.SPEED]
-        braked = np.maximum(np.arange(-hold, frames - hold), 0)
-        floor = np.minimum(v, a.min_speed)[:, None]
-        slow = np.maximum(v[:, None] - a.braking * dt * braked, floor)
-        crashed = self.others[rows, Vehicle.CRASHED] > 0
-        if crashed.any():
-            # highway-env: a crashed vehicle brakes at -1 * speed per second.
-            wreck = v[:, None] * (1 - dt) ** np.arange(frames)
-            slow = np.where(crashed[:, None], np.minimum(slow, wreck), slow)
-        # On a heading of up to the bound, only the cosine of the speed advances along the road.
-        way = np.cumsum(slow, axis=1) * dt
-        loss = np.maximum(np.minimum((1 - self._cos[rows])[:, None] * way, self._change[rows][:, None]), 0.0)
-        if hold:
-            # One that keeps its lane is expected to go on doing so.
-            loss = np.where(self.moving[rows][:, None], loss, 0.0)
-        way -= loss
-        if self.stretch is not None:
-            way = np.minimum(way * self.stretch[0][rows][:, None], way * self.stretch[1][rows][:, None])
-        return (self.states[rows, RoadState.S] - self.reach[rows])[:, None] + way
+        a = self.assumptions
+        rows = np.arange(len(self.states)) if rows is None else rows
+        out = np.empty((len(rows), frames))
+        rears(
+            rows,
+            self.others,
+            self.states,
+            self.moving,
+            self._found,
+            self._stretches,
+            a.braking,
+            a.min_speed,
+            hold,
+            dt,
+            out,
+        )
+        return out
 
     def front(self, frames: int, dt: float, hold: int = 0) -> FloatArray:
         """Greatest s of each body after 1..K frames, with no duty to react, (m, K) [m]."""

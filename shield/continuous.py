@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from dynamics.actuators import Actuators
-from dynamics.bicycle import MAX_SPEED
 from dynamics.curved import steer
 from dynamics.rollout import BRAKE
 from dynamics.scene import Scene
@@ -27,6 +26,7 @@ from shield.candidates import Candidates
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
+from shield.kernels import lanes_touched
 from shield.memory import Memory
 from shield.search import Judged, Search
 
@@ -36,8 +36,6 @@ _STAGE, _STAGES = 0.2, 20
 """Stage of the predictive filter [s], and how many."""
 _NEAREST = 12
 """Vehicles that a plan looks at."""
-_USUAL = (1, 2, 3, 15, 29, 48, 58)
-"""How many inputs are judged at once in most frames."""
 
 
 class ContinuousCore(Memory):
@@ -76,9 +74,10 @@ class ContinuousCore(Memory):
             each.reset()
 
     def prepare(self, scene: Scene) -> None:
-        """Compile what most frames on this road will need, so that none of them has to wait for it."""
-        frames = int(np.ceil(MAX_SPEED / (self.config.braking * scene.dt))) + 1
-        self._rollouts_for(scene).prepare(_USUAL, self._frames, frames)
+        """Compute what depends on the road alone, so that no frame has to wait for it."""
+        if scene.finite:
+            self._judge_inputs(scene, np.zeros((1, 2)), self._stop_lanes(scene)[:1])
+            self._surveyor = None
 
     def filter(self, scene: Scene, proposal: FloatArray) -> tuple[FloatArray, Decision]:
         """What the actuators get for the next frame.
@@ -242,25 +241,9 @@ class ContinuousCore(Memory):
         the road's edges, (n, 2) [m]; whether it may go there, (n,): not into lanes on both sides at once; and the
         frames for which it stays on the road, (n,).
         """
-        road, ego = scene.road, scene.ego
-        sin, cos = np.abs(np.sin(paths[..., RoadState.HEADING])), np.abs(np.cos(paths[..., RoadState.HEADING]))
-        half = 0.5 * (ego[Vehicle.LENGTH] * sin + ego[Vehicle.WIDTH] * cos) + self._survey(scene).bare[1]
-        low, high = paths[..., RoadState.R] - half, paths[..., RoadState.R] + half
-        least, most = low.min(axis=1), high.max(axis=1)
-        centers, side, owned = road.centers, 0.5 * road.width, self._survey(scene).owned
-        new = (most[:, None] > centers - side) & (least[:, None] < centers + side) & ~owned
-        new[np.arange(len(fails)), fails] = False
-        entered = np.where(new.any(axis=1), new.argmax(axis=1), fails)
-        ends = centers[0] - side, centers[-1] + side
-        edges = np.stack([least - ends[0], ends[1] - most], axis=1)
-        frames: Any = paths.shape[1]
-        if edges.min() < 0:
-            off = (low < ends[0]) | (high > ends[1])
-            frames = np.where(off.any(axis=1), off.argmax(axis=1), frames)
-        # Nobody keeps a place free in a lane that the ego has left: it does not come back to one.
-        within = (low[..., None] < centers[owned] + 1.0) & (high[..., None] > centers[owned] - 1.0)
-        returns = (within[:, 1:] & ~within[:, :-1]).any(axis=(1, 2))
-        return entered, edges, ~((new.sum(axis=1) > 1) | returns), frames
+        ego, survey, centers = scene.ego, self._survey(scene), scene.road.centers
+        length, width, side = float(ego[Vehicle.LENGTH]), float(ego[Vehicle.WIDTH]), 0.5 * scene.road.width
+        return lanes_touched(paths, length, width, survey.bare[1], centers, side, survey.owned, fails)
 
     def _stop_lanes(self, scene: Scene) -> list[int]:
         """Lanes in which the fail-safe may stop, in order of preference."""

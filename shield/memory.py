@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from dynamics.prediction import Surroundings
+from dynamics.road import StraightRoad
 from dynamics.rollout import Rollouts
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, Vehicle
 from shield.config import ShieldConfig
+from shield.kernels import warm_up
 from shield.monitor import AssumptionMonitor
 from shield.verify import Surveyor
 
 __all__ = ["Memory"]
+
+
+@cache
+def _warm_up() -> None:
+    """Have the kernels compiled, or read from the disk, before a decision waits for them."""
+    warm_up()
+    state, road = np.zeros(4), StraightRoad.from_lanes(1)
+    Rollouts(0.1).run(state, np.zeros((1, 1, 3)))
+    Rollouts(0.1).run_inputs(state, np.zeros((1, 1, 2)))
+    Surroundings(np.zeros((1, 7)), state[None], road, ShieldConfig().assumptions).rear(1, 0.1)
 
 
 class Memory:
@@ -38,6 +51,7 @@ class Memory:
     def __init__(self, config: ShieldConfig | None = None) -> None:
         self.config = config if config is not None else ShieldConfig()
         self._rollouts: dict[tuple[float, Any], Rollouts] = {}
+        _warm_up()
         self.reset()
 
     def reset(self) -> None:

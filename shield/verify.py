@@ -29,10 +29,13 @@ from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, Vehicle
 from shield.candidates import Candidates
 from shield.config import ShieldConfig
+from shield.kernels import least_separations, rooms
 
 __all__ = ["Clearance", "Surveyor", "least_bad"]
 
 
+_NOBODY = np.zeros((0, 0), dtype=bool)
+_NO_FOLLOWERS = np.zeros((1, 0)), np.zeros((1, 0), dtype=np.intp), np.zeros((3, 0))
 _GIVES_WAY = 1.0
 """A vehicle that merges from the far side gives way if its centre is further behind than this [m]."""
 
@@ -94,6 +97,10 @@ class Surveyor:
             width = float(scene.ego[Vehicle.WIDTH])
             self.growth = bends.growth(float(length) + 2 * b.longitudinal, width + 2 * b.lateral)
             self.bare = bends.growth(float(length), width)
+        lon, lat = 0.5 * float(length) + b.longitudinal, 0.5 * float(scene.ego[Vehicle.WIDTH]) + b.lateral
+        self._size_of_ego = np.array([lon, lat, length, scene.ego[Vehicle.WIDTH], *self.growth, *self.bare])
+        self._bent = bends is not None
+        self._reaction = int(np.ceil(config.assumptions.reaction_time / scene.dt - 1e-9))
         self._size = around.reach + 0.5 * length + 2.0 + b.longitudinal + self.growth[0]
         self._behind = self._ahead < -0.5 * length
 
@@ -129,79 +136,60 @@ class Surveyor:
         parts : whether the parts of the margins are wanted.
         """
         n, frames, _ = paths.shape
-        scene, config, dt = self.scene, self.config, self.scene.dt
+        scene, dt = self.scene, self.scene.dt
         distance = float(paths[:, -1, RoadState.S].max() - scene.ego_road[RoadState.S])
         rows, owed = self._threats(candidates, distance, frames * dt)
-        s, r, psi = paths[..., RoadState.S], paths[..., RoadState.R], paths[..., RoadState.HEADING]
-        cos, sin = np.abs(np.cos(psi)), np.abs(np.sin(psi))
-        lon = 0.5 * scene.ego[Vehicle.LENGTH] + config.buffer.longitudinal
-        lat = 0.5 * scene.ego[Vehicle.WIDTH] + config.buffer.lateral
-        half_s, half_r = lon * cos + lat * sin, lon * sin + lat * cos
-        end = half_r[:, -1]
-        if scene.road.bends is not None:
-            half_s, half_r = half_s + self.growth[0], half_r + self.growth[1]
-            # In its lane, what lies ahead and behind bends with the road: only the body has to fit.
-            end = 0.5 * scene.ego[Vehicle.LENGTH] * sin[:, -1] + lat * cos[:, -1] + self.bare[1]
-        room = self._room(candidates, r[:, -1], end)
+        room = rooms(paths, self._size_of_ego, scene.road.centers, candidates.fails, 0.5 * scene.road.width, self._bent)
         inside = np.where(room >= 0, np.inf, room)
         if rows.size == 0:
             margin = np.where(np.isfinite(paths).all(axis=(1, 2)), inside, np.nan)
             return Clearance(margin, np.full(n, frames), room[:, None] if parts else None)
-        low, high, home = self._lateral(rows, candidates, r, bound=hold == 0)
-        gap = np.maximum(low[:, :, None] - (r + half_r)[:, None, :], (r - half_r)[:, None, :] - high[:, :, None])
+        low, high, home = self._lateral(rows, candidates, paths[..., RoadState.R], bound=hold == 0)
         rear = self.around.rear(frames, dt, hold, rows)
-        gap_s = rear - (s + half_s)[:, None, :]
-        mine, front = None, None
-        if owed is not None and self._behind[rows].any():
-            mine = np.flatnonzero(self._behind[rows])
-            front = self._follower_front(rows[mine], home[:, mine], paths, hold)
-            gap_s[:, mine] = np.maximum(gap_s[:, mine], (s - half_s)[:, None, :] - front)
-        separation = np.maximum(gap, gap_s)
-        if not sin.max() < 0.01:  # Going straight, the coming frame is the next of the path itself.
-            ahead = self._coming_frame(paths, mine, low, high, rear, front)
-            separation = np.where(ahead < 0, np.minimum(separation, ahead), separation)
-        if owed is not None:
-            separation = np.where(owed[:, :, None], np.inf, separation)
-        least = separation.min(axis=1)
-        bad = least < 0
-        reached = np.where(bad.any(axis=1), bad.argmax(axis=1), frames)
-        of = np.column_stack([separation.min(axis=2), room]) if parts else None
-        return Clearance(np.minimum(least.min(axis=1), inside), reached, of)
+        follows: Any = self._behind[rows] if owed is not None else None
+        if follows is not None and follows.any():
+            behind = (scene.road.centers[home], self._at_once(home), self._followers(rows))
+        else:
+            follows, behind = np.zeros(rows.size, dtype=bool), _NO_FOLLOWERS
+        separations, reached = np.empty((n, rows.size)), np.empty(n, dtype=np.intp)
+        least_separations(
+            paths,
+            self._size_of_ego,
+            low,
+            high,
+            rear,
+            np.ascontiguousarray(owed) if owed is not None else _NOBODY,
+            follows,
+            *behind,
+            self._duty(hold),
+            separations,
+            reached,
+        )
+        margin = np.minimum(separations.min(axis=1), inside)
+        return Clearance(margin, reached, np.column_stack([separations, room]) if parts else None)
 
-    def _coming_frame(
-        self,
-        paths: FloatArray,
-        mine: Any,
-        low: FloatArray,
-        high: FloatArray,
-        rear: FloatArray,
-        front: FloatArray | None,
-    ) -> Any:
-        """Separation of the bodies (no buffer) one frame after each frame, at constant velocity, (n, m, K) [m].
+    def _at_once(self, home: Any) -> Any:
+        """Frames after which vehicles in the lanes `home` react to an ego that they see all the time, or -1 where they
+        have not seen it yet."""
+        if self.visible is None:
+            return np.full(home.shape, -1)
+        already = np.asarray(self.visible)[home]
+        return np.where(already > 0, np.maximum(self._reaction + 1 - already, 0), -1)
 
-        highway-env counts a collision that constant velocity along the *heading* would bring within one frame
-        (`RoadObject._is_colliding`), whether or not the steering turns the ego away in time.
-        """
-        s, r, psi, v = (paths[..., i] for i in RoadState)
-        dt, length, width = self.scene.dt, self.scene.ego[Vehicle.LENGTH], self.scene.ego[Vehicle.WIDTH]
-        sin, cos = np.sin(psi), np.cos(psi)
-        s, r = s + v * cos * dt, r + v * sin * dt
-        half_s = 0.5 * (length * np.abs(cos) + width * np.abs(sin)) + self.bare[0]
-        half_r = 0.5 * (length * np.abs(sin) + width * np.abs(cos)) + self.bare[1]
-        later = np.minimum(np.arange(s.shape[1]) + 1, s.shape[1] - 1)
-        gap = np.maximum(low[:, :, None] - (r + half_r)[:, None, :], (r - half_r)[:, None, :] - high[:, :, None])
-        gap_s = rear[None][:, :, later] - (s + half_s)[:, None, :]
-        if front is not None:
-            gap_s[:, mine] = np.maximum(gap_s[:, mine], (s - half_s)[:, None, :] - front[:, :, later])
-        separation = np.maximum(gap, gap_s)
-        # Nothing is said about the frame after the last: an ego that brakes stands by then.
-        separation[..., -1] = np.inf
-        return separation
+    def _followers(self, rows: Any) -> FloatArray:
+        """Speed [m/s], front [m] and stretch of vehicles, (3, len(rows))."""
+        out = np.ones((3, rows.size))
+        out[0] = self.scene.others_road[rows, RoadState.SPEED]
+        out[1] = self.scene.others_road[rows, RoadState.S] + self.around.reach[rows]
+        if self.around.stretch is not None:
+            out[2] = self.around.stretch[1][rows]
+        return out
 
-    def _room(self, candidates: Candidates, r: FloatArray, half: FloatArray) -> FloatArray:
-        """What is left beside the inflated ego in the lane that it ends in, (n,) [m]; negative where it reaches out."""
-        offset = np.abs(r - self.scene.road.centers[candidates.fails])
-        return np.asarray(0.5 * self.scene.road.width - offset - half)
+    def _duty(self, hold: int) -> FloatArray:
+        a = self.config.assumptions
+        return np.array(
+            [a.visible_distance, self._reaction, a.acceleration, a.follower_braking, a.max_speed, hold, self.scene.dt]
+        )
 
     def _threats(self, candidates: Candidates, distance: float, duration: float) -> tuple[Any, Any]:
         """Rows of those in reach who do not owe the ego their braking on every path, and who of them owes it on which,
@@ -260,36 +248,6 @@ class Surveyor:
             high = np.where(far, np.maximum(high, goal + half), high)
             home = np.where(far, entered[:, None], home)
         return low, high, home
-
-    def _follower_front(self, rows: Any, home: Any, paths: FloatArray, hold: int) -> FloatArray:
-        """Greatest front (n, len(rows), K) of vehicles behind: they accelerate until they owe braking."""
-        assumptions, dt = self.config.assumptions, self.scene.dt
-        frames = paths.shape[1]
-        center = self.scene.road.centers[home]
-        seen = np.abs(paths[:, None, :, RoadState.R] - center[:, :, None]) <= assumptions.visible_distance
-        # The duty starts when the ego has come into sight for good; losing sight of it starts the clock again.
-        hidden = ~seen
-        first = np.where(hidden.any(axis=2), frames - hidden[:, :, ::-1].argmax(axis=2) + 1, 1)
-        reaction = int(np.ceil(assumptions.reaction_time / dt - 1e-9))
-        react = first + reaction
-        if self.visible is not None:
-            already = np.asarray(self.visible)[home]
-            react = np.where((first == 1) & (already > 0), np.maximum(reaction + 1 - already, 0), react)
-        k, turn = np.arange(frames), react[:, :, None]
-        gain = assumptions.acceleration * dt * np.maximum(np.minimum(k, turn) - hold, 0)
-        loss = assumptions.follower_braking * dt * np.maximum(k - turn, 0)
-        v0 = self.scene.others_road[rows, RoadState.SPEED][None, :, None]
-        top = np.minimum(v0 + gain, np.maximum(v0, assumptions.max_speed))
-        v = np.maximum(top - loss, 0.0)
-        start = self.scene.others_road[rows, RoadState.S] + self.around.reach[rows]
-        way = np.cumsum(v, axis=2) * dt
-        # Where the ego has come to rest at the last frame, its follower may still be doing so.
-        last = v[..., -1]
-        rest = last**2 / (2 * assumptions.follower_braking) + 0.5 * last * dt
-        way[..., -1] += np.where(paths[:, -1, RoadState.SPEED] < 0.5, 1.0, 0.0)[:, None] * rest
-        if self.around.stretch is not None:
-            way *= self.around.stretch[1][rows][None, :, None]
-        return np.asarray(start[None, :, None] + way)
 
 
 def least_bad(result: Clearance) -> int:

@@ -1,0 +1,215 @@
+"""The loops of the verification: candidates x vehicles x frames, and candidates x lanes x frames. `shield.verify` and
+`shield.continuous` say what they mean."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from dynamics.compiled import compiled
+
+__all__ = ["lanes_touched", "least_separations", "rooms", "warm_up"]
+
+_STRAIGHT = 0.01
+"""Sine of the heading below which a path's own next frame is where constant velocity leads."""
+
+
+@compiled
+def _extents(paths: Any, i: int, size: Any, dt: float, coming: bool, bounds: Any) -> bool:
+    """Where the ego's rectangle is in each frame: s and r from `bounds[0]`, `[2]` to `bounds[1]`, `[3]` with the
+    buffer; and, with `coming`, its body one frame later at constant velocity, `bounds[4:8]`. False if not finite."""
+    lon, lat, length, width = size[0], size[1], size[2], size[3]
+    for k in range(paths.shape[1]):
+        s, r, psi, v = paths[i, k, 0], paths[i, k, 1], paths[i, k, 2], paths[i, k, 3]
+        if not (math.isfinite(s) and math.isfinite(r) and math.isfinite(psi) and math.isfinite(v)):
+            return False
+        sin, cos = math.sin(psi), math.cos(psi)
+        half_s = lon * abs(cos) + lat * abs(sin) + size[4]
+        half_r = lon * abs(sin) + lat * abs(cos) + size[5]
+        bounds[0, k], bounds[1, k], bounds[2, k], bounds[3, k] = s - half_s, s + half_s, r - half_r, r + half_r
+        if coming:
+            s, r = s + v * cos * dt, r + v * sin * dt
+            half_s = 0.5 * (length * abs(cos) + width * abs(sin)) + size[6]
+            half_r = 0.5 * (length * abs(sin) + width * abs(cos)) + size[7]
+            bounds[4, k], bounds[5, k], bounds[6, k], bounds[7, k] = s - half_s, s + half_s, r - half_r, r + half_r
+    return True
+
+
+@compiled
+def _front(paths: Any, i: int, center: float, at_once: int, follower: Any, duty: Any, front: Any) -> None:
+    """Greatest s of a vehicle behind after each frame: it accelerates until it owes the ego its braking."""
+    v0, start, stretch = follower[0], follower[1], follower[2]
+    seen, reaction, gain, loss, most = duty[0], int(duty[1]), duty[2], duty[3], duty[4]
+    hold, dt = int(duty[5]), duty[6]
+    frames = paths.shape[1]
+    # The duty starts when the ego has come into sight for good; losing sight of it starts the clock again.
+    first = 1
+    for k in range(frames - 1, -1, -1):
+        if not abs(paths[i, k, 1] - center) <= seen:
+            first = k + 2
+            break
+    turn = at_once if first == 1 and at_once >= 0 else first + reaction
+    way, v, top = 0.0, 0.0, max(v0, most)
+    for k in range(frames):
+        v = max(min(v0 + gain * dt * max(min(k, turn) - hold, 0), top) - loss * dt * max(k - turn, 0), 0.0)
+        way += v
+        front[k] = start + way * dt * stretch
+    # Where the ego has come to rest at the last frame, its follower may still be doing so.
+    if paths[i, frames - 1, 3] < 0.5:
+        front[frames - 1] += (v * v / (2 * loss) + 0.5 * v * dt) * stretch
+
+
+@compiled
+def least_separations(
+    paths: Any,
+    size: Any,
+    low: Any,
+    high: Any,
+    rear: Any,
+    owed: Any,
+    follows: Any,
+    centers: Any,
+    at_once: Any,
+    followers: Any,
+    duty: Any,
+    separations: Any,
+    reached: Any,
+) -> None:
+    """The least separation of each path from each vehicle, and the first frame in which one is negative.
+
+    Parameters
+    ----------
+    paths : (n, K, 4).
+    size : half extents of the ego with its buffer, length and width of the body, growth (s, r) of the former and of
+        the latter on a bend, (8,) [m].
+    low, high : lateral extents of the vehicles for each path, (n or 1, m) [m]. rear : least s of each, (m, K) [m].
+    owed : who owes each path its distance, (n, m) bool; no rows where nobody does.
+    follows : who is behind and does not, (m,) bool; of them `centers` (n or 1, m) [m] is the lane that they would see
+        the ego in, `at_once` (n or 1, m) after how many frames they react if they see it all the time, or -1, and
+        `followers` (3, m) are speed, front and stretch.
+    duty : distance within which the ego is seen [m], frames of reaction, acceleration, braking [m/s^2], greatest speed
+        [m/s], frames of constant speed before, and frame duration [s], (7,).
+    separations : (n, m) [m], result; +inf for who owes it, NaN for a path that is not finite.
+    reached : frames before the first violation, (n,), result.
+    """
+    n, frames, m = paths.shape[0], paths.shape[1], rear.shape[0]
+    bounds, front, dt = np.empty((8, frames)), np.empty(frames), duty[6]
+    for i in range(n):
+        coming = False
+        for k in range(frames):
+            if not abs(math.sin(paths[i, k, 2])) < _STRAIGHT:
+                coming = True
+                break
+        reached[i] = frames
+        if not _extents(paths, i, size, dt, coming, bounds):
+            separations[i, :], reached[i] = np.nan, 0
+            continue
+        for j in range(m):
+            if owed.shape[0] > 0 and owed[i, j]:
+                separations[i, j] = np.inf
+                continue
+            of = min(i, low.shape[0] - 1)
+            least, left, right, behind = np.inf, low[of, j], high[of, j], follows[j]
+            if behind:
+                of = min(i, centers.shape[0] - 1)
+                _front(paths, i, centers[of, j], at_once[of, j], followers[:, j], duty, front)
+            for k in range(frames):
+                along = rear[j, k] - bounds[1, k]
+                if behind:
+                    along = max(along, bounds[0, k] - front[k])
+                apart = max(along, max(left - bounds[3, k], bounds[2, k] - right))
+                # highway-env counts a collision that constant velocity along the heading would bring within one frame
+                # (`RoadObject._is_colliding`), whether or not the steering turns the ego away in time. Nothing is said
+                # about the frame after the last: an ego that brakes stands by then.
+                if coming and k < frames - 1:
+                    along = rear[j, k + 1] - bounds[5, k]
+                    if behind:
+                        along = max(along, bounds[4, k] - front[k + 1])
+                    later = max(along, max(left - bounds[7, k], bounds[6, k] - right))
+                    if later < 0:
+                        apart = min(apart, later)
+                if apart != apart:
+                    least, reached[i] = np.nan, 0
+                    break
+                least = min(least, apart)
+                if apart < 0:
+                    reached[i] = min(reached[i], k)
+            separations[i, j] = least
+
+
+@compiled
+def lanes_touched(
+    paths: Any, length: float, width: float, bare: float, centers: Any, side: float, owned: Any, fails: Any
+) -> tuple[Any, Any, Any, Any]:
+    """The lanes that the body of each path touches.
+
+    Parameters
+    ----------
+    paths : (n, K, 4). length, width, bare : of the body, and its lateral growth on a bend [m].
+    centers, side : of the lanes, and half their width [m]. owned : which of them the ego owns, (lanes,) bool.
+    fails : lane that each path stops in, (n,).
+
+    Returns
+    -------
+    The lane entered beside those owned and the last, (n,), which is the last without any; the room to the road's
+    edges, (n, 2) [m]; whether the path enters one lane at most and comes back to no owned one, (n,) bool; and the
+    frames before it leaves the road, (n,).
+    """
+    n, frames, lanes = paths.shape[0], paths.shape[1], centers.shape[0]
+    entered, allowed, on_road = fails.copy(), np.ones(n, np.bool_), np.full(n, frames)
+    edges = np.empty((n, 2))
+    first, last = centers[0] - side, centers[lanes - 1] + side
+    within = np.empty(lanes, np.bool_)
+    for i in range(n):
+        least, most = np.inf, -np.inf
+        for k in range(frames):
+            r, psi = paths[i, k, 1], paths[i, k, 2]
+            half = 0.5 * (length * abs(math.sin(psi)) + width * abs(math.cos(psi))) + bare
+            if not math.isfinite(r + half):
+                least, most, allowed[i], on_road[i] = np.nan, np.nan, False, 0
+                break
+            low, high = r - half, r + half
+            least, most = min(least, low), max(most, high)
+            if (low < first or high > last) and k < on_road[i]:
+                on_road[i] = k
+            for j in range(lanes):
+                inside = low < centers[j] + 1.0 and high > centers[j] - 1.0
+                # Nobody keeps a place free in a lane that the ego has left: it does not come back to one.
+                if k > 0 and owned[j] and inside and not within[j]:
+                    allowed[i] = False
+                within[j] = inside
+        edges[i, 0], edges[i, 1] = least - first, last - most
+        count = 0
+        for j in range(lanes - 1, -1, -1):
+            if not owned[j] and j != fails[i] and most > centers[j] - side and least < centers[j] + side:
+                entered[i] = j
+                count += 1
+        if count > 1:
+            allowed[i] = False
+    return entered, edges, allowed, on_road
+
+
+@compiled
+def rooms(paths: Any, size: Any, centers: Any, fails: Any, side: float, bent: bool) -> Any:
+    """What is left beside the ego with its buffer in the lane that each path stops in, (n,) [m]; negative where it
+    reaches out. `size` as in `least_separations`."""
+    out, last = np.empty(paths.shape[0]), paths.shape[1] - 1
+    for i in range(paths.shape[0]):
+        r, psi = paths[i, last, 1], paths[i, last, 2]
+        sin, cos = abs(math.sin(psi)), abs(math.cos(psi))
+        # On a bend, what lies ahead and behind in the lane bends with the road: only the body has to fit.
+        half = 0.5 * size[2] * sin + size[1] * cos + size[7] if bent else size[0] * sin + size[1] * cos
+        out[i] = side - abs(r - centers[fails[i]]) - half
+    return out
+
+
+def warm_up() -> None:
+    """Have the kernels compiled, or read from the disk, before they are needed."""
+    one, pair, none = np.zeros((1, 1)), np.zeros((1, 2, 4)), np.zeros((1, 1), dtype=np.intp)
+    flag, count = np.zeros((1, 1), dtype=np.bool_), np.zeros(1, dtype=np.intp)
+    args = (one, one, np.zeros((1, 2)), flag, flag[0], one, none, np.zeros((3, 1)), np.ones(7), one, count)
+    least_separations(pair, np.ones(8), *args)
+    rooms(pair, np.ones(8), np.zeros(1), count, 2.0, False)
+    lanes_touched(pair, 5.0, 2.0, 0.0, np.zeros(1), 2.0, flag[0], count)

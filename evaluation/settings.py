@@ -221,6 +221,7 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
                 road=False,
             ),
             Setting("racetrack", "racetrack-v0", {}, "racetrack-v0 as it comes: steering alone, 5 Hz, 15 Hz, 300 s"),
+            Setting("racetrack-minute", "racetrack-v0", {"duration": 60}, "the first 60 s of racetrack-v0"),
         )
     }
 )

@@ -6,7 +6,7 @@ With z = u / (half the range of the input), proposal z_p, road states x_k at the
 
     min  w |z_0 - z_p|^2 + smoothing sum |z_k - z_{k-1}|^2 + magnitude sum |z_k - z_ff|^2
          + reference terms in r_k, psi_k, v_k + penalty sum sigma
-    s.t. x_{k+1} = F(x_k, u_k) (Euler frames, exactly)                    u in its box, v_k >= 0
+    s.t. x_{k+1} = F(x_k, u_k) (Euler frames, exactly; or a model)        u in its box, v_k >= 0
          s_k + h_s(psi_k) <= s_min of those that are passed behind        s_k - h_s >= s_max of those passed ahead
          r_k + lat cos psi_k +- lon sin psi_k <= r_min, upper edge        the same at the lower side
          corridor_low <= r_k <= corridor_high
@@ -35,7 +35,7 @@ import numpy as np
 
 from dynamics.state import FloatArray
 from mpc.problem import FREE, FilterProblem, FilterSettings, Occupied
-from mpc.road_step import stage_expression
+from mpc.road_step import StageModel, stage_expression
 from mpc.rows import SOFT, Sensitivity, end_function, objective, row_function
 from mpc.sides import SideChoice
 
@@ -82,9 +82,11 @@ class Program:
     states (N, 4), sides (N, m), violation (1,), cost (1,) : of the guess, by the exact rollout.
     """
 
-    def __init__(self, settings: FilterSettings, capacity: int, curved: bool, aimed: bool) -> None:
+    def __init__(
+        self, settings: FilterSettings, capacity: int, curved: bool, aimed: bool, model: StageModel | None = None
+    ) -> None:
         n, m = settings.stages, capacity
-        function, rollout, shape = _compiled(settings, capacity, curved, aimed)
+        function, rollout, shape = _compiled(settings, capacity, curved, aimed, model)
         self.settings = settings
         self.state, self.inputs = np.zeros(4), np.zeros((n, 2))
         self.occupancy, self.rest = np.full((n, m, 4), FREE), np.full(m, FREE)
@@ -173,10 +175,12 @@ class Program:
         self._roll_out()
 
 
-def build(problem: FilterProblem, inputs: FloatArray, settings: FilterSettings) -> Program:
+def build(
+    problem: FilterProblem, inputs: FloatArray, settings: FilterSettings, model: StageModel | None = None
+) -> Program:
     """The program for one problem, linearised about the rollout of `inputs` (N, 2); pure, without a solver."""
     curved = problem.curvature is not None and bool(np.any(problem.curvature))
-    program = Program(settings, max(int(problem.occupancy.shape[1]), 1), curved, problem.reference is not None)
+    program = Program(settings, max(int(problem.occupancy.shape[1]), 1), curved, problem.reference is not None, model)
     program.fill(problem, settings)
     program.inputs[:] = inputs
     program.linearise()
@@ -212,7 +216,7 @@ def bind(
 
 @lru_cache(maxsize=32)
 def _compiled(
-    settings: FilterSettings, m: int, curved: bool, aimed: bool
+    settings: FilterSettings, m: int, curved: bool, aimed: bool, model: StageModel | None
 ) -> tuple[ca.Function, ca.Function, tuple[int, int]]:
     n = settings.stages
     x0, u = ca.SX.sym("x0", 4), ca.SX.sym("u", 2, n)
@@ -222,7 +226,7 @@ def _compiled(
     lon, lat, stop, near, limits, weights = misc[0], misc[1], misc[2], misc[3:5], misc[5:9], misc[9:15]
     given = ca.SX.sym("given", m, n)
     scale = ca.DM([0.5 * (settings.acceleration[1] - settings.acceleration[0]), settings.steering])
-    stages = {frames: _stage_function(settings, frames, curved) for frames in set(settings.frames)}
+    stages = {frames: _stage_function(settings, frames, curved, model) for frames in set(settings.frames)}
     row, ends = row_function(), settings.ends
     choice, slope = SideChoice(m, lon, lat, given), Sensitivity(settings, scale)
 
@@ -284,8 +288,8 @@ def _compiled(
     return function, rollout, a.shape
 
 
-def _stage_function(settings: FilterSettings, frames: int, curved: bool) -> ca.Function:
+def _stage_function(settings: FilterSettings, frames: int, curved: bool, model: StageModel | None) -> ca.Function:
     """One stage of so many frames and its Jacobians."""
     x, u, k = ca.SX.sym("x", 4), ca.SX.sym("u", 2), ca.SX.sym("k")
-    after = stage_expression(x, u, k if curved else None, settings.dt, frames)
+    after = stage_expression(x, u, k if curved else None, settings.dt, frames, model)
     return ca.Function("stage", [x, u, k], [after, ca.jacobian(after, x), ca.jacobian(after, u)])

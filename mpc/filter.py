@@ -31,6 +31,7 @@ from mpc.guess import brake_guess, shifted
 from mpc.osqp_solver import OsqpSolver
 from mpc.problem import FilterProblem, FilterSettings, readable
 from mpc.result import FilterResult, Status
+from mpc.road_step import StageModel
 from mpc.solver import QuadraticSolver, Solver
 
 __all__ = ["PredictiveFilter"]
@@ -42,26 +43,28 @@ class PredictiveFilter:
     Parameters
     ----------
     settings : fixed for the filter's life.
+    model : what plans are made with, such as `dynamics.learned_casadi.LearnedStep`; highway-env's bicycle by default.
+        Every figure of a result is then the model's; the guess to brake stays the bicycle's.
 
     Raises
     ------
     ConfigError
-        If `settings` is something else.
+        If `settings` is something else, or the model cannot make the settings' stages.
     """
 
-    def __init__(self, settings: FilterSettings | None = None) -> None:
+    def __init__(self, settings: FilterSettings | None = None, model: StageModel | None = None) -> None:
         settings = FilterSettings() if settings is None else settings
         if not isinstance(settings, FilterSettings):
             raise ConfigError(f"settings must be FilterSettings, got {type(settings).__name__}")
-        self.settings = settings
+        self.settings, self.model = settings, model
         self._solver: QuadraticSolver = Solver(settings) if settings.backend == "daqp" else OsqpSolver(settings)
         self._programs: dict[tuple[int, bool, bool], Program] = {}
         self._plan: FloatArray | None = None
         self._program(settings.obstacles, False, False)
 
-    def __reduce__(self) -> tuple[type[PredictiveFilter], tuple[FilterSettings]]:
+    def __reduce__(self) -> tuple[type[PredictiveFilter], tuple[FilterSettings, StageModel | None]]:
         """Copies and pickles start fresh: compiled programs and solvers do not travel."""
-        return type(self), (self.settings,)
+        return type(self), (self.settings, self.model)
 
     def reset(self) -> None:
         """Forget the last plan, the only memory there is: the next answer is that of a new filter."""
@@ -157,7 +160,7 @@ class PredictiveFilter:
             capacity *= 2
         key = (capacity, curved, aimed)
         if key not in self._programs:
-            self._programs[key] = Program(self.settings, *key)
+            self._programs[key] = Program(self.settings, *key, self.model)
             self._solver.prepare(self._programs[key])
         return self._programs[key]
 

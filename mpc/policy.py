@@ -27,6 +27,7 @@ from mpc.filter import PredictiveFilter
 from mpc.from_scene import curvature_ahead, edges_of, rectangles
 from mpc.problem import FilterProblem, FilterSettings, Reference
 from mpc.result import FilterResult
+from mpc.road_step import StageModel
 
 __all__ = ["MPCPolicy"]
 
@@ -57,6 +58,7 @@ class MPCPolicy:
     speed : what it would like to drive [m/s]; where the policy has no throttle, it keeps the speed that it has.
     buffer : (longitudinal, lateral) clearance that plans keep [m].
     assumptions : what the others may do; `Assumptions.moderate()` by default.
+    model : what plans are made with (see `PredictiveFilter`); highway-env's bicycle by default.
 
     Attributes
     ----------
@@ -75,6 +77,7 @@ class MPCPolicy:
         speed: float = 30.0,
         buffer: tuple[float, float] = (2.0, 0.3),
         assumptions: Assumptions | None = None,
+        model: StageModel | None = None,
     ) -> None:
         base = getattr(env, "unwrapped", env)
         kind = type(getattr(base, "action_type", None)).__name__
@@ -89,6 +92,7 @@ class MPCPolicy:
             raise ConfigError(f"buffer must be two lengths of at least 0 m, got {buffer!r}")
         self.speed, self.buffer = float(speed), buffer
         self.assumptions = assumptions if assumptions is not None else Assumptions.moderate()
+        self.model = model
         self.actuators = Actuators.of(base.action_type)
         self._reader = SceneReader(base, curved=True)
         self._filter: PredictiveFilter | None = None
@@ -186,7 +190,8 @@ class MPCPolicy:
                     acceleration=(low, high),
                     steering=min(abs(x) for x in self.actuators.steering) if self.actuators.lateral else 1e-3,
                     braking=max(-low, 1e-3),
-                )
+                ),
+                self.model,
             )
         settings, road, ego = self._filter.settings, scene.road, scene.ego_road
         here, v, r = road.lane_at(float(ego[RoadState.R])), float(ego[RoadState.SPEED]), float(ego[RoadState.R])

@@ -15,26 +15,48 @@ at s. On an arc of curvature kappa that straight move is exactly, with R = r + d
 
 The second form of r' has no singularity at kappa = 0. Source: geometry of a circle and a line, with
 `dynamics.bicycle.step_expression` for the move.
+
+A `StageModel` moves the car in the tangent frame by a whole stage at once, and the same geometry takes it to the road.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Protocol
 
 import casadi as ca
 
 from dynamics.bicycle import LENGTH, step_expression
 
-__all__ = ["feed_forward", "frame_expression", "rollout_function", "stage_expression"]
+__all__ = ["StageModel", "feed_forward", "frame_expression", "rollout_function", "stage_expression"]
 
 _STRAIGHT = 1e-12
 """Curvature below which the arc's angle is taken to first order [1/m]."""
 
 
+class StageModel(Protocol):
+    """What a stage can be of instead of the bicycle's frames; hashable, and never changing."""
+
+    def held(self, state: ca.SX, control: ca.SX, duration: float) -> ca.SX:
+        """(x, y, psi, v) after an input (a, delta) has been held for `duration` [s], (4, 1) to (4, 1).
+
+        Raises
+        ------
+        ConfigError
+            If it cannot say so for that duration.
+        """
+        ...
+
+
 def frame_expression(state: ca.SX, acceleration: ca.SX, steering: ca.SX, curvature: ca.SX | None, dt: float) -> ca.SX:
     """One simulation frame in the road frame, (4, 1) to (4, 1); `curvature` None stands for a straight road."""
-    s, r = state[0], state[1]
     move = step_expression(ca.vertcat(0, 0, state[2], state[3]), acceleration, steering, dt)
+    return _on_road(state, move, curvature)
+
+
+def _on_road(state: ca.SX, move: ca.SX, curvature: ca.SX | None) -> ca.SX:
+    """The road state after a move (dx, dy, psi', v') that began at (0, 0) of the tangent frame."""
+    s, r = state[0], state[1]
     if curvature is None:
         return ca.vertcat(s + move[0], r + move[1], move[2], move[3])
     kappa = ca.if_else(ca.fabs(curvature) < _STRAIGHT, _STRAIGHT, curvature)
@@ -47,8 +69,18 @@ def frame_expression(state: ca.SX, acceleration: ca.SX, steering: ca.SX, curvatu
     )
 
 
-def stage_expression(state: ca.SX, control: ca.SX, curvature: ca.SX | None, dt: float, substeps: int) -> ca.SX:
-    """`substeps` frames under one input (2, 1): state (4, 1) to state (4, 1)."""
+def stage_expression(
+    state: ca.SX,
+    control: ca.SX,
+    curvature: ca.SX | None,
+    dt: float,
+    substeps: int,
+    model: StageModel | None = None,
+) -> ca.SX:
+    """`substeps` frames under one input (2, 1): state (4, 1) to state (4, 1), by the bicycle or by a model."""
+    if model is not None:
+        move = model.held(ca.vertcat(0, 0, state[2], state[3]), control, dt * substeps)
+        return _on_road(state, move, curvature)
     for _ in range(substeps):
         state = frame_expression(state, control[0], control[1], curvature, dt)
     return state

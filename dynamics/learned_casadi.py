@@ -61,8 +61,8 @@ class LearnedStep:
         actuators = actuators if actuators is not None else Actuators()
         if config.form != "body" or config.layout != Layout() or config.state_dim != _STATE:
             raise ModelError(
-                f"a step in any frame needs form 'body' and {_STATE} columns laid out as {Layout()}; this model has form "
-                f"{config.form!r} and {config.state_dim} columns laid out as {config.layout}"
+                f"a step in any frame needs form 'body' and {_STATE} columns laid out as {Layout()}; this model has "
+                f"form {config.form!r} and {config.state_dim} columns laid out as {config.layout}"
             )
         if config.action_dim != _INPUTS or not (actuators.longitudinal and actuators.lateral):
             raise ModelError(

@@ -1,4 +1,4 @@
-"""The commands `shield dynamics fit`, `evaluate` and `plot`."""
+"""The commands `shield dynamics fit`, `evaluate`, `plot`, `export` and `import`."""
 
 from __future__ import annotations
 
@@ -32,8 +32,12 @@ _ALL: list[str] = []
 
 @dynamics_app.command()
 def fit(
-    env: Annotated[str, typer.Option(help="Environment to learn in.")] = "parking-v0",
-    variant: Annotated[str, typer.Option(help="Recipe (see `evaluate`).")] = "rounds",
+    env: Annotated[str | None, typer.Option(help="Environment to learn in; parking-v0 without --setting.")] = None,
+    setting: Annotated[
+        str | None,
+        typer.Option(help="Learn throttle and steering at highway speeds in this setting, for --model of `evaluate`."),
+    ] = None,
+    variant: Annotated[str | None, typer.Option(help="Recipe (see `evaluate`); rounds by default.")] = None,
     transitions: Annotated[int | None, typer.Option(help="Transitions with random actions.")] = None,
     rounds: Annotated[int | None, typer.Option(help="Rounds in which a planner drives on the model so far.")] = None,
     per_round: Annotated[int | None, typer.Option(help="Transitions in each of these rounds.")] = None,
@@ -52,8 +56,16 @@ def fit(
     from dynamics.variants import variant as named
     from evaluation.dynamics_study import HORIZON, learn
 
-    setup = named(variant).seeded(seed)
     given = {"transitions": transitions, "rounds": rounds, "per_round": per_round}
+    if setting is not None:
+        others = {"env": env, "variant": variant, "members": members, "tensorboard": tensorboard, **given}
+        wrong = [name for name, value in others.items() if value is not None and name != "transitions"]
+        if wrong:
+            raise ConfigError(f"--setting goes with --transitions, --seed and --output; not with {', '.join(wrong)}")
+        _fit_driving(setting, seed, transitions, output)
+        return
+    env, variant = env or "parking-v0", variant or "rounds"
+    setup = named(variant).seeded(seed)
     setup = replace(setup, data=replace(setup.data, **{k: v for k, v in given.items() if v is not None}))
     if members is not None:
         setup = replace(setup, model=replace(setup.model, members=members))
@@ -82,6 +94,55 @@ def fit(
     save_model(last.round.fit.model, output, notes)
     last.round.data.save(output / DATA_FILE)
     _out.print(f"wrote {output} ({seconds:.1f} s, {cpu:.1f} s of it on a core)")
+
+
+def _fit_driving(setting: str, seed: int, transitions: int | None, output: Path) -> None:
+    """The models of a setting, and their open-loop errors [m] in fresh driving."""
+    from dynamics.oracle import BicycleModel
+    from evaluation.driving_model import TRANSITIONS, measure, train_driving
+    from mpc.policy import MPCPolicy
+
+    table = Table("model", "data", "core s", "random 1", "15", "15 (95 %)", "mpc 1", "15", "15 (95 %)")
+    count = TRANSITIONS if transitions is None else transitions
+    for trained in train_driving(setting, seed, output, count, progress=sys.stderr.isatty()):
+        frames = trained.frames
+        exact = BicycleModel(trained.actuators, 1 / trained.frequency, frames)
+        for name, model in ((trained.name, trained.model), ("true bicycle", exact)):
+            cells = []
+            for policy in (None, MPCPolicy):
+                error = measure(model, setting, frames, trained.actuators, policy=policy)
+                cells += [*error.median[[0, -1]].tolist(), float(error.quantile(0.95)[-1])]
+            about = [str(len(trained.data)), f"{trained.seconds:.1f}"] if model is trained.model else ["0", "0"]
+            table.add_row(name, *about, *(f"{cell:.4f}" for cell in cells))
+    _out.print(table)
+    _out.print(f"wrote {output}")
+
+
+@dynamics_app.command("export")
+def export_command(
+    data: Annotated[Path, typer.Argument(help="The transitions.npz that `fit` wrote.")],
+    name: Annotated[str, typer.Argument(help="Id of the Minari data set, such as parking/planner-v0.")],
+) -> None:
+    """Write transitions as a Minari data set (an extra: pip install -e .[minari])."""
+    from dynamics.data import Transitions
+    from dynamics.minari import to_minari
+
+    transitions = Transitions.load(data)
+    to_minari(transitions, name)
+    _out.print(f"wrote {len(transitions)} transitions as {name}")
+
+
+@dynamics_app.command("import")
+def import_command(
+    name: Annotated[str, typer.Argument(help="Id of a Minari data set in the local store.")],
+    output: Annotated[Path, typer.Argument(help="The .npz to write.")],
+    dt: Annotated[float | None, typer.Option(help="Duration of a decision [s], where the data set has none.")] = None,
+) -> None:
+    """Read a Minari data set whose observations are states."""
+    from dynamics.minari import from_minari
+
+    transitions = from_minari(name, dt)
+    _out.print(f"wrote {transitions.save(output)} ({len(transitions)} transitions)")
 
 
 @dynamics_app.command()

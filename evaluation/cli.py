@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from evaluation.baselines import BASELINES
+from evaluation.driving_model import MODELS
 from evaluation.dynamics_cli import dynamics_app
 from evaluation.recipes import RECIPES
 from evaluation.settings import get_setting
@@ -94,6 +95,13 @@ def evaluate(
         str | None,
         typer.Option(help=f"Algorithm of a .zip without a manifest: {', '.join(sorted(ALGORITHMS))}."),
     ] = None,
+    model: Annotated[
+        str,
+        typer.Option(
+            help=f"What mpc, and the predictive filter of the shield at door env, plans with: {', '.join(MODELS)}, or"
+            " a folder from `shield dynamics fit --setting`. The shield verifies on the bicycle in any case."
+        ),
+    ] = MODELS[0],
     config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
     output: Annotated[
         Path | None,
@@ -126,6 +134,7 @@ def evaluate(
             range(seed, seed + episodes),
             jobs=jobs,
             algorithm=algorithm,
+            model=model,
             progress=sys.stderr.isatty(),
         )
         for name in _split(setting)

@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -21,6 +22,7 @@ from rich.progress import Progress
 from dynamics.path import PathRoad
 from evaluation.attribution import AttributionRules, attribute_from_simulator_state
 from evaluation.baselines import Policy, make_policy, policy_label, start_episode
+from evaluation.driving_model import driving_model
 from evaluation.recorder import History, Recorder, Track
 from evaluation.records import EpisodeRecord, Variant
 from evaluation.settings import Setting, get_setting
@@ -74,15 +76,20 @@ _UNSHIELDED = {
 class _Driver:
     """One variant, ready to drive episode after episode in the same environment."""
 
-    def __init__(self, setting: Setting, policy: str | Policy, variant: Variant, algorithm: str | None) -> None:
+    def __init__(
+        self, setting: Setting, policy: str | Policy, variant: Variant, algorithm: str | None, model: str | None
+    ) -> None:
         self.setting, self.variant = setting, variant
         self.env: gym.Env[Any, Any] = setting.make()
         self.label = policy_label(policy) if isinstance(policy, str) else type(policy).__name__
-        self.policy: Policy = make_policy(policy, self.env, algorithm) if isinstance(policy, str) else policy
+        learned = driving_model(model, self.env)
+        if learned is not None:
+            self.label += f"-{Path(str(model)).name}"
+        self.policy: Policy = make_policy(policy, self.env, algorithm, learned) if isinstance(policy, str) else policy
         self.driver: Policy = self.policy
         self.shield: Shield | None = None
         if variant.door == "env":
-            self.env = ShieldedEnv(self.env, variant.config, policy=self.policy)
+            self.env = ShieldedEnv(self.env, variant.config, policy=self.policy, model=learned)
         elif variant.door == "policy":
             self.shield = Shield(self.policy, self.env, variant.config)
             self.driver = self.shield
@@ -188,6 +195,7 @@ def run_episode(
     variant: Variant | None = None,
     seed: int = 100_000,
     algorithm: str | None = None,
+    model: str | None = None,
 ) -> EpisodeRecord:
     """Drive one episode.
 
@@ -197,9 +205,10 @@ def run_episode(
     variant : what stands between the two; nothing by default.
     seed : seed of the traffic and of the policy.
     algorithm : the SB3 algorithm of a zip file without a manifest.
+    model : what `mpc` and the predictive filter of door "env" plan with (see `evaluation.driving_model.driving_model`).
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
-    driver = _Driver(setting, policy, variant or Variant(), algorithm)
+    driver = _Driver(setting, policy, variant or Variant(), algorithm, model)
     try:
         with one_thread():
             return driver.run(seed)
@@ -215,13 +224,14 @@ def run_paired(
     *,
     jobs: int = 1,
     algorithm: str | None = None,
+    model: str | None = None,
     progress: bool = False,
 ) -> pd.DataFrame:
     """Drive every variant on the same seeds; one row per episode, by variant and then seed.
 
     Parameters
     ----------
-    setting, policy, algorithm : as in `run_episode`.
+    setting, policy, algorithm, model : as in `run_episode`.
     variants : what to compare.
     seeds : seeds of the episodes.
     jobs : processes; -1 for one per core.
@@ -233,10 +243,12 @@ def run_paired(
         raise ConfigError(f"nothing to run: {len(variants)} variants, {len(seeds)} episodes")
     if jobs == 0:
         raise ConfigError("jobs must be at least 1, or -1 for one per core")
+    if model not in (None, "bicycle") and policy != "mpc" and not any(v.door == "env" for v in variants):
+        raise ConfigError("a model is for mpc and for the shield's door env; none of the two drives here")
     workers = joblib.effective_n_jobs(jobs)
     size = min(_CHUNK, -(-len(seeds) // workers))
     chunks = [seeds[i : i + size] for i in range(0, len(seeds), size)]
-    calls = [(setting, policy, variants, chunk, algorithm) for chunk in chunks]
+    calls = [(setting, policy, variants, chunk, algorithm, model) for chunk in chunks]
     rows: list[dict[str, Any]] = []
     with Progress(disable=not progress, transient=True) as bar:
         task = bar.add_task(f"{setting.name}", total=len(seeds) * len(variants))
@@ -264,11 +276,12 @@ def _run_chunk(
     variants: list[Variant],
     seeds: list[int],
     algorithm: str | None,
+    model: str | None,
 ) -> list[dict[str, Any]]:
     rows = []
     with one_thread():
         for variant in variants:
-            driver = _Driver(setting, policy, variant, algorithm)
+            driver = _Driver(setting, policy, variant, algorithm, model)
             try:
                 rows += [driver.run(seed).row() for seed in seeds]
             finally:

@@ -22,6 +22,7 @@ from dynamics.state import FloatArray, RoadState, State, Vehicle
 from mpc.filter import PredictiveFilter
 from mpc.from_scene import curvature_ahead, edges_of, rectangles
 from mpc.problem import FilterProblem, FilterSettings
+from mpc.road_step import StageModel
 from shield.candidates import Candidates
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
@@ -47,6 +48,7 @@ class ContinuousCore(Memory):
     actuators : what the policy controls. The fail-safe and the repair may use the throttle, the brake
         (`config.braking`) and the wheel in any case: they act between the decision and the actuators.
     predictive : whether the predictive filter takes part in the repair.
+    model : what the predictive filter plans with; the bicycle by default. Its plans are verified on the bicycle.
 
     Raises
     ------
@@ -58,13 +60,17 @@ class ContinuousCore(Memory):
     _announced = False
 
     def __init__(
-        self, config: ShieldConfig | None = None, actuators: Actuators | None = None, predictive: bool = True
+        self,
+        config: ShieldConfig | None = None,
+        actuators: Actuators | None = None,
+        predictive: bool = True,
+        model: StageModel | None = None,
     ) -> None:
         super().__init__(config)
         if self.config.mode not in ("none", "full"):
             raise ConfigError(f"mode {self.config.mode!r} judges meta-actions; for ContinuousAction use none or full")
         self.actuators = actuators if actuators is not None else Actuators()
-        self.predictive = predictive
+        self.predictive, self.model = predictive, model
         self._filters: dict[float, PredictiveFilter] = {}
 
     def reset(self) -> None:
@@ -170,7 +176,7 @@ class ContinuousCore(Memory):
                 steering=max(abs(self.actuators.steering[0]), abs(self.actuators.steering[1])),
                 braking=self.config.braking,
             )
-            solver = self._filters[scene.dt] = PredictiveFilter(settings)
+            solver = self._filters[scene.dt] = PredictiveFilter(settings, self.model)
         settings = solver.settings
         survey, b, road, dt = self._survey(scene), self.config.buffer, scene.road, scene.dt
         here, v = road.lane_at(float(scene.ego_road[RoadState.R])), max(float(scene.ego[State.SPEED]), 0.0)

@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
 from dynamics.scene import SceneReader
+from mpc.road_step import StageModel
 from shield.actions import action_index
 from shield.config import ShieldConfig
 from shield.core import FrameCommand
@@ -42,6 +43,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     config : settings, or the path of a TOML file with them.
     policy : where given, alternatives are tried in its order of preference (probabilities or Q-values of the
         last observation).
+    model : what the predictive filter plans with for `ContinuousAction`, such as
+        `dynamics.learned_casadi.LearnedSteps`; the bicycle by default. Everything is verified on the bicycle.
 
     Raises
     ------
@@ -70,8 +73,9 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         env: gym.Env[Any, Any],
         config: ShieldConfig | str | None = None,
         policy: Any = None,
+        model: StageModel | None = None,
     ) -> None:
-        RecordConstructorArgs.__init__(self, _disable_deepcopy=True, config=config, policy=policy)
+        RecordConstructorArgs.__init__(self, _disable_deepcopy=True, config=config, policy=policy, model=model)
         gym.Wrapper.__init__(self, env)
         if isinstance(config, str):
             config = ShieldConfig.load(config)
@@ -82,7 +86,9 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._reader = SceneReader(env)
         self._inputs: InputDoor | None = None
         if self._kind() == "ContinuousAction":
-            self._inputs = InputDoor(self._base, self.config)
+            self._inputs = InputDoor(self._base, self.config, model=model)
+        elif model is not None:
+            raise ConfigError("a model is for ContinuousAction; with meta-actions leave it out")
         self._meta = make_core(self.config)
         self.core: Memory | LotCore = self._meta if self._inputs is None else self._inputs.core
         self._observation: Any = None

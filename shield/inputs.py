@@ -15,6 +15,7 @@ from dynamics.errors import ConfigError, SceneError
 from dynamics.lot import LotReader, is_lot
 from dynamics.scene import SceneReader
 from dynamics.state import FloatArray, State
+from mpc.road_step import StageModel
 from shield.agent import AgentCore
 from shield.config import ShieldConfig
 from shield.continuous import ContinuousCore
@@ -37,20 +38,24 @@ class InputDoor:
     base : the highway-env environment, unwrapped.
     config : settings.
     agent : whether the shield acts through the actions only (`AgentCore`) and not at every frame.
+    model : what the predictive filter plans with on a road, at every frame; the bicycle by default.
 
     Raises
     ------
     ConfigError
-        If the mode is one of the rules for meta-actions, or the actions are none that can be verified.
+        If the mode is one of the rules for meta-actions, the actions are none that can be verified, or a model is given
+        where no predictive filter would use it.
     SceneError
         If the environment has several controlled vehicles.
     """
 
-    def __init__(self, base: Any, config: ShieldConfig, agent: bool = False) -> None:
+    def __init__(self, base: Any, config: ShieldConfig, agent: bool = False, model: StageModel | None = None) -> None:
         self._base = base
         self.actuators = Actuators.of(base.action_type)
         self._period = int(base.config["simulation_frequency"] // base.config["policy_frequency"])
         self._lot = is_lot(base)
+        if model is not None and (self._lot or agent):
+            raise ConfigError("a model is for the predictive filter of ShieldedEnv on a road; leave it out here")
         # A reader and a core belong together: what the one reads, the other judges.
         self._reader: Any = LotReader(base) if self._lot else SceneReader(base, curved=True)
         self.core: ContinuousCore | LotCore
@@ -59,7 +64,7 @@ class InputDoor:
         elif agent:
             self.core = AgentCore(config, self.actuators, self._period)
         else:
-            self.core = ContinuousCore(config, self.actuators)
+            self.core = ContinuousCore(config, self.actuators, model=model)
         self._off = config.mode == "none"
         if getattr(base.action_type, "dynamical", False):
             raise ConfigError(

@@ -26,6 +26,7 @@ from evaluation.parking import PARKING_POLICIES, parking_policy
 from evaluation.policies import list_references, load_reference
 from evaluation.training import ALGORITHMS, get_algorithm, manifest_path
 from mpc import MPCPolicy
+from mpc.road_step import StageModel
 from shield.errors import ConfigError
 
 __all__ = [
@@ -128,7 +129,9 @@ def policy_label(name: str) -> str:
     return Path(name).stem if name.endswith(".zip") else name
 
 
-def make_policy(name: str, env: gym.Env[Any, Any], algorithm: str | None = None) -> Policy:
+def make_policy(
+    name: str, env: gym.Env[Any, Any], algorithm: str | None = None, model: StageModel | None = None
+) -> Policy:
     """A policy by name, or from an SB3 zip file.
 
     Parameters
@@ -136,6 +139,7 @@ def make_policy(name: str, env: gym.Env[Any, Any], algorithm: str | None = None)
     name : a name in `BASELINES`, a reference policy, or the path of a zip file.
     env : the environment that it is to act in.
     algorithm : the SB3 algorithm of a zip file; by default the manifest beside the file says it.
+    model : what `mpc` plans with (see `evaluation.driving_model`); the others have no use for it.
 
     Raises
     ------
@@ -147,7 +151,7 @@ def make_policy(name: str, env: gym.Env[Any, Any], algorithm: str | None = None)
     if name == "random":
         return RandomPolicy(env.action_space)
     if name == "mpc":
-        return MPCPolicy(env)
+        return MPCPolicy(env, model=model)
     if name == "cem" and type(env.unwrapped.action_type).__name__ == "DiscreteMetaAction":  # type: ignore[attr-defined]
         return highway_policy(env)
     if name in PARKING_POLICIES:

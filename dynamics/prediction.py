@@ -79,7 +79,7 @@ class Surroundings:
     ----------
     lane : index of the lane nearest to each vehicle, (m,).
     moving : whether it moves across lanes, (m,).
-    low, high : lateral hull of where it can be, (m,) [m].
+    low, high : lateral hull of where it can be, (m,) [m]; `hull` is both, (2, m).
     reach : half the length that its body covers along the road, (m,) [m].
     stretch : least and greatest metres of s in a metre driven, each (m,); None on a straight road.
     """
@@ -102,6 +102,7 @@ class Surroundings:
             self.moving,
             self._found,
         )
+        self.hull = self._found[: HIGH + 1]
         self.low, self.high, self.reach = self._found[LOW], self._found[HIGH], self._found[REACH]
         self.stretch: tuple[FloatArray, FloatArray] | None = None
         self._stretches = _STRAIGHT

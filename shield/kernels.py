@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from dynamics.compiled import compiled
+from dynamics.state import Vehicle
 
-__all__ = ["lanes_touched", "least_separations", "rooms", "warm_up"]
+__all__ = ["lanes_held", "lanes_touched", "least_separations", "may_break", "rooms", "warm_up"]
 
+_SPEED, _CRASHED = int(Vehicle.SPEED), int(Vehicle.CRASHED)
 _STRAIGHT = 0.01
 """Sine of the heading below which a path's own next frame is where constant velocity leads."""
 
@@ -205,11 +207,67 @@ def rooms(paths: Any, size: Any, centers: Any, fails: Any, side: float, bent: bo
     return out
 
 
+@compiled
+def lanes_held(
+    r: float, centers: Any, frames: int, sight: float, touch: float, stored: int, visible: Any, owned: Any
+) -> tuple[Any, Any]:
+    """The visibility clock and the lanes owned, one scene later.
+
+    Parameters
+    ----------
+    r : lateral position of the ego [m]. centers : of the lanes [m].
+    frames : since the scene before. sight, touch : how near to a lane's centre the ego is visible in it, and touches
+        it [m].
+    stored : the lane in which the stored fail-safe stops, or -1.
+    visible, owned : of the scene before, (lanes,); `owned` is empty in the first.
+
+    Returns
+    -------
+    Frames for which the ego has been visible in each lane, (lanes,); and whether it owns it, (lanes,) bool. A lane is
+    owned from when the ego touches it with a verified plan to stop there, until it has left it.
+    """
+    n = centers.shape[0]
+    seen, own = np.zeros(n, np.intp), np.zeros(n, np.bool_)
+    here = 0
+    for j in range(n):
+        if abs(r - centers[j]) < abs(r - centers[here]):
+            here = j
+    for j in range(n):
+        offset = abs(r - centers[j])
+        if offset <= sight:
+            seen[j] = visible[j] + frames
+        had = owned[j] if owned.shape[0] > 0 else j == here
+        own[j] = (had or j == stored) and offset < touch
+    return seen, own
+
+
+@compiled
+def may_break(
+    rows: Any, before: Any, hulls: Any, hulls0: Any, least: float, most: float, r: Any, period: float
+) -> bool:
+    """Whether any vehicle has crashed, changed its speed by less than `least` or more than `most` [m/s^2], or come to
+    lie across the ego's body, r[0] to r[1] [m], since the scene before.
+
+    `rows`, `before` are those of the vehicles (m, 7); `hulls`, `hulls0` (2, m) where they can be across the road [m].
+    """
+    for i in range(rows.shape[0]):
+        rate = (rows[i, _SPEED] - before[i, _SPEED]) / period
+        if not (least <= rate <= most) or (rows[i, _CRASHED] > 0 and not before[i, _CRASHED] > 0):
+            return True
+        came = hulls[0, i] < r[1] and hulls[1, i] > r[0]
+        if came and not (hulls0[0, i] < r[1] and hulls0[1, i] > r[0]):
+            return True
+    return False
+
+
 def warm_up() -> None:
     """Have the kernels compiled, or read from the disk, before they are needed."""
     one, pair, none = np.zeros((1, 1)), np.zeros((1, 2, 4)), np.zeros((1, 1), dtype=np.intp)
     flag, count = np.zeros((1, 1), dtype=np.bool_), np.zeros(1, dtype=np.intp)
     args = (one, one, np.zeros((1, 2)), flag, flag[0], one, none, np.zeros((3, 1)), np.ones(7), one, count)
     least_separations(pair, np.ones(8), *args)
+    none1, rows = np.zeros(1, dtype=np.intp), np.zeros((1, 7))
+    lanes_held(0.0, np.zeros(1), 1, 1.0, 1.0, -1, none1, flag[0])
+    may_break(rows, rows, np.zeros((2, 1)), np.zeros((2, 1)), -1.0, 1.0, np.zeros(2), 0.1)
     rooms(pair, np.ones(8), np.zeros(1), count, 2.0, False)
     lanes_touched(pair, 5.0, 2.0, 0.0, np.zeros(1), 2.0, flag[0], count)

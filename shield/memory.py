@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from typing import Any
 
@@ -13,7 +14,7 @@ from dynamics.rollout import Rollouts
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, Vehicle
 from shield.config import ShieldConfig
-from shield.kernels import warm_up
+from shield.kernels import lanes_held, warm_up
 from shield.monitor import AssumptionMonitor
 from shield.verify import Surveyor
 
@@ -71,19 +72,14 @@ class Memory:
         around = Surroundings(scene.others, scene.others_road, scene.road, self.config.assumptions)
         self._seen = (scene.ego, scene.others, around)
         self.monitor.update(scene, self._frames * scene.dt, around)
-        offset = np.abs(scene.ego_road[RoadState.R] - scene.road.centers)
-        near = offset <= self.config.assumptions.visible_distance
-        if self._visible is None or self._visible.shape != near.shape:
-            self._visible = np.zeros(near.shape, dtype=int)
-        self._visible = np.where(near, self._visible + self._frames, 0)
-        # A lane is owned from when the ego touches it with a verified plan to stop there, until it has left it.
-        if self._owned is None or self._owned.shape != near.shape:
-            self._owned = np.arange(offset.size) == offset.argmin()
-        swing = 0.5 * float(scene.ego[Vehicle.LENGTH]) * abs(np.sin(scene.ego_road[RoadState.HEADING]))
-        touched = offset < 1.0 + 0.5 * float(scene.ego[Vehicle.WIDTH]) + swing
-        if self.stored_lane is not None:
-            self._owned = self._owned | (np.arange(offset.size) == self.stored_lane)
-        self._owned = self._owned & touched
+        centers, r = scene.road.centers, float(scene.ego_road[RoadState.R])
+        if self._visible is None or self._visible.shape != centers.shape:
+            self._visible, self._owned = np.zeros(centers.shape, dtype=np.intp), np.zeros(0, dtype=bool)
+        swing = 0.5 * float(scene.ego[Vehicle.LENGTH]) * abs(math.sin(scene.ego_road[RoadState.HEADING]))
+        touch, sight = 1.0 + 0.5 * float(scene.ego[Vehicle.WIDTH]) + swing, self.config.assumptions.visible_distance
+        stored = -1 if self.stored_lane is None else self.stored_lane
+        visible, owned = self._visible, self._owned
+        self._visible, self._owned = lanes_held(r, centers, self._frames, sight, touch, stored, visible, owned)
 
     def _rollouts_for(self, scene: Scene) -> Rollouts:
         key = scene.dt, getattr(scene.road, "profile", None)

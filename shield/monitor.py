@@ -8,6 +8,7 @@ from dynamics.prediction import Surroundings
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, Vehicle
 from shield.config import ShieldConfig
+from shield.kernels import may_break
 
 __all__ = ["AssumptionMonitor"]
 
@@ -29,7 +30,7 @@ class AssumptionMonitor:
 
     def __init__(self, config: ShieldConfig) -> None:
         self._config = config
-        self._last: tuple[FloatArray, FloatArray, FloatArray] | None = None
+        self._last: tuple[FloatArray, FloatArray] | None = None
         self.count = 0
         self.violated = False
 
@@ -46,18 +47,19 @@ class AssumptionMonitor:
         a = self._config.assumptions
         if around is None:
             around = Surroundings(rows, states, scene.road, a)
-        low, high = around.low, around.high
-        self._last = (rows, low, high)
+        self._last = (rows, around.hull)
         if last is None or last[0].shape != rows.shape:
             return
-        before, low0, high0 = last
+        before, hull = last
+        ego, body = scene.ego_road, 0.5 * scene.ego[Vehicle.WIDTH]
+        across = np.array([ego[RoadState.R] - body, ego[RoadState.R] + body])
+        least, most, period = -a.braking - _TOLERANCE, a.acceleration + _TOLERANCE, elapsed or scene.dt
+        if not may_break(rows, before, around.hull, hull, least, most, across, period):
+            return
         speed = rows[:, Vehicle.SPEED]
-        rate = (speed - before[:, Vehicle.SPEED]) / (elapsed or scene.dt)
-        moved = (rate < -a.braking - _TOLERANCE) | (rate > a.acceleration + _TOLERANCE)
-        found = (moved | (rows[:, Vehicle.CRASHED] > 0)) & (before[:, Vehicle.CRASHED] == 0)
-        ego = scene.ego_road
-        body = 0.5 * scene.ego[Vehicle.WIDTH]
-        left, right = ego[RoadState.R] - body, ego[RoadState.R] + body
+        rate = (speed - before[:, Vehicle.SPEED]) / period
+        found = ((rate < least) | (rate > most) | (rows[:, Vehicle.CRASHED] > 0)) & (before[:, Vehicle.CRASHED] == 0)
+        (low, high), (low0, high0), (left, right) = around.hull, hull, across
         came = (low < right) & (high > left) & ~((low0 < right) & (high0 > left))
         if not (found | came).any():
             return

@@ -1,7 +1,8 @@
 """Planners for parking by name, and how their models are made.
 
 `cem` plans on a learned model, `cem-fast` on the same in half the time, `cem-oracle` on the true bicycle, and
-`cem-notebook` is HighwayEnv's parking notebook. The bundled models are those of training seed 0; `train` makes others.
+`cem-notebook` is HighwayEnv's parking notebook; `cem-mppi` searches as `mpc.mppi` does, and `cem-cautious` pays where
+the members of the model disagree. The bundled models are those of training seed 0; `train` makes others.
 """
 
 from __future__ import annotations
@@ -24,15 +25,19 @@ from dynamics.fit import FitConfig
 from dynamics.learned import LinearStructuredModel, ModelConfig
 from dynamics.rounds import RoundsConfig, rounds
 from dynamics.store import load_model, save_model
+from mpc.cautious_task import CautiousTask
 from mpc.cem_policy import CEMPolicy
 from mpc.notebook import NotebookModel, NotebookPolicy, collect_as_notebook, fit_as_notebook
-from mpc.parking_task import parking_settings
+from mpc.parking_task import ParkingTask, parking_settings
 from shield.errors import ConfigError
 
 __all__ = ["PARKING_POLICIES", "TrainedParking", "load", "parking_policy", "save", "train"]
 
-PARKING_POLICIES = ("cem", "cem-fast", "cem-oracle", "cem-notebook")
+PARKING_POLICIES = ("cem", "cem-fast", "cem-oracle", "cem-notebook", "cem-mppi", "cem-cautious")
 """Names of the policies for parking."""
+
+TEMPERATURE, CAUTION = 0.05, 1.0
+"""Temperature of `cem-mppi`; weight of the disagreement for `cem-cautious`."""
 
 _HERE = Path(__file__).parent / "policies"
 _MODEL, _NOTEBOOK, _DATA = "cem-parking", "cem-notebook", "transitions.npz"
@@ -110,6 +115,12 @@ def load(folder: str | Path = _HERE) -> tuple[DistilledModel, NotebookModel]:
     return distill(model, data, _DISTILL), notebook
 
 
+@lru_cache(maxsize=4)
+def network(folder: str | Path = _HERE) -> LinearStructuredModel:
+    """The learned model itself, which knows where its members disagree."""
+    return load_model(Path(folder, _MODEL))
+
+
 def parking_policy(name: str, env: gym.Env[Any, Any]) -> CEMPolicy | NotebookPolicy:
     """A policy for parking by name.
 
@@ -127,6 +138,10 @@ def parking_policy(name: str, env: gym.Env[Any, Any]) -> CEMPolicy | NotebookPol
         return CEMPolicy.parking(env)
     if name == "cem-notebook":
         return NotebookPolicy(load()[1])
+    if name == "cem-mppi":
+        return CEMPolicy.parking(env, load()[0], temperature=TEMPERATURE)
+    if name == "cem-cautious":
+        return CEMPolicy.parking(env, load()[0], task=CautiousTask(ParkingTask(env), network(), CAUTION))
     profiles = {"cem": "quality", "cem-fast": "fast"}
     if name not in profiles:
         raise ConfigError(f"unknown policy {name!r} for parking; have {', '.join(PARKING_POLICIES)}")

@@ -111,3 +111,9 @@ class PlannerSettings:
     def multistart(cls, **changes: Any) -> PlannerSettings:
         """Several restarts of iCEM."""
         return cls.icem(restarts=4, samples=32, elites=5).replace(**changes)
+
+    @classmethod
+    def mppi(cls, **changes: Any) -> PlannerSettings:
+        """For `mpc.mppi.MPPI`: as many samples as in the restarts of `multistart`, all around the last plan."""
+        improved = cls(std=0.5, colour=1.0, warm=True, iterations=4, samples=128, elites=128, answer="mean")
+        return improved.replace(**changes)

@@ -16,8 +16,10 @@ from dynamics.model import StepModel
 from dynamics.oracle import BicycleModel
 from dynamics.traffic import TrafficModel
 from mpc.categorical import CategoricalCEM, CategoricalSettings
+from mpc.cautious_task import CautiousTask
 from mpc.cem import CEM, PlannerSettings
 from mpc.highway_task import HighwayTask
+from mpc.mppi import MPPI
 from mpc.parking_task import ParkingTask, brake, parking_settings
 from mpc.plan import Cost, Plan, PlanMemory, PlanStatus
 
@@ -80,7 +82,8 @@ class CEMPolicy:
         env: Any,
         model: StepModel | None = None,
         settings: PlannerSettings | None = None,
-        task: ParkingTask | None = None,
+        task: ParkingTask | CautiousTask | None = None,
+        temperature: float | None = None,
     ) -> CEMPolicy:
         """The policy for `parking-v0`.
 
@@ -90,21 +93,26 @@ class CEMPolicy:
         model : of the states of `dynamics.parking`; the true bicycle by default.
         settings : how to search; `parking_settings()` by default.
         task : what is to be small; `ParkingTask(env)` by default.
+        temperature : of `MPPI`, which searches in place of `CEM` where one is given, by default with the settings
+            `parking_settings("mppi")`.
 
         Raises
         ------
         ConfigError
             If the environment is not parking with continuous actions.
         """
-        settings = settings if settings is not None else parking_settings()
+        if settings is None:
+            settings = parking_settings("quality" if temperature is None else "mppi")
         task = task if task is not None else ParkingTask(env)
         model = model if model is not None else BicycleModel.of(task.bases[0], np.float32)
         if (model.state_dim, model.action_dim) != (6, 2):
             raise ConfigError(
                 f"parking has 6 state variables and 2 inputs; this model has {model.state_dim} and {model.action_dim}"
             )
-        planner = CEM(model, settings, fallback=brake(task.bases[0]))
-        return cls(planner, task)
+        fallback = brake(task.bases[0])
+        if temperature is not None:
+            return cls(MPPI(model, settings, fallback, temperature), task)
+        return cls(CEM(model, settings, fallback), task)
 
     @classmethod
     def highway(

@@ -2,7 +2,8 @@
 
 What it plans for is a `Task`: how to read states from observations, and what is to be small. `ParkingTask` is the one
 for `parking-v0`; `CEMPolicy.parking(env)` puts model, planner and task together. `HighwayTask` and
-`CEMPolicy.highway(env, model)` are the same for meta-actions among traffic.
+`CEMPolicy.highway(env, model)` are the same for meta-actions among traffic, `RoundaboutTask` and
+`CEMPolicy.roundabout(env, model)` in a roundabout.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from dynamics.errors import ConfigError
 from dynamics.model import StepModel
 from dynamics.oracle import BicycleModel
+from dynamics.roundabout import RoundaboutModel
 from dynamics.traffic import TrafficModel
 from mpc.categorical import CategoricalCEM, CategoricalSettings
 from mpc.cautious_task import CautiousTask
@@ -22,6 +24,7 @@ from mpc.highway_task import HighwayTask
 from mpc.mppi import MPPI
 from mpc.parking_task import ParkingTask, brake, parking_settings
 from mpc.plan import Cost, Plan, PlanMemory, PlanStatus
+from mpc.roundabout_task import RoundaboutTask, roundabout_settings
 
 __all__ = ["CEMPolicy", "Planner", "Task"]
 
@@ -141,6 +144,39 @@ class CEMPolicy:
                 f"this environment has {task.actions} meta-actions and shows {task.vehicles} other vehicles; the model "
                 f"is of {model.pair.action_dim} and {model.vehicles}"
             )
+        fallback = np.full(1, task.slower)
+        planner = CategoricalCEM(model, task.actions, settings, lambda states: np.repeat(fallback, len(states)))
+        return cls(planner, task)
+
+    @classmethod
+    def roundabout(
+        cls,
+        env: Any,
+        model: RoundaboutModel,
+        settings: CategoricalSettings | None = None,
+        task: RoundaboutTask | None = None,
+    ) -> CEMPolicy:
+        """The policy for highway-env's roundabout with meta-actions.
+
+        Parameters
+        ----------
+        env : the environment.
+        model : of the scene, with two rows for each other vehicle that the observation shows.
+        settings : how to search; `roundabout_settings()` by default. task : what is to be small.
+
+        Raises
+        ------
+        ConfigError
+            If the model is of other actions or scenes, or of another way out than the environment has.
+        """
+        task = task if task is not None else RoundaboutTask(env)
+        have, needs = (model.actions, model.rows, model.exit_arm), (task.actions, task.rows, task.exit_arm)
+        if have != needs:
+            raise ConfigError(
+                f"this environment has {needs[0]} meta-actions, {needs[1]} rows of other vehicles and the ego leaves "
+                f"at arm {needs[2]}; the model is of {have[0]}, {have[1]} and {have[2]}"
+            )
+        settings = settings if settings is not None else roundabout_settings()
         fallback = np.full(1, task.slower)
         planner = CategoricalCEM(model, task.actions, settings, lambda states: np.repeat(fallback, len(states)))
         return cls(planner, task)

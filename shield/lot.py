@@ -32,6 +32,11 @@ __all__ = ["LotCore", "StillnessMonitor"]
 
 _ROUNDING = 1e-5
 """What rounding may amount to until a stop, single precision of actions included [m]."""
+_FAR = 0.3
+"""Distance from the proposal, in shares of the ranges, beyond which something nearer is looked for on a grid."""
+_GRID = np.stack(np.meshgrid(np.linspace(0, 1, 11), np.linspace(0, 1, 13)), axis=-1).reshape(-1, 2)
+"""Shares of the ranges of throttle and steering that are tried where the search has found nothing near; 0 of the
+throttle stands for the brake."""
 _NO_LANE = [0]
 """The search names the lane that is stopped in; here there is none."""
 
@@ -163,6 +168,15 @@ class LotCore:
         low, high = np.minimum(np.minimum(limits[0], law), proposal), np.maximum(np.maximum(limits[1], law), proposal)
         search = Search(lambda inputs, lanes, parts: self._judge(lot, inputs), proposal, spans, low, high)
         judged = search.run(_NO_LANE, law)
+        far = float(np.hypot(*((judged.inputs[0] - proposal) / spans))) if judged.margin[0] >= 0 else np.inf
+        if far > _FAR:
+            # What verifies may lie neither near the proposal nor on the way to the brake: anywhere at all.
+            tried = low + _GRID * (high - low)
+            tried[_GRID[:, 0] == 0, 0] = law[0]
+            grid = self._judge(lot, tried)
+            distance = np.where(grid.margin >= 0, np.hypot(*((grid.inputs - proposal) / spans).T), np.inf)
+            nearest = int(distance.argmin())
+            judged = grid.row(nearest) if distance[nearest] < far else judged
         if judged.margin[0] >= 0:
             return judged.inputs[0], self._record(lot, proposal, judged, Reason.UNVERIFIED, Tier.GOVERNED, start)
         if stored:

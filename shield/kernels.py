@@ -93,7 +93,8 @@ def least_separations(
         `followers` (3, m) are speed, front and stretch.
     duty : distance within which the ego is seen [m], frames of reaction, acceleration, braking [m/s^2], greatest speed
         [m/s], frames of constant speed before, and frame duration [s], (7,).
-    separations : (n, m) [m], result; +inf for who owes it, NaN for a path that is not finite.
+    separations : (n, m) [m], result; +inf for who owes it, NaN for a path or a vehicle that is not finite (`rear` adds
+        up: its last frame tells).
     reached : frames before the first violation, (n,), result.
     """
     n, frames, m = paths.shape[0], paths.shape[1], rear.shape[0]
@@ -114,6 +115,10 @@ def least_separations(
                 continue
             of = min(i, low.shape[0] - 1)
             least, left, right, behind = np.inf, low[of, j], high[of, j], follows[j]
+            known = math.isfinite(left + right + rear[j, frames - 1])
+            if not known or (behind and not math.isfinite(followers[0, j] + followers[1, j] + followers[2, j])):
+                separations[i, j], reached[i] = np.nan, 0
+                continue
             if behind:
                 of = min(i, centers.shape[0] - 1)
                 _front(paths, i, centers[of, j], at_once[of, j], followers[:, j], duty, front)
@@ -132,9 +137,6 @@ def least_separations(
                     later = max(along, max(left - bounds[7, k], bounds[6, k] - right))
                     if later < 0:
                         apart = min(apart, later)
-                if apart != apart:
-                    least, reached[i] = np.nan, 0
-                    break
                 least = min(least, apart)
                 if apart < 0:
                     reached[i] = min(reached[i], k)

@@ -31,7 +31,18 @@ from mpc.notebook import NotebookModel, NotebookPolicy, collect_as_notebook, fit
 from mpc.parking_task import ParkingTask, parking_settings
 from shield.errors import ConfigError
 
-__all__ = ["PARKING_POLICIES", "TrainedParking", "load", "parking_policy", "save", "train"]
+__all__ = [
+    "BUNDLED",
+    "CAUTION",
+    "PARKING_POLICIES",
+    "TEMPERATURE",
+    "TrainedParking",
+    "load",
+    "network",
+    "parking_policy",
+    "save",
+    "train",
+]
 
 PARKING_POLICIES = ("cem", "cem-fast", "cem-oracle", "cem-notebook", "cem-mppi", "cem-cautious")
 """Names of the policies for parking."""
@@ -39,7 +50,8 @@ PARKING_POLICIES = ("cem", "cem-fast", "cem-oracle", "cem-notebook", "cem-mppi",
 TEMPERATURE, CAUTION = 0.05, 1.0
 """Temperature of `cem-mppi`; weight of the disagreement for `cem-cautious`."""
 
-_HERE = Path(__file__).parent / "policies"
+BUNDLED = Path(__file__).parent / "policies"
+"""Folder of the bundled models."""
 _MODEL, _NOTEBOOK, _DATA = "cem-parking", "cem-notebook", "transitions.npz"
 _DISTILL = DistillConfig(holds=(1, 4))
 
@@ -96,7 +108,7 @@ def train_notebook(seed: int = 0) -> NotebookModel:
     return fit_as_notebook(data, seed)
 
 
-def save(trained: TrainedParking, notebook: NotebookModel, folder: str | Path = _HERE) -> None:
+def save(trained: TrainedParking, notebook: NotebookModel, folder: str | Path = BUNDLED) -> None:
     """Write both models where `load` finds them."""
     notes = {"transitions": len(trained.data), "seconds": round(trained.seconds, 1)}
     save_model(trained.model, Path(folder, _MODEL), notes)
@@ -106,7 +118,7 @@ def save(trained: TrainedParking, notebook: NotebookModel, folder: str | Path = 
 
 
 @lru_cache(maxsize=4)
-def load(folder: str | Path = _HERE) -> tuple[DistilledModel, NotebookModel]:
+def load(folder: str | Path = BUNDLED) -> tuple[DistilledModel, NotebookModel]:
     """The macro-steps of the learned model, and the notebook's model."""
     model, data = load_model(Path(folder, _MODEL)), Transitions.load(Path(folder, _MODEL, _DATA))
     notebook = NotebookModel()
@@ -116,7 +128,7 @@ def load(folder: str | Path = _HERE) -> tuple[DistilledModel, NotebookModel]:
 
 
 @lru_cache(maxsize=4)
-def network(folder: str | Path = _HERE) -> LinearStructuredModel:
+def network(folder: str | Path = BUNDLED) -> LinearStructuredModel:
     """The learned model itself, which knows where its members disagree."""
     return load_model(Path(folder, _MODEL))
 

@@ -24,6 +24,7 @@ from dynamics.actuators import Actuators
 from evaluation.highway_planner import highway_policy
 from evaluation.parking import PARKING_POLICIES, parking_policy
 from evaluation.policies import list_references, load_reference
+from evaluation.roundabout_planner import roundabout_policy
 from evaluation.training import ALGORITHMS, get_algorithm, manifest_path
 from mpc import MPCPolicy
 from mpc.road_step import StageModel
@@ -46,7 +47,7 @@ BASELINES = (*sorted(_META.keys() | _INPUTS), "random", "mpc", *PARKING_POLICIES
 """Names of the policies that need no training: `faster` and `slower` for meta-actions, `throttle` (full throttle, the
 wheel straight) for continuous actions, `idle` and `random` for both; `mpc` drives with continuous actions by itself
 (`mpc.MPCPolicy`, on the simulator's true state); those of `evaluation.parking` park, and
-`cem` drives on a highway with meta-actions as well."""
+`cem` drives on a highway and in a roundabout with meta-actions as well."""
 
 
 class Policy(Protocol):
@@ -153,7 +154,8 @@ def make_policy(
     if name == "mpc":
         return MPCPolicy(env, model=model)
     if name == "cem" and type(env.unwrapped.action_type).__name__ == "DiscreteMetaAction":  # type: ignore[attr-defined]
-        return highway_policy(env)
+        roundabout = type(env.unwrapped).__name__ == "RoundaboutEnv"
+        return roundabout_policy(env) if roundabout else highway_policy(env)
     if name in PARKING_POLICIES:
         return parking_policy(name, env)
     if name in list_references():

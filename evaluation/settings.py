@@ -53,8 +53,8 @@ class Setting:
         config: what differs from the environment's default configuration; in highway-env's units
             (speeds in m/s, frequencies in Hz, durations in s). Read-only.
         description: one line for people.
-        road: whether it is a road, so that shields are compared on it unless others are asked for; they read none
-            in a parking lot, and stop.
+        road: whether it is a road or a parking lot that shields can read, so that none and full are compared on it
+            unless others are asked for; on roads that branch (a roundabout) they stop with an error.
     """
 
     name: str
@@ -212,12 +212,18 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
                 {**_CONTINUOUS_TRAINING, "lanes_count": 4},
                 "highway-continuous, training: decisions at 5 Hz, 10 Hz, 12 other vehicles, nothing for standing",
             ),
-            Setting("parking", "parking-v0", {}, "parking-v0 as it comes: an empty lot, 5 Hz, 100 s", road=False),
+            Setting("parking", "parking-v0", {}, "parking-v0 as it comes: an empty lot, 5 Hz, 100 s"),
             Setting(
                 "parking-parked",
                 "parking-v0",
                 {"vehicles_count": 10},
                 "parking-v0 with 10 parked vehicles (parking-parked-v0): the observation does not show them",
+            ),
+            Setting(
+                "roundabout",
+                "roundabout-v0",
+                {},
+                "roundabout-v0 as it comes: meta-actions at 1 Hz, target speeds 0, 8 and 16 m/s, 15 Hz, 11 s",
                 road=False,
             ),
             Setting("racetrack", "racetrack-v0", {}, "racetrack-v0 as it comes: steering alone, 5 Hz, 15 Hz, 300 s"),

@@ -78,7 +78,7 @@ def evaluate(
         list[str] | None,
         typer.Option(
             help=f"Shield modes: {', '.join(MODES)} (repeatable, or a comma list)."
-            " By default none and full; none alone in a parking lot."
+            " By default none and full; none alone where they cannot read the road."
         ),
     ] = None,
     door: Annotated[

@@ -39,7 +39,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     Parameters
     ----------
-    env : the environment (`highway-v0`, `highway-fast-v0` or one with the same kind of road).
+    env : the environment (`highway-v0`, `highway-fast-v0` or one with the same kind of road; with continuous actions
+        the racetracks and parking lots too).
     config : settings, or the path of a TOML file with them.
     policy : where given, alternatives are tried in its order of preference (probabilities or Q-values of the
         last observation).
@@ -51,7 +52,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     SceneError
         If the environment's road or number of controlled vehicles is not supported.
     ConfigError
-        If its action type is neither `DiscreteMetaAction` nor `ContinuousAction`.
+        If its action type is neither `DiscreteMetaAction` nor `ContinuousAction`, or meta-actions in a parking lot.
 
     Notes
     -----

@@ -42,7 +42,8 @@ class Shield:
     PolicyError
         If `policy` has no `predict`.
     ConfigError
-        If there is no environment to read the scene from, or its actions are neither meta-actions nor continuous.
+        If there is no environment to read the scene from, its actions are neither meta-actions nor continuous, or
+        it is a parking lot and they are not continuous, or cannot brake.
 
     Examples
     --------
@@ -144,8 +145,11 @@ class Shield:
         except Exception:
             _log.exception("the policy raised; the fallback acts")
             # A policy that breaks must not take the car with it: the record says that it did.
-            space = self._env.observation_space
-            batched = np.ndim(observation) > len(space.shape or ()) or hasattr(self._env, "single_action_space")
+            space, seen = self._env.observation_space, observation
+            if isinstance(seen, dict) and seen:
+                key = next(iter(seen))
+                space, seen = space[key], seen[key]
+            batched = np.ndim(seen) > len(space.shape or ()) or hasattr(self._env, "single_action_space")
             shape = (len(self._cores),) if batched else ()
             proposals = np.full((*shape, size) if self._doors else shape, np.nan)
             reason = Reason.POLICY_FAILED

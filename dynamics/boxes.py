@@ -11,7 +11,8 @@ D = p - q, C = |cos(psi - phi)| and S = |sin(psi - phi)|, the gaps along the fou
 
 where u', w' are u, w turned by 90 degrees. The greatest of them is the *gap*: two rectangles are apart exactly if it is
 positive (separating axes), and their distance is never less than it; the two are equal unless a corner is nearest to a
-corner, and then the gap is at least 1 / sqrt(2) of the distance. Source: S. Gottschalk, M. Lin, D. Manocha, OBBTree, SIGGRAPH 1996.
+corner, and then the gap is at least 1 / sqrt(2) of the distance. Source: S. Gottschalk, M. Lin, D. Manocha, OBBTree,
+SIGGRAPH 1996.
 
 The *coming gap* is that after the moving rectangle has swept t u, t = v dt: along a direction n, |D . n| becomes
 |D . n + t u . n / 2| - |t u . n| / 2. Source: `utils.are_polygons_intersecting` of highway-env 1.12, which counts it as

@@ -32,6 +32,7 @@ from shield.errors import ConfigError
 
 __all__ = [
     "BRAKING",
+    "BUNDLED",
     "MODELS",
     "STAGE",
     "TRANSITIONS",
@@ -50,7 +51,8 @@ STAGE = 0.2
 BRAKING = -10.0
 """Least acceleration that is driven with [m/s^2]: the shield's filter plans with 9.8 (`ShieldConfig.braking`)."""
 
-_HERE = Path(__file__).parent / "policies"
+BUNDLED = Path(__file__).parent / "policies"
+"""Folder of the bundled models."""
 TRANSITIONS = 4000
 """Random decisions that a model is fitted to."""
 _EPISODE, _HOLD = 10.0, 5
@@ -200,7 +202,7 @@ def measure(
     return open_loop(model, data, _HORIZON)
 
 
-def load_driving(frequency: int, root: str | Path = _HERE) -> LearnedSteps:
+def load_driving(frequency: int, root: str | Path = BUNDLED) -> LearnedSteps:
     """The models for a simulation frequency [Hz] in a folder; the bundled ones by default.
 
     Raises

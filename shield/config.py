@@ -47,7 +47,6 @@ class ShieldConfig:
     ----------
     mode : one of `MODES`.
     buffer : the distance that no verified action may violate.
-    clearance : the same in a parking lot, on all sides [m].
     assumptions : what the others are assumed to keep to.
     braking : deceleration of the ego's fail-safe manoeuvre [m/s^2]: 1 g, the limit of a dry road; highway-env's own
         speed controller reaches up to 12.5 m/s^2 on SLOWER, and 8.3 from 25 to 20 m/s.
@@ -59,12 +58,12 @@ class ShieldConfig:
     repair : what `ShieldedEnv` does between two decisions with a meta-action that has become unsafe: "hold" gives it
         the greatest acceleration that verifies, "filter" the nearest inputs (the predictive filter), "brake" plays
         the stored fail-safe on.
-    record : keep the others' occupancy in each `Decision` (for drawing).
+    record : keep the others' occupancy in each `Decision` (for drawing); there is none in a parking lot.
+    clearance : the distance that no verified action may violate in a parking lot, on all sides [m].
     """
 
     mode: str = "full"
     buffer: Buffer = field(default_factory=Buffer)
-    clearance: float = 0.1
     assumptions: Assumptions = field(default_factory=Assumptions.idm)
     braking: float = 9.8
     perception_range: float = 200.0
@@ -74,6 +73,7 @@ class ShieldConfig:
     horizon: float = 4.0
     repair: str = "hold"
     record: bool = False
+    clearance: float = 0.1
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:

@@ -44,6 +44,7 @@ configs = st.builds(
     response_time=positive,
     horizon=positive,
     record=st.booleans(),
+    clearance=positive,
 )
 
 

@@ -98,9 +98,7 @@ class LotReader:
     def __init__(self, env: Any) -> None:
         self._env = getattr(env, "unwrapped", env)
         if not is_lot(self._env):
-            raise SceneError(
-                f"{type(self._env).__name__} is no parking lot; valid are ParkingEnv and its subclasses"
-            )
+            raise SceneError(f"{type(self._env).__name__} is no parking lot; valid are ParkingEnv and its subclasses")
         count = int(self._env.config["controlled_vehicles"])
         if count != 1:
             raise SceneError(f"the shield supports one controlled vehicle, got {count}")

@@ -109,7 +109,8 @@ def from_minari(
         ) from error
     described = _description(dataset)
     said = described.get("dt")
-    if dt is None and said is None:
+    step = said if dt is None else dt
+    if step is None:
         raise ConfigError(f"{name} does not say how long a decision lasts; give dt [s]")
     if dt is not None and said is not None and abs(dt - said) > 1e-9:
         raise ConfigError(f"{name} has decisions of {said} s, not of {dt} s; leave dt out")
@@ -131,8 +132,8 @@ def from_minari(
     if not parts:
         raise DataError(f"{name} has no episodes")
     origin = described.get("origin", {"minari": name})
-    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    return Transitions(*columns, float(said if dt is None else dt), origin)
+    x, u, y, episodes = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return Transitions(x, u, y, episodes, float(step), origin)
 
 
 def _minari() -> Any:

@@ -37,6 +37,8 @@ _STRAIGHT = 1e-12
 class StageModel(Protocol):
     """What a stage can be of instead of the bicycle's frames; hashable, and never changing."""
 
+    def __hash__(self) -> int: ...
+
     def held(self, state: ca.SX, control: ca.SX, duration: float) -> ca.SX:
         """(x, y, psi, v) after an input (a, delta) has been held for `duration` [s], (4, 1) to (4, 1).
 

@@ -32,6 +32,8 @@ class Assumptions:
     max_heading : greatest heading of a vehicle that changes lanes, relative to the road [rad].
     blind_merge : whether a vehicle beside the lane that the ego is about to enter may enter it as well, as long as
         the ego is not visible there.
+    slip_in : whether a vehicle alongside may change into the ego's lane behind an ego that pulls away from it, or
+        before one that it pulls away from, as MOBIL does once IDM's desired gap has vanished (`shield.alongside`).
     """
 
     braking: float = 6.0
@@ -45,13 +47,14 @@ class Assumptions:
     keeping_heading: float = 0.04
     max_heading: float = 0.35
     blind_merge: bool = True
+    slip_in: bool = True
 
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            if f.name == "blind_merge":
+            if f.name in ("blind_merge", "slip_in"):
                 if not isinstance(value, bool):
-                    raise ConfigError(f"Assumptions.blind_merge must be true or false, got {value!r}")
+                    raise ConfigError(f"Assumptions.{f.name} must be true or false, got {value!r}")
             elif isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
                 raise ConfigError(f"Assumptions.{f.name} must be a finite number, got {value!r}")
             elif value < 0:

@@ -138,8 +138,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             obs, reward, terminated, truncated, info = self.env.step(decision.executed)
         self._observation = obs
         frames = [d for d in self.frame_decisions if d.overridden]
-        worst = next((d for d in frames if d.tier.fallback), frames[0] if frames else None)
-        shown = decision if decision.overridden or worst is None else worst
+        overridden = [decision, *frames] if decision.overridden else frames
+        shown = next((d for d in overridden if d.tier.fallback), overridden[0] if overridden else decision)
         margins = [d.margin for d in (decision, *self.frame_decisions) if np.isfinite(d.margin)]
         info["shield"] = {
             "overridden": decision.overridden or bool(frames),

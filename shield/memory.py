@@ -13,8 +13,9 @@ from dynamics.road import StraightRoad
 from dynamics.rollout import Rollouts
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, Vehicle
+from shield import alongside, kernels
 from shield.config import ShieldConfig
-from shield.kernels import lanes_held, warm_up
+from shield.kernels import lanes_held
 from shield.monitor import AssumptionMonitor
 from shield.verify import Surveyor
 
@@ -24,7 +25,8 @@ __all__ = ["Memory"]
 @cache
 def _warm_up() -> None:
     """Have the kernels compiled, or read from the disk, before a decision waits for them."""
-    warm_up()
+    kernels.warm_up()
+    alongside.warm_up()
     state, road = np.zeros(4), StraightRoad.from_lanes(1)
     Rollouts(0.1).run(state, np.zeros((1, 1, 3)))
     Rollouts(0.1).run_inputs(state, np.zeros((1, 1, 2)))

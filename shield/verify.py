@@ -27,6 +27,7 @@ import numpy as np
 from dynamics.prediction import Surroundings
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, Vehicle
+from shield.alongside import Alongside
 from shield.candidates import Candidates
 from shield.config import ShieldConfig
 from shield.kernels import least_separations, rooms
@@ -49,7 +50,8 @@ class Clearance:
     margin : least separation beyond the buffer, (n,) [m]; +inf with nobody in reach.
     clear : frames before the first violation, (n,); all of them without one.
     parts : where asked for, what the margin is the least of, (n, vehicles + 1) [m]: the least separation from each
-        vehicle in reach, +inf from one that owes the ego its distance; and the room in the lane that is stopped in.
+        vehicle in reach, +inf from one that owes the ego its distance; from each that may slip in alongside; and the
+        room in the lane that is stopped in.
     """
 
     margin: FloatArray
@@ -103,6 +105,7 @@ class Surveyor:
         self._reaction = int(np.ceil(config.assumptions.reaction_time / scene.dt - 1e-9))
         self._size = around.reach + 0.5 * length + 2.0 + b.longitudinal + self.growth[0]
         self._behind = self._ahead < -0.5 * length
+        self._alongside = Alongside(scene, config, around)
 
     def relevant(self, distance: float, duration: float, followers: bool = True) -> Any:
         """Rows of those who can come into reach of an ego that travels at most `distance` [m] in `duration` [s].
@@ -141,9 +144,14 @@ class Surveyor:
         rows, owed = self._threats(candidates, distance, frames * dt)
         room = rooms(paths, self._size_of_ego, scene.road.centers, candidates.fails, 0.5 * scene.road.width, self._bent)
         inside = np.where(room >= 0, np.inf, room)
+        extra = room[:, None]
+        if len(self._alongside) and hold == 0:
+            slipping = self._alongside.separations(paths, self._size_of_ego)
+            inside = np.minimum(inside, slipping.min(axis=1))
+            extra = np.column_stack([slipping, room])
         if rows.size == 0:
             margin = np.where(np.isfinite(paths).all(axis=(1, 2)), inside, np.nan)
-            return Clearance(margin, np.full(n, frames), room[:, None] if parts else None)
+            return Clearance(margin, np.full(n, frames), extra if parts else None)
         low, high, home = self._lateral(rows, candidates, paths[..., RoadState.R], bound=hold == 0)
         rear = self.around.rear(frames, dt, hold, rows)
         follows: Any = self._behind[rows] if owed is not None else None
@@ -166,7 +174,7 @@ class Surveyor:
             reached,
         )
         margin = np.minimum(separations.min(axis=1), inside)
-        return Clearance(margin, reached, np.column_stack([separations, room]) if parts else None)
+        return Clearance(margin, reached, np.column_stack([separations, extra]) if parts else None)
 
     def _at_once(self, home: Any) -> Any:
         """Frames after which vehicles in the lanes `home` react to an ego that they see all the time, or -1 where they

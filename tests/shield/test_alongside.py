@@ -107,7 +107,7 @@ def test_the_property_is_not_empty() -> None:
     "change",
     [
         {"offset": 0.0},  # keeps its lane
-        {"u": 22.0},  # does not pull away
+        {"u": 22.0, "leader": 18.0, "gap": 25.0},  # does not pull away
         {"gap": None},  # nobody ahead of it
         {"behind": 8.0},  # already past
         {"behind": -70.0},  # far away

@@ -33,10 +33,10 @@ class Told:
 MODELS = {"honest": Told(1.0), "strong brakes": Told(3.0), "no brakes": Told(0.0), "nan": Told(np.nan)}
 
 
-def must_repair(count=8):
+def must_repair(count=16):
     """Scenes in which full throttle does not verify, and braking does."""
     found = []
-    for seed in range(600):
+    for seed in range(2000):
         scene = random_continuous_world(np.random.default_rng(seed), cars=6).scene()
         proposal = np.array([5.0, 0.0])
         if ContinuousCore(predictive=False).filter(scene, proposal)[1].tier is Tier.GOVERNED:

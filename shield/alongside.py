@@ -162,6 +162,7 @@ class Alongside:
         self._goals = road.centers[found[:count, 1].astype(np.intp)]
         self._ratios = found[:count, 2].copy()
         self._sweep: FloatArray | None = None
+        self._bounds = np.empty((2, count, 0))
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -175,6 +176,10 @@ class Alongside:
         size : half extents of the ego with its buffer, as `shield.kernels.least_separations` has them (8,) [m].
         """
         rows, dt, frames = self._rows, self._scene.dt, paths.shape[1]
+        if frames > self._bounds.shape[2]:
+            longer = frames + frames // 4
+            front = self._around.front(longer, dt)[rows]
+            self._bounds = np.stack([self._around.rear(longer, dt, rows=rows), front])
         out = np.empty((len(paths), len(rows)))
         if self._sweep is None:
             self._sweep = self._swept()
@@ -186,8 +191,8 @@ class Alongside:
             states[:, RoadState.SPEED].copy(),
             self._goals,
             self._ratios,
-            self._around.rear(frames, dt, rows=rows),
-            self._around.front(frames, dt)[rows],
+            self._bounds[0],
+            self._bounds[1],
             self._sweep,
             self._scene.road.centers,
             self._config.assumptions.visible_distance,

@@ -84,6 +84,8 @@ class ContinuousCore(Memory):
         if scene.finite:
             self._judge_inputs(scene, np.zeros((1, 2)), self._stop_lanes(scene)[:1])
             self._surveyor = None
+            if self.predictive:
+                self._filter_for(scene)
 
     def filter(self, scene: Scene, proposal: FloatArray) -> tuple[FloatArray, Decision]:
         """What the actuators get for the next frame.
@@ -143,7 +145,7 @@ class ContinuousCore(Memory):
             return self._judge_inputs(scene, inputs, lanes, parts)
 
         search = Search(judge, proposal, self._spans(scene), np.maximum(least, floor), np.maximum(most, floor))
-        judged = search.run(lanes, self._law(scene, lane))
+        judged = search.run(lanes, self._law(scene, lane), self._stop_lanes(scene))
         if not judged.margin[0] >= 0 and self.predictive:
             plan = self._predict(scene, proposal, int(first.lanes[0]))
             if plan is not None:
@@ -162,8 +164,7 @@ class ContinuousCore(Memory):
         self.stored_lane = None
         return judged.inputs[0], decision
 
-    def _predict(self, scene: Scene, proposal: FloatArray, lane: int) -> FloatArray | None:
-        """First input of the predictive filter's plan, or None where it has none that keeps its constraints."""
+    def _filter_for(self, scene: Scene) -> PredictiveFilter:
         solver = self._filters.get(scene.dt)
         if solver is None:
             substeps = max(1, round(_STAGE / scene.dt))
@@ -177,6 +178,11 @@ class ContinuousCore(Memory):
                 braking=self.config.braking,
             )
             solver = self._filters[scene.dt] = PredictiveFilter(settings, self.model)
+        return solver
+
+    def _predict(self, scene: Scene, proposal: FloatArray, lane: int) -> FloatArray | None:
+        """First input of the predictive filter's plan, or None where it has none that keeps its constraints."""
+        solver = self._filter_for(scene)
         settings = solver.settings
         survey, b, road, dt = self._survey(scene), self.config.buffer, scene.road, scene.dt
         here, v = road.lane_at(float(scene.ego_road[RoadState.R])), max(float(scene.ego[State.SPEED]), 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 from dataclasses import replace
 from time import perf_counter
 from typing import Any
@@ -83,9 +84,14 @@ class InputDoor:
         self._first: tuple[FloatArray, Decision] | None = None
 
     def reset(self) -> None:
-        """Forget everything about the episode."""
+        """Forget everything about the episode, and compute what depends on the road alone."""
         self.core.reset()
         self._first = self._cruise = None
+        if self._off or not isinstance(self.core, ContinuousCore):
+            return
+        # A scene that cannot be read is for the first decision to fail closed on.
+        with suppress(SceneError):
+            self.core.prepare(self._reader.read())
 
     def decide(self, action: Any) -> Decision:
         """Filter an action for its first frame; `executed` is the action itself where that verifies.

@@ -11,7 +11,7 @@ import numpy as np
 from dynamics.compiled import compiled
 from dynamics.state import Vehicle
 
-__all__ = ["lanes_held", "lanes_touched", "least_separations", "may_break", "rooms", "warm_up"]
+__all__ = ["across", "lanes_held", "lanes_touched", "least_separations", "may_break", "rooms", "warm_up"]
 
 _SPEED, _CRASHED = int(Vehicle.SPEED), int(Vehicle.CRASHED)
 _STRAIGHT = 0.01
@@ -210,6 +210,22 @@ def rooms(paths: Any, size: Any, centers: Any, fails: Any, side: float, bent: bo
 
 
 @compiled
+def across(paths: Any) -> Any:
+    """Least and greatest lateral position of each path, (n, 2) [m]; NaN for one that is not finite."""
+    out = np.empty((paths.shape[0], 2))
+    for i in range(paths.shape[0]):
+        least, most = np.inf, -np.inf
+        for k in range(paths.shape[1]):
+            r = paths[i, k, 1]
+            if not math.isfinite(r):
+                least, most = np.nan, np.nan
+                break
+            least, most = min(least, r), max(most, r)
+        out[i, 0], out[i, 1] = least, most
+    return out
+
+
+@compiled
 def lanes_held(
     r: float, centers: Any, frames: int, sight: float, touch: float, stored: int, visible: Any, owned: Any
 ) -> tuple[Any, Any]:
@@ -271,5 +287,6 @@ def warm_up() -> None:
     none1, rows = np.zeros(1, dtype=np.intp), np.zeros((1, 7))
     lanes_held(0.0, np.zeros(1), 1, 1.0, 1.0, -1, none1, flag[0])
     may_break(rows, rows, np.zeros((2, 1)), np.zeros((2, 1)), -1.0, 1.0, np.zeros(2), 0.1)
+    across(pair)
     rooms(pair, np.ones(8), np.zeros(1), count, 2.0, False)
     lanes_touched(pair, 5.0, 2.0, 0.0, np.zeros(1), 2.0, flag[0], count)

@@ -30,7 +30,7 @@ from dynamics.state import FloatArray, RoadState, Vehicle
 from shield.alongside import Alongside
 from shield.candidates import Candidates
 from shield.config import ShieldConfig
-from shield.kernels import least_separations, rooms
+from shield.kernels import across, least_separations, rooms
 
 __all__ = ["Clearance", "Surveyor", "least_bad"]
 
@@ -152,7 +152,7 @@ class Surveyor:
         if rows.size == 0:
             margin = np.where(np.isfinite(paths).all(axis=(1, 2)), inside, np.nan)
             return Clearance(margin, np.full(n, frames), extra if parts else None)
-        low, high, home = self._lateral(rows, candidates, paths[..., RoadState.R], bound=hold == 0)
+        low, high, home = self._lateral(rows, candidates, paths, bound=hold == 0)
         rear = self.around.rear(frames, dt, hold, rows)
         follows: Any = self._behind[rows] if owed is not None else None
         if follows is not None and follows.any():
@@ -223,7 +223,7 @@ class Surveyor:
         return rows[kept], owed[:, kept]
 
     def _lateral(
-        self, rows: Any, candidates: Candidates, path: FloatArray, bound: bool
+        self, rows: Any, candidates: Candidates, paths: FloatArray, bound: bool
     ) -> tuple[FloatArray, FloatArray, Any]:
         """Lateral extent and home lane of each vehicle for each path, (n, len(rows)) or broadcastable to it.
 
@@ -240,9 +240,10 @@ class Surveyor:
         r = self.scene.ego_road[RoadState.R]
         half = 0.5 * self.scene.others[rows, Vehicle.WIDTH]
         returns = candidates.fails != candidates.lanes
+        sides = across(paths)
         for entered in (candidates.lanes, candidates.fails) if returns.any() else (candidates.lanes,):
             goal = centers[entered][:, None]
-            hidden = np.abs(path - goal).max(axis=1) > self.config.assumptions.visible_distance
+            hidden = np.abs(sides - goal).max(axis=1) > self.config.assumptions.visible_distance
             hidden |= np.abs(r - goal[:, 0]) > self.config.assumptions.visible_distance
             if not hidden.any():
                 continue

@@ -19,6 +19,7 @@ from mpc.filter import PredictiveFilter
 from shield import Reason, Shield, ShieldConfig, ShieldedEnv, Tier
 from shield.continuous import ContinuousCore
 from shield.errors import ConfigError, SceneError
+from shield.search import Search
 
 NAN, INF = float("nan"), float("inf")
 FULL = np.array([1.0, 0.0], dtype=np.float32)
@@ -229,6 +230,8 @@ def test_a_stage_that_raises_is_labelled_and_the_next_step_is_clean(stage, monke
 
     with monkeypatch.context() as patch, Actions(env) as actions:
         patch.setattr(*stage, raising)
+        if stage[0] is PredictiveFilter:  # The plan is asked where the search finds nothing.
+            patch.setattr(Search, "run", lambda self, lanes, *_: self._judge(self._proposal[None], lanes, False))
         for _ in range(60):
             frames, called = len(actions.seen), len(calls)
             *_, terminated, _, info = env.step(FULL)

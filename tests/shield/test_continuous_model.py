@@ -59,7 +59,7 @@ def test_what_comes_of_a_model_is_verified_on_the_bicycle(name, monkeypatch):
     for scene, proposal in SCENES:
         core.reset()
         with monkeypatch.context() as patch:
-            patch.setattr(Search, "run", lambda self, lanes, law: self._judge(self._proposal[None], lanes, False))
+            patch.setattr(Search, "run", lambda self, lanes, *_: self._judge(self._proposal[None], lanes, False))
             inputs, decision = core.filter(scene, proposal)
         assert np.isfinite(inputs).all()
         if decision.tier is Tier.GOVERNED:

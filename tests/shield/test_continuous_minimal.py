@@ -61,10 +61,10 @@ def share_beyond(drives: int, predictive: bool) -> tuple[int, float]:
 
 @pytest.mark.parametrize("predictive", [False, True])
 def test_hardly_any_verified_input_is_nearer_by_more_than_two_percent(predictive: bool) -> None:
-    """The set that verifies has slivers that a search of some 150 inputs can miss: measured 2 to 3 % of the time."""
+    """The set that verifies has slivers that a search of some 130 inputs can miss: measured 1 time in 464."""
     replaced, share = share_beyond(45, predictive)
     assert replaced >= 25
-    assert share <= 0.08
+    assert share <= 0.03
 
 
 @pytest.mark.slow
@@ -72,7 +72,7 @@ def test_hardly_any_verified_input_is_nearer_by_more_than_two_percent(predictive
 def test_over_many_scenes_too(predictive: bool) -> None:
     replaced, share = share_beyond(600, predictive)
     assert replaced >= 300
-    assert share <= 0.04
+    assert share <= 0.01
 
 
 @settings(deadline=None, max_examples=40, suppress_health_check=list(HealthCheck))

@@ -15,9 +15,9 @@ from dynamics.scene import SceneReader
 from mpc.road_step import StageModel
 from shield.actions import action_index
 from shield.config import ShieldConfig
-from shield.core import FrameCommand
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
+from shield.frames import FrameCommand
 from shield.inputs import InputDoor, refuse_lots
 from shield.lot import LotCore
 from shield.memory import Memory

@@ -16,8 +16,9 @@ from dynamics.scene import Scene
 from dynamics.state import FloatArray, State
 from shield.config import ShieldConfig
 from shield.continuous import ContinuousCore
-from shield.core import FrameCommand, ShieldCore, Verdict
+from shield.core import ShieldCore
 from shield.decision import Tier
+from shield.frames import FrameCommand, Verdict
 
 __all__ = ["BrakingCore", "FilteringCore", "make_core"]
 

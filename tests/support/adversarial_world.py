@@ -15,7 +15,8 @@ from dynamics.controllers import speed_control, steering_control
 from dynamics.road import StraightRoad
 from dynamics.scene import EgoControl, Scene, Target
 from shield import Assumptions, ShieldConfig
-from shield.core import FrameCommand, ShieldCore
+from shield.core import ShieldCore
+from shield.frames import FrameCommand
 from shield.mend import make_core
 
 LENGTH, WIDTH = 5.0, 2.0

@@ -18,11 +18,12 @@ True
 
 from __future__ import annotations
 
-from functools import lru_cache
+import math
 from typing import Any
 
 import numpy as np
 
+from dynamics.compiled import compiled
 from dynamics.state import FloatArray
 
 __all__ = ["nearest"]
@@ -48,40 +49,59 @@ def nearest(values: FloatArray, slopes: FloatArray, at: FloatArray, low: FloatAr
     -------
     The point (2,), or None where none satisfies them all.
     """
-    used = np.isfinite(values) & np.isfinite(slopes).all(axis=1)
-    # What holds everywhere in the box cannot be met with equality inside it.
-    least = values + np.minimum(slopes * (low - at), slopes * (high - at)).sum(axis=1)
-    used &= ~(least >= 0)
-    slopes = slopes[used]
-    offsets = values[used] - slopes @ at
-    normals = np.concatenate([slopes, _BOX])
-    offsets = np.concatenate([offsets, -low, high])
-    size = np.hypot(normals[:, 0], normals[:, 1])
-    flat = size < _FLAT
-    if flat.any():
-        if (offsets[flat] < 0).any():
-            return None
-        normals, offsets, size = normals[~flat], offsets[~flat], size[~flat]
-    normals, offsets = normals / size[:, None], offsets / size
-    if not (offsets < 0).any():
-        return np.zeros(2)
-    i, j = _pairs(len(offsets))
-    (ax, ay), (bx, by) = normals[i].T, normals[j].T
-    sine = ax * by - ay * bx
-    met = np.abs(sine) > _PARALLEL
-    i, j, sine, ax, ay, bx, by = (x[met] for x in (i, j, sine, ax, ay, bx, by))
-    crossings = np.stack([ay * offsets[j] - by * offsets[i], bx * offsets[i] - ax * offsets[j]], axis=1) / sine[:, None]
-    points = np.concatenate([-normals * offsets[:, None], crossings])
-    good = (points @ normals.T + offsets >= -_KEPT).all(axis=1)
-    if not good.any():
-        return None
-    points = points[good]
-    return points[np.square(points).sum(axis=1).argmin()]
+    out = np.empty(2)
+    return out if _solve(values, slopes, at, low, high, out) else None
 
 
-_BOX = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-
-
-@lru_cache(maxsize=64)
-def _pairs(n: int) -> tuple[Any, Any]:
-    return np.triu_indices(n, 1)
+@compiled
+def _solve(values: Any, slopes: Any, at: Any, low: Any, high: Any, out: Any) -> bool:
+    """Whether there is such a point, which `out` (2,) then is."""
+    n, count = values.shape[0], 0
+    normals, offsets = np.empty((n + 4, 2)), np.empty(n + 4)
+    for i in range(n):
+        value, x, y = values[i], slopes[i, 0], slopes[i, 1]
+        if not (math.isfinite(value) and math.isfinite(x) and math.isfinite(y)):
+            continue
+        # What holds everywhere in the box cannot be met with equality inside it.
+        across = min(x * (low[0] - at[0]), x * (high[0] - at[0])) + min(y * (low[1] - at[1]), y * (high[1] - at[1]))
+        if value + across >= 0:
+            continue
+        size, offset = math.hypot(x, y), value - x * at[0] - y * at[1]
+        if size < _FLAT:
+            if offset < 0:
+                return False
+            continue
+        normals[count, 0], normals[count, 1], offsets[count] = x / size, y / size, offset / size
+        count += 1
+    for i in range(2):
+        for sign in (1.0, -1.0):
+            normals[count, 0], normals[count, 1] = sign * (i == 0), sign * (i == 1)
+            offsets[count] = -low[i] if sign > 0 else high[i]
+            count += 1
+    # The origin, the feet of the origin on the lines, and where two lines cross.
+    best = np.inf
+    for i in range(-1, count):
+        for j in range(i, count) if i >= 0 else range(-1, 0):
+            if i < 0:
+                px, py = 0.0, 0.0
+            elif i == j:
+                px, py = -normals[i, 0] * offsets[i], -normals[i, 1] * offsets[i]
+            else:
+                ax, ay, bx, by = normals[i, 0], normals[i, 1], normals[j, 0], normals[j, 1]
+                sine = ax * by - ay * bx
+                if not abs(sine) > _PARALLEL:
+                    continue
+                px, py = (ay * offsets[j] - by * offsets[i]) / sine, (bx * offsets[i] - ax * offsets[j]) / sine
+            far = px * px + py * py
+            if not far < best:
+                continue
+            holds = True
+            for k in range(count):
+                if not normals[k, 0] * px + normals[k, 1] * py + offsets[k] >= -_KEPT:
+                    holds = False
+                    break
+            if holds:
+                best, out[0], out[1] = far, px, py
+        if i < 0 and best < np.inf:
+            return True
+    return best < np.inf

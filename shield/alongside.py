@@ -159,6 +159,8 @@ class Alongside:
                 found,
             )
         self._rows = found[:count, 0].astype(np.intp)
+        states = around.states[self._rows]
+        self._starts, self._speeds = states[:, RoadState.S].copy(), states[:, RoadState.SPEED].copy()
         self._goals = road.centers[found[:count, 1].astype(np.intp)]
         self._ratios = found[:count, 2].copy()
         self._sweep: FloatArray | None = None
@@ -183,12 +185,11 @@ class Alongside:
         out = np.empty((len(paths), len(rows)))
         if self._sweep is None:
             self._sweep = self._swept()
-        states = self._around.states[rows]
         _separations(
             paths,
             size,
-            states[:, RoadState.S].copy(),
-            states[:, RoadState.SPEED].copy(),
+            self._starts,
+            self._speeds,
             self._goals,
             self._ratios,
             self._bounds[0],

@@ -11,9 +11,9 @@ import numpy as np
 from dynamics.compiled import compiled
 from dynamics.state import Vehicle
 
-__all__ = ["across", "lanes_held", "lanes_touched", "least_separations", "may_break", "rooms", "warm_up"]
+__all__ = ["lanes_held", "lanes_touched", "least_separations", "may_break", "rooms", "sides_taken", "warm_up"]
 
-_SPEED, _CRASHED = int(Vehicle.SPEED), int(Vehicle.CRASHED)
+_WIDTH, _SPEED, _CRASHED = int(Vehicle.WIDTH), int(Vehicle.SPEED), int(Vehicle.CRASHED)
 _STRAIGHT = 0.01
 """Sine of the heading below which a path's own next frame is where constant velocity leads."""
 
@@ -210,19 +210,57 @@ def rooms(paths: Any, size: Any, centers: Any, fails: Any, side: float, bent: bo
 
 
 @compiled
-def across(paths: Any) -> Any:
-    """Least and greatest lateral position of each path, (n, 2) [m]; NaN for one that is not finite."""
-    out = np.empty((paths.shape[0], 2))
+def sides_taken(
+    paths: Any,
+    lanes: Any,
+    fails: Any,
+    rows: Any,
+    hulls: Any,
+    homes: Any,
+    others: Any,
+    ahead: Any,
+    centers: Any,
+    settings: Any,
+    announced: bool,
+    low: Any,
+    high: Any,
+    home: Any,
+) -> None:
+    """Where each vehicle can be across the road, for each path: `low`, `high` (n, m) [m], and its lane `home` (n, m).
+
+    Parameters
+    ----------
+    paths, lanes, fails : (n, K, 4), and the lane that each commits to, and stops in, (n,).
+    rows : the vehicles, (m,). hulls, homes, others, ahead : of all vehicles, where they can be by themselves (2, v)
+        [m], their lanes, their rows (v, 7), and how far ahead of the ego their centres are [m].
+    centers : of the lanes [m].
+    settings : the ego's lateral position now, the distance within which it is seen, the width of a lane, and how far
+        behind the ego one gives way, (4,) [m].
+    announced : whether the traffic knows of the lane that a path commits to.
+    """
+    r, sight, width, gives_way = settings[0], settings[1], settings[2], settings[3]
     for i in range(paths.shape[0]):
         least, most = np.inf, -np.inf
         for k in range(paths.shape[1]):
-            r = paths[i, k, 1]
-            if not math.isfinite(r):
-                least, most = np.nan, np.nan
-                break
-            least, most = min(least, r), max(most, r)
-        out[i, 0], out[i, 1] = least, most
-    return out
+            least, most = min(least, paths[i, k, 1]), max(most, paths[i, k, 1])
+        for j in range(rows.shape[0]):
+            row = rows[j]
+            low[i, j], high[i, j], home[i, j] = hulls[0, row], hulls[1, row], homes[row]
+        for step in range(2 if fails[i] != lanes[i] else 1):
+            entered = lanes[i] if step == 0 else fails[i]
+            goal = centers[entered]
+            if max(abs(least - goal), abs(most - goal)) <= sight and abs(r - goal) <= sight:
+                continue
+            for j in range(rows.shape[0]):
+                row = rows[j]
+                apart = abs(centers[homes[row]] - goal)
+                if not (0 < apart < 1.5 * width) or not math.isfinite(low[i, j] + high[i, j]):
+                    continue
+                if step == 0 and announced and not ahead[row] > -gives_way:
+                    continue
+                half = 0.5 * others[row, _WIDTH]
+                low[i, j], high[i, j] = min(low[i, j], goal - half), max(high[i, j], goal + half)
+                home[i, j] = entered
 
 
 @compiled
@@ -287,6 +325,7 @@ def warm_up() -> None:
     none1, rows = np.zeros(1, dtype=np.intp), np.zeros((1, 7))
     lanes_held(0.0, np.zeros(1), 1, 1.0, 1.0, -1, none1, flag[0])
     may_break(rows, rows, np.zeros((2, 1)), np.zeros((2, 1)), -1.0, 1.0, np.zeros(2), 0.1)
-    across(pair)
+    hulls, there = np.zeros((2, 1)), np.zeros(1)
+    sides_taken(pair, count, count, count, hulls, count, rows, there, there, np.ones(4), True, one, one, none)
     rooms(pair, np.ones(8), np.zeros(1), count, 2.0, False)
     lanes_touched(pair, 5.0, 2.0, 0.0, np.zeros(1), 2.0, flag[0], count)

@@ -13,6 +13,7 @@ from dynamics.road import StraightRoad
 from dynamics.rollout import Rollouts
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, Vehicle
+from mpc.nearest import nearest
 from shield import alongside, kernels
 from shield.config import ShieldConfig
 from shield.kernels import lanes_held
@@ -27,6 +28,7 @@ def _warm_up() -> None:
     """Have the kernels compiled, or read from the disk, before a decision waits for them."""
     kernels.warm_up()
     alongside.warm_up()
+    nearest(np.zeros(1), np.zeros((1, 2)), np.zeros(2), np.zeros(2), np.zeros(2))
     state, road = np.zeros(4), StraightRoad.from_lanes(1)
     Rollouts(0.1).run(state, np.zeros((1, 1, 3)))
     Rollouts(0.1).run_inputs(state, np.zeros((1, 1, 2)))

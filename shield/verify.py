@@ -30,7 +30,7 @@ from dynamics.state import FloatArray, RoadState, Vehicle
 from shield.alongside import Alongside
 from shield.candidates import Candidates
 from shield.config import ShieldConfig
-from shield.kernels import across, least_separations, rooms
+from shield.kernels import least_separations, rooms, sides_taken
 
 __all__ = ["Clearance", "Surveyor", "least_bad"]
 
@@ -232,30 +232,27 @@ class Surveyor:
         traffic aborts such a lane change); of the lane that the fail-safe would return to nobody knows.
         """
         around = self.around
-        low, high = around.low[rows][None, :], around.high[rows][None, :]
-        lane = home = around.lane[rows][None, :]
-        if not (self.config.assumptions.blind_merge and bound):
-            return low, high, home
-        centers, width = self.scene.road.centers, self.scene.road.width
-        r = self.scene.ego_road[RoadState.R]
-        half = 0.5 * self.scene.others[rows, Vehicle.WIDTH]
-        returns = candidates.fails != candidates.lanes
-        sides = across(paths)
-        for entered in (candidates.lanes, candidates.fails) if returns.any() else (candidates.lanes,):
-            goal = centers[entered][:, None]
-            hidden = np.abs(sides - goal).max(axis=1) > self.config.assumptions.visible_distance
-            hidden |= np.abs(r - goal[:, 0]) > self.config.assumptions.visible_distance
-            if not hidden.any():
-                continue
-            apart = np.abs(centers[lane] - goal)
-            far = (apart > 0) & (apart < 1.5 * width) & hidden[:, None]
-            if entered is candidates.fails:
-                far &= returns[:, None]
-            elif self.announced:
-                far &= self._ahead[rows] > -_GIVES_WAY
-            low = np.where(far, np.minimum(low, goal - half), low)
-            high = np.where(far, np.maximum(high, goal + half), high)
-            home = np.where(far, entered[:, None], home)
+        a, n, m = self.config.assumptions, len(paths), len(rows)
+        if not (a.blind_merge and bound):
+            return around.low[rows][None], around.high[rows][None], around.lane[rows][None]
+        low, high, home = np.empty((n, m)), np.empty((n, m)), np.empty((n, m), dtype=np.intp)
+        road, r = self.scene.road, float(self.scene.ego_road[RoadState.R])
+        sides_taken(
+            paths,
+            np.asarray(candidates.lanes, dtype=np.intp),
+            np.asarray(candidates.fails, dtype=np.intp),
+            rows,
+            around.hull,
+            around.lane,
+            around.others,
+            self._ahead,
+            road.centers,
+            np.array([r, a.visible_distance, road.width, _GIVES_WAY]),
+            self.announced,
+            low,
+            high,
+            home,
+        )
         return low, high, home
 
 

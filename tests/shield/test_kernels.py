@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shield.kernels import lanes_held, lanes_touched, least_separations, may_break
+from shield.kernels import lanes_held, lanes_touched, least_separations, may_break, sides_taken
 
 CENTERS = np.array([0.0, 4.0, 8.0])
 SIZE = np.array([4.5, 1.3, 5.0, 2.0, 0.1, 0.05, 0.02, 0.01])
@@ -157,6 +157,42 @@ def test_a_lane_is_owned_from_the_stored_plan_on_until_the_ego_has_left_it():
     assert list(visible) == [3, 2, 0]
     _, owned = lanes_held(3.9, CENTERS, 1, 3.0, 2.1, 1, visible, owned)
     assert list(owned) == [False, True, False]
+
+
+@given(seeds, st.integers(1, 5), st.integers(1, 6), st.integers(2, 30), st.booleans())
+def test_sides_taken_are_those_of_whole_arrays(seed, n, m, frames, announced):
+    rng = np.random.default_rng(seed)
+    paths, lanes, fails = drives(rng, n, frames), rng.integers(0, 3, n), rng.integers(0, 3, n)
+    vehicles, rows = np.full((m + 2, 7), 2.0), rng.permutation(m + 2)[:m]
+    homes, ahead, r = rng.integers(0, 3, m + 2), rng.uniform(-5, 5, m + 2), float(rng.uniform(-1, 9))
+    hulls = CENTERS[homes] + np.array([[-1.0], [1.0]]) * rng.uniform(1, 3, m + 2)
+    low, high, home = np.empty((n, m)), np.empty((n, m)), np.empty((n, m), dtype=np.intp)
+    settings = np.array([r, 3.0, 4.0, 1.0])
+    sides_taken(paths, lanes, fails, rows, hulls, homes, vehicles, ahead, CENTERS, settings, announced, low, high, home)
+    left, right, taken = hulls[0, rows][None], hulls[1, rows][None], homes[rows][None]
+    for entered in (lanes, fails):
+        goal = CENTERS[entered][:, None]
+        hidden = (np.abs(paths[..., 1] - goal).max(axis=1) > 3.0) | (np.abs(r - goal[:, 0]) > 3.0)
+        apart = np.abs(CENTERS[homes[rows]] - goal)
+        far = (apart > 0) & (apart < 6.0) & hidden[:, None]
+        if entered is fails:
+            far &= (fails != lanes)[:, None]
+        elif announced:
+            far &= ahead[rows] > -1.0
+        left, right = np.where(far, np.minimum(left, goal - 1), left), np.where(far, np.maximum(right, goal + 1), right)
+        taken = np.where(far, entered[:, None], taken)
+    np.testing.assert_array_equal(low, np.broadcast_to(left, low.shape))
+    np.testing.assert_array_equal(high, np.broadcast_to(right, high.shape))
+    np.testing.assert_array_equal(home, np.broadcast_to(taken, home.shape))
+
+
+def test_a_vehicle_that_is_nowhere_stays_so():
+    nan, none = np.full((2, 1), np.nan), np.zeros(1, dtype=np.intp)
+    low, high, home = np.empty((1, 1)), np.empty((1, 1)), np.empty((1, 1), dtype=np.intp)
+    path, settings = drives(np.random.default_rng(0), 1, 5), np.array([0.0, 3.0, 4.0, 1.0])
+    sides_taken(path, none + 1, none, none, nan, none, nan, nan[0], CENTERS, settings, False, low, high, home)
+    assert np.isnan(low).all()
+    assert np.isnan(high).all()
 
 
 @given(seeds)

@@ -133,6 +133,19 @@ def _separations(
             out[i, j] = least
 
 
+@compiled
+def _centred(paths: Any, centers: Any) -> bool:
+    """Whether all paths keep to the centres of lanes at all times."""
+    for i in range(paths.shape[0]):
+        for k in range(paths.shape[1]):
+            offset = np.inf
+            for c in centers:
+                offset = min(offset, abs(paths[i, k, 1] - c))
+            if not (offset <= _CENTRED and math.isfinite(paths[i, k, 0] + paths[i, k, 2] + paths[i, k, 3])):
+                return False
+    return True
+
+
 class Alongside:
     """Who may slip in alongside the ego in one scene, and how near that would come.
 
@@ -178,11 +191,13 @@ class Alongside:
         size : half extents of the ego with its buffer, as `shield.kernels.least_separations` has them (8,) [m].
         """
         rows, dt, frames = self._rows, self._scene.dt, paths.shape[1]
+        out = np.full((len(paths), len(rows)), np.inf)
+        if _centred(paths, self._scene.road.centers):
+            return out
         if frames > self._bounds.shape[2]:
             longer = frames + frames // 4
             front = self._around.front(longer, dt)[rows]
             self._bounds = np.stack([self._around.rear(longer, dt, rows=rows), front])
-        out = np.empty((len(paths), len(rows)))
         if self._sweep is None:
             self._sweep = self._swept()
         _separations(
@@ -231,4 +246,5 @@ def warm_up() -> None:
         np.zeros((1, 7)), np.zeros((1, 4)), np.zeros(1, np.bool_), size, size, np.zeros(1, np.intp), 3.0, 6.0, one
     )
     far = np.full(1, 1e3)
+    _centred(pair, far)
     _separations(pair, size, far, far, far, far, one, one, np.zeros((1, 1, 2)), far, 3.0, 0.1, one)

@@ -11,7 +11,17 @@ import numpy as np
 from dynamics.compiled import compiled
 from dynamics.state import Vehicle
 
-__all__ = ["lanes_held", "lanes_touched", "least_separations", "may_break", "rooms", "sides_taken", "warm_up"]
+__all__ = [
+    "in_reach",
+    "lanes_held",
+    "lanes_touched",
+    "least_separations",
+    "may_break",
+    "rooms",
+    "sides_taken",
+    "threats",
+    "warm_up",
+]
 
 _WIDTH, _SPEED, _CRASHED = int(Vehicle.WIDTH), int(Vehicle.SPEED), int(Vehicle.CRASHED)
 _STRAIGHT = 0.01
@@ -210,6 +220,80 @@ def rooms(paths: Any, size: Any, centers: Any, fails: Any, side: float, bent: bo
 
 
 @compiled
+def in_reach(ahead: Any, sizes: Any, speeds: Any, gains: Any, behind: Any, limits: Any, followers: bool) -> Any:
+    """Rows of the vehicles that can come into reach of the ego, in order.
+
+    Parameters
+    ----------
+    ahead, sizes, speeds, gains, behind : how far ahead each centre is, how near it counts as touching [m], its greatest
+        speed along the road now [m/s], the stretch of what it gains, and whether it is behind the ego, (v,).
+    limits : the ego's greatest way [m], in which time [s], the frame duration [s], the perception range [m], and the
+        greatest acceleration [m/s^2], (5,).
+    followers : whether those behind count.
+    """
+    distance, duration, dt, perception, acceleration = limits[0], limits[1], limits[2], limits[3], limits[4]
+    rows, count = np.empty(ahead.shape[0], np.intp), 0
+    for j in range(ahead.shape[0]):
+        # Written so that a distance that is not a number drops nobody.
+        if ahead[j] - sizes[j] + min(speeds[j], 0.0) * duration > distance or not abs(ahead[j]) <= perception:
+            continue
+        if followers:
+            gain = 0.5 * acceleration * duration * (duration + dt) * gains[j]
+            if not -ahead[j] - sizes[j] - max(speeds[j], 0.0) * duration - gain <= 0.0:
+                continue
+        elif behind[j]:
+            continue
+        rows[count] = j
+        count += 1
+    return rows[:count]
+
+
+@compiled
+def threats(
+    ahead: Any,
+    sizes: Any,
+    speeds: Any,
+    gains: Any,
+    behind: Any,
+    limits: Any,
+    lanes: Any,
+    fails: Any,
+    owned: Any,
+    hulls: Any,
+    centers: Any,
+) -> tuple[Any, Any, bool]:
+    """Rows of those in reach who do not owe the ego their braking on every path, (m,); who of them owes it on which
+    path, (n, m) bool; and whether any path enters a lane that the ego does not own.
+
+    Parameters as in `in_reach`; `lanes`, `fails` (n,) are what each path commits to and stops in, `owned` (lanes,) what
+    the ego owns, and `hulls` (2, v) where the vehicles can be across the road [m].
+    """
+    n, new = lanes.shape[0], False
+    for i in range(n):
+        new = new or not owned[lanes[i]] or not owned[fails[i]]
+    rows = in_reach(ahead, sizes, speeds, gains, behind, limits, new)
+    if not new:
+        return rows, np.empty((0, 0), np.bool_), False
+    owed, count = np.empty((n, rows.shape[0]), np.bool_), 0
+    for j in rows:
+        kept, held = False, False
+        for k in range(centers.shape[0]):
+            held = held or (owned[k] and hulls[0, j] < centers[k] + 1.0 and hulls[1, j] > centers[k] - 1.0)
+        for i in range(n):
+            entered, enters = False, False
+            for lane in (lanes[i], fails[i]):
+                if not owned[lane]:
+                    enters = True
+                    entered = entered or (hulls[0, j] < centers[lane] + 1.0 and hulls[1, j] > centers[lane] - 1.0)
+            owed[i, count] = behind[j] and ((held and not entered) or not enters)
+            kept = kept or not owed[i, count]
+        if kept:
+            rows[count] = j
+            count += 1
+    return rows[:count], owed[:, :count].copy(), True
+
+
+@compiled
 def sides_taken(
     paths: Any,
     lanes: Any,
@@ -327,5 +411,8 @@ def warm_up() -> None:
     may_break(rows, rows, np.zeros((2, 1)), np.zeros((2, 1)), -1.0, 1.0, np.zeros(2), 0.1)
     hulls, there = np.zeros((2, 1)), np.zeros(1)
     sides_taken(pair, count, count, count, hulls, count, rows, there, there, np.ones(4), True, one, one, none)
+    limits, bare, behind = np.ones(5), np.zeros(1), np.zeros(1, dtype=np.bool_)
+    in_reach(bare, bare, bare, bare, behind, limits, True)
+    threats(bare, bare, bare, bare, behind, limits, count, count, behind, hulls, bare)
     rooms(pair, np.ones(8), np.zeros(1), count, 2.0, False)
     lanes_touched(pair, 5.0, 2.0, 0.0, np.zeros(1), 2.0, flag[0], count)

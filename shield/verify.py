@@ -30,7 +30,7 @@ from dynamics.state import FloatArray, RoadState, Vehicle
 from shield.alongside import Alongside
 from shield.candidates import Candidates
 from shield.config import ShieldConfig
-from shield.kernels import least_separations, rooms, sides_taken
+from shield.kernels import in_reach, least_separations, rooms, sides_taken, threats
 
 __all__ = ["Clearance", "Surveyor", "least_bad"]
 
@@ -103,8 +103,13 @@ class Surveyor:
         self._size_of_ego = np.array([lon, lat, length, scene.ego[Vehicle.WIDTH], *self.growth, *self.bare])
         self._bent = bends is not None
         self._reaction = int(np.ceil(config.assumptions.reaction_time / scene.dt - 1e-9))
-        self._size = around.reach + 0.5 * length + 2.0 + b.longitudinal + self.growth[0]
         self._behind = self._ahead < -0.5 * length
+        speeds, gains = states[:, RoadState.SPEED].copy(), np.ones(len(states))
+        if around.stretch is not None:
+            gains = around.stretch[1]
+            speeds *= gains
+        sizes = around.reach + 0.5 * length + 2.0 + b.longitudinal + self.growth[0]
+        self._reach = self._ahead, sizes, speeds, gains, self._behind
         self._alongside = Alongside(scene, config, around)
 
     def relevant(self, distance: float, duration: float, followers: bool = True) -> Any:
@@ -113,20 +118,11 @@ class Surveyor:
         Dropping the rest cannot change any verdict: nobody ahead moves backwards further than that, and nobody
         behind accelerates harder than assumed. Without `followers`, those behind are left out altogether.
         """
-        v: Any = self.scene.others_road[:, RoadState.SPEED]
-        if self.around.stretch is not None:
-            v = v * self.around.stretch[1]
-        # Written so that a distance that is not a number drops nobody.
-        near = ~(self._ahead - self._size + np.minimum(v, 0.0) * duration > distance)
-        near &= np.abs(self._ahead) <= self.config.perception_range
-        if followers:
-            gain: Any = 0.5 * self.config.assumptions.acceleration * duration * (duration + self.scene.dt)
-            if self.around.stretch is not None:
-                gain = gain * self.around.stretch[1]
-            near &= -self._ahead - self._size - np.maximum(v, 0.0) * duration - gain <= 0.0
-        else:
-            near &= ~self._behind
-        return np.flatnonzero(near)
+        return in_reach(*self._reach, self._limits(distance, duration), followers)
+
+    def _limits(self, distance: float, duration: float) -> FloatArray:
+        a = self.config.assumptions.acceleration
+        return np.array([distance, duration, self.scene.dt, self.config.perception_range, a])
 
     def clearance(self, paths: FloatArray, candidates: Candidates, hold: int = 0, parts: bool = False) -> Clearance:
         """Margin of each path against the worst case of the others.
@@ -206,21 +202,16 @@ class Surveyor:
         All those behind owe it where the path keeps to lanes that the ego owns: they must not run or move into it.
         Where it enters another lane, those behind in an owned lane that do not touch the new one as well.
         """
-        new = ~self.owned
-        enters = new[candidates.lanes] | new[candidates.fails]
-        if not enters.any():
-            return self.relevant(distance, duration, followers=False), None
-        rows = self.relevant(distance, duration)
-        around, centers = self.around, self.scene.road.centers
-        # Which lanes each vehicle touches, (rows, lanes).
-        touches = (around.low[rows, None] < centers + 1.0) & (around.high[rows, None] > centers - 1.0)
-        entered = np.zeros((candidates.lanes.size, rows.size), dtype=bool)
-        for lanes in (candidates.lanes, candidates.fails):
-            entered |= new[lanes][:, None] & touches[:, lanes].T
-        owned = (touches & self.owned).any(axis=1)
-        owed = self._behind[rows] & ((owned & ~entered) | ~enters[:, None])
-        kept = ~owed.all(axis=0)
-        return rows[kept], owed[:, kept]
+        rows, owed, enters = threats(
+            *self._reach,
+            self._limits(distance, duration),
+            np.asarray(candidates.lanes, dtype=np.intp),
+            np.asarray(candidates.fails, dtype=np.intp),
+            self.owned,
+            self.around.hull,
+            self.scene.road.centers,
+        )
+        return rows, owed if enters else None
 
     def _lateral(
         self, rows: Any, candidates: Candidates, paths: FloatArray, bound: bool

@@ -21,7 +21,7 @@ from dynamics.controllers import KP_HEADING, KP_LATERAL, KP_SPEED, MAX_SLIP
 from dynamics.path import CurvatureProfile, PathRoad
 from dynamics.state import FloatArray
 
-__all__ = ["roll_commands", "roll_inputs", "roll_stops", "slip_at", "table_of"]
+__all__ = ["roll_brakes", "roll_commands", "roll_inputs", "roll_stops", "slip_at", "table_of"]
 
 _NONZERO = 1e-2
 """The least speed that highway-env divides by [m/s]."""
@@ -131,6 +131,27 @@ def roll_commands(start: Any, commands: Any, table: Any, dt: float, paths: Any) 
         for f in range(commands.shape[1]):
             a = max(max(KP_SPEED * (commands[i, f, 1] - v), -commands[i, f, 2]), max(v, 0.0) * (-1 / dt))
             slip = slip_at(s, r, psi, v, commands[i, f, 0], table, dt)
+            s, r, psi, v = _step(s, r, psi, v, a, slip, table, dt)
+            paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
+
+
+@compiled
+def roll_brakes(began: Any, goals: Any, braking: float, table: Any, dt: float, paths: Any) -> None:
+    """Paths (n, h, 4), the same with braking to a stop on the way to the lines `goals` (n k,) after them: each path is
+    followed by k of them, `paths` (n k, frames, 4)."""
+    each, first = paths.shape[0] // began.shape[0], began.shape[1]
+    for i in range(paths.shape[0]):
+        of = i // each
+        paths[i, :first] = began[of]
+        s, r, psi, v = (
+            began[of, first - 1, 0],
+            began[of, first - 1, 1],
+            began[of, first - 1, 2],
+            began[of, first - 1, 3],
+        )
+        for f in range(first, paths.shape[1]):
+            a = max(-braking, max(v, 0.0) * (-1 / dt))
+            slip = slip_at(s, r, psi, v, goals[i], table, dt)
             s, r, psi, v = _step(s, r, psi, v, a, slip, table, dt)
             paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynamics.kernels import roll_commands, roll_inputs, table_of
+from dynamics.kernels import roll_brakes, roll_commands, roll_inputs, table_of
 from dynamics.path import PathRoad
 from dynamics.road import StraightRoad
 from dynamics.state import FloatArray
@@ -76,6 +76,24 @@ class Rollouts:
         n, frames, _ = inputs.shape
         paths = np.empty((n, frames, 4))
         roll_inputs(self._starts(state, n), np.ascontiguousarray(inputs, float), self._table, self.dt, paths)
+        return paths
+
+    def stop(self, began: FloatArray, goals: FloatArray, braking: float, frames: int) -> FloatArray:
+        """Follow paths with braking to a stop while steering to a line: commands (r*, BRAKE, braking).
+
+        Parameters
+        ----------
+        began : road states after the first frames, (n, h, 4).
+        goals : lateral positions to steer to [m], (n k,): the first k follow the first path, and so on.
+        braking : deceleration [m/s^2].
+        frames : of braking.
+
+        Returns
+        -------
+        Road states, (n k, h + frames, 4).
+        """
+        paths = np.empty((len(goals), began.shape[1] + frames, 4))
+        roll_brakes(began, goals, float(braking), self._table, self.dt, paths)
         return paths
 
     @staticmethod

@@ -27,7 +27,7 @@ from dynamics.errors import ConfigError
 from dynamics.state import FloatArray
 from mpc.build import Program
 from mpc.descent import Descent, descend
-from mpc.guess import brake_guess, shifted
+from mpc.guess import brake_guess, braking_function, shifted
 from mpc.osqp_solver import OsqpSolver
 from mpc.problem import FilterProblem, FilterSettings, readable
 from mpc.result import FilterResult, Status
@@ -69,6 +69,12 @@ class PredictiveFilter:
     def reset(self) -> None:
         """Forget the last plan, the only memory there is: the next answer is that of a new filter."""
         self._plan = None
+
+    def prepare(self, obstacles: int, curved: bool = False) -> None:
+        """Compile what up to so many obstacles need now, and not when they first come up."""
+        for count in range(obstacles + 1):
+            self._program(count, curved, False)
+        braking_function(self.settings)
 
     def solve(
         self, problem: FilterProblem, guess: FloatArray | None = None, elapsed: int | None = None

@@ -12,7 +12,7 @@ from dynamics.state import FloatArray
 from mpc.problem import FilterProblem, FilterSettings
 from mpc.road_step import feed_forward, stage_expression
 
-__all__ = ["brake_guess", "shifted"]
+__all__ = ["brake_guess", "braking_function", "shifted"]
 
 _TURN = 0.1
 """No stage of a braking guess turns the car by more than this relative to the road [rad]."""
@@ -32,12 +32,13 @@ def brake_guess(problem: FilterProblem, settings: FilterSettings) -> FloatArray:
     n = settings.stages
     curvature = np.zeros(n) if problem.curvature is None else problem.curvature
     first = np.array([settings.acceleration[0], 0.0]) if problem.proposal is None else problem.proposal
-    out = _braking(settings)(problem.state, first, curvature)
+    out = braking_function(settings)(problem.state, first, curvature)
     return np.asarray(out.full().T)
 
 
 @lru_cache(maxsize=16)
-def _braking(settings: FilterSettings) -> ca.Function:
+def braking_function(settings: FilterSettings) -> ca.Function:
+    """State (4,), first inputs (2,) and curvatures (N,) to the braking guess (2, N); compiled once."""
     n = settings.stages
     x0, first, curvature = ca.SX.sym("x", 4), ca.SX.sym("first", 2), ca.SX.sym("k", n)
     x, inputs = x0, []

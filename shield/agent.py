@@ -63,6 +63,7 @@ class AgentCore(ContinuousCore):
         stops = np.empty((len(fails), 3))
         stops[:, 0] = scene.road.centers[fails]
         stops[:, 1], stops[:, 2] = self.config.braking if self._stops else 0.0, self._wheel
+        began = np.repeat(began, len(fails) // len(began), axis=0)
         return np.concatenate([began, self._held[key].run(began[:, -1], stops, periods)], axis=1)
 
     def _law(self, scene: Scene, lane: int) -> FloatArray:

@@ -16,7 +16,6 @@ import numpy as np
 
 from dynamics.actuators import Actuators
 from dynamics.curved import steer
-from dynamics.rollout import BRAKE
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, State, Vehicle
 from mpc.filter import PredictiveFilter
@@ -85,7 +84,7 @@ class ContinuousCore(Memory):
             self._judge_inputs(scene, np.zeros((1, 2)), self._stop_lanes(scene)[:1])
             self._surveyor = None
             if self.predictive:
-                self._filter_for(scene)
+                self._filter_for(scene).prepare(_NEAREST, curved=scene.road.bends is not None)
 
     def filter(self, scene: Scene, proposal: FloatArray) -> tuple[FloatArray, Decision]:
         """What the actuators get for the next frame.
@@ -221,7 +220,7 @@ class ContinuousCore(Memory):
         fails = np.array(stops * n)
         held = inputs[:, None] if self._frames == 1 else np.repeat(inputs[:, None], self._frames, axis=1)
         began = self._rollouts_for(scene).run_inputs(scene.ego_road, held)
-        paths = self._stopped(scene, np.repeat(began, f, axis=0) if f > 1 else began, fails)
+        paths = self._stopped(scene, began, fails)
         entered, edges, allowed, on_road = self._entered(scene, paths, fails)
         result = self._survey(scene).clearance(paths, Candidates(paths, entered, fails), parts=parts)
         room = edges.min(axis=1)
@@ -240,13 +239,10 @@ class ContinuousCore(Memory):
         return Judged(inputs, margin[rows], clear[rows], fails[rows], paths[rows])
 
     def _stopped(self, scene: Scene, began: FloatArray, fails: Any) -> FloatArray:
-        """Paths (n, h, 4) and the fail-safe after them, each in its lane of `fails`, (n, h + frames, 4)."""
+        """Paths (n, h, 4) and the fail-safes after them, in lanes `fails` (n k,): (n k, h + frames, 4)."""
         top = max(float(began[:, -1, RoadState.SPEED].max()), 0.0)
         frames = int(np.ceil(top / (self.config.braking * scene.dt))) + 1
-        commands = np.empty((len(fails), frames, 3))
-        commands[..., 0] = scene.road.centers[fails][:, None]
-        commands[..., 1], commands[..., 2] = BRAKE, self.config.braking
-        return np.concatenate([began, self._rollouts_for(scene).run(began[:, -1], commands)], axis=1)
+        return self._rollouts_for(scene).stop(began, scene.road.centers[fails], self.config.braking, frames)
 
     def _entered(self, scene: Scene, paths: FloatArray, fails: Any) -> tuple[Any, FloatArray, Any, Any]:
         """The lane that the body of each path enters beside those that the ego owns, (n,); the room that it leaves to

@@ -32,6 +32,7 @@ def _warm_up() -> None:
     state, road = np.zeros(4), StraightRoad.from_lanes(1)
     Rollouts(0.1).run(state, np.zeros((1, 1, 3)))
     Rollouts(0.1).run_inputs(state, np.zeros((1, 1, 2)))
+    Rollouts(0.1).stop(np.zeros((1, 1, 4)), np.zeros(1), 1.0, 1)
     Surroundings(np.zeros((1, 7)), state[None], road, ShieldConfig().assumptions).rear(1, 0.1)
 
 

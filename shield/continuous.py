@@ -26,7 +26,7 @@ from shield.candidates import Candidates
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
-from shield.kernels import lanes_touched
+from shield.kernels import lanes_touched, verdicts
 from shield.memory import Memory
 from shield.search import Judged, Search
 
@@ -223,10 +223,7 @@ class ContinuousCore(Memory):
         paths = self._stopped(scene, began, fails)
         entered, edges, allowed, on_road = self._entered(scene, paths, fails)
         result = self._survey(scene).clearance(paths, Candidates(paths, entered, fails), parts=parts)
-        room = edges.min(axis=1)
-        # Rolling backwards has no fail-safe: the brake stands still.
-        allowed &= ~(paths[:, self._frames - 1, RoadState.SPEED] < -1e-9)
-        margin = np.where(allowed, np.minimum(result.margin, np.where(room >= 0, np.inf, room)), -np.inf)
+        margin = verdicts(result.margin, edges, allowed, paths, self._frames)
         clear = np.minimum(result.clear, on_road)
         of = None if result.parts is None else np.hstack([result.parts, edges])
         if f == 1:

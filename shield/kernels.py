@@ -16,10 +16,12 @@ __all__ = [
     "lanes_held",
     "lanes_touched",
     "least_separations",
+    "margins",
     "may_break",
     "rooms",
     "sides_taken",
     "threats",
+    "verdicts",
     "warm_up",
 ]
 
@@ -220,6 +222,45 @@ def rooms(paths: Any, size: Any, centers: Any, fails: Any, side: float, bent: bo
 
 
 @compiled
+def margins(separations: Any, slipping: Any, room: Any) -> Any:
+    """The least separation of each path, and what it lacks of room where it does, (n,) [m]; NaN where anything is.
+
+    Parameters
+    ----------
+    separations, slipping : from vehicles in reach (n, m), and from those that may slip in (n, q) [m]. room : (n,) [m].
+    """
+    out = np.empty(room.shape[0])
+    for i in range(room.shape[0]):
+        least, known = np.inf, not math.isnan(room[i])
+        if room[i] < 0:
+            least = room[i]
+        for j in range(separations.shape[1]):
+            known = known and not math.isnan(separations[i, j])
+            least = min(least, separations[i, j])
+        for j in range(slipping.shape[1]):
+            known = known and not math.isnan(slipping[i, j])
+            least = min(least, slipping[i, j])
+        out[i] = least if known else np.nan
+    return out
+
+
+@compiled
+def verdicts(margin: Any, edges: Any, allowed: Any, paths: Any, held: int) -> Any:
+    """Margins (n,) with what each path lacks of room on the road (n, 2) [m]; -inf where it may not go, or rolls
+    backwards after `held` frames: that has no fail-safe, the brake stands still."""
+    out = np.empty(margin.shape[0])
+    for i in range(margin.shape[0]):
+        room = min(edges[i, 0], edges[i, 1])
+        if not allowed[i] or paths[i, held - 1, 3] < -1e-9:
+            out[i] = -np.inf
+        elif math.isnan(edges[i, 0] + edges[i, 1]) or math.isnan(margin[i]):
+            out[i] = np.nan
+        else:
+            out[i] = margin[i] if room >= 0 else min(margin[i], room)
+    return out
+
+
+@compiled
 def in_reach(ahead: Any, sizes: Any, speeds: Any, gains: Any, behind: Any, limits: Any, followers: bool) -> Any:
     """Rows of the vehicles that can come into reach of the ego, in order.
 
@@ -414,5 +455,7 @@ def warm_up() -> None:
     limits, bare, behind = np.ones(5), np.zeros(1), np.zeros(1, dtype=np.bool_)
     in_reach(bare, bare, bare, bare, behind, limits, True)
     threats(bare, bare, bare, bare, behind, limits, count, count, behind, hulls, bare)
+    margins(one, one, there)
+    verdicts(there, np.zeros((1, 2)), behind, pair, 1)
     rooms(pair, np.ones(8), np.zeros(1), count, 2.0, False)
     lanes_touched(pair, 5.0, 2.0, 0.0, np.zeros(1), 2.0, flag[0], count)

@@ -30,12 +30,13 @@ from dynamics.state import FloatArray, RoadState, Vehicle
 from shield.alongside import Alongside
 from shield.candidates import Candidates
 from shield.config import ShieldConfig
-from shield.kernels import in_reach, least_separations, rooms, sides_taken, threats
+from shield.kernels import in_reach, least_separations, margins, rooms, sides_taken, threats
 
 __all__ = ["Clearance", "Surveyor", "least_bad"]
 
 
 _NOBODY = np.zeros((0, 0), dtype=bool)
+_NOWHERE = np.zeros((0, 0))
 _NO_FOLLOWERS = np.zeros((1, 0)), np.zeros((1, 0), dtype=np.intp), np.zeros((3, 0))
 _GIVES_WAY = 1.0
 """A vehicle that merges from the far side gives way if its centre is further behind than this [m]."""
@@ -139,15 +140,12 @@ class Surveyor:
         distance = float(paths[:, -1, RoadState.S].max() - scene.ego_road[RoadState.S])
         rows, owed = self._threats(candidates, distance, frames * dt)
         room = rooms(paths, self._size_of_ego, scene.road.centers, candidates.fails, 0.5 * scene.road.width, self._bent)
-        inside = np.where(room >= 0, np.inf, room)
-        extra = room[:, None]
+        slipping = _NOWHERE
         if len(self._alongside) and hold == 0:
             slipping = self._alongside.separations(paths, self._size_of_ego)
-            inside = np.minimum(inside, slipping.min(axis=1))
-            extra = np.column_stack([slipping, room])
         if rows.size == 0:
-            margin = np.where(np.isfinite(paths).all(axis=(1, 2)), inside, np.nan)
-            return Clearance(margin, np.full(n, frames), extra if parts else None)
+            margin = np.where(np.isfinite(paths).all(axis=(1, 2)), margins(_NOWHERE, slipping, room), np.nan)
+            return Clearance(margin, np.full(n, frames), np.column_stack([*slipping.T, room]) if parts else None)
         low, high, home = self._lateral(rows, candidates, paths, bound=hold == 0)
         rear = self.around.rear(frames, dt, hold, rows)
         follows: Any = self._behind[rows] if owed is not None else None
@@ -169,8 +167,8 @@ class Surveyor:
             separations,
             reached,
         )
-        margin = np.minimum(separations.min(axis=1), inside)
-        return Clearance(margin, reached, np.column_stack([separations, extra]) if parts else None)
+        margin = margins(separations, slipping, room)
+        return Clearance(margin, reached, np.column_stack([separations, *slipping.T, room]) if parts else None)
 
     def _at_once(self, home: Any) -> Any:
         """Frames after which vehicles in the lanes `home` react to an ego that they see all the time, or -1 where they

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shield.kernels import lanes_held, lanes_touched, least_separations, may_break, sides_taken
+from shield.kernels import lanes_held, lanes_touched, least_separations, margins, may_break, sides_taken, verdicts
 
 CENTERS = np.array([0.0, 4.0, 8.0])
 SIZE = np.array([4.5, 1.3, 5.0, 2.0, 0.1, 0.05, 0.02, 0.01])
@@ -184,6 +184,29 @@ def test_sides_taken_are_those_of_whole_arrays(seed, n, m, frames, announced):
     np.testing.assert_array_equal(low, np.broadcast_to(left, low.shape))
     np.testing.assert_array_equal(high, np.broadcast_to(right, high.shape))
     np.testing.assert_array_equal(home, np.broadcast_to(taken, home.shape))
+
+
+def with_holes(rng, *shape):
+    """Numbers of both signs, some infinite, some NaN."""
+    out = rng.normal(size=shape)
+    out[rng.random(shape) < 0.1] = np.nan
+    out[rng.random(shape) < 0.1] = np.inf
+    return out
+
+
+@given(seeds, st.integers(1, 5), st.integers(0, 4), st.integers(0, 3))
+def test_margins_are_those_of_whole_arrays(seed, n, m, slipping):
+    rng = np.random.default_rng(seed)
+    separations, slips, room = with_holes(rng, n, m), with_holes(rng, n, slipping), with_holes(rng, n)
+    inside = np.where(room >= 0, np.inf, room)[:, None]
+    least = np.hstack([separations, slips, inside]).min(axis=1)
+    np.testing.assert_array_equal(margins(separations, slips, room), least)
+    edges, allowed, paths = with_holes(rng, n, 2), rng.random(n) < 0.7, rng.normal(size=(n, 3, 4))
+    lacks = np.where(edges.min(axis=1) >= 0, np.inf, edges.min(axis=1))
+    may = allowed & (paths[:, 1, 3] >= -1e-9)
+    np.testing.assert_array_equal(
+        verdicts(least, edges, allowed, paths, 2), np.where(may, np.minimum(least, lacks), -np.inf)
+    )
 
 
 def test_a_vehicle_that_is_nowhere_stays_so():

@@ -19,6 +19,7 @@ import numpy as np
 
 from dynamics.arcs import STRAIGHT, Arcs, biarc, place, project
 from dynamics.errors import SceneError
+from dynamics.gaps import Gaps
 from dynamics.path import PathRoad
 from dynamics.state import FloatArray, wrap_to_pi
 
@@ -120,7 +121,8 @@ def read_network(network: Any) -> PathRoad:
             f"the lanes of this network are up to {deviation:.2f} m from parallel lanes along "
             f"{sections[0].name} … {sections[-1].name}; at most {MAX_DEVIATION} m is accepted; {_SUPPORTED}"
         )
-    return PathRoad(road.pieces, centers, width, closed, forbidden, deviation)
+    gaps = Gaps.of(road, [s.lanes for s in sections])
+    return PathRoad(road.pieces, centers, width, closed, forbidden, deviation, gaps)
 
 
 def _chain(network: Any) -> tuple[list[_Section], bool]:

@@ -18,6 +18,7 @@ import numpy as np
 from dynamics.arcs import Arcs, place, project
 from dynamics.bends import Bends
 from dynamics.errors import SceneError
+from dynamics.gaps import Gaps
 from dynamics.state import FloatArray, RoadState, State, wrap_to_pi
 
 __all__ = ["CurvatureProfile", "PathRoad"]
@@ -54,6 +55,7 @@ class PathRoad:
     closed : whether the path ends where it starts.
     forbidden : lanes that may not be chosen as a target.
     deviation : how far the centre of a lane of the map that was read is from here [m]; 0 where it is exact.
+    gaps : where the centre of the ego is on none of the map's lanes, if anywhere.
 
     Attributes
     ----------
@@ -72,6 +74,7 @@ class PathRoad:
     closed: bool = False
     forbidden: tuple[bool, ...] = ()
     deviation: float = 0.0
+    gaps: Gaps | None = None
     length: float = field(init=False, default=0.0)
     profile: CurvatureProfile = field(init=False, repr=False)
     _bends: Bends = field(init=False, repr=False)
@@ -92,9 +95,9 @@ class PathRoad:
         if np.abs(turns).max() >= np.pi + 0.1:
             raise SceneError(f"a piece may turn by at most half a circle, got {np.abs(turns).max():.3f} rad; split it")
         ends = place(p.poses, p.curvatures, p.lengths, 0.0)
-        gaps = np.roll(p.poses, -1, axis=0) - ends
-        gaps[:, 2] = wrap_to_pi(gaps[:, 2])
-        worst = np.abs(gaps if self.closed else gaps[:-1]).max(initial=0.0)
+        jumps = np.roll(p.poses, -1, axis=0) - ends
+        jumps[:, 2] = wrap_to_pi(jumps[:, 2])
+        worst = np.abs(jumps if self.closed else jumps[:-1]).max(initial=0.0)
         if worst > _KINK:
             raise SceneError(f"consecutive pieces of a path must meet in place and direction, got a gap of {worst:.3g}")
         edges = np.array([centers[0] - self.width / 2, centers[-1] + self.width / 2])

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from dynamics.errors import SceneError
+from dynamics.gaps import Gaps
 from dynamics.state import FloatArray, RoadState, State
 
 __all__ = ["Road", "StraightRoad"]
@@ -43,6 +44,11 @@ class Road(Protocol):
     @property
     def bends(self) -> Any:
         """Bounds over its bends (`dynamics.bends.Bends`), None on a straight road."""
+        ...
+
+    @property
+    def gaps(self) -> Gaps | None:
+        """Strips within the road that belong to no lane of its map, if there are any."""
         ...
 
     def to_road(self, states: FloatArray, near: FloatArray | float | None = None) -> FloatArray:
@@ -153,6 +159,10 @@ class StraightRoad:
     @property
     def bends(self) -> None:
         """None: there are no bends."""
+
+    @property
+    def gaps(self) -> None:
+        """None: parallel lanes of one width leave none."""
 
     def to_road(self, states: FloatArray, near: FloatArray | float | None = None) -> FloatArray:
         """World states (..., 4) to road states (..., 4); a straight road has no laps, so `near` has no effect."""

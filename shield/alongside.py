@@ -34,10 +34,14 @@ _GAP, _TIME, _TWICE_ROOT = 10.0, 1.5, 2.0 * math.sqrt(15.0)
 """IDM's d0 [m], T [s] and 2 sqrt(a b) [m/s^2]."""
 _IMPOSED = 1.3
 """Multiple of the gap that d* of a new follower may be: it would brake at no more than 2 m/s^2."""
-_SLACK = 3.0
-"""What d* may change by until the lane change starts [m]."""
+_SLACK, _HARDLY = 3.0, 0.5
+"""What d* may differ by when the lane change starts [m]; and where it is the ego's own, whose plan is known."""
+_DRIFT = 9.0
+"""The same for each second of braking until then [m/s]."""
+_OVERLAP = 2.0
+"""Bodies nearer than this along the road may overlap with the buffer between them [m]."""
 _BRAKES = 1.0
-"""The leader of such a vehicle is taken to have braked for so long by then [s]."""
+"""Such a vehicle, and its leader, are taken to have braked for so long at most by then [s]."""
 _NEAR = 60.0
 """Vehicles further away along the road are not looked at [m]."""
 _CENTRED = 0.2
@@ -48,7 +52,16 @@ _LASTS = 1.0
 
 @compiled
 def _may_slip(
-    others: Any, states: Any, moving: Any, ego: Any, centers: Any, lane: Any, sight: float, braking: float, out: Any
+    others: Any,
+    states: Any,
+    moving: Any,
+    ego: Any,
+    length: float,
+    centers: Any,
+    lane: Any,
+    sight: float,
+    braking: float,
+    out: Any,
 ) -> int:
     """Which vehicles may slip into a lane in which the ego is seen; rows (vehicle, lane, multiple of the gap that d*
     may be) of `out` (2 m, 3), and how many of them there are."""
@@ -69,7 +82,15 @@ def _may_slip(
                     gap, closing = ahead, v - states[i, 3] + braking * _BRAKES
                     wanted = max(_GAP + _TIME * v + v * closing / _TWICE_ROOT, 0.0)
                     left = max(gap - _BRAKES * max(closing, 0.0), 1.0)
-            if wanted > 0:
+            if not wanted > 0:
+                continue
+            # Whether it may begin while the bodies overlap, at any speed down to which the ego may brake.
+            reach, fast = 0.5 * (others[j, 4] + length) + _OVERLAP, max(ego[3], 0.0) + 1.0
+            u = min(max(0.5 * (v - _TIME * _TWICE_ROOT), 0.0), fast)
+            most = wanted / left * reach + _SLACK + _DRIFT * _BRAKES
+            leads = _GAP + _TIME * v + v * (v - fast) / _TWICE_ROOT <= most
+            most = _IMPOSED * reach + _HARDLY + _DRIFT * _BRAKES
+            if leads or _GAP + _TIME * u + u * (u - v) / _TWICE_ROOT <= most:
                 out[count, 0], out[count, 1], out[count, 2] = j, to, wanted / left
                 count += 1
     return count
@@ -105,20 +126,21 @@ def _separations(
                 if not math.isfinite(s + r + psi + u):
                     least = np.nan
                     break
-                sin, cos = abs(math.sin(psi)), abs(math.cos(psi))
-                half_s, half_r = lon * cos + lat * sin + size[4], lon * sin + lat * cos + size[5]
                 if began < 0:
                     v = speeds[j]
                     ahead = s - starts[j] - v * dt * (k + 1)
                     leads = ahead > 0
                     if leads:
-                        wanted, most = _GAP + _TIME * v + v * (v - u) / _TWICE_ROOT, ratios[j] * ahead
+                        wanted, most = _GAP + _TIME * v + v * (v - u) / _TWICE_ROOT, ratios[j] * ahead + _SLACK
                     else:
-                        wanted, most = _GAP + _TIME * u + u * (u - v) / _TWICE_ROOT, -_IMPOSED * ahead
-                    if abs(r - goals[j]) <= sight and abs(wanted) <= most + _SLACK:
+                        wanted, most = _GAP + _TIME * u + u * (u - v) / _TWICE_ROOT, _HARDLY - _IMPOSED * ahead
+                    drift = _DRIFT * min(dt * (k + 1), _BRAKES)
+                    if abs(r - goals[j]) <= sight and abs(wanted) <= most + drift:
                         began = k
                 if began < 0:
                     continue
+                sin, cos = abs(math.sin(psi)), abs(math.cos(psi))
+                half_s, half_r = lon * cos + lat * sin + size[4], lon * sin + lat * cos + size[5]
                 past = s - half_s - front[j, k] if leads else rear[j, k] - s - half_s
                 if past >= 0 or k - began >= sweep.shape[1]:
                     break
@@ -165,6 +187,7 @@ class Alongside:
                 around.states,
                 around.moving,
                 scene.ego_road,
+                float(scene.ego[Vehicle.LENGTH]),
                 road.centers,
                 around.lane,
                 a.visible_distance,
@@ -242,9 +265,8 @@ class Alongside:
 def warm_up() -> None:
     """Have the kernels compiled, or read from the disk, before they are needed."""
     one, pair, size = np.zeros((1, 1)), np.zeros((1, 2, 4)), np.zeros(8)
-    _may_slip(
-        np.zeros((1, 7)), np.zeros((1, 4)), np.zeros(1, np.bool_), size, size, np.zeros(1, np.intp), 3.0, 6.0, one
-    )
+    lane, moving, rows = np.zeros(1, np.intp), np.zeros(1, np.bool_), np.zeros((1, 7))
+    _may_slip(rows, np.zeros((1, 4)), moving, size, 5.0, size, lane, 3.0, 6.0, one)
     far = np.full(1, 1e3)
     _centred(pair, far)
     _separations(pair, size, far, far, far, far, one, one, np.zeros((1, 1, 2)), far, 3.0, 0.1, one)

@@ -48,7 +48,7 @@ class Clearance:
 
     Attributes
     ----------
-    margin : least separation beyond the buffer, (n,) [m]; +inf with nobody in reach.
+    margin : least separation beyond the buffer, (n,) [m]; +inf with nobody in reach, -inf in a gap of the map.
     clear : frames before the first violation, (n,); all of them without one.
     parts : where asked for, what the margin is the least of, (n, vehicles + 1) [m]: the least separation from each
         vehicle in reach, +inf from one that owes the ego its distance; from each that may slip in alongside; and the
@@ -145,6 +145,7 @@ class Surveyor:
             slipping = self._alongside.separations(paths, self._size_of_ego)
         if rows.size == 0:
             margin = np.where(np.isfinite(paths).all(axis=(1, 2)), margins(_NOWHERE, slipping, room), np.nan)
+            self._close_gaps(paths, margin)
             return Clearance(margin, np.full(n, frames), np.column_stack([*slipping.T, room]) if parts else None)
         low, high, home = self._lateral(rows, candidates, paths, bound=hold == 0)
         rear = self.around.rear(frames, dt, hold, rows)
@@ -168,7 +169,14 @@ class Surveyor:
             reached,
         )
         margin = margins(separations, slipping, room)
+        self._close_gaps(paths, margin)
         return Clearance(margin, reached, np.column_stack([separations, *slipping.T, room]) if parts else None)
+
+    def _close_gaps(self, paths: FloatArray, margin: FloatArray) -> None:
+        """Nothing leads through where the map has no lane: `margin` (n,) is -inf there."""
+        gaps = self.scene.road.gaps
+        if gaps is not None:
+            margin[gaps.met(paths) & ~np.isnan(margin)] = -np.inf
 
     def _at_once(self, home: Any) -> Any:
         """Frames after which vehicles in the lanes `home` react to an ego that they see all the time, or -1 where they

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
-from highway_env.vehicle.kinematics import Vehicle as Body
+from highway_env.vehicle.controller import ControlledVehicle
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -49,7 +49,7 @@ def judged(scene: Scene, config: ShieldConfig = CONFIG) -> float:
 def worst_overlap(scene: Scene) -> float:
     """How deep highway-env's vehicle comes into the body of an off-centre ego on its plan [m]; -inf if it stays out."""
     road = Road(RoadNetwork.straight_road_network(LANES, length=1000), np_random=np.random.default_rng(0))
-    ego = Body(road, scene.ego[:2], 0.0, scene.ego[3])
+    ego = ControlledVehicle(road, scene.ego[:2], 0.0, scene.ego[3], target_speed=30.0)
     car, leader = (
         IDMVehicle(road, row[:2], 0.0, row[3], target_lane_index=("0", "1", 1), target_speed=row[3], timer=0.0)
         for row in scene.others
@@ -79,9 +79,9 @@ def worst_overlap(scene: Scene) -> float:
 SITUATIONS = st.builds(
     scene_of,
     offset=st.floats(0.3, 1.2),
-    u=st.floats(20, 40),
-    behind=st.floats(-6, 5),
-    v=st.floats(8, 30),
+    u=st.floats(3, 40),
+    behind=st.floats(-8, 8),
+    v=st.floats(8, 40),
     gap=st.floats(6, 50),
     leader=st.floats(0, 30),
 )

@@ -20,6 +20,9 @@ MODES = ("none", "distance", "rss", "ttc", "full")
 REPAIRS = ("hold", "filter", "brake")
 """Valid `ShieldConfig.repair`: hold the meta-action back, take the nearest inputs, or brake."""
 
+NORMS = ("range", "acceleration")
+"""Valid `ShieldConfig.norm`."""
+
 
 def _positive(owner: str, name: str, value: Any, *, zero: bool = False) -> None:
     good = isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
@@ -58,6 +61,8 @@ class ShieldConfig:
     repair : what `ShieldedEnv` does between two decisions with a meta-action that has become unsafe: "hold" gives it
         the greatest acceleration that verifies, "filter" the nearest inputs (the predictive filter), "brake" plays
         the stored fail-safe on.
+    norm : what a throttle and a wheel angle on a road are nearest in to those proposed: shares of the actuators'
+        "range"s, or the "acceleration"s along and across that they mean, a and v^2 delta / L; those swerve less.
     record : keep the others' occupancy in each `Decision` (for drawing); there is none in a parking lot.
     clearance : the distance that no verified action may violate in a parking lot, on all sides [m].
     """
@@ -72,6 +77,7 @@ class ShieldConfig:
     response_time: float = 0.5
     horizon: float = 4.0
     repair: str = "hold"
+    norm: str = "range"
     record: bool = False
     clearance: float = 0.1
 
@@ -80,6 +86,8 @@ class ShieldConfig:
             raise ConfigError(f"unknown shield mode {self.mode!r}; valid are {', '.join(MODES)}")
         if self.repair not in REPAIRS:
             raise ConfigError(f"unknown repair {self.repair!r}; valid are {', '.join(REPAIRS)}")
+        if self.norm not in NORMS:
+            raise ConfigError(f"unknown norm {self.norm!r}; valid are {', '.join(NORMS)}")
         if not isinstance(self.buffer, Buffer):
             raise ConfigError(f"ShieldConfig.buffer must be a Buffer, got {self.buffer!r}")
         if not isinstance(self.assumptions, Assumptions):

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.actuators import Actuators
+from dynamics.bicycle import LENGTH
 from dynamics.curved import steer
 from dynamics.scene import Scene
 from dynamics.state import FloatArray, RoadState, State, Vehicle
@@ -71,6 +72,11 @@ class ContinuousCore(Memory):
         self.actuators = actuators if actuators is not None else Actuators()
         self.predictive, self.model = predictive, model
         self._filters: dict[float, PredictiveFilter] = {}
+
+    @property
+    def norm(self) -> str:
+        """What the nearest input is nearest in, one of `shield.config.NORMS`."""
+        return self.config.norm
 
     def reset(self) -> None:
         """Forget everything about the episode."""
@@ -267,8 +273,12 @@ class ContinuousCore(Memory):
         return -max(float(scene.ego[State.SPEED]), 0.0) / (self._frames * scene.dt)
 
     def _spans(self, scene: Scene) -> FloatArray:
-        """Changes of throttle and steering that count alike, (2,) [m/s^2, rad]: the ranges of the actuators."""
-        return np.array([np.ptp(self.actuators.acceleration), np.ptp(self.actuators.steering)])
+        """Changes of throttle and steering that count alike, (2,) [m/s^2, rad]."""
+        spans = np.array([np.ptp(self.actuators.acceleration), np.ptp(self.actuators.steering)])
+        if self.norm == "acceleration":
+            v, along = max(float(scene.ego[State.SPEED]), 1.0), float(spans[0]) or self.config.braking
+            spans[:] = along, min(along * LENGTH / v**2, np.ptp(self.actuators.steering) or np.inf)
+        return spans
 
     def _law(self, scene: Scene, lane: int) -> FloatArray:
         """Inputs of the fail-safe manoeuvre for one frame: brake, and steer to the lane's centre."""

@@ -114,7 +114,8 @@ def least_separations(
     for i in range(n):
         coming = False
         for k in range(frames):
-            if not abs(math.sin(paths[i, k, 2])) < _STRAIGHT:
+            psi = paths[i, k, 2]
+            if not abs(psi) < _STRAIGHT and not abs(math.sin(psi)) < _STRAIGHT:
                 coming = True
                 break
         reached[i] = frames

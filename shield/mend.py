@@ -10,10 +10,9 @@ from time import perf_counter
 
 import numpy as np
 
-from dynamics.bicycle import LENGTH
 from dynamics.controllers import speed_control, steering_control
 from dynamics.scene import Scene
-from dynamics.state import FloatArray, State
+from dynamics.state import State
 from shield.config import ShieldConfig
 from shield.continuous import ContinuousCore
 from shield.core import ShieldCore
@@ -38,11 +37,10 @@ class FilteringCore(ContinuousCore, ShieldCore):
     # Unlike a throttle and a wheel, meta-actions announce a lane change to highway-env's traffic.
     _announced = True
 
-    def _spans(self, scene: Scene) -> FloatArray:
-        # A wheel angle counts by the acceleration across the lane that it means, v^2 delta / L, like one along it.
-        span = float(np.ptp(self.actuators.acceleration))
-        v = max(float(scene.ego[State.SPEED]), 1.0)
-        return np.array([span, min(span * LENGTH / v**2, float(np.ptp(self.actuators.steering)))])
+    @property
+    def norm(self) -> str:
+        """By acceleration: in shares of the ranges, the repair of a meta-action would swerve."""
+        return "acceleration"
 
     def _mend(self, scene: Scene) -> tuple[FrameCommand, Verdict]:
         start, target = perf_counter(), scene.control.target

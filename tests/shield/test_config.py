@@ -103,6 +103,7 @@ def test_assumptions_can_be_a_profile(name):
         ("[assumptions]\nblind_merge = 1", "true or false"),
         ("[assumptions]\nbraking = -1", "at least 0"),
         ("mode = []", "unknown shield mode"),
+        ('norm = "euclid"', "unknown norm 'euclid'; valid are range, acceleration"),
     ],
 )
 def test_what_is_wrong_is_named(text, word):
@@ -110,7 +111,8 @@ def test_what_is_wrong_is_named(text, word):
         ShieldConfig.from_toml(text)
 
 
-NUMBERS = [f.name for f in fields(ShieldConfig) if f.name not in ("mode", "buffer", "assumptions", "repair", "record")]
+OTHERS = ("mode", "buffer", "assumptions", "repair", "norm", "record")
+NUMBERS = [f.name for f in fields(ShieldConfig) if f.name not in OTHERS]
 
 
 @pytest.mark.parametrize("name", NUMBERS)

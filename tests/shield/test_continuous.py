@@ -12,11 +12,12 @@ from hypothesis import HealthCheck, Phase, assume, example, given, reject, setti
 from hypothesis import strategies as st
 
 from dynamics.actuators import Actuators
-from dynamics.bicycle import step
+from dynamics.bicycle import LENGTH, step
 from dynamics.road import StraightRoad
 from dynamics.scene import EgoControl, Scene, Target
 from dynamics.state import Vehicle
 from shield import Buffer, ShieldConfig, Tier
+from shield.config import NORMS
 from shield.continuous import ContinuousCore
 
 SETTINGS = settings(deadline=None, max_examples=50, suppress_health_check=list(HealthCheck))
@@ -30,10 +31,12 @@ TOLERANCE = 1e-6
 # -- over time --------------------------------------------------------------------------------------------------
 
 
-def drive(seed: int, style: str, mood: str, frames: int, predictive: bool = False) -> ContinuousWorld:
+def drive(
+    seed: int, style: str, mood: str, frames: int, predictive: bool = False, norm: str = "range"
+) -> ContinuousWorld:
     """From a start that verifies: the buffer, the road and the direction hold at every frame."""
-    rng = np.random.default_rng(seed)
-    world, adversary = random_continuous_world(rng, predictive=predictive), Adversary(rng, mood)
+    rng, config = np.random.default_rng(seed), ShieldConfig(norm=norm)
+    world, adversary = random_continuous_world(rng, config, predictive=predictive), Adversary(rng, mood)
     _, first = world.core.filter(world.scene(), propose(rng, style, world, 0))
     if first.tier.fallback:
         reject()
@@ -60,6 +63,31 @@ def test_the_buffer_the_road_and_the_direction_hold_for_100_frames(seed: int, st
 @given(SEEDS, st.sampled_from(STYLES), MOODS)
 def test_they_hold_with_the_predictive_filter_in_the_repair(seed: int, style: str, mood: str) -> None:
     drive(seed, style, mood, 40, predictive=True)
+
+
+@settings(SETTINGS, max_examples=8)
+@given(SEEDS, st.sampled_from(STYLES), MOODS)
+def test_they_hold_for_what_is_nearest_by_acceleration(seed: int, style: str, mood: str) -> None:
+    drive(seed, style, mood, 60, norm="acceleration")
+
+
+def test_nearest_by_acceleration_swerves_less() -> None:
+    """At full throttle behind a slower leader with free lanes beside it: it brakes, where the ranges make it swerve."""
+    across = {}
+    for norm in NORMS:
+        ego = np.array([0.0, 4.0, 0.0, 30.0])
+        world = ContinuousWorld(ShieldConfig(norm=norm), 3, ego, Target(1, 25.0), [Car(40.0, 4.0, 25.0, 1)], 1 / 15, 1)
+        lateral = []
+        for _ in range(90):
+            inputs, _ = world.core.filter(world.scene(), np.array([5.0, 0.0]))
+            lateral.append(abs(float(world.ego[3] ** 2 * inputs[1] / LENGTH)))
+            world.claim(world.core.stored_lane)
+            world.move_cars([(0.0, 0)])
+            world.move_inputs(inputs)
+            assert world.buffer_gap() >= -TOLERANCE
+        across[norm] = np.mean(lateral)
+    assert across["range"] > 1.0
+    assert across["acceleration"] < 0.2 * across["range"]
 
 
 @pytest.mark.slow

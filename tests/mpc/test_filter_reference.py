@@ -29,9 +29,12 @@ def costs(problem, sides, inputs):
 
 
 @lru_cache(maxsize=2)
-def compared(settings=SETTINGS, seed=20):
+def compared(settings=SETTINGS, seed=20, nudge=0.0):
     """For every third question: kind, status, difference of the first input, cost of both; and where they differ, how
-    far IPOPT goes from the filter's answer."""
+    far IPOPT goes from the filter's answer. Guesses swerve by `nudge` [rad] to one side and back: straight ones stay
+    straight where both sides are alike."""
+    swerve = np.zeros((settings.stages, 2))
+    swerve[:, 1] = nudge * np.sin(2 * np.pi * np.arange(settings.stages) / settings.stages)
     roll = rollout_function(settings.stages, settings.substeps, settings.dt)
     rows = []
     for kind in KINDS:
@@ -40,7 +43,7 @@ def compared(settings=SETTINGS, seed=20):
             if first:
                 own.reset()
             guess = brake_guess(problem, settings) if own._plan is None else shifted(own._plan, 3, settings)
-            result = own.solve(problem)
+            result = own.solve(problem, guess + swerve)
             if i % 3 or not result.status.usable or result.restarted:
                 continue
 
@@ -83,10 +86,13 @@ def test_every_difference_is_explained():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("settings", "share"), [(SETTINGS, 0.85), (STILL, 0.91)], ids=["settled", "still"])
-def test_over_many_questions(settings, share):
+@pytest.mark.parametrize(
+    ("settings", "nudge", "share"),
+    [(SETTINGS, 0.0, 0.85), (STILL, 0.0, 0.91), *((STILL, nudge, 0.92) for nudge in (-0.01, -0.005, 0.005, 0.01))],
+)
+def test_over_many_questions(settings, nudge, share):
     """Prints the shares: `pytest -m slow -s tests/mpc/test_filter_reference.py`."""
-    rows = [row for seed in range(20, 24) for row in compared(settings, seed)]
+    rows = [row for seed in range(20, 24) for row in compared(settings, seed, nudge)]
     for kind in (*KINDS, "all"):
         near = [row[2] < 0.01 for row in rows if kind in ("all", row[0])]
         print(f"{kind}: {np.mean(near):.3f} of {len(near)} first inputs within 1 % of the range")
@@ -100,7 +106,7 @@ def test_over_many_questions(settings, share):
         "solved, worse": [r for r in apart if r[1] is Status.SOLVED and r[3] > 1.03 * r[4] + 1e-3],
     }.items():
         print(f"of those apart {what}: {len(which)}")
-    assert len(rows) >= 240
+    assert len(rows) >= 200
     assert np.mean([row[2] < 0.01 for row in rows]) >= share
 
 

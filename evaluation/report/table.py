@@ -118,9 +118,13 @@ COMPARISON: tuple[Column, ...] = (
 """Columns of a comparison with driving unshielded on the same seeds."""
 
 
-def _cells(frame: pd.DataFrame, columns: Sequence[Column]) -> list[list[str]]:
+def _cells(frame: pd.DataFrame, columns: Sequence[Column]) -> tuple[list[str], list[list[str]]]:
+    """Headings and rows of cells, without the columns in which no row has a figure."""
     rows: list[_Row] = frame.to_dict("records")
-    return [[column.cell(row) for column in columns] for row in rows]
+    cells = [[column.cell(row) for column in columns] for row in rows]
+    figures = [any(map(str.isdigit, "".join(row[i] for row in cells))) for i in range(len(columns))]
+    kept = [i for i in range(len(columns)) if i < len(_NAMES) or figures[i]]
+    return [columns[i].heading for i in kept], [[row[i] for i in kept] for row in cells]
 
 
 def rich_table(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> Table:
@@ -128,7 +132,7 @@ def rich_table(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> Tabl
 
     A setting or policy that is the same throughout stands in the title.
     """
-    cells = _cells(frame, columns)
+    headings, cells = _cells(frame, columns)
     names = [i for i in range(2) if len({row[i] for row in cells}) > 1]
     title = ", ".join(cells[0][i] for i in range(2) if i not in names) if cells else None
     table = Table(title=title, title_justify="left")
@@ -136,16 +140,16 @@ def rich_table(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> Tabl
     for row in cells:
         heading = "\n".join(row[i] for i in (*names, len(_NAMES) - 1))
         table.add_column(escape(heading), justify="right")
-    for i in range(len(_NAMES), len(columns)):
-        table.add_row(columns[i].heading, *(escape(row[i]) for row in cells))
+    for i in range(len(_NAMES), len(headings)):
+        table.add_row(headings[i], *(escape(row[i]) for row in cells))
     return table
 
 
 def markdown(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> str:
-    """The table in Markdown, all columns."""
-    rule = [":--" if i < len(_NAMES) else "--:" for i in range(len(columns))]
-    rows = [[column.heading for column in columns], rule, *_cells(frame, columns)]
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
+    """The table in Markdown."""
+    headings, cells = _cells(frame, columns)
+    rule = [":--" if i < len(_NAMES) else "--:" for i in range(len(headings))]
+    return "\n".join("| " + " | ".join(row) + " |" for row in [headings, rule, *cells])
 
 
 def write_table(frame: pd.DataFrame, path: str | Path) -> Path:

@@ -112,6 +112,13 @@ def test_comfort_and_laps_are_means_over_episodes(episodes):
     assert math.isnan(summary.loc[1, "laps"])
 
 
+def test_a_column_is_shown_if_any_row_has_a_figure(episodes):
+    episodes.loc[0, "laps"] = 1.5
+    heading, _, *rows = (line.split(" | ") for line in markdown(summarise(episodes), SUMMARY).splitlines())
+    at = heading.index("laps")
+    assert [row[at] for row in rows] == ["1.50", "–"]
+
+
 def test_a_comparison_is_paired_by_seed(episodes):
     shuffled = episodes.sample(frac=1.0, random_state=0)
     (row,) = compare(shuffled).to_dict("records")
@@ -154,6 +161,11 @@ def test_the_terminal_and_markdown_show_the_same_cells(episodes):
         console.print(rich_table(frame, columns))
         shown = console.file.getvalue()
         for column in columns[3:]:
-            assert column.heading in shown
-            assert column.cell(frame.to_dict("records")[0]) in shown
+            cells = [column.cell(row) for row in frame.to_dict("records")]
+            if column.heading in ("success %", "stopped %", "laps"):  # of which no row has any
+                assert column.heading not in shown
+                assert column.heading not in lines[0]
+            else:
+                assert column.heading in shown
+                assert all(cell in shown for cell in cells)
         assert "highway-fast" in shown

@@ -1,27 +1,35 @@
 """Gaps between the lanes of a map.
 
-Where neighbouring lanes of a bend are not concentric, the edge of one need not reach the edge of the next: racetrack-v0
-has a strip of 8 cm, 28 m long, in the middle of its road that belongs to no lane. highway-env looks at the vehicle's
-centre alone (`Vehicle.on_road`), and one that is there is off the road.
+highway-env asks of the vehicle's centre alone whether it is on the lane that is nearest in place and heading
+(`Vehicle.on_road`, `AbstractLane.distance_with_heading`). Where neighbouring lanes of a bend are not concentric, the
+edge of one need not reach the edge of the next: racetrack-v0 has a strip of 8 cm, 28 m long, in the middle of its road
+that belongs to no lane. Where sections meet, the nearest lane may be one that has ended.
 """
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from dynamics.compiled import compiled
-from dynamics.state import FloatArray
+from dynamics.state import FloatArray, wrap_to_pi
 
 __all__ = ["Gaps"]
 
 _STEP = 0.1
-"""Spacing of the table [m]."""
+"""Spacing of the table along the road [m]."""
+_ACROSS = np.arange(-0.3, 0.3005, 0.01)
+"""Places that are looked at, seen from the middle of two lanes' centres [m]."""
 _WIDER = 0.02
-"""By how much a gap is taken to be wider on either side: which lane is the nearest depends on the heading too [m]."""
+"""By how much a gap is taken to be wider on either side [m]."""
+_HEADINGS = (-0.8, 0.0, 0.8)
+"""Headings that are looked at [rad]. Which of two lanes is nearer changes between their own directions only."""
+_BEYOND = 8.0
+"""How far beyond a lane's ends, and beside it, it may be the nearest [m]."""
+_VEHICLE = 5.0
+"""How far beyond its ends a place still counts as on a lane [m] (`AbstractLane.VEHICLE_LENGTH`)."""
 
 
 @compiled
@@ -62,27 +70,25 @@ class Gaps:
     step: float = _STEP
 
     @classmethod
-    def of(cls, road: Any, sections: list[list[Any]]) -> Gaps | None:
-        """The gaps between the lanes of a map, as its sections [their lanes] lie along the road; None without any."""
-        stretches, strips = int(np.ceil(road.length / _STEP)), len(road.centers) - 1
-        low, high = np.full((stretches, strips), np.inf), np.full((stretches, strips), -np.inf)
-        for lanes in sections:
-            for j, (below, above) in enumerate(itertools.pairwise(lanes)):
-                s, top = _edge(road, below, 1.0)
-                other, bottom = _edge(road, above, -1.0)
-                at = np.arange(np.ceil(s[0] / _STEP), np.floor(s[-1] / _STEP) + 1)
-                upper = np.interp(at * _STEP, s, top)
-                # The lanes' own lengths differ by some metres: where both are.
-                lower = np.interp(at * _STEP, other, bottom, left=-np.inf, right=-np.inf)
-                open_ = lower > upper + 1e-9
-                # A stretch more on either side, for the last one of a lap is shorter.
-                for shift in (-2, -1, 0, 1):
-                    rows = at[open_].astype(int) + shift
-                    rows = rows % stretches if road.closed else rows.clip(0, stretches - 1)
-                    low[rows, j] = np.minimum(low[rows, j], upper[open_] - _WIDER)
-                    high[rows, j] = np.maximum(high[rows, j], lower[open_] + _WIDER)
-        if not (low < high).any():
+    def of(cls, road: Any, lanes: list[Any]) -> Gaps | None:
+        """The gaps between the lanes of a map that is read as `road`; None without any."""
+        middles = 0.5 * (road.centers[:-1] + road.centers[1:])
+        if not middles.size:
             return None
+        stretches = int(np.ceil(road.length / _STEP))
+        s, strip, across = np.meshgrid((np.arange(stretches) + 0.5) * _STEP, middles, _ACROSS, indexing="ij")
+        poses = road.to_world(np.stack([s, strip + across, 0 * s, 0 * s], axis=-1))
+        off = _off_road(poses, lanes)
+        if not off.any():
+            return None
+        r = strip + across
+        low, high = np.where(off, r, np.inf).min(axis=-1) - _WIDER, np.where(off, r, -np.inf).max(axis=-1) + _WIDER
+        # Each stretch was looked at in its middle: what begins in the next one may begin in this one.
+        before, after = (np.clip(np.arange(stretches) + i, 0, stretches - 1) for i in (-1, 1))
+        if road.closed:
+            before[0], after[-1] = stretches - 1, 0
+        low = np.minimum(low, np.minimum(low[before], low[after]))
+        high = np.maximum(high, np.maximum(high[before], high[after]))
         return cls(low, high, road.length if road.closed else 0.0)
 
     def met(self, paths: FloatArray) -> Any:
@@ -90,10 +96,38 @@ class Gaps:
         return _meets(paths, self.low, self.high, self.step, self.lap)
 
 
-def _edge(road: Any, lane: Any, side: float) -> tuple[FloatArray, FloatArray]:
-    """Where an edge of a lane of the map is, as ascending arc lengths and lateral positions (k,), (k,) [m]."""
-    t = np.linspace(0.0, lane.length, max(int(lane.length / _STEP), 1) + 1)
-    points = np.array([lane.position(x, side * lane.width_at(x) / 2) for x in t])
-    states = np.column_stack([points, np.zeros((len(t), 2))])
-    first = float(road.to_road(states[len(t) // 2])[0])
-    return tuple(road.to_road(states, near=first)[:, :2].T)
+def _off_road(poses: FloatArray, lanes: list[Any]) -> Any:
+    """Whether the lane that is nearest to each place (..., k, 4), at any of the headings, does not contain it."""
+    shape = (len(_HEADINGS), *poses.shape[:-1])
+    nearest, on = np.full(shape, np.inf), np.ones(shape, dtype=bool)
+    center = poses[..., poses.shape[-2] // 2, :2]
+    for lane in lanes:
+        along, across, _ = _local(lane, center)
+        near = (along > -_BEYOND) & (along < lane.length + _BEYOND) & (np.abs(across) < _BEYOND)
+        along, across, direction = _local(lane, poses[near][..., :2])
+        beyond = np.maximum(along - lane.length, 0.0) + np.maximum(-along, 0.0)
+        inside = np.abs(across) <= lane.width_at(0.0) / 2
+        inside &= (along >= -_VEHICLE) & (along < lane.length + _VEHICLE)
+        for i, heading in enumerate(_HEADINGS):
+            distance = np.abs(across) + beyond + np.abs(wrap_to_pi(poses[near][..., 2] + heading - direction))
+            nearer = distance < nearest[i][near]
+            nearest[i][near] = np.where(nearer, distance, nearest[i][near])
+            on[i][near] = np.where(nearer, inside, on[i][near])
+    return ~on.all(axis=0)
+
+
+def _local(lane: Any, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Place along and across a lane of the map [m] and its direction there [rad], of points (..., 2)."""
+    kind = type(lane).__name__
+    if kind == "StraightLane":
+        away = points - lane.start
+        along = away @ lane.direction
+        return along, away @ lane.direction_lateral, np.full(along.shape, float(lane.heading))
+    if kind == "CircularLane":
+        away = points - lane.center
+        turned = wrap_to_pi(np.arctan2(away[..., 1], away[..., 0]) - lane.start_phase)
+        across = lane.direction * (lane.radius - np.hypot(away[..., 0], away[..., 1]))
+        return lane.direction * lane.radius * turned, across, lane.start_phase + turned + lane.direction * np.pi / 2
+    flat = np.array([lane.local_coordinates(point) for point in points.reshape(-1, 2)])
+    direction = np.array([lane.heading_at(along) for along in flat[:, 0]])
+    return tuple(x.reshape(points.shape[:-1]) for x in (flat[:, 0], flat[:, 1], direction))  # type: ignore[return-value]

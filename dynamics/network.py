@@ -38,6 +38,10 @@ _SUPPORTED = (
     "StraightLane, CircularLane or SineLane: highway-v0, highway-fast-v0, racetrack-v0, racetrack-large-v0, "
     "racetrack-oval-v0, u-turn-v0, lane-keeping-v0"
 )
+_KINDS = {"StraightLane", "CircularLane", "SineLane"}
+_ROADS: dict[str, PathRoad] = {}
+"""Roads that have been read, by the description of their networks."""
+_MOST_ROADS = 16
 _NEAR = 5.0
 """How far from its nominal place the joint of two sections may be [m]."""
 _SAMPLE = 0.25
@@ -94,13 +98,17 @@ class _Joint:
 def read_network(network: Any) -> PathRoad:
     """A highway-env `RoadNetwork` as a `PathRoad`; see the notes at the head of this module.
 
-    s = 0 is where the first section starts (after its joint, on a loop); r = 0 is lane 0.
+    s = 0 is where the first section starts (after its joint, on a loop); r = 0 is lane 0. A network that has been read
+    before, lane for lane, gives the same object.
 
     Raises
     ------
     SceneError
         If the network branches, has other lanes, sections that do not meet, or lanes that are not parallel.
     """
+    known = _description(network)
+    if known in _ROADS:
+        return _ROADS[known]
     sections, closed = _chain(network)
     pairs = list(zip(sections, sections[1:] + sections[:1] if closed else sections[1:], strict=False))
     joints = [_join(a, b) for a, b in pairs]
@@ -121,8 +129,21 @@ def read_network(network: Any) -> PathRoad:
             f"the lanes of this network are up to {deviation:.2f} m from parallel lanes along "
             f"{sections[0].name} … {sections[-1].name}; at most {MAX_DEVIATION} m is accepted; {_SUPPORTED}"
         )
-    gaps = Gaps.of(road, [s.lanes for s in sections])
-    return PathRoad(road.pieces, centers, width, closed, forbidden, deviation, gaps)
+    gaps = Gaps.of(road, [lane for s in sections for lane in s.lanes])
+    road = PathRoad(road.pieces, centers, width, closed, forbidden, deviation, gaps)
+    if len(_ROADS) >= _MOST_ROADS:
+        _ROADS.clear()
+    _ROADS[known] = road
+    return road
+
+
+def _description(network: Any) -> str:
+    """What a network is made of, as text: environments build the same one at each reset."""
+    sections = [(a, b, lanes) for a, to in network.graph.items() for b, lanes in to.items()]
+    kinds = sorted({type(lane).__name__ for *_, lanes in sections for lane in lanes} - _KINDS)
+    if kinds:
+        raise SceneError(f"this network has lanes of kind {', '.join(kinds)}; {_SUPPORTED}")
+    return repr([(a, b, [lane.to_config() for lane in lanes]) for a, b, lanes in sections])
 
 
 def _chain(network: Any) -> tuple[list[_Section], bool]:

@@ -28,10 +28,10 @@ def read(name: str) -> tuple[Any, PathRoad]:
     return road, PathRoad.from_network(road.network)
 
 
-def off_road(name: str, s: float, r: float) -> bool:
-    """Whether highway-env says so of a vehicle at (s, r) [m] along the road."""
+def off_road(name: str, s: float, r: float, angle: float = 0.0) -> bool:
+    """Whether highway-env says so of a vehicle at (s, r) [m] along the road, at an angle to it [rad]."""
     world, road = read(name)
-    x, y, heading, _ = road.to_world(np.array([s, r, 0.0, 0.0]))
+    x, y, heading, _ = road.to_world(np.array([s, r, angle, 0.0]))
     return not Vehicle(world, [x, y], heading).on_road
 
 
@@ -43,11 +43,31 @@ def in_gap(name: str, s: float, r: float) -> bool:
 
 @pytest.mark.parametrize("name", GAPPED)
 @settings(deadline=None, max_examples=600)
-@given(share=st.floats(0, 1, exclude_max=True), edge=st.integers(1, 2), offset=st.floats(-0.3, 0.3))
-def test_who_is_off_the_road_between_two_lanes_is_in_a_gap(name: str, share: float, edge: int, offset: float) -> None:
+@given(
+    share=st.floats(0, 1, exclude_max=True),
+    edge=st.integers(1, 2),
+    offset=st.floats(-0.3, 0.3),
+    angle=st.floats(-0.8, 0.8),
+)
+def test_who_is_off_the_road_between_two_lanes_is_in_a_gap(
+    name: str, share: float, edge: int, offset: float, angle: float
+) -> None:
     road = read(name)[1]
     s, r = share * road.length, min(5.0 * edge, road.centers[-1]) - 2.5 + offset
-    assert in_gap(name, s, r) or not off_road(name, s, r)
+    assert in_gap(name, s, r) or not off_road(name, s, r, angle)
+
+
+@pytest.mark.parametrize(("name", "joint"), [("racetrack-v0", 328.5), ("racetrack-large-v0", 443.0)])
+def test_where_sections_meet_too(name: str, joint: float) -> None:
+    """The nearest lane may be one that has ended, where another contains the place."""
+    found = 0
+    for s in joint + np.arange(-1.0, 1.0, 0.07):
+        for r in np.arange(2.3, 2.7, 0.013):
+            for angle in (-0.26, 0.5):
+                if off_road(name, s, r, angle):
+                    found += 1
+                    assert in_gap(name, s, r), f"s {s:.2f} m, r {r:.3f} m"
+    assert found > 5
 
 
 def test_the_property_is_not_empty() -> None:

@@ -149,8 +149,34 @@ class ShieldConfig:
 
     @classmethod
     def load(cls, path: str | Path) -> ShieldConfig:
-        """Read a TOML file."""
-        return cls.from_toml(Path(path).read_text(encoding="utf-8"))
+        """Read a TOML file.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such file, or as in `from_toml`.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise ConfigError(f"there is no shield configuration {path}; `shield config` prints one")
+        return cls.from_toml(path.read_text(encoding="utf-8"))
+
+    @classmethod
+    def of(cls, config: ShieldConfig | str | Path | None, default: ShieldConfig | None = None) -> ShieldConfig:
+        """Settings as users hand them in: themselves, the path of a TOML file, or None for the default.
+
+        Raises
+        ------
+        ConfigError
+            If it is neither, or as in `load`.
+        """
+        if config is None:
+            return default if default is not None else cls()
+        if isinstance(config, str | Path):
+            return cls.load(config)
+        if not isinstance(config, ShieldConfig):
+            raise ConfigError(f"config must be a ShieldConfig or the path of a TOML file, got {config!r}")
+        return config
 
     def save(self, path: str | Path) -> None:
         """Write a TOML file."""

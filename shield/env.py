@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -52,7 +53,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     SceneError
         If the environment's road or number of controlled vehicles is not supported.
     ConfigError
-        If its action type is neither `DiscreteMetaAction` nor `ContinuousAction`, or meta-actions in a parking lot.
+        If its action type is neither `DiscreteMetaAction` nor `ContinuousAction`, or meta-actions in a parking lot; or
+        if the settings cannot be read.
 
     Notes
     -----
@@ -72,15 +74,13 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     def __init__(
         self,
         env: gym.Env[Any, Any],
-        config: ShieldConfig | str | None = None,
+        config: ShieldConfig | str | Path | None = None,
         policy: Any = None,
         model: StageModel | None = None,
     ) -> None:
         RecordConstructorArgs.__init__(self, _disable_deepcopy=True, config=config, policy=policy, model=model)
         gym.Wrapper.__init__(self, env)
-        if isinstance(config, str):
-            config = ShieldConfig.load(config)
-        self.config = config if config is not None else ShieldConfig()
+        self.config = ShieldConfig.of(config)
         self.policy = policy
         self._base: Any = env.unwrapped
         self._check_action_type()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -35,7 +36,8 @@ class Shield:
     policy : an SB3 or sb3-contrib model, a bare `BasePolicy`, or any object with SB3's `predict()`.
     env : the environment(s) that the actions are meant for: a Gymnasium environment or a VecEnv. Without it the
         environment that the model carries is used.
-    config : settings; by default `ShieldConfig.for_meta_actions()`, for throttle and steering `ShieldConfig()`.
+    config : settings, or the path of a TOML file; by default `ShieldConfig.for_meta_actions()`, for throttle and
+        steering `ShieldConfig()`.
 
     Raises
     ------
@@ -43,7 +45,7 @@ class Shield:
         If `policy` has no `predict`.
     ConfigError
         If there is no environment to read the scene from, its actions are neither meta-actions nor continuous, or
-        it is a parking lot and they are not continuous, or cannot brake.
+        it is a parking lot and they are not continuous, or cannot brake; or if the settings cannot be read.
 
     Examples
     --------
@@ -59,7 +61,7 @@ class Shield:
     3
     """
 
-    def __init__(self, policy: Any, env: Any = None, config: ShieldConfig | None = None) -> None:
+    def __init__(self, policy: Any, env: Any = None, config: ShieldConfig | str | Path | None = None) -> None:
         if not callable(getattr(policy, "predict", None)):
             raise PolicyError(
                 f"{type(policy).__name__} has no predict(); pass an SB3 model, a BasePolicy, or an "
@@ -87,11 +89,11 @@ class Shield:
         self._readers = [SceneReader(base) for base in bases]
         self._doors: list[InputDoor] = []
         if kinds == {"ContinuousAction"}:
-            self.config = config if config is not None else ShieldConfig()
+            self.config = ShieldConfig.of(config)
             self._doors = [InputDoor(base, self.config, agent=True) for base in bases]
             self._cores: list[MetaCore | ContinuousCore | LotCore] = [door.core for door in self._doors]
         else:
-            self.config = config if config is not None else ShieldConfig.for_meta_actions()
+            self.config = ShieldConfig.of(config, ShieldConfig.for_meta_actions())
             self._cores = [MetaCore(self.config) for _ in bases]
         self._roads: list[Any] = [None] * len(bases)
         self.last_decisions: list[Decision] = []

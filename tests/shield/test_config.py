@@ -3,11 +3,15 @@
 import pickle
 from dataclasses import FrozenInstanceError, fields
 
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.assumptions import Assumptions
+from evaluation.baselines import ConstantPolicy
+from shield import Shield, ShieldedEnv
 from shield.config import MODES, Buffer, ShieldConfig
 from shield.errors import ConfigError, ShieldError
 
@@ -148,3 +152,15 @@ def test_a_configuration_error_is_a_value_error_and_a_shield_error():
 
 def test_two_configurations_do_not_share_their_parts_by_mutation():
     assert hash(ShieldConfig()) == hash(ShieldConfig())
+
+
+@pytest.mark.parametrize("door", [ShieldedEnv, lambda env, config: Shield(ConstantPolicy(1), env=env, config=config)])
+def test_both_doors_take_settings_or_their_file_and_refuse_anything_else(door, tmp_path):
+    env, path = gym.make("highway-fast-v0"), tmp_path / "shield.toml"
+    ShieldConfig(braking=5.0).save(path)
+    for config in (ShieldConfig(braking=5.0), path, str(path)):
+        assert door(env, config).config.braking == 5.0
+    with pytest.raises(ConfigError, match="there is no shield configuration full; `shield config` prints one"):
+        door(env, "full")
+    with pytest.raises(ConfigError, match="must be a ShieldConfig or the path of a TOML file, got 3"):
+        door(env, 3)

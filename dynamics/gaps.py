@@ -28,12 +28,10 @@ _HEADINGS = (-0.8, 0.0, 0.8)
 """Headings that are looked at [rad]. Which of two lanes is nearer changes between their own directions only."""
 _BEYOND = 8.0
 """How far beyond a lane's ends, and beside it, it may be the nearest [m]."""
-_VEHICLE = 5.0
-"""How far beyond its ends a place still counts as on a lane [m] (`AbstractLane.VEHICLE_LENGTH`)."""
 
 
 @compiled
-def _meets(paths: Any, low: Any, high: Any, step: float, length: float) -> Any:
+def _meets(paths: Any, low: Any, high: Any, length: float) -> Any:
     """Whether any state of each path (n, K, 4) lies between `low` and `high` (places, m), (n,)."""
     out, places = np.zeros(paths.shape[0], np.bool_), low.shape[0]
     for i in range(paths.shape[0]):
@@ -43,9 +41,9 @@ def _meets(paths: Any, low: Any, high: Any, step: float, length: float) -> Any:
                 continue
             if length > 0:
                 s -= length * np.floor(s / length)
-            if not 0 <= s < places * step:
+            if not 0 <= s < places * _STEP:
                 continue
-            at = min(int(s / step), places - 1)
+            at = min(int(s / _STEP), places - 1)
             for j in range(low.shape[1]):
                 if low[at, j] < r < high[at, j]:
                     out[i] = True
@@ -58,16 +56,14 @@ class Gaps:
 
     Parameters
     ----------
-    low, high : lateral extent of each strip on the stretches [i, i + 1] x `step` of the road, (stretches, lanes - 1)
+    low, high : lateral extent of each strip on the stretches [i, i + 1] x 0.1 m of the road, (stretches, lanes - 1)
         [m]; +inf and -inf where there is none.
     lap : length of a closed road [m], 0 of an open one.
-    step : length of a stretch [m].
     """
 
     low: FloatArray
     high: FloatArray
     lap: float = 0.0
-    step: float = _STEP
 
     @classmethod
     def of(cls, road: Any, lanes: list[Any]) -> Gaps | None:
@@ -93,7 +89,7 @@ class Gaps:
 
     def met(self, paths: FloatArray) -> Any:
         """Whether the centre is in a gap in any frame of each path (n, K, 4) of road states, (n,) bool."""
-        return _meets(paths, self.low, self.high, self.step, self.lap)
+        return _meets(paths, self.low, self.high, self.lap)
 
 
 def _off_road(poses: FloatArray, lanes: list[Any]) -> Any:
@@ -107,7 +103,7 @@ def _off_road(poses: FloatArray, lanes: list[Any]) -> Any:
         along, across, direction = _local(lane, poses[near][..., :2])
         beyond = np.maximum(along - lane.length, 0.0) + np.maximum(-along, 0.0)
         inside = np.abs(across) <= lane.width_at(0.0) / 2
-        inside &= (along >= -_VEHICLE) & (along < lane.length + _VEHICLE)
+        inside &= (along >= -lane.VEHICLE_LENGTH) & (along < lane.length + lane.VEHICLE_LENGTH)
         for i, heading in enumerate(_HEADINGS):
             distance = np.abs(across) + beyond + np.abs(wrap_to_pi(poses[near][..., 2] + heading - direction))
             nearer = distance < nearest[i][near]
@@ -117,7 +113,11 @@ def _off_road(poses: FloatArray, lanes: list[Any]) -> Any:
 
 
 def _local(lane: Any, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Place along and across a lane of the map [m] and its direction there [rad], of points (..., 2)."""
+    """Place along and across a lane of the map [m] and its direction there [rad], of points (..., 2).
+
+    In highway-env's own arithmetic: lanes that just meet have points on both edges, which `arcs.project` would round
+    to the outside of both.
+    """
     kind = type(lane).__name__
     if kind == "StraightLane":
         away = points - lane.start
@@ -128,6 +128,5 @@ def _local(lane: Any, points: FloatArray) -> tuple[FloatArray, FloatArray, Float
         turned = wrap_to_pi(np.arctan2(away[..., 1], away[..., 0]) - lane.start_phase)
         across = lane.direction * (lane.radius - np.hypot(away[..., 0], away[..., 1]))
         return lane.direction * lane.radius * turned, across, lane.start_phase + turned + lane.direction * np.pi / 2
-    flat = np.array([lane.local_coordinates(point) for point in points.reshape(-1, 2)])
-    direction = np.array([lane.heading_at(along) for along in flat[:, 0]])
-    return tuple(x.reshape(points.shape[:-1]) for x in (flat[:, 0], flat[:, 1], direction))  # type: ignore[return-value]
+    flat = np.array([lane.local_coordinates(point) for point in points.reshape(-1, 2)]).reshape(*points.shape[:-1], 2)
+    return flat[..., 0], flat[..., 1], np.vectorize(lane.heading_at, otypes=[float])(flat[..., 0])

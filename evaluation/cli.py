@@ -122,7 +122,7 @@ def evaluate(
     from evaluation.episodes import run_paired
     from evaluation.records import make_variants
 
-    shield_config = _read_config(config)
+    shield_config = None if config is None else ShieldConfig.load(config)
     doors = [Door.ENV.value, Door.POLICY.value] if door is Door.BOTH else [door.value]
     if output is not None:
         _check_output(output)
@@ -212,10 +212,6 @@ def _split(values: list[str]) -> list[str]:
     """Repeated options and comma lists as one list, each value once."""
     names = [name.strip() for value in values for name in value.split(",") if name.strip()]
     return list(dict.fromkeys(names))
-
-
-def _read_config(path: Path | None) -> ShieldConfig | None:
-    return None if path is None else ShieldConfig.load(path)
 
 
 def _check_output(path: Path) -> None:

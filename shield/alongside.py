@@ -51,6 +51,12 @@ _LASTS = 1.0
 
 
 @compiled
+def _desired(v: float, closing: float) -> float:
+    """IDM's desired gap d* at speed v, closing in on the vehicle ahead [m]; negative where it pulls away."""
+    return _GAP + _TIME * v + v * closing / _TWICE_ROOT
+
+
+@compiled
 def _may_slip(
     others: Any,
     states: Any,
@@ -80,7 +86,7 @@ def _may_slip(
                 ahead = states[i, 0] - s
                 if i != j and 0 <= ahead < gap and abs(states[i, 1] - centers[lane[j]]) <= sight:
                     gap, closing = ahead, v - states[i, 3] + braking * _BRAKES
-                    wanted = max(_GAP + _TIME * v + v * closing / _TWICE_ROOT, 0.0)
+                    wanted = max(_desired(v, closing), 0.0)
                     left = max(gap - _BRAKES * max(closing, 0.0), 1.0)
             if not wanted > 0:
                 continue
@@ -88,9 +94,9 @@ def _may_slip(
             reach, fast = 0.5 * (others[j, 4] + length) + _OVERLAP, max(ego[3], 0.0) + 1.0
             u = min(max(0.5 * (v - _TIME * _TWICE_ROOT), 0.0), fast)
             most = wanted / left * reach + _SLACK + _DRIFT * _BRAKES
-            leads = _GAP + _TIME * v + v * (v - fast) / _TWICE_ROOT <= most
+            leads = _desired(v, v - fast) <= most
             most = _IMPOSED * reach + _HARDLY + _DRIFT * _BRAKES
-            if leads or _GAP + _TIME * u + u * (u - v) / _TWICE_ROOT <= most:
+            if leads or _desired(u, u - v) <= most:
                 out[count, 0], out[count, 1], out[count, 2] = j, to, wanted / left
                 count += 1
     return count
@@ -131,9 +137,9 @@ def _separations(
                     ahead = s - starts[j] - v * dt * (k + 1)
                     leads = ahead > 0
                     if leads:
-                        wanted, most = _GAP + _TIME * v + v * (v - u) / _TWICE_ROOT, ratios[j] * ahead + _SLACK
+                        wanted, most = _desired(v, v - u), ratios[j] * ahead + _SLACK
                     else:
-                        wanted, most = _GAP + _TIME * u + u * (u - v) / _TWICE_ROOT, _HARDLY - _IMPOSED * ahead
+                        wanted, most = _desired(u, u - v), _HARDLY - _IMPOSED * ahead
                     drift = _DRIFT * min(dt * (k + 1), _BRAKES)
                     if abs(r - goals[j]) <= sight and abs(wanted) <= most + drift:
                         began = k

@@ -274,11 +274,11 @@ class ContinuousCore(Memory):
 
     def _spans(self, scene: Scene) -> FloatArray:
         """Changes of throttle and steering that count alike, (2,) [m/s^2, rad]."""
-        spans = np.array([np.ptp(self.actuators.acceleration), np.ptp(self.actuators.steering)])
+        along, across = float(np.ptp(self.actuators.acceleration)), float(np.ptp(self.actuators.steering))
         if self.norm == "acceleration":
-            v, along = max(float(scene.ego[State.SPEED]), 1.0), float(spans[0]) or self.config.braking
-            spans[:] = along, min(along * LENGTH / v**2, np.ptp(self.actuators.steering) or np.inf)
-        return spans
+            v, along = max(float(scene.ego[State.SPEED]), 1.0), along or self.config.braking
+            across = min(along * LENGTH / v**2, across or np.inf)
+        return np.array([along, across])
 
     def _law(self, scene: Scene, lane: int) -> FloatArray:
         """Inputs of the fail-safe manoeuvre for one frame: brake, and steer to the lane's centre."""

@@ -135,18 +135,30 @@ class Surveyor:
         hold : frames for which the others are *expected* to keep their speed (a forecast, not a bound).
         parts : whether the parts of the margins are wanted.
         """
-        n, frames, _ = paths.shape
-        scene, dt = self.scene, self.scene.dt
+        scene = self.scene
         distance = float(paths[:, -1, RoadState.S].max() - scene.ego_road[RoadState.S])
-        rows, owed = self._threats(candidates, distance, frames * dt)
+        rows, owed = self._threats(candidates, distance, paths.shape[1] * scene.dt)
         room = rooms(paths, self._size_of_ego, scene.road.centers, candidates.fails, 0.5 * scene.road.width, self._bent)
+        separations, reached = self._separations(paths, rows, owed, candidates, hold)
         slipping = _NOWHERE
         if len(self._alongside) and hold == 0:
             slipping = self._alongside.separations(paths, self._size_of_ego)
+        margin = margins(separations, slipping, room)
         if rows.size == 0:
-            margin = np.where(np.isfinite(paths).all(axis=(1, 2)), margins(_NOWHERE, slipping, room), np.nan)
-            self._close_gaps(paths, margin)
-            return Clearance(margin, np.full(n, frames), np.column_stack([*slipping.T, room]) if parts else None)
+            margin[~np.isfinite(paths).all(axis=(1, 2))] = np.nan
+        self._close_gaps(paths, margin)
+        return Clearance(margin, reached, np.column_stack([separations, *slipping.T, room]) if parts else None)
+
+    def _separations(
+        self, paths: FloatArray, rows: Any, owed: Any, candidates: Candidates, hold: int
+    ) -> tuple[FloatArray, Any]:
+        """Least separation of each path from each vehicle of `rows`, (n, len(rows)) [m], and the frames before the
+        first violation, (n,)."""
+        n, frames, _ = paths.shape
+        scene, dt = self.scene, self.scene.dt
+        separations, reached = np.empty((n, rows.size)), np.full(n, frames, dtype=np.intp)
+        if rows.size == 0:
+            return separations, reached
         low, high, home = self._lateral(rows, candidates, paths, bound=hold == 0)
         rear = self.around.rear(frames, dt, hold, rows)
         follows: Any = self._behind[rows] if owed is not None else None
@@ -154,7 +166,6 @@ class Surveyor:
             behind = (scene.road.centers[home], self._at_once(home), self._followers(rows))
         else:
             follows, behind = np.zeros(rows.size, dtype=bool), _NO_FOLLOWERS
-        separations, reached = np.empty((n, rows.size)), np.empty(n, dtype=np.intp)
         least_separations(
             paths,
             self._size_of_ego,
@@ -168,9 +179,7 @@ class Surveyor:
             separations,
             reached,
         )
-        margin = margins(separations, slipping, room)
-        self._close_gaps(paths, margin)
-        return Clearance(margin, reached, np.column_stack([separations, *slipping.T, room]) if parts else None)
+        return separations, reached
 
     def _close_gaps(self, paths: FloatArray, margin: FloatArray) -> None:
         """Nothing leads through where the map has no lane: `margin` (n,) is -inf there."""

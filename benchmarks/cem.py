@@ -25,14 +25,14 @@ from typing import Any
 import joblib
 import numpy as np
 
-from evaluation.parking import BUNDLED, CAUTION, TEMPERATURE, load, network, save, train, train_notebook
+from evaluation.measuring.statistics import wilson
+from evaluation.running.parking_planner import BUNDLED, CAUTION, TEMPERATURE, load, network, save, train, train_notebook
 from evaluation.settings import get_setting
-from evaluation.statistics import wilson
 from evaluation.threads import one_thread
-from mpc.cautious_task import CautiousTask
 from mpc.cem_policy import CEMPolicy
-from mpc.notebook import NotebookPolicy
-from mpc.parking_task import ParkingTask, parking_settings
+from mpc.tasks.cautious_parking import CautiousTask
+from mpc.tasks.notebook import NotebookPolicy
+from mpc.tasks.parking import ParkingTask, parking_settings
 
 POLICIES = ("notebook", "notebook, inference mode", "oracle", "oracle, fast", "learned", "learned, fast")
 DRIVEN = ("notebook", "oracle", "learned", "learned, fast")

@@ -20,9 +20,9 @@ from rich.console import Console
 from rich.table import Table
 from stable_baselines3 import PPO
 
-from dynamics.actuators import Actuators
-from dynamics.scene import SceneReader
-from shield.continuous import ContinuousCore
+from dynamics.scenes.scene import SceneReader
+from dynamics.vehicle.actuators import Actuators
+from shield.procedures.inputs import ContinuousCore
 
 CONFIG = {"action": {"type": "ContinuousAction"}, "simulation_frequency": 20, "policy_frequency": 20, "duration": 30}
 

@@ -39,10 +39,10 @@ import filter_nlp
 from filter_scenes import KINDS, environment, record
 
 from mpc import FilterProblem, FilterResult, FilterSettings, PredictiveFilter
-from mpc.build import Program
-from mpc.guess import brake_guess, shifted
-from mpc.road_step import rollout_function
-from mpc.solver import Answer, Solver
+from mpc.filter.build import Program
+from mpc.filter.daqp_solver import Answer, Solver
+from mpc.filter.guess import brake_guess, shifted
+from mpc.filter.road_step import rollout_function
 
 MAX_ITER = 4000
 
@@ -105,7 +105,7 @@ def do_mpc_controller(settings: FilterSettings) -> Any:
         import do_mpc
     except ImportError:
         return None
-    from mpc.road_step import stage_expression
+    from mpc.filter.road_step import stage_expression
 
     model = do_mpc.model.Model("discrete", "SX")
     import casadi as ca

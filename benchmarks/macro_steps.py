@@ -19,13 +19,13 @@ import highway_env  # noqa: F401
 import numpy as np
 import torch
 
-from dynamics import parking
-from dynamics.collect import collect
-from dynamics.distill import DistillConfig, distill
-from dynamics.fit import FitConfig, fit
-from dynamics.learned import ModelConfig
-from dynamics.model import rollout_held
-from dynamics.oracle import BicycleModel
+from dynamics.learned import parking_state as parking
+from dynamics.learned.collect import collect
+from dynamics.learned.distill import DistillConfig, distill
+from dynamics.learned.fit import FitConfig, fit
+from dynamics.learned.linear import ModelConfig
+from dynamics.learned.model import rollout_held
+from dynamics.learned.oracle import BicycleModel
 
 BLOCKS, HOLD, RUNS = 8, 4, 30
 

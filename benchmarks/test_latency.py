@@ -6,10 +6,10 @@ import pytest
 import torch
 from stable_baselines3 import PPO
 
-from dynamics.scene import Scene, SceneReader
+from dynamics.scenes.scene import Scene, SceneReader
 from shield import Shield, ShieldedEnv
-from shield.core import ShieldCore
-from shield.meta import MetaCore
+from shield.procedures.meta_actions import ShieldCore
+from shield.procedures.meta_actions_only import MetaCore
 
 IDLE, FASTER, SLOWER = 1, 3, 4
 

@@ -13,18 +13,18 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 
 from dynamics.errors import ConfigError
-from dynamics.model import StepModel
-from dynamics.oracle import BicycleModel
-from dynamics.roundabout import RoundaboutModel
-from dynamics.traffic import TrafficModel
-from mpc.categorical import CategoricalCEM, CategoricalSettings
-from mpc.cautious_task import CautiousTask
-from mpc.cem import CEM, PlannerSettings
-from mpc.highway_task import HighwayTask
-from mpc.mppi import MPPI
-from mpc.parking_task import ParkingTask, brake, parking_settings
-from mpc.plan import Cost, Plan, PlanMemory, PlanStatus
-from mpc.roundabout_task import RoundaboutTask, roundabout_settings
+from dynamics.learned.model import StepModel
+from dynamics.learned.oracle import BicycleModel
+from dynamics.learned.roundabout_model import RoundaboutModel
+from dynamics.learned.traffic_model import TrafficModel
+from mpc.sampling.categorical import CategoricalCEM, CategoricalSettings
+from mpc.sampling.cem import CEM, PlannerSettings
+from mpc.sampling.mppi import MPPI
+from mpc.sampling.plan import Cost, Plan, PlanMemory, PlanStatus
+from mpc.tasks.cautious_parking import CautiousTask
+from mpc.tasks.highway import HighwayTask
+from mpc.tasks.parking import ParkingTask, brake, parking_settings
+from mpc.tasks.roundabout import RoundaboutTask, roundabout_settings
 
 __all__ = ["CEMPolicy", "Planner", "Task"]
 
@@ -93,7 +93,7 @@ class CEMPolicy:
         Parameters
         ----------
         env : the environment or VecEnv; obstacles are read from it, and the bicycle where there is no model.
-        model : of the states of `dynamics.parking`; the true bicycle by default.
+        model : of the states of `dynamics.learned.parking_state`; the true bicycle by default.
         settings : how to search; `parking_settings()` by default.
         task : what is to be small; `ParkingTask(env)` by default.
         temperature : of `MPPI`, which searches in place of `CEM` where one is given, by default with the settings

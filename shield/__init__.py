@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dynamics.assumptions import Assumptions
+from dynamics.traffic.assumptions import Assumptions
 from shield.config import Buffer, ShieldConfig
 from shield.decision import Decision, Reason, Tier
-from shield.env import ShieldedEnv
+from shield.doors.env import ShieldedEnv
+from shield.doors.policy import Shield
 from shield.errors import ActionError, ConfigError, PolicyError, SceneError, ShieldError
-from shield.shield import Shield
 
 __all__ = [
     "ActionError",

@@ -10,7 +10,7 @@ from typing import Any
 
 import tomli_w
 
-from dynamics.assumptions import Assumptions
+from dynamics.traffic.assumptions import Assumptions
 from shield.errors import ConfigError
 
 __all__ = ["MODES", "Buffer", "ShieldConfig"]

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dynamics.scene import Scene, Target
+from dynamics.scenes.scene import Scene, Target
 from dynamics.state import BoolArray, FloatArray, RoadState, State, Vehicle
 from shield.config import ShieldConfig
 from shield.decision import Reason

@@ -11,11 +11,11 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from dynamics.road import StraightRoad
-from dynamics.scene import EgoControl, Scene, Target
+from dynamics.roads.straight import StraightRoad
+from dynamics.scenes.scene import EgoControl, Scene, Target
 from dynamics.state import FloatArray, State, Vehicle
 from shield.decision import Reason
-from shield.preference import ranking_of
+from shield.doors.ranking import ranking_of
 from shield.rules import Rule
 
 __all__ = ["check_policy", "check_rule", "random_scene"]

@@ -9,9 +9,9 @@ from typing import Any, cast
 import numpy as np
 
 from dynamics.errors import SceneError
-from dynamics.road import StraightRoad
+from dynamics.roads.straight import StraightRoad
 from dynamics.state import FloatArray, RoadState, State
-from evaluation.recorder import read_road
+from evaluation.measuring.recorder import read_road
 from evaluation.report.draw import Shot
 from shield import ShieldedEnv
 

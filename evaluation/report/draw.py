@@ -16,7 +16,7 @@ from matplotlib import font_manager
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from dynamics.road import Road
+from dynamics.roads.straight import Road
 from dynamics.state import FloatArray, RoadState, State
 from shield.decision import Decision, Tier
 

@@ -15,11 +15,11 @@ import gymnasium as gym
 import numpy as np
 from PIL import Image
 
-from evaluation.baselines import make_policy, start_episode
+from evaluation.learning.training import FIRST_EVALUATION_SEED
 from evaluation.report.camera import Camera
 from evaluation.report.draw import AREA, GREEN, ORANGE, RED, Shot, draw
+from evaluation.running.named_policies import make_policy, start_episode
 from evaluation.settings import Setting, get_setting
-from evaluation.training import FIRST_EVALUATION_SEED
 from shield import ShieldConfig, ShieldedEnv, Tier
 from shield.errors import ConfigError
 

@@ -8,8 +8,8 @@ import torch
 from driving_data import angles, coordinates, moved, states
 from hypothesis import given, settings
 
-from dynamics.body_frame import Layout
 from dynamics.errors import ConfigError
+from dynamics.learned.body_frame import Layout
 
 LAYOUT = Layout()
 

@@ -7,8 +7,8 @@ from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from dynamics.boxes import gaps
-from dynamics.lot import Lot
+from dynamics.scenes.parking_lot import Lot
+from dynamics.scenes.rectangles import gaps
 
 SIZE = st.floats(0.5, 6)
 PLACE = st.tuples(st.floats(-8, 8), st.floats(-8, 8), st.floats(-7, 7))

@@ -10,10 +10,10 @@ from gymnasium import spaces
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics import parking
-from dynamics.collect import RESET_SEEDS, RandomPolicy, collect
 from dynamics.errors import ConfigError, DataError
-from dynamics.oracle import BicycleModel
+from dynamics.learned import parking_state as parking
+from dynamics.learned.collect import RESET_SEEDS, RandomPolicy, collect
+from dynamics.learned.oracle import BicycleModel
 
 
 class Countdown(gym.Env):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dynamics.compiled import compiled
-from dynamics.kernels import slip_at
+from dynamics.vehicle.rollout_kernels import slip_at
 
 
 def calls_another_file(x):

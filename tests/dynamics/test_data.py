@@ -10,8 +10,8 @@ from driving_data import driving
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.data import Transitions
 from dynamics.errors import DataError, ShieldError
+from dynamics.learned.transitions import Transitions
 
 lengths = st.lists(st.integers(1, 7), min_size=1, max_size=6)
 

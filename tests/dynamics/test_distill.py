@@ -8,11 +8,11 @@ from driving_data import angles, coordinates, driving, inputs, moved, states
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.distill import DistillConfig, distill
 from dynamics.errors import ConfigError, ModelError
-from dynamics.fit import FitConfig, fit
-from dynamics.learned import LinearStructuredModel, ModelConfig
-from dynamics.model import HeldModel, rollout
+from dynamics.learned.distill import DistillConfig, distill
+from dynamics.learned.fit import FitConfig, fit
+from dynamics.learned.linear import LinearStructuredModel, ModelConfig
+from dynamics.learned.model import HeldModel, rollout
 
 DATA = driving(16, 30)
 MODEL = fit(DATA, ModelConfig(members=2, hidden=(16, 16)), FitConfig(epochs=60, finish_epochs=0, batch=64)).model

@@ -13,12 +13,12 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from dynamics import bicycle
-from dynamics.controllers import speed_control, speed_to_index, steering_control
-from dynamics.kernels import slip_at, table_of
-from dynamics.road import StraightRoad
-from dynamics.rollout import NO_LIMIT, Rollouts
-from dynamics.scene import EgoControl, Scene, Target
+from dynamics.roads.straight import StraightRoad
+from dynamics.scenes.scene import EgoControl, Scene, Target
+from dynamics.vehicle import bicycle
+from dynamics.vehicle.controllers import speed_control, speed_to_index, steering_control
+from dynamics.vehicle.rollout_kernels import slip_at, table_of
+from dynamics.vehicle.rollouts import NO_LIMIT, Rollouts
 
 LABELS = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
 TOLERANCE = 1e-9

@@ -13,9 +13,10 @@ from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.path import PathRoad
-from dynamics.road import StraightRoad
-from shield.env import ShieldedEnv
+from dynamics.roads.network import read_network
+from dynamics.roads.path import PathRoad
+from dynamics.roads.straight import StraightRoad
+from shield.doors.env import ShieldedEnv
 
 GAPPED = ("racetrack-v0", "racetrack-large-v0")
 
@@ -25,7 +26,7 @@ def read(name: str) -> tuple[Any, PathRoad]:
     env = gym.make(name)
     env.reset(seed=0)
     road = env.unwrapped.road  # type: ignore[attr-defined]
-    return road, PathRoad.from_network(road.network)
+    return road, read_network(road.network)
 
 
 def off_road(name: str, s: float, r: float, angle: float = 0.0) -> bool:
@@ -114,7 +115,7 @@ def test_the_shield_does_not_let_the_ego_into_one(shielded: bool) -> None:
     env = ShieldedEnv(env) if shielded else env
     env.reset(seed=0)
     base: Any = env.unwrapped
-    road = PathRoad.from_network(base.road.network)
+    road = read_network(base.road.network)
     v, angle = 8.0, 0.3
     ego = base.vehicle
     x, y, heading, _ = road.to_world(np.array([200.0, 2.54 - v / 15 * np.sin(angle), angle, v]))

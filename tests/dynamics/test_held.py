@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynamics.bicycle import step
-from dynamics.controllers import steering_control
-from dynamics.held import HeldRollouts
+from dynamics.vehicle.bicycle import step
+from dynamics.vehicle.controllers import steering_control
+from dynamics.vehicle.held_rollouts import HeldRollouts
 
 states = st.tuples(st.floats(-2, 6), st.floats(-0.3, 0.3), st.floats(0, 35)).map(
     lambda x: np.array([10.0, x[0], x[1], x[2]])

@@ -12,9 +12,9 @@ from driving_data import angles, coordinates, driving, inputs, moved, states
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.body_frame import Layout
 from dynamics.errors import ConfigError, ModelError
-from dynamics.learned import LinearStructuredModel, ModelConfig
+from dynamics.learned.body_frame import Layout
+from dynamics.learned.linear import LinearStructuredModel, ModelConfig
 
 BODY = ModelConfig(members=3)
 PLAIN = ModelConfig(form="plain", hide_position=False, unit_heading=False, shared=False)

@@ -13,12 +13,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.actuators import Actuators
-from dynamics.body_frame import Layout
 from dynamics.errors import ConfigError, ModelError
-from dynamics.learned import LinearStructuredModel, ModelConfig
-from dynamics.learned_casadi import TOLERANCE, LearnedStep, LearnedSteps, actuator_notes
-from dynamics.store import save_model
+from dynamics.learned.body_frame import Layout
+from dynamics.learned.casadi_steps import TOLERANCE, LearnedStep, LearnedSteps, actuator_notes
+from dynamics.learned.files import save_model
+from dynamics.learned.linear import LinearStructuredModel, ModelConfig
+from dynamics.vehicle.actuators import Actuators
 
 ACTUATORS = Actuators(acceleration=(-10.0, 5.0))
 floats = st.floats

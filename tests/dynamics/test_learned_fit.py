@@ -11,11 +11,11 @@ import pytest
 import torch
 from driving_data import driving
 
-from dynamics.data import Transitions
 from dynamics.errors import ConfigError, DataError, ModelError
-from dynamics.fit import FitConfig, fit
-from dynamics.learned import ModelConfig
-from dynamics.open_loop import open_loop
+from dynamics.learned.fit import FitConfig, fit
+from dynamics.learned.linear import ModelConfig
+from dynamics.learned.open_loop import open_loop
+from dynamics.learned.transitions import Transitions
 
 DATA = driving(16, 30)
 FRESH = driving(10, 20, seed=9)

@@ -5,9 +5,9 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
 
-from dynamics.boxes import gaps
 from dynamics.errors import SceneError
-from dynamics.lot import Lot, LotReader, is_lot
+from dynamics.scenes.parking_lot import Lot, LotReader, is_lot
+from dynamics.scenes.rectangles import gaps
 
 EGO = np.array([0.0, 0.0, 0.5, 1.0, 5.0, 2.0])
 CARS = np.array([[10.0, 0, 0, 0, 5, 2], [0, 10.0, 1, 0, 5, 2]])

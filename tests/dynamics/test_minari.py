@@ -11,9 +11,9 @@ from driving_data import driving
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.data import Transitions
 from dynamics.errors import ConfigError, DataError
-from dynamics.minari import from_minari, to_minari
+from dynamics.learned.minari import from_minari, to_minari
+from dynamics.learned.transitions import Transitions
 
 numbers = count()
 

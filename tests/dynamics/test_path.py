@@ -9,11 +9,11 @@ from highway_env.road.road import RoadNetwork
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.arcs import Arcs, biarc, place, project
 from dynamics.errors import SceneError
-from dynamics.network import MAX_DEVIATION, SINE_ERROR
-from dynamics.path import PathRoad
-from dynamics.road import StraightRoad
+from dynamics.roads.arcs import Arcs, biarc, place, project
+from dynamics.roads.network import MAX_DEVIATION, SINE_ERROR, read_network
+from dynamics.roads.path import PathRoad
+from dynamics.roads.straight import StraightRoad
 from dynamics.state import wrap_to_pi
 
 CLOSED = ("racetrack-v0", "racetrack-large-v0", "racetrack-oval-v0")
@@ -31,7 +31,7 @@ def network_of(name, **config):
 @pytest.fixture(scope="module")
 def maps():
     networks = {name: network_of(name) for name in ROADS}
-    return {name: (network, PathRoad.from_network(network)) for name, network in networks.items()}
+    return {name: (network, read_network(network)) for name, network in networks.items()}
 
 
 def sections_of(network):
@@ -245,7 +245,7 @@ def test_a_sine_is_within_a_millimetre(maps):
 
 def test_one_straight_section_is_the_straight_road():
     network = RoadNetwork.straight_road_network(4, angle=0.7)
-    road, straight = PathRoad.from_network(network), StraightRoad.from_network(network)
+    road, straight = read_network(network), StraightRoad.from_network(network)
     world = np.random.default_rng(8).uniform(-20, 200, (500, 4)) * np.array([1, 1, 0.01, 0.1])
     got, wanted = road.to_road(world), straight.to_road(world)
     np.testing.assert_allclose(got, wanted, rtol=0, atol=INVERSE)
@@ -265,7 +265,7 @@ def test_one_straight_section_is_the_straight_road():
 @given(lanes=st.integers(2, 5), length=st.sampled_from([100, 140, 199]))
 @settings(max_examples=6, deadline=None)
 def test_ovals_of_any_size_are_read(lanes, length):
-    road = PathRoad.from_network(network_of("racetrack-oval-v0", no_lanes=lanes, length=length))
+    road = read_network(network_of("racetrack-oval-v0", no_lanes=lanes, length=length))
     np.testing.assert_allclose(road.centers, 5.0 * np.arange(lanes), rtol=0, atol=1e-9)
     assert road.length == pytest.approx(2 * length + 10 + 60 + np.pi * (20 + 15), abs=1e-9)
     assert road.deviation < 0.026
@@ -277,7 +277,7 @@ def test_ovals_of_any_size_are_read(lanes, length):
 )
 def test_other_networks_are_refused_with_what_is_supported(name):
     with pytest.raises(SceneError, match=r"supported are .*racetrack-v0"):
-        PathRoad.from_network(network_of(name))
+        read_network(network_of(name))
 
 
 def two_sections(second, lanes=1):
@@ -302,7 +302,7 @@ def two_sections(second, lanes=1):
 )
 def test_sections_that_make_no_road_are_refused(second, lanes, words):
     with pytest.raises(SceneError, match=words):
-        PathRoad.from_network(two_sections(second, lanes))
+        read_network(two_sections(second, lanes))
 
 
 def test_paths_with_kinks_or_too_tight_bends_are_refused():

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from road_growth import road_growth
 
-from dynamics.arcs import Arcs
 from dynamics.errors import SceneError
-from dynamics.footprint import bend_growth, road_growth
-from dynamics.path import PathRoad
+from dynamics.roads.arcs import Arcs
+from dynamics.roads.footprint import bend_growth
+from dynamics.roads.network import read_network
+from dynamics.roads.path import PathRoad
 
 SLACK = 1e-9
 t = np.linspace(-1, 1, 81)
@@ -65,7 +67,7 @@ def test_the_grown_rectangle_contains_the_outline_and_no_smaller_one_does(k, r, 
 def test_it_contains_the_outline_anywhere_on_a_road(name):
     env = gym.make(name)
     env.reset(seed=0)
-    road = PathRoad.from_network(env.unwrapped.road.network)
+    road = read_network(env.unwrapped.road.network)
     rng, n = np.random.default_rng(0), 3000
     joints = np.array(road.profile.breaks)[rng.integers(1, len(road.profile.breaks) - 1, n)]
     s = np.where(rng.random(n) < 0.7, joints + rng.uniform(-4, 4, n), rng.uniform(10, road.length - 10, n))

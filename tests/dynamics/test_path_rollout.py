@@ -8,12 +8,13 @@ from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics import bicycle
-from dynamics.arcs import Arcs
-from dynamics.path import PathRoad
-from dynamics.road import StraightRoad
-from dynamics.rollout import BRAKE, NO_LIMIT, Rollouts
+from dynamics.roads.arcs import Arcs
+from dynamics.roads.network import read_network
+from dynamics.roads.path import PathRoad
+from dynamics.roads.straight import StraightRoad
 from dynamics.state import wrap_to_pi
+from dynamics.vehicle import bicycle
+from dynamics.vehicle.rollouts import BRAKE, NO_LIMIT, Rollouts
 
 TOLERANCE = 1e-9
 LANE_KEEPING = [
@@ -90,7 +91,7 @@ def roads():
     for name in ("racetrack-v0", "racetrack-oval-v0", "lane-keeping-v0"):
         env = gym.make(name)
         env.reset(seed=0)
-        found[name] = PathRoad.from_network(env.unwrapped.road.network)
+        found[name] = read_network(env.unwrapped.road.network)
     return found
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dynamics.errors import SceneError
-from dynamics.path import PathRoad
-from dynamics.road import StraightRoad
-from dynamics.scene import Scene, SceneReader
+from dynamics.roads.path import PathRoad
+from dynamics.roads.straight import StraightRoad
+from dynamics.scenes.scene import Scene, SceneReader
 from dynamics.state import RoadState
 
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.assumptions import Assumptions
 from dynamics.errors import ConfigError
-from dynamics.prediction import Surroundings, constant_velocity, predict_occupancy
-from dynamics.road import StraightRoad
+from dynamics.roads.straight import StraightRoad
+from dynamics.traffic.assumptions import Assumptions
+from dynamics.traffic.occupancy import Surroundings, constant_velocity, predict_occupancy
 
 LIMITS = settings(deadline=None, max_examples=150, derandomize=True)
 ROAD = StraightRoad.from_lanes(4)

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import SceneError
-from dynamics.road import StraightRoad
-from dynamics.scene import Scene
+from dynamics.roads.straight import StraightRoad
+from dynamics.scenes.scene import Scene
 
 LIMITS = settings(deadline=None, max_examples=100, derandomize=True)
 angles = st.floats(-3.2, 3.2)

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError, ModelError
-from dynamics.learned import LinearStructuredModel
-from dynamics.roundabout import (
+from dynamics.learned.linear import LinearStructuredModel
+from dynamics.learned.roundabout_model import (
     ALPHA,
     EGO,
     ROW,

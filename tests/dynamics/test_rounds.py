@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from dynamics.collect import RandomPolicy
 from dynamics.errors import ConfigError
-from dynamics.fit import FitConfig
-from dynamics.learned import LinearStructuredModel, ModelConfig
-from dynamics.oracle import BicycleModel
-from dynamics.rounds import RoundsConfig, rounds
+from dynamics.learned.collect import RandomPolicy
+from dynamics.learned.fit import FitConfig
+from dynamics.learned.linear import LinearStructuredModel, ModelConfig
+from dynamics.learned.on_policy_rounds import RoundsConfig, rounds
+from dynamics.learned.oracle import BicycleModel
 
 
 class Yard(gym.Env):

@@ -9,8 +9,8 @@ import pytest
 from highway_env.vehicle.objects import Landmark, Obstacle
 
 from dynamics.errors import ActionError, SceneError
-from dynamics.road import StraightRoad
-from dynamics.scene import EgoControl, Scene, SceneReader, Target
+from dynamics.roads.straight import StraightRoad
+from dynamics.scenes.scene import EgoControl, Scene, SceneReader, Target
 from dynamics.state import State, Vehicle
 
 EGO = np.array([100.0, 4.0, 0.0, 25.0, 5.0, 2.0, 0.0])

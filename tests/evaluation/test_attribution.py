@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynamics.road import StraightRoad
-from evaluation.attribution import Cause, attribute_from_simulator_state, rss_gap
-from evaluation.recorder import History, Recorder, Track
+from dynamics.roads.straight import StraightRoad
+from evaluation.measuring.attribution import Cause, attribute_from_simulator_state, rss_gap
+from evaluation.measuring.recorder import History, Recorder, Track
 from evaluation.settings import get_setting
 
 DT = 0.1

@@ -3,7 +3,7 @@
 import pytest
 from PIL import Image
 
-from evaluation.cem_demo import cem_demo
+from evaluation.commands.cem_demo import cem_demo
 
 
 @pytest.mark.slow

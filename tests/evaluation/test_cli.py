@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from evaluation.cli import _split, app, main
+from evaluation.commands.cli import _split, app, main
 from shield.config import ShieldConfig
 
 RUN = CliRunner()
@@ -67,6 +67,6 @@ def test_mistakes_are_one_line_and_exit_code_2(arguments, message, monkeypatch, 
 
 
 def test_the_module_runs_as_a_program():
-    done = subprocess.run([sys.executable, "-m", "evaluation.cli", "config"], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-m", "evaluation.commands.cli", "config"], capture_output=True, text=True)
     assert done.returncode == 0
     assert 'mode = "full"' in done.stdout

@@ -9,17 +9,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-import evaluation.driving_model as driving
-from dynamics.actuators import Actuators
-from dynamics.driving import RandomDriver, state
+import evaluation.running.driving_model as driving
 from dynamics.errors import ConfigError, DataError, ModelError
-from dynamics.learned_casadi import LearnedStep
-from dynamics.oracle import BicycleModel
-from dynamics.store import load_model
-from evaluation.cli import app
-from evaluation.driving_model import BUNDLED, collect_driving, driving_model, load_driving, measure, train_driving
-from evaluation.episodes import run_episode, run_paired
-from evaluation.records import make_variants
+from dynamics.learned.casadi_steps import LearnedStep
+from dynamics.learned.driving_state import RandomDriver, state
+from dynamics.learned.files import load_model
+from dynamics.learned.oracle import BicycleModel
+from dynamics.vehicle.actuators import Actuators
+from evaluation.commands.cli import app
+from evaluation.running.driving_model import (
+    BUNDLED,
+    collect_driving,
+    driving_model,
+    load_driving,
+    measure,
+    train_driving,
+)
+from evaluation.running.episodes import run_episode, run_paired
+from evaluation.running.records import make_variants
 from evaluation.settings import get_setting
 
 FAST = "highway-fast-continuous"

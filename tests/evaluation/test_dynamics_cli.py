@@ -10,18 +10,18 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-import dynamics.variants as variants
-from dynamics.data import Transitions
+import dynamics.learned.variants as variants
 from dynamics.errors import ConfigError, ShieldError
-from dynamics.fit import FitConfig
-from dynamics.fit import fit as original
-from dynamics.learned import ModelConfig
-from dynamics.open_loop import OpenLoop
-from dynamics.rounds import RoundsConfig
-from dynamics.store import load_model, read_config
-from dynamics.variants import VARIANTS, Variant, variant
-from evaluation.cli import app
-from evaluation.dynamics_study import HORIZON, Trial, errors, plot, study
+from dynamics.learned.files import load_model, read_config
+from dynamics.learned.fit import FitConfig
+from dynamics.learned.fit import fit as original
+from dynamics.learned.linear import ModelConfig
+from dynamics.learned.on_policy_rounds import RoundsConfig
+from dynamics.learned.open_loop import OpenLoop
+from dynamics.learned.transitions import Transitions
+from dynamics.learned.variants import VARIANTS, Variant, variant
+from evaluation.commands.cli import app
+from evaluation.measuring.dynamics_study import HORIZON, Trial, errors, plot, study
 
 TINY = Variant(
     "small",
@@ -99,7 +99,7 @@ def test_a_study_tests_all_on_the_same_driving_and_fits_nothing_twice(monkeypatc
     apart = replace(first, data=RoundsConfig(transitions=150, rounds=0))
     monkeypatch.setattr(variants, "VARIANTS", {"first": first, "other": other, "apart": apart, "rounds": TINY})
     fits = []
-    for module in ("dynamics.rounds", "evaluation.dynamics_study"):
+    for module in ("dynamics.learned.on_policy_rounds", "evaluation.measuring.dynamics_study"):
         monkeypatch.setattr(f"{module}.fit", lambda *a, **k: fits.append(len(a[0])) or original(*a, **k))
     (trials,) = study(("first", "other", "apart", "rounds"), (1,), transitions=60)
     # Rounds 0 and 1 of the default, then the two that are something else.
@@ -128,7 +128,7 @@ def test_evaluate_goes_on_where_it_was_stopped(monkeypatch, tmp_path):
                 raise KeyboardInterrupt
             yield [_trial(name, seed, 0.1 * (seed + 1)) for name in (*names, "true bicycle")]
 
-    monkeypatch.setattr("evaluation.dynamics_study.study", pretend)
+    monkeypatch.setattr("evaluation.measuring.dynamics_study.study", pretend)
     table = tmp_path / "errors.csv"
     assert shield("evaluate", "--seeds", 3, "--output", table).exit_code != 0
     assert len(pd.read_csv(table)) == 6

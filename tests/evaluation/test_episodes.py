@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from evaluation.episodes import run_episode, run_paired
-from evaluation.records import Variant, make_variants
+from evaluation.running.episodes import run_episode, run_paired
+from evaluation.running.records import Variant, make_variants
 from evaluation.settings import get_setting
 from shield import ShieldConfig
 from shield.errors import ConfigError

@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from evaluation.metrics import compare, summarise
-from evaluation.records import EpisodeRecord
+from evaluation.measuring.metrics import compare, summarise
 from evaluation.report.table import (
     COMPARISON,
     SUMMARY,
@@ -17,6 +16,7 @@ from evaluation.report.table import (
     rich_table,
     write_table,
 )
+from evaluation.running.records import EpisodeRecord
 from shield.errors import ConfigError
 
 

@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from evaluation.observations import FastObservations
+from evaluation.learning.observations import FastObservations
 from evaluation.settings import get_setting
 from shield.errors import ConfigError
 

@@ -6,14 +6,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from evaluation.baselines import make_policy
-from evaluation.episodes import run_episode, run_paired
-from evaluation.metrics import summarise
-from evaluation.parking import PARKING_POLICIES, load, parking_policy
-from evaluation.records import Variant
+from evaluation.measuring.metrics import summarise
 from evaluation.report.table import SUMMARY, markdown
+from evaluation.running.episodes import run_episode, run_paired
+from evaluation.running.named_policies import make_policy
+from evaluation.running.parking_planner import PARKING_POLICIES, load, parking_policy
+from evaluation.running.records import Variant
 from evaluation.settings import get_setting
-from mpc.notebook import NotebookModel, NotebookPolicy
+from mpc.tasks.notebook import NotebookModel, NotebookPolicy
 from shield.errors import ConfigError
 
 
@@ -95,7 +95,7 @@ def test_names_are_policies_of_the_evaluation():
 
 
 def test_the_bundled_macro_steps_are_close_to_the_true_model():
-    from dynamics.oracle import BicycleModel
+    from dynamics.learned.oracle import BicycleModel
 
     fast, generator = load()[0], np.random.default_rng(0)
     heading, speed = generator.uniform(-np.pi, np.pi, 200), generator.uniform(-5, 5, 200)

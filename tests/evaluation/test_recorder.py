@@ -6,11 +6,11 @@ from highway_env.vehicle.controller import ControlledVehicle
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynamics.path import PathRoad
-from dynamics.road import StraightRoad
-from evaluation.attribution import Cause, attribute_from_simulator_state
-from evaluation.episodes import run_episode
-from evaluation.recorder import History, Recorder, Track
+from dynamics.roads.path import PathRoad
+from dynamics.roads.straight import StraightRoad
+from evaluation.measuring.attribution import Cause, attribute_from_simulator_state
+from evaluation.measuring.recorder import History, Recorder, Track
+from evaluation.running.episodes import run_episode
 from evaluation.settings import Setting, get_setting
 
 ROAD = StraightRoad.from_lanes(3)

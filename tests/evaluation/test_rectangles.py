@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evaluation.rectangles import separation
+from evaluation.measuring.rectangles import separation
 
 BOX = st.tuples(
     st.floats(-8, 8), st.floats(-8, 8), st.floats(-4, 4), st.just(0.0), st.floats(0.5, 6), st.floats(0.5, 6)

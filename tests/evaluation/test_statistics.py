@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evaluation.statistics import (
+from evaluation.measuring.statistics import (
     Interval,
     bootstrap_mean,
     mcnemar,

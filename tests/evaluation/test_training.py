@@ -11,17 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stable_baselines3 import DQN, PPO
 
-from evaluation.normalisation import fold, normalised
-from evaluation.policies import list_references, load_reference, reference_manifest
-from evaluation.recipes import RECIPES
-from evaluation.settings import Setting, get_setting
-from evaluation.training import (
+from evaluation.learning.normalisation import fold, normalised
+from evaluation.learning.recipes import RECIPES
+from evaluation.learning.training import (
     FIRST_EVALUATION_SEED,
     get_algorithm,
     manifest_path,
     train,
     train_recipe,
 )
+from evaluation.policies import list_references, load_reference, reference_manifest
+from evaluation.settings import Setting, get_setting
 from shield.errors import ConfigError
 
 TINY = Setting("tiny", "highway-fast-v0", {"vehicles_count": 3, "duration": 10})

@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError
-from dynamics.oracle import BicycleModel
-from mpc.cautious_task import CautiousTask
+from dynamics.learned.oracle import BicycleModel
 from mpc.cem_policy import CEMPolicy
-from mpc.mppi import MPPI
-from mpc.parking_task import PROFILES, ParkingTask, parking_settings
-from mpc.plan import evaluate
+from mpc.sampling.mppi import MPPI
+from mpc.sampling.plan import evaluate
+from mpc.tasks.cautious_parking import CautiousTask
+from mpc.tasks.parking import PROFILES, ParkingTask, parking_settings
 
 
 class Unsure(BicycleModel):

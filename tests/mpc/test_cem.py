@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError, ModelError
-from dynamics.oracle import BicycleModel
-from mpc.categorical import CategoricalCEM, CategoricalSettings
-from mpc.cem import CEM
-from mpc.mppi import MPPI
-from mpc.noise import coloured
-from mpc.plan import PlanStatus
-from mpc.planner_settings import PlannerSettings
+from dynamics.learned.oracle import BicycleModel
+from mpc.sampling.categorical import CategoricalCEM, CategoricalSettings
+from mpc.sampling.cem import CEM
+from mpc.sampling.mppi import MPPI
+from mpc.sampling.noise import coloured
+from mpc.sampling.plan import PlanStatus
+from mpc.sampling.settings import PlannerSettings
 
 KINDS = {
     "plain": PlannerSettings.notebook(blocks=3, hold=1),

@@ -8,15 +8,15 @@ from hypothesis import strategies as st
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from dynamics import parking
 from dynamics.errors import ConfigError, DataError
-from dynamics.oracle import BicycleModel
+from dynamics.learned import parking_state as parking
+from dynamics.learned.oracle import BicycleModel
 from evaluation.settings import get_setting
 from mpc.cem_policy import CEMPolicy
-from mpc.costs import DisagreementCost, InputCost, SpeedCost, Sum, TerminalWeight, TimeCost
-from mpc.parking_costs import GoalCost, ObstacleCost, StopCost, SuccessMask, WallCost, goal_distance
-from mpc.parking_task import ParkingTask, brake, parking_settings
-from mpc.plan import PlanStatus, Trajectories
+from mpc.sampling.plan import PlanStatus, Trajectories
+from mpc.tasks.costs import DisagreementCost, InputCost, SpeedCost, Sum, TerminalWeight, TimeCost
+from mpc.tasks.parking import ParkingTask, brake, parking_settings
+from mpc.tasks.parking_costs import GoalCost, ObstacleCost, StopCost, SuccessMask, WallCost, goal_distance
 
 LOT = get_setting("parking").make()
 GOAL = np.array([4.0, 14.0, 0.0, 0.0, 0.0, 1.0])

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mpc import FilterProblem, FilterSettings, PredictiveFilter, Reference, Status
-from mpc.guess import brake_guess, shifted
-from mpc.road_step import rollout_function
+from mpc.filter.guess import brake_guess, shifted
+from mpc.filter.road_step import rollout_function
 
 SETTINGS = FilterSettings()
 HALF = (4.5, 1.3)

@@ -6,14 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError, DataError, ModelError
-from dynamics.learned import LinearStructuredModel
-from dynamics.traffic import EGO, VEHICLE, TrafficModel, collect_traffic, traffic_config
-from evaluation.baselines import make_policy
-from evaluation.highway_planner import highway_policy, load_traffic
+from dynamics.learned.linear import LinearStructuredModel
+from dynamics.learned.traffic_model import EGO, VEHICLE, TrafficModel, collect_traffic, traffic_config
+from evaluation.running.highway_planner import highway_policy, load_traffic
+from evaluation.running.named_policies import make_policy
 from evaluation.settings import get_setting
 from mpc.cem_policy import CEMPolicy
-from mpc.highway_task import ChangeCost, ContactCost, HighwayTask, LaneCost, PaceCost
-from mpc.plan import PlanStatus, Trajectories
+from mpc.sampling.plan import PlanStatus, Trajectories
+from mpc.tasks.highway import ChangeCost, ContactCost, HighwayTask, LaneCost, PaceCost
 
 IDLE, FASTER, SLOWER = 1, 3, 4
 

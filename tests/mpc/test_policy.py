@@ -9,7 +9,7 @@ import pytest
 from highway_env.vehicle.kinematics import Vehicle
 
 from dynamics.errors import ConfigError, SceneError
-from mpc.policy import MPCPolicy
+from mpc.mpc_policy import MPCPolicy
 
 CONTINUOUS = {"action": {"type": "ContinuousAction"}, "simulation_frequency": 10, "policy_frequency": 5}
 

@@ -5,8 +5,8 @@ from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynamics import bicycle
-from mpc.road_step import rollout_function
+from dynamics.vehicle import bicycle
+from mpc.filter.road_step import rollout_function
 
 DT = 1 / 15
 floats = st.floats

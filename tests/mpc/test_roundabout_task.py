@@ -7,14 +7,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError, DataError
-from dynamics.learned import LinearStructuredModel
-from dynamics.roundabout import EGO, ROW, RoundaboutModel, roundabout_config
-from evaluation.baselines import make_policy
-from evaluation.roundabout_planner import load_roundabout, roundabout_policy
+from dynamics.learned.linear import LinearStructuredModel
+from dynamics.learned.roundabout_model import EGO, ROW, RoundaboutModel, roundabout_config
+from evaluation.running.named_policies import make_policy
+from evaluation.running.roundabout_planner import load_roundabout, roundabout_policy
 from evaluation.settings import get_setting
 from mpc.cem_policy import CEMPolicy
-from mpc.plan import PlanStatus, Trajectories
-from mpc.roundabout_task import ClearanceCost, RoundaboutTask, TargetCost, roundabout_settings
+from mpc.sampling.plan import PlanStatus, Trajectories
+from mpc.tasks.roundabout import ClearanceCost, RoundaboutTask, TargetCost, roundabout_settings
 
 LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
 STRICT = ClearanceCost(along=2.0, across=0.8, growth=0.0)
@@ -104,7 +104,7 @@ def test_a_crash_between_two_looked_at_states_is_seen_and_lasts():
 
 
 def test_between_states_a_circle_is_followed():
-    from mpc.roundabout_task import _between
+    from mpc.tasks.roundabout import _between
 
     angle = np.array([0.0, -16 / 22])
     states = np.stack([place(22 * np.cos(a), 22 * np.sin(a), a - np.pi / 2, 16.0) for a in angle])

@@ -13,12 +13,12 @@ from highway_env.vehicle.controller import ControlledVehicle
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from dynamics.prediction import Surroundings
-from dynamics.road import StraightRoad
-from dynamics.rollout import BRAKE, Rollouts
-from dynamics.scene import EgoControl, Scene, Target
+from dynamics.roads.straight import StraightRoad
+from dynamics.scenes.scene import EgoControl, Scene, Target
+from dynamics.traffic.occupancy import Surroundings
+from dynamics.vehicle.rollouts import BRAKE, Rollouts
 from shield import ShieldConfig
-from shield.alongside import Alongside
+from shield.certificate.alongside import Alongside
 
 DT, LANES = 0.05, 2
 CONFIG = ShieldConfig()

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.assumptions import Assumptions
-from evaluation.baselines import ConstantPolicy
+from dynamics.traffic.assumptions import Assumptions
+from evaluation.running.named_policies import ConstantPolicy
 from shield import Shield, ShieldedEnv
 from shield.config import MODES, Buffer, ShieldConfig
 from shield.errors import ConfigError, ShieldError

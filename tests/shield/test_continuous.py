@@ -11,14 +11,14 @@ from continuous_world import STYLES, Adversary, ContinuousWorld, propose, random
 from hypothesis import HealthCheck, Phase, assume, example, given, reject, settings
 from hypothesis import strategies as st
 
-from dynamics.actuators import Actuators
-from dynamics.bicycle import LENGTH, step
-from dynamics.road import StraightRoad
-from dynamics.scene import EgoControl, Scene, Target
+from dynamics.roads.straight import StraightRoad
+from dynamics.scenes.scene import EgoControl, Scene, Target
 from dynamics.state import Vehicle
+from dynamics.vehicle.actuators import Actuators
+from dynamics.vehicle.bicycle import LENGTH, step
 from shield import Buffer, ShieldConfig, Tier
 from shield.config import NORMS
-from shield.continuous import ContinuousCore
+from shield.procedures.inputs import ContinuousCore
 
 SETTINGS = settings(deadline=None, max_examples=50, suppress_health_check=list(HealthCheck))
 SEEDS = st.integers(0, 2**32 - 1)

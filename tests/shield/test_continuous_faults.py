@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from continuous_world import random_continuous_world
 
-from dynamics.actuators import Actuators
-from dynamics.prediction import Surroundings
-from dynamics.rollout import Rollouts
-from dynamics.scene import Scene, SceneReader
+from dynamics.scenes.scene import Scene, SceneReader
 from dynamics.state import Vehicle
-from mpc.filter import PredictiveFilter
+from dynamics.traffic.occupancy import Surroundings
+from dynamics.vehicle.actuators import Actuators
+from dynamics.vehicle.rollouts import Rollouts
+from mpc.filter.predictive_filter import PredictiveFilter
 from shield import Reason, Shield, ShieldConfig, ShieldedEnv, Tier
-from shield.continuous import ContinuousCore
 from shield.errors import ConfigError, SceneError
-from shield.search import Search
+from shield.procedures.inputs import ContinuousCore
+from shield.repair.nearest_input import Search
 
 NAN, INF = float("nan"), float("inf")
 FULL = np.array([1.0, 0.0], dtype=np.float32)

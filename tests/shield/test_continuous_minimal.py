@@ -8,9 +8,9 @@ from continuous_world import STYLES, Adversary, propose, random_continuous_world
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dynamics.scene import Scene
+from dynamics.scenes.scene import Scene
 from shield import Tier
-from shield.continuous import ContinuousCore
+from shield.procedures.inputs import ContinuousCore
 
 RANGES = np.array([10.0, np.pi / 2])
 GRID = np.stack(np.meshgrid(np.linspace(-5, 5, 41), np.linspace(-np.pi / 4, np.pi / 4, 41)), axis=-1).reshape(-1, 2)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from continuous_world import random_continuous_world
 
-from dynamics import bicycle
-from dynamics.actuators import Actuators
+from dynamics.vehicle import bicycle
+from dynamics.vehicle.actuators import Actuators
 from shield import ShieldConfig, ShieldedEnv
-from shield.continuous import ContinuousCore
 from shield.decision import Tier
 from shield.errors import ConfigError
-from shield.search import Search
+from shield.procedures.inputs import ContinuousCore
+from shield.repair.nearest_input import Search
 
 
 class Told:

@@ -5,8 +5,8 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
 
-from dynamics.prediction import Surroundings
-from dynamics.rollout import Rollouts
+from dynamics.traffic.occupancy import Surroundings
+from dynamics.vehicle.rollouts import Rollouts
 from shield import Shield, ShieldedEnv
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError, PolicyError, SceneError

@@ -13,12 +13,12 @@ from hypothesis import HealthCheck, Phase, assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 
-from dynamics.road import StraightRoad
-from dynamics.scene import Scene
+from dynamics.roads.straight import StraightRoad
+from dynamics.scenes.scene import Scene
 from dynamics.state import Vehicle
 from shield import Buffer, ShieldConfig, ShieldedEnv, Tier
-from shield.core import ShieldCore
-from shield.meta import MetaCore
+from shield.procedures.meta_actions import ShieldCore
+from shield.procedures.meta_actions_only import MetaCore
 
 SETTINGS = settings(deadline=None, max_examples=60, suppress_health_check=list(HealthCheck))
 SEEDS = st.integers(0, 2**32 - 1)

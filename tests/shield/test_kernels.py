@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shield.kernels import lanes_held, lanes_touched, least_separations, margins, may_break, sides_taken, verdicts
+from shield.certificate.kernels import (
+    lanes_held,
+    lanes_touched,
+    least_separations,
+    margins,
+    may_break,
+    sides_taken,
+    verdicts,
+)
 
 CENTERS = np.array([0.0, 4.0, 8.0])
 SIZE = np.array([4.5, 1.3, 5.0, 2.0, 0.1, 0.05, 0.02, 0.01])
@@ -65,7 +73,7 @@ def front_of(path, center, at_once, v0, start, stretch):
 
 
 def expected(paths, t):
-    """Whole arrays for one pair at a time: the formulas of `shield.verify`."""
+    """Whole arrays for one pair at a time: the formulas of `shield.certificate.verify`."""
     n, frames, _ = paths.shape
     out, bad = np.full((n, len(t["rear"])), np.inf), np.full(n, frames)
     for i, path in enumerate(paths):

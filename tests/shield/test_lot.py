@@ -10,12 +10,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from lot_world import DT, Driver, advance, clearance_of, random_lot
 
-from dynamics.actuators import Actuators
-from dynamics.lot import Lot
+from dynamics.scenes.parking_lot import Lot
 from dynamics.state import State
+from dynamics.vehicle.actuators import Actuators
 from shield import Reason, ShieldConfig, Tier
 from shield.errors import ConfigError
-from shield.lot import LotCore
+from shield.procedures.parking_lot import LotCore
 
 SEEDS, STYLES = st.integers(0, 2**32 - 1), st.sampled_from(Driver.STYLES)
 CLEARANCE = st.sampled_from([0.01, 0.1, 0.5])

@@ -10,14 +10,14 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from dynamics.errors import SceneError
-from dynamics.lot import Lot, LotReader
-from evaluation.episodes import run_episode
-from evaluation.records import make_variants
+from dynamics.scenes.parking_lot import Lot, LotReader
+from evaluation.running.episodes import run_episode
+from evaluation.running.records import make_variants
 from evaluation.settings import SETTINGS, get_setting
 from mpc.cem_policy import CEMPolicy
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.errors import ConfigError
-from shield.lot import LotCore
+from shield.procedures.parking_lot import LotCore
 
 FULL = np.array([1.0, 0.0], dtype=np.float32)
 SHORT = replace(get_setting("parking-parked"), config={"vehicles_count": 10, "duration": 6})

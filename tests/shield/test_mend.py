@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from shield import ShieldConfig, ShieldedEnv, Tier
 from shield.errors import ConfigError
-from shield.mend import BrakingCore, FilteringCore, make_core
+from shield.procedures.mend import BrakingCore, FilteringCore, make_core
 
 
 @pytest.mark.parametrize("repair", ["filter", "brake"])

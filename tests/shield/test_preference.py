@@ -8,10 +8,11 @@ import pytest
 import torch
 from policies import Always, Ranked, make
 
-from dynamics.scene import Scene
+from dynamics.scenes.scene import Scene
 from shield import Shield, ShieldedEnv
-from shield.meta import MetaCore
-from shield.preference import default_order, order_from_scores, ranking_of
+from shield.doors.ranking import order_from_scores, ranking_of
+from shield.procedures.meta_actions_only import MetaCore
+from shield.repair.order import default_order
 
 
 @pytest.mark.parametrize("name", ["PPO", "A2C", "TRPO", "MaskablePPO", "DQN", "QRDQN"])

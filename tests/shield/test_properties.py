@@ -9,9 +9,9 @@ from adversarial_world import LENGTH, WIDTH, Car, World, corners, random_world, 
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from dynamics.bicycle import step
-from dynamics.controllers import speed_control, steering_control
-from dynamics.scene import Target
+from dynamics.scenes.scene import Target
+from dynamics.vehicle.bicycle import step
+from dynamics.vehicle.controllers import speed_control, steering_control
 
 SETTINGS = settings(deadline=None, max_examples=60, suppress_health_check=list(HealthCheck))
 SEEDS = st.integers(0, 2**32 - 1)

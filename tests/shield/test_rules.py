@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.assumptions import Assumptions
-from dynamics.road import StraightRoad
-from dynamics.scene import EgoControl, Scene, Target
+from dynamics.roads.straight import StraightRoad
+from dynamics.scenes.scene import EgoControl, Scene, Target
+from dynamics.traffic.assumptions import Assumptions
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError

@@ -10,14 +10,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dynamics.bicycle import step
-from dynamics.controllers import speed_control, steering_control
-from dynamics.road import StraightRoad
-from dynamics.scene import EgoControl, Scene, Target
+from dynamics.roads.straight import StraightRoad
+from dynamics.scenes.scene import EgoControl, Scene, Target
+from dynamics.vehicle.bicycle import step
+from dynamics.vehicle.controllers import speed_control, steering_control
 from shield import Assumptions, ShieldConfig
-from shield.core import ShieldCore
-from shield.frames import FrameCommand
-from shield.mend import make_core
+from shield.procedures.frames import FrameCommand
+from shield.procedures.mend import make_core
+from shield.procedures.meta_actions import ShieldCore
 
 LENGTH, WIDTH = 5.0, 2.0
 

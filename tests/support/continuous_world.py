@@ -1,6 +1,6 @@
 """The adversarial world with raw inputs: the ego may straddle a marking for as long as it likes.
 
-Who owes what (the head of `shield.verify`, and `Assumptions`)
+Who owes what (the head of `shield.certificate.verify`, and `Assumptions`)
 --------------------------------------------------------------
 A vehicle behind in a lane that the ego *owns* keeps its distance. The ego owns the lane that it starts in, and one
 that it enters once a plan to stop there has been verified, until its body no longer reaches where vehicles in the
@@ -16,11 +16,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from adversarial_world import LENGTH, WIDTH, Car, World, corners
 
-from dynamics.actuators import Actuators
-from dynamics.bicycle import step
-from dynamics.scene import Target
+from dynamics.scenes.scene import Target
+from dynamics.vehicle.actuators import Actuators
+from dynamics.vehicle.bicycle import step
 from shield import ShieldConfig
-from shield.continuous import ContinuousCore
+from shield.procedures.inputs import ContinuousCore
 
 __all__ = ["STYLES", "Adversary", "ContinuousWorld", "propose", "random_continuous_world"]
 

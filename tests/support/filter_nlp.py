@@ -9,8 +9,8 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from mpc.problem import FREE, Side
-from mpc.road_step import stage_expression
+from mpc.filter.problem import FREE, Side
+from mpc.filter.road_step import stage_expression
 
 SMOOTH = 0.02
 

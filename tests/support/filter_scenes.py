@@ -6,7 +6,7 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 
-from dynamics.scene import SceneReader
+from dynamics.scenes.scene import SceneReader
 from dynamics.state import RoadState, Vehicle
 from mpc import FilterProblem, FilterSettings, PredictiveFilter
 

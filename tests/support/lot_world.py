@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from dynamics.bicycle import step
-from dynamics.boxes import gaps
-from dynamics.lot import Lot
+from dynamics.scenes.parking_lot import Lot
+from dynamics.scenes.rectangles import gaps
+from dynamics.vehicle.bicycle import step
 
 __all__ = ["DT", "Driver", "advance", "clearance_of", "random_lot"]
 

@@ -1,0 +1,227 @@
+r"""How vehicles move in highway-env's roundabout, learned: the ego under its meta-actions, the others by where they go.
+
+Notation
+--------
+Positions p = (x, y) [m] and velocities v [m/s] are the world's, the middle of the roundabout is 0, and traffic turns
+towards smaller angles. Four arms leave it at k 90°, each with its exit at k 90° + `ALPHA` and its entry at
+k 90° - `ALPHA`: a quarter turn maps the road onto itself. So a vehicle is looked at from the arm nearest to it. With
+R_k the turn by k 90° and k the nearest arm,
+
+    z = R_k' (x, y, vx, vy),    z+ = z + dt (A(z, u) z + B(z, u) u),    (x, y, vx, vy)+ = R_k z+
+
+Of the ego u is the meta-action's one-hot, and 1 if the next exit is the one that it wants, else 0. Of another vehicle
+u is (1, 0) if it stays on at the next exit, and (0, 1) if it leaves there. Which of the two nobody can see, so a scene
+has both: every vehicle is two rows, and who plans among them keeps clear of both.
+
+The state of a scene is the ego's (x, y, vx, vy, c, s) and, for each row, (presence, x, y, vx, vy, c, s, leaves), where
+(c, s) is the direction in which the vehicle moves, or moved last before it stopped.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dynamics.errors import ConfigError, DataError, ModelError
+from dynamics.learned.body_frame import Layout
+from dynamics.learned.linear import LinearStructuredModel, ModelConfig
+from dynamics.learned.model import check_batch
+from dynamics.learned.transitions import Transitions
+
+__all__ = ["ALPHA", "EGO", "ROW", "RoundaboutModel", "arm_of", "collect_roundabout", "next_exit", "roundabout_config"]
+
+EGO, ROW = 6, 8
+"""Numbers of the ego, and of each row of another vehicle."""
+ALPHA = float(np.deg2rad(24.0))
+"""Angle between an arm and its exit, and its entry [rad]. Source: `RoundaboutEnv._make_road` in highway-env 1.12."""
+_QUARTER = np.pi / 2
+_MOVING = 0.5
+"""Slower than that, a velocity does not say where a vehicle points [m/s]."""
+_PAIR = 6
+"""Columns of z: two that are always 0, where other models have the position that nothing depends on, and four."""
+
+
+def roundabout_config(inputs: int, dt: float, seed: int = 0, members: int = 3) -> ModelConfig:
+    """What the model of a vehicle is, for `inputs` numbers in u and decisions of `dt` seconds."""
+    return ModelConfig(
+        state_dim=_PAIR,
+        action_dim=inputs,
+        dt=dt,
+        form="plain",
+        hidden=(64, 64),
+        members=members,
+        unit_heading=False,
+        layout=Layout(position=(0, 1), heading=(4, 5), vectors=((2, 3),)),
+        seed=seed,
+    )
+
+
+def arm_of(x: Any, y: Any) -> Any:
+    """The arm k in 0..3 that is nearest to a place, of the shape of x and y [m]."""
+    return np.round(np.arctan2(y, x) / _QUARTER).astype(int) % 4
+
+
+def next_exit(x: Any, y: Any) -> Any:
+    """The arm in 0..3 of the exit that a vehicle at a place comes to next, of the shape of x and y [m]."""
+    return (np.ceil((np.arctan2(y, x) - ALPHA) / _QUARTER).astype(int) - 1) % 4
+
+
+def _turned(motion: Any, arm: Any, back: bool = False) -> Any:
+    """R_k' of (x, y, vx, vy), shape (..., 4), or R_k if `back`; exact, as quarter turns are."""
+    c, s = np.array([1, 0, -1, 0])[arm], np.array([0, 1, 0, -1])[arm]
+    s = (-s if back else s)[..., None]
+    first, second = motion[..., 0::2], motion[..., 1::2]
+    out = np.empty_like(motion)
+    out[..., 0::2] = c[..., None] * first + s * second
+    out[..., 1::2] = c[..., None] * second - s * first
+    return out
+
+
+def _direction(velocity: Any, before: Any) -> Any:
+    """Unit vector of a velocity (..., 2); the one before where it is too slow to say."""
+    speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
+    return np.where(speed > _MOVING, velocity / np.maximum(speed, _MOVING), before)
+
+
+class RoundaboutModel:
+    """A `StepModel` of a whole scene, whose action is the number of a meta-action.
+
+    The others' motion does not depend on the ego's: they are not relied on to give way.
+
+    Parameters
+    ----------
+    ego, others : the fitted models.
+    rows : of other vehicles in a state.
+    exit_arm : the arm in 0..3 where the ego wants to leave.
+    """
+
+    action_dim = 1
+
+    def __init__(self, ego: LinearStructuredModel, others: LinearStructuredModel, rows: int, exit_arm: int) -> None:
+        if (ego.state_dim, others.state_dim, others.action_dim) != (_PAIR, _PAIR, 2) or ego.action_dim < 2:
+            raise ConfigError(
+                f"models of vehicles have {_PAIR} state variables, the others' 2 inputs; got {ego.state_dim}, "
+                f"{others.state_dim} and {others.action_dim}"
+            )
+        if rows < 1 or exit_arm not in range(4):
+            raise ConfigError(f"a scene has 1 row or more and an exit arm in 0..3, got {rows} and {exit_arm}")
+        self.ego, self.others, self.rows, self.exit_arm = ego, others, rows, exit_arm
+        self.actions, self.state_dim = ego.action_dim - 1, EGO + ROW * rows
+
+    def step(self, states: Any, actions: Any) -> Any:
+        """States one decision later: (n, d) and (n, 1) to (n, d).
+
+        Raises
+        ------
+        ModelError
+            If a shape is wrong, or an action is not the number of one.
+        """
+        check_batch(self, states, actions)
+        states, number = np.asarray(states, np.float32), np.asarray(actions)[:, 0]
+        if ((number < 0) | (number >= self.actions) | (number != np.round(number))).any():
+            raise ModelError(f"actions must be whole numbers from 0 to {self.actions - 1}")
+        out = np.empty_like(states)
+        wanted = next_exit(states[:, 0], states[:, 1]) == self.exit_arm
+        choice = np.concatenate([np.eye(self.actions)[number.astype(int)], wanted[:, None]], axis=1)
+        out[:, :EGO] = _moved(self.ego, states[:, :EGO], choice)
+        # The plans of a search share the scene: each is moved on once.
+        scenes, which = np.unique(states[:, EGO:], axis=0, return_inverse=True)
+        rows = scenes.reshape(-1, ROW)
+        after = rows.copy()
+        there = rows[:, 0] > 0
+        if there.any():
+            leaves = rows[there, 7:]
+            after[there, 1:7] = _moved(self.others, rows[there, 1:7], np.concatenate([1 - leaves, leaves], axis=1))
+        out[:, EGO:] = after.reshape(scenes.shape)[which.reshape(-1)]
+        return out
+
+
+def _moved(model: LinearStructuredModel, vehicles: Any, inputs: Any) -> Any:
+    """(x, y, vx, vy, c, s) one decision later, (n, 6)."""
+    # What is not finite has no arm; it comes out as it went in.
+    arm = arm_of(*np.nan_to_num(vehicles[:, :2]).T)
+    z = np.zeros((len(vehicles), _PAIR), np.float32)
+    z[:, 2:] = _turned(vehicles[:, :4], arm)
+    after = _turned(model.step(z, inputs)[:, 2:], arm, back=True)
+    return np.concatenate([after, _direction(after[:, 2:], vehicles[:, 4:6])], axis=1)
+
+
+def collect_roundabout(
+    env: Any, decisions: int, seed: int = 0, policy: Any = None, explore: float = 1.0, first_reset: int = 0
+) -> tuple[Transitions, Transitions]:
+    """Motions of the ego and of the others, from the simulator's state, over so many decisions.
+
+    Where it makes no difference whether a vehicle leaves at the next exit (on the way in, and on an exit) the motion is
+    told under both. Velocities are clipped as in the environment's observations, which is what a planner will have.
+    Motions into a crash are left out; how others come to a stop after one is not, as they stand in the way. Every
+    motion is an episode of its own, as the frame that it is seen in changes from one to the next.
+
+    Parameters
+    ----------
+    env : roundabout-v0, or what wraps it.
+    policy : who drives (SB3's `predict`); None for random meta-actions.
+    explore : share of the decisions that are random all the same.
+    first_reset : episodes are reset with this seed and those after it.
+
+    Raises
+    ------
+    ConfigError
+        If the environment is not highway-env's roundabout.
+    DataError
+        If there was nothing to be learned from.
+    """
+    base, generator = env.unwrapped, np.random.default_rng(seed)
+    if type(base).__name__ != "RoundaboutEnv":
+        raise ConfigError(f"motions are collected in highway-env's RoundaboutEnv, got {type(base).__name__}")
+    ranges = getattr(base.observation_type, "features_range", None) or {}
+    reach = np.array([np.inf, np.inf, *(ranges.get(name, (0.0, np.inf))[1] for name in ("vx", "vy"))])
+    ego: list[tuple[Any, Any, Any]] = []
+    others: list[tuple[Any, Any, Any]] = []
+    observation, _ = env.reset(seed=first_reset)
+    bound, episode, state, begin = _destinations(base), 0, None, True
+    for _ in range(decisions):
+        count = env.action_space.n
+        action = int(generator.integers(count))
+        if policy is not None:
+            chosen, state = policy.predict(observation, state, np.array([begin]))
+            action = action if generator.random() < explore else int(chosen)
+        vehicles = list(base.road.vehicles)
+        before = [(_motion(v, reach), v.lane_index, v.crashed) for v in vehicles]
+        observation, _, terminated, truncated, _ = env.step(action)
+        begin = False
+        for v, (was, lane, crashed) in zip(vehicles, before, strict=True):
+            if v.crashed and (v is base.vehicle or not crashed):
+                continue
+            leaves = bool(next_exit(*was[:2]) == bound[id(v)])
+            if v is base.vehicle:
+                ego.append((was, np.append(np.eye(count)[action], leaves), _motion(v, reach)))
+            else:
+                told = (leaves,) if len(lane[0]) == len(lane[1]) == 2 else (False, True)
+                others.extend((was, np.array([not flag, flag], float), _motion(v, reach)) for flag in told)
+        if terminated or truncated:
+            episode, state, begin = episode + 1, None, True
+            observation, _ = env.reset(seed=first_reset + episode)
+            bound = _destinations(base)
+    if not ego or not others:
+        raise DataError(f"{decisions} decisions gave {len(ego)} motions of the ego and {len(others)} of the others")
+    dt = 1.0 / float(base.config["policy_frequency"])
+    return _transitions(ego, dt, seed), _transitions(others, dt, seed)
+
+
+def _motion(vehicle: Any, reach: Any) -> Any:
+    return np.clip(np.concatenate([vehicle.position, vehicle.velocity]), -reach, reach)
+
+
+def _destinations(base: Any) -> dict[int, int]:
+    """The arm of each vehicle's exit, by its identity."""
+    return {id(v): "eswn".index(v.route[-1][1][0]) for v in base.road.vehicles}
+
+
+def _transitions(rows: list[tuple[Any, Any, Any]], dt: float, seed: int) -> Transitions:
+    x, u, y = (np.array(column, float) for column in zip(*rows, strict=True))
+    arm = arm_of(x[:, 0], x[:, 1])
+    blank = np.zeros((len(x), 2))
+    seen = (np.concatenate([blank, _turned(motion, arm)], axis=1) for motion in (x, y))
+    before, after = seen
+    return Transitions(before, u, after, np.arange(len(x)), dt, {"env": "roundabout-v0", "seed": seed})

@@ -1,0 +1,92 @@
+"""Ways to learn the dynamics of parking, from HighwayEnv's notebook to the default, one thing changed at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+from dynamics.errors import ConfigError
+from dynamics.learned.fit import FitConfig
+from dynamics.learned.linear import ModelConfig
+from dynamics.learned.on_policy_rounds import RoundsConfig
+from dynamics.learned.parking_state import SCALES
+
+__all__ = ["DEFAULT", "VARIANTS", "Variant", "variant"]
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """A model, how it is trained, and on what.
+
+    Attributes
+    ----------
+    what : for people, what is different from the variant before.
+    """
+
+    what: str
+    model: ModelConfig = field(default_factory=ModelConfig)
+    fit: FitConfig = field(default_factory=FitConfig)
+    data: RoundsConfig = field(default_factory=lambda: RoundsConfig(rounds=0))
+
+    def seeded(self, seed: int) -> Variant:
+        """The same with everything random drawn from a seed."""
+        parts = (replace(part, seed=seed) for part in (self.model, self.fit, self.data))
+        return Variant(self.what, *parts)  # type: ignore[arg-type]
+
+
+_NOTEBOOK = ModelConfig(
+    form="plain",
+    hide_position=False,
+    hidden=(64,),
+    shared=False,
+    activation="relu",
+    members=1,
+    units=tuple(float(scale) for scale in SCALES),
+    unit_heading=False,
+)
+_NOTEBOOK_FIT = FitConfig(
+    epochs=1500, rate=1e-2, constant_rate=True, batch=None, horizon=1, held_out=0.3, patience=1500
+)
+_ONE_STEP = FitConfig(horizon=1, epochs=330)
+_SINGLE = ModelConfig(members=1)
+
+DEFAULT = "rounds"
+"""The variant that is the default."""
+
+VARIANTS: Mapping[str, Variant] = MappingProxyType(
+    {
+        "notebook": Variant(
+            "A multiplies the absolute position; 2,000 transitions",
+            _NOTEBOOK,
+            _NOTEBOOK_FIT,
+            RoundsConfig(transitions=2000, rounds=0, episode_steps=None, hold=2),
+        ),
+        "plain": Variant(
+            "the same formula, normalised, two layers, minibatches; 1,000 transitions",
+            replace(_SINGLE, form="plain", hide_position=False),
+            _ONE_STEP,
+        ),
+        "masked": Variant("A ignores the position too", replace(_SINGLE, form="plain"), _ONE_STEP),
+        "body": Variant("in the body frame", _SINGLE, _ONE_STEP),
+        "multi-step": Variant("30 of the 330 epochs with the 5-step loss", _SINGLE),
+        "ensemble": Variant("three members"),
+        "more": Variant("1,800 random transitions", data=RoundsConfig(transitions=1800, rounds=0)),
+        "round": Variant("1,000 random and 400 on-policy", data=RoundsConfig(rounds=1)),
+        "rounds": Variant("1,000 random and twice 400 on-policy (the default)", data=RoundsConfig()),
+    }
+)
+"""By name; each changes one thing about one before it."""
+
+
+def variant(name: str) -> Variant:
+    """A variant by name.
+
+    Raises
+    ------
+    ConfigError
+        If there is none of that name.
+    """
+    if name not in VARIANTS:
+        raise ConfigError(f"unknown variant {name!r}; have {', '.join(VARIANTS)}")
+    return VARIANTS[name]

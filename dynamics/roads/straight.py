@@ -1,0 +1,205 @@
+"""Roads as arc-length paths: projection to (s, r) and back, batched.
+
+The decision path works in road coordinates only. `Road` is the interface that a curved road has to
+satisfy; `StraightRoad` is the multi-lane straight road of `highway-v0` and `highway-fast-v0`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from dynamics.errors import SceneError
+from dynamics.roads.gaps import Gaps
+from dynamics.state import FloatArray, RoadState, State
+
+__all__ = ["Road", "StraightRoad"]
+
+
+class Road(Protocol):
+    """Parallel lanes along one reference path.
+
+    Attributes
+    ----------
+    centers : lateral position r of each lane's centre [m], shape (lanes,), ascending.
+    width : lane width [m].
+    length : length of the path [m].
+    forbidden : of each lane, whether it may not be chosen as a target.
+    """
+
+    @property
+    def centers(self) -> FloatArray: ...
+
+    @property
+    def width(self) -> float: ...
+
+    @property
+    def length(self) -> float: ...
+
+    @property
+    def forbidden(self) -> tuple[bool, ...]: ...
+
+    @property
+    def bends(self) -> Any:
+        """Bounds over its bends (`dynamics.roads.bends.Bends`), None on a straight road."""
+        ...
+
+    @property
+    def gaps(self) -> Gaps | None:
+        """Strips within the road that belong to no lane of its map, if there are any."""
+        ...
+
+    def to_road(self, states: FloatArray, near: FloatArray | float | None = None) -> FloatArray:
+        """World states (..., 4) to road states (..., 4); on a closed road, with s within half a lap of `near` [m]."""
+        ...
+
+    def to_world(self, states: FloatArray) -> FloatArray:
+        """Road states (..., 4) to world states (..., 4)."""
+        ...
+
+    def curvature(self, s: FloatArray) -> FloatArray:
+        """Curvature of the reference path [1/m] at arc length s [m]."""
+        ...
+
+    def lane_at(self, r: float) -> int:
+        """Index of the lane whose centre is nearest to lateral position r [m]."""
+        ...
+
+    def reachable(self, s: float, r: float) -> list[bool]:
+        """Which lanes highway-env lets a vehicle at (s, r) [m] choose as a target."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class StraightRoad:
+    """Straight parallel lanes of one width.
+
+    Parameters
+    ----------
+    centers : lateral position of each lane's centre [m], ascending.
+    width : lane width [m].
+    length : length of the road [m].
+    origin : world position of (s, r) = (0, 0) [m].
+    heading : direction of the road in the world [rad].
+
+    Raises
+    ------
+    SceneError
+        If the centres are not ascending or a size is not positive.
+    """
+
+    centers: FloatArray
+    width: float = 4.0
+    length: float = 10_000.0
+    origin: tuple[float, float] = (0.0, 0.0)
+    heading: float = 0.0
+    forbidden: tuple[bool, ...] = ()
+    _cos: float = field(init=False, repr=False, default=1.0)
+    _sin: float = field(init=False, repr=False, default=0.0)
+
+    def __post_init__(self) -> None:
+        centers = np.asarray(self.centers, dtype=float)
+        if centers.ndim != 1 or centers.size == 0 or not np.all(np.isfinite(centers)):
+            raise SceneError(f"lane centres must be a non-empty finite vector, got {self.centers!r}")
+        if np.any(np.diff(centers) <= 0):
+            raise SceneError(f"lane centres must ascend, got {centers}")
+        if not (self.width > 0 and self.length > 0):
+            raise SceneError(f"width and length must be positive, got {self.width} m and {self.length} m")
+        object.__setattr__(self, "centers", centers)
+        object.__setattr__(self, "forbidden", self.forbidden or (False,) * centers.size)
+        object.__setattr__(self, "_cos", float(np.cos(self.heading)))
+        object.__setattr__(self, "_sin", float(np.sin(self.heading)))
+
+    @classmethod
+    def from_lanes(cls, lanes: int, width: float = 4.0, **kwargs: Any) -> StraightRoad:
+        """The straight road that highway-env builds: lane i is centred at r = i * width."""
+        return cls(centers=np.arange(lanes, dtype=np.float64) * width, width=width, **kwargs)
+
+    @classmethod
+    def from_network(cls, network: Any) -> StraightRoad:
+        """Read a highway-env `RoadNetwork`.
+
+        Raises
+        ------
+        SceneError
+            If the network is not one road of straight parallel lanes of equal width.
+        """
+        roads = [(a, b, lanes) for a, to in network.graph.items() for b, lanes in to.items()]
+        names = [f"{a}->{b}" for a, b, _ in roads]
+        if len(roads) != 1:
+            raise SceneError(
+                f"the shield supports one road of straight parallel lanes (highway-v0, "
+                f"highway-fast-v0); this network has {len(roads)} roads: {', '.join(names[:6])}"
+            )
+        lanes = roads[0][2]
+        if any(type(lane).__name__ != "StraightLane" for lane in lanes):
+            kinds = sorted({type(lane).__name__ for lane in lanes})
+            raise SceneError(f"the shield supports StraightLane only; road {names[0]} has {kinds}")
+        first = lanes[0]
+        centers = [float((lane.start - first.start) @ first.direction_lateral) for lane in lanes]
+        starts = [float((lane.start - first.start) @ first.direction) for lane in lanes]
+        headings = [abs(float(lane.heading - first.heading)) for lane in lanes]
+        widths = {float(lane.width) for lane in lanes}
+        if max(map(abs, starts)) > 1e-6 or max(headings) > 1e-9 or len(widths) != 1:
+            raise SceneError(
+                f"the lanes of road {names[0]} must be parallel, aligned and of one width; "
+                f"widths {sorted(widths)}, heading differences up to {max(headings):.3g} rad"
+            )
+        return cls(
+            centers=np.array(centers),
+            width=widths.pop(),
+            length=float(first.length),
+            origin=(float(first.start[0]), float(first.start[1])),
+            heading=float(first.heading),
+            forbidden=tuple(bool(lane.forbidden) for lane in lanes),
+        )
+
+    @property
+    def bends(self) -> None:
+        """None: there are no bends."""
+
+    @property
+    def gaps(self) -> None:
+        """None: parallel lanes of one width leave none."""
+
+    def to_road(self, states: FloatArray, near: FloatArray | float | None = None) -> FloatArray:
+        """World states (..., 4) to road states (..., 4); a straight road has no laps, so `near` has no effect."""
+        dx = states[..., State.X] - self.origin[0]
+        dy = states[..., State.Y] - self.origin[1]
+        out = np.empty((*states.shape[:-1], 4))
+        out[..., RoadState.S] = self._cos * dx + self._sin * dy
+        out[..., RoadState.R] = self._cos * dy - self._sin * dx
+        out[..., RoadState.HEADING] = states[..., State.HEADING] - self.heading
+        out[..., RoadState.SPEED] = states[..., State.SPEED]
+        return out
+
+    def to_world(self, states: FloatArray) -> FloatArray:
+        """Road states (..., 4) to world states (..., 4)."""
+        s, r = states[..., RoadState.S], states[..., RoadState.R]
+        out = np.empty((*states.shape[:-1], 4))
+        out[..., State.X] = self.origin[0] + self._cos * s - self._sin * r
+        out[..., State.Y] = self.origin[1] + self._sin * s + self._cos * r
+        out[..., State.HEADING] = states[..., RoadState.HEADING] + self.heading
+        out[..., State.SPEED] = states[..., RoadState.SPEED]
+        return out
+
+    def curvature(self, s: FloatArray) -> FloatArray:
+        """Zero everywhere [1/m]."""
+        return np.zeros_like(s)
+
+    def lane_at(self, r: float) -> int:
+        """Index of the lane whose centre is nearest to lateral position r [m]."""
+        return int(np.argmin(np.abs(self.centers - r)))
+
+    def reachable(self, s: float, r: float) -> list[bool]:
+        """Which lanes highway-env lets a vehicle at (s, r) [m] choose as a target.
+
+        Source: `AbstractLane.is_reachable_from` in highway-env 1.12.
+        """
+        along = 0.0 <= s < self.length + 5.0
+        return [
+            along and not closed and abs(r - float(c)) <= 2 * self.width
+            for c, closed in zip(self.centers, self.forbidden, strict=True)
+        ]

@@ -1,0 +1,126 @@
+"""A parking lot at one instant: no lanes that mean anything, only the ego and what stands around it.
+
+`LotReader` reads the simulator's true state; highway-env's observation of a lot shows neither walls nor other vehicles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dynamics.errors import SceneError
+from dynamics.state import BoolArray, FloatArray
+
+__all__ = ["BODY", "BOX", "Lot", "LotReader", "is_lot"]
+
+BODY = ("x", "y", "heading", "speed", "length", "width")
+"""Columns of a vehicle in a lot: [m], [m], [rad], [m/s], [m], [m], world frame; the first four are those of `State`."""
+BOX = (0, 1, 2, 4, 5)
+"""Which of them make a rectangle, in the order of `dynamics.scenes.rectangles`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lot:
+    """Ego, obstacles and timing.
+
+    Attributes
+    ----------
+    ego : shape (6,), columns `BODY`.
+    obstacles : walls, parked vehicles and whatever else can be hit, rotated rectangles, shape (m, 6), columns `BODY`.
+    dt : duration of a simulation frame [s].
+
+    Raises
+    ------
+    SceneError
+        If a shape or the duration is wrong, or a length or width is not positive.
+    """
+
+    ego: FloatArray
+    obstacles: FloatArray
+    dt: float
+
+    def __post_init__(self) -> None:
+        if self.ego.shape != (len(BODY),):
+            raise SceneError(f"Lot.ego must have shape ({len(BODY)},), columns {', '.join(BODY)}; got {self.ego.shape}")
+        if self.obstacles.ndim != 2 or self.obstacles.shape[1] != len(BODY):
+            raise SceneError(
+                f"Lot.obstacles must have shape (m, {len(BODY)}), columns {', '.join(BODY)}; got {self.obstacles.shape}"
+            )
+        if not self.dt > 0:
+            raise SceneError(f"Lot.dt must be positive, got {self.dt} s")
+        sizes = np.vstack([self.ego, self.obstacles])[:, 4:]
+        if (sizes <= 0).any():
+            raise SceneError(f"lengths and widths in a Lot must be positive, the least is {sizes.min():g} m")
+
+    @property
+    def finite(self) -> bool:
+        """Whether every number is finite."""
+        return bool(np.isfinite(self.ego).all() and np.isfinite(self.obstacles).all())
+
+    @property
+    def moving(self) -> BoolArray:
+        """Which obstacles do not stand still, (m,): those that break the assumption about a lot."""
+        return np.asarray(self.obstacles[:, 3] != 0)
+
+    @property
+    def boxes(self) -> FloatArray:
+        """The obstacles as rectangles, (m, 5): x, y, heading, length, width."""
+        return self.obstacles[:, BOX]
+
+    @classmethod
+    def from_env(cls, env: Any) -> Lot:
+        """Read the true state of a parking environment (see `LotReader`)."""
+        return LotReader(env).read()
+
+
+def is_lot(env: Any) -> bool:
+    """Whether a highway-env environment is a parking lot: a `ParkingEnv`, or one derived from it."""
+    from highway_env.envs.parking_env import ParkingEnv
+
+    return isinstance(getattr(env, "unwrapped", env), ParkingEnv)
+
+
+class LotReader:
+    """Reads lots from the simulator's true state.
+
+    Parameters
+    ----------
+    env : a parking environment, wrapped or not, with one controlled vehicle.
+
+    Raises
+    ------
+    SceneError
+        If it is no parking environment, or has several controlled vehicles.
+    """
+
+    def __init__(self, env: Any) -> None:
+        self._env = getattr(env, "unwrapped", env)
+        if not is_lot(self._env):
+            raise SceneError(f"{type(self._env).__name__} is no parking lot; valid are ParkingEnv and its subclasses")
+        count = int(self._env.config["controlled_vehicles"])
+        if count != 1:
+            raise SceneError(f"the shield supports one controlled vehicle, got {count}")
+
+    def read(self) -> Lot:
+        """The lot now.
+
+        Raises
+        ------
+        SceneError
+            If there is no road or no ego yet, or a rectangle has no size.
+        """
+        env = self._env
+        if env.road is None or env.vehicle is None:
+            raise SceneError("the environment has no road or no ego vehicle yet; call reset() first")
+        ego = env.vehicle
+        around = [_row(v) for v in env.road.vehicles if v is not ego]
+        around += [_row(o) for o in env.road.objects if o.solid]
+        obstacles = np.array(around, dtype=float).reshape(-1, len(BODY))
+        return Lot(np.array(_row(ego), dtype=float), obstacles, 1 / env.config["simulation_frequency"])
+
+
+def _row(v: Any) -> tuple[float, ...]:
+    x, y = v.position.tolist()
+    return (x, y, v.heading, v.speed, v.LENGTH, v.WIDTH)

@@ -1,0 +1,207 @@
+"""The scene at one instant: what a decision is made from.
+
+`SceneReader` reads the simulator's true state. A scene made from observations alone has the same type.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dynamics.errors import ActionError, SceneError
+from dynamics.roads.network import read_network
+from dynamics.roads.straight import Road, StraightRoad
+from dynamics.state import FloatArray, State, Vehicle
+from dynamics.vehicle.controllers import speed_to_index
+
+__all__ = ["EgoControl", "Scene", "SceneReader", "Target"]
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What the ego's low-level controllers track: a lane index and a speed [m/s]."""
+
+    lane: int
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class EgoControl:
+    """The ego's meta-action interface.
+
+    Attributes
+    ----------
+    target : what the controllers track now.
+    target_speeds : the speeds [m/s] that FASTER and SLOWER choose from.
+    actions : label of each action index, e.g. ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER").
+    """
+
+    target: Target
+    target_speeds: tuple[float, ...] = (20.0, 25.0, 30.0)
+    actions: tuple[str, ...] = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """Ego, other vehicles, road and timing.
+
+    Attributes
+    ----------
+    ego : vehicle row, shape (7,), columns `Vehicle`, world frame.
+    others : other vehicles and obstacles, shape (n, 7).
+    road : the static road map, a `Road`: a `StraightRoad`, or a `PathRoad` for a reader of curved roads.
+    control : the ego's meta-action interface.
+    dt : duration of a simulation frame [s].
+    frames_per_decision : simulation frames in one decision period.
+    """
+
+    ego: FloatArray
+    others: FloatArray
+    road: Any
+    control: EgoControl
+    dt: float
+    frames_per_decision: int
+    ego_road: FloatArray = field(init=False, repr=False)
+    others_road: FloatArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.ego.shape != (len(Vehicle),):
+            raise SceneError(f"Scene.ego must have shape ({len(Vehicle)},), got {self.ego.shape}")
+        if self.others.ndim != 2 or self.others.shape[1] != len(Vehicle):
+            raise SceneError(f"Scene.others must have shape (n, {len(Vehicle)}), got {self.others.shape}")
+        if not self.dt > 0 or self.frames_per_decision < 1:
+            raise SceneError(
+                f"dt and frames_per_decision must be positive, got {self.dt} s and {self.frames_per_decision}"
+            )
+        if not 0 <= self.control.target.lane < self.road.centers.size:
+            raise SceneError(
+                f"target lane {self.control.target.lane} does not exist; the road has lanes "
+                f"0 to {self.road.centers.size - 1}"
+            )
+        object.__setattr__(self, "ego_road", self.road.to_road(self.ego))
+        object.__setattr__(self, "others_road", self.road.to_road(self.others, near=float(self.ego_road[0])))
+
+    @property
+    def finite(self) -> bool:
+        """Whether every number in the scene is finite."""
+        return bool(
+            np.isfinite(self.ego).all() and np.isfinite(self.others).all() and np.isfinite(self.control.target.speed)
+        )
+
+    @classmethod
+    def from_env(cls, env: Any, curved: bool = False) -> Scene:
+        """Read the true state of a highway-env environment (see `SceneReader`)."""
+        return SceneReader(env, curved).read()
+
+    def target_of(self, action: int) -> Target:
+        """What the controllers will track after meta-action index `action`.
+
+        Source: `ControlledVehicle.act` and `MDPVehicle.act` of highway-env 1.12.
+
+        Raises
+        ------
+        ActionError
+            If the index is not an action.
+        """
+        labels = self.control.actions
+        if not 0 <= action < len(labels):
+            raise ActionError(f"unknown action {action!r}; valid are 0 to {len(labels) - 1}: {labels}")
+        label, now = labels[action], self.control.target
+        if label in ("FASTER", "SLOWER"):
+            speeds = self.control.target_speeds
+            step = 1 if label == "FASTER" else -1
+            index = speed_to_index(float(self.ego[State.SPEED]), speeds) + step
+            return Target(now.lane, speeds[min(max(index, 0), len(speeds) - 1)])
+        if label in ("LANE_LEFT", "LANE_RIGHT"):
+            step = 1 if label == "LANE_RIGHT" else -1
+            lane = min(max(now.lane + step, 0), self.road.centers.size - 1)
+            reachable = self.road.reachable(float(self.ego_road[0]), float(self.ego_road[1]))
+            return Target(lane if reachable[lane] else now.lane, now.speed)
+        return now
+
+
+class SceneReader:
+    """Reads scenes from the simulator's true state; keeps the road map between reads.
+
+    Parameters
+    ----------
+    env : a highway-env environment, wrapped or not, with one controlled vehicle.
+    curved : whether a road that is not straight may be read, as a `PathRoad`. Only for a reader whose rollouts and
+        bounds know the curvature of the road (`Rollouts(dt, scene.road)`); otherwise such a road is refused.
+
+    Raises
+    ------
+    SceneError
+        If the environment has no road, several controlled vehicles, or an unsupported road.
+    """
+
+    def __init__(self, env: Any, curved: bool = False) -> None:
+        base = getattr(env, "unwrapped", env)
+        if not hasattr(base, "road") or not hasattr(base, "controlled_vehicles"):
+            raise SceneError(f"{type(base).__name__} is not a highway-env environment: it has no road and vehicles")
+        if len(base.controlled_vehicles) != 1:
+            raise SceneError(f"the shield supports one controlled vehicle, got {len(base.controlled_vehicles)}")
+        self._env = base
+        self._network: Any = None
+        self._road: Road | None = None
+        self._curved = curved
+
+    @property
+    def road(self) -> Any:
+        """The simulator's road; a new object with each episode."""
+        return self._env.road
+
+    @property
+    def actions(self) -> tuple[str, ...]:
+        """Labels of the meta-actions, by index."""
+        return tuple(getattr(self._env.action_type, "actions", {}).values())
+
+    def read(self) -> Scene:
+        """The scene now.
+
+        Raises
+        ------
+        SceneError
+            If the road is missing or unsupported.
+        """
+        env = self._env
+        if env.road is None:
+            raise SceneError("the environment has no road yet; call reset() first")
+        if env.road.network is not self._network or self._road is None:
+            self._road = _road_of(env.road.network, self._curved)
+            self._network = env.road.network
+        ego = env.vehicle
+        if ego is None:
+            raise SceneError("the environment has no ego vehicle; call reset() first")
+        others = [_row(v) for v in env.road.vehicles if v is not ego]
+        others += [_row(o) for o in env.road.objects if o.solid]
+        config = env.config
+        control = EgoControl(
+            target=Target(
+                int(getattr(ego, "target_lane_index", ego.lane_index)[2]),
+                float(getattr(ego, "target_speed", ego.speed)),
+            ),
+            target_speeds=tuple(map(float, getattr(ego, "target_speeds", ()))),
+            actions=self.actions,
+        )
+        return Scene(
+            ego=np.array(_row(ego), dtype=float),
+            others=np.array(others, dtype=float).reshape(-1, len(Vehicle)),
+            road=self._road,
+            control=control,
+            dt=1 / config["simulation_frequency"],
+            frames_per_decision=int(config["simulation_frequency"] // config["policy_frequency"]),
+        )
+
+
+def _road_of(network: Any, curved: bool) -> Road:
+    kinds = {type(lane).__name__ for lane in network.lanes_list()}
+    straight = kinds == {"StraightLane"} and sum(map(len, network.graph.values())) == 1
+    return StraightRoad.from_network(network) if straight or not curved else read_network(network)
+
+
+def _row(v: Any) -> tuple[float, ...]:
+    x, y = v.position.tolist()
+    return (x, y, v.heading, v.speed, v.LENGTH, v.WIDTH, v.crashed)

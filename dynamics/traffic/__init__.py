@@ -1,0 +1,1 @@
+"""What the others may do, and where they can be."""

@@ -1,0 +1,96 @@
+"""What the shield assumes of the other road users, as data.
+
+A certificate holds for every behaviour inside these bounds, and for none outside. `Assumptions.rss()` takes
+the worst-case constants of Responsibility-Sensitive Safety, `Assumptions.idm()` those of highway-env's traffic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from math import isfinite
+
+from dynamics.errors import ConfigError
+
+__all__ = ["Assumptions"]
+
+
+@dataclass(frozen=True, slots=True)
+class Assumptions:
+    """Bounds on the behaviour of the other vehicles.
+
+    Attributes
+    ----------
+    braking : greatest deceleration of a vehicle ahead [m/s^2].
+    acceleration : greatest acceleration of any vehicle [m/s^2].
+    max_speed : greatest speed that a slower vehicle accelerates to [m/s]; one that is faster keeps its speed or slows.
+    min_speed : speed below which a moving vehicle does not brake on purpose [m/s]; 0 lets it stop.
+    follower_braking : deceleration that a follower owes to an ego that has entered its lane [m/s^2].
+    reaction_time : time after which the follower does so [s], counted from when the ego is visible in its lane.
+    visible_distance : distance from a lane's centre within which a vehicle counts as being in it [m].
+    keeping_offset, keeping_heading : a vehicle nearer than this to its lane's centre [m] and direction [rad]
+        is keeping its lane; it does not leave it into the ego's way without the gap that RSS asks for.
+    max_heading : greatest heading of a vehicle that changes lanes, relative to the road [rad].
+    blind_merge : whether a vehicle beside the lane that the ego is about to enter may enter it as well, as long as
+        the ego is not visible there.
+    slip_in : whether a vehicle alongside may change into the ego's lane behind an ego that pulls away from it, or
+        before one that it pulls away from, as MOBIL does once IDM's desired gap has vanished
+        (`shield.certificate.alongside`).
+    """
+
+    braking: float = 6.0
+    acceleration: float = 3.0
+    max_speed: float = 40.0
+    min_speed: float = 0.0
+    follower_braking: float = 6.0
+    reaction_time: float = 0.2
+    visible_distance: float = 3.0
+    keeping_offset: float = 0.4
+    keeping_heading: float = 0.04
+    max_heading: float = 0.35
+    blind_merge: bool = True
+    slip_in: bool = True
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if f.name in ("blind_merge", "slip_in"):
+                if not isinstance(value, bool):
+                    raise ConfigError(f"Assumptions.{f.name} must be true or false, got {value!r}")
+            elif isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
+                raise ConfigError(f"Assumptions.{f.name} must be a finite number, got {value!r}")
+            elif value < 0:
+                raise ConfigError(f"Assumptions.{f.name} must be at least 0, got {value}")
+        if self.follower_braking <= 0 or self.braking <= 0:
+            raise ConfigError("Assumptions.braking and follower_braking must be above 0 m/s^2")
+        if self.max_speed < self.min_speed:
+            raise ConfigError(f"Assumptions.max_speed ({self.max_speed}) is below min_speed ({self.min_speed})")
+
+    @classmethod
+    def idm(cls) -> Assumptions:
+        """highway-env's IDM and MOBIL traffic: |a| <= 6 m/s^2, immediate reaction, courteous lane changes."""
+        return cls()
+
+    @classmethod
+    def rss(cls) -> Assumptions:
+        """Worst case: leaders brake at 8 m/s^2, followers answer after 1 s with 4 m/s^2.
+
+        Source: Shalev-Shwartz et al. 2017, with the constants customary on motorways.
+        """
+        return cls(braking=8.0, acceleration=4.0, max_speed=45.0, follower_braking=4.0, reaction_time=1.0)
+
+    @classmethod
+    def moderate(cls) -> Assumptions:
+        """Traffic whose leaders do not brake harder than 3 m/s^2: what `Shield` assumes over its seconds of look-ahead.
+
+        An ego that cannot go below 20 m/s has no plan against a leader that may stop, so that the worst case would
+        leave it without any. highway-env's traffic seldom brakes harder; the monitor counts each time that it does.
+        """
+        return cls(braking=3.0)
+
+    @classmethod
+    def profile(cls, name: str) -> Assumptions:
+        """A profile by name: "idm", "moderate" or "rss"."""
+        profiles = {"idm": cls.idm, "moderate": cls.moderate, "rss": cls.rss}
+        if name not in profiles:
+            raise ConfigError(f"unknown assumptions {name!r}; valid are {', '.join(map(repr, profiles))}")
+        return profiles[name]()

@@ -1,0 +1,187 @@
+r"""highway-env's bicycle and low-level control as compiled loops: many rollouts over many frames in one call.
+
+The formulas are those of `dynamics.vehicle.bicycle`, `dynamics.vehicle.controllers` and, on curved roads,
+`dynamics.vehicle.curved_bicycle`, for one
+vehicle at a time and in scalars. A road is a table (8, pieces): where each piece of the path starts, its curvature
+before, here and after [1/m], how far it reaches back and ahead [m], and in the first column of the last two rows the
+length of the path [m] and 1 where it is closed. The table of a straight road has no pieces.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from dynamics.compiled import compiled
+from dynamics.roads.arcs import STRAIGHT
+from dynamics.roads.path import CurvatureProfile, PathRoad
+from dynamics.state import FloatArray
+from dynamics.vehicle.bicycle import LENGTH, MAX_SPEED
+from dynamics.vehicle.controllers import KP_HEADING, KP_LATERAL, KP_SPEED, MAX_SLIP
+
+__all__ = ["roll_brakes", "roll_commands", "roll_inputs", "roll_stops", "slip_at", "table_of"]
+
+_NONZERO = 1e-2
+"""The least speed that highway-env divides by [m/s]."""
+_MOST_HEADING = math.sin(math.pi / 4)
+_FAR = 1e9
+"""Where an open path's first and last piece begin and end [m]."""
+_NEAREST = 0.1
+"""Least share of the radius of a bend at which its centre is taken to be."""
+_MOST_BEND = 0.7
+"""Greatest sine of the slip angle that is asked for in advance; the wheel's limit allows 0.65."""
+
+
+def table_of(road: Any) -> FloatArray:
+    """The table of a road; of a straight one, or None, it has no pieces."""
+    if not isinstance(road, PathRoad):
+        return np.zeros((8, 0))
+    return _table(road.profile)
+
+
+@lru_cache(maxsize=64)
+def _table(profile: CurvatureProfile) -> FloatArray:
+    breaks, k = np.array(profile.breaks), np.array(profile.curvatures)
+    starts, ends, before, after = breaks[:-1].copy(), breaks[1:].copy(), np.roll(k, 1), np.roll(k, -1)
+    if not profile.closed:
+        starts[0], ends[-1], before[0], after[-1] = -_FAR, _FAR, k[0], k[-1]
+    return np.stack([breaks[:-1], before, k, after, starts, ends, np.full(k.size, breaks[-1]), k * 0 + profile.closed])
+
+
+@compiled
+def _piece(table: Any, s: float) -> tuple[int, float]:
+    """The piece of the path at arc length s, and s on the first lap."""
+    within = s - table[6, 0] * math.floor(s / table[6, 0]) if table[7, 0] > 0 else s
+    low, high = 0, table.shape[1]
+    while high - low > 1:
+        middle = (low + high) // 2
+        if table[0, middle] <= within:
+            low = middle
+        else:
+            high = middle
+    return low, within
+
+
+@compiled
+def _project(x: float, y: float, k: float) -> tuple[float, float]:
+    rest, bent = 1 - k * y, k * x
+    s = math.atan2(bent, rest) / k if abs(k) >= STRAIGHT else x
+    return s, (2 * y - k * (x * x + y * y)) / (1 + math.sqrt(rest * rest + bent * bent))
+
+
+@compiled
+def _step(
+    s: float, r: float, psi: float, v: float, a: float, slip: float, table: Any, dt: float
+) -> tuple[float, float, float, float]:
+    """One simulation frame: `bicycle.slip_step`, and on a path the projection of `curved.curved_step`."""
+    if v > MAX_SPEED:
+        a = min(a, MAX_SPEED - v)
+    if v < -MAX_SPEED:
+        a = max(a, -MAX_SPEED - v)
+    sin, cos, way, ahead = math.sin(psi), math.cos(psi), v * dt, math.sqrt(1 - slip * slip)
+    dx, y = way * (cos * ahead - sin * slip), r + way * (sin * ahead + cos * slip)
+    heading, speed = psi + way * slip * (2 / LENGTH), v + a * dt
+    if table.shape[1] == 0:
+        return s + dx, y, heading, speed
+    i, within = _piece(table, s)
+    k, joint, next_k = table[2, i], 0.0, table[2, i]
+    first, _ = _project(dx, y, k)
+    # A start that rounding puts just outside its piece makes no difference: then the joint is where it stands.
+    if first > table[5, i] - within:
+        joint, next_k = table[5, i] - within, table[3, i]
+    elif first < table[4, i] - within:
+        joint, next_k = table[4, i] - within, table[1, i]
+    turn = k * joint
+    sin, cos = math.sin(turn), math.cos(turn)
+    if abs(k) >= STRAIGHT:
+        dx, y = dx - sin / k, y - 2 * math.sin(turn / 2) ** 2 / k
+    else:
+        dx = dx - joint
+    along, across = _project(cos * dx + sin * y, cos * y - sin * dx, next_k)
+    return s + joint + along, across, heading - turn - next_k * along, speed
+
+
+@compiled
+def slip_at(s: float, r: float, psi: float, v: float, goal: float, table: Any, dt: float) -> float:
+    """Sine of the slip angle that leads a road state to lateral position `goal` [m].
+
+    Source: `ControlledVehicle.steering_control` of highway-env 1.12; on a path, the law of
+    `dynamics.vehicle.curved_bicycle`.
+    """
+    if abs(v) < _NONZERO:
+        v = _NONZERO if v >= 0 else -_NONZERO
+    heading = math.asin(min(max(KP_LATERAL * (goal - r) / v, -_MOST_HEADING), _MOST_HEADING))
+    bend = 0.0
+    if table.shape[1] > 0:
+        k = table[2, _piece(table, s)[0]]
+        kappa = k / max(1 - k * r, _NEAREST)
+        bend = min(max(LENGTH / 2 * kappa, -_MOST_BEND), _MOST_BEND)
+        heading = heading + min(max(kappa * v * (dt / 2), -_MOST_BEND), _MOST_BEND) - math.asin(bend)
+    angle = heading - psi
+    angle = angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))
+    return min(max((LENGTH / 2 * KP_HEADING) * angle / v + bend, -MAX_SLIP), MAX_SLIP)
+
+
+@compiled
+def roll_commands(start: Any, commands: Any, table: Any, dt: float, paths: Any) -> None:
+    """States (n, 4) and commands (n, frames, 3) to the states after each frame, `paths` (n, frames, 4)."""
+    for i in range(start.shape[0]):
+        s, r, psi, v = start[i, 0], start[i, 1], start[i, 2], start[i, 3]
+        for f in range(commands.shape[1]):
+            a = max(max(KP_SPEED * (commands[i, f, 1] - v), -commands[i, f, 2]), max(v, 0.0) * (-1 / dt))
+            slip = slip_at(s, r, psi, v, commands[i, f, 0], table, dt)
+            s, r, psi, v = _step(s, r, psi, v, a, slip, table, dt)
+            paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
+
+
+@compiled
+def roll_brakes(began: Any, goals: Any, braking: float, table: Any, dt: float, paths: Any) -> None:
+    """Paths (n, h, 4), the same with braking to a stop on the way to the lines `goals` (n k,) after them: each path is
+    followed by k of them, `paths` (n k, frames, 4)."""
+    each, first = paths.shape[0] // began.shape[0], began.shape[1]
+    for i in range(paths.shape[0]):
+        of = i // each
+        paths[i, :first] = began[of]
+        s, r, psi, v = (
+            began[of, first - 1, 0],
+            began[of, first - 1, 1],
+            began[of, first - 1, 2],
+            began[of, first - 1, 3],
+        )
+        for f in range(first, paths.shape[1]):
+            a = max(-braking, max(v, 0.0) * (-1 / dt))
+            slip = slip_at(s, r, psi, v, goals[i], table, dt)
+            s, r, psi, v = _step(s, r, psi, v, a, slip, table, dt)
+            paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
+
+
+@compiled
+def roll_inputs(start: Any, inputs: Any, table: Any, dt: float, paths: Any) -> None:
+    """States (n, 4) and inputs (n, frames, 2) to the states after each frame, `paths` (n, frames, 4)."""
+    for i in range(start.shape[0]):
+        s, r, psi, v = start[i, 0], start[i, 1], start[i, 2], start[i, 3]
+        for f in range(inputs.shape[1]):
+            half = 0.5 * math.tan(inputs[i, f, 1])
+            slip = half / math.sqrt(1 + half * half)
+            s, r, psi, v = _step(s, r, psi, v, inputs[i, f, 0], slip, table, dt)
+            paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
+
+
+@compiled
+def roll_stops(start: Any, stops: Any, hold: int, table: Any, dt: float, paths: Any) -> None:
+    """States (n, 4) and stops (n, 3) of `dynamics.vehicle.held_rollouts`, with inputs held for `hold` frames, to the
+    states after each frame, `paths` (n, frames, 4)."""
+    for i in range(start.shape[0]):
+        s, r, psi, v = start[i, 0], start[i, 1], start[i, 2], start[i, 3]
+        half = 0.5 * math.tan(stops[i, 2])
+        limit = half / math.sqrt(1 + half * half)
+        a, slip = 0.0, 0.0
+        for f in range(paths.shape[1]):
+            if f % hold == 0:
+                a = -min(stops[i, 1], max(v, 0.0) / (hold * dt))
+                slip = min(max(slip_at(s, r, psi, v, stops[i, 0], table, dt), -limit), limit)
+            s, r, psi, v = _step(s, r, psi, v, a, slip, table, dt)
+            paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v

@@ -1,0 +1,103 @@
+"""Closed-loop rollouts of the ego, compiled: many candidates over many frames in one call.
+
+Notation
+--------
+A *command* per frame is (r*, v*, b): the lateral position of the lane's centre to steer to [m], the speed to
+track [m/s], and the greatest deceleration [m/s^2]. The acceleration is
+
+    a = max(KP (v* - v), -b, -max(v, 0) / dt)
+
+so that with b = NO_LIMIT and v* >= 0 it is highway-env's own control, bit for bit in exact arithmetic, and with
+v* = BRAKE it brakes at b to a stop and stays there. An *input* per frame is (a, delta): acceleration [m/s^2] and
+front wheel angle [rad], with no law in between. On a curved road (see `dynamics.vehicle.curved_bicycle`) r* is a line
+along the road, and the steering knows its curvature.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynamics.roads.path import PathRoad
+from dynamics.roads.straight import StraightRoad
+from dynamics.state import FloatArray
+from dynamics.vehicle.rollout_kernels import roll_brakes, roll_commands, roll_inputs, table_of
+
+__all__ = ["BRAKE", "NO_LIMIT", "Rollouts"]
+
+BRAKE = -1e9
+"""Target speed that stands for braking as hard as the command allows [m/s]."""
+NO_LIMIT = 1e12
+"""Deceleration bound that stands for none [m/s^2]."""
+
+
+class Rollouts:
+    """The rollouts for one frame duration on one road.
+
+    Parameters
+    ----------
+    dt : frame duration [s].
+    road : the road; its road frame is that of the states. Every straight road has the same rollouts.
+    """
+
+    def __init__(self, dt: float, road: StraightRoad | PathRoad | None = None) -> None:
+        self.dt = float(dt)
+        self._table = table_of(road)
+
+    def run(self, state: FloatArray, commands: FloatArray) -> FloatArray:
+        """Roll one state under several command sequences.
+
+        Parameters
+        ----------
+        state : road state, shape (4,), or one for each sequence, (n, 4).
+        commands : shape (n, frames, 3).
+
+        Returns
+        -------
+        Road states after each frame, shape (n, frames, 4).
+        """
+        n, frames, _ = commands.shape
+        paths = np.empty((n, frames, 4))
+        roll_commands(self._starts(state, n), np.ascontiguousarray(commands, float), self._table, self.dt, paths)
+        return paths
+
+    def run_inputs(self, state: FloatArray, inputs: FloatArray) -> FloatArray:
+        """Roll one state under several sequences of raw inputs.
+
+        Parameters
+        ----------
+        state : road state, shape (4,), or one for each sequence, (n, 4).
+        inputs : acceleration [m/s^2] and front wheel angle [rad] of each frame, shape (n, frames, 2). They are
+            applied as they are; only highway-env's limits above `bicycle.MAX_SPEED` act on the acceleration.
+
+        Returns
+        -------
+        Road states after each frame, shape (n, frames, 4).
+        """
+        n, frames, _ = inputs.shape
+        paths = np.empty((n, frames, 4))
+        roll_inputs(self._starts(state, n), np.ascontiguousarray(inputs, float), self._table, self.dt, paths)
+        return paths
+
+    def stop(self, began: FloatArray, goals: FloatArray, braking: float, frames: int) -> FloatArray:
+        """Follow paths with braking to a stop while steering to a line: commands (r*, BRAKE, braking).
+
+        Parameters
+        ----------
+        began : road states after the first frames, (n, h, 4).
+        goals : lateral positions to steer to [m], (n k,): the first k follow the first path, and so on.
+        braking : deceleration [m/s^2].
+        frames : of braking.
+
+        Returns
+        -------
+        Road states, (n k, h + frames, 4).
+        """
+        paths = np.empty((len(goals), began.shape[1] + frames, 4))
+        roll_brakes(began, goals, float(braking), self._table, self.dt, paths)
+        return paths
+
+    @staticmethod
+    def _starts(state: FloatArray, n: int) -> FloatArray:
+        starts = np.empty((n, 4))
+        starts[:] = state
+        return starts

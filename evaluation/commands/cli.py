@@ -1,0 +1,260 @@
+"""The command `shield`: train, evaluate, demo, config, dynamics."""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from evaluation.commands.dynamics import dynamics_app
+from evaluation.learning.recipes import RECIPES
+from evaluation.learning.training import ALGORITHMS, FIRST_EVALUATION_SEED, train, train_recipe
+from evaluation.running.driving_model import MODELS
+from evaluation.running.named_policies import BASELINES
+from evaluation.settings import get_setting
+from shield.config import MODES, ShieldConfig
+from shield.errors import ConfigError, ShieldError
+
+__all__ = ["app", "main"]
+
+EVALUATION_SEED = 100_000
+"""Seed of the first evaluation episode, unless another is asked for."""
+
+DEMO_SETTING, DEMO_POLICY = "highway-fast", "ppo-highway-fast"
+
+_SETTINGS, _POLICIES = [DEMO_SETTING], [DEMO_POLICY]
+
+app = typer.Typer(
+    help="A runtime safety shield around driving policies on highway-env.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+app.add_typer(dynamics_app, name="dynamics")
+_out = Console()
+
+
+class Door(StrEnum):
+    """Where the shield stands."""
+
+    ENV = "env"
+    POLICY = "policy"
+    BOTH = "both"
+
+
+@app.command("train")
+def train_command(
+    recipe: Annotated[str | None, typer.Option(help=f"Train a reference policy: {', '.join(RECIPES)}.")] = None,
+    setting: Annotated[str | None, typer.Option(help="Environment setting to train in, without --recipe.")] = None,
+    algorithm: Annotated[str, typer.Option(help=f"One of {', '.join(ALGORITHMS)}.")] = "ppo",
+    steps: Annotated[int, typer.Option(help="Training steps (decisions).")] = 10_000,
+    seed: Annotated[int, typer.Option(help=f"Training seed, below {FIRST_EVALUATION_SEED}.")] = 0,
+    output: Annotated[Path | None, typer.Option(help="The zip file to write; a manifest goes beside it.")] = None,
+) -> None:
+    """Train a policy on one core and save it with a manifest that says how."""
+    if (recipe is None) == (setting is None):
+        raise ConfigError("give either --recipe or --setting")
+    if recipe is not None:
+        trained = train_recipe(recipe, output)
+    else:
+        assert setting is not None
+        path = output or Path("runs", "policies", f"{algorithm}-{setting}.zip")
+        trained = train(setting, algorithm, steps, seed, output=path)
+    _out.print(f"wrote {trained.path} ({trained.manifest['training_seconds']} s)")
+
+
+@app.command()
+def evaluate(
+    setting: Annotated[list[str], typer.Option(help="Environment setting (repeatable, or a comma list).")] = _SETTINGS,
+    policy: Annotated[
+        list[str],
+        typer.Option(help=f"{', '.join(BASELINES)}, a reference policy, or an SB3 .zip (repeatable, or a comma list)."),
+    ] = _POLICIES,
+    shield: Annotated[
+        list[str] | None,
+        typer.Option(
+            help=f"Shield modes: {', '.join(MODES)} (repeatable, or a comma list)."
+            " By default none and full; none alone where they cannot read the road."
+        ),
+    ] = None,
+    door: Annotated[
+        Door,
+        typer.Option(
+            help="env: the shield acts at each simulation frame;"
+            " policy: it chooses among actions; both: one after the other."
+        ),
+    ] = Door.ENV,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes for each row.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; the others follow.")] = EVALUATION_SEED,
+    jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
+    algorithm: Annotated[
+        str | None,
+        typer.Option(help=f"Algorithm of a .zip without a manifest: {', '.join(sorted(ALGORITHMS))}."),
+    ] = None,
+    model: Annotated[
+        str,
+        typer.Option(
+            help=f"What mpc, and the predictive filter of the shield at door env, plans with: {', '.join(MODELS)}, or"
+            " a folder from `shield dynamics fit --setting`. The shield verifies on the bicycle in any case."
+        ),
+    ] = MODELS[0],
+    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the episodes here (.csv or .parquet), and beside it the summary"
+            " and the comparison, as NAME-summary and NAME-comparison."
+        ),
+    ] = None,
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
+) -> None:
+    """Drive episodes and print crash rates, returns, speeds, overrides and latencies.
+
+    All rows drive the same seeds. Rates in percent with 95 % intervals, speeds in m/s,
+    distances and margins in m, latencies in ms per decision.
+    """
+    import pandas as pd
+
+    from evaluation.running.episodes import run_paired
+    from evaluation.running.records import make_variants
+
+    shield_config = None if config is None else ShieldConfig.load(config)
+    doors = [Door.ENV.value, Door.POLICY.value] if door is Door.BOTH else [door.value]
+    if output is not None:
+        _check_output(output)
+    parts = [
+        run_paired(
+            name,
+            driver,
+            make_variants(_shields(shield, name), doors, shield_config),
+            range(seed, seed + episodes),
+            jobs=jobs,
+            algorithm=algorithm,
+            model=model,
+            progress=sys.stderr.isatty(),
+        )
+        for name in _split(setting)
+        for driver in _split(policy)
+    ]
+    _report(pd.concat(parts, ignore_index=True), output, markdown)
+
+
+@app.command()
+def demo(
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes for each row.")] = 20,
+    output: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs", "demo"),
+    jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
+) -> None:
+    """Drive the bundled PPO with and without the shield, and film overrides.
+
+    Takes less than two minutes on two cores. Writes the episodes, their summary, and
+    override.gif: the bundled agent that has learned to crash, behind the shield.
+    """
+    from evaluation.report.video import film_override
+    from evaluation.running.episodes import run_paired
+    from evaluation.running.records import make_variants
+
+    frame = run_paired(
+        DEMO_SETTING,
+        DEMO_POLICY,
+        make_variants(["none", "full"], ["env"]),
+        range(EVALUATION_SEED, EVALUATION_SEED + episodes),
+        jobs=jobs,
+        progress=sys.stderr.isatty(),
+    )
+    _report(frame, output / "episodes.parquet", markdown=False)
+    film = film_override(output / "override.gif")
+    _out.print(f"wrote {film.path} (seed {film.seed}, {film.overrides} decisions overridden)")
+
+
+@app.command("cem-demo")
+def cem_demo_command(
+    output: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs", "cem-demo"),
+) -> None:
+    """Learn to park: collect, fit, plan, and film it.
+
+    Takes less than two minutes on one core. Writes parking.gif and error.png.
+    """
+    from evaluation.commands.cem_demo import cem_demo
+
+    for path in cem_demo(output, _out.print):
+        _out.print(f"wrote {path}")
+
+
+@app.command()
+def picture(
+    output: Annotated[Path, typer.Argument(help="The .png to write.")] = Path("docs", "images", "override.png"),
+) -> None:
+    """Write a still of an override, as in the README."""
+    from evaluation.report.video import still_of_override
+
+    _out.print(f"wrote {still_of_override(output)}")
+
+
+@app.command("config")
+def config_command() -> None:
+    """Print the shield's default settings as TOML."""
+    typer.echo(ShieldConfig().to_toml(), nl=False)
+
+
+def _shields(asked: list[str] | None, setting: str) -> list[str]:
+    """The shield modes that were asked for, or those that a setting is driven with otherwise."""
+    if asked is not None:
+        return _split(asked)
+    return ["none", "full"] if get_setting(setting).road else ["none"]
+
+
+def _split(values: list[str]) -> list[str]:
+    """Repeated options and comma lists as one list, each value once."""
+    names = [name.strip() for value in values for name in value.split(",") if name.strip()]
+    return list(dict.fromkeys(names))
+
+
+def _check_output(path: Path) -> None:
+    """Refuse a file ending before hours of driving, not after."""
+    from evaluation.report.table import TABLE_ENDINGS
+
+    if path.suffix not in TABLE_ENDINGS:
+        raise ConfigError(f"--output {path.name!r} must end in {' or '.join(TABLE_ENDINGS)}")
+
+
+def _report(episodes: object, output: Path | None, markdown: bool) -> None:
+    import pandas as pd
+
+    from evaluation.measuring.metrics import compare, summarise
+    from evaluation.report.table import COMPARISON, SUMMARY, rich_table, write_table
+    from evaluation.report.table import markdown as to_markdown
+
+    assert isinstance(episodes, pd.DataFrame)
+    summary, comparison = summarise(episodes), compare(episodes)
+    tables = [(summary, SUMMARY)] + ([(comparison, COMPARISON)] if len(comparison) else [])
+    for frame, columns in tables:
+        if markdown:
+            typer.echo(to_markdown(frame, columns) + "\n")
+            continue
+        for _, part in frame.groupby(["setting", "policy"], sort=False):
+            _out.print(rich_table(part, columns))
+    if output is None:
+        return
+    paths = [write_table(episodes, output)]
+    paths.append(write_table(summary, output.with_stem(f"{output.stem}-summary")))
+    if len(comparison):
+        paths.append(write_table(comparison, output.with_stem(f"{output.stem}-comparison")))
+    _out.print("wrote " + ", ".join(str(path) for path in paths))
+
+
+def main() -> None:
+    """Entry point: errors of the project become one line and exit code 2."""
+    try:
+        app()
+    except ShieldError as error:
+        Console(stderr=True).print(f"Error: {error}", style="red", markup=False, soft_wrap=True)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,248 @@
+"""Training of policies with Stable-Baselines3.
+
+One thread, one seed, one zip file and beside it a JSON manifest that says how to make it again.
+Training takes seeds below `FIRST_EVALUATION_SEED`; evaluation takes the others, so that no policy
+is ever measured on traffic it was chosen on.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import shlex
+import time
+from collections.abc import Collection, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import gymnasium as gym
+import torch
+from stable_baselines3 import A2C, DQN, PPO, SAC, TD3
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.monitor import Monitor
+
+from evaluation.learning.normalisation import NORMALISABLE, fold, normalised
+from evaluation.learning.observations import FastObservations
+from evaluation.learning.recipes import get_recipe
+from evaluation.settings import Setting, get_setting
+from evaluation.threads import one_thread
+from shield.errors import ConfigError
+
+__all__ = [
+    "ALGORITHMS",
+    "FIRST_EVALUATION_SEED",
+    "TrainedPolicy",
+    "get_algorithm",
+    "manifest_path",
+    "train",
+    "train_recipe",
+]
+
+FIRST_EVALUATION_SEED = 10_000
+"""Seeds below it are for training and choosing, from it on for evaluation."""
+
+ALGORITHMS: Mapping[str, type[BaseAlgorithm]] = MappingProxyType(
+    {"a2c": A2C, "dqn": DQN, "ppo": PPO, "sac": SAC, "td3": TD3}
+)
+"""The algorithms that `train` knows, by lower-case name."""
+
+_ACTION_SPACES: dict[str, tuple[type[gym.Space[Any]], ...]] = {
+    "a2c": (gym.spaces.Discrete, gym.spaces.Box),
+    "dqn": (gym.spaces.Discrete,),
+    "ppo": (gym.spaces.Discrete, gym.spaces.Box),
+    "sac": (gym.spaces.Box,),
+    "td3": (gym.spaces.Box,),
+}
+_ON_POLICY = ("a2c", "ppo")
+_PACKAGES = ("highway-shield", "highway-env", "gymnasium", "stable-baselines3", "torch", "numpy")
+
+
+@dataclass(frozen=True)
+class TrainedPolicy:
+    """Where a trained policy lies and how it was made.
+
+    Attributes:
+        path: the zip file, to be loaded with the algorithm's own ``load``.
+        manifest: what the JSON file beside it holds.
+    """
+
+    path: Path
+    manifest: Mapping[str, Any]
+
+
+def get_algorithm(name: str) -> type[BaseAlgorithm]:
+    """The Stable-Baselines3 class of that name (any case); a `ConfigError` if there is none."""
+    try:
+        return ALGORITHMS[name.lower()]
+    except KeyError:
+        raise ConfigError(f"unknown algorithm {name!r}; have {sorted(ALGORITHMS)}") from None
+
+
+def manifest_path(policy: Path) -> Path:
+    """Where the manifest of a policy file lies: beside it, as ``.json``."""
+    return policy.with_suffix(".json")
+
+
+def train(
+    setting: str | Setting,
+    algorithm: str,
+    steps: int,
+    seed: int,
+    *,
+    output: str | Path,
+    hyperparameters: Mapping[str, Any] | None = None,
+    normalise: Collection[str] = (),
+    exploration: Sequence[float] = (),
+    fast: bool = False,
+    progress: bool = True,
+    command: str | None = None,
+) -> TrainedPolicy:
+    """Train a policy on one thread of the processor and save it with its manifest.
+
+    Args:
+        setting: the environment to train in, by name or as a `Setting`.
+        algorithm: a name in `ALGORITHMS`.
+        steps: environment steps (decisions). PPO and A2C round up to whole
+            rollouts; the manifest has both numbers.
+        seed: 0 to 9,999; seeds from `FIRST_EVALUATION_SEED` on belong to evaluation.
+        output: the zip file to write; the suffix is added if it is missing.
+        hyperparameters: keyword arguments of the algorithm; what is not given is
+            Stable-Baselines3's default, with the policy "MlpPolicy".
+        normalise: any of "observations" and "rewards", by their running means and variances, for PPO and A2C. The
+            policy that is saved takes observations as the environment gives them.
+        exploration: standard deviation of each continuous action at the start of training, for PPO and A2C; by
+            default Stable-Baselines3's `log_std_init` for all of them.
+        fast: whether to compute observations at once (see `FastObservations`); they are the same.
+        progress: whether to show a progress bar.
+        command: the shell command that repeats this; by default one that calls this function.
+
+    Returns:
+        The written file and its manifest.
+    """
+    algorithm = algorithm.lower()
+    algorithm_class = get_algorithm(algorithm)
+    setting = get_setting(setting) if isinstance(setting, str) else setting
+    parameters = dict(hyperparameters or {})
+    path = _check(steps, seed, output)
+
+    if normalise and (algorithm not in _ON_POLICY or not set(normalise) <= set(NORMALISABLE)):
+        raise ConfigError(
+            f"{algorithm} cannot normalise {', '.join(normalise)}; {' and '.join(_ON_POLICY)} can normalise"
+            f" {' and '.join(NORMALISABLE)}"
+        )
+    made = setting.make()
+    env = Monitor(FastObservations(made) if fast else made)
+    try:
+        accepted = _ACTION_SPACES[algorithm]
+        if not isinstance(env.action_space, accepted):
+            fitting = sorted(n for n, kinds in _ACTION_SPACES.items() if isinstance(env.action_space, kinds))
+            raise ConfigError(
+                f"{algorithm} cannot act in {setting.name!r}, whose actions are {env.action_space}; have {fitting}"
+            )
+        started = time.perf_counter()
+        with one_thread():
+            # A copy: Stable-Baselines3 writes its own entries into `policy_kwargs`.
+            arguments = {"policy": "MlpPolicy", **deepcopy(parameters)}
+            world = normalised(env, normalise, parameters.get("gamma", 0.99)) if normalise else env
+            model = algorithm_class(**arguments, env=world, seed=seed, device="cpu")
+            if exploration:
+                _explore(model, exploration)
+            model.learn(steps, progress_bar=progress)
+            if "observations" in normalise:
+                fold(model)
+        seconds = time.perf_counter() - started
+        path.parent.mkdir(parents=True, exist_ok=True)
+        model.save(path)
+    finally:
+        env.close()
+
+    options: dict[str, Any] = {"normalise": list(normalise), "exploration": list(exploration), "fast": fast}
+    options = {name: value for name, value in options.items() if value}
+    manifest = {
+        "command": command or _call(setting, algorithm, steps, seed, parameters, path, options),
+        "algorithm": algorithm,
+        "setting": {
+            "name": setting.name,
+            "env_id": setting.env_id,
+            "config": dict(setting.config),
+        },
+        "steps": steps,
+        "steps_taken": model.num_timesteps,
+        "seed": seed,
+        "hyperparameters": parameters,
+        **options,
+        "training_seconds": round(seconds, 1),
+        "versions": {"python": platform.python_version(), **{p: version(p) for p in _PACKAGES}},
+    }
+    manifest_path(path).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+    return TrainedPolicy(path=path, manifest=manifest)
+
+
+def train_recipe(name: str, output: str | Path | None = None, *, progress: bool = True) -> TrainedPolicy:
+    """Train a reference policy again, by default into ``runs/policies/NAME.zip``.
+
+    Args:
+        name: a name in `evaluation.learning.recipes.RECIPES`.
+        output: the zip file to write instead.
+        progress: whether to show a progress bar.
+    """
+    recipe = get_recipe(name)
+    return train(
+        recipe.setting,
+        recipe.algorithm,
+        recipe.steps,
+        recipe.seed,
+        hyperparameters=recipe.hyperparameters,
+        normalise=recipe.normalise,
+        exploration=recipe.exploration,
+        fast=recipe.fast,
+        output=output if output is not None else Path("runs", "policies", f"{name}.zip"),
+        progress=progress,
+        command=f"shield train --recipe {name}",
+    )
+
+
+def _check(steps: int, seed: int, output: str | Path) -> Path:
+    if steps <= 0:
+        raise ConfigError(f"steps must be positive, not {steps}")
+    if not 0 <= seed < FIRST_EVALUATION_SEED:
+        raise ConfigError(
+            f"training seeds are 0 to {FIRST_EVALUATION_SEED - 1}, not {seed}: the others are kept for evaluation"
+        )
+    path = Path(output)
+    return path if path.suffix == ".zip" else path.with_name(path.name + ".zip")
+
+
+def _explore(model: BaseAlgorithm, deviations: Sequence[float]) -> None:
+    """Set the standard deviation of each action."""
+    log_std: Any = getattr(model.policy, "log_std", None)
+    actions = 0 if log_std is None else len(log_std)
+    if actions != len(deviations) or min(deviations) <= 0:
+        raise ConfigError(
+            f"exploration is a positive number for each continuous action of PPO or A2C, of which there are {actions}"
+            f" here; got {list(deviations)}"
+        )
+    with torch.no_grad():
+        log_std.copy_(torch.log(torch.tensor(deviations)))
+
+
+def _call(
+    setting: Setting,
+    algorithm: str,
+    steps: int,
+    seed: int,
+    parameters: dict[str, Any],
+    path: Path,
+    options: dict[str, Any],
+) -> str:
+    more = "".join(f", {name}={value!r}" for name, value in options.items())
+    code = (
+        "from evaluation.settings import Setting; from evaluation.learning.training import train; "
+        f"train(Setting({setting.name!r}, {setting.env_id!r}, {dict(setting.config)!r}), "
+        f"{algorithm!r}, {steps}, {seed}, hyperparameters={parameters!r}{more}, output={path.name!r})"
+    )
+    return f"python -c {shlex.quote(code)}"

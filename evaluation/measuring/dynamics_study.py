@@ -1,0 +1,280 @@
+"""How well models of the dynamics predict, and what each part of the recipe is worth.
+
+Every model is asked the same two things, open loop: random driving, and the driving of a planner on the model with
+on-policy rounds. Both are collected for the test alone, in episodes that no model was fitted to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import pandas as pd
+
+from dynamics.errors import ConfigError
+from dynamics.learned import parking_state as parking
+from dynamics.learned.collect import Predicts, collect
+from dynamics.learned.distill import distill
+from dynamics.learned.files import load_model
+from dynamics.learned.fit import Fit, fit
+from dynamics.learned.linear import LinearStructuredModel
+from dynamics.learned.model import DynamicsModel
+from dynamics.learned.on_policy_rounds import Round, RoundsConfig, first_driving, rounds
+from dynamics.learned.open_loop import OpenLoop, open_loop
+from dynamics.learned.oracle import BicycleModel
+from dynamics.learned.transitions import Transitions
+from dynamics.learned.variants import DEFAULT, VARIANTS, Variant, variant
+
+__all__ = [
+    "ENVIRONMENTS",
+    "HORIZON",
+    "PLOT_ENDINGS",
+    "TEST",
+    "TRUTH",
+    "Timed",
+    "Trial",
+    "errors",
+    "fresh_driving",
+    "learn",
+    "plot",
+    "stored",
+    "study",
+]
+
+ENVIRONMENTS = ("parking-v0",)
+"""Environments that dynamics can be learned in."""
+HORIZON = 15
+"""Decisions that are predicted open loop."""
+TEST = 600
+"""Transitions of each of the two kinds of driving that models are tested on."""
+
+TRUTH = "true bicycle"
+"""Name of the trial of the bicycle that the simulator itself uses."""
+PLOT_ENDINGS = (".png", ".svg", ".pdf")
+"""File endings that `plot` knows."""
+
+_TEST_SEED = 900_000
+"""Where generators of test driving are seeded, away from those of training."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Timed:
+    """A round of learning, and how long it took [s]: driving (with planning and distilling), and fitting."""
+
+    round: Round
+    driving: float
+    fitting: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """A model under test.
+
+    Attributes
+    ----------
+    name, seed : which; the seed it was trained with.
+    transitions : that it was fitted to. seconds : that fitting took, and nothing else.
+    random, on_policy : its open-loop errors in both kinds of driving.
+    """
+
+    name: str
+    seed: int
+    transitions: int
+    seconds: float
+    random: OpenLoop
+    on_policy: OpenLoop
+
+
+def driver(env: Any) -> Callable[[LinearStructuredModel, Transitions], Predicts]:
+    """What makes the driver of on-policy rounds: a planner on the macro-steps of the model, or (where the model's form
+    has none) on the model itself.
+    """
+    from mpc.cem_policy import CEMPolicy
+
+    def make(model: LinearStructuredModel, data: Transitions) -> Predicts:
+        return CEMPolicy.parking(env, distill(model, data) if model.config.form == "body" else model)
+
+    return make
+
+
+def learn(
+    setup: Variant, env_id: str = "parking-v0", progress: bool = False, tensorboard: str | None = None
+) -> Iterator[Timed]:
+    """Collect and fit as a variant says, yielding each round as `Timed`.
+
+    Raises
+    ------
+    ConfigError
+        If dynamics cannot be learned in that environment.
+    """
+    env = _make(env_id)
+    try:
+        # The spaces of an environment are known to a planner after its first reset.
+        env.reset(seed=0)
+        done = rounds(
+            env,
+            parking.state,
+            setup.model,
+            driver(env),
+            setup.data,
+            setup.fit,
+            progress=progress,
+            tensorboard=tensorboard,
+        )
+        begin = perf_counter()
+        for each in done:
+            yield Timed(each, perf_counter() - begin - each.fit.seconds, each.fit.seconds)
+            begin = perf_counter()
+    finally:
+        env.close()
+
+
+def fresh_driving(
+    model: LinearStructuredModel, data: Transitions, seed: int, transitions: int = TEST, env_id: str = "parking-v0"
+) -> tuple[Transitions, Transitions]:
+    """Fresh random and on-policy driving; the planner is the one on `model`, whose data were `data`."""
+    env = _make(env_id)
+    try:
+        env.reset(seed=0)
+        options: Any = {"state": parking.state, "dt": parking.DT, "episode_steps": 50}
+        random = collect(env, None, transitions, _TEST_SEED + 2 * seed, **options)
+        on_policy = collect(env, driver(env)(model, data), transitions, _TEST_SEED + 2 * seed + 1, **options)
+    finally:
+        env.close()
+    return random, on_policy
+
+
+def trial(name: str, seed: int, model: DynamicsModel, transitions: int, seconds: float, tests: Any) -> Trial:
+    """A model's errors in both kinds of driving."""
+    random, on_policy = (open_loop(model, part, HORIZON) for part in tests)
+    return Trial(name, seed, transitions, seconds, random, on_policy)
+
+
+def study(
+    names: Sequence[str] = tuple(VARIANTS),
+    seeds: Iterable[int] = (0,),
+    env_id: str = "parking-v0",
+    transitions: int = TEST,
+    progress: Callable[[str], None] = lambda line: None,
+) -> Iterator[list[Trial]]:
+    """Train variants and test them, seed after seed; the last trial of each is the true bicycle.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such variant or environment.
+    """
+    setups = {name: variant(name) for name in names}
+    for seed in seeds:
+        out: list[Trial] = []
+        progress(f"seed {seed}: {DEFAULT}, and test driving")
+        default = variant(DEFAULT).seeded(seed)
+        learned = [timed.round for timed in learn(default, env_id)]
+        tests = fresh_driving(learned[-1].fit.model, learned[-1].data, seed, transitions, env_id)
+        random_data: dict[RoundsConfig, Transitions] = {replace(default.data, rounds=0): learned[0].data}
+        for name, setup in setups.items():
+            progress(f"seed {seed}: {name}")
+            fitted, count = _learned(setup.seeded(seed), default, learned, random_data, env_id)
+            out.append(trial(name, seed, fitted.model, count, fitted.seconds, tests))
+        out.append(trial(TRUTH, seed, BicycleModel(), 0, 0.0, tests))
+        yield out
+
+
+def _learned(
+    setup: Variant, default: Variant, rounds_done: Sequence[Round], driven: dict[RoundsConfig, Transitions], env_id: str
+) -> tuple[Fit, int]:
+    """The last fit of a variant and the size of its data; what has been driven or fitted before is not done again."""
+    number = setup.data.rounds
+    if (setup.model, setup.fit, replace(setup.data, rounds=0)) == (
+        default.model,
+        default.fit,
+        replace(default.data, rounds=0),
+    ) and number < len(rounds_done):
+        return rounds_done[number].fit, len(rounds_done[number].data)
+    if number:
+        *_, last = learn(setup, env_id)
+        return last.round.fit, len(last.round.data)
+    key = replace(setup.data, rounds=0, per_round=default.data.per_round)
+    if key not in driven:
+        env = _make(env_id)
+        driven[key] = first_driving(env, parking.state, setup.model.dt, setup.data)
+        env.close()
+    return fit(driven[key], setup.model, setup.fit), len(driven[key])
+
+
+def stored(folders: Mapping[str, Path], data_file: str, env_id: str, transitions: int = TEST) -> list[Trial]:
+    """Test saved models, each in driving of its own; `data_file` in its folder are the data of its planner's range.
+
+    Raises
+    ------
+    ModelError, DataError
+        If a model or its data cannot be read.
+    """
+    out = []
+    for name, folder in folders.items():
+        model, data = load_model(folder), Transitions.load(folder / data_file)
+        out.append(trial(name, 0, model, len(data), 0.0, fresh_driving(model, data, 0, transitions, env_id)))
+    return out
+
+
+def errors(trials: Sequence[Trial]) -> pd.DataFrame:
+    """One row for each trial: position errors [m] after 1 and `HORIZON` decisions, medians and 95 % quantiles."""
+    rows = []
+    for each in trials:
+        row: dict[str, Any] = {"model": each.name, "seed": each.seed, "transitions": each.transitions}
+        row["fit_seconds"] = each.seconds
+        for kind, loop in (("random", each.random), ("on_policy", each.on_policy)):
+            for step in (1, HORIZON):
+                row[f"{kind}_{step}"] = loop.median[step - 1]
+                row[f"{kind}_{step}_p95"] = loop.quantile(0.95)[step - 1]
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def plot(trials: Sequence[Trial], path: str | Path) -> Path:
+    """Position error against the horizon, random driving on the left, on-policy on the right.
+
+    Lines are medians over all windows and seeds, areas reach up to the 95 % quantile.
+
+    Raises
+    ------
+    ConfigError
+        If the file is no .png, .svg or .pdf.
+    """
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    path = Path(path)
+    if path.suffix not in PLOT_ENDINGS:
+        raise ConfigError(f"a plot is one of {', '.join(PLOT_ENDINGS)}, not {path.name!r}")
+    figure = Figure(figsize=(9, 3.8), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    time = parking.DT * np.arange(1, HORIZON + 1)
+    for name in dict.fromkeys(each.name for each in trials):
+        same = [each for each in trials if each.name == name]
+        for axes, kind in ((left, "random"), (right, "on_policy")):
+            position = np.concatenate([getattr(each, kind).position for each in same])
+            if position.max() < 1e-3:
+                continue
+            (line,) = axes.plot(time, np.median(position, axis=0), label=name)
+            high = np.quantile(position, 0.95, axis=0)
+            axes.fill_between(time, np.median(position, axis=0), high, color=line.get_color(), alpha=0.12, lw=0)
+    for axes, title in ((left, "random driving"), (right, "the planner's driving")):
+        axes.set(title=title, xlabel="time ahead [s]", yscale="log")
+        axes.grid(True, which="major", alpha=0.3)
+    left.set_ylabel("position error [m], open loop")
+    right.legend(fontsize="small")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=150)
+    return path
+
+
+def _make(env_id: str) -> gym.Env[Any, Any]:
+    if env_id not in ENVIRONMENTS:
+        raise ConfigError(f"dynamics can be learned in {', '.join(ENVIRONMENTS)}, not in {env_id!r}")
+    return gym.make(env_id)

@@ -1,0 +1,173 @@
+"""Tables of episodes to one row per setting, policy and shield.
+
+The episodes are those of `evaluation.running.episodes.run_paired`. Rates and means come with 95 %
+intervals, in columns ending in `_low` and `_high`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from evaluation.measuring.attribution import Cause
+from evaluation.measuring.statistics import (
+    Interval,
+    bootstrap_mean,
+    mcnemar,
+    paired_difference,
+    paired_rate_difference,
+    quantiles,
+    wilson,
+)
+from shield.decision import Reason, Tier
+from shield.errors import ConfigError
+
+__all__ = ["GROUP", "STOPPED", "compare", "summarise"]
+
+GROUP = ["setting", "policy", "door", "mode"]
+"""Columns that say what was measured."""
+
+STOPPED = 1.0
+"""Speed below which a vehicle has reached its goal standing [m/s]."""
+
+_PAIR = ["setting", "policy"]
+_MEANS = ("lane_changes", "laps", "mean_jerk", "mean_lateral_acceleration")
+_FALLBACKS = [f"tier_{tier.value}" for tier in Tier if tier.fallback]
+_REASONS = [f"reason_{reason.value}" for reason in Reason if reason is not Reason.NONE]
+
+
+def summarise(episodes: pd.DataFrame) -> pd.DataFrame:
+    """One row per setting, policy, door and mode, in the order in which they first appear.
+
+    Returns
+    -------
+    A table with, after the columns of `GROUP`:
+
+    - `episodes`, `crashes`, `off_roads`; `crash_rate`, `off_road_rate` and `ego_fault_rate` with Wilson intervals, the
+      last NaN where a crash could not be attributed;
+    - `success_rate` and `stopped_rate` with Wilson intervals: the goal was reached, and at less than `STOPPED` [m/s];
+      NaN where there is no goal;
+    - `return` with a bootstrap interval;
+    - the means of `mean_speed` [m/s], `distance` [m], `lane_changes`, `laps`, `mean_jerk` [m/s^3] and
+      `mean_lateral_acceleration` [m/s^2]; NaN where they are not defined;
+    - `override_rate`, `fallback_rate` and `reason_…`: shares of all decisions;
+      `frame_override_rate`: share of all simulation frames;
+    - `violations` of the assumptions by the traffic, summed; NaN where they are not counted;
+    - `min_margin` and `min_gap` [m]: the smallest of all episodes;
+    - `latency_p50_ms`, `latency_p99_ms`: over all decisions of all episodes.
+    """
+    _check(episodes)
+    rows = []
+    for key, group in episodes.groupby(GROUP, sort=False):
+        rows.append({**dict(zip(GROUP, key, strict=True)), **_summary(group)})
+    return pd.DataFrame(rows)
+
+
+def _summary(group: pd.DataFrame) -> dict[str, Any]:
+    n, decisions = len(group), int(group["steps"].sum())
+    p50, p99 = quantiles(np.concatenate([np.asarray(x, float) for x in group["latencies_ms"]]))
+    return {
+        "episodes": n,
+        "crashes": int(group["crashed"].sum()),
+        **_columns("crash_rate", wilson(int(group["crashed"].sum()), n)),
+        "off_roads": int(group["off_road"].sum()),
+        **_columns("off_road_rate", wilson(int(group["off_road"].sum()), n)),
+        **_columns("ego_fault_rate", _ego_fault(group["attribution"], n)),
+        **_arrivals(group),
+        **_columns("return", bootstrap_mean(group["return"])),
+        "mean_speed": float(group["mean_speed"].mean()),
+        "distance": float(group["distance"].mean()),
+        **{name: float(group[name].astype(float).mean()) for name in _MEANS},
+        "override_rate": float(group["overridden"].sum() / decisions),
+        "frame_override_rate": float(group["frames_overridden"].sum() / group["frames"].sum()),
+        **{reason: float(group[reason].sum() / decisions) for reason in _REASONS},
+        "fallback_rate": float(group[_FALLBACKS].to_numpy().sum() / decisions),
+        "violations": float(group["violations"].astype(float).sum(skipna=False)),
+        "min_margin": float(group["min_margin"].min()),
+        "min_gap": float(group["min_gap"].min()),
+        "latency_p50_ms": p50,
+        "latency_p99_ms": p99,
+    }
+
+
+def _arrivals(group: pd.DataFrame) -> dict[str, float]:
+    """Share of the episodes that reached the goal, and standing; unknown where any has none, or in older tables."""
+    n, nothing = len(group), Interval(float("nan"), float("nan"), float("nan"), len(group))
+    if "success" not in group or group["success"].isna().any():
+        return {**_columns("success_rate", nothing), **_columns("stopped_rate", nothing)}
+    success = group["success"].astype(bool)
+    stopped = success & (group["arrival_speed"].astype(float) < STOPPED)
+    return {
+        **_columns("success_rate", wilson(int(success.sum()), n)),
+        **_columns("stopped_rate", wilson(int(stopped.sum()), n)),
+    }
+
+
+def _ego_fault(causes: pd.Series, n: int) -> Interval:
+    """Share of the episodes with a crash by the ego's fault; unknown where the cause of any crash is."""
+    if (causes == Cause.UNATTRIBUTED.value).any():
+        return Interval(float("nan"), float("nan"), float("nan"), n)
+    return wilson(int((causes == Cause.EGO_AT_FAULT.value).sum()), n)
+
+
+def compare(episodes: pd.DataFrame) -> pd.DataFrame:
+    """Each shielded row against driving without a shield, paired on the same seeds.
+
+    Returns
+    -------
+    A table with, after the columns of `GROUP`:
+
+    - `pairs`: their number;
+    - `crash_rate_difference`, `off_road_rate_difference`, `return_difference`, `mean_speed_difference` [m/s]: means
+      of shielded minus unshielded, with intervals (Bonett-Price for the two rates, else bootstrap);
+    - `crashes_prevented`, `crashes_added`: pairs in which only one of the two crashed, and
+      `mcnemar_p`, the exact McNemar test of them.
+
+    It is empty when nothing was driven without a shield.
+    """
+    _check(episodes)
+    rows = []
+    for key, group in episodes[episodes["door"] != "none"].groupby(GROUP, sort=False):
+        names = dict(zip(GROUP, key, strict=True))
+        bare = episodes[episodes["door"] == "none"]
+        for column in _PAIR:
+            bare = bare[bare[column] == names[column]]
+        pairs = group.merge(bare, on="seed", suffixes=("", "_bare"))
+        if not pairs.empty:
+            rows.append({**names, **_differences(pairs)})
+    return pd.DataFrame(rows)
+
+
+def _differences(pairs: pd.DataFrame) -> dict[str, Any]:
+    crashed, bare = pairs["crashed"].astype(bool), pairs["crashed_bare"].astype(bool)
+    out: dict[str, Any] = {
+        "pairs": len(pairs),
+        **_columns("crash_rate_difference", paired_rate_difference(crashed, bare)),
+        **_columns(
+            "off_road_rate_difference",
+            paired_rate_difference(pairs["off_road"].astype(bool), pairs["off_road_bare"].astype(bool)),
+        ),
+    }
+    for name in ("return", "mean_speed"):
+        difference = paired_difference(pairs[name], pairs[f"{name}_bare"])
+        out |= _columns(f"{name}_difference", difference)
+    test = mcnemar(bare, crashed)
+    return out | {
+        "crashes_prevented": test.only_first,
+        "crashes_added": test.only_second,
+        "mcnemar_p": test.p_value,
+    }
+
+
+def _columns(name: str, interval: Interval) -> dict[str, float]:
+    return {name: interval.estimate, f"{name}_low": interval.low, f"{name}_high": interval.high}
+
+
+def _check(episodes: pd.DataFrame) -> None:
+    missing = sorted({*GROUP, "seed", "crashed", "off_road", "return", "latencies_ms"} - set(episodes.columns))
+    if missing:
+        raise ConfigError(f"this is not a table of episodes: column {missing[0]!r} is missing")
+    if episodes.duplicated([*GROUP, "seed"]).any():
+        raise ConfigError("the same seed appears twice under one setting, policy, door and mode")

@@ -1,0 +1,204 @@
+"""What everybody did in an episode, frame by frame, read from the simulator's state.
+
+The recorder wraps `road.step` on the instance: it reads after each simulation frame and changes
+nothing, so an episode with it and one without are the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from highway_env.envs.parking_env import ParkingEnv
+
+from dynamics.errors import SceneError
+from dynamics.roads.network import read_network
+from dynamics.roads.path import PathRoad
+from dynamics.roads.straight import Road, StraightRoad
+from dynamics.state import FloatArray, wrap_to_pi
+from evaluation.measuring.rectangles import separation
+
+__all__ = ["History", "Recorder", "Track", "read_road"]
+
+
+class Track(IntEnum):
+    """Columns of a history: [m], [m], [rad], [m/s], [m], [m], 0 or 1, 0 or 1; the first three in the road frame.
+
+    A vehicle is off the road where highway-env says so: its centre is in no lane. Noted of the ego alone; on a parking
+    lot, where lanes are only the spots, nobody is.
+    """
+
+    S = 0
+    R = 1
+    HEADING = 2
+    SPEED = 3
+    LENGTH = 4
+    WIDTH = 5
+    CRASHED = 6
+    OFF_ROAD = 7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class History:
+    """Recorded states of an episode, or of its end.
+
+    Attributes
+    ----------
+    states : shape (frames, vehicles, 8), columns `Track`; vehicle 0 is the ego. On a closed road S goes on counting
+        from lap to lap, and the others' S is the one within half a lap of the ego's.
+    road : the road that S and R refer to; None on a network that is no single road, where the states are in the
+        world frame.
+    dt : time between two frames [s].
+    from_reset : whether the first frame is the scene that the episode was reset to.
+    world : the states in the world frame; None on a straight road, where nothing needs them.
+    """
+
+    states: FloatArray
+    road: Road | None
+    dt: float
+    from_reset: bool = True
+    world: FloatArray | None = None
+
+    @property
+    def ego(self) -> FloatArray:
+        """The ego's states, shape (frames, 8)."""
+        return self.states[:, 0]
+
+    @property
+    def crash_frame(self) -> int | None:
+        """First frame in which the ego counts as crashed, or None."""
+        crashed = np.flatnonzero(self.ego[:, Track.CRASHED])
+        return int(crashed[0]) if crashed.size else None
+
+    @property
+    def off_road(self) -> bool:
+        """Whether the ego's centre ever left the road."""
+        return bool(self.ego[:, Track.OFF_ROAD].any())
+
+    def gaps(self, frame: int) -> FloatArray:
+        """Clearance between the ego and each other vehicle in a frame [m], shape (vehicles - 1,).
+
+        On a straight road footprints are the smallest boxes along the road that hold the rotated rectangles,
+        elsewhere the rectangles themselves.
+        """
+        return self._clearance(frame)
+
+    def min_gap(self) -> float:
+        """Smallest clearance between the ego and anybody, up to a crash [m]; inf when alone."""
+        if self.states.shape[1] < 2:
+            return float("inf")
+        if self.crash_frame is not None:
+            return 0.0
+        return float(self._clearance(slice(None)).min())
+
+    def _clearance(self, frames: Any) -> FloatArray:
+        if isinstance(self.road, StraightRoad):
+            distance = clearance(self.states[frames, :1], self.states[frames, 1:])
+        else:
+            world = self._world()[frames]
+            distance = separation(*(world[..., part, : Track.CRASHED] for part in (slice(1), slice(1, None))))
+        return distance
+
+    def mean_jerk(self) -> float:
+        """Mean size of the jerk along the way, frame by frame up to a crash [m/s^3]; NaN in less than three frames."""
+        jerk = np.diff(self._driven()[:, Track.SPEED], 2) / self.dt**2
+        return float(np.abs(jerk).mean()) if jerk.size else np.nan
+
+    def mean_lateral_acceleration(self) -> float:
+        """Mean size of speed times yaw rate, up to a crash [m/s^2]; NaN in less than two frames."""
+        driven = self._driven()
+        rate = wrap_to_pi(np.diff(driven[:, Track.HEADING])) / self.dt
+        return float(np.abs(driven[:-1, Track.SPEED] * rate).mean()) if rate.size else np.nan
+
+    def _driven(self) -> FloatArray:
+        """The ego in the world frame, before a crash (which changes its speed within a frame)."""
+        return self._world()[: self.crash_frame, 0]
+
+    def _world(self) -> FloatArray:
+        """States in the world frame, or (on a straight road) in one that is only turned and moved."""
+        return self.states if self.world is None else self.world
+
+
+def clearance(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Distance between the road-aligned boxes of vehicles [m]; 0 when they overlap."""
+    half_1, half_2 = _half_extents(first), _half_extents(second)
+    along = np.abs(second[..., Track.S] - first[..., Track.S]) - half_1[0] - half_2[0]
+    across = np.abs(second[..., Track.R] - first[..., Track.R]) - half_1[1] - half_2[1]
+    distance: FloatArray = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
+    return distance
+
+
+def _half_extents(states: FloatArray) -> tuple[FloatArray, FloatArray]:
+    cos, sin = (
+        np.abs(np.cos(states[..., Track.HEADING])),
+        np.abs(np.sin(states[..., Track.HEADING])),
+    )
+    length, width = states[..., Track.LENGTH], states[..., Track.WIDTH]
+    return (length * cos + width * sin) / 2, (length * sin + width * cos) / 2
+
+
+class Recorder:
+    """Records one episode of a highway-env environment, whatever its road and its actions.
+
+    Parameters
+    ----------
+    env : the environment, wrapped or not, after `reset`; make a recorder for each episode.
+    """
+
+    def __init__(self, env: Any) -> None:
+        base = env.unwrapped
+        road = base.road
+        self._map = read_road(road.network)
+        self._dt = 1.0 / base.config["simulation_frequency"]
+        others = [vehicle for vehicle in road.vehicles if vehicle is not base.vehicle]
+        # Landmarks, such as the spot that is to be reached, are nothing to collide with.
+        self._vehicles = [base.vehicle, *others, *(thing for thing in road.objects if thing.solid)]
+        self._lot = isinstance(base, ParkingEnv)
+        self._rows: list[list[tuple[float, ...]]] = []
+        self._off_road: list[bool] = []
+        inner = road.step
+
+        def step(dt: float) -> None:
+            inner(dt)
+            self._sample()
+
+        road.step = step
+        self._sample()
+
+    def _sample(self) -> None:
+        self._rows.append(
+            [(v.position[0], v.position[1], v.heading, v.speed, v.LENGTH, v.WIDTH, v.crashed) for v in self._vehicles]
+        )
+        self._off_road.append(not self._lot and not self._vehicles[0].on_road)
+
+    def history(self) -> History:
+        """All frames so far; the first is the scene after reset."""
+        rows = np.array(self._rows, dtype=float)
+        world = np.concatenate([rows, np.zeros((*rows.shape[:2], 1))], axis=-1)
+        world[:, 0, Track.OFF_ROAD] = self._off_road
+        if self._map is None:
+            return History(world, None, self._dt, world=world)
+        states = world.copy()
+        if isinstance(self._map, StraightRoad):
+            states[..., :4] = self._map.to_road(world[..., :4])
+            return History(states, self._map, self._dt)
+        ego = self._map.to_road(world[:, 0, :4])
+        if self._map.closed:
+            ego[:, Track.S] = np.unwrap(ego[:, Track.S], period=self._map.length)
+        states[:, 0, :4] = ego
+        states[:, 1:, :4] = self._map.to_road(world[:, 1:, :4], near=ego[:, None, Track.S])
+        return History(states, self._map, self._dt, world=world)
+
+
+def read_road(network: Any) -> StraightRoad | PathRoad | None:
+    """The road of a network; None where it is no single road of parallel lanes."""
+    readers: tuple[Callable[[Any], StraightRoad | PathRoad], ...] = (StraightRoad.from_network, read_network)
+    for read in readers:
+        try:
+            return read(network)
+        except SceneError:
+            continue
+    return None

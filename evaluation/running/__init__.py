@@ -1,0 +1,1 @@
+"""Driving episodes: settings, policies by name, records."""

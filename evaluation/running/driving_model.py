@@ -1,0 +1,267 @@
+"""Learned models of throttle and steering on a highway, by setting: how they are made, measured and found.
+
+A model is of one simulation frequency and so many frames under one input. A setting has one of 0.2 s, the predictive
+filter's stage, and where its frames are shorter, one of a single frame. Each is a folder "driving-FREQUENCYhz-FRAMES".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from dynamics.errors import ModelError
+from dynamics.learned.casadi_steps import LearnedStep, LearnedSteps, actuator_notes
+from dynamics.learned.collect import Predicts, collect
+from dynamics.learned.driving_state import OBSERVATION, RandomDriver, state
+from dynamics.learned.files import save_model
+from dynamics.learned.fit import FitConfig, fit
+from dynamics.learned.linear import LinearStructuredModel, ModelConfig
+from dynamics.learned.model import DynamicsModel
+from dynamics.learned.open_loop import OpenLoop, open_loop
+from dynamics.learned.transitions import Transitions
+from dynamics.vehicle.actuators import Actuators
+from evaluation.settings import Setting, get_setting
+from shield.errors import ConfigError
+
+__all__ = [
+    "BRAKING",
+    "BUNDLED",
+    "MODELS",
+    "STAGE",
+    "TRANSITIONS",
+    "Trained",
+    "collect_driving",
+    "driving_model",
+    "load_driving",
+    "measure",
+    "train_driving",
+]
+
+MODELS = ("bicycle", "learned")
+"""What the predictive filter can plan with; a folder of models is the third."""
+STAGE = 0.2
+"""Duration of a decision of the longer model [s]."""
+BRAKING = -10.0
+"""Least acceleration that is driven with [m/s^2]: the shield's filter plans with 9.8 (`ShieldConfig.braking`)."""
+
+BUNDLED = Path(__file__).parent.parent / "policies"
+"""Folder of the bundled models."""
+TRANSITIONS = 4000
+"""Random decisions that a model is fitted to."""
+_EPISODE, _HOLD = 10.0, 5
+"""Longest episode [s]; decisions for which an input is held at most."""
+_HORIZON = 15
+_TOP = 38.0
+"""Greatest speed at the start of an episode [m/s]."""
+_FIT = {"epochs": 500, "horizon": 5, "finish_epochs": 30, "patience": 40}
+_HIDDEN = (16, 16)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trained:
+    """A model of so many frames at one frequency, its data, and the processor time that both took [s]."""
+
+    model: LinearStructuredModel
+    data: Transitions
+    actuators: Actuators
+    frequency: int
+    frames: int
+    seconds: float
+
+    @property
+    def name(self) -> str:
+        """The folder's."""
+        return _name(self.frequency, self.frames)
+
+
+class _AnySpeed(gym.Wrapper[Any, Any, Any, Any]):
+    """Episodes begin at a random speed between 0 and `_TOP`."""
+
+    def __init__(self, env: gym.Env[Any, Any], generator: np.random.Generator) -> None:
+        super().__init__(env)
+        self._generator = generator
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Reset, and another speed."""
+        _, info = self.env.reset(seed=seed, options=options)
+        base: Any = self.env.unwrapped
+        base.vehicle.speed = float(self._generator.uniform(0.0, _TOP))
+        return base.observation_type.observe(), info
+
+
+def collect_driving(
+    setting: str | Setting,
+    frames: int,
+    transitions: int = TRANSITIONS,
+    seed: int = 0,
+    policy: type[Any] | None = None,
+) -> tuple[Transitions, Actuators]:
+    """Drive, `frames` simulation frames under each input.
+
+    Parameters
+    ----------
+    setting : whose road and simulation frequency; with `ContinuousAction`.
+    transitions, seed : as in `dynamics.learned.collect.collect`.
+    policy : made with the environment, drives among the setting's traffic from its starts and with its throttle;
+        without one there is no traffic, starts are at any speed, and inputs are random, down to `BRAKING`.
+
+    Raises
+    ------
+    ConfigError
+        If the setting has other actions.
+    """
+    setting = get_setting(setting) if isinstance(setting, str) else setting
+    frequency = _frequency(setting)
+    change: dict[str, Any] = {
+        "observation": dict(OBSERVATION),
+        "policy_frequency": frequency / frames,
+        "duration": 1e6,
+        "offroad_terminal": False,
+    }
+    if policy is None:
+        kind = dict(setting.config["action"])
+        top = float(kind.get("acceleration_range", (-5.0, 5.0))[1])
+        change |= {"vehicles_count": 0, "action": {**kind, "acceleration_range": [BRAKING, top]}}
+    env = setting.override(change).make()
+    dt = frames / frequency
+    try:
+        env.reset(seed=0)
+        actuators = Actuators.of(env.unwrapped.action_type)  # type: ignore[attr-defined]
+        driver: Predicts
+        world: gym.Env[Any, Any] = env
+        if policy is None:
+            generator = np.random.default_rng([seed, 1])
+            driver, world = RandomDriver(actuators, dt, generator, hold=_HOLD), _AnySpeed(env, generator)
+        else:
+            driver = policy(env)
+        steps = round(_EPISODE / dt)
+        data = collect(world, driver, transitions, seed, state=state, dt=dt, episode_steps=steps)
+    finally:
+        env.close()
+    return data, actuators
+
+
+def train_driving(
+    setting: str = "highway-fast-continuous",
+    seed: int = 0,
+    folder: str | Path | None = None,
+    transitions: int = TRANSITIONS,
+    progress: bool = False,
+) -> Iterator[Trained]:
+    """Collect random driving and fit the models of a setting, one after the other.
+
+    Parameters
+    ----------
+    setting : with `ContinuousAction`, throttle and steering.
+    seed : of everything random; episodes are reset with seeds below 10,000.
+    folder : where to write a folder for each model, if anywhere. progress : whether to show bars.
+
+    Raises
+    ------
+    ConfigError
+        If the setting has other actions, or `STAGE` is no whole number of its frames.
+    """
+    frequency = _frequency(get_setting(setting))
+    longest = round(STAGE * frequency)
+    if abs(longest - STAGE * frequency) > 1e-9:
+        raise ConfigError(f"{setting} has {frequency} frames a second, which do not make up {STAGE} s")
+    for frames in sorted({1, longest}):
+        begin = process_time()
+        data, actuators = collect_driving(setting, frames, transitions, seed)
+        config = ModelConfig(dt=data.dt, hidden=_HIDDEN, members=1, seed=seed)
+        model = fit(data, config, FitConfig(seed=seed, **_FIT), progress=progress).model  # type: ignore[arg-type]
+        trained = Trained(model, data, actuators, frequency, frames, process_time() - begin)
+        if folder is not None:
+            notes = {"setting": setting, "transitions": len(data), "seed": seed, "cpu": round(trained.seconds, 1)}
+            save_model(model, Path(folder, trained.name), {**notes, **actuator_notes(actuators)})
+        yield trained
+
+
+def measure(
+    model: DynamicsModel,
+    setting: str,
+    frames: int,
+    actuators: Actuators,
+    transitions: int = 600,
+    policy: type[Any] | None = None,
+) -> OpenLoop:
+    """Open-loop position error [m] after 1 to 15 decisions, in fresh driving (see `collect_driving`).
+
+    `actuators` are those of the model's actions; another throttle's are expressed in them.
+    """
+    data, driven = collect_driving(setting, frames, transitions, 900_001, policy)
+    if driven != actuators:
+        data = replace(data, actions=actuators.normalised(driven.physical(data.actions)))
+    return open_loop(model, data, _HORIZON)
+
+
+def load_driving(frequency: int, root: str | Path = BUNDLED) -> LearnedSteps:
+    """The models for a simulation frequency [Hz] in a folder; the bundled ones by default.
+
+    Raises
+    ------
+    ModelError
+        If there is none, or one cannot be read.
+    """
+    folders = sorted(Path(root).glob(f"driving-{frequency}hz-*"))
+    if not folders:
+        have = ", ".join(sorted(path.name for path in Path(root).glob("driving-*hz-*"))) or "none"
+        raise ModelError(
+            f"{root} has no model of driving at {frequency} simulation frames a second; have {have}. "
+            "`shield dynamics fit --setting SETTING --output FOLDER` makes them; give --model FOLDER"
+        )
+    return LearnedSteps(*(LearnedStep.load(folder) for folder in folders))
+
+
+_bundled = lru_cache(maxsize=4)(load_driving)
+
+
+def driving_model(name: str | None, env: Any) -> LearnedSteps | None:
+    """What the predictive filter plans with in an environment.
+
+    Parameters
+    ----------
+    name : one of `MODELS`, or a folder that `shield dynamics fit --setting` wrote; None for the bicycle.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such name or folder.
+    ModelError
+        If there is no model for the environment's simulation frequency.
+    """
+    if name is None or name == "bicycle":
+        return None
+    frequency = int(env.unwrapped.config["simulation_frequency"])
+    if name == "learned":
+        return _bundled(frequency)
+    if not Path(name).is_dir():
+        raise ConfigError(f"unknown model {name!r}; have {', '.join(MODELS)}, or the folder of learned models")
+    return load_driving(frequency, name)
+
+
+def _frequency(setting: Setting) -> int:
+    """Its simulation frequency [Hz]."""
+    env = setting.make()
+    try:
+        base: Any = env.unwrapped
+        kind = type(base.action_type).__name__
+        if kind != "ContinuousAction" or not (base.action_type.longitudinal and base.action_type.lateral):
+            raise ConfigError(
+                f"driving is learned from throttle and steering; {setting.name} has {kind}. Have "
+                "highway-fast-continuous and highway-continuous"
+            )
+        return int(base.config["simulation_frequency"])
+    finally:
+        env.close()
+
+
+def _name(frequency: int, frames: int) -> str:
+    return f"driving-{frequency}hz-{frames}"

@@ -1,0 +1,290 @@
+"""Driving episodes: one record each, paired over the same seeds, in parallel.
+
+A seed fixes the traffic and everything random in the policy, so the records (but for the
+latencies) are the same whatever the number of jobs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import joblib
+import numpy as np
+import pandas as pd
+from rich.progress import Progress
+
+from dynamics.roads.path import PathRoad
+from evaluation.measuring.attribution import AttributionRules, attribute_from_simulator_state
+from evaluation.measuring.recorder import History, Recorder, Track
+from evaluation.running.driving_model import driving_model
+from evaluation.running.named_policies import Policy, make_policy, policy_label, start_episode
+from evaluation.running.records import EpisodeRecord, Variant
+from evaluation.settings import Setting, get_setting
+from evaluation.threads import one_thread
+from shield import Shield, ShieldedEnv
+from shield.decision import Reason, Tier
+from shield.errors import ConfigError
+
+__all__ = ["run_episode", "run_paired"]
+
+_CHUNK = 25
+
+
+@dataclass(slots=True)
+class _Tally:
+    """Counts that an episode adds up, decision by decision."""
+
+    overridden: int = 0
+    frames_overridden: int = 0
+    violations: int | None = 0
+    min_margin: float = float("nan")
+    reasons: Counter[str] = field(default_factory=Counter)
+    tiers: Counter[str] = field(default_factory=Counter)
+    latencies: list[float] = field(default_factory=list)
+
+    def add(self, shield: Mapping[str, Any]) -> None:
+        self.overridden += bool(shield["overridden"])
+        self.frames_overridden += int(shield["frames_overridden"])
+        violations = shield["violations"]
+        if violations is None or self.violations is None:
+            self.violations = None
+        else:
+            self.violations += int(violations)
+        if np.isfinite(shield["margin"]):
+            self.min_margin = float(np.fmin(self.min_margin, shield["margin"]))
+        self.reasons[Reason(shield["reason"]).value] += 1
+        self.tiers[Tier(shield["tier"]).value] += 1
+        self.latencies.append(float(shield["latency_ms"]))
+
+
+_UNSHIELDED = {
+    "overridden": False,
+    "frames_overridden": 0,
+    "violations": None,
+    "margin": float("nan"),
+    "reason": Reason.NONE.value,
+    "tier": Tier.OFF.value,
+}
+
+
+class _Driver:
+    """One variant, ready to drive episode after episode in the same environment."""
+
+    def __init__(
+        self, setting: Setting, policy: str | Policy, variant: Variant, algorithm: str | None, model: str | None
+    ) -> None:
+        self.setting, self.variant = setting, variant
+        self.env: gym.Env[Any, Any] = setting.make()
+        self.label = policy_label(policy) if isinstance(policy, str) else type(policy).__name__
+        learned = driving_model(model, self.env)
+        if learned is not None:
+            self.label += f"-{Path(str(model)).name}"
+        self.policy: Policy = make_policy(policy, self.env, algorithm, learned) if isinstance(policy, str) else policy
+        self.driver: Policy = self.policy
+        self.shield: Shield | None = None
+        if variant.door == "env":
+            self.env = ShieldedEnv(self.env, variant.config, policy=self.policy, model=learned)
+        elif variant.door == "policy":
+            self.shield = Shield(self.policy, self.env, variant.config)
+            self.driver = self.shield
+        self.rules = AttributionRules(assumptions=variant.config.assumptions, braking=variant.config.braking)
+
+    def run(self, seed: int) -> EpisodeRecord:
+        """Drive the episode with this seed to its end."""
+        env, tally = self.env, _Tally()
+        obs, _ = env.reset(seed=seed)
+        env.action_space.seed(seed)  # highway-env makes a new space at each reset
+        start_episode(self.policy, seed)
+        recorder = Recorder(env)
+        state, total, steps, done = None, 0.0, 0, False
+        while not done:
+            action, state = self.driver.predict(obs, state, episode_start=np.array([steps == 0]), deterministic=True)
+            obs, reward, terminated, truncated, info = env.step(_plain(action))
+            tally.add(self._shield_info(info))
+            total += float(reward)
+            steps += 1
+            done = bool(terminated or truncated)
+        history = recorder.history()
+        return EpisodeRecord(
+            setting=self.setting.name,
+            policy=self.label,
+            door=self.variant.door,
+            mode=self.variant.mode,
+            seed=seed,
+            crashed=history.crash_frame is not None,
+            off_road=history.off_road,
+            attribution=attribute_from_simulator_state(history, self.rules).value,
+            return_=total,
+            steps=steps,
+            **_driving(history),
+            mean_jerk=history.mean_jerk(),
+            mean_lateral_acceleration=history.mean_lateral_acceleration(),
+            overridden=tally.overridden,
+            reasons=dict(tally.reasons),
+            tiers=dict(tally.tiers),
+            frames=len(history.states) - 1,
+            frames_overridden=tally.frames_overridden,
+            violations=tally.violations,
+            min_margin=tally.min_margin,
+            min_gap=history.min_gap(),
+            latencies=tuple(tally.latencies) if self.variant.door != "none" else (),
+            **_arrival(info, history),
+        )
+
+    def _shield_info(self, info: Mapping[str, Any]) -> Mapping[str, Any]:
+        if self.variant.door == "none":
+            return {**_UNSHIELDED, "latency_ms": 0.0}
+        if self.shield is None:
+            shield: Mapping[str, Any] = info["shield"]
+            return shield
+        decision = self.shield.last_decision
+        assert decision is not None  # `predict` came before
+        return {
+            **_UNSHIELDED,
+            "overridden": decision.overridden,
+            "margin": decision.margin,
+            "reason": decision.reason.value,
+            "tier": decision.tier.value,
+            "latency_ms": 1e3 * decision.latency,
+        }
+
+
+def _plain(action: Any) -> Any:
+    """A single integer out of its array; any other action as it is."""
+    array = np.asarray(action)
+    return int(array.item()) if array.size == 1 and array.dtype.kind in "iu" else action
+
+
+def _arrival(info: Mapping[str, Any], history: History) -> dict[str, Any]:
+    """Whether the goal was reached, and how fast; a crash on arrival is no success."""
+    if "is_success" not in info:
+        return {"success": None, "arrival_speed": math.nan}
+    success = bool(np.all(info["is_success"])) and history.crash_frame is None
+    speed = abs(float(history.ego[-1, Track.SPEED]))
+    return {"success": success, "arrival_speed": speed if success else math.nan}
+
+
+def _driving(history: History) -> dict[str, Any]:
+    """Speed, way and lanes of the ego, up to a crash."""
+    crash, road = history.crash_frame, history.road
+    ego = history.ego if crash is None else history.ego[: crash + 1]
+    driving = {"duration": (len(ego) - 1) * history.dt, "mean_speed": float(ego[:, Track.SPEED].mean())}
+    if road is None:
+        steps = np.diff(ego[:, [Track.S, Track.R]], axis=0)
+        way = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+        return driving | {"distance": way, "lane_changes": np.nan, "laps": np.nan}
+    way = float(ego[-1, Track.S] - ego[0, Track.S])
+    lanes = [road.lane_at(float(r)) for r in ego[:, Track.R]]
+    closed = isinstance(road, PathRoad) and road.closed
+    return driving | {
+        "distance": way,
+        "lane_changes": float(np.count_nonzero(np.diff(lanes))),
+        "laps": way / road.length if closed else np.nan,
+    }
+
+
+def run_episode(
+    setting: str | Setting,
+    policy: str | Policy,
+    variant: Variant | None = None,
+    seed: int = 100_000,
+    algorithm: str | None = None,
+    model: str | None = None,
+) -> EpisodeRecord:
+    """Drive one episode.
+
+    Parameters
+    ----------
+    setting, policy : by name or as objects; a policy may also be the path of an SB3 zip file.
+    variant : what stands between the two; nothing by default.
+    seed : seed of the traffic and of the policy.
+    algorithm : the SB3 algorithm of a zip file without a manifest.
+    model : what `mpc` and the predictive filter of door "env" plan with (see
+    `evaluation.running.driving_model.driving_model`).
+    """
+    setting = get_setting(setting) if isinstance(setting, str) else setting
+    driver = _Driver(setting, policy, variant or Variant(), algorithm, model)
+    try:
+        with one_thread():
+            return driver.run(seed)
+    finally:
+        driver.env.close()
+
+
+def run_paired(
+    setting: str | Setting,
+    policy: str | Policy,
+    variants: Iterable[Variant],
+    seeds: Iterable[int],
+    *,
+    jobs: int = 1,
+    algorithm: str | None = None,
+    model: str | None = None,
+    progress: bool = False,
+) -> pd.DataFrame:
+    """Drive every variant on the same seeds; one row per episode, by variant and then seed.
+
+    Parameters
+    ----------
+    setting, policy, algorithm, model : as in `run_episode`.
+    variants : what to compare.
+    seeds : seeds of the episodes.
+    jobs : processes; -1 for one per core.
+    progress : whether to show a bar.
+    """
+    setting = get_setting(setting) if isinstance(setting, str) else setting
+    variants, seeds = list(variants), list(seeds)
+    if not variants or not seeds:
+        raise ConfigError(f"nothing to run: {len(variants)} variants, {len(seeds)} episodes")
+    if jobs == 0:
+        raise ConfigError("jobs must be at least 1, or -1 for one per core")
+    if model not in (None, "bicycle") and policy != "mpc" and not any(v.door == "env" for v in variants):
+        raise ConfigError("a model is for mpc and for the shield's door env; none of the two drives here")
+    workers = joblib.effective_n_jobs(jobs)
+    size = min(_CHUNK, -(-len(seeds) // workers))
+    chunks = [seeds[i : i + size] for i in range(0, len(seeds), size)]
+    calls = [(setting, policy, variants, chunk, algorithm, model) for chunk in chunks]
+    rows: list[dict[str, Any]] = []
+    with Progress(disable=not progress, transient=True) as bar:
+        task = bar.add_task(f"{setting.name}", total=len(seeds) * len(variants))
+        for part in _results(calls, workers):
+            rows += part
+            bar.advance(task, len(part))
+    order = {(v.door, v.mode): i for i, v in enumerate(variants)}
+    rows.sort(key=lambda row: order[row["door"], row["mode"]])  # stable: seeds stay in order
+    return pd.DataFrame(rows)
+
+
+def _results(calls: list[tuple[Any, ...]], workers: int) -> Iterator[list[dict[str, Any]]]:
+    if workers == 1:
+        yield from (_run_chunk(*call) for call in calls)
+        return
+    # Workers that were started before the library was asked not to thread would still do so.
+    with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
+        pool = joblib.Parallel(n_jobs=workers, return_as="generator")
+        yield from pool(joblib.delayed(_run_chunk)(*call) for call in calls)
+
+
+def _run_chunk(
+    setting: Setting,
+    policy: str | Policy,
+    variants: list[Variant],
+    seeds: list[int],
+    algorithm: str | None,
+    model: str | None,
+) -> list[dict[str, Any]]:
+    rows = []
+    with one_thread():
+        for variant in variants:
+            driver = _Driver(setting, policy, variant, algorithm, model)
+            try:
+                rows += [driver.run(seed).row() for seed in seeds]
+            finally:
+                driver.env.close()
+    return rows

@@ -1,0 +1,213 @@
+"""Policies by name: constant actions, random actions, the reference policies, and SB3 zip files.
+
+All have the `predict` signature of Stable-Baselines3:
+
+>>> from evaluation.settings import get_setting
+>>> env = get_setting("highway-fast").make()
+>>> policy = make_policy("faster", env)
+>>> int(policy.predict(None)[0])
+3
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.vehicle.actuators import Actuators
+from evaluation.learning.training import ALGORITHMS, get_algorithm, manifest_path
+from evaluation.policies import list_references, load_reference
+from evaluation.running.highway_planner import highway_policy
+from evaluation.running.parking_planner import PARKING_POLICIES, parking_policy
+from evaluation.running.roundabout_planner import roundabout_policy
+from mpc import MPCPolicy
+from mpc.filter.road_step import StageModel
+from shield.errors import ConfigError
+
+__all__ = [
+    "BASELINES",
+    "ConstantPolicy",
+    "Policy",
+    "RandomPolicy",
+    "make_policy",
+    "policy_label",
+    "start_episode",
+]
+
+_META = {"faster": "FASTER", "slower": "SLOWER", "idle": "IDLE"}
+_INPUTS = {"throttle", "idle"}
+
+BASELINES = (*sorted(_META.keys() | _INPUTS), "random", "mpc", *PARKING_POLICIES)
+"""Names of the policies that need no training: `faster` and `slower` for meta-actions, `throttle` (full throttle, the
+wheel straight) for continuous actions, `idle` and `random` for both; `mpc` drives with continuous actions by itself
+(`mpc.MPCPolicy`, on the simulator's true state); those of `evaluation.running.parking_planner` park, and
+`cem` drives on a highway and in a roundabout with meta-actions as well."""
+
+
+class Policy(Protocol):
+    """What an episode is driven with: SB3's `predict`."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """The action for an observation, and the next hidden state."""
+        ...
+
+
+class ConstantPolicy:
+    """The same action at every decision.
+
+    Parameters
+    ----------
+    action : index of a meta-action, or a normalised continuous action.
+    """
+
+    def __init__(self, action: int | NDArray[np.float32]) -> None:
+        self.action = action
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """The one action; nothing else is looked at."""
+        return np.array(self.action), state
+
+
+class RandomPolicy:
+    """Uniform random actions from a generator of its own, reproducible per episode.
+
+    Parameters
+    ----------
+    space : the action space.
+    seed : seed of the first episode.
+    """
+
+    def __init__(self, space: gym.Space[Any], seed: int = 0) -> None:
+        self._space = space
+        self.reset(seed)
+
+    def reset(self, seed: int) -> None:
+        """Start an episode: the actions depend on its seed alone."""
+        self._generator = np.random.default_rng(seed)
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """An action drawn uniformly, also when `deterministic` is asked for."""
+        space = self._space
+        if isinstance(space, gym.spaces.Discrete):
+            return np.asarray(space.start + self._generator.integers(space.n)), state
+        if isinstance(space, gym.spaces.Box):
+            return self._generator.uniform(space.low, space.high).astype(space.dtype), state
+        raise ConfigError(f"random actions need a Discrete or a Box action space, not {space}")
+
+
+def start_episode(policy: Policy, seed: int) -> None:
+    """Tell a policy that an episode with this seed begins; only `RandomPolicy` listens."""
+    if isinstance(policy, RandomPolicy):
+        policy.reset(seed)
+
+
+def policy_label(name: str) -> str:
+    """The name that results are reported under: of a zip file, its stem."""
+    return Path(name).stem if name.endswith(".zip") else name
+
+
+def make_policy(
+    name: str, env: gym.Env[Any, Any], algorithm: str | None = None, model: StageModel | None = None
+) -> Policy:
+    """A policy by name, or from an SB3 zip file.
+
+    Parameters
+    ----------
+    name : a name in `BASELINES`, a reference policy, or the path of a zip file.
+    env : the environment that it is to act in.
+    algorithm : the SB3 algorithm of a zip file; by default the manifest beside the file says it.
+    model : what `mpc` plans with (see `evaluation.running.driving_model`); the others have no use for it.
+
+    Raises
+    ------
+    ConfigError
+        On an unknown name, or a zip file of unknown algorithm; the message lists what is valid.
+    """
+    if name in _META or name in _INPUTS:
+        return ConstantPolicy(_constant(name, env))
+    if name == "random":
+        return RandomPolicy(env.action_space)
+    if name == "mpc":
+        return MPCPolicy(env, model=model)
+    if name == "cem" and type(env.unwrapped.action_type).__name__ == "DiscreteMetaAction":  # type: ignore[attr-defined]
+        roundabout = type(env.unwrapped).__name__ == "RoundaboutEnv"
+        return roundabout_policy(env) if roundabout else highway_policy(env)
+    if name in PARKING_POLICIES:
+        return parking_policy(name, env)
+    if name in list_references():
+        return load_reference(name)
+    if name.endswith(".zip"):
+        return _load_zip(Path(name), algorithm)
+    known = ", ".join([*BASELINES, *list_references()])
+    raise ConfigError(f"unknown policy {name!r}; have {known}, or the path of an SB3 .zip file")
+
+
+def _constant(name: str, env: gym.Env[Any, Any]) -> int | NDArray[np.float32]:
+    """The action that a constant policy stands for in an environment."""
+    kind = env.unwrapped.action_type  # type: ignore[attr-defined]
+    label = type(kind).__name__
+    if label == "ContinuousAction":
+        return _inputs(name, Actuators.of(kind))
+    if label != "DiscreteMetaAction":
+        raise ConfigError(
+            f"policy {name!r} needs DiscreteMetaAction or ContinuousAction; this environment takes {label}; have random"
+        )
+    if name not in _META:
+        raise ConfigError(f"{name!r} needs ContinuousAction; this environment takes {label}; have {_list(_META)}")
+    indexes: dict[str, int] = kind.actions_indexes
+    if _META[name] not in indexes:
+        raise ConfigError(f"this environment has no action {_META[name]}; have {sorted(indexes)}")
+    return int(indexes[_META[name]])
+
+
+def _inputs(name: str, actuators: Actuators) -> NDArray[np.float32]:
+    """The normalised action of a constant policy for throttle and steering."""
+    valid = _INPUTS if actuators.longitudinal else _INPUTS - {"throttle"}
+    if name not in _INPUTS:
+        raise ConfigError(f"{name!r} is a meta-action; this environment takes ContinuousAction; have {_list(valid)}")
+    if name not in valid:
+        raise ConfigError(f"this environment's ContinuousAction has no {name}; have {_list(valid)}")
+    acceleration = actuators.acceleration[1] if name == "throttle" else 0.0
+    return actuators.normalised(np.array([acceleration, 0.0]))
+
+
+def _list(names: Iterable[str]) -> str:
+    return ", ".join([*sorted(names), "random"])
+
+
+def _load_zip(path: Path, algorithm: str | None) -> Policy:
+    if not path.is_file():
+        raise ConfigError(f"there is no policy file {path}")
+    manifest = manifest_path(path)
+    if algorithm is None and manifest.is_file():
+        algorithm = json.loads(manifest.read_text(encoding="utf-8")).get("algorithm")
+    if algorithm is None:
+        raise ConfigError(
+            f"{path} does not name its algorithm and has no manifest beside it;"
+            f" give one of {', '.join(sorted(ALGORITHMS))}"
+        )
+    return get_algorithm(algorithm).load(path, device="cpu")

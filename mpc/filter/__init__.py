@@ -1,0 +1,1 @@
+"""The predictive safety filter: problem, program, solvers, result."""

@@ -1,0 +1,142 @@
+"""Solves the filter's quadratic programs with CasADi's bundled DAQP; the answers are never taken on trust.
+
+DAQP is a dual active-set method: exact to rounding, without memory and with nothing to tune. What comes back is
+judged by residuals that are computed here, from the data that were asked for; an object that has raised is thrown
+away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+
+from dynamics.state import FloatArray
+from mpc.filter.build import Program, bind
+from mpc.filter.problem import FilterSettings
+
+__all__ = ["FAILED", "GREATEST", "Answer", "QuadraticSolver", "Solver", "residuals", "sane"]
+
+GREATEST = 1e6
+"""No unknown of a sane program is larger."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Solution of one quadratic program.
+
+    Attributes
+    ----------
+    x : unknowns; None where there is no solution.
+    primal, dual : greatest residuals of feasibility and of stationarity.
+    active : bounds and rows that hold with equality.
+    """
+
+    x: FloatArray | None
+    primal: float
+    dual: float
+    active: int
+
+
+FAILED = Answer(None, np.inf, np.inf, 0)
+"""There is no answer."""
+
+
+class QuadraticSolver(Protocol):
+    """Solves one program after the other."""
+
+    def prepare(self, program: Program) -> None:
+        """Compile ahead of the first use."""
+        ...
+
+    def solve(self, program: Program) -> Answer:
+        """Never raises."""
+        ...
+
+    def reset(self) -> None:
+        """Forget everything."""
+        ...
+
+
+class Solver:
+    """DAQP through CasADi, compiled once for each program.
+
+    Parameters
+    ----------
+    settings : accuracy and iteration limit.
+    """
+
+    def __init__(self, settings: FilterSettings) -> None:
+        self.settings = settings
+        self._slots: dict[int, _Slot] = {}
+
+    def reset(self) -> None:
+        """Forget the compiled solvers."""
+        self._slots = {}
+
+    def prepare(self, program: Program) -> None:
+        """Compile ahead of the first use."""
+        self._slots[id(program)] = self._compile(program)
+
+    def solve(self, program: Program) -> Answer:
+        """From scratch, each time."""
+        if not sane(program):
+            return FAILED
+        try:
+            if id(program) not in self._slots:
+                self.prepare(program)
+            slot = self._slots[id(program)]
+            slot.x[:] = np.nan
+            slot.call()
+        except Exception:  # whatever a solver raises, the answer is that there is none
+            self.reset()
+            return FAILED
+        primal, dual = residuals(program, slot.x, slot.bounds, slot.rows)
+        limit = self.settings.accuracy
+        if not (primal < limit and dual < limit and np.abs(slot.x).max() < GREATEST):
+            return FAILED
+        return Answer(slot.x.copy(), primal, dual, int(np.count_nonzero(slot.bounds) + np.count_nonzero(slot.rows)))
+
+    def _compile(self, program: Program) -> _Slot:
+        rows, columns = program.A.shape
+        shapes = {"h": ca.Sparsity.dense(columns, columns), "a": ca.Sparsity.dense(rows, columns)}
+        daqp = {"iter_limit": self.settings.max_iter, "primal_tol": 1e-9}
+        options: Any = {"error_on_fail": False, "daqp": daqp}
+        solver = ca.conic("qp", "daqp", shapes, options)
+        x, bounds, multipliers, cost = np.zeros(columns), np.zeros(columns), np.zeros(rows), np.zeros(1)
+        names = {"h": program.H, "g": program.g, "a": program.A, "lba": program.lower, "uba": program.upper}
+        names |= {"lbx": program.low, "ubx": program.high, "x0": np.zeros(columns)}
+        names |= {"lam_x0": np.zeros(columns), "lam_a0": np.zeros(rows), "q": np.zeros(0), "p": np.zeros(0)}
+        found = {"x": x, "cost": cost, "lam_a": multipliers, "lam_x": bounds}
+        call = bind(solver, tuple(names[n] for n in solver.name_in()), tuple(found[n] for n in solver.name_out()))
+        return _Slot(program, call, x, bounds, multipliers)
+
+
+@dataclass(frozen=True, slots=True)
+class _Slot:
+    """A compiled solver bound to its program, which it keeps alive so that the id stays its own."""
+
+    program: Program
+    call: Callable[[], None]
+    x: FloatArray
+    bounds: FloatArray
+    rows: FloatArray
+
+
+def residuals(program: Program, x: FloatArray, bounds: FloatArray, rows: FloatArray) -> tuple[float, float]:
+    """Greatest violation of bounds and rows, and of H x + g + bounds + A' rows = 0 (their multipliers)."""
+    ax = program.A @ x
+    outside = np.maximum(program.lower - ax, ax - program.upper).max()
+    beyond = np.maximum(program.low - x, x - program.high).max()
+    dual = np.abs(program.H @ x + program.g + bounds + rows @ program.A).max()
+    return float(np.maximum(np.maximum(outside, beyond), 0.0)), float(dual)
+
+
+def sane(program: Program) -> bool:
+    """Finite data and ordered bounds; NaN fails every comparison."""
+    total = program.g.sum() + program.A.sum() + program.H.sum()
+    ordered = (program.lower <= program.upper).all() and (program.low <= program.high).all()
+    return bool(np.isfinite(total) and ordered)

@@ -1,0 +1,153 @@
+"""From one guess to a plan: linearise, solve, roll out, until the first input has settled and the rollout holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from dynamics.state import FloatArray, RoadState
+from mpc.filter.build import Program
+from mpc.filter.daqp_solver import QuadraticSolver
+from mpc.filter.result import Status
+
+__all__ = ["Descent", "descend"]
+
+_STILL = 1e-9
+"""Speed backwards that rounding may leave [m/s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Descent:
+    """Where a guess has led. Attributes as in `FilterResult`; `solved` is the time spent in the solver [s]."""
+
+    status: Status
+    inputs: FloatArray
+    states: FloatArray
+    sides: FloatArray
+    slack: float
+    violation: float
+    change: float
+    primal: float
+    dual: float
+    active: int
+    sweeps: int
+    solved: float
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """The smaller the better: a usable plan, then the smaller violation."""
+        return not self.status.usable, self.violation
+
+
+def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadline: float) -> Descent:
+    """Improve a guess (N, 2) by at most `settings.sweeps` linearisations; the sides are those of the guess.
+
+    Full steps, since the next linearisation repairs what the last one got wrong; one that is worse than the best
+    plan so far is taken half way back to it. The best plan is what is returned: a guess that holds is never lost.
+
+    Parameters
+    ----------
+    program : filled with the problem.
+    solver : of the quadratic programs.
+    guess : inputs; limited to the bounds here.
+    deadline : value of `perf_counter` after which no further linearisation is begun [s]; inf for none.
+    """
+    settings = program.settings
+    low, high = program.limits
+    moves = np.repeat(np.arange(len(settings.moves)), settings.moves)
+    program.free_sides()
+    np.clip(guess, low, high, out=program.inputs)
+    wanted, near = program.wanted, 2 * settings.settled * program.scale
+    slack = change = primal = dual = np.inf
+    active, sweeps, solved, best = 0, 0, 0.0, np.inf
+    kept = program.inputs.copy()
+    status = Status.UNSETTLED
+    while sweeps < settings.sweeps:
+        if perf_counter() >= deadline:
+            status = Status.TIME_LIMIT
+            break
+        program.linearise()
+        program.keep_sides()
+        if sweeps == 0:
+            best = program.merit
+        mark = perf_counter()
+        answer = solver.solve(program)
+        solved += perf_counter() - mark
+        sweeps += 1
+        if answer.x is None or not np.isfinite(answer.x).all():
+            status = Status.ERROR
+            break
+        step = answer.x[: 2 * len(settings.moves)].reshape(-1, 2)
+        before = program.inputs[0].copy()
+        program.inputs += (step * program.scale)[moves]
+        np.clip(program.inputs, low, high, out=program.inputs)
+        program.roll_out()
+        change = float(np.abs((program.inputs[0] - before) / program.scale).max() / 2)
+        if sweeps > 1 and program.merit >= best:
+            program.inputs[:] = 0.5 * (program.inputs + kept)
+            program.roll_out()
+            change = max(change, float(np.abs((program.inputs[0] - kept[0]) / program.scale).max() / 2))
+        if program.merit < best:
+            best, kept = program.merit, program.inputs.copy()
+        slack, primal, dual = max(float(answer.x[step.size :].max()), 0.0), answer.primal, answer.dual
+        active += answer.active
+        if program.violation[0] < settings.tolerance:
+            if (
+                wanted is not None
+                and bool((np.abs(program.inputs[0] - wanted) < near).all())
+                and _adopt(program, wanted)
+            ):
+                change = 0.0
+            if change < settings.settled:
+                break
+    holds = program.violation[0] < settings.tolerance
+    if status is not Status.ERROR and sweeps > 0 and not (holds and change < settings.settled):
+        # The best that was met; a guess that still holds is a plan.
+        program.inputs[:] = kept
+        program.roll_out()
+        status = Status.UNSETTLED if program.violation[0] < settings.tolerance else status
+    violation = float(program.violation[0])
+    if sweeps == 0 or not (np.isfinite(program.states).all() and np.isfinite(violation)):
+        status = Status.ERROR if status is not Status.TIME_LIMIT else status
+        violation = np.inf
+    elif status is Status.UNSETTLED:
+        status = _judge(violation, slack, change, settings.tolerance, settings.settled)
+    return Descent(
+        status,
+        program.inputs.copy(),
+        program.states.copy(),
+        program.sides.copy(),
+        slack,
+        violation,
+        change,
+        primal,
+        dual,
+        active,
+        sweeps,
+        solved,
+    )
+
+
+def _adopt(program: Program, wanted: FloatArray) -> bool:
+    """Take the proposal itself as the first input if the plan holds with it: nothing is nearer to it.
+
+    The second input makes up for the difference, so that the rest of the plan stays what it was.
+    """
+    before = program.inputs[:2].copy()
+    low, high = program.limits
+    program.inputs[0] = wanted
+    program.inputs[1] = np.clip(before[1] + before[0] - wanted, low, high)
+    program.roll_out()
+    if program.violation[0] < program.settings.tolerance and program.states[:, RoadState.SPEED].min() >= -_STILL:
+        return True
+    program.inputs[:2] = before
+    program.roll_out()
+    return False
+
+
+def _judge(violation: float, slack: float, change: float, tolerance: float, settled: float) -> Status:
+    if violation >= tolerance:
+        return Status.SLACK if slack >= tolerance else Status.UNSETTLED
+    return Status.SOLVED if change < settled else Status.INACCURATE

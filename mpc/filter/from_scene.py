@@ -1,0 +1,45 @@
+"""What a scene means to the predictive filter: rectangles, edges and bends of its stages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dynamics.roads.straight import Road
+from dynamics.scenes.scene import Scene
+from dynamics.state import FloatArray, RoadState
+from dynamics.traffic.occupancy import Surroundings
+from mpc.filter.problem import FilterSettings
+
+__all__ = ["curvature_ahead", "edges_of", "rectangles"]
+
+
+def rectangles(around: Surroundings, rows: Any, settings: FilterSettings) -> FloatArray:
+    """Where the vehicles of `rows` can be at the end of each stage, (N, len(rows), 4), columns `Occupied` [m]."""
+    ends = np.array(settings.ends) - 1
+    seen = around.occupancy(settings.ends[-1], settings.dt)
+    boxes = np.empty((settings.stages, len(rows), 4))
+    boxes[..., 0], boxes[..., 1] = seen.rear[np.ix_(rows, ends)].T, seen.front[np.ix_(rows, ends)].T
+    boxes[..., 2], boxes[..., 3] = seen.low[rows], seen.high[rows]
+    return boxes
+
+
+def edges_of(road: Road, lanes: list[int], r: float, side: float) -> tuple[float, float]:
+    """Least and greatest r [m] of a body that drives in these lanes: their outer edges.
+
+    A change of lane that is half done may still use the lane that it came from: a body with half width `side` [m] at r
+    is always between them.
+    """
+    centers = road.centers[lanes]
+    low, high = float(centers.min()) - 0.5 * road.width, float(centers.max()) + 0.5 * road.width
+    return min(low, r - side), max(high, r + side)
+
+
+def curvature_ahead(scene: Scene, speed: float, settings: FilterSettings) -> FloatArray | None:
+    """Curvature of the road where each stage begins at that speed, (N,) [1/m]; None on a straight road."""
+    if scene.road.bends is None:
+        return None
+    begins = np.array(settings.ends) - settings.frames
+    s = float(scene.ego_road[RoadState.S]) + speed * settings.dt * begins
+    return np.asarray(scene.road.curvature(s))  # type: ignore[attr-defined]

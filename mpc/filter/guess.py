@@ -1,0 +1,62 @@
+"""Inputs to linearise about: the last plan moved on, or the proposal and then full braking."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from dynamics.state import FloatArray
+from dynamics.vehicle.bicycle import LENGTH
+from mpc.filter.problem import FilterProblem, FilterSettings
+from mpc.filter.road_step import feed_forward, stage_expression
+
+__all__ = ["brake_guess", "braking_function", "shifted"]
+
+_TURN = 0.1
+"""No stage of a braking guess turns the car by more than this relative to the road [rad]."""
+_STRAIGHTEN = 0.5
+"""Share of the heading that a braking guess takes back in each stage."""
+
+
+def shifted(plan: FloatArray, frames: int, settings: FilterSettings) -> FloatArray:
+    """The plan's inputs (N, 2) as seen `frames` later: those in force when each stage begins; the last one is held."""
+    ends = np.array(settings.ends)
+    begins = ends - settings.frames + frames
+    return np.asarray(plan[np.minimum(np.searchsorted(ends, begins, side="right"), len(plan) - 1)])
+
+
+def brake_guess(problem: FilterProblem, settings: FilterSettings) -> FloatArray:
+    """The proposal's acceleration for one stage, then braking to a stop; steering along the road, (N, 2)."""
+    n = settings.stages
+    curvature = np.zeros(n) if problem.curvature is None else problem.curvature
+    first = np.array([settings.acceleration[0], 0.0]) if problem.proposal is None else problem.proposal
+    out = braking_function(settings)(problem.state, first, curvature)
+    return np.asarray(out.full().T)
+
+
+@lru_cache(maxsize=16)
+def braking_function(settings: FilterSettings) -> ca.Function:
+    """State (4,), first inputs (2,) and curvatures (N,) to the braking guess (2, N); compiled once."""
+    n = settings.stages
+    x0, first, curvature = ca.SX.sym("x", 4), ca.SX.sym("first", 2), ca.SX.sym("k", n)
+    x, inputs = x0, []
+    for k, frames in enumerate(settings.frames):
+        psi, v, duration = x[2], x[3], settings.dt * frames
+        a = ca.fmax(settings.acceleration[0], -ca.fmax(v, 0) / duration)
+        turn = ca.fmax(ca.fabs(v) * duration / (LENGTH / 2), 0.5)
+        most = _TURN / turn
+        wanted = ca.atan(2 * ca.tan(ca.asin(ca.fmax(ca.fmin(-_STRAIGHTEN * psi / turn, most), -most))))
+        ideal = feed_forward(curvature[k], x[1])
+        if k == 0:
+            a = ca.fmax(first[0], -ca.fmax(v, 0) / duration)
+            angle = ca.atan(2 * ca.tan(ca.asin(ca.fmin(most, 0.5))))
+            steer = ca.fmax(ca.fmin(first[1], ideal + angle), ideal - angle)
+        else:
+            steer = ideal + wanted
+        steer = ca.fmax(ca.fmin(steer, settings.steering), -settings.steering)
+        u = ca.vertcat(a, steer)
+        inputs.append(u)
+        x = stage_expression(x, u, curvature[k], settings.dt, frames)
+    return ca.Function("braking", [x0, first, curvature], [ca.horzcat(*inputs)])

@@ -1,0 +1,114 @@
+"""Sensitivities, rows and objective of the filter's program, as CasADi expressions; `mpc.filter.build` puts them
+together.
+
+Notation
+--------
+w = (dz of each move (2 each), slack of each move): the unknowns. dz is the change of the scaled inputs of all stages
+of a move about the guess. S_k = d x_k / d w over the inputs' columns, (4, 2 moves), by the chain rule over the stages.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from mpc.filter.problem import FilterSettings
+from mpc.filter.road_step import feed_forward
+from mpc.filter.sides import along
+
+__all__ = ["SOFT", "Sensitivity", "end_function", "objective", "row_function"]
+
+SOFT = 8
+"""Soft constraints of a stage."""
+_CALM = 5.0
+"""Above this speed later steering costs more, by the square of the speed [m/s]."""
+
+
+class Sensitivity:
+    """Carries d x_k / d w from stage to stage (at build time)."""
+
+    def __init__(self, settings: FilterSettings, scale: ca.DM) -> None:
+        self._scale = scale
+        self._moves = len(settings.moves)
+        self.now = ca.SX(4, 2 * self._moves)
+
+    def step(self, move: int, jx: ca.SX, ju: ca.SX) -> ca.SX:
+        """After one stage with Jacobians jx (4, 4) and ju (4, 2), which belongs to that move."""
+        own = ca.horzcat(ca.SX(4, 2 * move), ju @ ca.diag(self._scale), ca.SX(4, 2 * (self._moves - move - 1)))
+        self.now = ca.sparsify(jx @ self.now + own)
+        return self.now
+
+    def rows(self, jacobian: ca.SX, move: int) -> ca.SX:
+        """Soft rows (n, unknowns) of a stage of that move, from their Jacobian by its state (n, 4)."""
+        count = jacobian.shape[0]
+        slack = ca.horzcat(ca.SX(count, move), -ca.SX.ones(count, 1), ca.SX(count, self._moves - move - 1))
+        return ca.horzcat(ca.sparsify(jacobian @ self.now), slack)
+
+    def hard(self, row: ca.SX) -> ca.SX:
+        """A row (1, 4) by the state without slack."""
+        return ca.horzcat(ca.sparsify(row @ self.now), ca.SX(1, self._moves))
+
+
+def row_function() -> ca.Function:
+    """The eight soft constraints of a stage, each as value <= limit, and their Jacobian."""
+    x, lon, lat = ca.SX.sym("x", 4), ca.SX.sym("lon"), ca.SX.sym("lat")
+    s, r, psi = x[0], x[1], x[2]
+    h, across, corner = along(psi, lon, lat), lat * ca.fabs(ca.cos(psi)), lon * ca.sin(psi)
+    values = ca.vertcat(
+        s + h, -s + h, r + across + corner, r + across - corner, -r + across + corner, -r + across - corner, r, -r
+    )
+    return ca.Function("rows", [x, lon, lat], [values, ca.jacobian(values, x)])
+
+
+def end_function(braking: float) -> ca.Function:
+    """Where the plan would stop after the horizon, straight ahead along the road: along (1), across (4)."""
+    x, lon, lat = ca.SX.sym("x", 4), ca.SX.sym("lon"), ca.SX.sym("lat")
+    distance = x[3] * ca.fabs(x[3]) / (2 * braking)
+    drift = x[1] + distance * ca.sin(x[2])
+    across, corner = lat * ca.fabs(ca.cos(x[2])), lon * ca.sin(x[2])
+    front = x[0] + along(x[2], lon, lat) + distance
+    sides = [drift + across + corner, drift + across - corner, -drift + across + corner, -drift + across - corner]
+    values = ca.vertcat(front, *sides)
+    return ca.Function("ends", [x, lon, lat], [values, ca.jacobian(values, x)])
+
+
+def objective(
+    settings: FilterSettings,
+    states: list[ca.SX],
+    slopes: list[ca.SX],
+    u: ca.SX,
+    curvature: ca.SX,
+    aim: ca.SX | None,
+    near: ca.SX,
+    weights: ca.SX,
+    scale: ca.DM,
+    speed: ca.SX,
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Hessian, gradient at the guess, and cost of the guess itself; `aim` None leaves the reference out."""
+    moves = len(settings.moves)
+    w = ca.SX.sym("w", 3 * moves)
+    of = [j for j, length in enumerate(settings.moves) for _ in range(length)]
+    z = u / ca.repmat(scale, 1, settings.stages)
+    moved = [z[:, k] + w[2 * j : 2 * j + 2] for k, j in enumerate(of)]
+    cost = ca.dot(weights[:2], (moved[0] - near / scale) ** 2)
+    for k in range(1, settings.stages):
+        weight = weights[2] if k == 1 else settings.smoothing
+        center = ca.SX(0) if aim is None else aim[0, k]
+        off = moved[k] - ca.vertcat(0, feed_forward(curvature[k], center) / scale[1])
+        cost += weight * ca.sumsqr(moved[k] - moved[k - 1])
+        lively = 1 + (speed / _CALM) ** 2
+        cost += settings.magnitude * off[0] ** 2 + settings.steadiness * lively * off[1] ** 2
+        cost += settings.damping * lively * w[2 * of[k] + 1] ** 2
+    slack = w[2 * moves :]
+    cost += settings.penalty * ca.sum1(slack) + 0.5 * settings.curving * ca.sumsqr(slack)
+    hessian, gradient = ca.hessian(cost, w)
+    here = ca.substitute(cost, w, ca.DM.zeros(3 * moves))
+    gradient = ca.substitute(gradient, w, ca.DM.zeros(3 * moves))
+    if aim is None:
+        return hessian, gradient, here
+    for k, (x, slope) in enumerate(zip(states, slopes, strict=True)):
+        for i, weight, wanted in ((1, weights[3], aim[0, k]), (2, weights[4], 0), (3, weights[5], aim[1, k])):
+            row = ca.horzcat(slope[i, :], ca.SX(1, moves))
+            hessian += 2 * weight * (row.T @ row)
+            gradient += 2 * weight * (x[i] - wanted) * row.T
+            here += weight * (x[i] - wanted) ** 2
+    return hessian, gradient, here

@@ -1,0 +1,1 @@
+"""Planners that sample: the Cross-Entropy Method and its relatives."""

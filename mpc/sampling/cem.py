@@ -1,0 +1,266 @@
+r"""Planners that sample: the Cross-Entropy Method, iCEM and several of them at once.
+
+Notation
+--------
+A plan is B blocks of m inputs in [-1, 1], each held for `hold` decisions. In every iteration each of R restarts draws N
+plans from its own normal distribution, cuts them down to the bounds, and moves the distribution to its K cheapest
+(the *elites*). All restarts, of all states that are planned for, go through the model in one call. The plan with the
+least cost of all iterations and restarts is the answer.
+
+- Plain CEM: white noise, nothing carried over. Source: Rubinstein 1999; the planner of highway-env's parking notebook.
+- iCEM: coloured noise, elites kept between iterations and decisions, the last plan as the next mean, fewer and fewer
+  samples. Source: Pinneri et al. 2020.
+- Multi-start: R > 1; only the first restart starts from the last plan. What is cheap only nearby is not the end of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any, Protocol
+
+import numpy as np
+
+from dynamics.errors import ConfigError
+from dynamics.learned.model import StepModel
+from mpc.sampling.noise import NoiseBank
+from mpc.sampling.plan import Cost, Fallback, Plan, PlanMemory, PlanStatus, evaluate, read_states
+from mpc.sampling.settings import PlannerSettings
+
+__all__ = ["CEM", "Eliting", "PlannerSettings", "SamplingPlanner", "Update"]
+
+_TABLES = 61
+"""Noise tables; prime, so that searches of any number of iterations run through all of them."""
+
+
+class Update(Protocol):
+    """How a distribution moves to what was sampled from it."""
+
+    def __call__(self, samples: Any, costs: Any, std: Any) -> tuple[Any, Any]:
+        """Mean and standard deviation, (..., B, m) each.
+
+        Parameters
+        ----------
+        samples : (..., K, B, m), the cheapest first. costs : (..., K); samples of infinite cost have no weight. Where
+            there is no other, what is returned is not used.
+        std : deviation that they were drawn with, (..., B, m).
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Eliting:
+    """Mean and deviation of the samples: the elites alone are handed to it."""
+
+    def __call__(self, samples: Any, costs: Any, std: Any) -> tuple[Any, Any]:
+        """See `Update`."""
+        weight = np.isfinite(costs)[..., None, None].astype(samples.dtype)
+        total = np.maximum(weight.sum(axis=-3), 1)
+        mean = (weight * samples).sum(axis=-3) / total
+        spread = (weight * (samples - mean[..., None, :, :]) ** 2).sum(axis=-3) / total
+        return mean, np.sqrt(spread)
+
+
+class SamplingPlanner:
+    """The search that all planners of continuous inputs share.
+
+    Parameters
+    ----------
+    model : anything with `state_dim`, `action_dim` and `step(states, actions)` (see `dynamics.learned.model`).
+    settings : how to search.
+    update : how the distribution moves to the elites.
+    fallback : actions for states in which no plan has a finite cost; zeros by default.
+    low, high : bounds of the inputs, each broadcastable to (m,); by default [-1, 1], and never wider.
+    """
+
+    def __init__(
+        self,
+        model: StepModel,
+        settings: PlannerSettings,
+        update: Update,
+        fallback: Fallback | None = None,
+        low: Any = -1.0,
+        high: Any = 1.0,
+    ) -> None:
+        self.model, self.settings, self.update, self.fallback = model, settings, update, fallback
+        m = model.action_dim
+        try:
+            self.low, self.high = (np.broadcast_to(np.asarray(x, np.float32), (m,)) for x in (low, high))
+        except ValueError:
+            raise ConfigError(f"bounds must have shape () or ({m},), got {np.shape(low)}, {np.shape(high)}") from None
+        if not (np.all(self.low >= -1) and np.all(self.high <= 1) and np.all(self.low < self.high)):
+            raise ConfigError(f"bounds must satisfy -1 <= low < high <= 1, got {low!r} and {high!r}")
+        s = settings
+        shape = (s.restarts, s.samples, s.blocks, m)
+        self._noise = NoiseBank(shape, _TABLES, s.colour, s.seed)
+        self._starts = NoiseBank((s.restarts, s.blocks, m), _TABLES, max(2.0, s.colour), s.seed + 1)
+
+    def plan(self, state: Any, cost: Cost, memory: PlanMemory | None = None) -> Plan:
+        """The cheapest plan that was found.
+
+        Parameters
+        ----------
+        state : (d,), or (E, d) for several states at once; each is planned for as if it were alone.
+        cost : what is to be small; its parameters may have an axis E.
+        memory : `Plan.memory` of the search at the decision before; None at the start of an episode.
+
+        Raises
+        ------
+        ModelError, ConfigError
+            If the state, or what the model or the cost answers, has a wrong shape.
+        """
+        begin = perf_counter()
+        states, single = read_states(self.model, state)
+        memory = self._memory(len(states), memory)
+        search = self._search(states, cost, memory, begin)
+        plan = self._answer(states, search, memory, begin)
+        return plan.single() if single else plan
+
+    def _memory(self, e: int, memory: PlanMemory | None) -> PlanMemory:
+        s, m = self.settings, self.model.action_dim
+        if memory is None:
+            blank = np.zeros((e, s.blocks, m), np.float32)
+            elites = np.zeros((e, s.elites, s.blocks, m), np.float32)
+            return PlanMemory(blank, elites, np.zeros(e, np.int64), np.zeros(e, bool))
+        if memory.mean.shape != (e, s.blocks, m) or memory.elites.shape != (e, s.elites, s.blocks, m):
+            raise ConfigError(
+                f"memory is of other plans: mean {memory.mean.shape}, elites {memory.elites.shape}; this planner has "
+                f"{(e, s.blocks, m)} and {(e, s.elites, s.blocks, m)}"
+            )
+        return memory
+
+    def _shift(self, plans: Any) -> Any:
+        """Plans one decision later; the last block goes on."""
+        later = np.concatenate([plans[..., 1:, :], plans[..., -1:, :]], axis=-2)
+        return plans + (later - plans) / np.float32(self.settings.hold)
+
+    def _search(self, states: Any, cost: Cost, memory: PlanMemory, begin: float) -> _Search:
+        s, e = self.settings, len(states)
+        mean = 0.5 * np.clip(self._starts.take(memory.count), -2, 2)
+        mean[:, 0] = 0.0
+        std = np.full_like(mean, s.std)
+        kept = np.empty((e, s.restarts, 0, *mean.shape[2:]), np.float32)
+        if s.warm:
+            mean[:, 0] = np.where(memory.warm[:, None, None], self._shift(memory.mean), mean[:, 0])
+        found = _Search(e, s.elites)
+        slowest = 0.0
+        for i, n in enumerate(s.sizes()):
+            now = perf_counter()
+            if i and s.time_limit is not None and now - begin + slowest > s.time_limit:
+                found.limited = True
+                break
+            noise = self._noise.take(memory.count * s.iterations + i)[:, :, :n]
+            samples = mean[:, :, None] + std[:, :, None] * noise
+            samples[:, :, 0] = mean
+            samples = np.concatenate([samples, kept], axis=2)
+            if i == 0 and s.warm and s.kept:
+                samples[:, 0, 1 : s.kept + 1] = np.where(
+                    memory.warm[:, None, None, None],
+                    self._shift(memory.elites[:, : s.kept]),
+                    samples[:, 0, 1 : s.kept + 1],
+                )
+            samples = np.clip(samples, self.low, self.high)
+            flat = samples.reshape(e, -1, *samples.shape[3:])
+            costs, reached = evaluate(self.model, cost, states, flat, s.grid)
+            elites, elite_costs = _cheapest(samples, costs.reshape(samples.shape[:3]), s.elites)
+            found.add(flat, costs, reached, elites, elite_costs)
+            new_mean, new_std = self.update(elites, elite_costs, std)
+            usable = np.isfinite(elite_costs).any(axis=-1)[..., None, None]
+            mean = np.where(usable, s.momentum * mean + (1 - s.momentum) * new_mean, mean)
+            std = np.where(usable, np.maximum(s.momentum * std + (1 - s.momentum) * new_std, s.min_std), std)
+            kept = elites[:, :, : s.kept]
+            slowest = max(slowest, perf_counter() - now)
+        if s.answer == "mean":
+            last = np.clip(mean[np.arange(e), found.winner], self.low, self.high)[:, None]
+            costs, reached = evaluate(self.model, cost, states, last, s.grid)
+            found.settle(last[:, 0], costs[:, 0], reached[:, 0])
+        return found
+
+    def _answer(self, states: Any, search: _Search, memory: PlanMemory, begin: float) -> Plan:
+        e, bad = len(states), ~np.isfinite(search.cost)
+        inputs = np.where(bad[:, None, None], np.float32(0), search.inputs)
+        action = inputs[:, 0].copy()
+        if bad.any():
+            asked = np.zeros_like(action) if self.fallback is None else np.asarray(self.fallback(states))
+            asked = np.where(np.isfinite(asked), asked, 0.0)
+            action[bad] = np.clip(asked, self.low, self.high)[bad]
+            inputs[bad] = action[bad][:, None]
+        usual = PlanStatus.TIME_LIMIT if search.limited else PlanStatus.PLANNED
+        return Plan(
+            action=action,
+            inputs=inputs,
+            trajectory=np.where(bad[:, None, None], np.nan, search.trajectory),
+            cost=search.cost,
+            elites=search.elites,
+            elite_costs=search.elite_costs,
+            status=tuple(PlanStatus.FALLBACK if b else usual for b in bad),
+            iterations=search.iterations,
+            time=perf_counter() - begin,
+            memory=PlanMemory(inputs.copy(), search.elites.copy(), memory.count + 1, ~bad & np.ones(e, bool)),
+        )
+
+
+class _Search:
+    """The best that was found, for each of E states."""
+
+    def __init__(self, e: int, elites: int) -> None:
+        self._rows, self._count = np.arange(e), elites
+        self.cost = np.full(e, np.inf)
+        self.iterations, self.limited = 0, False
+        self.winner = np.zeros(e, np.int64)
+        self.inputs: Any = None
+        self.trajectory: Any = None
+        self.elites: Any = None
+        self.elite_costs: Any = None
+
+    def add(self, flat: Any, costs: Any, reached: Any, elites: Any, elite_costs: Any) -> None:
+        """Take in an iteration: samples (E, S, B, m), their costs and states, the elites (E, R, K, B, m)."""
+        self.iterations += 1
+        best = costs.argmin(axis=1)
+        cost, inputs, trajectory = costs[self._rows, best], flat[self._rows, best], reached[self._rows, best]
+        if self.inputs is None:
+            self.cost, self.inputs, self.trajectory = cost, inputs, trajectory
+        else:
+            better = cost < self.cost
+            self.cost = np.where(better, cost, self.cost)
+            self.inputs = np.where(better[:, None, None], inputs, self.inputs)
+            self.trajectory = np.where(better[:, None, None], trajectory, self.trajectory)
+        self.winner = elite_costs[..., 0].argmin(axis=1)
+        self.elites, self.elite_costs = elites[self._rows, self.winner], elite_costs[self._rows, self.winner]
+
+    def settle(self, inputs: Any, costs: Any, reached: Any) -> None:
+        """Answer with these plans (E, B, m) where their cost is finite."""
+        good = np.isfinite(costs)
+        self.cost = np.where(good, costs, self.cost)
+        self.inputs = np.where(good[:, None, None], inputs, self.inputs)
+        self.trajectory = np.where(good[:, None, None], reached, self.trajectory)
+
+
+def _cheapest(samples: Any, costs: Any, count: int) -> tuple[Any, Any]:
+    """The `count` cheapest of each restart, the cheapest first: (E, R, K, B, m) and (E, R, K)."""
+    order = np.argsort(costs, axis=-1, kind="stable")[..., :count]
+    return np.take_along_axis(samples, order[..., None, None], axis=2), np.take_along_axis(costs, order, axis=-1)
+
+
+class CEM(SamplingPlanner):
+    """The Cross-Entropy Method; plain, improved or with several restarts, as `PlannerSettings` say.
+
+    Examples
+    --------
+    >>> from dynamics.learned.oracle import BicycleModel
+    >>> planner = CEM(BicycleModel(), PlannerSettings.multistart())
+    >>> start = np.array([0.0, 0, 0, 0, 1, 0])
+    >>> plan = planner.plan(start, lambda t: np.hypot(t.states[..., -1, 0] - 20, t.states[..., -1, 1] - 3))
+    >>> plan.status[0].name, bool(plan.cost < 0.5)
+    ('PLANNED', True)
+    """
+
+    def __init__(
+        self,
+        model: StepModel,
+        settings: PlannerSettings | None = None,
+        fallback: Fallback | None = None,
+        low: Any = -1.0,
+        high: Any = 1.0,
+    ) -> None:
+        super().__init__(model, settings or PlannerSettings.multistart(), Eliting(), fallback, low, high)

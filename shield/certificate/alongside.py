@@ -1,0 +1,279 @@
+"""Vehicles alongside that slip into the ego's lane, before or behind it, while their bodies still overlap.
+
+MOBIL asks two questions before a lane change: whether the new follower would have to brake too hard, and whether the
+new leader is less in the way than the old one. Both are answered with the Intelligent Driver Model's desired gap
+
+    d* = d0 + T v + v (v - v_ahead) / (2 sqrt(a b))
+
+towards the *centre* of the other vehicle. Where one of the two pulls away from the other by some 15 m/s, d* vanishes:
+a vehicle that an ego passes changes into the ego's lane as soon as the ego's centre is ahead of its own, and one that
+passes a slow ego as soon as its centre is ahead, with half a body's length of each still side by side. Between the
+centres of two lanes there is room for that; an ego that is off its lane's centre is hit.
+
+Sources: Treiber, Hennecke and Helbing 2000 (IDM); Kesting, Treiber and Helbing 2007 (MOBIL); the constants are those of
+highway-env 1.12's `IDMVehicle`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from dynamics.compiled import compiled
+from dynamics.scenes.scene import Scene
+from dynamics.state import FloatArray, RoadState, Vehicle
+from dynamics.traffic.occupancy import Surroundings
+from dynamics.vehicle.rollouts import NO_LIMIT, Rollouts
+from shield.config import ShieldConfig
+
+__all__ = ["Alongside", "warm_up"]
+
+_GAP, _TIME, _TWICE_ROOT = 10.0, 1.5, 2.0 * math.sqrt(15.0)
+"""IDM's d0 [m], T [s] and 2 sqrt(a b) [m/s^2]."""
+_IMPOSED = 1.3
+"""Multiple of the gap that d* of a new follower may be: it would brake at no more than 2 m/s^2."""
+_SLACK, _HARDLY = 3.0, 0.5
+"""What d* may differ by when the lane change starts [m]; and where it is the ego's own, whose plan is known."""
+_DRIFT = 9.0
+"""The same for each second of braking until then [m/s]."""
+_OVERLAP = 2.0
+"""Bodies nearer than this along the road may overlap with the buffer between them [m]."""
+_BRAKES = 1.0
+"""Such a vehicle, and its leader, are taken to have braked for so long at most by then [s]."""
+_NEAR = 60.0
+"""Vehicles further away along the road are not looked at [m]."""
+_CENTRED = 0.2
+"""An ego nearer than this to its lane's centre keeps its lane: the one that moves in owes it the room [m]."""
+_LASTS = 1.0
+"""Within this time such a vehicle has reached the other lane [s]."""
+
+
+@compiled
+def _desired(v: float, closing: float) -> float:
+    """IDM's desired gap d* at speed v, closing in on the vehicle ahead [m]; negative where it pulls away."""
+    return _GAP + _TIME * v + v * closing / _TWICE_ROOT
+
+
+@compiled
+def _may_slip(
+    others: Any,
+    states: Any,
+    moving: Any,
+    ego: Any,
+    length: float,
+    centers: Any,
+    lane: Any,
+    sight: float,
+    braking: float,
+    out: Any,
+) -> int:
+    """Which vehicles may slip into a lane in which the ego is seen; rows (vehicle, lane, multiple of the gap that d*
+    may be) of `out` (2 m, 3), and how many of them there are."""
+    count, m = 0, states.shape[0]
+    for j in range(m):
+        v, s = states[j, 3], states[j, 0]
+        if moving[j] or not abs(s - ego[0]) <= _NEAR or others[j, 6] > 0 or not v >= 1.0:
+            continue
+        for side in (-1, 1):
+            to = lane[j] + side
+            if to < 0 or to >= centers.shape[0] or not abs(ego[1] - centers[to]) <= sight:
+                continue
+            # The old leader: without one that is more in the way than the new one, nobody changes lanes.
+            gap, wanted, left = np.inf, 0.0, 1.0
+            for i in range(m):
+                ahead = states[i, 0] - s
+                if i != j and 0 <= ahead < gap and abs(states[i, 1] - centers[lane[j]]) <= sight:
+                    gap, closing = ahead, v - states[i, 3] + braking * _BRAKES
+                    wanted = max(_desired(v, closing), 0.0)
+                    left = max(gap - _BRAKES * max(closing, 0.0), 1.0)
+            if not wanted > 0:
+                continue
+            # Whether it may begin while the bodies overlap, at any speed down to which the ego may brake.
+            reach, fast = 0.5 * (others[j, 4] + length) + _OVERLAP, max(ego[3], 0.0) + 1.0
+            u = min(max(0.5 * (v - _TIME * _TWICE_ROOT), 0.0), fast)
+            most = wanted / left * reach + _SLACK + _DRIFT * _BRAKES
+            leads = _desired(v, v - fast) <= most
+            most = _IMPOSED * reach + _HARDLY + _DRIFT * _BRAKES
+            if leads or _desired(u, u - v) <= most:
+                out[count, 0], out[count, 1], out[count, 2] = j, to, wanted / left
+                count += 1
+    return count
+
+
+@compiled
+def _separations(
+    paths: Any,
+    size: Any,
+    starts: Any,
+    speeds: Any,
+    goals: Any,
+    ratios: Any,
+    rear: Any,
+    front: Any,
+    sweep: Any,
+    centers: Any,
+    sight: float,
+    dt: float,
+    out: Any,
+) -> None:
+    """Least separation of each path from each vehicle that slips in, `out` (n, m) [m]; +inf where it does not.
+
+    The first frame at which it may start to is the worst: afterwards it reaches furthest. `sweep` (m, T, 2) is where
+    its body is across the road after so many frames [m]; it owes the ego its distance once it has no overlap with it.
+    """
+    lon, lat = size[0], size[1]
+    for i in range(paths.shape[0]):
+        for j in range(goals.shape[0]):
+            began, leads, least = -1, False, np.inf
+            for k in range(paths.shape[1]):
+                s, r, psi, u = paths[i, k, 0], paths[i, k, 1], paths[i, k, 2], paths[i, k, 3]
+                if not math.isfinite(s + r + psi + u):
+                    least = np.nan
+                    break
+                if began < 0:
+                    v = speeds[j]
+                    ahead = s - starts[j] - v * dt * (k + 1)
+                    leads = ahead > 0
+                    if leads:
+                        wanted, most = _desired(v, v - u), ratios[j] * ahead + _SLACK
+                    else:
+                        wanted, most = _desired(u, u - v), _HARDLY - _IMPOSED * ahead
+                    drift = _DRIFT * min(dt * (k + 1), _BRAKES)
+                    if abs(r - goals[j]) <= sight and abs(wanted) <= most + drift:
+                        began = k
+                if began < 0:
+                    continue
+                sin, cos = abs(math.sin(psi)), abs(math.cos(psi))
+                half_s, half_r = lon * cos + lat * sin + size[4], lon * sin + lat * cos + size[5]
+                past = s - half_s - front[j, k] if leads else rear[j, k] - s - half_s
+                if past >= 0 or k - began >= sweep.shape[1]:
+                    break
+                offset = np.inf
+                for c in centers:
+                    offset = min(offset, abs(r - c))
+                if offset <= _CENTRED:
+                    continue
+                across = max(sweep[j, k - began, 0] - r - half_r, r - half_r - sweep[j, k - began, 1])
+                along = max(rear[j, k] - s - half_s, s - half_s - front[j, k])
+                least = min(least, max(along, across))
+            out[i, j] = least
+
+
+@compiled
+def _centred(paths: Any, centers: Any) -> bool:
+    """Whether all paths keep to the centres of lanes at all times."""
+    for i in range(paths.shape[0]):
+        for k in range(paths.shape[1]):
+            offset = np.inf
+            for c in centers:
+                offset = min(offset, abs(paths[i, k, 1] - c))
+            if not (offset <= _CENTRED and math.isfinite(paths[i, k, 0] + paths[i, k, 2] + paths[i, k, 3])):
+                return False
+    return True
+
+
+class Alongside:
+    """Who may slip in alongside the ego in one scene, and how near that would come.
+
+    Parameters
+    ----------
+    scene, config, around : the scene, the shield's settings, and the scene's surroundings.
+    """
+
+    def __init__(self, scene: Scene, config: ShieldConfig, around: Surroundings) -> None:
+        self._scene, self._config, self._around = scene, config, around
+        found = np.empty((2 * len(scene.others), 3))
+        a, road = config.assumptions, scene.road
+        count = 0
+        if a.slip_in and len(scene.others):
+            count = _may_slip(
+                around.others,
+                around.states,
+                around.moving,
+                scene.ego_road,
+                float(scene.ego[Vehicle.LENGTH]),
+                road.centers,
+                around.lane,
+                a.visible_distance,
+                a.braking,
+                found,
+            )
+        self._rows = found[:count, 0].astype(np.intp)
+        states = around.states[self._rows]
+        self._starts, self._speeds = states[:, RoadState.S].copy(), states[:, RoadState.SPEED].copy()
+        self._goals = road.centers[found[:count, 1].astype(np.intp)]
+        self._ratios = found[:count, 2].copy()
+        self._sweep: FloatArray | None = None
+        self._bounds = np.empty((2, count, 0))
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def separations(self, paths: FloatArray, size: FloatArray) -> FloatArray:
+        """Least separation of each path from each of them, (n, len(self)) [m]; +inf where they stay apart.
+
+        Parameters
+        ----------
+        paths : road states of the ego after frames 1..K, (n, K, 4).
+        size : half extents of the ego with its buffer, as `shield.certificate.kernels.least_separations` has them (8,)
+        [m].
+        """
+        rows, dt, frames = self._rows, self._scene.dt, paths.shape[1]
+        out = np.full((len(paths), len(rows)), np.inf)
+        if _centred(paths, self._scene.road.centers):
+            return out
+        if frames > self._bounds.shape[2]:
+            longer = frames + frames // 4
+            front = self._around.front(longer, dt)[rows]
+            self._bounds = np.stack([self._around.rear(longer, dt, rows=rows), front])
+        if self._sweep is None:
+            self._sweep = self._swept()
+        _separations(
+            paths,
+            size,
+            self._starts,
+            self._speeds,
+            self._goals,
+            self._ratios,
+            self._bounds[0],
+            self._bounds[1],
+            self._sweep,
+            self._scene.road.centers,
+            self._config.assumptions.visible_distance,
+            dt,
+            out,
+        )
+        return out
+
+    def _swept(self) -> FloatArray:
+        """Where each body is across the road after 1..T frames of its lane change, (m, T, 2) [m]."""
+        dt, road = self._scene.dt, self._scene.road
+        states, frames = self._around.states[self._rows], int(np.ceil(_LASTS / self._scene.dt))
+        commands = np.empty((len(states), frames, 3))
+        commands[..., 0], commands[..., 1] = self._goals[:, None], states[:, RoadState.SPEED, None]
+        commands[..., 2] = NO_LIMIT
+        path = Rollouts(dt, road).run(states, commands)
+        length, width = self._around.others[self._rows][:, [Vehicle.LENGTH, Vehicle.WIDTH]].T[..., None]
+        sin, cos = np.abs(np.sin(path[..., RoadState.HEADING])), np.abs(np.cos(path[..., RoadState.HEADING]))
+        half = 0.5 * (length * sin + width * cos)
+        low, high = path[..., RoadState.R] - half, path[..., RoadState.R] + half
+        own = self._around.hull[:, self._rows]
+        return np.stack(
+            [
+                np.minimum.accumulate(np.minimum(low, own[0][:, None]), axis=1),
+                np.maximum.accumulate(np.maximum(high, own[1][:, None]), axis=1),
+            ],
+            axis=-1,
+        )
+
+
+def warm_up() -> None:
+    """Have the kernels compiled, or read from the disk, before they are needed."""
+    one, pair, size = np.zeros((1, 1)), np.zeros((1, 2, 4)), np.zeros(8)
+    lane, moving, rows = np.zeros(1, np.intp), np.zeros(1, np.bool_), np.zeros((1, 7))
+    _may_slip(rows, np.zeros((1, 4)), moving, size, 5.0, size, lane, 3.0, 6.0, one)
+    far = np.full(1, 1e3)
+    _centred(pair, far)
+    _separations(pair, size, far, far, far, far, one, one, np.zeros((1, 1, 2)), far, 3.0, 0.1, one)

@@ -1,0 +1,462 @@
+"""The loops of the verification: candidates x vehicles x frames, and candidates x lanes x frames.
+`shield.certificate.verify` and `shield.procedures.inputs` say what they mean."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from dynamics.compiled import compiled
+from dynamics.state import Vehicle
+
+__all__ = [
+    "in_reach",
+    "lanes_held",
+    "lanes_touched",
+    "least_separations",
+    "margins",
+    "may_break",
+    "rooms",
+    "sides_taken",
+    "threats",
+    "verdicts",
+    "warm_up",
+]
+
+_WIDTH, _SPEED, _CRASHED = int(Vehicle.WIDTH), int(Vehicle.SPEED), int(Vehicle.CRASHED)
+_STRAIGHT = 0.01
+"""Sine of the heading below which a path's own next frame is where constant velocity leads."""
+
+
+@compiled
+def _extents(paths: Any, i: int, size: Any, dt: float, coming: bool, bounds: Any) -> bool:
+    """Where the ego's rectangle is in each frame: s and r from `bounds[0]`, `[2]` to `bounds[1]`, `[3]` with the
+    buffer; and, with `coming`, its body one frame later at constant velocity, `bounds[4:8]`. False if not finite."""
+    lon, lat, length, width = size[0], size[1], size[2], size[3]
+    for k in range(paths.shape[1]):
+        s, r, psi, v = paths[i, k, 0], paths[i, k, 1], paths[i, k, 2], paths[i, k, 3]
+        if not (math.isfinite(s) and math.isfinite(r) and math.isfinite(psi) and math.isfinite(v)):
+            return False
+        sin, cos = math.sin(psi), math.cos(psi)
+        half_s = lon * abs(cos) + lat * abs(sin) + size[4]
+        half_r = lon * abs(sin) + lat * abs(cos) + size[5]
+        bounds[0, k], bounds[1, k], bounds[2, k], bounds[3, k] = s - half_s, s + half_s, r - half_r, r + half_r
+        if coming:
+            s, r = s + v * cos * dt, r + v * sin * dt
+            half_s = 0.5 * (length * abs(cos) + width * abs(sin)) + size[6]
+            half_r = 0.5 * (length * abs(sin) + width * abs(cos)) + size[7]
+            bounds[4, k], bounds[5, k], bounds[6, k], bounds[7, k] = s - half_s, s + half_s, r - half_r, r + half_r
+    return True
+
+
+@compiled
+def _front(paths: Any, i: int, center: float, at_once: int, follower: Any, duty: Any, front: Any) -> None:
+    """Greatest s of a vehicle behind after each frame: it accelerates until it owes the ego its braking."""
+    v0, start, stretch = follower[0], follower[1], follower[2]
+    seen, reaction, gain, loss, most = duty[0], int(duty[1]), duty[2], duty[3], duty[4]
+    hold, dt = int(duty[5]), duty[6]
+    frames = paths.shape[1]
+    # The duty starts when the ego has come into sight for good; losing sight of it starts the clock again.
+    first = 1
+    for k in range(frames - 1, -1, -1):
+        if not abs(paths[i, k, 1] - center) <= seen:
+            first = k + 2
+            break
+    turn = at_once if first == 1 and at_once >= 0 else first + reaction
+    way, v, top = 0.0, 0.0, max(v0, most)
+    for k in range(frames):
+        v = max(min(v0 + gain * dt * max(min(k, turn) - hold, 0), top) - loss * dt * max(k - turn, 0), 0.0)
+        way += v
+        front[k] = start + way * dt * stretch
+    # Where the ego has come to rest at the last frame, its follower may still be doing so.
+    if paths[i, frames - 1, 3] < 0.5:
+        front[frames - 1] += (v * v / (2 * loss) + 0.5 * v * dt) * stretch
+
+
+@compiled
+def least_separations(
+    paths: Any,
+    size: Any,
+    low: Any,
+    high: Any,
+    rear: Any,
+    owed: Any,
+    follows: Any,
+    centers: Any,
+    at_once: Any,
+    followers: Any,
+    duty: Any,
+    separations: Any,
+    reached: Any,
+) -> None:
+    """The least separation of each path from each vehicle, and the first frame in which one is negative.
+
+    Parameters
+    ----------
+    paths : (n, K, 4).
+    size : half extents of the ego with its buffer, length and width of the body, growth (s, r) of the former and of
+        the latter on a bend, (8,) [m].
+    low, high : lateral extents of the vehicles for each path, (n or 1, m) [m]. rear : least s of each, (m, K) [m].
+    owed : who owes each path its distance, (n, m) bool; no rows where nobody does.
+    follows : who is behind and does not, (m,) bool; of them `centers` (n or 1, m) [m] is the lane that they would see
+        the ego in, `at_once` (n or 1, m) after how many frames they react if they see it all the time, or -1, and
+        `followers` (3, m) are speed, front and stretch.
+    duty : distance within which the ego is seen [m], frames of reaction, acceleration, braking [m/s^2], greatest speed
+        [m/s], frames of constant speed before, and frame duration [s], (7,).
+    separations : (n, m) [m], result; +inf for who owes it, NaN for a path or a vehicle that is not finite (`rear` adds
+        up: its last frame tells).
+    reached : frames before the first violation, (n,), result.
+    """
+    n, frames, m = paths.shape[0], paths.shape[1], rear.shape[0]
+    bounds, front, dt = np.empty((8, frames)), np.empty(frames), duty[6]
+    for i in range(n):
+        coming = False
+        for k in range(frames):
+            psi = paths[i, k, 2]
+            if not abs(psi) < _STRAIGHT and not abs(math.sin(psi)) < _STRAIGHT:
+                coming = True
+                break
+        reached[i] = frames
+        if not _extents(paths, i, size, dt, coming, bounds):
+            separations[i, :], reached[i] = np.nan, 0
+            continue
+        for j in range(m):
+            if owed.shape[0] > 0 and owed[i, j]:
+                separations[i, j] = np.inf
+                continue
+            of = min(i, low.shape[0] - 1)
+            least, left, right, behind = np.inf, low[of, j], high[of, j], follows[j]
+            known = math.isfinite(left + right + rear[j, frames - 1])
+            if not known or (behind and not math.isfinite(followers[0, j] + followers[1, j] + followers[2, j])):
+                separations[i, j], reached[i] = np.nan, 0
+                continue
+            if behind:
+                of = min(i, centers.shape[0] - 1)
+                _front(paths, i, centers[of, j], at_once[of, j], followers[:, j], duty, front)
+            for k in range(frames):
+                along = rear[j, k] - bounds[1, k]
+                if behind:
+                    along = max(along, bounds[0, k] - front[k])
+                apart = max(along, max(left - bounds[3, k], bounds[2, k] - right))
+                # highway-env counts a collision that constant velocity along the heading would bring within one frame
+                # (`RoadObject._is_colliding`), whether or not the steering turns the ego away in time. Nothing is said
+                # about the frame after the last: an ego that brakes stands by then.
+                if coming and k < frames - 1:
+                    along = rear[j, k + 1] - bounds[5, k]
+                    if behind:
+                        along = max(along, bounds[4, k] - front[k + 1])
+                    later = max(along, max(left - bounds[7, k], bounds[6, k] - right))
+                    if later < 0:
+                        apart = min(apart, later)
+                least = min(least, apart)
+                if apart < 0:
+                    reached[i] = min(reached[i], k)
+            separations[i, j] = least
+
+
+@compiled
+def lanes_touched(
+    paths: Any, length: float, width: float, bare: float, centers: Any, side: float, owned: Any, fails: Any
+) -> tuple[Any, Any, Any, Any]:
+    """The lanes that the body of each path touches.
+
+    Parameters
+    ----------
+    paths : (n, K, 4). length, width, bare : of the body, and its lateral growth on a bend [m].
+    centers, side : of the lanes, and half their width [m]. owned : which of them the ego owns, (lanes,) bool.
+    fails : lane that each path stops in, (n,).
+
+    Returns
+    -------
+    The lane entered beside those owned and the last, (n,), which is the last without any; the room to the road's
+    edges, (n, 2) [m]; whether the path enters one lane at most and comes back to no owned one, (n,) bool; and the
+    frames before it leaves the road, (n,).
+    """
+    n, frames, lanes = paths.shape[0], paths.shape[1], centers.shape[0]
+    entered, allowed, on_road = fails.copy(), np.ones(n, np.bool_), np.full(n, frames)
+    edges = np.empty((n, 2))
+    first, last = centers[0] - side, centers[lanes - 1] + side
+    within = np.empty(lanes, np.bool_)
+    for i in range(n):
+        least, most = np.inf, -np.inf
+        for k in range(frames):
+            r, psi = paths[i, k, 1], paths[i, k, 2]
+            half = 0.5 * (length * abs(math.sin(psi)) + width * abs(math.cos(psi))) + bare
+            if not math.isfinite(r + half):
+                least, most, allowed[i], on_road[i] = np.nan, np.nan, False, 0
+                break
+            low, high = r - half, r + half
+            least, most = min(least, low), max(most, high)
+            if (low < first or high > last) and k < on_road[i]:
+                on_road[i] = k
+            for j in range(lanes):
+                inside = low < centers[j] + 1.0 and high > centers[j] - 1.0
+                # Nobody keeps a place free in a lane that the ego has left: it does not come back to one.
+                if k > 0 and owned[j] and inside and not within[j]:
+                    allowed[i] = False
+                within[j] = inside
+        edges[i, 0], edges[i, 1] = least - first, last - most
+        count = 0
+        for j in range(lanes - 1, -1, -1):
+            if not owned[j] and j != fails[i] and most > centers[j] - side and least < centers[j] + side:
+                entered[i] = j
+                count += 1
+        if count > 1:
+            allowed[i] = False
+    return entered, edges, allowed, on_road
+
+
+@compiled
+def rooms(paths: Any, size: Any, centers: Any, fails: Any, side: float, bent: bool) -> Any:
+    """What is left beside the ego with its buffer in the lane that each path stops in, (n,) [m]; negative where it
+    reaches out. `size` as in `least_separations`."""
+    out, last = np.empty(paths.shape[0]), paths.shape[1] - 1
+    for i in range(paths.shape[0]):
+        r, psi = paths[i, last, 1], paths[i, last, 2]
+        sin, cos = abs(math.sin(psi)), abs(math.cos(psi))
+        # On a bend, what lies ahead and behind in the lane bends with the road: only the body has to fit.
+        half = 0.5 * size[2] * sin + size[1] * cos + size[7] if bent else size[0] * sin + size[1] * cos
+        out[i] = side - abs(r - centers[fails[i]]) - half
+    return out
+
+
+@compiled
+def margins(separations: Any, slipping: Any, room: Any) -> Any:
+    """The least separation of each path, and what it lacks of room where it does, (n,) [m]; NaN where anything is.
+
+    Parameters
+    ----------
+    separations, slipping : from vehicles in reach (n, m), and from those that may slip in (n, q) [m]. room : (n,) [m].
+    """
+    out = np.empty(room.shape[0])
+    for i in range(room.shape[0]):
+        least, known = np.inf, not math.isnan(room[i])
+        if room[i] < 0:
+            least = room[i]
+        for j in range(separations.shape[1]):
+            known = known and not math.isnan(separations[i, j])
+            least = min(least, separations[i, j])
+        for j in range(slipping.shape[1]):
+            known = known and not math.isnan(slipping[i, j])
+            least = min(least, slipping[i, j])
+        out[i] = least if known else np.nan
+    return out
+
+
+@compiled
+def verdicts(margin: Any, edges: Any, allowed: Any, paths: Any, held: int) -> Any:
+    """Margins (n,) with what each path lacks of room on the road (n, 2) [m]; -inf where it may not go, or rolls
+    backwards after `held` frames: that has no fail-safe, the brake stands still."""
+    out = np.empty(margin.shape[0])
+    for i in range(margin.shape[0]):
+        room = min(edges[i, 0], edges[i, 1])
+        if not allowed[i] or paths[i, held - 1, 3] < -1e-9:
+            out[i] = -np.inf
+        elif math.isnan(edges[i, 0] + edges[i, 1]) or math.isnan(margin[i]):
+            out[i] = np.nan
+        else:
+            out[i] = margin[i] if room >= 0 else min(margin[i], room)
+    return out
+
+
+@compiled
+def in_reach(ahead: Any, sizes: Any, speeds: Any, gains: Any, behind: Any, limits: Any, followers: bool) -> Any:
+    """Rows of the vehicles that can come into reach of the ego, in order.
+
+    Parameters
+    ----------
+    ahead, sizes, speeds, gains, behind : how far ahead each centre is, how near it counts as touching [m], its greatest
+        speed along the road now [m/s], the stretch of what it gains, and whether it is behind the ego, (v,).
+    limits : the ego's greatest way [m], in which time [s], the frame duration [s], the perception range [m], and the
+        greatest acceleration [m/s^2], (5,).
+    followers : whether those behind count.
+    """
+    distance, duration, dt, perception, acceleration = limits[0], limits[1], limits[2], limits[3], limits[4]
+    rows, count = np.empty(ahead.shape[0], np.intp), 0
+    for j in range(ahead.shape[0]):
+        # Written so that a distance that is not a number drops nobody.
+        if ahead[j] - sizes[j] + min(speeds[j], 0.0) * duration > distance or not abs(ahead[j]) <= perception:
+            continue
+        if followers:
+            gain = 0.5 * acceleration * duration * (duration + dt) * gains[j]
+            if not -ahead[j] - sizes[j] - max(speeds[j], 0.0) * duration - gain <= 0.0:
+                continue
+        elif behind[j]:
+            continue
+        rows[count] = j
+        count += 1
+    return rows[:count]
+
+
+@compiled
+def threats(
+    ahead: Any,
+    sizes: Any,
+    speeds: Any,
+    gains: Any,
+    behind: Any,
+    limits: Any,
+    lanes: Any,
+    fails: Any,
+    owned: Any,
+    hulls: Any,
+    centers: Any,
+) -> tuple[Any, Any, bool]:
+    """Rows of those in reach who do not owe the ego their braking on every path, (m,); who of them owes it on which
+    path, (n, m) bool; and whether any path enters a lane that the ego does not own.
+
+    Parameters as in `in_reach`; `lanes`, `fails` (n,) are what each path commits to and stops in, `owned` (lanes,) what
+    the ego owns, and `hulls` (2, v) where the vehicles can be across the road [m].
+    """
+    n, new = lanes.shape[0], False
+    for i in range(n):
+        new = new or not owned[lanes[i]] or not owned[fails[i]]
+    rows = in_reach(ahead, sizes, speeds, gains, behind, limits, new)
+    if not new:
+        return rows, np.empty((0, 0), np.bool_), False
+    owed, count = np.empty((n, rows.shape[0]), np.bool_), 0
+    for j in rows:
+        kept, held = False, False
+        for k in range(centers.shape[0]):
+            held = held or (owned[k] and hulls[0, j] < centers[k] + 1.0 and hulls[1, j] > centers[k] - 1.0)
+        for i in range(n):
+            entered, enters = False, False
+            for lane in (lanes[i], fails[i]):
+                if not owned[lane]:
+                    enters = True
+                    entered = entered or (hulls[0, j] < centers[lane] + 1.0 and hulls[1, j] > centers[lane] - 1.0)
+            owed[i, count] = behind[j] and ((held and not entered) or not enters)
+            kept = kept or not owed[i, count]
+        if kept:
+            rows[count] = j
+            count += 1
+    return rows[:count], owed[:, :count].copy(), True
+
+
+@compiled
+def sides_taken(
+    paths: Any,
+    lanes: Any,
+    fails: Any,
+    rows: Any,
+    hulls: Any,
+    homes: Any,
+    others: Any,
+    ahead: Any,
+    centers: Any,
+    settings: Any,
+    announced: bool,
+    low: Any,
+    high: Any,
+    home: Any,
+) -> None:
+    """Where each vehicle can be across the road, for each path: `low`, `high` (n, m) [m], and its lane `home` (n, m).
+
+    Parameters
+    ----------
+    paths, lanes, fails : (n, K, 4), and the lane that each commits to, and stops in, (n,).
+    rows : the vehicles, (m,). hulls, homes, others, ahead : of all vehicles, where they can be by themselves (2, v)
+        [m], their lanes, their rows (v, 7), and how far ahead of the ego their centres are [m].
+    centers : of the lanes [m].
+    settings : the ego's lateral position now, the distance within which it is seen, the width of a lane, and how far
+        behind the ego one gives way, (4,) [m].
+    announced : whether the traffic knows of the lane that a path commits to.
+    """
+    r, sight, width, gives_way = settings[0], settings[1], settings[2], settings[3]
+    for i in range(paths.shape[0]):
+        least, most = np.inf, -np.inf
+        for k in range(paths.shape[1]):
+            least, most = min(least, paths[i, k, 1]), max(most, paths[i, k, 1])
+        for j in range(rows.shape[0]):
+            row = rows[j]
+            low[i, j], high[i, j], home[i, j] = hulls[0, row], hulls[1, row], homes[row]
+        for step in range(2 if fails[i] != lanes[i] else 1):
+            entered = lanes[i] if step == 0 else fails[i]
+            goal = centers[entered]
+            if max(abs(least - goal), abs(most - goal)) <= sight and abs(r - goal) <= sight:
+                continue
+            for j in range(rows.shape[0]):
+                row = rows[j]
+                apart = abs(centers[homes[row]] - goal)
+                if not (0 < apart < 1.5 * width) or not math.isfinite(low[i, j] + high[i, j]):
+                    continue
+                if step == 0 and announced and not ahead[row] > -gives_way:
+                    continue
+                half = 0.5 * others[row, _WIDTH]
+                low[i, j], high[i, j] = min(low[i, j], goal - half), max(high[i, j], goal + half)
+                home[i, j] = entered
+
+
+@compiled
+def lanes_held(
+    r: float, centers: Any, frames: int, sight: float, touch: float, stored: int, visible: Any, owned: Any
+) -> tuple[Any, Any]:
+    """The visibility clock and the lanes owned, one scene later.
+
+    Parameters
+    ----------
+    r : lateral position of the ego [m]. centers : of the lanes [m].
+    frames : since the scene before. sight, touch : how near to a lane's centre the ego is visible in it, and touches
+        it [m].
+    stored : the lane in which the stored fail-safe stops, or -1.
+    visible, owned : of the scene before, (lanes,); `owned` is empty in the first.
+
+    Returns
+    -------
+    Frames for which the ego has been visible in each lane, (lanes,); and whether it owns it, (lanes,) bool. A lane is
+    owned from when the ego touches it with a verified plan to stop there, until it has left it.
+    """
+    n = centers.shape[0]
+    seen, own = np.zeros(n, np.intp), np.zeros(n, np.bool_)
+    here = 0
+    for j in range(n):
+        if abs(r - centers[j]) < abs(r - centers[here]):
+            here = j
+    for j in range(n):
+        offset = abs(r - centers[j])
+        if offset <= sight:
+            seen[j] = visible[j] + frames
+        had = owned[j] if owned.shape[0] > 0 else j == here
+        own[j] = (had or j == stored) and offset < touch
+    return seen, own
+
+
+@compiled
+def may_break(
+    rows: Any, before: Any, hulls: Any, hulls0: Any, least: float, most: float, r: Any, period: float
+) -> bool:
+    """Whether any vehicle has crashed, changed its speed by less than `least` or more than `most` [m/s^2], or come to
+    lie across the ego's body, r[0] to r[1] [m], since the scene before.
+
+    `rows`, `before` are those of the vehicles (m, 7); `hulls`, `hulls0` (2, m) where they can be across the road [m].
+    """
+    for i in range(rows.shape[0]):
+        rate = (rows[i, _SPEED] - before[i, _SPEED]) / period
+        if not (least <= rate <= most) or (rows[i, _CRASHED] > 0 and not before[i, _CRASHED] > 0):
+            return True
+        came = hulls[0, i] < r[1] and hulls[1, i] > r[0]
+        if came and not (hulls0[0, i] < r[1] and hulls0[1, i] > r[0]):
+            return True
+    return False
+
+
+def warm_up() -> None:
+    """Have the kernels compiled, or read from the disk, before they are needed."""
+    one, pair, none = np.zeros((1, 1)), np.zeros((1, 2, 4)), np.zeros((1, 1), dtype=np.intp)
+    flag, count = np.zeros((1, 1), dtype=np.bool_), np.zeros(1, dtype=np.intp)
+    args = (one, one, np.zeros((1, 2)), flag, flag[0], one, none, np.zeros((3, 1)), np.ones(7), one, count)
+    least_separations(pair, np.ones(8), *args)
+    none1, rows = np.zeros(1, dtype=np.intp), np.zeros((1, 7))
+    lanes_held(0.0, np.zeros(1), 1, 1.0, 1.0, -1, none1, flag[0])
+    may_break(rows, rows, np.zeros((2, 1)), np.zeros((2, 1)), -1.0, 1.0, np.zeros(2), 0.1)
+    hulls, there = np.zeros((2, 1)), np.zeros(1)
+    sides_taken(pair, count, count, count, hulls, count, rows, there, there, np.ones(4), True, one, one, none)
+    limits, bare, behind = np.ones(5), np.zeros(1), np.zeros(1, dtype=np.bool_)
+    in_reach(bare, bare, bare, bare, behind, limits, True)
+    threats(bare, bare, bare, bare, behind, limits, count, count, behind, hulls, bare)
+    margins(one, one, there)
+    verdicts(there, np.zeros((1, 2)), behind, pair, 1)
+    rooms(pair, np.ones(8), np.zeros(1), count, 2.0, False)
+    lanes_touched(pair, 5.0, 2.0, 0.0, np.zeros(1), 2.0, flag[0], count)

@@ -1,0 +1,108 @@
+"""Candidate manoeuvres as command sequences: pure array building, no rollouts and no judgement.
+
+A candidate commits to a target for some frames and then carries out the fail-safe manoeuvre: brake to a stop in
+a lane. With meta-actions only, the fail-safe is a sequence of meta-actions instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dynamics.scenes.scene import Scene, Target
+from dynamics.state import FloatArray, State
+from dynamics.vehicle.controllers import KP_SPEED, speed_to_index
+from dynamics.vehicle.rollouts import BRAKE, NO_LIMIT
+
+__all__ = ["Candidates", "brake_candidates", "meta_candidates"]
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """n command sequences.
+
+    Attributes
+    ----------
+    commands : (n, frames, 3), see `dynamics.vehicle.rollouts`.
+    lanes : lane that each commits to first, (n,).
+    fails : lane that each ends in, (n,).
+    """
+
+    commands: FloatArray
+    lanes: Any
+    fails: Any
+
+
+def brake_candidates(
+    scene: Scene, target_lanes: Any, target_speeds: Any, fail_lanes: Any, commit: int, braking: float
+) -> Candidates:
+    """Commit to each target for `commit` frames, then brake to a stop in the fail-safe lane.
+
+    Parameters
+    ----------
+    target_lanes, target_speeds, fail_lanes : one of each per candidate, (n,); speeds [m/s].
+    braking : deceleration of the fail-safe [m/s^2].
+    """
+    centers, dt = scene.road.centers, scene.dt
+    lanes, fails = np.asarray(target_lanes), np.asarray(fail_lanes)
+    speeds = np.asarray(target_speeds, dtype=float)
+    v0 = float(scene.ego[State.SPEED])
+    # The speed after the commitment follows the controller's geometric law exactly.
+    v_end = speeds + (v0 - speeds) * (1 - KP_SPEED * dt) ** commit
+    top = max(v0, float(v_end.max()), 0.0)
+    frames = commit + int(np.ceil(top / (braking * dt))) + 1
+    commands = np.empty((lanes.size, frames, 3))
+    commands[:, :commit, 0] = centers[lanes][:, None]
+    commands[:, :commit, 1] = speeds[:, None]
+    commands[:, :commit, 2] = NO_LIMIT
+    commands[:, commit:, 0] = centers[fails][:, None]
+    commands[:, commit:, 1] = BRAKE
+    commands[:, commit:, 2] = braking
+    return Candidates(commands, lanes, fails)
+
+
+def meta_candidates(scene: Scene, actions: list[int], horizon: float) -> tuple[Candidates, list[tuple[int, ...]]]:
+    """Sequences of meta-actions: each action, then SLOWER to the end.
+
+    A lane change later in a sequence would be no fail-safe: until it has begun, nobody knows of it, and another
+    vehicle may take the place first.
+
+    Parameters
+    ----------
+    actions : the first actions.
+    horizon : how far to look where the ego cannot stop [s]; otherwise until it stands.
+
+    Returns
+    -------
+    The candidates, and the action indices of each sequence (one per decision period).
+    """
+    labels, speeds = scene.control.actions, scene.control.target_speeds
+    period, dt = scene.frames_per_decision, scene.dt
+    duration = period * dt
+    slower = labels.index("SLOWER") if "SLOWER" in labels else labels.index("IDLE")
+    if speeds and speeds[0] <= 0 and "SLOWER" in labels:
+        step = (speeds[-1] - speeds[0]) / max(len(speeds) - 1, 1)
+        periods = 2 + int(np.ceil((max(float(scene.ego[State.SPEED]), 0.0) / step) + 2))
+    else:
+        periods = max(2, int(np.ceil(horizon / duration)))
+    sequences = [(a, *([slower] * (periods - 1))) for a in actions]
+    commands = np.empty((len(sequences), periods * period, 3))
+    commands[:, :, 2] = NO_LIMIT
+    lanes = np.empty(len(sequences), dtype=int)
+    fails = np.empty(len(sequences), dtype=int)
+    decay = (1 - KP_SPEED * dt) ** period
+    for i, sequence in enumerate(sequences):
+        target, v = scene.target_of(sequence[0]), float(scene.ego[State.SPEED])
+        lanes[i] = target.lane
+        for j, action in enumerate(sequence):
+            if j and labels[action] == "SLOWER":
+                index = max(speed_to_index(v, speeds) - 1, 0)
+                target = Target(target.lane, speeds[index])
+            rows = slice(j * period, (j + 1) * period)
+            commands[i, rows, 0] = scene.road.centers[target.lane]
+            commands[i, rows, 1] = target.speed
+            v = target.speed + (v - target.speed) * decay
+        fails[i] = target.lane
+    return Candidates(commands, lanes, fails), sequences

@@ -1,0 +1,102 @@
+"""What a shield remembers of one vehicle from frame to frame, and what it computes once for each instant."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from dynamics.roads.straight import StraightRoad
+from dynamics.scenes.scene import Scene
+from dynamics.state import FloatArray, RoadState, Vehicle
+from dynamics.traffic.occupancy import Surroundings
+from dynamics.vehicle.rollouts import Rollouts
+from mpc.filter.nearest_point import nearest
+from shield.certificate import alongside, kernels
+from shield.certificate.kernels import lanes_held
+from shield.certificate.monitor import AssumptionMonitor
+from shield.certificate.verify import Surveyor
+from shield.config import ShieldConfig
+
+__all__ = ["Memory"]
+
+
+@cache
+def _warm_up() -> None:
+    """Have the kernels compiled, or read from the disk, before a decision waits for them."""
+    kernels.warm_up()
+    alongside.warm_up()
+    nearest(np.zeros(1), np.zeros((1, 2)), np.zeros(2), np.zeros(2), np.zeros(2))
+    state, road = np.zeros(4), StraightRoad.from_lanes(1)
+    Rollouts(0.1).run(state, np.zeros((1, 1, 3)))
+    Rollouts(0.1).run_inputs(state, np.zeros((1, 1, 2)))
+    Rollouts(0.1).stop(np.zeros((1, 1, 4)), np.zeros(1), 1.0, 1)
+    Surroundings(np.zeros((1, 7)), state[None], road, ShieldConfig().assumptions).rear(1, 0.1)
+
+
+class Memory:
+    """The memory of one shielded vehicle: stored plan, lanes that it owns, visibility clock, assumption monitor.
+
+    Parameters
+    ----------
+    config : settings; `ShieldConfig()` by default.
+
+    Attributes
+    ----------
+    stored_lane : where the fail-safe that was verified last comes to rest; None without one.
+    monitor : counts how often the traffic has broken the assumptions.
+    """
+
+    _frames = 1
+    """Simulation frames between two scenes."""
+    _announced = True
+    """Whether the traffic knows of the lane that the ego commits to."""
+
+    def __init__(self, config: ShieldConfig | None = None) -> None:
+        self.config = config if config is not None else ShieldConfig()
+        self._rollouts: dict[tuple[float, Any], Rollouts] = {}
+        _warm_up()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything about the episode."""
+        self.monitor = AssumptionMonitor(self.config)
+        self.stored_lane: int | None = None
+        self._visible: Any = None
+        self._owned: Any = None
+        self._surveyor: Surveyor | None = None
+        self._seen: tuple[FloatArray, FloatArray, Surroundings] | None = None
+
+    def _observe(self, scene: Scene) -> None:
+        """Take in the next instant, once."""
+        seen = self._seen
+        if seen is not None and np.array_equal(seen[0], scene.ego) and np.array_equal(seen[1], scene.others):
+            return
+        around = Surroundings(scene.others, scene.others_road, scene.road, self.config.assumptions)
+        self._seen = (scene.ego, scene.others, around)
+        self.monitor.update(scene, self._frames * scene.dt, around)
+        centers, r = scene.road.centers, float(scene.ego_road[RoadState.R])
+        if self._visible is None or self._visible.shape != centers.shape:
+            self._visible, self._owned = np.zeros(centers.shape, dtype=np.intp), np.zeros(0, dtype=bool)
+        swing = 0.5 * float(scene.ego[Vehicle.LENGTH]) * abs(math.sin(scene.ego_road[RoadState.HEADING]))
+        touch, sight = 1.0 + 0.5 * float(scene.ego[Vehicle.WIDTH]) + swing, self.config.assumptions.visible_distance
+        stored = -1 if self.stored_lane is None else self.stored_lane
+        visible, owned = self._visible, self._owned
+        self._visible, self._owned = lanes_held(r, centers, self._frames, sight, touch, stored, visible, owned)
+
+    def _rollouts_for(self, scene: Scene) -> Rollouts:
+        key = scene.dt, getattr(scene.road, "profile", None)
+        if key not in self._rollouts:
+            self._rollouts[key] = Rollouts(scene.dt, scene.road)
+        return self._rollouts[key]
+
+    def _survey(self, scene: Scene) -> Surveyor:
+        """The surveyor of this instant; scenes that differ in the ego's target only share it."""
+        held = self._surveyor
+        if held is None or held.scene.ego is not scene.ego or held.scene.others is not scene.others:
+            seen = self._seen
+            around = seen[2] if seen is not None and seen[1] is scene.others else None
+            held = self._surveyor = Surveyor(scene, self.config, self._visible, self._owned, around, self._announced)
+        return held

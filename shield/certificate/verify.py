@@ -1,0 +1,268 @@
+"""Candidate trajectories against occupancy: a margin in metres, not a boolean.
+
+Notation
+--------
+Road frame. The ego's footprint is inflated by the buffer along and across its heading psi; its half extents
+along and across the road are
+
+    h_s = (L/2 + b_lon) |cos psi| + (W/2 + b_lat) |sin psi|
+    h_r = (L/2 + b_lon) |sin psi| + (W/2 + b_lat) |cos psi|
+
+The separation from a rectangle is the greater of the longitudinal and the lateral gap, negative when both
+overlap. The margin of a trajectory is the least separation over all frames and vehicles.
+
+Who owes what (Responsibility-Sensitive Safety): a vehicle behind, in a lane that the ego *owns*, must keep its
+distance. The ego owns the lane that it starts in, and one that it enters once a plan to stop there has been
+verified against those behind: until then they are the ego's business. A plan must also end inside its lane, so
+that an ego at rest is in nobody else's way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dynamics.scenes.scene import Scene
+from dynamics.state import FloatArray, RoadState, Vehicle
+from dynamics.traffic.occupancy import Surroundings
+from shield.certificate.alongside import Alongside
+from shield.certificate.kernels import in_reach, least_separations, margins, rooms, sides_taken, threats
+from shield.certificate.manoeuvres import Candidates
+from shield.config import ShieldConfig
+
+__all__ = ["Clearance", "Surveyor", "least_bad"]
+
+
+_NOBODY = np.zeros((0, 0), dtype=bool)
+_NOWHERE = np.zeros((0, 0))
+_NO_FOLLOWERS = np.zeros((1, 0)), np.zeros((1, 0), dtype=np.intp), np.zeros((3, 0))
+_GIVES_WAY = 1.0
+"""A vehicle that merges from the far side gives way if its centre is further behind than this [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clearance:
+    """Result for n trajectories.
+
+    Attributes
+    ----------
+    margin : least separation beyond the buffer, (n,) [m]; +inf with nobody in reach, -inf in a gap of the map.
+    clear : frames before the first violation, (n,); all of them without one.
+    parts : where asked for, what the margin is the least of, (n, vehicles + 1) [m]: the least separation from each
+        vehicle in reach, +inf from one that owes the ego its distance; from each that may slip in alongside; and the
+        room in the lane that is stopped in.
+    """
+
+    margin: FloatArray
+    clear: Any
+    parts: FloatArray | None = None
+
+
+class Surveyor:
+    """Judges trajectories in one scene; what depends on the scene alone is computed once.
+
+    Parameters
+    ----------
+    scene : the scene.
+    config : buffer, assumptions and perception range.
+    visible : frames for which the ego has been visible in each lane already, (lanes,); none by default.
+    owned : which lanes the ego owns, (lanes,) bool; the one that it is in by default.
+    around : the scene's surroundings, where they have been built already.
+    announced : whether the traffic knows of the lane that a path commits to, so that one behind gives way.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        config: ShieldConfig,
+        visible: Any = None,
+        owned: Any = None,
+        around: Surroundings | None = None,
+        announced: bool = True,
+    ) -> None:
+        self.announced = announced
+        self.scene, self.config, self.visible = scene, config, visible
+        if owned is None:
+            owned = np.arange(scene.road.centers.size) == scene.road.lane_at(float(scene.ego_road[RoadState.R]))
+        self.owned = np.asarray(owned, dtype=bool)
+        if around is None:
+            around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions)
+        self.around = around
+        ego, states, length = scene.ego_road, scene.others_road, scene.ego[Vehicle.LENGTH]
+        self._ahead = states[:, RoadState.S] - ego[RoadState.S]
+        bends = scene.road.bends
+        b = config.buffer
+        # What the ego's buffered footprint, and its body, need beyond a straight road's rectangle.
+        self.growth, self.bare = (0.0, 0.0), (0.0, 0.0)
+        if bends is not None:
+            width = float(scene.ego[Vehicle.WIDTH])
+            self.growth = bends.growth(float(length) + 2 * b.longitudinal, width + 2 * b.lateral)
+            self.bare = bends.growth(float(length), width)
+        lon, lat = 0.5 * float(length) + b.longitudinal, 0.5 * float(scene.ego[Vehicle.WIDTH]) + b.lateral
+        self._size_of_ego = np.array([lon, lat, length, scene.ego[Vehicle.WIDTH], *self.growth, *self.bare])
+        self._bent = bends is not None
+        self._reaction = int(np.ceil(config.assumptions.reaction_time / scene.dt - 1e-9))
+        self._behind = self._ahead < -0.5 * length
+        speeds, gains = states[:, RoadState.SPEED].copy(), np.ones(len(states))
+        if around.stretch is not None:
+            gains = around.stretch[1]
+            speeds *= gains
+        sizes = around.reach + 0.5 * length + 2.0 + b.longitudinal + self.growth[0]
+        self._reach = self._ahead, sizes, speeds, gains, self._behind
+        self._alongside = Alongside(scene, config, around)
+
+    def relevant(self, distance: float, duration: float, followers: bool = True) -> Any:
+        """Rows of those who can come into reach of an ego that travels at most `distance` [m] in `duration` [s].
+
+        Dropping the rest cannot change any verdict: nobody ahead moves backwards further than that, and nobody
+        behind accelerates harder than assumed. Without `followers`, those behind are left out altogether.
+        """
+        return in_reach(*self._reach, self._limits(distance, duration), followers)
+
+    def _limits(self, distance: float, duration: float) -> FloatArray:
+        a = self.config.assumptions.acceleration
+        return np.array([distance, duration, self.scene.dt, self.config.perception_range, a])
+
+    def clearance(self, paths: FloatArray, candidates: Candidates, hold: int = 0, parts: bool = False) -> Clearance:
+        """Margin of each path against the worst case of the others.
+
+        Parameters
+        ----------
+        paths : road states of the ego after frames 1..K, (n, K, 4).
+        candidates : what the paths were rolled out from.
+        hold : frames for which the others are *expected* to keep their speed (a forecast, not a bound).
+        parts : whether the parts of the margins are wanted.
+        """
+        scene = self.scene
+        distance = float(paths[:, -1, RoadState.S].max() - scene.ego_road[RoadState.S])
+        rows, owed = self._threats(candidates, distance, paths.shape[1] * scene.dt)
+        room = rooms(paths, self._size_of_ego, scene.road.centers, candidates.fails, 0.5 * scene.road.width, self._bent)
+        separations, reached = self._separations(paths, rows, owed, candidates, hold)
+        slipping = _NOWHERE
+        if len(self._alongside) and hold == 0:
+            slipping = self._alongside.separations(paths, self._size_of_ego)
+        margin = margins(separations, slipping, room)
+        if rows.size == 0:
+            margin[~np.isfinite(paths).all(axis=(1, 2))] = np.nan
+        self._close_gaps(paths, margin)
+        return Clearance(margin, reached, np.column_stack([separations, *slipping.T, room]) if parts else None)
+
+    def _separations(
+        self, paths: FloatArray, rows: Any, owed: Any, candidates: Candidates, hold: int
+    ) -> tuple[FloatArray, Any]:
+        """Least separation of each path from each vehicle of `rows`, (n, len(rows)) [m], and the frames before the
+        first violation, (n,)."""
+        n, frames, _ = paths.shape
+        scene, dt = self.scene, self.scene.dt
+        separations, reached = np.empty((n, rows.size)), np.full(n, frames, dtype=np.intp)
+        if rows.size == 0:
+            return separations, reached
+        low, high, home = self._lateral(rows, candidates, paths, bound=hold == 0)
+        rear = self.around.rear(frames, dt, hold, rows)
+        follows: Any = self._behind[rows] if owed is not None else None
+        if follows is not None and follows.any():
+            behind = (scene.road.centers[home], self._at_once(home), self._followers(rows))
+        else:
+            follows, behind = np.zeros(rows.size, dtype=bool), _NO_FOLLOWERS
+        least_separations(
+            paths,
+            self._size_of_ego,
+            low,
+            high,
+            rear,
+            np.ascontiguousarray(owed) if owed is not None else _NOBODY,
+            follows,
+            *behind,
+            self._duty(hold),
+            separations,
+            reached,
+        )
+        return separations, reached
+
+    def _close_gaps(self, paths: FloatArray, margin: FloatArray) -> None:
+        """Nothing leads through where the map has no lane: `margin` (n,) is -inf there."""
+        gaps = self.scene.road.gaps
+        if gaps is not None:
+            margin[gaps.met(paths) & ~np.isnan(margin)] = -np.inf
+
+    def _at_once(self, home: Any) -> Any:
+        """Frames after which vehicles in the lanes `home` react to an ego that they see all the time, or -1 where they
+        have not seen it yet."""
+        if self.visible is None:
+            return np.full(home.shape, -1)
+        already = np.asarray(self.visible)[home]
+        return np.where(already > 0, np.maximum(self._reaction + 1 - already, 0), -1)
+
+    def _followers(self, rows: Any) -> FloatArray:
+        """Speed [m/s], front [m] and stretch of vehicles, (3, len(rows))."""
+        out = np.ones((3, rows.size))
+        out[0] = self.scene.others_road[rows, RoadState.SPEED]
+        out[1] = self.scene.others_road[rows, RoadState.S] + self.around.reach[rows]
+        if self.around.stretch is not None:
+            out[2] = self.around.stretch[1][rows]
+        return out
+
+    def _duty(self, hold: int) -> FloatArray:
+        a = self.config.assumptions
+        return np.array(
+            [a.visible_distance, self._reaction, a.acceleration, a.follower_braking, a.max_speed, hold, self.scene.dt]
+        )
+
+    def _threats(self, candidates: Candidates, distance: float, duration: float) -> tuple[Any, Any]:
+        """Rows of those in reach who do not owe the ego their braking on every path, and who of them owes it on which,
+        (n, rows) bool, or None where nobody does.
+
+        All those behind owe it where the path keeps to lanes that the ego owns: they must not run or move into it.
+        Where it enters another lane, those behind in an owned lane that do not touch the new one as well.
+        """
+        rows, owed, enters = threats(
+            *self._reach,
+            self._limits(distance, duration),
+            np.asarray(candidates.lanes, dtype=np.intp),
+            np.asarray(candidates.fails, dtype=np.intp),
+            self.owned,
+            self.around.hull,
+            self.scene.road.centers,
+        )
+        return rows, owed if enters else None
+
+    def _lateral(
+        self, rows: Any, candidates: Candidates, paths: FloatArray, bound: bool
+    ) -> tuple[FloatArray, FloatArray, Any]:
+        """Lateral extent and home lane of each vehicle for each path, (n, len(rows)) or broadcastable to it.
+
+        A vehicle beside a lane that the ego is about to enter may enter it too, its own leader among them, until it can
+        see the ego there. Where an ego that announces it commits to that lane, one behind gives way (highway-env's
+        traffic aborts such a lane change); of the lane that the fail-safe would return to nobody knows.
+        """
+        around = self.around
+        a, n, m = self.config.assumptions, len(paths), len(rows)
+        if not (a.blind_merge and bound):
+            return around.low[rows][None], around.high[rows][None], around.lane[rows][None]
+        low, high, home = np.empty((n, m)), np.empty((n, m)), np.empty((n, m), dtype=np.intp)
+        road, r = self.scene.road, float(self.scene.ego_road[RoadState.R])
+        sides_taken(
+            paths,
+            np.asarray(candidates.lanes, dtype=np.intp),
+            np.asarray(candidates.fails, dtype=np.intp),
+            rows,
+            around.hull,
+            around.lane,
+            around.others,
+            self._ahead,
+            road.centers,
+            np.array([r, a.visible_distance, road.width, _GIVES_WAY]),
+            self.announced,
+            low,
+            high,
+            home,
+        )
+        return low, high, home
+
+
+def least_bad(result: Clearance) -> int:
+    """The trajectory to take when none verifies: the one that stays clear longest, then the largest margin."""
+    margin = np.nan_to_num(result.margin, nan=-np.inf)
+    return int(np.lexsort((margin, result.clear))[-1])

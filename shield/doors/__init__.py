@@ -1,0 +1,1 @@
+"""Where users come in: `Shield(policy)` and `ShieldedEnv(env)`."""

@@ -1,0 +1,186 @@
+"""The door for `ContinuousAction`: from normalised actions to filtered inputs, frame by frame."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import suppress
+from dataclasses import replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from dynamics.errors import ConfigError, SceneError
+from dynamics.scenes.parking_lot import LotReader, is_lot
+from dynamics.scenes.scene import SceneReader
+from dynamics.state import FloatArray, State
+from dynamics.vehicle.actuators import Actuators
+from dynamics.vehicle.controllers import KP_SPEED
+from mpc.filter.road_step import StageModel
+from shield.config import ShieldConfig
+from shield.decision import Decision, Reason, Tier
+from shield.procedures.held_inputs import AgentCore
+from shield.procedures.inputs import ContinuousCore
+from shield.procedures.parking_lot import LotCore
+
+__all__ = ["InputDoor", "refuse_lots"]
+
+_log = logging.getLogger(__name__)
+
+_SAME_SPEED = 1e-3
+"""Speeds that count as the same [m/s]."""
+
+
+class InputDoor:
+    """Filters the throttle and steering of one environment: on its road, or in its parking lot (`is_lot`).
+
+    Parameters
+    ----------
+    base : the highway-env environment, unwrapped.
+    config : settings.
+    agent : whether the shield acts through the actions only (`AgentCore`) and not at every frame.
+    model : what the predictive filter plans with on a road, at every frame; the bicycle by default.
+
+    Raises
+    ------
+    ConfigError
+        If the mode is one of the rules for meta-actions, the actions are none that can be verified, or a model is given
+        where no predictive filter would use it.
+    SceneError
+        If the environment has several controlled vehicles.
+    """
+
+    def __init__(self, base: Any, config: ShieldConfig, agent: bool = False, model: StageModel | None = None) -> None:
+        self._base = base
+        self.actuators = Actuators.of(base.action_type)
+        self._period = int(base.config["simulation_frequency"] // base.config["policy_frequency"])
+        self._lot = is_lot(base)
+        if model is not None and (self._lot or agent):
+            raise ConfigError("a model is for the predictive filter of ShieldedEnv on a road; leave it out here")
+        # A reader and a core belong together: what the one reads, the other judges.
+        self._reader: Any = LotReader(base) if self._lot else SceneReader(base, curved=True)
+        self.core: ContinuousCore | LotCore
+        if self._lot:
+            self.core = LotCore(config, self.actuators, self._period if agent else None)
+        elif agent:
+            self.core = AgentCore(config, self.actuators, self._period)
+        else:
+            self.core = ContinuousCore(config, self.actuators, model=model)
+        self._off = config.mode == "none"
+        if getattr(base.action_type, "dynamical", False):
+            raise ConfigError(
+                "the shield knows highway-env's kinematic bicycle only; this environment's ContinuousAction is "
+                'dynamical. Pass config={"action": {"type": "ContinuousAction", "dynamical": False}} to gym.make'
+            )
+        if getattr(base.action_type, "speed_range", None):
+            raise ConfigError(
+                f"the shield's rollouts assume highway-env's own speed limits; this environment's ContinuousAction has "
+                f"speed_range {base.action_type.speed_range}. Leave speed_range out of the action's config"
+            )
+        self._agent = agent
+        self._untouched = True
+        self._cruise: float | None = None
+        self._proposal: FloatArray | None = None
+        self._first: tuple[FloatArray, Decision] | None = None
+
+    def reset(self) -> None:
+        """Forget everything about the episode, and compute what depends on the road alone."""
+        self.core.reset()
+        self._first = self._cruise = None
+        if self._off or not isinstance(self.core, ContinuousCore):
+            return
+        # A scene that cannot be read is for the first decision to fail closed on.
+        with suppress(SceneError):
+            self.core.prepare(self._reader.read())
+
+    def decide(self, action: Any) -> Decision:
+        """Filter an action for its first frame; `executed` is the action itself where that verifies.
+
+        Otherwise it is the normalised action nearest to what the actuators get: the shield brakes harder than the
+        policy can if it has to.
+        """
+        start = perf_counter()
+        self._untouched = True
+        if self._off:
+            return Decision(action, action, Reason.NONE, Tier.OFF, np.nan, 0.0)
+        read = self.actuators.read(action)
+        self._proposal = None if read is None else self.actuators.physical(read)
+        inputs, decision = self._filter(start)
+        self._first = inputs, decision
+        executed = action if decision.tier is Tier.PASSED else self.actuators.normalised(inputs)
+        return replace(decision, proposed=action, executed=executed)
+
+    def frame(self) -> tuple[dict[str, float] | None, Decision]:
+        """The low-level action of the next frame, None where the environment's own stands; and the record.
+
+        highway-env repeats the low-level action that it has. So once a frame has been overridden, the next ones get
+        theirs from here, the proposal too; until then the proposal is what highway-env has made of it (it keeps an
+        acceleration that it has limited above `MAX_SPEED`).
+        """
+        first, self._first = self._first, None
+        if first is None and self._untouched:
+            low = self._base.vehicle.action
+            self._proposal = np.array([float(low["acceleration"]), float(low["steering"])])
+        inputs, decision = first if first is not None else self._filter(perf_counter())
+        self._untouched = self._untouched and decision.tier is Tier.PASSED
+        if self._untouched:
+            return None, decision
+        return {"acceleration": float(inputs[0]), "steering": float(inputs[1])}, decision
+
+    def _cruising(self, scene: Any, proposal: FloatArray) -> FloatArray:
+        """The proposal of a policy without a throttle, brought back to the speed that the shield has taken from it."""
+        if self.actuators.longitudinal or self._agent or not scene.finite:
+            return proposal
+        v = float(scene.ego[State.SPEED])
+        if self._cruise is None:
+            self._cruise = v
+        if abs(v - self._cruise) < _SAME_SPEED:
+            return proposal
+        low, high = self.actuators.acceleration
+        return np.array([np.clip(KP_SPEED * (self._cruise - v), low, high), proposal[1]])
+
+    def _resume(self, inputs: FloatArray, decision: Decision) -> tuple[FloatArray, Decision]:
+        if decision.tier is Tier.PASSED and self._proposal is not None and inputs[0] != self._proposal[0]:
+            return inputs, replace(decision, reason=Reason.RESUME, tier=Tier.GOVERNED)
+        return inputs, decision
+
+    def _filter(self, start: float) -> tuple[FloatArray, Decision]:
+        scene: Any = None
+        proposal = self._proposal
+        try:
+            scene = self._reader.read()
+            if proposal is None:
+                return self.core.brake_inputs(scene, proposal, Reason.BAD_ACTION, start)
+            return self._resume(*self.core.filter(scene, self._cruising(scene, proposal)))
+        except SceneError:
+            return self.core.brake_inputs(None, proposal, Reason.BAD_SCENE, start, floor=self._floor())
+        except Exception:
+            # Fail closed: a stage that breaks must not let the proposal through.
+            _log.exception("a stage of the shield raised; the ego brakes in its lane")
+            return self.core.brake_inputs(scene, proposal, Reason.STAGE_FAILED, start, floor=self._floor())
+
+    def _floor(self) -> float:
+        """The acceleration that just stops the ego, from its speed alone [m/s^2]; none where that is not known."""
+        speed = float(getattr(self._base.vehicle, "speed", np.nan))
+        if not np.isfinite(speed):
+            return 0.0 if self._lot else -np.inf
+        frames = self._period if self._agent else 1
+        if not self._lot:
+            speed = max(speed, 0.0)
+        return -speed * self._base.config["simulation_frequency"] / frames
+
+
+def refuse_lots(bases: list[Any]) -> None:
+    """Raise where meta-actions are to be filtered in a parking lot: they steer to lanes, and there are none.
+
+    Raises
+    ------
+    ConfigError
+        If one of the environments is a parking lot.
+    """
+    for base in bases:
+        if is_lot(base):
+            raise ConfigError(
+                f"{type(base).__name__} with {type(base.action_type).__name__}: in a parking lot the shield filters "
+                'ContinuousAction only. Pass config={"action": {"type": "ContinuousAction"}} to gym.make'
+            )

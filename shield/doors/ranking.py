@@ -1,0 +1,42 @@
+"""What a policy prefers: its scores over discrete actions, and the order that they give."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+__all__ = ["order_from_scores", "ranking_of"]
+
+
+def ranking_of(policy: Any, obs: Any) -> Any:
+    """Preference scores over discrete actions for a batch of observations, shape (n, actions), or None.
+
+    Q-values for value-based models, action probabilities for stochastic ones; higher is preferred. `policy` is an
+    SB3 or sb3-contrib model, a bare policy, or any object: one that offers `action_scores(obs)` is asked that.
+    None for recurrent policies, whose scores the observation alone does not give.
+    """
+    import torch
+
+    if hasattr(policy, "action_scores"):
+        return np.asarray(policy.action_scores(obs), dtype=float)
+    net = getattr(policy, "policy", policy)
+    if not hasattr(net, "obs_to_tensor") or hasattr(net, "lstm_actor"):
+        return None
+    with torch.no_grad():
+        tensor, _ = net.obs_to_tensor(obs)
+        if hasattr(net, "q_net"):
+            return net.q_net(tensor).cpu().numpy().astype(float)
+        if hasattr(net, "quantile_net"):
+            return net.quantile_net(tensor).mean(dim=1).cpu().numpy().astype(float)
+        if hasattr(net, "get_distribution"):
+            distribution = getattr(net.get_distribution(tensor), "distribution", None)
+            probs = getattr(distribution, "probs", None)
+            return None if probs is None else probs.cpu().numpy().astype(float)
+    return None
+
+
+def order_from_scores(scores: Any, proposed: int) -> list[int]:
+    """Action indices by falling score, without the proposal; NaN scores come last."""
+    scores = np.nan_to_num(np.asarray(scores, dtype=float), nan=-np.inf)
+    return [int(a) for a in np.argsort(-scores, kind="stable") if a != proposed]

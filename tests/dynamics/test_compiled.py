@@ -23,7 +23,7 @@ def quarter(x):
 
 
 def test_a_kernel_of_another_file_is_refused():
-    with pytest.raises(TypeError, match=r"slip_at of dynamics\.kernels"):
+    with pytest.raises(TypeError, match=r"slip_at of dynamics\.vehicle\.rollout_kernels"):
         compiled(calls_another_file)
 
 

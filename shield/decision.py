@@ -53,6 +53,7 @@ class Tier(StrEnum):
     """Which stage of the shield produced what was executed.
 
     `PASSED`, `ALTERNATIVE` and `GOVERNED` are verified; `STORED_PLAN` was verified at an earlier frame;
+    `EVADED` clears everybody who has broken no rule, and those who have for as long as it can;
     `LARGEST_MARGIN` and `EMERGENCY` are fallbacks without a certificate, and labelled so.
     """
 
@@ -61,6 +62,7 @@ class Tier(StrEnum):
     GOVERNED = "governed"
     ALTERNATIVE = "alternative"
     STORED_PLAN = "stored_plan"
+    EVADED = "evaded"
     LARGEST_MARGIN = "largest_margin"
     EMERGENCY = "emergency"
 
@@ -72,7 +74,7 @@ class Tier(StrEnum):
     @property
     def fallback(self) -> bool:
         """Whether what was executed was not verified for the present scene."""
-        return self in (Tier.STORED_PLAN, Tier.LARGEST_MARGIN, Tier.EMERGENCY)
+        return self in (Tier.STORED_PLAN, Tier.EVADED, Tier.LARGEST_MARGIN, Tier.EMERGENCY)
 
 
 @dataclass(frozen=True, slots=True)

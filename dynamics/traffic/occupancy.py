@@ -6,10 +6,14 @@ Road frame. Frame k = 1..K after the scene. The occupancy of a vehicle at frame 
 [rear_k, front_k] x [low, high]: the hull of every place that its body can be at. Positions follow the
 simulator's explicit Euler steps (s_{k+1} = s_k + v_k dt), so the bound is exact and not only nearly so.
 
-Longitudinal: the rear is that of a vehicle that brakes at `braking` from now on, the front that of one that
-accelerates at `acceleration` until it owes the ego its braking and then brakes at `follower_braking`.
-Lateral: a vehicle that keeps its lane stays in it; one that is moving across can be anywhere between the lane
-that it comes from and the one that it moves to (it may abort).
+Along the road: the rear is that of a vehicle that brakes at `braking` from now on. It loses what it may lose by turning
+(`turning_loss`), is not counted on to get anywhere below `slow_speed`, and may reverse from what stands ahead of it.
+The front is that of one that accelerates at `acceleration`, until it owes the ego its braking.
+Across: a vehicle stays in the lanes that its body touches, one frame ahead at constant velocity included. Wherever it
+is
+in them and however it is turned makes no difference, so that a lane change that is aborted late, a car that wavers and
+one that slides need no rule of their own. That it may touch a lane more is not in the bound: it has to leave the room
+for the ego's fail-safe then, and `dynamics.traffic.permits` says so.
 
 Source: Responsibility-Sensitive Safety (Shalev-Shwartz et al. 2017), set-based prediction (Althoff and Magdici
 2016), with the reaction of highway-env's own traffic.
@@ -22,12 +26,10 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.roads.bends import Bends
 from dynamics.roads.straight import Road
 from dynamics.state import FloatArray, RoadState, Vehicle
 from dynamics.traffic.assumptions import Assumptions
-from dynamics.traffic.occupancy_kernels import HIGH, LOW, REACH, hulls, rears
-from dynamics.vehicle.bicycle import LENGTH
+from dynamics.traffic.occupancy_kernels import Bodies, Lanes, Motion, floors, rears, spend, strips
 
 __all__ = ["Occupancy", "Surroundings", "constant_velocity", "predict_occupancy"]
 
@@ -69,82 +71,85 @@ class Occupancy:
 
 
 class Surroundings:
-    """The others of one scene, and what follows from their present state alone.
+    """The others of one scene, and where they can come to be.
 
     Parameters
     ----------
     others : vehicle rows (m, 7).
     states : the same in the road frame (m, 4).
+    road : the road that they are on.
+    assumptions : what they keep to.
+    dt : duration of a frame [s].
+    before : the same others a frame before, in the same order, from which follows what each may still lose of its way
+    by
+        turning; without it, all of `assumptions.turning_loss`.
 
     Attributes
     ----------
+    bodies : lanes that they touch, and bounds on where their bodies come to be, see `Bodies`.
+    low, high : edges of the lanes touched, (m,) [m]; `hull` is both, (2, m).
     lane : index of the lane nearest to each vehicle, (m,).
-    moving : whether it moves across lanes, (m,).
-    low, high : lateral hull of where it can be, (m,) [m]; `hull` is both, (2, m).
-    reach : half the length that its body covers along the road, (m,) [m].
+    reach : half the length that its body covers along the road at any heading, (m,) [m].
     stretch : least and greatest metres of s in a metre driven, each (m,); None on a straight road.
     """
 
-    def __init__(self, others: FloatArray, states: FloatArray, road: Road, assumptions: Assumptions) -> None:
+    def __init__(
+        self,
+        others: FloatArray,
+        states: FloatArray,
+        road: Road,
+        assumptions: Assumptions,
+        dt: float = 1 / 15,
+        before: Surroundings | None = None,
+    ) -> None:
         others, states = np.ascontiguousarray(others, float), np.ascontiguousarray(states, float)
-        self.others, self.states, self.assumptions = others, states, assumptions
-        bends, m = road.bends, states.shape[0]
-        tolerance = assumptions.keeping_heading + (bends.slip(LENGTH) if bends is not None else 0.0)
-        self.lane, self.moving, self._found = np.empty(m, np.intp), np.empty(m, np.bool_), np.empty((5, m))
-        hulls(
-            others,
-            states,
-            road.centers,
-            float(road.width),
-            tolerance,
-            assumptions.keeping_offset,
-            assumptions.max_heading,
-            self.lane,
-            self.moving,
-            self._found,
-        )
-        self.hull = self._found[: HIGH + 1]
-        self.low, self.high, self.reach = self._found[LOW], self._found[HIGH], self._found[REACH]
+        self.others, self.states, self.assumptions, self.dt = others, states, assumptions, float(dt)
+        m, a, bends = len(states), assumptions, road.bends
+        numbers, self.hull = np.empty((3, m)), np.empty((2, m))
+        lanes = np.empty((3, m), np.intp)
+        numbers[1] = a.turning_loss
+        self.bodies = Bodies(*lanes, *self.hull, *numbers)
+        growth = np.zeros((m, 2))
         self.stretch: tuple[FloatArray, FloatArray] | None = None
-        self._stretches = _STRAIGHT
+        self.stretches = _STRAIGHT
+        if bends is not None and m:
+            growth = np.array([bends.growth(*size) for size in others[:, [Vehicle.LENGTH, Vehicle.WIDTH]]])
+        # What a bend adds to a body is no reason to take it to be in the next lane.
+        strips(others, states, growth, Lanes(road.centers, float(road.width), a.lean, a.waver, self.dt), self.bodies)
+        self.low, self.high = self.hull
+        self.lane, self.reach = self.bodies.lane, self.bodies.reach
         if bends is not None:
-            self._bend(bends)
-
-    def _bend(self, bends: Bends) -> None:
-        """Grow what was computed as on a straight road by what the bends cost at worst."""
-        least, _ = bends.stretch(self.low)
-        _, greatest = bends.stretch(self.high)
-        least_high, greatest_low = bends.stretch(self.high)[0], bends.stretch(self.low)[1]
-        self.stretch = np.minimum(least, least_high), np.maximum(greatest, greatest_low)
-        self._stretches = np.stack(self.stretch)
-        sizes = self.others[:, [Vehicle.LENGTH, Vehicle.WIDTH]]
-        grown = np.array([bends.growth(*size) for size in sizes]).reshape(-1, 2)
-        self._found[REACH] += grown[:, 0]
-        self._found[LOW] -= grown[:, 1]
-        self._found[HIGH] += grown[:, 1]
+            (least, greatest), (least_high, greatest_high) = bends.stretch(self.low), bends.stretch(self.high)
+            self.stretch = np.minimum(least, least_high), np.maximum(greatest, greatest_high)
+            self.stretches = np.stack(self.stretch)
+        self.motion = Motion(
+            a.braking,
+            a.min_speed,
+            a.slow_speed,
+            a.turning_rate,
+            a.reversing_speed,
+            a.queue_distance,
+            a.runout_time,
+            self.dt,
+        )
+        self.lap = float(getattr(road, "length", 0.0)) if getattr(road, "closed", False) else 0.0
+        if before is not None:
+            spend(
+                before.states, before.bodies, states, self.stretches, self.motion, a.turning_loss, self.lap, self.bodies
+            )
+        floors(others, states, self.stretches, self.motion, self.bodies)
 
     def rear(self, frames: int, dt: float, hold: int = 0, rows: Any = None) -> FloatArray:
-        """Least s of each body after 1..K frames, (m, K) [m]; of those in `rows` only, where given.
+        """Least s of each body after 1..K frames, (m, K) [m]; of those in `rows` only, where given. The last column
+        stands for all frames from then on.
 
         `hold` is a number of frames of constant speed that are *expected* before the worst case starts. With
         `hold` > 0 the result is a forecast and not a bound.
         """
-        a = self.assumptions
         rows = np.arange(len(self.states)) if rows is None else rows
         out = np.empty((len(rows), frames))
-        rears(
-            rows,
-            self.others,
-            self.states,
-            self.moving,
-            self._found,
-            self._stretches,
-            a.braking,
-            a.min_speed,
-            hold,
-            dt,
-            out,
-        )
+        motion = self.motion if dt == self.dt else self.motion._replace(dt=dt)
+        rears(rows, self.others, self.states, self.stretches, motion, self.bodies, hold, out)
         return out
 
     def front(self, frames: int, dt: float, hold: int = 0) -> FloatArray:
@@ -178,4 +183,4 @@ def predict_occupancy(
     others : vehicle rows (m, 7). states : the same in the road frame (m, 4).
     hold : see `Surroundings.rear`.
     """
-    return Surroundings(others, states, road, assumptions).occupancy(frames, dt, hold)
+    return Surroundings(others, states, road, assumptions, dt).occupancy(frames, dt, hold)

@@ -1,4 +1,4 @@
-"""The loops of the worst-case prediction: one pass over the vehicles, and one over vehicles and frames.
+"""The loops of the occupancy: one pass over the vehicles, and one over vehicles and frames.
 
 `dynamics.traffic.occupancy` says what the quantities are and where they come from.
 """
@@ -6,112 +6,204 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dynamics.compiled import compiled
 from dynamics.state import Vehicle
 
-__all__ = ["CHANGE", "COS", "HIGH", "LOW", "REACH", "hulls", "rears"]
+__all__ = ["Bodies", "Lanes", "Motion", "floors", "rears", "spend", "strips"]
 
-LOW, HIGH, REACH, COS, CHANGE = range(5)
-"""Rows of the quantities of the vehicles."""
-_LENGTH, _WIDTH, _CRASHED = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
+_SPEED, _LENGTH, _WIDTH, _CRASHED = int(Vehicle.SPEED), int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
+_ENDLESS = 1e6
+"""Way of a vehicle that is assumed never to stop [m]."""
+
+
+class Lanes(NamedTuple):
+    """Lanes, and how far a body may reach over a marking before it counts as being in the next lane too.
+
+    `centers` (lanes,) [m], `width` [m], `lean` [m]; `waver` [m]: how far from the middle of its lane a body may come
+    that keeps to it; `dt`: duration of a frame [s].
+    """
+
+    centers: Any
+    width: float
+    lean: float
+    waver: float
+    dt: float
+
+
+class Bodies(NamedTuple):
+    """Where each vehicle's body is and can come to be across the road, each (m,).
+
+    `lane`: the nearest; `first`, `last`: the lanes that the body touches (first > last where it touches none);
+    `low`, `high` [m]: outer edges of the lanes touched and of the body; `reach` [m]: half the length that the body
+    covers along the road at any heading; `budget` [m]: what it may still lose of its way by
+    turning, negative where it has lost more; `floor` [m]: least
+    s that its centre ever comes to.
+    """
+
+    lane: Any
+    first: Any
+    last: Any
+    low: Any
+    high: Any
+    reach: Any
+    budget: Any
+    floor: Any
+
+
+class Motion(NamedTuple):
+    """Bounds on the motion along the road.
+
+    `braking` [m/s^2]; `min_speed` [m/s] below which nobody brakes on purpose; `slow` [m/s] below which way is not
+    counted; `turning_rate` [m/s] at which the budget for turning fills up; `reversing` [m/s], greatest speed backwards;
+    `queue` [m]: one reverses only from what stands nearer than this ahead, centre to centre; `runout` [s], within
+    which one that reverses comes to rest otherwise; `dt` [s].
+    """
+
+    braking: float
+    min_speed: float
+    slow: float
+    turning_rate: float
+    reversing: float
+    queue: float
+    runout: float
+    dt: float
 
 
 @compiled
-def hulls(
-    others: Any,
-    states: Any,
-    centers: Any,
-    lane_width: float,
-    tolerance: float,
-    keeping_offset: float,
-    max_heading: float,
-    lane: Any,
-    moving: Any,
-    out: Any,
-) -> None:
-    """What follows from each vehicle's present state, on a straight road.
-
-    Parameters
-    ----------
-    others, states : rows of vehicles (m, 7), and road states (m, 4).
-    centers, lane_width : of the lanes [m].
-    tolerance, keeping_offset : heading [rad] and offset [m] up to which a vehicle keeps its lane.
-    max_heading : greatest heading of one that changes lanes [rad].
-    lane, moving, out : results, (m,), (m,) and (5, m); NaN for a vehicle whose row is.
-    """
-    last, right = centers.shape[0] - 1, 0.5 * math.pi
+def strips(others: Any, states: Any, growth: Any, lanes: Lanes, bodies: Bodies) -> None:
+    """Fill in lane, first, last, low, high and reach from vehicle rows (m, 7), road states (m, 4) and what a bend adds
+    to each body along and across (m, 2) [m]; NaN for a vehicle whose row is."""
+    count = lanes.centers.shape[0]
     for i in range(states.shape[0]):
-        r, psi, length, width = states[i, 1], states[i, 2], others[i, _LENGTH], others[i, _WIDTH]
-        if not math.isfinite(r + psi + length + width + states[i, 0] + states[i, 3]):
-            lane[i], moving[i], out[:, i] = 0, False, np.nan
+        s, r, psi, v = states[i, 0], states[i, 1], states[i, 2], states[i, 3]
+        length, width = others[i, _LENGTH], others[i, _WIDTH]
+        if not math.isfinite(s + r + psi + v + length + width):
+            bodies.lane[i], bodies.first[i], bodies.last[i] = 0, 0, count - 1
+            bodies.low[i], bodies.high[i], bodies.reach[i] = np.nan, np.nan, np.nan
             continue
-        heading = abs(psi)
-        here = int(min(max(np.rint((r - centers[0]) / lane_width), 0), last))
-        center = centers[here]
-        offset = r - center
-        lane[i] = here
-        moving[i] = (heading > tolerance or abs(offset) > keeping_offset) and others[i, 3] != 0
-        # Even one that keeps its lane may start to leave it at the next frame.
-        turn = min(max(max_heading, heading), right)
-        # The extent along the road is greatest at the heading of the diagonal, or as near to it as it can turn.
-        diagonal = min(turn, math.atan2(width, length))
-        half = 0.5 * (width + length * math.sin(min(max(heading, tolerance), right)))
-        low, high = min(r, center) - half, max(r, center) + half
-        out[REACH, i] = 0.5 * (length * math.cos(diagonal) + width * math.sin(diagonal))
-        out[COS, i] = math.cos(turn)
-        # v (1 - cos psi) <= tan(psi / 2) v sin psi: what a single lane change costs it along the road.
-        out[CHANGE, i] = math.tan(0.5 * turn) * lane_width
-        if moving[i]:
-            # Towards its heading, else back to the centre of its lane.
-            toward = np.sign(psi) if heading > tolerance else -np.sign(offset)
-            leaving = toward * offset >= 0
-            end = centers[int(min(max(here + toward, 0), last))] if leaving else center
-            turned = 0.5 * (width + length * math.sin(turn))
-            # One that is coming back to its lane's centre turns no further outwards than it is turned now.
-            low = min(min(r, center), end) - (half if not leaving and offset < 0 else turned)
-            high = max(max(r, center), end) + (half if not leaving and offset > 0 else turned)
-            out[CHANGE, i] = np.inf
-        out[LOW, i], out[HIGH, i] = low, high
+        sin = math.sin(psi)
+        half = 0.5 * (length * abs(sin) + width * abs(math.cos(psi)))
+        # highway-env counts what constant velocity along the heading would bring within a frame.
+        drift = v * sin * lanes.dt
+        low, high = r - half + min(drift, 0.0), r + half + max(drift, 0.0)
+        here = int(min(max(np.rint((r - lanes.centers[0]) / lanes.width), 0), count - 1))
+        side, core = 0.5 * lanes.width + lanes.lean, 0.5 * width + lanes.waver
+        first, last = count, -1
+        for j in range(count):
+            if high > lanes.centers[j] - side + 2 * lanes.lean and low < lanes.centers[j] + side - 2 * lanes.lean:
+                first, last = min(first, j), max(last, j)
+        bodies.lane[i], bodies.first[i], bodies.last[i] = here, first, last
+        if first <= last:
+            # Up to the marking; or, of the one lane in whose middle it is, up to as far as it may waver.
+            least, most = lanes.centers[first] - side, lanes.centers[last] + side
+            if first == last and low >= lanes.centers[first] - core:
+                least = lanes.centers[first] - core
+            if first == last and high <= lanes.centers[last] + core:
+                most = lanes.centers[last] + core
+            low, high = min(low, least), max(high, most)
+        bodies.low[i], bodies.high[i] = low - growth[i, 1], high + growth[i, 1]
+        bodies.reach[i] = 0.5 * math.hypot(length, width) + growth[i, 0]
+
+
+@compiled
+def spend(
+    states0: Any, bodies0: Bodies, states: Any, stretch: Any, motion: Motion, loss: float, lap: float, bodies: Bodies
+) -> None:
+    """Fill in `budget` from the frame before: `loss` at most, less what turning has taken of each vehicle's way. `lap`
+    is the length of a closed road, 0 of an open one [m]."""
+    for i in range(states.shape[0]):
+        budget = min(max(bodies0.budget[i], 0.0) + motion.turning_rate * motion.dt, loss)
+        if states0[i, 3] > motion.slow:
+            ds = states[i, 0] - states0[i, 0]
+            if lap > 0:
+                ds -= lap * np.rint(ds / lap)
+            least = stretch[0, i] if stretch.shape[1] > 0 else 1.0
+            budget -= max(states0[i, 3] * motion.dt * least - ds, 0.0)
+        bodies.budget[i] = budget
+
+
+@compiled
+def _braking_way(v: float, wrecked: bool, motion: Motion) -> tuple[float, float]:
+    """The way that a vehicle counts on before it stands, braking from now on [m], and for how long it does [s]."""
+    way, time, wreck, least = 0.0, 0.0, 1.0, min(v, motion.min_speed)
+    speed = v
+    while True:
+        slow = max(speed, least)
+        if wrecked:
+            slow = min(slow, v * wreck)
+            wreck *= 1 - motion.dt
+        if not slow >= motion.slow:
+            return way, time
+        if least >= motion.slow:
+            return _ENDLESS, 0.0  # it never brakes below `min_speed`
+        way, time, speed = way + slow * motion.dt, time + motion.dt, speed - motion.braking * motion.dt
+
+
+@compiled
+def floors(others: Any, states: Any, stretch: Any, motion: Motion, bodies: Bodies) -> None:
+    """Fill in `floor`: where a vehicle's centre comes to rest at the least, or as far behind what is ahead in its lanes
+    as it may reverse to. A vehicle that reverses runs out within `motion.runout`."""
+    m = states.shape[0]
+    order = np.argsort(-states[:, 0])
+    for n in range(m):
+        i = order[n]
+        v, wrecked = states[i, 3], others[i, _CRASHED] > 0
+        way, time = _braking_way(v, wrecked, motion)
+        way = max(way - max(bodies.budget[i], 0.0) - motion.turning_rate * time, 0.0) + min(v, 0.0) * motion.runout
+        if stretch.shape[1] > 0:
+            way = min(way * stretch[0, i], way * stretch[1, i])
+        least = states[i, 0] + way
+        if motion.reversing > 0 and not wrecked:
+            for k in range(n):
+                j = order[k]
+                beside = bodies.low[j] >= bodies.high[i] or bodies.high[j] <= bodies.low[i]
+                if not beside and states[j, 0] > states[i, 0]:
+                    least = min(least, bodies.floor[j] - motion.queue)
+        bodies.floor[i] = least
 
 
 @compiled
 def rears(
-    rows: Any,
-    others: Any,
-    states: Any,
-    moving: Any,
-    quantities: Any,
-    stretch: Any,
-    braking: float,
-    min_speed: float,
-    hold: int,
-    dt: float,
-    out: Any,
+    rows: Any, others: Any, states: Any, stretch: Any, motion: Motion, bodies: Bodies, hold: int, out: Any
 ) -> None:
-    """Least s of the bodies of vehicles `rows` (m,) after each frame, `out` (m, K) [m].
+    """Least s of the bodies of vehicles `rows` (n,) after each frame, `out` (n, K) [m]; the last frame stands for all
+    that follow it.
 
-    `stretch` (2, vehicles) has the least and greatest metres of s in a metre driven; no columns on a straight road.
+    `stretch` (2, m) has the least and greatest metres of s in a metre driven; no columns on a straight road. `hold`
+    frames at constant speed are expected before the worst case starts; then the result is a forecast and no bound.
     """
-    for i in range(rows.shape[0]):
-        j = rows[i]
+    frames, dt = out.shape[1], motion.dt
+    for n in range(rows.shape[0]):
+        j = rows[n]
         v, wrecked, wreck = states[j, 3], others[j, _CRASHED] > 0, 1.0
-        floor, start, way = min(v, min_speed), states[j, 0] - quantities[REACH, j], 0.0
-        for k in range(out.shape[1]):
-            slow = max(v - braking * dt * max(k - hold, 0), floor)
+        least_speed, start, floor = min(v, motion.min_speed), states[j, 0] - bodies.reach[j], bodies.floor[j]
+        way, lost, back = 0.0, max(bodies.budget[j], 0.0), 0.0
+        for k in range(frames):
+            slow = max(v - motion.braking * dt * max(k - hold, 0), least_speed)
             if wrecked:
                 # highway-env: a crashed vehicle brakes at -1 * speed per second.
                 slow = min(slow, v * wreck)
                 wreck *= 1 - dt
-            way += slow
-            # On a heading of up to the bound, only the cosine of the speed advances along the road.
-            loss = max(min((1 - quantities[COS, j]) * way * dt, quantities[CHANGE, j]), 0.0)
-            if hold > 0 and not moving[j]:
-                loss = 0.0  # One that keeps its lane is expected to go on doing so.
-            along = way * dt - loss
+            if hold > 0:
+                way += max(slow, 0.0) * dt
+                along = way
+            else:
+                if slow >= motion.slow:
+                    way += slow * dt
+                    lost += motion.turning_rate * dt
+                else:
+                    back += motion.reversing * dt
+                along = max(way - lost, 0.0)
             if stretch.shape[1] > 0:
                 along = min(along * stretch[0, j], along * stretch[1, j])
-            out[i, k] = start + along
+            rear = start + along
+            # Once it stands it may reverse, as far as to its floor.
+            if hold == 0 and rear > floor - bodies.reach[j]:
+                rear = max(rear - back, floor - bodies.reach[j])
+            out[n, k] = rear
+        if hold == 0 and frames > 0:
+            out[n, frames - 1] = min(out[n, frames - 1], floor - bodies.reach[j])

@@ -191,7 +191,7 @@ class Alongside:
             count = _may_slip(
                 around.others,
                 around.states,
-                around.moving,
+                around.bodies.first != around.bodies.last,
                 scene.ego_road,
                 float(scene.ego[Vehicle.LENGTH]),
                 road.centers,
@@ -200,8 +200,8 @@ class Alongside:
                 a.braking,
                 found,
             )
-        self._rows = found[:count, 0].astype(np.intp)
-        states = around.states[self._rows]
+        self.rows = found[:count, 0].astype(np.intp)
+        states = around.states[self.rows]
         self._starts, self._speeds = states[:, RoadState.S].copy(), states[:, RoadState.SPEED].copy()
         self._goals = road.centers[found[:count, 1].astype(np.intp)]
         self._ratios = found[:count, 2].copy()
@@ -209,7 +209,7 @@ class Alongside:
         self._bounds = np.empty((2, count, 0))
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return len(self.rows)
 
     def separations(self, paths: FloatArray, size: FloatArray) -> FloatArray:
         """Least separation of each path from each of them, (n, len(self)) [m]; +inf where they stay apart.
@@ -220,7 +220,7 @@ class Alongside:
         size : half extents of the ego with its buffer, as `shield.certificate.kernels.least_separations` has them (8,)
         [m].
         """
-        rows, dt, frames = self._rows, self._scene.dt, paths.shape[1]
+        rows, dt, frames = self.rows, self._scene.dt, paths.shape[1]
         out = np.full((len(paths), len(rows)), np.inf)
         if _centred(paths, self._scene.road.centers):
             return out
@@ -250,16 +250,16 @@ class Alongside:
     def _swept(self) -> FloatArray:
         """Where each body is across the road after 1..T frames of its lane change, (m, T, 2) [m]."""
         dt, road = self._scene.dt, self._scene.road
-        states, frames = self._around.states[self._rows], int(np.ceil(_LASTS / self._scene.dt))
+        states, frames = self._around.states[self.rows], int(np.ceil(_LASTS / self._scene.dt))
         commands = np.empty((len(states), frames, 3))
         commands[..., 0], commands[..., 1] = self._goals[:, None], states[:, RoadState.SPEED, None]
         commands[..., 2] = NO_LIMIT
         path = Rollouts(dt, road).run(states, commands)
-        length, width = self._around.others[self._rows][:, [Vehicle.LENGTH, Vehicle.WIDTH]].T[..., None]
+        length, width = self._around.others[self.rows][:, [Vehicle.LENGTH, Vehicle.WIDTH]].T[..., None]
         sin, cos = np.abs(np.sin(path[..., RoadState.HEADING])), np.abs(np.cos(path[..., RoadState.HEADING]))
         half = 0.5 * (length * sin + width * cos)
         low, high = path[..., RoadState.R] - half, path[..., RoadState.R] + half
-        own = self._around.hull[:, self._rows]
+        own = self._around.hull[:, self.rows]
         return np.stack(
             [
                 np.minimum.accumulate(np.minimum(low, own[0][:, None]), axis=1),

@@ -4,20 +4,20 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dynamics.compiled import compiled
-from dynamics.state import Vehicle
 
 __all__ = [
+    "TOUCH",
+    "Others",
     "in_reach",
     "lanes_held",
     "lanes_touched",
     "least_separations",
     "margins",
-    "may_break",
     "rooms",
     "sides_taken",
     "threats",
@@ -25,9 +25,32 @@ __all__ = [
     "warm_up",
 ]
 
-_WIDTH, _SPEED, _CRASHED = int(Vehicle.WIDTH), int(Vehicle.SPEED), int(Vehicle.CRASHED)
+TOUCH = 1.0
+"""How near to a lane's centre a body comes before it is in the way there [m]: half the width of a car."""
+_TURNING = 0.01
+"""Heading towards a lane from which a vehicle counts as turning to it [rad]."""
 _STRAIGHT = 0.01
 """Sine of the heading below which a path's own next frame is where constant velocity leads."""
+
+
+class Others(NamedTuple):
+    """The vehicles around the ego, as a judgement of paths sees them, each (v,).
+
+    `ahead` [m]: centre ahead of the ego's; `least` [m]: the same of the least place that the centre ever comes to;
+    `size` [m]: how near it counts as touching; `speed` [m/s] along the road now; `gain`: stretch of what it gains;
+    `behind`: whether its body is behind the ego with its buffer; `low`, `high` [m]: edges of the lanes that it touches;
+    `lane`: the nearest.
+    """
+
+    ahead: Any
+    least: Any
+    size: Any
+    speed: Any
+    gain: Any
+    behind: Any
+    low: Any
+    high: Any
+    lane: Any
 
 
 @compiled
@@ -122,6 +145,11 @@ def least_separations(
         if not _extents(paths, i, size, dt, coming, bounds):
             separations[i, :], reached[i] = np.nan, 0
             continue
+        lowest, highest = np.inf, -np.inf
+        for k in range(frames):
+            lowest, highest = min(lowest, bounds[2, k]), max(highest, bounds[3, k])
+            if coming:
+                lowest, highest = min(lowest, bounds[6, k]), max(highest, bounds[7, k])
         for j in range(m):
             if owed.shape[0] > 0 and owed[i, j]:
                 separations[i, j] = np.inf
@@ -131,6 +159,10 @@ def least_separations(
             known = math.isfinite(left + right + rear[j, frames - 1])
             if not known or (behind and not math.isfinite(followers[0, j] + followers[1, j] + followers[2, j])):
                 separations[i, j], reached[i] = np.nan, 0
+                continue
+            beside = max(left - highest, lowest - right)
+            if beside >= 0:
+                separations[i, j] = beside
                 continue
             if behind:
                 of = min(i, centers.shape[0] - 1)
@@ -192,7 +224,7 @@ def lanes_touched(
             if (low < first or high > last) and k < on_road[i]:
                 on_road[i] = k
             for j in range(lanes):
-                inside = low < centers[j] + 1.0 and high > centers[j] - 1.0
+                inside = low < centers[j] + TOUCH and high > centers[j] - TOUCH
                 # Nobody keeps a place free in a lane that the ego has left: it does not come back to one.
                 if k > 0 and owned[j] and inside and not within[j]:
                     allowed[i] = False
@@ -262,28 +294,27 @@ def verdicts(margin: Any, edges: Any, allowed: Any, paths: Any, held: int) -> An
 
 
 @compiled
-def in_reach(ahead: Any, sizes: Any, speeds: Any, gains: Any, behind: Any, limits: Any, followers: bool) -> Any:
+def in_reach(others: Others, limits: Any, followers: bool) -> Any:
     """Rows of the vehicles that can come into reach of the ego, in order.
 
     Parameters
     ----------
-    ahead, sizes, speeds, gains, behind : how far ahead each centre is, how near it counts as touching [m], its greatest
-        speed along the road now [m/s], the stretch of what it gains, and whether it is behind the ego, (v,).
+    others : the vehicles, (v,).
     limits : the ego's greatest way [m], in which time [s], the frame duration [s], the perception range [m], and the
         greatest acceleration [m/s^2], (5,).
     followers : whether those behind count.
     """
     distance, duration, dt, perception, acceleration = limits[0], limits[1], limits[2], limits[3], limits[4]
-    rows, count = np.empty(ahead.shape[0], np.intp), 0
-    for j in range(ahead.shape[0]):
+    rows, count = np.empty(others.ahead.shape[0], np.intp), 0
+    for j in range(others.ahead.shape[0]):
         # Written so that a distance that is not a number drops nobody.
-        if ahead[j] - sizes[j] + min(speeds[j], 0.0) * duration > distance or not abs(ahead[j]) <= perception:
+        if others.least[j] - others.size[j] > distance or not abs(others.ahead[j]) <= perception:
             continue
         if followers:
-            gain = 0.5 * acceleration * duration * (duration + dt) * gains[j]
-            if not -ahead[j] - sizes[j] - max(speeds[j], 0.0) * duration - gain <= 0.0:
+            gain = 0.5 * acceleration * duration * (duration + dt) * others.gain[j]
+            if not -others.ahead[j] - others.size[j] - max(others.speed[j], 0.0) * duration - gain <= 0.0:
                 continue
-        elif behind[j]:
+        elif others.behind[j]:
             continue
         rows[count] = j
         count += 1
@@ -291,48 +322,39 @@ def in_reach(ahead: Any, sizes: Any, speeds: Any, gains: Any, behind: Any, limit
 
 
 @compiled
-def threats(
-    ahead: Any,
-    sizes: Any,
-    speeds: Any,
-    gains: Any,
-    behind: Any,
-    limits: Any,
-    lanes: Any,
-    fails: Any,
-    owned: Any,
-    hulls: Any,
-    centers: Any,
-) -> tuple[Any, Any, bool]:
-    """Rows of those in reach who do not owe the ego their braking on every path, (m,); who of them owes it on which
-    path, (n, m) bool; and whether any path enters a lane that the ego does not own.
+def threats(others: Others, limits: Any, lanes: Any, fails: Any, owned: Any, centers: Any) -> tuple[Any, Any]:
+    """Rows of those in reach who do not owe the ego their distance on every path, (m,); and who of them owes it on
+    which path, (n, m) bool.
 
-    Parameters as in `in_reach`; `lanes`, `fails` (n,) are what each path commits to and stops in, `owned` (lanes,) what
-    the ego owns, and `hulls` (2, v) where the vehicles can be across the road [m].
+    Whoever is behind the ego with its buffer, in a lane that it owns, owes it the distance, but for a path that enters
+    a lane that the ego does not own and that this vehicle touches.
+
+    Parameters
+    ----------
+    others, limits : as in `in_reach`.
+    lanes, fails : what each path commits to and stops in, (n,). owned : which lanes the ego owns, (lanes,) bool.
+    centers : of the lanes [m].
     """
-    n, new = lanes.shape[0], False
-    for i in range(n):
-        new = new or not owned[lanes[i]] or not owned[fails[i]]
-    rows = in_reach(ahead, sizes, speeds, gains, behind, limits, new)
-    if not new:
-        return rows, np.empty((0, 0), np.bool_), False
+    n = lanes.shape[0]
+    rows = in_reach(others, limits, True)
     owed, count = np.empty((n, rows.shape[0]), np.bool_), 0
     for j in rows:
         kept, held = False, False
         for k in range(centers.shape[0]):
-            held = held or (owned[k] and hulls[0, j] < centers[k] + 1.0 and hulls[1, j] > centers[k] - 1.0)
+            held = held or (owned[k] and others.low[j] < centers[k] + TOUCH and others.high[j] > centers[k] - TOUCH)
         for i in range(n):
-            entered, enters = False, False
+            entered = False
             for lane in (lanes[i], fails[i]):
                 if not owned[lane]:
-                    enters = True
-                    entered = entered or (hulls[0, j] < centers[lane] + 1.0 and hulls[1, j] > centers[lane] - 1.0)
-            owed[i, count] = behind[j] and ((held and not entered) or not enters)
+                    entered = entered or (
+                        others.low[j] < centers[lane] + TOUCH and others.high[j] > centers[lane] - TOUCH
+                    )
+            owed[i, count] = others.behind[j] and held and not entered
             kept = kept or not owed[i, count]
         if kept:
             rows[count] = j
             count += 1
-    return rows[:count], owed[:, :count].copy(), True
+    return rows[:count], owed[:, :count].copy()
 
 
 @compiled
@@ -341,11 +363,10 @@ def sides_taken(
     lanes: Any,
     fails: Any,
     rows: Any,
-    hulls: Any,
-    homes: Any,
-    others: Any,
-    ahead: Any,
+    others: Others,
+    heading: Any,
     centers: Any,
+    settled: Any,
     settings: Any,
     announced: bool,
     low: Any,
@@ -357,35 +378,40 @@ def sides_taken(
     Parameters
     ----------
     paths, lanes, fails : (n, K, 4), and the lane that each commits to, and stops in, (n,).
-    rows : the vehicles, (m,). hulls, homes, others, ahead : of all vehicles, where they can be by themselves (2, v)
-        [m], their lanes, their rows (v, 7), and how far ahead of the ego their centres are [m].
-    centers : of the lanes [m].
-    settings : the ego's lateral position now, the distance within which it is seen, the width of a lane, and how far
-        behind the ego one gives way, (4,) [m].
+    rows : the vehicles, (m,). others, heading : of all vehicles, (v,).
+    centers : of the lanes [m]. settled : in which of them the ego has been in sight for long enough, (lanes,) bool.
+    settings : the ego's lateral position now, the distance within which it is seen, the width of a lane, how far
+        behind the ego one gives way, and how far a body may lean over a marking, (5,) [m].
     announced : whether the traffic knows of the lane that a path commits to.
     """
-    r, sight, width, gives_way = settings[0], settings[1], settings[2], settings[3]
+    r, sight, width, gives_way, lean = settings[0], settings[1], settings[2], settings[3], settings[4]
     for i in range(paths.shape[0]):
         least, most = np.inf, -np.inf
         for k in range(paths.shape[1]):
             least, most = min(least, paths[i, k, 1]), max(most, paths[i, k, 1])
         for j in range(rows.shape[0]):
             row = rows[j]
-            low[i, j], high[i, j], home[i, j] = hulls[0, row], hulls[1, row], homes[row]
+            low[i, j], high[i, j], home[i, j] = others.low[row], others.high[row], others.lane[row]
         for step in range(2 if fails[i] != lanes[i] else 1):
             entered = lanes[i] if step == 0 else fails[i]
             goal = centers[entered]
-            if max(abs(least - goal), abs(most - goal)) <= sight and abs(r - goal) <= sight:
+            seen = max(abs(least - goal), abs(most - goal)) <= sight and abs(r - goal) <= sight
+            if seen and settled[entered]:
                 continue
             for j in range(rows.shape[0]):
                 row = rows[j]
-                apart = abs(centers[homes[row]] - goal)
-                if not (0 < apart < 1.5 * width) or not math.isfinite(low[i, j] + high[i, j]):
+                # Beside the lane: the next strip begins where this one ends.
+                apart = max(others.low[row] - goal, goal - others.high[row])
+                if not (0 < apart < width) or not math.isfinite(low[i, j] + high[i, j]):
                     continue
-                if step == 0 and announced and not ahead[row] > -gives_way:
+                if step == 0 and announced and not others.ahead[row] > -gives_way:
                     continue
-                half = 0.5 * others[row, _WIDTH]
-                low[i, j], high[i, j] = min(low[i, j], goal - half), max(high[i, j], goal + half)
+                # Once the ego is in sight, only one that has begun to turn before may still come.
+                toward = heading[row] if goal > others.high[row] else -heading[row]
+                if seen and not toward > _TURNING:
+                    continue
+                low[i, j] = min(low[i, j], goal - 0.5 * width - lean)
+                high[i, j] = max(high[i, j], goal + 0.5 * width + lean)
                 home[i, j] = entered
 
 
@@ -423,39 +449,18 @@ def lanes_held(
     return seen, own
 
 
-@compiled
-def may_break(
-    rows: Any, before: Any, hulls: Any, hulls0: Any, least: float, most: float, r: Any, period: float
-) -> bool:
-    """Whether any vehicle has crashed, changed its speed by less than `least` or more than `most` [m/s^2], or come to
-    lie across the ego's body, r[0] to r[1] [m], since the scene before.
-
-    `rows`, `before` are those of the vehicles (m, 7); `hulls`, `hulls0` (2, m) where they can be across the road [m].
-    """
-    for i in range(rows.shape[0]):
-        rate = (rows[i, _SPEED] - before[i, _SPEED]) / period
-        if not (least <= rate <= most) or (rows[i, _CRASHED] > 0 and not before[i, _CRASHED] > 0):
-            return True
-        came = hulls[0, i] < r[1] and hulls[1, i] > r[0]
-        if came and not (hulls0[0, i] < r[1] and hulls0[1, i] > r[0]):
-            return True
-    return False
-
-
 def warm_up() -> None:
     """Have the kernels compiled, or read from the disk, before they are needed."""
     one, pair, none = np.zeros((1, 1)), np.zeros((1, 2, 4)), np.zeros((1, 1), dtype=np.intp)
     flag, count = np.zeros((1, 1), dtype=np.bool_), np.zeros(1, dtype=np.intp)
     args = (one, one, np.zeros((1, 2)), flag, flag[0], one, none, np.zeros((3, 1)), np.ones(7), one, count)
     least_separations(pair, np.ones(8), *args)
-    none1, rows = np.zeros(1, dtype=np.intp), np.zeros((1, 7))
-    lanes_held(0.0, np.zeros(1), 1, 1.0, 1.0, -1, none1, flag[0])
-    may_break(rows, rows, np.zeros((2, 1)), np.zeros((2, 1)), -1.0, 1.0, np.zeros(2), 0.1)
-    hulls, there = np.zeros((2, 1)), np.zeros(1)
-    sides_taken(pair, count, count, count, hulls, count, rows, there, there, np.ones(4), True, one, one, none)
-    limits, bare, behind = np.ones(5), np.zeros(1), np.zeros(1, dtype=np.bool_)
-    in_reach(bare, bare, bare, bare, behind, limits, True)
-    threats(bare, bare, bare, bare, behind, limits, count, count, behind, hulls, bare)
+    there, behind = np.zeros(1), np.zeros(1, dtype=np.bool_)
+    lanes_held(0.0, there, 1, 1.0, 1.0, -1, count, flag[0])
+    others = Others(there, there, there, there, there, behind, there, there, count)
+    sides_taken(pair, count, count, count, others, there, there, behind, np.ones(5), True, one, one, none)
+    in_reach(others, np.ones(5), True)
+    threats(others, np.ones(5), count, count, behind, there)
     margins(one, one, there)
     verdicts(there, np.zeros((1, 2)), behind, pair, 1)
     rooms(pair, np.ones(8), np.zeros(1), count, 2.0, False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -10,12 +11,14 @@ import numpy as np
 
 from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import Scene
-from dynamics.state import FloatArray, RoadState, Vehicle
+from dynamics.state import FloatArray, RoadState, State, Vehicle
 from dynamics.traffic.occupancy import Surroundings
+from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.rollouts import Rollouts
 from mpc.filter.nearest_point import nearest
 from shield.certificate import alongside, kernels
-from shield.certificate.kernels import lanes_held
+from shield.certificate.kernels import TOUCH, lanes_held
+from shield.certificate.manoeuvres import brake_candidates
 from shield.certificate.monitor import AssumptionMonitor
 from shield.certificate.verify import Surveyor
 from shield.config import ShieldConfig
@@ -34,6 +37,21 @@ def _warm_up() -> None:
     Rollouts(0.1).run_inputs(state, np.zeros((1, 1, 2)))
     Rollouts(0.1).stop(np.zeros((1, 1, 4)), np.zeros(1), 1.0, 1)
     Surroundings(np.zeros((1, 7)), state[None], road, ShieldConfig().assumptions).rear(1, 0.1)
+
+
+_LONG = 10**6
+"""Frames that stand for as long as one likes."""
+
+
+@dataclass(frozen=True, slots=True)
+class FailSafe:
+    """The stored fail-safe played on from now: the lane that it stops in, its path (K, 4), its margin [m], and how far
+    it stays from where each vehicle can be, (m,) [m]."""
+
+    lane: int
+    path: FloatArray
+    margin: float
+    separations: FloatArray
 
 
 class Memory:
@@ -74,23 +92,49 @@ class Memory:
         seen = self._seen
         if seen is not None and np.array_equal(seen[0], scene.ego) and np.array_equal(seen[1], scene.others):
             return
-        around = Surroundings(scene.others, scene.others_road, scene.road, self.config.assumptions)
+        a, before = self.config.assumptions, self.monitor.before(scene) if self._frames == 1 else None
+        around = Surroundings(scene.others, scene.others_road, scene.road, a, scene.dt, before)
         self._seen = (scene.ego, scene.others, around)
-        self.monitor.update(scene, self._frames * scene.dt, around)
         centers, r = scene.road.centers, float(scene.ego_road[RoadState.R])
         if self._visible is None or self._visible.shape != centers.shape:
-            self._visible, self._owned = np.zeros(centers.shape, dtype=np.intp), np.zeros(0, dtype=bool)
+            # Whoever is there when it all begins has seen the ego for long.
+            self._visible = np.where(np.abs(centers - r) <= a.visible_distance, _LONG, 0)
+            self._owned = np.zeros(0, dtype=bool)
         swing = 0.5 * float(scene.ego[Vehicle.LENGTH]) * abs(math.sin(scene.ego_road[RoadState.HEADING]))
-        touch, sight = 1.0 + 0.5 * float(scene.ego[Vehicle.WIDTH]) + swing, self.config.assumptions.visible_distance
+        touch, sight = TOUCH + 0.5 * float(scene.ego[Vehicle.WIDTH]) + swing, a.visible_distance
         stored = -1 if self.stored_lane is None else self.stored_lane
         visible, owned = self._visible, self._owned
         self._visible, self._owned = lanes_held(r, centers, self._frames, sight, touch, stored, visible, owned)
+        self._surveyor = None
+        survey = self._survey(scene)
+        self.monitor.update(
+            scene, around, survey.others.behind, self._frames * scene.dt, lambda: self._fail_safe(scene).separations
+        )
+
+    def _fail_safe(self, scene: Scene, survey: Surveyor | None = None) -> FailSafe:
+        """The stored fail-safe, from now on; where there is none, that of the ego's own lane."""
+        lane = self.stored_lane
+        if lane is None:
+            lane = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
+        speed = float(scene.ego[State.SPEED]) - self.config.braking / KP_SPEED
+        candidates = brake_candidates(scene, [lane], [speed], [lane], 1, self.config.braking)
+        paths = self._rollouts_for(scene).run(scene.ego_road, candidates.commands)
+        survey = survey if survey is not None else self._survey(scene)
+        result = survey.clearance(paths, candidates)
+        return FailSafe(lane, paths[0], float(result.margin[0]), survey.of_each(result))
 
     def _rollouts_for(self, scene: Scene) -> Rollouts:
         key = scene.dt, getattr(scene.road, "profile", None)
         if key not in self._rollouts:
             self._rollouts[key] = Rollouts(scene.dt, scene.road)
         return self._rollouts[key]
+
+    def _lawful(self, scene: Scene) -> Surveyor:
+        """A surveyor of this instant that leaves out those who have broken a rule."""
+        seen = self._seen
+        around = seen[2] if seen is not None and seen[1] is scene.others else None
+        ignored = self.monitor.offenders
+        return Surveyor(scene, self.config, self._visible, self._owned, around, self._announced, ignored)
 
     def _survey(self, scene: Scene) -> Surveyor:
         """The surveyor of this instant; scenes that differ in the ego's target only share it."""

@@ -1,73 +1,97 @@
-"""Watches whether the traffic keeps to the assumptions, and counts each violation."""
+"""Watches whether the traffic keeps to the assumptions: `dynamics.traffic.permits`, frame by frame."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
 from dynamics.scenes.scene import Scene
-from dynamics.state import FloatArray, RoadState, Vehicle
+from dynamics.state import BoolArray, FloatArray, Vehicle
 from dynamics.traffic.occupancy import Surroundings
-from shield.certificate.kernels import may_break
+from dynamics.traffic.permits import Ego, Rule, permits
 from shield.config import ShieldConfig
 
 __all__ = ["AssumptionMonitor"]
 
-_TOLERANCE = 0.1
-"""Slack on accelerations [m/s^2]."""
+Separations = Callable[[], FloatArray]
+"""How far the ego's fail-safe stays from where each vehicle can be now, (m,) [m]; negative where it does not."""
 
 
 class AssumptionMonitor:
     """Compares each scene with the one before it.
 
-    A vehicle counts as violating when it brakes or accelerates harder than assumed, crashes, or moves into the
-    ego's way from another lane without leaving the gap from which the ego's fail-safe can still stop.
-
     Attributes
     ----------
-    count : violations so far.
-    violated : whether the last update saw one within the ego's stopping distance.
+    count : violations so far; a vehicle that breaks rules frame after frame counts once until it keeps to them again.
+    by_rule : the same by the rule that was broken.
+    offenders : who has broken a rule and may still be in the way of the ego's fail-safe, (m,) bool.
     """
 
     def __init__(self, config: ShieldConfig) -> None:
         self._config = config
-        self._last: tuple[FloatArray, FloatArray] | None = None
+        self._last: tuple[Surroundings, BoolArray, bool] | None = None
+        self._breaking: BoolArray = np.zeros(0, dtype=bool)
         self.count = 0
-        self.violated = False
+        self.by_rule: dict[Rule, int] = {}
+        self.offenders: BoolArray = np.zeros(0, dtype=bool)
 
-    def update(self, scene: Scene, elapsed: float | None = None, around: Surroundings | None = None) -> None:
-        """Take in the next scene, `elapsed` seconds after the last (one frame by default).
+    @property
+    def violated(self) -> bool:
+        """Whether anybody who has broken a rule may still be in the way."""
+        return bool(self.offenders.any())
 
-        Vehicles are matched by their order. `around` saves building the scene's surroundings once more.
+    def forgive(self) -> None:
+        """A plan clears everybody again."""
+        if self.offenders.any():
+            self.offenders = np.zeros(self.offenders.shape, dtype=bool)
+
+    def before(self, scene: Scene) -> Surroundings | None:
+        """The surroundings of the scene before, where the others are the same."""
+        if self._last is None or len(self._last[0].states) != len(scene.others):
+            return None
+        return self._last[0]
+
+    def update(
+        self, scene: Scene, around: Surroundings, behind: BoolArray, period: float, fail_safe: Separations
+    ) -> None:
+        """Take in the next scene.
+
+        Parameters
+        ----------
+        scene, around : the scene, and its surroundings, which know those of the scene before.
+        behind : who is behind the ego with its buffer, (m,) bool.
+        period : time since the scene before [s].
+        fail_safe : asked where somebody has taken more room than before.
         """
-        self.violated = False
-        rows, states = scene.others, scene.others_road
-        last, self._last = self._last, None
-        if rows.shape[0] == 0:
+        before, last = self.before(scene), self._last
+        self._last = around, behind, bool(scene.ego[Vehicle.CRASHED] > 0)
+        if before is None or last is None:
+            self.offenders = np.zeros(len(scene.others), dtype=bool)
+            self._breaking = self.offenders
             return
-        a = self._config.assumptions
-        if around is None:
-            around = Surroundings(rows, states, scene.road, a)
-        self._last = (rows, around.hull)
-        if last is None or last[0].shape != rows.shape:
+        ego, b = scene.ego, self._config.buffer
+        half = 0.5 * float(ego[Vehicle.LENGTH]), 0.5 * float(ego[Vehicle.WIDTH])
+        seen = Ego(
+            float(ego[Vehicle.X]),
+            float(ego[Vehicle.Y]),
+            float(ego[Vehicle.HEADING]),
+            half[0] + b.longitudinal,
+            half[1] + b.lateral,
+            *half,
+            bool(ego[Vehicle.CRASHED] > 0) and not last[2],
+        )
+        broken, grown = permits(before, around, period, last[1], seen)
+        if grown.any():
+            # Who takes more room than before has to leave it to the ego's fail-safe.
+            broken |= np.where(fail_safe() < 0, grown, 0)
+        breaking = broken != 0
+        if not breaking.any():
+            self._breaking = breaking
             return
-        before, hull = last
-        ego, body = scene.ego_road, 0.5 * scene.ego[Vehicle.WIDTH]
-        across = np.array([ego[RoadState.R] - body, ego[RoadState.R] + body])
-        least, most, period = -a.braking - _TOLERANCE, a.acceleration + _TOLERANCE, elapsed or scene.dt
-        if not may_break(rows, before, around.hull, hull, least, most, across, period):
-            return
-        speed = rows[:, Vehicle.SPEED]
-        rate = (speed - before[:, Vehicle.SPEED]) / period
-        found = ((rate < least) | (rate > most) | (rows[:, Vehicle.CRASHED] > 0)) & (before[:, Vehicle.CRASHED] == 0)
-        (low, high), (low0, high0), (left, right) = around.hull, hull, across
-        came = (low < right) & (high > left) & ~((low0 < right) & (high0 > left))
-        if not (found | came).any():
-            return
-        ds = states[:, RoadState.S] - ego[RoadState.S]
-        bumper = ds - 0.5 * (rows[:, Vehicle.LENGTH] + scene.ego[Vehicle.LENGTH])
-        stop = max(float(ego[RoadState.SPEED]), 0.0) ** 2 / (2 * self._config.braking)
-        room = bumper + np.maximum(speed, 0.0) ** 2 / (2 * a.braking) - stop
-        found |= came & (ds > -0.5 * scene.ego[Vehicle.LENGTH]) & (room < self._config.buffer.longitudinal)
-        self.count += int(found.sum())
-        near = np.abs(ds) < stop + 50.0
-        self.violated = bool((found & near).any())
+        for i in np.flatnonzero(breaking & ~self._breaking):
+            self.count += 1
+            rules = Rule(int(broken[i]))
+            self.by_rule = {**self.by_rule, **{rule: self.by_rule.get(rule, 0) + 1 for rule in rules}}
+        self._breaking = breaking
+        self.offenders = self.offenders | breaking

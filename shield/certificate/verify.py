@@ -19,6 +19,7 @@ that an ego at rest is in nobody else's way.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,14 +29,13 @@ from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray, RoadState, Vehicle
 from dynamics.traffic.occupancy import Surroundings
 from shield.certificate.alongside import Alongside
-from shield.certificate.kernels import in_reach, least_separations, margins, rooms, sides_taken, threats
+from shield.certificate.kernels import Others, in_reach, least_separations, margins, rooms, sides_taken, threats
 from shield.certificate.manoeuvres import Candidates
 from shield.config import ShieldConfig
 
 __all__ = ["Clearance", "Surveyor", "least_bad"]
 
 
-_NOBODY = np.zeros((0, 0), dtype=bool)
 _NOWHERE = np.zeros((0, 0))
 _NO_FOLLOWERS = np.zeros((1, 0)), np.zeros((1, 0), dtype=np.intp), np.zeros((3, 0))
 _GIVES_WAY = 1.0
@@ -53,11 +53,14 @@ class Clearance:
     parts : where asked for, what the margin is the least of, (n, vehicles + 1) [m]: the least separation from each
         vehicle in reach, +inf from one that owes the ego its distance; from each that may slip in alongside; and the
         room in the lane that is stopped in.
+    separations, rows : least separation from each vehicle in reach (n, len(rows)) [m], and which they are.
     """
 
     margin: FloatArray
     clear: Any
     parts: FloatArray | None = None
+    separations: FloatArray | None = None
+    rows: Any = None
 
 
 class Surveyor:
@@ -71,6 +74,7 @@ class Surveyor:
     owned : which lanes the ego owns, (lanes,) bool; the one that it is in by default.
     around : the scene's surroundings, where they have been built already.
     announced : whether the traffic knows of the lane that a path commits to, so that one behind gives way.
+    ignored : whom to leave out, (m,) bool; nobody by default.
     """
 
     def __init__(
@@ -81,19 +85,19 @@ class Surveyor:
         owned: Any = None,
         around: Surroundings | None = None,
         announced: bool = True,
+        ignored: Any = None,
     ) -> None:
-        self.announced = announced
+        self.announced, self.ignored = announced, ignored
         self.scene, self.config, self.visible = scene, config, visible
         if owned is None:
             owned = np.arange(scene.road.centers.size) == scene.road.lane_at(float(scene.ego_road[RoadState.R]))
         self.owned = np.asarray(owned, dtype=bool)
         if around is None:
-            around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions)
+            around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt)
         self.around = around
         ego, states, length = scene.ego_road, scene.others_road, scene.ego[Vehicle.LENGTH]
-        self._ahead = states[:, RoadState.S] - ego[RoadState.S]
         bends = scene.road.bends
-        b = config.buffer
+        b, a = config.buffer, config.assumptions
         # What the ego's buffered footprint, and its body, need beyond a straight road's rectangle.
         self.growth, self.bare = (0.0, 0.0), (0.0, 0.0)
         if bends is not None:
@@ -103,14 +107,25 @@ class Surveyor:
         lon, lat = 0.5 * float(length) + b.longitudinal, 0.5 * float(scene.ego[Vehicle.WIDTH]) + b.lateral
         self._size_of_ego = np.array([lon, lat, length, scene.ego[Vehicle.WIDTH], *self.growth, *self.bare])
         self._bent = bends is not None
-        self._reaction = int(np.ceil(config.assumptions.reaction_time / scene.dt - 1e-9))
-        self._behind = self._ahead < -0.5 * length
+        self._reaction = int(np.ceil(a.reaction_time / scene.dt - 1e-9))
+        psi = float(ego[RoadState.HEADING])
+        half = lon * abs(math.cos(psi)) + lat * abs(math.sin(psi)) + self.growth[0]
         speeds, gains = states[:, RoadState.SPEED].copy(), np.ones(len(states))
         if around.stretch is not None:
             gains = around.stretch[1]
             speeds *= gains
-        sizes = around.reach + 0.5 * length + 2.0 + b.longitudinal + self.growth[0]
-        self._reach = self._ahead, sizes, speeds, gains, self._behind
+        ahead = states[:, RoadState.S] - ego[RoadState.S]
+        self.others = Others(
+            ahead,
+            np.minimum(ahead, around.bodies.floor - ego[RoadState.S]),
+            around.reach + lon + self.growth[0] + 2.0,
+            speeds,
+            gains,
+            ahead + around.reach <= -half,
+            around.low,
+            around.high,
+            around.lane,
+        )
         self._alongside = Alongside(scene, config, around)
 
     def relevant(self, distance: float, duration: float, followers: bool = True) -> Any:
@@ -119,11 +134,11 @@ class Surveyor:
         Dropping the rest cannot change any verdict: nobody ahead moves backwards further than that, and nobody
         behind accelerates harder than assumed. Without `followers`, those behind are left out altogether.
         """
-        return in_reach(*self._reach, self._limits(distance, duration), followers)
+        return in_reach(self.others, self._limits(distance, duration), followers)
 
     def _limits(self, distance: float, duration: float) -> FloatArray:
-        a = self.config.assumptions.acceleration
-        return np.array([distance, duration, self.scene.dt, self.config.perception_range, a])
+        a = self.config.assumptions
+        return np.array([distance, duration, self.scene.dt, self.config.perception_range, a.acceleration])
 
     def clearance(self, paths: FloatArray, candidates: Candidates, hold: int = 0, parts: bool = False) -> Clearance:
         """Margin of each path against the worst case of the others.
@@ -138,16 +153,29 @@ class Surveyor:
         scene = self.scene
         distance = float(paths[:, -1, RoadState.S].max() - scene.ego_road[RoadState.S])
         rows, owed = self._threats(candidates, distance, paths.shape[1] * scene.dt)
+        if self.ignored is not None and self.ignored.any():
+            kept = ~self.ignored[rows]
+            rows, owed = rows[kept], np.ascontiguousarray(owed[:, kept])
         room = rooms(paths, self._size_of_ego, scene.road.centers, candidates.fails, 0.5 * scene.road.width, self._bent)
         separations, reached = self._separations(paths, rows, owed, candidates, hold)
         slipping = _NOWHERE
         if len(self._alongside) and hold == 0:
             slipping = self._alongside.separations(paths, self._size_of_ego)
+            if self.ignored is not None and self.ignored.any():
+                slipping[:, self.ignored[self._alongside.rows]] = np.inf
         margin = margins(separations, slipping, room)
         if rows.size == 0:
             margin[~np.isfinite(paths).all(axis=(1, 2))] = np.nan
         self._close_gaps(paths, margin)
-        return Clearance(margin, reached, np.column_stack([separations, *slipping.T, room]) if parts else None)
+        each = np.column_stack([separations, *slipping.T, room]) if parts else None
+        return Clearance(margin, reached, each, separations, rows)
+
+    def of_each(self, result: Clearance, i: int = 0) -> FloatArray:
+        """How far path `i` of a result stays from where each vehicle can be, (m,) [m]; +inf out of reach."""
+        out = np.full(len(self.scene.others), np.inf)
+        if result.separations is not None:
+            out[result.rows] = result.separations[i]
+        return out
 
     def _separations(
         self, paths: FloatArray, rows: Any, owed: Any, candidates: Candidates, hold: int
@@ -161,18 +189,17 @@ class Surveyor:
             return separations, reached
         low, high, home = self._lateral(rows, candidates, paths, bound=hold == 0)
         rear = self.around.rear(frames, dt, hold, rows)
-        follows: Any = self._behind[rows] if owed is not None else None
-        if follows is not None and follows.any():
+        follows: Any = self.others.behind[rows]
+        behind = _NO_FOLLOWERS
+        if follows.any():
             behind = (scene.road.centers[home], self._at_once(home), self._followers(rows))
-        else:
-            follows, behind = np.zeros(rows.size, dtype=bool), _NO_FOLLOWERS
         least_separations(
             paths,
             self._size_of_ego,
             low,
             high,
             rear,
-            np.ascontiguousarray(owed) if owed is not None else _NOBODY,
+            owed,
             follows,
             *behind,
             self._duty(hold),
@@ -211,22 +238,16 @@ class Surveyor:
         )
 
     def _threats(self, candidates: Candidates, distance: float, duration: float) -> tuple[Any, Any]:
-        """Rows of those in reach who do not owe the ego their braking on every path, and who of them owes it on which,
-        (n, rows) bool, or None where nobody does.
-
-        All those behind owe it where the path keeps to lanes that the ego owns: they must not run or move into it.
-        Where it enters another lane, those behind in an owned lane that do not touch the new one as well.
-        """
-        rows, owed, enters = threats(
-            *self._reach,
+        """Rows of those in reach who do not owe the ego their distance on every path, and who of them owes it on which,
+        (n, rows) bool; see `threats`."""
+        return threats(
+            self.others,
             self._limits(distance, duration),
             np.asarray(candidates.lanes, dtype=np.intp),
             np.asarray(candidates.fails, dtype=np.intp),
             self.owned,
-            self.around.hull,
             self.scene.road.centers,
         )
-        return rows, owed if enters else None
 
     def _lateral(
         self, rows: Any, candidates: Candidates, paths: FloatArray, bound: bool
@@ -243,17 +264,19 @@ class Surveyor:
             return around.low[rows][None], around.high[rows][None], around.lane[rows][None]
         low, high, home = np.empty((n, m)), np.empty((n, m)), np.empty((n, m), dtype=np.intp)
         road, r = self.scene.road, float(self.scene.ego_road[RoadState.R])
+        settled = np.ones(road.centers.size, dtype=bool)
+        if self.visible is not None:
+            settled = np.asarray(self.visible) * self.scene.dt >= a.settle_time
         sides_taken(
             paths,
             np.asarray(candidates.lanes, dtype=np.intp),
             np.asarray(candidates.fails, dtype=np.intp),
             rows,
-            around.hull,
-            around.lane,
-            around.others,
-            self._ahead,
+            self.others,
+            np.ascontiguousarray(around.states[:, RoadState.HEADING]),
             road.centers,
-            np.array([r, a.visible_distance, road.width, _GIVES_WAY]),
+            settled,
+            np.array([r, a.visible_distance, road.width, _GIVES_WAY, a.lean]),
             self.announced,
             low,
             high,

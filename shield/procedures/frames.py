@@ -20,6 +20,8 @@ __all__ = ["FrameCommand", "FrameSupervisor", "Verdict", "first_verified"]
 
 _ACCELERATIONS = 12
 """Grid points between full braking and the committed acceleration, when a frame is held back."""
+_ROUNDING = 1e-6
+"""What rounding may take from a plan that was verified a frame before [m]."""
 _LANE_PENALTY = 2.0
 """What it costs to leave the committed lane, in acceleration [m/s^2]."""
 
@@ -40,7 +42,10 @@ class Verdict:
 
     margin: float
     fail_lane: int
-    path: FloatArray
+    path: FloatArray | None
+
+
+_UNKNOWN = Verdict(float("nan"), -1, None)
 
 
 class FrameSupervisor(Memory):
@@ -68,7 +73,7 @@ class FrameSupervisor(Memory):
         if not scene.finite:
             lane = self.stored_lane if self.stored_lane is not None else proposed.lane
             command = FrameCommand(lane, -self.config.braking)
-            return command, _frame(proposed, command, Reason.BAD_SCENE, Tier.EMERGENCY, np.nan, start)
+            return command, _frame(proposed, command, Reason.BAD_SCENE, Tier.EMERGENCY, _UNKNOWN, start)
         if not fresh:
             self._observe(scene)
         fails = self._fail_lanes(scene, proposed.lane)
@@ -79,64 +84,83 @@ class FrameSupervisor(Memory):
         margin = float(result.margin[best])
         if margin >= 0:
             self.stored_lane = fails[best]
-            record = _frame(proposed, None, Reason.NONE, Tier.PASSED, margin, start, paths[best])
-            return None, record
+            self.monitor.forgive()
+            verdict = Verdict(margin, fails[best], paths[best])
+            return None, _frame(proposed, None, Reason.NONE, Tier.PASSED, verdict, start)
         command, verdict = self._mend(scene)
         if verdict.margin >= 0:
             self.stored_lane = verdict.fail_lane
-            return command, _frame(
-                proposed,
-                command,
-                Reason.UNVERIFIED,
-                Tier.GOVERNED,
-                verdict.margin,
-                start,
-                verdict.path,
-            )
-        if self.stored_lane is not None and not self.monitor.violated:
-            command = FrameCommand(self.stored_lane, -self.config.braking)
-            return command, _frame(proposed, command, Reason.NO_SAFE_PLAN, Tier.STORED_PLAN, margin, start)
-        command, verdict = self._hold_back(scene, evade=True)
+            self.monitor.forgive()
+            return command, _frame(proposed, command, Reason.UNVERIFIED, Tier.GOVERNED, verdict, start)
+        command, verdict, tier = self._fall_back_frame(scene)
+        return command, _frame(proposed, command, Reason.NO_SAFE_PLAN, tier, verdict, start)
+
+    def _fall_back_frame(self, scene: Scene) -> tuple[FrameCommand, Verdict, Tier]:
+        """Nothing verifies against everybody. The stored plan is kept as long as it clears those who have broken no
+        rule; among what clears them, what clears the others longest is taken."""
+        stored = None if self.stored_lane is None else self._fail_safe(scene, self._lawful(scene))
+        if stored is not None and (stored.margin >= -_ROUNDING or not self.monitor.violated):
+            if self.monitor.violated:
+                command, verdict, lawful = self._evade_frame(scene)
+                if lawful >= 0:
+                    self.stored_lane = verdict.fail_lane
+                    return command, verdict, Tier.EVADED
+            command = FrameCommand(stored.lane, -self.config.braking)
+            return command, Verdict(stored.margin, stored.lane, stored.path), Tier.STORED_PLAN
+        command, verdict, _ = self._evade_frame(scene)
         self.stored_lane = None
-        return command, _frame(
-            proposed,
-            command,
-            Reason.NO_SAFE_PLAN,
-            Tier.LARGEST_MARGIN,
-            verdict.margin,
-            start,
-            verdict.path,
-        )
+        return command, verdict, Tier.LARGEST_MARGIN
+
+    def _evade_frame(self, scene: Scene) -> tuple[FrameCommand, Verdict, float]:
+        """What clears everybody longest among what clears those who have broken no rule; and its margin from the latter
+        [m], negative where nothing does."""
+        candidates, accelerations = self._evasions(scene)
+        paths, result = self._judge(scene, candidates)
+        lawful = result.margin
+        if self.monitor.violated:
+            lawful = self._lawful(scene).clearance(paths, candidates).margin
+        keeps = lawful >= 0
+        every = np.flatnonzero(keeps) if keeps.any() else np.arange(len(paths))
+        margin = np.nan_to_num(result.margin[every], nan=-np.inf)
+        i = int(every[np.lexsort((margin, result.clear[every]))[-1]])
+        command = FrameCommand(int(candidates.lanes[i]), float(accelerations[i]))
+        return command, Verdict(float(result.margin[i]), int(candidates.fails[i]), paths[i]), float(lawful[i])
+
+    def _evasions(self, scene: Scene) -> tuple[Candidates, FloatArray]:
+        """Accelerations in the ego's lane and its neighbours, each of which stops where it steers to."""
+        v, braking = float(scene.ego[State.SPEED]), self.config.braking
+        grid = self._accelerations(scene)
+        here = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
+        lanes = [lane for lane in (here, here - 1, here + 1) if 0 <= lane < scene.road.centers.size]
+        if self.stored_lane is not None and self.stored_lane not in lanes:
+            lanes.append(self.stored_lane)
+        steer, accelerations = np.repeat(lanes, grid.size), np.tile(grid, len(lanes))
+        return brake_candidates(scene, steer, v + accelerations / KP_SPEED, steer, 1, braking), accelerations
+
+    def _accelerations(self, scene: Scene) -> FloatArray:
+        wish = KP_SPEED * (scene.control.target.speed - float(scene.ego[State.SPEED]))
+        braking = self.config.braking
+        return np.linspace(-braking, max(min(wish, 5.0), -braking), _ACCELERATIONS)
 
     def _mend(self, scene: Scene) -> tuple[FrameCommand, Verdict]:
         """What takes the place of a committed target that does not verify at this frame."""
         return self._hold_back(scene)
 
-    def _hold_back(self, scene: Scene, evade: bool = False) -> tuple[FrameCommand, Verdict]:
-        """The least intervention for one frame: the greatest acceleration that verifies, committed lane first.
-
-        With `evade`, every neighbouring lane is looked at and the largest margin wins instead.
-        """
+    def _hold_back(self, scene: Scene) -> tuple[FrameCommand, Verdict]:
+        """The least intervention for one frame: the greatest acceleration that verifies, committed lane first."""
         target, v = scene.control.target, float(scene.ego[State.SPEED])
-        braking = self.config.braking
-        wish = KP_SPEED * (target.speed - v)
-        grid = np.linspace(-braking, max(min(wish, 5.0), -braking), _ACCELERATIONS)
-        lanes = self._fail_lanes(scene, target.lane)
-        if evade:
-            here = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
-            beside = (here - 1, here, here + 1)
-            lanes = [lane for lane in beside if 0 <= lane < scene.road.centers.size]
-        # An evading ego stops where it steers to; otherwise each steering is tried with each fail-safe lane.
+        grid, lanes = self._accelerations(scene), self._fail_lanes(scene, target.lane)
+        # Each steering is tried with each fail-safe lane.
         steer = np.repeat(lanes, grid.size)
-        fails = steer if evade else np.repeat(lanes, steer.size)
+        fails = np.repeat(lanes, steer.size)
         steer = np.resize(steer, fails.size)
         accelerations = np.resize(grid, fails.size)
-        candidates = brake_candidates(scene, steer, v + accelerations / KP_SPEED, fails, 1, braking)
+        candidates = brake_candidates(scene, steer, v + accelerations / KP_SPEED, fails, 1, self.config.braking)
         paths, result = self._judge(scene, candidates)
         cost = np.where(candidates.lanes == target.lane, 0.0, _LANE_PENALTY)
         score = np.where(result.margin >= 0, accelerations - cost, -np.inf)
         i = int(score.argmax())
-        if evade or not np.isfinite(score[i]):
+        if not np.isfinite(score[i]):
             i = least_bad(result)
         command = FrameCommand(int(steer[i]), float(accelerations[i]))
         return command, Verdict(float(result.margin[i]), int(fails[i]), paths[i])
@@ -145,7 +169,7 @@ class FrameSupervisor(Memory):
         """The last resort of a frame, for when a stage has failed: brake in the stored lane, else in `lane`."""
         command = FrameCommand(lane if self.stored_lane is None else self.stored_lane, -self.config.braking)
         target = Target(lane, 0.0)
-        return command, _frame(target, command, Reason.STAGE_FAILED, Tier.EMERGENCY, np.nan, start)
+        return command, _frame(target, command, Reason.STAGE_FAILED, Tier.EMERGENCY, _UNKNOWN, start)
 
     # -- pieces ------------------------------------------------------------------------------------------
 
@@ -169,13 +193,7 @@ def first_verified(margins: FloatArray) -> int:
 
 
 def _frame(
-    proposed: Target,
-    command: FrameCommand | None,
-    reason: Reason,
-    tier: Tier,
-    margin: float,
-    start: float,
-    plan: FloatArray | None = None,
+    proposed: Target, command: FrameCommand | None, reason: Reason, tier: Tier, verdict: Verdict, start: float
 ) -> Decision:
     executed: Any = proposed if command is None else command
-    return Decision(proposed, executed, reason, tier, margin, perf_counter() - start, plan)
+    return Decision(proposed, executed, reason, tier, verdict.margin, perf_counter() - start, verdict.path)

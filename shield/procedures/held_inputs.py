@@ -16,6 +16,7 @@ from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray, RoadState
 from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.held_rollouts import HeldRollouts
+from shield.certificate.verify import Surveyor
 from shield.config import ShieldConfig
 from shield.procedures.inputs import ContinuousCore
 from shield.repair.nearest_input import Judged
@@ -45,10 +46,17 @@ class AgentCore(ContinuousCore):
         self._held: dict[tuple[float, Any], HeldRollouts] = {}
         self._wheel = min(abs(x) for x in actuators.steering) if actuators.lateral else 0.0
 
-    def _judge_inputs(self, scene: Scene, inputs: FloatArray, stops: list[int], parts: bool = False) -> Judged:
+    def _judge_inputs(
+        self,
+        scene: Scene,
+        inputs: FloatArray,
+        stops: list[int],
+        parts: bool = False,
+        survey: Surveyor | None = None,
+    ) -> Judged:
         # What is verified is what the environment will make of the action, rounding included.
         exact = self.actuators.physical(self.actuators.normalised(inputs))
-        return super()._judge_inputs(scene, exact, stops, parts)
+        return super()._judge_inputs(scene, exact, stops, parts, survey)
 
     def _stopped(self, scene: Scene, began: FloatArray, fails: Any) -> FloatArray:
         key = scene.dt, getattr(scene.road, "profile", None)

@@ -26,6 +26,7 @@ from mpc.filter.road_step import StageModel
 from shield.certificate.kernels import lanes_touched, verdicts
 from shield.certificate.manoeuvres import Candidates
 from shield.certificate.memory import Memory
+from shield.certificate.verify import Surveyor
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
@@ -35,6 +36,8 @@ __all__ = ["ContinuousCore"]
 
 _STAGE, _STAGES = 0.2, 20
 """Stage of the predictive filter [s], and how many."""
+_EVASIONS = 9
+"""Accelerations that are tried for each lane where somebody has broken a rule."""
 _NEAREST = 12
 """Vehicles that a plan looks at."""
 
@@ -113,7 +116,8 @@ class ContinuousCore(Memory):
         if not judged.margin[0] >= 0 and others:
             judged = self._judge_inputs(scene, proposal[None], [first, *others])
         if judged.margin[0] >= 0:
-            return proposal, self._record(scene, proposal, judged, 0, Reason.NONE, Tier.PASSED, start)
+            self.monitor.forgive()
+            return proposal, self._record(scene, proposal, judged, Reason.NONE, Tier.PASSED, start)
         return self._repair_inputs(scene, proposal, judged, start)
 
     def brake_inputs(
@@ -158,16 +162,42 @@ class ContinuousCore(Memory):
                 judged = found if found.margin[0] >= 0 else judged
         if not judged.margin[0] >= 0:
             return self._fall_back(scene, proposal, judged, start)
-        return judged.inputs[0], self._record(scene, proposal, judged, 0, Reason.UNVERIFIED, Tier.GOVERNED, start)
+        self.monitor.forgive()
+        return judged.inputs[0], self._record(scene, proposal, judged, Reason.UNVERIFIED, Tier.GOVERNED, start)
 
     def _fall_back(
         self, scene: Scene, proposal: FloatArray, judged: Judged, start: float
     ) -> tuple[FloatArray, Decision]:
-        if self.stored_lane is not None and not self.monitor.violated:
-            return self.brake_inputs(scene, proposal, Reason.NO_SAFE_PLAN, start, Tier.STORED_PLAN)
-        decision = self._record(scene, proposal, judged, 0, Reason.NO_SAFE_PLAN, Tier.LARGEST_MARGIN, start)
+        """Nothing verifies against everybody. The stored plan is kept as long as it clears those who have broken no
+        rule; among what clears them, what clears the others longest is taken."""
+        violated, reason = self.monitor.violated, Reason.NO_SAFE_PLAN
+        if self.stored_lane is not None:
+            law = self._law(scene, self.stored_lane)[None]
+            stored = self._judge_inputs(scene, law, [self.stored_lane], survey=self._lawful(scene))
+            if stored.margin[0] >= 0 and violated:
+                evading = self._evade(scene)
+                if evading is not None:
+                    return evading.inputs[0], self._record(scene, proposal, evading, reason, Tier.EVADED, start)
+            if stored.margin[0] >= 0 or not violated:
+                return law[0], self._record(scene, proposal, stored, reason, Tier.STORED_PLAN, start)
+        decision = self._record(scene, proposal, judged, reason, Tier.LARGEST_MARGIN, start)
         self.stored_lane = None
         return judged.inputs[0], decision
+
+    def _evade(self, scene: Scene) -> Judged | None:
+        """What clears everybody longest among what clears those who have broken no rule; None where nothing does."""
+        lanes, braking = self._stop_lanes(scene), self.config.braking
+        accelerations = np.linspace(-braking, self.actuators.acceleration[1], _EVASIONS)
+        wheels = [float(self._law(scene, lane)[1]) for lane in lanes]
+        inputs = np.array([(a, wheel) for wheel in wheels for a in np.maximum(accelerations, self._floor(scene))])
+        lawful = self._judge_inputs(scene, inputs, lanes, survey=self._lawful(scene))
+        keeps = np.flatnonzero(lawful.margin >= 0)
+        if not keeps.size:
+            return None
+        every = self._judge_inputs(scene, inputs[keeps], lanes)
+        margin = np.nan_to_num(every.margin, nan=-np.inf)
+        best = int(np.lexsort((margin, every.clear))[-1])
+        return lawful.row(int(keeps[best]))
 
     def _filter_for(self, scene: Scene) -> PredictiveFilter:
         solver = self._filters.get(scene.dt)
@@ -217,10 +247,18 @@ class ContinuousCore(Memory):
 
     # -- pieces ------------------------------------------------------------------------------------------
 
-    def _judge_inputs(self, scene: Scene, inputs: FloatArray, stops: list[int], parts: bool = False) -> Judged:
+    def _judge_inputs(
+        self,
+        scene: Scene,
+        inputs: FloatArray,
+        stops: list[int],
+        parts: bool = False,
+        survey: Surveyor | None = None,
+    ) -> Judged:
         """Each input for one frame and then the fail-safe, in the first of the lanes `stops` where that verifies.
 
-        With `parts`, for which there must be one lane only, what their margins are made of comes along.
+        With `parts`, for which there must be one lane only, what their margins are made of comes along. `survey` is who
+        judges, everybody being looked at by default.
         """
         n, f = len(inputs), len(stops)
         fails = np.array(stops * n)
@@ -228,7 +266,8 @@ class ContinuousCore(Memory):
         began = self._rollouts_for(scene).run_inputs(scene.ego_road, held)
         paths = self._stopped(scene, began, fails)
         entered, edges, allowed, on_road = self._entered(scene, paths, fails)
-        result = self._survey(scene).clearance(paths, Candidates(paths, entered, fails), parts=parts)
+        survey = survey if survey is not None else self._survey(scene)
+        result = survey.clearance(paths, Candidates(paths, entered, fails), parts=parts)
         margin = verdicts(result.margin, edges, allowed, paths, self._frames)
         clear = np.minimum(result.clear, on_road)
         of = None if result.parts is None else np.hstack([result.parts, edges])
@@ -292,16 +331,15 @@ class ContinuousCore(Memory):
         scene: Scene,
         proposal: FloatArray,
         judged: Judged,
-        i: int,
         reason: Reason,
         tier: Tier,
         start: float,
     ) -> Decision:
         if tier is not Tier.LARGEST_MARGIN:
-            self.stored_lane = int(judged.lanes[i])
-        plan = np.vstack([scene.ego_road, judged.paths[i]])
+            self.stored_lane = int(judged.lanes[0])
+        plan = np.vstack([scene.ego_road, judged.paths[0]])
         occupancy = None
         if self.config.record:
-            occupancy = self._survey(scene).around.occupancy(len(judged.paths[i]), scene.dt).rectangles()
-        margin = float(judged.margin[i])
-        return Decision(proposal, judged.inputs[i], reason, tier, margin, perf_counter() - start, plan, occupancy)
+            occupancy = self._survey(scene).around.occupancy(len(judged.paths[0]), scene.dt).rectangles()
+        margin = float(judged.margin[0])
+        return Decision(proposal, judged.inputs[0], reason, tier, margin, perf_counter() - start, plan, occupancy)

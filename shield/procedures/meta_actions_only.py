@@ -16,6 +16,7 @@ import numpy as np
 
 from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray
+from dynamics.traffic.occupancy import Surroundings
 from dynamics.vehicle.rollouts import Rollouts
 from shield.certificate.manoeuvres import meta_candidates
 from shield.certificate.monitor import AssumptionMonitor
@@ -57,6 +58,7 @@ class MetaCore:
         """Forget everything about the episode."""
         self.monitor = AssumptionMonitor(self.config)
         self._stored: tuple[int, ...] = ()
+        self._surveyor: Surveyor | None = None
 
     def decide(self, scene: Scene, proposed: int, order: Order = None) -> Decision:
         """Choose the meta-action for the next decision period.
@@ -74,7 +76,7 @@ class MetaCore:
         if screened is not None:
             return screened
         target = scene.target_of(proposed)
-        self.monitor.update(scene, scene.frames_per_decision * scene.dt)
+        self._observe(scene)
         if self._screen.buffer.objects(scene, target):
             reason, best = Reason.BUFFER, None
         else:
@@ -113,6 +115,25 @@ class MetaCore:
             start,
         )
 
+    def _observe(self, scene: Scene) -> None:
+        a = self.config.assumptions
+        around = Surroundings(scene.others, scene.others_road, scene.road, a, scene.dt)
+        survey = self._surveyor = Surveyor(scene, self.config, around=around)
+        period = scene.frames_per_decision * scene.dt
+
+        def fail_safe() -> FloatArray:
+            # The ego has no brake: what counts is the room for the slowest that its actions allow.
+            candidates, _ = meta_candidates(scene, [slower(scene.control.actions)], self.config.horizon)
+            paths = self._rollouts_for(scene).run(scene.ego_road, candidates.commands)
+            return survey.of_each(survey.clearance(paths, candidates))
+
+        self.monitor.update(scene, around, survey.others.behind, period, fail_safe)
+
+    def _rollouts_for(self, scene: Scene) -> Rollouts:
+        if scene.dt not in self._rollouts:
+            self._rollouts[scene.dt] = Rollouts(scene.dt)
+        return self._rollouts[scene.dt]
+
     def fallback(self, labels: Sequence[str], proposed: Any, reason: Reason, start: float) -> Decision:
         """Play the stored sequence on, or slow down; used when there is no proposal to verify."""
         if self._stored:
@@ -125,10 +146,8 @@ class MetaCore:
     def _best(self, scene: Scene, actions: Sequence[int]) -> dict[int, _Best]:
         """For each first action: the margin [m] of its one sequence, its path, and the occupancy if recorded."""
         candidates, sequences = meta_candidates(scene, list(actions), self.config.horizon)
-        if scene.dt not in self._rollouts:
-            self._rollouts[scene.dt] = Rollouts(scene.dt)
-        paths = self._rollouts[scene.dt].run(scene.ego_road, candidates.commands)
-        surveyor = Surveyor(scene, self.config)
+        paths = self._rollouts_for(scene).run(scene.ego_road, candidates.commands)
+        surveyor = self._surveyor if self._surveyor is not None else Surveyor(scene, self.config)
         result = surveyor.clearance(paths, candidates)
         occupancy = None
         if self.config.record:

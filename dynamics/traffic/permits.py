@@ -1,0 +1,213 @@
+"""Whether what a vehicle did in a frame was permitted: the one predicate that the certificate rests on.
+
+The occupancy (`dynamics.traffic.occupancy`) bounds everything that this predicate permits, for all time. What a vehicle
+may do, from one frame to the next:
+
+1. *speed*: change by no more than `braking` and `acceleration` allow, and reverse no faster than `reversing_speed`;
+2. *way*: get on along the road as its speed says, but for what turning takes from it (`turning_loss`, which comes back
+at
+   `turning_rate`), and sideways no further than its speed says;
+3. *lanes*: stay in the lanes that its body touches. It may touch another one where that leaves the room for the ego's
+   fail-safe;
+4. *reversing*: only from what is ahead in its lanes, and as far as `queue_distance` from it; further where that leaves
+   the room for the ego's fail-safe;
+5. *distance*: whoever is behind the ego with its buffer stays behind it;
+6. *no crash* with another than the ego.
+
+Rules 1 and 2 are judged here alone. Of rules 3 and 4 this module finds who has taken more room, and the shield whether
+the fail-safe suffers from it. The first two make what they permit a matter of one frame: a bound that holds for a frame
+holds for all that follow, and `tests/dynamics/test_permits.py` has arbitrary inputs try to break that.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntFlag
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dynamics.compiled import compiled
+from dynamics.state import BoolArray, Vehicle
+from dynamics.traffic.occupancy import Surroundings
+from dynamics.traffic.occupancy_kernels import Bodies
+
+__all__ = ["Ego", "Motions", "Rule", "permits"]
+
+_LENGTH, _WIDTH, _CRASHED = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
+_SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH = 1, 2, 4, 8, 16, 32
+_TOUCHING = 2.0
+"""Bodies nearer than this have crashed into one another: highway-env moves them apart in the frame of a crash [m]."""
+_TOLERANCE = 0.1
+"""Slack on accelerations and speeds [m/s^2], [m/s]."""
+_SLIGHT = 1e-6
+"""Slack on ways [m]."""
+_GREW = 0.02
+"""By how much the least place of a vehicle may come nearer before it counts as having grown [m]."""
+
+
+class Rule(IntFlag):
+    """The rules that a vehicle can break, as bits."""
+
+    SPEED = _SPEED
+    WAY = _WAY
+    LANES = _LANES
+    REVERSING = _REVERSING
+    DISTANCE = _DISTANCE
+    CRASH = _CRASH
+
+
+class Motions(NamedTuple):
+    """What the vehicles did in a frame.
+
+    Attributes
+    ----------
+    broken : rules 1, 2, 5 and 6 that each broke, (m,) of `Rule` bits.
+    grown : rules 3 and 4 that each broke unless it leaves the room, (m,) of `Rule` bits.
+    """
+
+    broken: Any
+    grown: Any
+
+
+class Ego(NamedTuple):
+    """The ego in the world frame: x, y [m], heading [rad]; half extents of its footprint with the buffer and of its
+    body alone, along and across [m]; and whether it has crashed in this frame."""
+
+    x: float
+    y: float
+    heading: float
+    along: float
+    across: float
+    body_along: float
+    body_across: float
+    crashed: bool
+
+
+class _Limits(NamedTuple):
+    braking: float
+    acceleration: float
+    reversing: float
+    slow: float
+    period: float
+    lap: float
+    one_frame: bool
+
+
+@compiled
+def _apart(ego: Ego, along: float, across: float, rows: Any, i: int) -> float:
+    """Greatest gap along the directions of the sides of two rectangles [m], see `dynamics.scenes.rectangles`."""
+    dx, dy = ego.x - rows[i, 0], ego.y - rows[i, 1]
+    ux, uy, wx, wy = math.cos(ego.heading), math.sin(ego.heading), math.cos(rows[i, 2]), math.sin(rows[i, 2])
+    c, s = abs(ux * wx + uy * wy), abs(uy * wx - ux * wy)
+    length, width = 0.5 * rows[i, _LENGTH], 0.5 * rows[i, _WIDTH]
+    one = max(
+        abs(dx * ux + dy * uy) - along - length * c - width * s,
+        abs(dy * ux - dx * uy) - across - length * s - width * c,
+    )
+    two = max(
+        abs(dx * wx + dy * wy) - length - along * c - across * s,
+        abs(dy * wx - dx * wy) - width - along * s - across * c,
+    )
+    return max(one, two)
+
+
+@compiled
+def _judge(
+    rows0: Any,
+    states0: Any,
+    bodies0: Bodies,
+    rows: Any,
+    states: Any,
+    bodies: Bodies,
+    stretch: Any,
+    behind: Any,
+    ego: Ego,
+    limits: _Limits,
+    broken: Any,
+    grown: Any,
+) -> None:
+    for i in range(rows.shape[0]):
+        v0, v = states0[i, 3], states[i, 3]
+        bits, more = 0, 0
+        ds, dr = states[i, 0] - states0[i, 0], states[i, 1] - states0[i, 1]
+        drop = bodies0.floor[i] - bodies.floor[i]
+        if limits.lap > 0:
+            ds -= limits.lap * np.rint(ds / limits.lap)
+            drop -= limits.lap * np.rint(drop / limits.lap)
+        most = stretch[1, i] if stretch.shape[1] > 0 else 1.0
+        way, wrecked = v0 * limits.period, rows0[i, _CRASHED] > 0
+        # Whoever the ego has run into has broken no rule by it.
+        struck = ego.crashed and _apart(ego, ego.body_along, ego.body_across, rows, i) < _TOUCHING
+        if rows[i, _CRASHED] > 0 and not wrecked and not struck:
+            bits |= _CRASH
+        if not wrecked:
+            rate = (v - v0) / limits.period
+            if not (-limits.braking <= rate <= limits.acceleration) or not v >= -limits.reversing:
+                bits |= _SPEED
+            if limits.one_frame:
+                back = not ds >= min(way, 0.0) * most - _SLIGHT
+                ahead = not ds <= max(way, 0.0) * most + _SLIGHT
+                if back or ahead or not abs(dr) <= abs(way) * 1.0001 + _SLIGHT or not bodies.budget[i] >= -_SLIGHT:
+                    bits |= _WAY
+        if behind[i] and _apart(ego, ego.along, ego.across, rows, i) < 0:
+            bits |= _DISTANCE
+        if not (bodies.low[i] >= bodies0.low[i] - _SLIGHT and bodies.high[i] <= bodies0.high[i] + _SLIGHT):
+            more |= _LANES
+        if not drop <= _GREW:
+            more |= _REVERSING
+        broken[i], grown[i] = bits, more
+
+
+def permits(before: Surroundings, after: Surroundings, period: float, behind: BoolArray, ego: Ego) -> Motions:
+    """What the vehicles did between two scenes, `period` seconds apart; they are matched by their order.
+
+    Parameters
+    ----------
+    before, after : the others in both scenes, of the same number; `after` knows `before`.
+    period : time between them [s]. Over more than a frame, the way (rule 2) is not judged.
+    behind : who was behind the ego with its buffer in the scene before, (m,).
+    ego : the ego after the frame.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from dynamics.roads.straight import StraightRoad
+    >>> from dynamics.traffic.assumptions import Assumptions
+    >>> def at(x, v, before=None):
+    ...     row = np.array([[x, 0.0, 0.0, v, 5.0, 2.0, 0.0]])
+    ...     return Surroundings(row, row[:, :4], StraightRoad.from_lanes(2), Assumptions.idm(), 0.1, before)
+    >>> nobody, ego = np.zeros(1, bool), Ego(0.0, 4.0, 0.0, 4.5, 1.3, 2.5, 1.0, False)
+    >>> first = at(0.0, 20.0)
+    >>> permits(first, at(2.0, 19.5, first), 0.1, nobody, ego).broken.tolist()
+    [0]
+    >>> Rule(int(permits(first, at(2.0, 19.0, first), 0.1, nobody, ego).broken[0]))
+    <Rule.SPEED: 1>
+    """
+    a = before.assumptions
+    limits = _Limits(
+        a.braking + _TOLERANCE,
+        a.acceleration + _TOLERANCE,
+        a.reversing_speed + _TOLERANCE,
+        a.slow_speed,
+        float(period),
+        after.lap,
+        bool(period < 1.5 * before.dt),
+    )
+    m = len(after.states)
+    found = Motions(np.zeros(m, np.intp), np.zeros(m, np.intp))
+    rows0, rows = before.others, after.others
+    _judge(
+        rows0,
+        before.states,
+        before.bodies,
+        rows,
+        after.states,
+        after.bodies,
+        after.stretches,
+        behind,
+        ego,
+        limits,
+        *found,
+    )
+    return found

@@ -28,11 +28,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dynamics.compiled import compiled
-from dynamics.state import BoolArray, Vehicle
+from dynamics.state import BoolArray, FloatArray, Vehicle
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.traffic.occupancy_kernels import Bodies
 
-__all__ = ["Ego", "Motions", "Rule", "permits"]
+__all__ = ["Ego", "Motions", "Rule", "apart", "footprint", "permits"]
 
 _LENGTH, _WIDTH, _CRASHED = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
 _SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH = 1, 2, 4, 8, 16, 32
@@ -157,6 +157,18 @@ def _judge(
         if not drop <= _GREW:
             more |= _REVERSING
         broken[i], grown[i] = bits, more
+
+
+def footprint(ego: FloatArray, longitudinal: float, lateral: float, crashed: bool = False) -> Ego:
+    """The ego of a vehicle row (7,) and its buffer along and across its heading [m]."""
+    x, y, heading, _, length, width = ego[: Vehicle.CRASHED].tolist()
+    along, across = 0.5 * length, 0.5 * width
+    return Ego(x, y, heading, along + longitudinal, across + lateral, along, across, crashed)
+
+
+def apart(ego: Ego, row: FloatArray) -> float:
+    """Greatest gap between the ego with its buffer and a vehicle (7,), along the directions of their sides [m]."""
+    return float(_apart(ego, ego.along, ego.across, row[None], 0))
 
 
 def permits(before: Surroundings, after: Surroundings, period: float, behind: BoolArray, ego: Ego) -> Motions:

@@ -84,6 +84,7 @@ class Memory:
         self.stored_lane: int | None = None
         self._visible: Any = None
         self._owned: Any = None
+        self._followers: Any = None
         self._surveyor: Surveyor | None = None
         self._seen: tuple[FloatArray, FloatArray, Surroundings] | None = None
 
@@ -105,7 +106,7 @@ class Memory:
         stored = -1 if self.stored_lane is None else self.stored_lane
         visible, owned = self._visible, self._owned
         self._visible, self._owned = lanes_held(r, centers, self._frames, sight, touch, stored, visible, owned)
-        self._surveyor = None
+        self._surveyor, self._followers = None, self.monitor.followers(scene)
         survey = self._survey(scene)
         self.monitor.update(
             scene, around, survey.others.behind, self._frames * scene.dt, lambda: self._fail_safe(scene).separations
@@ -134,7 +135,7 @@ class Memory:
         seen = self._seen
         around = seen[2] if seen is not None and seen[1] is scene.others else None
         ignored = self.monitor.offenders
-        return Surveyor(scene, self.config, self._visible, self._owned, around, self._announced, ignored)
+        return Surveyor(scene, self.config, self._visible, self._owned, around, self._announced, ignored, self._followers)
 
     def _survey(self, scene: Scene) -> Surveyor:
         """The surveyor of this instant; scenes that differ in the ego's target only share it."""
@@ -142,5 +143,6 @@ class Memory:
         if held is None or held.scene.ego is not scene.ego or held.scene.others is not scene.others:
             seen = self._seen
             around = seen[2] if seen is not None and seen[1] is scene.others else None
-            held = self._surveyor = Surveyor(scene, self.config, self._visible, self._owned, around, self._announced)
+            marks = self._visible, self._owned, around, self._announced, None, self._followers
+            held = self._surveyor = Surveyor(scene, self.config, *marks)
         return held

@@ -9,7 +9,7 @@ import numpy as np
 from dynamics.scenes.scene import Scene
 from dynamics.state import BoolArray, FloatArray, Vehicle
 from dynamics.traffic.occupancy import Surroundings
-from dynamics.traffic.permits import Ego, Rule, permits
+from dynamics.traffic.permits import Rule, footprint, permits
 from shield.config import ShieldConfig
 
 __all__ = ["AssumptionMonitor"]
@@ -52,6 +52,11 @@ class AssumptionMonitor:
             return None
         return self._last[0]
 
+    def followers(self, scene: Scene) -> BoolArray | None:
+        """Who was behind the ego with its buffer in the scene before, (m,) bool; None where the others are not the
+        same."""
+        return None if self._last is None or self.before(scene) is None else self._last[1]
+
     def update(
         self, scene: Scene, around: Surroundings, behind: BoolArray, period: float, fail_safe: Separations
     ) -> None:
@@ -70,17 +75,9 @@ class AssumptionMonitor:
             self.offenders = np.zeros(len(scene.others), dtype=bool)
             self._breaking = self.offenders
             return
-        ego, b = scene.ego, self._config.buffer
-        half = 0.5 * float(ego[Vehicle.LENGTH]), 0.5 * float(ego[Vehicle.WIDTH])
-        seen = Ego(
-            float(ego[Vehicle.X]),
-            float(ego[Vehicle.Y]),
-            float(ego[Vehicle.HEADING]),
-            half[0] + b.longitudinal,
-            half[1] + b.lateral,
-            *half,
-            bool(ego[Vehicle.CRASHED] > 0) and not last[2],
-        )
+        b = self._config.buffer
+        crashed = bool(scene.ego[Vehicle.CRASHED] > 0) and not last[2]
+        seen = footprint(scene.ego, b.longitudinal, b.lateral, crashed)
         broken, grown = permits(before, around, period, last[1], seen)
         if grown.any():
             # Who takes more room than before has to leave it to the ego's fail-safe.

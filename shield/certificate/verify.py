@@ -28,6 +28,7 @@ import numpy as np
 from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray, RoadState, Vehicle
 from dynamics.traffic.occupancy import Surroundings
+from dynamics.traffic.permits import apart, footprint
 from shield.certificate.alongside import Alongside
 from shield.certificate.kernels import Others, in_reach, least_separations, margins, rooms, sides_taken, threats
 from shield.certificate.manoeuvres import Candidates
@@ -75,6 +76,7 @@ class Surveyor:
     around : the scene's surroundings, where they have been built already.
     announced : whether the traffic knows of the lane that a path commits to, so that one behind gives way.
     ignored : whom to leave out, (m,) bool; nobody by default.
+    followers : who was behind the ego in the scene before, (m,) bool; nobody by default.
     """
 
     def __init__(
@@ -86,6 +88,7 @@ class Surveyor:
         around: Surroundings | None = None,
         announced: bool = True,
         ignored: Any = None,
+        followers: Any = None,
     ) -> None:
         self.announced, self.ignored = announced, ignored
         self.scene, self.config, self.visible = scene, config, visible
@@ -114,14 +117,23 @@ class Surveyor:
         if around.stretch is not None:
             gains = around.stretch[1]
             speeds *= gains
-        ahead = states[:, RoadState.S] - ego[RoadState.S]
+        ahead, turned = states[:, RoadState.S] - ego[RoadState.S], states[:, RoadState.HEADING]
+        sizes = scene.others[:, Vehicle.LENGTH], scene.others[:, Vehicle.WIDTH]
+        # Who is behind is told from where the body is now: its reach is for wherever it may turn to.
+        fronts = 0.5 * (sizes[0] * np.abs(np.cos(turned)) + sizes[1] * np.abs(np.sin(turned)))
+        behind = ahead + fronts <= -half
+        if followers is not None:
+            # One whose corner has come beside the ego's is still behind until it touches the buffer.
+            for i in np.flatnonzero(followers & ~behind & (ahead < 0)):
+                seen = footprint(scene.ego, b.longitudinal, b.lateral)
+                behind[i] = apart(seen, scene.others[i]) >= 0
         self.others = Others(
             ahead,
             np.minimum(ahead, around.bodies.floor - ego[RoadState.S]),
             around.reach + lon + self.growth[0] + 2.0,
             speeds,
             gains,
-            ahead + around.reach <= -half,
+            behind,
             around.low,
             around.high,
             around.lane,

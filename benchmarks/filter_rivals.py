@@ -7,8 +7,8 @@ kinds, and each rival answers each question in turn, so that a busy machine slow
 are the same one: same dynamics, bounds, sides, weights.
 
 - IPOPT: the nonlinear program, from the shifted plan. Its exact Hessian and one stage per move are what a user writes.
-- OSQP: the filter's own quadratic programs, updated in place, started from the last multipliers; as many programs as
-  the filter solved. `max_iter` stops it, which the table says.
+- OSQP, program by program: the sparse form of every program that DAQP solves in a filter, updated in place and started
+  from its own last answer moved on in time; and as the backend of a whole filter, from the same guesses.
 - do-mpc: the same stage cost and bounds as time-varying parameters, its default IPOPT set-up; printed as missing where
   it is not installed.
 - PPO: `predict` of Stable-Baselines3.
@@ -23,6 +23,7 @@ import argparse
 import contextlib
 import io
 import sys
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -31,7 +32,6 @@ import numpy as np
 import torch
 from rich.console import Console
 from rich.table import Table
-from scipy import sparse
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 
@@ -42,60 +42,55 @@ from mpc import FilterProblem, FilterResult, FilterSettings, PredictiveFilter
 from mpc.filter.build import Program
 from mpc.filter.daqp_solver import Answer, Solver
 from mpc.filter.guess import brake_guess, shifted
+from mpc.filter.osqp_solver import OsqpSolver
 from mpc.filter.road_step import rollout_function
+from mpc.filter.sparse_build import SparseProgram
 
-MAX_ITER = 4000
+QUESTION = (
+    *("state", "inputs", "occupancy", "rest", "edges", "corridor"),
+    *("curvature", "aim", "misc", "given"),
+)
+"""Arrays that two programs of the same question share."""
 
 
-class Osqp:
-    """OSQP on the same programs, beside the solver that the filter uses."""
+class Beside(Solver):
+    """DAQP in a filter, and OSQP beside it on the sparse form of each of its programs."""
 
     def __init__(self, settings: FilterSettings) -> None:
-        self.solver, self.settings = Solver(settings), settings
-        self.times: list[float] = []
-        self.states: list[int] = []
-        self.own: list[float] = []
-        self._object: Any = None
-        self._y: Any = None
+        super().__init__(settings)
+        self.osqp = OsqpSolver(replace(settings, backend="osqp"))
+        self.twins: dict[int, tuple[Program, SparseProgram]] = {}
+        self.times: dict[str, list[float]] = {name: [] for name in ("program", "osqp", "data osqp")}
+        self.exact: list[bool] = []
+        self.apart: list[float] = []
+        self.iterations: list[int] = []
 
-    def prepare(self, program: Program) -> None:
+    def begin(self, frames: int | None) -> None:
         """As the filter asks."""
-        self.solver.prepare(program)
-
-    def reset(self) -> None:
-        """As the filter asks."""
-        self.solver.reset()
+        self.osqp.begin(frames)
 
     def solve(self, program: Program) -> Answer:
-        """The filter's answer; OSQP's time is kept."""
-        import osqp
-
-        rows, columns = program.A.shape
+        """DAQP's answer; the times of both are kept."""
+        if id(program) not in self.twins:
+            twin = SparseProgram(self.osqp.settings, program.occupancy.shape[1], False, False)
+            self.twins[id(program)] = program, twin
+            self.osqp.prepare(twin)
+        twin = self.twins[id(program)][1]
+        for name in QUESTION:
+            getattr(twin, name)[:] = getattr(program, name)
         start = perf_counter()
-        answer = self.solver.solve(program)
-        self.own.append(perf_counter() - start)
-        lower = np.maximum(np.concatenate([program.low, program.lower]), -1e30)
-        upper = np.minimum(np.concatenate([program.high, program.upper]), 1e30)
-        full = np.vstack([np.eye(columns), program.A])
-        if self._object is None:
-            pattern = np.vstack([np.eye(columns), np.ones((rows, columns))])
-            a, p = sparse.csc_matrix(pattern), sparse.csc_matrix(np.triu(np.ones((columns, columns))))
-            self._where = (pattern.T != 0, np.tril(np.ones((columns, columns))).T.T != 0)
-            a.data[:] = full.T[self._where[0]]
-            p.data[:] = program.H[self._where[1]]
-            self._object = osqp.OSQP()
-            options = {"scaling": 10, "check_dualgap": False, "adaptive_rho": 1, "adaptive_rho_interval": 20}
-            tolerances = {"eps_abs": 1e-3, "eps_rel": 1e-3, "max_iter": MAX_ITER, "check_termination": 10}
-            self._object.setup(p, program.g, a, lower, upper, verbose=False, **options, **tolerances)
-            self._y = np.zeros(rows + columns)
-        start = perf_counter()
-        self._object.update(Px=program.H[self._where[1]], Ax=full.T[self._where[0]], q=program.g, l=lower, u=upper)
-        self._object.warm_start(x=np.zeros(columns), y=self._y)
-        found = self._object.solve(raise_error=False)
-        self.times.append(perf_counter() - start)
-        self.states.append(found.info.status_val)
-        if np.isfinite(found.y).all():
-            self._y = np.array(found.y)
+        answer = super().solve(program)
+        middle = perf_counter()
+        twin.linearise()
+        built = perf_counter()
+        other = self.osqp.solve(twin)
+        end = perf_counter()
+        for name, value in zip(self.times, (middle - start, end - built, built - middle), strict=True):
+            self.times[name].append(value)
+        self.exact.append(other.exact)
+        self.iterations.append(self.osqp.iterations)
+        if answer.x is not None and other.x is not None and other.exact:
+            self.apart.append(float(np.abs(answer.x[:2] - other.x[:2]).max() / 2))
         return answer
 
 
@@ -194,19 +189,24 @@ def measure(stages: int, questions: int) -> dict[str, Any]:
     settings = FilterSettings(stages=stages)
     recorded = [list(record(settings, questions // len(KINDS), kind, seed=40)) for kind in KINDS]
     own, beside = PredictiveFilter(settings), PredictiveFilter(settings)
-    beside._solver = osqp = Osqp(settings)
+    beside._solver = solvers = Beside(settings)
+    other = PredictiveFilter(replace(settings, backend="osqp"))
     roll = rollout_function(stages, settings.substeps, settings.dt)
     controller, (model, observation) = do_mpc_controller(settings), policy()
-    times: dict[str, list[float]] = {k: [] for k in ("filter", "data", "program", "ipopt", "do-mpc", "ppo")}
-    usable, converged = [], []
+    times: dict[str, list[float]] = {k: [] for k in ("filter", "filter osqp", "data", "ipopt", "do-mpc", "ppo")}
+    usable: list[bool] = []
+    theirs: list[bool] = []
+    converged: list[bool] = []
     offset = np.zeros((stages, 2))
     plan = None
     for problem, first in (row for rows in recorded for row in rows):
         if first:
             own.reset()
             beside.reset()
+            other.reset()
             plan = None
         guess = brake_guess(problem, settings) if plan is None else shifted(plan, settings.substeps, settings)
+        asked = None if own._plan is None else shifted(own._plan, settings.substeps, settings)
         start = perf_counter()
         result = own.solve(problem)
         times["filter"].append(perf_counter() - start)
@@ -216,6 +216,9 @@ def measure(stages: int, questions: int) -> dict[str, Any]:
         program.linearise()
         times["data"].append(perf_counter() - start)
         beside.solve(problem)
+        start = perf_counter()
+        theirs.append(other.solve(problem, asked).status.usable)
+        times["filter osqp"].append(perf_counter() - start)
         if np.isfinite(result.inputs).all():
             states = roll(problem.state, guess.T, np.zeros((1, stages))).full().T
             start = perf_counter()
@@ -229,12 +232,14 @@ def measure(stages: int, questions: int) -> dict[str, Any]:
         start = perf_counter()
         model.predict(observation, deterministic=True)
         times["ppo"].append(perf_counter() - start)
-    times["program"] = osqp.own
     return {
-        "times": {**times, "osqp": osqp.times},
+        "times": {**times, **solvers.times},
         "usable": np.mean(usable),
+        "theirs": np.mean(theirs),
         "converged": np.mean(converged),
-        "osqp": np.mean(np.array(osqp.states) == 1),
+        "exact": np.mean(solvers.exact),
+        "iterations": np.median(solvers.iterations),
+        "apart": np.percentile(solvers.apart, [50, 99]),
         "do-mpc": controller is not None,
     }
 
@@ -254,10 +259,13 @@ def main() -> None:
         reference = float(np.median(found["times"]["filter"]))
         sweep = float(np.median(found["times"]["program"]) + np.median(found["times"]["data"]))
         notes = {
-            "filter": f"whole solve, {found['usable']:.0%} usable",
-            "data": "one linearisation, all rows",
+            "filter": f"whole solve, DAQP, {found['usable']:.0%} usable",
+            "filter osqp": f"whole solve, OSQP, {found['theirs']:.0%} usable",
+            "data": "one linearisation, condensed",
+            "data osqp": "one linearisation, sparse",
             "program": "one quadratic program, DAQP with checks",
-            "osqp": f"the same program; {found['osqp']:.0%} solved in {MAX_ITER} iterations",
+            "osqp": f"OSQP with checks, {found['iterations']:.0f} iterations, {found['exact']:.0%} exact; those differ "
+            f"by {found['apart'][0]:.2%} of the range, p99 {found['apart'][1]:.2%}",
             "ipopt": f"{found['converged']:.0%} converged",
             "do-mpc": "" if found["do-mpc"] else "not installed: pip install do-mpc",
             "ppo": "predict",

@@ -25,7 +25,7 @@ from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.curved_bicycle import steer
 from mpc.filter.from_scene import curvature_ahead, edges_of, rectangles
 from mpc.filter.predictive_filter import PredictiveFilter
-from mpc.filter.problem import FilterProblem, FilterSettings, Reference
+from mpc.filter.problem import BACKENDS, FilterProblem, FilterSettings, Reference
 from mpc.filter.result import FilterResult
 from mpc.filter.road_step import StageModel
 
@@ -59,6 +59,7 @@ class MPCPolicy:
     buffer : (longitudinal, lateral) clearance that plans keep [m].
     assumptions : what the others may do; `Assumptions.moderate()` by default.
     model : what plans are made with (see `PredictiveFilter`); highway-env's bicycle by default.
+    backend : solver of the quadratic programs, "daqp" or "osqp".
 
     Attributes
     ----------
@@ -78,6 +79,7 @@ class MPCPolicy:
         buffer: tuple[float, float] = (2.0, 0.3),
         assumptions: Assumptions | None = None,
         model: StageModel | None = None,
+        backend: str = "daqp",
     ) -> None:
         base = getattr(env, "unwrapped", env)
         kind = type(getattr(base, "action_type", None)).__name__
@@ -90,9 +92,11 @@ class MPCPolicy:
             raise ConfigError(f"speed must be positive and finite [m/s], got {speed!r}")
         if not (np.isfinite(buffer).all() and min(buffer) >= 0):
             raise ConfigError(f"buffer must be two lengths of at least 0 m, got {buffer!r}")
+        if backend not in BACKENDS:
+            raise ConfigError(f"unknown backend {backend!r}; valid are {', '.join(BACKENDS)}")
         self.speed, self.buffer = float(speed), buffer
         self.assumptions = assumptions if assumptions is not None else Assumptions.moderate()
-        self.model = model
+        self.model, self.backend = model, backend
         self.actuators = Actuators.of(base.action_type)
         self._reader = SceneReader(base, curved=True)
         self._filter: PredictiveFilter | None = None
@@ -137,7 +141,7 @@ class MPCPolicy:
     def _choose(self, scene: Scene) -> tuple[int, Surroundings]:
         """The lane to drive in."""
         road, ego = scene.road, scene.ego_road
-        around = Surroundings(scene.others, scene.others_road, road, self.assumptions)
+        around = Surroundings(scene.others, scene.others_road, road, self.assumptions, scene.dt)
         here = road.lane_at(float(ego[RoadState.R]))
         room = np.full(road.centers.size, _FAR)
         if around.lane.size:
@@ -190,6 +194,7 @@ class MPCPolicy:
                     acceleration=(low, high),
                     steering=min(abs(x) for x in self.actuators.steering) if self.actuators.lateral else 1e-3,
                     braking=max(-low, 1e-3),
+                    backend=self.backend,
                 ),
                 self.model,
             )

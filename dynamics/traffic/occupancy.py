@@ -156,7 +156,8 @@ class Surroundings:
         """Greatest s of each body after 1..K frames, with no duty to react, (m, K) [m]."""
         a, v = self.assumptions, self.states[:, RoadState.SPEED]
         fast = v[:, None] + a.acceleration * dt * np.maximum(np.arange(frames) - hold, 0)
-        fast = np.minimum(fast, np.maximum(v, a.max_speed)[:, None])
+        # One that reverses may turn, and then gets back by less than its speed.
+        fast = np.maximum(np.minimum(fast, np.maximum(v, a.max_speed)[:, None]), 0.0)
         if self.stretch is not None:
             fast = fast * self.stretch[1][:, None]
         return (self.states[:, RoadState.S] + self.reach)[:, None] + np.cumsum(fast, axis=1) * dt

@@ -196,7 +196,7 @@ def rears(
                     way += slow * dt
                     lost += motion.turning_rate * dt
                 else:
-                    back += motion.reversing * dt
+                    back += max(motion.reversing, -v) * dt
                 along = max(way - lost, 0.0)
             if stretch.shape[1] > 0:
                 along = min(along * stretch[0, j], along * stretch[1, j])

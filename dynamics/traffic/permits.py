@@ -3,7 +3,8 @@
 The occupancy (`dynamics.traffic.occupancy`) bounds everything that this predicate permits, for all time. What a vehicle
 may do, from one frame to the next:
 
-1. *speed*: change by no more than `braking` and `acceleration` allow, and reverse no faster than `reversing_speed`;
+1. *speed*: change by no more than `braking` and `acceleration` allow, rise no further than to `max_speed`, and reverse
+   no faster than `reversing_speed`;
 2. *way*: get on along the road as its speed says, but for what turning takes from it (`turning_loss`, which comes back
 at
    `turning_rate`), and sideways no further than its speed says;
@@ -38,7 +39,7 @@ _LENGTH, _WIDTH, _CRASHED = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle
 _SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH = 1, 2, 4, 8, 16, 32
 _TOUCHING = 2.0
 """Bodies nearer than this have crashed into one another: highway-env moves them apart in the frame of a crash [m]."""
-_TOLERANCE = 0.1
+_TOLERANCE = 1e-6
 """Slack on accelerations and speeds [m/s^2], [m/s]."""
 _SLIGHT = 1e-6
 """Slack on ways [m]."""
@@ -87,6 +88,7 @@ class Ego(NamedTuple):
 class _Limits(NamedTuple):
     braking: float
     acceleration: float
+    fastest: float
     reversing: float
     slow: float
     period: float
@@ -143,7 +145,8 @@ def _judge(
             bits |= _CRASH
         if not wrecked:
             rate = (v - v0) / limits.period
-            if not (-limits.braking <= rate <= limits.acceleration) or not v >= -limits.reversing:
+            sped = not v <= max(v0, limits.fastest) + _SLIGHT or not v >= -limits.reversing
+            if sped or not (-limits.braking <= rate <= limits.acceleration):
                 bits |= _SPEED
             if limits.one_frame:
                 back = not ds >= min(way, 0.0) * most - _SLIGHT
@@ -200,6 +203,7 @@ def permits(before: Surroundings, after: Surroundings, period: float, behind: Bo
     limits = _Limits(
         a.braking + _TOLERANCE,
         a.acceleration + _TOLERANCE,
+        a.max_speed,
         a.reversing_speed + _TOLERANCE,
         a.slow_speed,
         float(period),

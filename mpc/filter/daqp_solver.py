@@ -9,16 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import casadi as ca
 import numpy as np
 
 from dynamics.state import FloatArray
-from mpc.filter.build import Program, bind
+from mpc.filter.build import Program
 from mpc.filter.problem import FilterSettings
+from mpc.filter.question import bind
 
 __all__ = ["FAILED", "GREATEST", "Answer", "QuadraticSolver", "Solver", "residuals", "sane"]
+
+Form = TypeVar("Form", contravariant=True)
 
 GREATEST = 1e6
 """No unknown of a sane program is larger."""
@@ -33,26 +36,32 @@ class Answer:
     x : unknowns; None where there is no solution.
     primal, dual : greatest residuals of feasibility and of stationarity.
     active : bounds and rows that hold with equality.
+    exact : whether the residuals are within the accuracy; a step that is not may be tried, and settles nothing.
     """
 
     x: FloatArray | None
     primal: float
     dual: float
     active: int
+    exact: bool = True
 
 
 FAILED = Answer(None, np.inf, np.inf, 0)
 """There is no answer."""
 
 
-class QuadraticSolver(Protocol):
-    """Solves one program after the other."""
+class QuadraticSolver(Protocol[Form]):
+    """Solves one program after the other, in the form that it is good at."""
 
-    def prepare(self, program: Program) -> None:
+    def prepare(self, program: Form) -> None:
         """Compile ahead of the first use."""
         ...
 
-    def solve(self, program: Program) -> Answer:
+    def begin(self, frames: int | None) -> None:
+        """A new descent: the last answer is so many frames old, or (None) has nothing to do with it."""
+        ...
+
+    def solve(self, program: Form) -> Answer:
         """Never raises."""
         ...
 
@@ -81,6 +90,9 @@ class Solver:
         """Compile ahead of the first use."""
         self._slots[id(program)] = self._compile(program)
 
+    def begin(self, frames: int | None) -> None:
+        """Nothing: it starts from scratch, each time."""
+
     def solve(self, program: Program) -> Answer:
         """From scratch, each time."""
         if not sane(program):
@@ -103,7 +115,7 @@ class Solver:
     def _compile(self, program: Program) -> _Slot:
         rows, columns = program.A.shape
         shapes = {"h": ca.Sparsity.dense(columns, columns), "a": ca.Sparsity.dense(rows, columns)}
-        daqp = {"iter_limit": self.settings.max_iter, "primal_tol": 1e-9}
+        daqp = {"iter_limit": self.settings.most_iterations, "primal_tol": 1e-9}
         options: Any = {"error_on_fail": False, "daqp": daqp}
         solver = ca.conic("qp", "daqp", shapes, options)
         x, bounds, multipliers, cost = np.zeros(columns), np.zeros(columns), np.zeros(rows), np.zeros(1)

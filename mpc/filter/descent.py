@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
 from dynamics.state import FloatArray, RoadState
-from mpc.filter.build import Program
 from mpc.filter.daqp_solver import QuadraticSolver
+from mpc.filter.question import Question
 from mpc.filter.result import Status
 
 __all__ = ["Descent", "descend"]
 
 _STILL = 1e-9
 """Speed backwards that rounding may leave [m/s]."""
+_ROUNDING = 1e-7
+"""Residual that rounding may leave; a solver that leaves more may leave a plan that rolls backwards, too [m/s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +44,7 @@ class Descent:
         return not self.status.usable, self.violation
 
 
-def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadline: float) -> Descent:
+def descend(program: Question, solver: QuadraticSolver[Any], guess: FloatArray, deadline: float) -> Descent:
     """Improve a guess (N, 2) by at most `settings.sweeps` linearisations; the sides are those of the guess.
 
     Full steps, since the next linearisation repairs what the last one got wrong; one that is worse than the best
@@ -61,7 +64,7 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
     np.clip(guess, low, high, out=program.inputs)
     wanted, near = program.wanted, 2 * settings.settled * program.scale
     slack = change = primal = dual = np.inf
-    active, sweeps, solved, best = 0, 0, 0.0, np.inf
+    active, sweeps, solved, best, exact = 0, 0, 0.0, np.inf, True
     kept = program.inputs.copy()
     status = Status.UNSETTLED
     while sweeps < settings.sweeps:
@@ -84,6 +87,8 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
         program.inputs += (step * program.scale)[moves]
         np.clip(program.inputs, low, high, out=program.inputs)
         program.roll_out()
+        if answer.primal > _ROUNDING:
+            _stand(program)
         change = float(np.abs((program.inputs[0] - before) / program.scale).max() / 2)
         if sweeps > 1 and program.merit >= best:
             program.inputs[:] = 0.5 * (program.inputs + kept)
@@ -92,6 +97,7 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
         if program.merit < best:
             best, kept = program.merit, program.inputs.copy()
         slack, primal, dual = max(float(answer.x[step.size :].max()), 0.0), answer.primal, answer.dual
+        exact = answer.exact
         active += answer.active
         if program.violation[0] < settings.tolerance:
             if (
@@ -99,11 +105,11 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
                 and bool((np.abs(program.inputs[0] - wanted) < near).all())
                 and _adopt(program, wanted)
             ):
-                change = 0.0
-            if change < settings.settled:
+                change, exact = 0.0, True
+            if exact and change < settings.settled:
                 break
-    holds = program.violation[0] < settings.tolerance
-    if status is not Status.ERROR and sweeps > 0 and not (holds and change < settings.settled):
+    holds, settled = program.violation[0] < settings.tolerance, exact and change < settings.settled
+    if status is not Status.ERROR and sweeps > 0 and not (holds and settled):
         # The best that was met; a guess that still holds is a plan.
         program.inputs[:] = kept
         program.roll_out()
@@ -113,7 +119,7 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
         status = Status.ERROR if status is not Status.TIME_LIMIT else status
         violation = np.inf
     elif status is Status.UNSETTLED:
-        status = _judge(violation, slack, change, settings.tolerance, settings.settled)
+        status = _judge(violation, slack, settings.tolerance, settled)
     return Descent(
         status,
         program.inputs.copy(),
@@ -130,7 +136,7 @@ def descend(program: Program, solver: QuadraticSolver, guess: FloatArray, deadli
     )
 
 
-def _adopt(program: Program, wanted: FloatArray) -> bool:
+def _adopt(program: Question, wanted: FloatArray) -> bool:
     """Take the proposal itself as the first input if the plan holds with it: nothing is nearer to it.
 
     The second input makes up for the difference, so that the rest of the plan stays what it was.
@@ -147,7 +153,19 @@ def _adopt(program: Program, wanted: FloatArray) -> bool:
     return False
 
 
-def _judge(violation: float, slack: float, change: float, tolerance: float, settled: float) -> Status:
+def _stand(program: Question) -> None:
+    """Brake less where the plan would roll backwards by no more than the solver's accuracy, so that it stands."""
+    speeds = program.states[:, RoadState.SPEED]
+    if not -program.settings.accuracy <= speeds.min() < -_STILL or program.state[RoadState.SPEED] < 0:
+        return
+    less = np.maximum.accumulate(np.maximum(-speeds, 0.0))
+    duration = program.settings.dt * np.array(program.settings.frames)
+    program.inputs[:, 0] += np.diff(less, prepend=0.0) / duration
+    np.clip(program.inputs, *program.limits, out=program.inputs)
+    program.roll_out()
+
+
+def _judge(violation: float, slack: float, tolerance: float, settled: bool) -> Status:
     if violation >= tolerance:
         return Status.SLACK if slack >= tolerance else Status.UNSETTLED
-    return Status.SOLVED if change < settled else Status.INACCURATE
+    return Status.SOLVED if settled else Status.INACCURATE

@@ -6,13 +6,14 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from dynamics.state import FloatArray
 from dynamics.vehicle.bicycle import LENGTH
 from mpc.filter.problem import FilterProblem, FilterSettings
 from mpc.filter.road_step import feed_forward, stage_expression
 
-__all__ = ["brake_guess", "braking_function", "shifted"]
+__all__ = ["brake_guess", "braking_function", "in_force", "shifted"]
 
 _TURN = 0.1
 """No stage of a braking guess turns the car by more than this relative to the road [rad]."""
@@ -22,9 +23,14 @@ _STRAIGHTEN = 0.5
 
 def shifted(plan: FloatArray, frames: int, settings: FilterSettings) -> FloatArray:
     """The plan's inputs (N, 2) as seen `frames` later: those in force when each stage begins; the last one is held."""
+    return np.asarray(plan[in_force(frames, settings)])
+
+
+def in_force(frames: int, settings: FilterSettings) -> npt.NDArray[np.intp]:
+    """Which stage of a plan is in force when each stage of one that begins `frames` later begins, (N,)."""
     ends = np.array(settings.ends)
     begins = ends - settings.frames + frames
-    return np.asarray(plan[np.minimum(np.searchsorted(ends, begins, side="right"), len(plan) - 1)])
+    return np.minimum(np.searchsorted(ends, begins, side="right"), settings.stages - 1)
 
 
 def brake_guess(problem: FilterProblem, settings: FilterSettings) -> FloatArray:

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -31,10 +32,15 @@ from mpc.filter.descent import Descent, descend
 from mpc.filter.guess import brake_guess, braking_function, shifted
 from mpc.filter.osqp_solver import OsqpSolver
 from mpc.filter.problem import FilterProblem, FilterSettings, readable
+from mpc.filter.question import Question
 from mpc.filter.result import FilterResult, Status
 from mpc.filter.road_step import StageModel
+from mpc.filter.sparse_build import SparseProgram
 
 __all__ = ["PredictiveFilter"]
+
+_BACKENDS: dict[str, tuple[Any, Any]] = {"daqp": (Program, Solver), "osqp": (SparseProgram, OsqpSolver)}
+"""The form of the program and the solver that is good at it."""
 
 
 class PredictiveFilter:
@@ -58,8 +64,9 @@ class PredictiveFilter:
         if not isinstance(settings, FilterSettings):
             raise ConfigError(f"settings must be FilterSettings, got {type(settings).__name__}")
         self.settings, self.model = settings, model
-        self._solver: QuadraticSolver = Solver(settings) if settings.backend == "daqp" else OsqpSolver(settings)
-        self._programs: dict[tuple[int, bool, bool], Program] = {}
+        self._form, solver = _BACKENDS[settings.backend]
+        self._solver: QuadraticSolver[Any] = solver(settings)
+        self._programs: dict[tuple[int, bool, bool], Question] = {}
         self._plan: FloatArray | None = None
         self._program(settings.obstacles, False, False)
 
@@ -68,8 +75,9 @@ class PredictiveFilter:
         return type(self), (self.settings, self.model)
 
     def reset(self) -> None:
-        """Forget the last plan, the only memory there is: the next answer is that of a new filter."""
+        """Forget the last plan and what the solver would start from: the next answer is that of a new filter."""
         self._plan = None
+        self._solver.begin(None)
 
     def prepare(self, obstacles: int, curved: bool = False) -> None:
         """Compile what up to so many obstacles need now, and not when they first come up."""
@@ -147,27 +155,30 @@ class PredictiveFilter:
         curved = problem.curvature is not None and bool(np.any(problem.curvature))
         program = self._program(int(problem.occupancy.shape[1]), curved, problem.reference is not None)
         program.fill(problem, settings)
+        frames = settings.frames[0] if elapsed is None else elapsed
         if guess is None and self._plan is not None:
-            guess = shifted(self._plan, settings.frames[0] if elapsed is None else elapsed, settings)
+            guess = shifted(self._plan, frames, settings)
+        self._solver.begin(frames if self._plan is not None else None)
         if guess is None:
             return descend(program, self._solver, brake_guess(problem, settings), deadline), False
         first = descend(program, self._solver, guess, deadline)
         if first.status.usable or perf_counter() >= deadline:
             return first, False
         # The braking guess takes other sides.
+        self._solver.begin(None)
         second = descend(program, self._solver, brake_guess(problem, settings), deadline)
         best = second if second.rank < first.rank else first
         work = {name: getattr(first, name) + getattr(second, name) for name in ("active", "sweeps", "solved")}
         return replace(best, **work), True
 
-    def _program(self, obstacles: int, curved: bool, aimed: bool) -> Program:
+    def _program(self, obstacles: int, curved: bool, aimed: bool) -> Question:
         """The compiled program for at least that many obstacles."""
         capacity = max(self.settings.obstacles, 1)
         while capacity < obstacles:
             capacity *= 2
         key = (capacity, curved, aimed)
         if key not in self._programs:
-            self._programs[key] = Program(self.settings, *key, self.model)
+            self._programs[key] = self._form(self.settings, *key, self.model)
             self._solver.prepare(self._programs[key])
         return self._programs[key]
 

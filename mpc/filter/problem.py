@@ -19,7 +19,7 @@ import numpy as np
 from dynamics.errors import ConfigError, SceneError
 from dynamics.state import FloatArray, RoadState
 
-__all__ = ["FREE", "FilterProblem", "FilterSettings", "Occupied", "Reference", "Side", "readable"]
+__all__ = ["BACKENDS", "FREE", "FilterProblem", "FilterSettings", "Occupied", "Reference", "Side", "readable"]
 
 BACKENDS = ("daqp", "osqp")
 """Valid `FilterSettings.backend`."""
@@ -79,8 +79,8 @@ class FilterSettings:
     settled : change of the first input below which no further linearisation is made, as a share of the range.
     tolerance : violation by the exact rollout up to which a plan counts as solved [m].
     accuracy : residuals up to which a quadratic program counts as solved [m]; the rollout has the last word.
-    backend : solver of the quadratic programs, "daqp" or "osqp" (slower; see docs/predictive-filter.md).
-    max_iter : iterations of one quadratic program, the deterministic deadline.
+    backend : solver of the quadratic programs, "daqp" (condensed) or "osqp" (sparse); see docs/predictive-filter.md.
+    max_iter : iterations of one quadratic program, the deterministic deadline; by default `most_iterations`.
     time_limit : wall time of one `solve` [s], behind it; 0 for none.
 
     Raises
@@ -111,7 +111,7 @@ class FilterSettings:
     tolerance: float = 0.05
     accuracy: float = 5e-3
     backend: str = "daqp"
-    max_iter: int = 300
+    max_iter: int | None = None
     time_limit: float = 0.0
 
     def __post_init__(self) -> None:
@@ -137,15 +137,14 @@ class FilterSettings:
             ("obstacles", 0, MOST_OBSTACLES),
             ("free_moves", 1, self.stages),
             ("sweeps", 1, 50),
-            ("max_iter", 1, 1_000_000),
         ):
             value = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
                 raise ConfigError(f"{name} must be an integer from {least} to {most}, got {value!r}")
+        if self.max_iter is not None and (isinstance(self.max_iter, bool) or self.max_iter not in range(1, 1_000_001)):
+            raise ConfigError(f"max_iter must be None or an integer from 1 to 1000000, got {self.max_iter!r}")
         if self.hold is not None and (isinstance(self.hold, bool) or self.hold not in range(1, self.substeps + 1)):
-            raise ConfigError(
-                f"hold must be None or an integer from 1 to {self.substeps} (substeps), got {self.hold!r}"
-            )
+            raise ConfigError(f"hold must be None or from 1 to {self.substeps} (substeps), got {self.hold!r}")
         if self.backend not in BACKENDS:
             raise ConfigError(f"unknown backend {self.backend!r}; valid are {', '.join(BACKENDS)}")
         low, high = self.acceleration
@@ -160,6 +159,11 @@ class FilterSettings:
     def stage(self) -> float:
         """Duration of a stage [s]."""
         return self.dt * self.substeps
+
+    @property
+    def most_iterations(self) -> int:
+        """`max_iter`, or else 300 active sets for DAQP and 150 iterations for OSQP."""
+        return {"daqp": 300, "osqp": 150}[self.backend] if self.max_iter is None else self.max_iter
 
     @property
     def moves(self) -> tuple[int, ...]:

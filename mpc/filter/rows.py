@@ -1,5 +1,5 @@
-"""Sensitivities, rows and objective of the filter's program, as CasADi expressions; `mpc.filter.build` puts them
-together.
+"""Sensitivities, rows and objective of the filter's program, as CasADi expressions; `mpc.filter.linearised` and
+`mpc.filter.build` put them together.
 
 Notation
 --------
@@ -15,10 +15,12 @@ from mpc.filter.problem import FilterSettings
 from mpc.filter.road_step import feed_forward
 from mpc.filter.sides import along
 
-__all__ = ["SOFT", "Sensitivity", "end_function", "objective", "row_function"]
+__all__ = ["SOFT", "TURNS", "Sensitivity", "end_function", "objective", "references", "row_function"]
 
 SOFT = 8
 """Soft constraints of a stage."""
+TURNS = 4
+"""Rows at the end of a move: speed, trust region, heading to either side."""
 _CALM = 5.0
 """Above this speed later steering costs more, by the square of the speed [m/s]."""
 
@@ -26,14 +28,13 @@ _CALM = 5.0
 class Sensitivity:
     """Carries d x_k / d w from stage to stage (at build time)."""
 
-    def __init__(self, settings: FilterSettings, scale: ca.DM) -> None:
-        self._scale = scale
+    def __init__(self, settings: FilterSettings) -> None:
         self._moves = len(settings.moves)
         self.now = ca.SX(4, 2 * self._moves)
 
     def step(self, move: int, jx: ca.SX, ju: ca.SX) -> ca.SX:
-        """After one stage with Jacobians jx (4, 4) and ju (4, 2), which belongs to that move."""
-        own = ca.horzcat(ca.SX(4, 2 * move), ju @ ca.diag(self._scale), ca.SX(4, 2 * (self._moves - move - 1)))
+        """After one stage with Jacobians jx (4, 4) and ju (4, 2) by the scaled input, which belongs to that move."""
+        own = ca.horzcat(ca.SX(4, 2 * move), ju, ca.SX(4, 2 * (self._moves - move - 1)))
         self.now = ca.sparsify(jx @ self.now + own)
         return self.now
 
@@ -73,17 +74,16 @@ def end_function(braking: float) -> ca.Function:
 
 def objective(
     settings: FilterSettings,
-    states: list[ca.SX],
-    slopes: list[ca.SX],
     u: ca.SX,
     curvature: ca.SX,
     aim: ca.SX | None,
     near: ca.SX,
     weights: ca.SX,
-    scale: ca.DM,
     speed: ca.SX,
+    scale: ca.DM,
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Hessian, gradient at the guess, and cost of the guess itself; `aim` None leaves the reference out."""
+    """Hessian, gradient at the guess, and cost of the guess itself, but for the `references`; `aim` None: there are
+    none."""
     moves = len(settings.moves)
     w = ca.SX.sym("w", 3 * moves)
     of = [j for j, length in enumerate(settings.moves) for _ in range(length)]
@@ -103,12 +103,9 @@ def objective(
     hessian, gradient = ca.hessian(cost, w)
     here = ca.substitute(cost, w, ca.DM.zeros(3 * moves))
     gradient = ca.substitute(gradient, w, ca.DM.zeros(3 * moves))
-    if aim is None:
-        return hessian, gradient, here
-    for k, (x, slope) in enumerate(zip(states, slopes, strict=True)):
-        for i, weight, wanted in ((1, weights[3], aim[0, k]), (2, weights[4], 0), (3, weights[5], aim[1, k])):
-            row = ca.horzcat(slope[i, :], ca.SX(1, moves))
-            hessian += 2 * weight * (row.T @ row)
-            gradient += 2 * weight * (x[i] - wanted) * row.T
-            here += weight * (x[i] - wanted) ** 2
     return hessian, gradient, here
+
+
+def references(k: int, x: ca.SX, aim: ca.SX, weights: ca.SX) -> list[tuple[int, ca.SX, ca.SX]]:
+    """Terms of the objective weight * off^2 at the end of stage k: which entry of the state, weight, off."""
+    return [(1, weights[3], x[1] - aim[0, k]), (2, weights[4], x[2]), (3, weights[5], x[3] - aim[1, k])]

@@ -70,7 +70,7 @@ def _may_slip(
     out: Any,
 ) -> int:
     """Which vehicles may slip into a lane in which the ego is seen; rows (vehicle, lane, multiple of the gap that d*
-    may be) of `out` (2 m, 3), and how many of them there are."""
+    may be, the same of this very moment) of `out` (2 m, 4), and how many of them there are."""
     count, m = 0, states.shape[0]
     for j in range(m):
         v, s = states[j, 3], states[j, 0]
@@ -81,13 +81,14 @@ def _may_slip(
             if to < 0 or to >= centers.shape[0] or not abs(ego[1] - centers[to]) <= sight:
                 continue
             # The old leader: without one that is more in the way than the new one, nobody changes lanes.
-            gap, wanted, left = np.inf, 0.0, 1.0
+            gap, wanted, left, now = np.inf, 0.0, 1.0, 0.0
             for i in range(m):
                 ahead = states[i, 0] - s
                 if i != j and 0 <= ahead < gap and abs(states[i, 1] - centers[lane[j]]) <= sight:
                     gap, closing = ahead, v - states[i, 3] + braking * _BRAKES
                     wanted = max(_desired(v, closing), 0.0)
                     left = max(gap - _BRAKES * max(closing, 0.0), 1.0)
+                    now = max(_desired(v, v - states[i, 3]), 0.0) / max(gap, 1.0)
             if not wanted > 0:
                 continue
             # Whether it may begin while the bodies overlap, at any speed down to which the ego may brake.
@@ -97,7 +98,7 @@ def _may_slip(
             leads = _desired(v, v - fast) <= most
             most = _IMPOSED * reach + _HARDLY + _DRIFT * _BRAKES
             if leads or _desired(u, u - v) <= most:
-                out[count, 0], out[count, 1], out[count, 2] = j, to, wanted / left
+                out[count, 0], out[count, 1], out[count, 2], out[count, 3] = j, to, wanted / left, now
                 count += 1
     return count
 
@@ -110,6 +111,8 @@ def _separations(
     speeds: Any,
     goals: Any,
     ratios: Any,
+    reaches: Any,
+    gain: float,
     rear: Any,
     front: Any,
     sweep: Any,
@@ -126,23 +129,28 @@ def _separations(
     lon, lat = size[0], size[1]
     for i in range(paths.shape[0]):
         for j in range(goals.shape[0]):
-            began, leads, least = -1, False, np.inf
+            began, begun, leads, least = -1, -1, False, np.inf
             for k in range(paths.shape[1]):
                 s, r, psi, u = paths[i, k, 0], paths[i, k, 1], paths[i, k, 2], paths[i, k, 3]
                 if not math.isfinite(s + r + psi + u):
                     least = np.nan
                     break
-                if began < 0:
+                if begun < 0:
                     v = speeds[j]
                     ahead = s - starts[j] - v * dt * (k + 1)
-                    leads = ahead > 0
-                    if leads:
-                        wanted, most = _desired(v, v - u), ratios[j] * ahead + _SLACK
+                    ahead_of = ahead > 0
+                    if ahead_of:
+                        wanted, most = _desired(v, v - u), ratios[0, j] * ahead + _SLACK
+                        at_once = ratios[1, j] * ahead + _HARDLY
                     else:
                         wanted, most = _desired(u, u - v), _HARDLY - _IMPOSED * ahead
+                        at_once = 0.0
                     drift = _DRIFT * min(dt * (k + 1), _BRAKES)
-                    if abs(r - goals[j]) <= sight and abs(wanted) <= most + drift:
-                        began = k
+                    seen = abs(r - goals[j]) <= sight
+                    if began < 0 and seen and abs(wanted) <= most + drift:
+                        began, leads = k, ahead_of
+                    if seen and ahead_of and abs(wanted) <= at_once:
+                        begun = k
                 if began < 0:
                     continue
                 sin, cos = abs(math.sin(psi)), abs(math.cos(psi))
@@ -153,10 +161,17 @@ def _separations(
                 offset = np.inf
                 for c in centers:
                     offset = min(offset, abs(r - c))
+                since = k - began
                 if offset <= _CENTRED:
-                    continue
-                across = max(sweep[j, k - began, 0] - r - half_r, r - half_r - sweep[j, k - began, 1])
+                    # Beside an ego that keeps to the middle it needs more than that: it has to be blocked as it is.
+                    if begun < 0:
+                        continue
+                    since = k - begun
+                across = max(sweep[j, since, 0] - r - half_r, r - half_r - sweep[j, since, 1])
                 along = max(rear[j, k] - s - half_s, s - half_s - front[j, k])
+                if offset <= _CENTRED:
+                    nose = starts[j] + speeds[j] * dt * (k + 1) + reaches[j] + 0.5 * gain * (since * dt) ** 2
+                    along = s - half_s - nose
                 least = min(least, max(along, across))
             out[i, j] = least
 
@@ -184,7 +199,7 @@ class Alongside:
 
     def __init__(self, scene: Scene, config: ShieldConfig, around: Surroundings) -> None:
         self._scene, self._config, self._around = scene, config, around
-        found = np.empty((2 * len(scene.others), 3))
+        found = np.empty((2 * len(scene.others), 4))
         a, road = config.assumptions, scene.road
         count = 0
         if a.slip_in and len(scene.others):
@@ -204,7 +219,7 @@ class Alongside:
         states = around.states[self.rows]
         self._starts, self._speeds = states[:, RoadState.S].copy(), states[:, RoadState.SPEED].copy()
         self._goals = road.centers[found[:count, 1].astype(np.intp)]
-        self._ratios = found[:count, 2].copy()
+        self._ratios = np.ascontiguousarray(found[:count, 2:].T)
         self._sweep: FloatArray | None = None
         self._bounds = np.empty((2, count, 0))
 
@@ -222,7 +237,7 @@ class Alongside:
         """
         rows, dt, frames = self.rows, self._scene.dt, paths.shape[1]
         out = np.full((len(paths), len(rows)), np.inf)
-        if _centred(paths, self._scene.road.centers):
+        if not (self._ratios[1] > 0).any() and _centred(paths, self._scene.road.centers):
             return out
         if frames > self._bounds.shape[2]:
             longer = frames + frames // 4
@@ -237,6 +252,8 @@ class Alongside:
             self._speeds,
             self._goals,
             self._ratios,
+            self._around.reach[rows],
+            self._config.assumptions.acceleration,
             self._bounds[0],
             self._bounds[1],
             self._sweep,
@@ -276,4 +293,4 @@ def warm_up() -> None:
     _may_slip(rows, np.zeros((1, 4)), moving, size, 5.0, size, lane, 3.0, 6.0, one)
     far = np.full(1, 1e3)
     _centred(pair, far)
-    _separations(pair, size, far, far, far, far, one, one, np.zeros((1, 1, 2)), far, 3.0, 0.1, one)
+    _separations(pair, size, far, far, far, np.zeros((2, 1)), far, 6.0, one, one, np.zeros((1, 1, 2)), far, 3.0, 0.1, one)

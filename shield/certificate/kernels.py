@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dynamics.compiled import compiled
+from dynamics.vehicle.controllers import KP_LATERAL
 
 __all__ = [
     "TOUCH",
@@ -27,8 +28,8 @@ __all__ = [
 
 TOUCH = 1.0
 """How near to a lane's centre a body comes before it is in the way there [m]: half the width of a car."""
-_TURNING = 0.01
-"""Heading towards a lane from which a vehicle counts as turning to it [rad]."""
+_TURNING = 0.25
+"""Speed across the road, beyond that of one that settles in its lane, from which a vehicle counts as changing [m/s]."""
 _STRAIGHT = 0.01
 """Sine of the heading below which a path's own next frame is where constant velocity leads."""
 
@@ -39,7 +40,7 @@ class Others(NamedTuple):
     `ahead` [m]: centre ahead of the ego's; `least` [m]: the same of the least place that the centre ever comes to;
     `size` [m]: how near it counts as touching; `speed` [m/s] along the road now; `gain`: stretch of what it gains;
     `behind`: whether its body is behind the ego with its buffer; `low`, `high` [m]: edges of the lanes that it touches;
-    `lane`: the nearest.
+    `lane`: the nearest; `r` [m], `across` [m/s]: where it is across the road, and its speed there.
     """
 
     ahead: Any
@@ -51,6 +52,8 @@ class Others(NamedTuple):
     low: Any
     high: Any
     lane: Any
+    r: Any
+    across: Any
 
 
 @compiled
@@ -364,7 +367,6 @@ def sides_taken(
     fails: Any,
     rows: Any,
     others: Others,
-    heading: Any,
     centers: Any,
     settled: Any,
     settings: Any,
@@ -378,7 +380,7 @@ def sides_taken(
     Parameters
     ----------
     paths, lanes, fails : (n, K, 4), and the lane that each commits to, and stops in, (n,).
-    rows : the vehicles, (m,). others, heading : of all vehicles, (v,).
+    rows : the vehicles, (m,). others : all of them, (v,).
     centers : of the lanes [m]. settled : in which of them the ego has been in sight for long enough, (lanes,) bool.
     settings : the ego's lateral position now, the distance within which it is seen, the width of a lane, how far
         behind the ego one gives way, and how far a body may lean over a marking, (5,) [m].
@@ -396,19 +398,24 @@ def sides_taken(
             entered = lanes[i] if step == 0 else fails[i]
             goal = centers[entered]
             seen = max(abs(least - goal), abs(most - goal)) <= sight and abs(r - goal) <= sight
-            if seen and settled[entered]:
-                continue
             for j in range(rows.shape[0]):
                 row = rows[j]
                 # Beside the lane: the next strip begins where this one ends.
                 apart = max(others.low[row] - goal, goal - others.high[row])
-                if not (0 < apart < width) or not math.isfinite(low[i, j] + high[i, j]):
+                if apart <= 0:
+                    home[i, j] = entered  # it is there already, and sees the ego there
+                beside = abs(centers[others.lane[row]] - goal) < 1.5 * width
+                if not (0 < apart < width and beside) or not math.isfinite(low[i, j] + high[i, j]):
+                    continue
+                if seen and settled[entered]:
                     continue
                 if step == 0 and announced and not others.ahead[row] > -gives_way:
                     continue
-                # Once the ego is in sight, only one that has begun to turn before may still come.
-                toward = heading[row] if goal > others.high[row] else -heading[row]
-                if seen and not toward > _TURNING:
+                # Once the ego is in sight, only one that is on its way already may still come: faster across than one
+                # that settles in the middle of its own lane.
+                sign = 1.0 if goal > others.high[row] else -1.0
+                toward, left = sign * others.across[row], sign * (centers[others.lane[row]] - others.r[row])
+                if seen and not toward > KP_LATERAL * left + _TURNING:
                     continue
                 low[i, j] = min(low[i, j], goal - 0.5 * width - lean)
                 high[i, j] = max(high[i, j], goal + 0.5 * width + lean)
@@ -457,8 +464,8 @@ def warm_up() -> None:
     least_separations(pair, np.ones(8), *args)
     there, behind = np.zeros(1), np.zeros(1, dtype=np.bool_)
     lanes_held(0.0, there, 1, 1.0, 1.0, -1, count, flag[0])
-    others = Others(there, there, there, there, there, behind, there, there, count)
-    sides_taken(pair, count, count, count, others, there, there, behind, np.ones(5), True, one, one, none)
+    others = Others(there, there, there, there, there, behind, there, there, count, there, there)
+    sides_taken(pair, count, count, count, others, there, behind, np.ones(5), True, one, one, none)
     in_reach(others, np.ones(5), True)
     threats(others, np.ones(5), count, count, behind, there)
     margins(one, one, there)

@@ -122,11 +122,12 @@ class Surveyor:
         # Who is behind is told from where the body is now: its reach is for wherever it may turn to.
         fronts = 0.5 * (sizes[0] * np.abs(np.cos(turned)) + sizes[1] * np.abs(np.sin(turned)))
         behind = ahead + fronts <= -half
-        if followers is not None:
-            # One whose corner has come beside the ego's is still behind until it touches the buffer.
-            for i in np.flatnonzero(followers & ~behind & (ahead < 0)):
-                seen = footprint(scene.ego, b.longitudinal, b.lateral)
-                behind[i] = apart(seen, scene.others[i]) >= 0
+        # One whose corner has come beside the ego's is still behind until it touches the buffer; and so is one that
+        # slips in behind an ego that pulls away from it.
+        slower = speeds < float(ego[RoadState.SPEED]) * math.cos(psi)
+        later = (ahead < -0.5 * length) & ~behind & (slower if followers is None else followers | slower)
+        for i in np.flatnonzero(later):
+            behind[i] = apart(footprint(scene.ego, b.longitudinal, b.lateral), scene.others[i]) >= 0
         self.others = Others(
             ahead,
             np.minimum(ahead, around.bodies.floor - ego[RoadState.S]),
@@ -137,6 +138,8 @@ class Surveyor:
             around.low,
             around.high,
             around.lane,
+            states[:, RoadState.R].copy(),
+            states[:, RoadState.SPEED] * np.sin(turned),
         )
         self._alongside = Alongside(scene, config, around)
 
@@ -285,7 +288,6 @@ class Surveyor:
             np.asarray(candidates.fails, dtype=np.intp),
             rows,
             self.others,
-            np.ascontiguousarray(around.states[:, RoadState.HEADING]),
             road.centers,
             settled,
             np.array([r, a.visible_distance, road.width, _GIVES_WAY, a.lean]),

@@ -146,6 +146,9 @@ class Broken:
     def prepare(self, program):
         self.well.prepare(program)
 
+    def begin(self, frames):
+        pass
+
     def solve(self, program):
         answer = self.well.solve(program)
         return answer if self.how is None else self.how(answer)

@@ -19,6 +19,7 @@ def make(name="highway-fast-v0", **config):
 
 
 @pytest.mark.filterwarnings("ignore:.*out of date")
+@pytest.mark.parametrize("backend", ["daqp", "osqp"])
 @pytest.mark.parametrize(
     ("name", "config"),
     [
@@ -27,9 +28,9 @@ def make(name="highway-fast-v0", **config):
         ("racetrack-oval-v0", {"other_vehicles": 1}),
     ],
 )
-def test_it_drives(name, config):
+def test_it_drives(name, config, backend):
     env = make(name, **config)
-    policy = MPCPolicy(env, speed=25.0)
+    policy = MPCPolicy(env, speed=25.0, backend=backend)
     for seed in range(2):
         obs, _ = env.reset(seed=seed)
         done, way = False, 0.0
@@ -90,6 +91,8 @@ def test_what_it_cannot_drive_is_refused():
     for speed in (0, -1, np.nan, np.inf):
         with pytest.raises(ConfigError, match="speed must be positive"):
             MPCPolicy(make(), speed=speed)
+    with pytest.raises(ConfigError, match="valid are daqp, osqp"):
+        MPCPolicy(make(), backend="ipopt")
     with pytest.raises(ConfigError, match="buffer"):
         MPCPolicy(make(), buffer=(-1, 0))
     policy = MPCPolicy(make())

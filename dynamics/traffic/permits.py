@@ -33,7 +33,7 @@ from dynamics.state import BoolArray, FloatArray, Vehicle
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.traffic.occupancy_kernels import Bodies
 
-__all__ = ["Ego", "Motions", "Rule", "apart", "footprint", "permits"]
+__all__ = ["Ego", "Motions", "Rule", "apart", "coming_apart", "footprint", "permits"]
 
 _LENGTH, _WIDTH, _CRASHED = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
 _SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH = 1, 2, 4, 8, 16, 32
@@ -72,12 +72,13 @@ class Motions(NamedTuple):
 
 
 class Ego(NamedTuple):
-    """The ego in the world frame: x, y [m], heading [rad]; half extents of its footprint with the buffer and of its
+    """The ego in the world frame: x, y [m], heading [rad], speed [m/s]; half extents of its footprint with the buffer and of its
     body alone, along and across [m]; and whether it has crashed in this frame."""
 
     x: float
     y: float
     heading: float
+    speed: float
     along: float
     across: float
     body_along: float
@@ -97,21 +98,21 @@ class _Limits(NamedTuple):
 
 
 @compiled
-def _apart(ego: Ego, along: float, across: float, rows: Any, i: int) -> float:
-    """Greatest gap along the directions of the sides of two rectangles [m], see `dynamics.scenes.rectangles`."""
+def _apart(ego: Ego, along: float, across: float, rows: Any, i: int, dt: float) -> float:
+    """Greatest gap along the directions of the sides of two rectangles [m], see `dynamics.scenes.rectangles`, while both
+    move for `dt` along their headings [s]."""
     dx, dy = ego.x - rows[i, 0], ego.y - rows[i, 1]
     ux, uy, wx, wy = math.cos(ego.heading), math.sin(ego.heading), math.cos(rows[i, 2]), math.sin(rows[i, 2])
     c, s = abs(ux * wx + uy * wy), abs(uy * wx - ux * wy)
     length, width = 0.5 * rows[i, _LENGTH], 0.5 * rows[i, _WIDTH]
-    one = max(
-        abs(dx * ux + dy * uy) - along - length * c - width * s,
-        abs(dy * ux - dx * uy) - across - length * s - width * c,
-    )
-    two = max(
-        abs(dx * wx + dy * wy) - length - along * c - across * s,
-        abs(dy * wx - dx * wy) - width - along * s - across * c,
-    )
-    return max(one, two)
+    # Half of the way of the one as the other sees it.
+    px, py = 0.5 * dt * (ego.speed * ux - rows[i, 3] * wx), 0.5 * dt * (ego.speed * uy - rows[i, 3] * wy)
+    dx, dy = dx + px, dy + py
+    mine = abs(dx * ux + dy * uy) - abs(px * ux + py * uy) - along - length * c - width * s
+    beside = abs(dy * ux - dx * uy) - abs(py * ux - px * uy) - across - length * s - width * c
+    theirs = abs(dx * wx + dy * wy) - abs(px * wx + py * wy) - length - along * c - across * s
+    by = abs(dy * wx - dx * wy) - abs(py * wx - px * wy) - width - along * s - across * c
+    return max(max(mine, beside), max(theirs, by))
 
 
 @compiled
@@ -140,7 +141,7 @@ def _judge(
         most = stretch[1, i] if stretch.shape[1] > 0 else 1.0
         way, wrecked = v0 * limits.period, rows0[i, _CRASHED] > 0
         # Whoever the ego has run into has broken no rule by it.
-        struck = ego.crashed and _apart(ego, ego.body_along, ego.body_across, rows, i) < _TOUCHING
+        struck = ego.crashed and _apart(ego, ego.body_along, ego.body_across, rows, i, 0.0) < _TOUCHING
         if rows[i, _CRASHED] > 0 and not wrecked and not struck:
             bits |= _CRASH
         if not wrecked:
@@ -153,7 +154,7 @@ def _judge(
                 ahead = not ds <= max(way, 0.0) * most + _SLIGHT
                 if back or ahead or not abs(dr) <= abs(way) * 1.0001 + _SLIGHT or not bodies.budget[i] >= -_SLIGHT:
                     bits |= _WAY
-        if behind[i] and _apart(ego, ego.along, ego.across, rows, i) < 0:
+        if behind[i] and _apart(ego, ego.along, ego.across, rows, i, 0.0) < 0:
             bits |= _DISTANCE
         if not (bodies.low[i] >= bodies0.low[i] - _SLIGHT and bodies.high[i] <= bodies0.high[i] + _SLIGHT):
             more |= _LANES
@@ -164,14 +165,20 @@ def _judge(
 
 def footprint(ego: FloatArray, longitudinal: float, lateral: float, crashed: bool = False) -> Ego:
     """The ego of a vehicle row (7,) and its buffer along and across its heading [m]."""
-    x, y, heading, _, length, width = ego[: Vehicle.CRASHED].tolist()
+    x, y, heading, speed, length, width = ego[: Vehicle.CRASHED].tolist()
     along, across = 0.5 * length, 0.5 * width
-    return Ego(x, y, heading, along + longitudinal, across + lateral, along, across, crashed)
+    return Ego(x, y, heading, speed, along + longitudinal, across + lateral, along, across, crashed)
 
 
 def apart(ego: Ego, row: FloatArray) -> float:
     """Greatest gap between the ego with its buffer and a vehicle (7,), along the directions of their sides [m]."""
-    return float(_apart(ego, ego.along, ego.across, row[None], 0))
+    return float(_apart(ego, ego.along, ego.across, row[None], 0, 0.0))
+
+
+def coming_apart(ego: Ego, row: FloatArray, dt: float) -> float:
+    """The same between their bodies while both go on along their headings for `dt` [s]: where it is not positive,
+    highway-env counts a collision (`utils.are_polygons_intersecting`)."""
+    return float(_apart(ego, ego.body_along, ego.body_across, row[None], 0, dt))
 
 
 def permits(before: Surroundings, after: Surroundings, period: float, behind: BoolArray, ego: Ego) -> Motions:
@@ -192,7 +199,7 @@ def permits(before: Surroundings, after: Surroundings, period: float, behind: Bo
     >>> def at(x, v, before=None):
     ...     row = np.array([[x, 0.0, 0.0, v, 5.0, 2.0, 0.0]])
     ...     return Surroundings(row, row[:, :4], StraightRoad.from_lanes(2), Assumptions.idm(), 0.1, before)
-    >>> nobody, ego = np.zeros(1, bool), Ego(0.0, 4.0, 0.0, 4.5, 1.3, 2.5, 1.0, False)
+    >>> nobody, ego = np.zeros(1, bool), Ego(0.0, 4.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
     >>> first = at(0.0, 20.0)
     >>> permits(first, at(2.0, 19.5, first), 0.1, nobody, ego).broken.tolist()
     [0]

@@ -78,6 +78,38 @@ def _extents(paths: Any, i: int, size: Any, dt: float, coming: bool, bounds: Any
 
 
 @compiled
+def _coming(state: Any, size: Any, ends: Any, left: float, right: float, reach: float, dt: float) -> float:
+    """What is left between the ego and a vehicle over one frame of constant velocities along both headings [m]; +inf
+    where there is anything left.
+
+    highway-env counts a collision where no side of either rectangle has a normal along which the two stay apart
+    meanwhile (`RoadObject._is_colliding`). The other's heading is not known, so it has to be one of the ego's: ahead or
+    behind along the ego, or beside its flank, along which the ego itself does not move. `ends` are least s of the
+    other's body now and then, and greatest s of both [m]; `left`, `right` contain its own way sideways; `reach` is half
+    the length that it covers.
+    """
+    s, r, psi, v = state[0], state[1], state[2], state[3]
+    sin, cos = math.sin(psi), math.cos(psi)
+    low, high = left - r, right - r
+    half, side = 0.5 * size[2] + size[6], 0.5 * size[3] + size[7]
+    ahead = (ends[0] - s) * cos + min(low * sin, high * sin) - half
+    ahead -= max(v * dt - max(ends[1] - ends[0], 0.0) * cos, 0.0)
+    behind = -np.inf
+    if math.isfinite(ends[2]):
+        behind = (s - ends[2]) * cos - max(low * sin, high * sin) - half
+        behind -= max((ends[3] - ends[2]) * cos - v * dt, 0.0)
+    # Where any of its body may be beside the ego, all of it has to be on one side of the flank.
+    window = half + abs(v) * dt + abs(sin) * max(abs(low), abs(high)) + 2 * reach
+    first, last = max(ends[0] - s, -window), min(ends[2] - s, window)
+    if first >= last:
+        return np.inf
+    over = low * cos - max(first * sin, last * sin) - side
+    under = min(first * sin, last * sin) - high * cos - side
+    apart = max(max(ahead, behind), max(over, under))
+    return apart if apart < 0 else np.inf
+
+
+@compiled
 def _front(paths: Any, i: int, center: float, at_once: int, follower: Any, duty: Any, front: Any) -> None:
     """Greatest s of a vehicle behind after each frame: it accelerates until it owes the ego its braking."""
     v0, start, stretch = follower[0], follower[1], follower[2]
@@ -108,6 +140,7 @@ def least_separations(
     low: Any,
     high: Any,
     rear: Any,
+    lengths: Any,
     owed: Any,
     follows: Any,
     centers: Any,
@@ -125,6 +158,7 @@ def least_separations(
     size : half extents of the ego with its buffer, length and width of the body, growth (s, r) of the former and of
         the latter on a bend, (8,) [m].
     low, high : lateral extents of the vehicles for each path, (n or 1, m) [m]. rear : least s of each, (m, K) [m].
+    lengths : half the length that each covers along the road, (m,) [m].
     owed : who owes each path its distance, (n, m) bool; no rows where nobody does.
     follows : who is behind and does not, (m,) bool; of them `centers` (n or 1, m) [m] is the lane that they would see
         the ego in, `at_once` (n or 1, m) after how many frames they react if they see it all the time, or -1, and
@@ -175,16 +209,12 @@ def least_separations(
                 if behind:
                     along = max(along, bounds[0, k] - front[k])
                 apart = max(along, max(left - bounds[3, k], bounds[2, k] - right))
-                # highway-env counts a collision that constant velocity along the heading would bring within one frame
-                # (`RoadObject._is_colliding`), whether or not the steering turns the ego away in time. Nothing is said
-                # about the frame after the last: an ego that brakes stands by then.
+                # Nothing is said about the frame after the last: an ego that brakes stands by then.
                 if coming and k < frames - 1:
-                    along = rear[j, k + 1] - bounds[5, k]
+                    ends = (rear[j, k], rear[j, k + 1], np.inf, np.inf)
                     if behind:
-                        along = max(along, bounds[4, k] - front[k + 1])
-                    later = max(along, max(left - bounds[7, k], bounds[6, k] - right))
-                    if later < 0:
-                        apart = min(apart, later)
+                        ends = (rear[j, k], rear[j, k + 1], front[k], front[k + 1])
+                    apart = min(apart, _coming(paths[i, k], size, ends, left, right, lengths[j], dt))
                 least = min(least, apart)
                 if apart < 0:
                     reached[i] = min(reached[i], k)
@@ -460,7 +490,7 @@ def warm_up() -> None:
     """Have the kernels compiled, or read from the disk, before they are needed."""
     one, pair, none = np.zeros((1, 1)), np.zeros((1, 2, 4)), np.zeros((1, 1), dtype=np.intp)
     flag, count = np.zeros((1, 1), dtype=np.bool_), np.zeros(1, dtype=np.intp)
-    args = (one, one, np.zeros((1, 2)), flag, flag[0], one, none, np.zeros((3, 1)), np.ones(7), one, count)
+    args = (one, one, np.zeros((1, 2)), np.zeros(1), flag, flag[0], one, none, np.zeros((3, 1)), np.ones(7), one, count)
     least_separations(pair, np.ones(8), *args)
     there, behind = np.zeros(1), np.zeros(1, dtype=np.bool_)
     lanes_held(0.0, there, 1, 1.0, 1.0, -1, count, flag[0])

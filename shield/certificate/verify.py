@@ -28,7 +28,7 @@ import numpy as np
 from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray, RoadState, Vehicle
 from dynamics.traffic.occupancy import Surroundings
-from dynamics.traffic.permits import apart, footprint
+from dynamics.traffic.permits import apart, coming_apart, footprint
 from shield.certificate.alongside import Alongside
 from shield.certificate.kernels import Others, in_reach, least_separations, margins, rooms, sides_taken, threats
 from shield.certificate.manoeuvres import Candidates
@@ -127,7 +127,8 @@ class Surveyor:
         slower = speeds < float(ego[RoadState.SPEED]) * math.cos(psi)
         later = (ahead < -0.5 * length) & ~behind & (slower if followers is None else followers | slower)
         for i in np.flatnonzero(later):
-            behind[i] = apart(footprint(scene.ego, b.longitudinal, b.lateral), scene.others[i]) >= 0
+            seen = footprint(scene.ego, b.longitudinal, b.lateral)
+            behind[i] = apart(seen, scene.others[i]) >= 0 and coming_apart(seen, scene.others[i], scene.dt) > 0
         self.others = Others(
             ahead,
             np.minimum(ahead, around.bodies.floor - ego[RoadState.S]),
@@ -214,6 +215,7 @@ class Surveyor:
             low,
             high,
             rear,
+            self.around.reach[rows],
             owed,
             follows,
             *behind,

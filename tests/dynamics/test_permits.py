@@ -22,7 +22,7 @@ from dynamics.traffic.permits import Ego, Rule, apart, footprint, permits
 LIMITS = settings(deadline=None, max_examples=60)
 FRAMES, HORIZON = 60, 40
 ROAD = StraightRoad.from_lanes(3)
-FAR = Ego(1e6, 0.0, 0.0, 4.5, 1.3, 2.5, 1.0, False)
+FAR = Ego(1e6, 0.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
 RATES = (1 / 5, 1 / 15, 1 / 30)
 
 

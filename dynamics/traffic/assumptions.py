@@ -23,16 +23,19 @@ class Assumptions:
     ----------
     braking : greatest deceleration of any vehicle [m/s^2].
     acceleration : greatest acceleration of any vehicle [m/s^2].
+    power : the same for one that is fast already: no more than `power` / speed [m^2/s^3].
     max_speed : greatest speed that a slower vehicle accelerates to [m/s]; one that is faster keeps its speed or slows.
     min_speed : speed below which a moving vehicle does not brake on purpose [m/s]; 0 lets it stop.
     turning_loss : way along the road that a vehicle may lose by turning, at more than `slow_speed` [m]. A lane change
     of
         highway-env's traffic costs 0.3 m at 25 m/s, 0.8 m at 10 m/s and 2 m at 6 m/s.
-    turning_rate : way for each second by which what it has lost is forgiven [m/s].
+    turning_action : speed times way that it may lose by turning [m^2/s]: half the square of the speed across the road,
+        over time. So one that is fast loses less.
+    turning_rate : share of both that is forgiven in a second [1/s].
     slow_speed : speed below which nobody is counted on to get anywhere [m/s].
     reversing_speed : greatest speed backwards [m/s]; 0 where nobody reverses.
-    queue_distance : a vehicle reverses only from one ahead in its lanes that is nearer than this, centre to centre, or
-        runs out within `runout_time` [m], [s].
+    queue_distance, queue_speed : a vehicle reverses only from one ahead in its lanes that is nearer than this, centre
+        to centre [m], and slower [m/s], or comes to rest within `runout_time` [s].
     lean : how far a body may reach over a lane marking before it counts as being in the next lane as well [m].
     waver : how far out of the middle of its lane the body of a vehicle comes that keeps to the middle [m].
     follower_braking : deceleration that a follower owes to an ego that has entered its lane [m/s^2].
@@ -49,13 +52,16 @@ class Assumptions:
 
     braking: float = 6.0
     acceleration: float = 6.0
+    power: float = 75.0
     max_speed: float = 40.0
     min_speed: float = 0.0
     turning_loss: float = 2.0
-    turning_rate: float = 0.5
+    turning_action: float = 20.0
+    turning_rate: float = 0.25
     slow_speed: float = 4.0
     reversing_speed: float = 6.0
     queue_distance: float = 14.0
+    queue_speed: float = 8.0
     runout_time: float = 1.25
     lean: float = 0.15
     waver: float = 0.25

@@ -105,9 +105,9 @@ class Surroundings:
         others, states = np.ascontiguousarray(others, float), np.ascontiguousarray(states, float)
         self.others, self.states, self.assumptions, self.dt = others, states, assumptions, float(dt)
         m, a, bends = len(states), assumptions, road.bends
-        numbers, self.hull = np.empty((3, m)), np.empty((2, m))
+        numbers, self.hull = np.empty((4, m)), np.empty((2, m))
         lanes = np.empty((3, m), np.intp)
-        numbers[1] = a.turning_loss
+        numbers[1], numbers[2] = a.turning_loss, a.turning_action
         self.bodies = Bodies(*lanes, *self.hull, *numbers)
         growth = np.zeros((m, 2))
         self.stretch: tuple[FloatArray, FloatArray] | None = None
@@ -126,17 +126,18 @@ class Surroundings:
             a.braking,
             a.min_speed,
             a.slow_speed,
+            a.turning_loss,
+            a.turning_action,
             a.turning_rate,
             a.reversing_speed,
             a.queue_distance,
+            a.queue_speed,
             a.runout_time,
             self.dt,
         )
         self.lap = float(getattr(road, "length", 0.0)) if getattr(road, "closed", False) else 0.0
         if before is not None:
-            spend(
-                before.states, before.bodies, states, self.stretches, self.motion, a.turning_loss, self.lap, self.bodies
-            )
+            spend(before.states, before.bodies, states, self.stretches, self.motion, self.lap, self.bodies)
         floors(others, states, self.stretches, self.motion, self.bodies)
 
     def rear(self, frames: int, dt: float, hold: int = 0, rows: Any = None) -> FloatArray:
@@ -155,9 +156,13 @@ class Surroundings:
     def front(self, frames: int, dt: float, hold: int = 0) -> FloatArray:
         """Greatest s of each body after 1..K frames, with no duty to react, (m, K) [m]."""
         a, v = self.assumptions, self.states[:, RoadState.SPEED]
-        fast = v[:, None] + a.acceleration * dt * np.maximum(np.arange(frames) - hold, 0)
-        # One that reverses may turn, and then gets back by less than its speed.
-        fast = np.maximum(np.minimum(fast, np.maximum(v, a.max_speed)[:, None]), 0.0)
+        fast, speed, top = np.empty((len(v), frames)), v.copy(), np.maximum(v, a.max_speed)
+        for k in range(frames):
+            # One that reverses may turn, and then gets back by less than its speed.
+            fast[:, k] = np.maximum(speed, 0.0)
+            if k >= hold:
+                gain = np.minimum(a.acceleration, a.power / np.maximum(speed, 1e-3))
+                speed = np.minimum(speed + gain * dt, top)
         if self.stretch is not None:
             fast = fast * self.stretch[1][:, None]
         return (self.states[:, RoadState.S] + self.reach)[:, None] + np.cumsum(fast, axis=1) * dt

@@ -39,8 +39,8 @@ class Bodies(NamedTuple):
 
     `lane`: the nearest; `first`, `last`: the lanes that the body touches (first > last where it touches none);
     `low`, `high` [m]: outer edges of the lanes touched and of the body; `reach` [m]: half the length that the body
-    covers along the road at any heading; `budget` [m]: what it may still lose of its way by
-    turning, negative where it has lost more; `floor` [m]: least
+    covers along the road at any heading; `budget` [m], `action` [m^2/s]: what it may still lose of its way
+    by turning, as such and times its speed, negative where it has lost more; `floor` [m]: least
     s that its centre ever comes to.
     """
 
@@ -51,6 +51,7 @@ class Bodies(NamedTuple):
     high: Any
     reach: Any
     budget: Any
+    action: Any
     floor: Any
 
 
@@ -58,7 +59,8 @@ class Motion(NamedTuple):
     """Bounds on the motion along the road.
 
     `braking` [m/s^2]; `min_speed` [m/s] below which nobody brakes on purpose; `slow` [m/s] below which way is not
-    counted; `turning_rate` [m/s] at which the budget for turning fills up; `reversing` [m/s], greatest speed backwards;
+    counted; `loss` [m] and `action` [m^2/s], what turning may cost, and `turning_rate`
+    [1/s], the share of it by which it comes back; `reversing` [m/s], greatest speed backwards;
     `queue` [m]: one reverses only from what stands nearer than this ahead, centre to centre; `runout` [s], within
     which one that reverses comes to rest otherwise; `dt` [s].
     """
@@ -66,9 +68,12 @@ class Motion(NamedTuple):
     braking: float
     min_speed: float
     slow: float
+    loss: float
+    action: float
     turning_rate: float
     reversing: float
     queue: float
+    queue_speed: float
     runout: float
     dt: float
 
@@ -98,11 +103,11 @@ def strips(others: Any, states: Any, growth: Any, lanes: Lanes, bodies: Bodies) 
                 first, last = min(first, j), max(last, j)
         bodies.lane[i], bodies.first[i], bodies.last[i] = here, first, last
         if first <= last:
-            # Up to the marking; or, of the one lane in whose middle it is, up to as far as it may waver.
+            # Up to the marking; or up to as far as one wavers that is in the middle of that lane, or on its way there.
             least, most = lanes.centers[first] - side, lanes.centers[last] + side
-            if first == last and low >= lanes.centers[first] - core:
+            if low >= lanes.centers[first] - core:
                 least = lanes.centers[first] - core
-            if first == last and high <= lanes.centers[last] + core:
+            if high <= lanes.centers[last] + core:
                 most = lanes.centers[last] + core
             low, high = min(low, least), max(high, most)
         bodies.low[i], bodies.high[i] = low - growth[i, 1], high + growth[i, 1]
@@ -110,20 +115,30 @@ def strips(others: Any, states: Any, growth: Any, lanes: Lanes, bodies: Bodies) 
 
 
 @compiled
-def spend(
-    states0: Any, bodies0: Bodies, states: Any, stretch: Any, motion: Motion, loss: float, lap: float, bodies: Bodies
-) -> None:
-    """Fill in `budget` from the frame before: `loss` at most, less what turning has taken of each vehicle's way. `lap`
-    is the length of a closed road, 0 of an open one [m]."""
+def spend(states0: Any, bodies0: Bodies, states: Any, stretch: Any, motion: Motion, lap: float, bodies: Bodies) -> None:
+    """Fill in `budget` and `action` from the frame before: what was left, and what has come back, less what turning has
+    taken of each vehicle's way. `lap` is the length of a closed road, 0 of an open one [m]."""
     for i in range(states.shape[0]):
-        budget = min(max(bodies0.budget[i], 0.0) + motion.turning_rate * motion.dt, loss)
-        if states0[i, 3] > motion.slow:
+        v, back = states0[i, 3], motion.turning_rate * motion.dt
+        budget = min(max(bodies0.budget[i], 0.0) + back * motion.loss, motion.loss)
+        action = min(max(bodies0.action[i], 0.0) + back * motion.action, motion.action)
+        if v > motion.slow:
             ds = states[i, 0] - states0[i, 0]
             if lap > 0:
                 ds -= lap * np.rint(ds / lap)
             least = stretch[0, i] if stretch.shape[1] > 0 else 1.0
-            budget -= max(states0[i, 3] * motion.dt * least - ds, 0.0)
-        bodies.budget[i] = budget
+            lost = max(v * motion.dt * least - ds, 0.0)
+            budget, action = budget - lost, action - v * lost
+        bodies.budget[i], bodies.action[i] = budget, action
+
+
+@compiled
+def _lost(bodies: Bodies, i: int, slow: float, time: float, motion: Motion) -> float:
+    """What a vehicle can have lost by turning after `time` [s], at no less than `slow` [m/s], [m]."""
+    back = motion.turning_rate * time
+    budget = max(bodies.budget[i], 0.0) + back * motion.loss
+    action = max(bodies.action[i], 0.0) + back * motion.action
+    return min(budget, action / max(slow, motion.slow))
 
 
 @compiled
@@ -153,15 +168,18 @@ def floors(others: Any, states: Any, stretch: Any, motion: Motion, bodies: Bodie
         i = order[n]
         v, wrecked = states[i, 3], others[i, _CRASHED] > 0
         way, time = _braking_way(v, wrecked, motion)
-        way = max(way - max(bodies.budget[i], 0.0) - motion.turning_rate * time, 0.0) + min(v, 0.0) * motion.runout
+        way = max(way - _lost(bodies, i, 0.0, time, motion), 0.0) + min(v, 0.0) * motion.runout
         if stretch.shape[1] > 0:
             way = min(way * stretch[0, i], way * stretch[1, i])
         least = states[i, 0] + way
         if motion.reversing > 0 and not wrecked:
             for k in range(n):
                 j = order[k]
-                beside = bodies.low[j] >= bodies.high[i] or bodies.high[j] <= bodies.low[i]
-                if not beside and states[j, 0] > states[i, 0]:
+                # Both touch a lane, or one of them none at all: strips of neighbouring lanes overlap by what may lean.
+                beside = bodies.first[j] > bodies.last[i] or bodies.last[j] < bodies.first[i]
+                if bodies.first[i] > bodies.last[i] or bodies.first[j] > bodies.last[j]:
+                    beside = bodies.low[j] >= bodies.high[i] or bodies.high[j] <= bodies.low[i]
+                if not beside and states[j, 0] > states[i, 0] and states[j, 3] < motion.queue_speed:
                     least = min(least, bodies.floor[j] - motion.queue)
         bodies.floor[i] = least
 
@@ -181,7 +199,7 @@ def rears(
         j = rows[n]
         v, wrecked, wreck = states[j, 3], others[j, _CRASHED] > 0, 1.0
         least_speed, start, floor = min(v, motion.min_speed), states[j, 0] - bodies.reach[j], bodies.floor[j]
-        way, lost, back = 0.0, max(bodies.budget[j], 0.0), 0.0
+        way, time, back, lost = 0.0, 0.0, 0.0, 0.0
         for k in range(frames):
             slow = max(v - motion.braking * dt * max(k - hold, 0), least_speed)
             if wrecked:
@@ -193,10 +211,10 @@ def rears(
                 along = way
             else:
                 if slow >= motion.slow:
-                    way += slow * dt
-                    lost += motion.turning_rate * dt
+                    way, time = way + slow * dt, time + dt
+                    lost = _lost(bodies, j, slow, time, motion)
                 else:
-                    back += max(motion.reversing, -v) * dt
+                    lost, back = _lost(bodies, j, 0.0, time, motion), back + max(motion.reversing, -v) * dt
                 along = max(way - lost, 0.0)
             if stretch.shape[1] > 0:
                 along = min(along * stretch[0, j], along * stretch[1, j])

@@ -5,8 +5,8 @@ may do, from one frame to the next:
 
 1. *speed*: change by no more than `braking` and `acceleration` allow, rise no further than to `max_speed`, and reverse
    no faster than `reversing_speed`;
-2. *way*: get on along the road as its speed says, but for what turning takes from it (`turning_loss`, which comes back
-at
+2. *way*: get on along the road as its speed says, but for what turning takes from it (`turning_loss` and
+`turning_action`, which comes back at
    `turning_rate`), and sideways no further than its speed says;
 3. *lanes*: stay in the lanes that its body touches. It may touch another one where that leaves the room for the ego's
    fail-safe;
@@ -72,8 +72,8 @@ class Motions(NamedTuple):
 
 
 class Ego(NamedTuple):
-    """The ego in the world frame: x, y [m], heading [rad], speed [m/s]; half extents of its footprint with the buffer and of its
-    body alone, along and across [m]; and whether it has crashed in this frame."""
+    """The ego in the world frame: x, y [m], heading [rad], speed [m/s]; half extents of its footprint with the buffer
+    and of its body alone, along and across [m]; and whether it has crashed in this frame."""
 
     x: float
     y: float
@@ -89,6 +89,7 @@ class Ego(NamedTuple):
 class _Limits(NamedTuple):
     braking: float
     acceleration: float
+    power: float
     fastest: float
     reversing: float
     slow: float
@@ -99,8 +100,8 @@ class _Limits(NamedTuple):
 
 @compiled
 def _apart(ego: Ego, along: float, across: float, rows: Any, i: int, dt: float) -> float:
-    """Greatest gap along the directions of the sides of two rectangles [m], see `dynamics.scenes.rectangles`, while both
-    move for `dt` along their headings [s]."""
+    """Greatest gap along the directions of the sides of two rectangles [m], see `dynamics.scenes.rectangles`, while
+    both move for `dt` along their headings [s]."""
     dx, dy = ego.x - rows[i, 0], ego.y - rows[i, 1]
     ux, uy, wx, wy = math.cos(ego.heading), math.sin(ego.heading), math.cos(rows[i, 2]), math.sin(rows[i, 2])
     c, s = abs(ux * wx + uy * wy), abs(uy * wx - ux * wy)
@@ -147,12 +148,15 @@ def _judge(
         if not wrecked:
             rate = (v - v0) / limits.period
             sped = not v <= max(v0, limits.fastest) + _SLIGHT or not v >= -limits.reversing
-            if sped or not (-limits.braking <= rate <= limits.acceleration):
+            most_rate = min(limits.acceleration, limits.power / max(v0, 1e-3) + _TOLERANCE)
+            if sped or not (-limits.braking <= rate <= most_rate):
                 bits |= _SPEED
             if limits.one_frame:
                 back = not ds >= min(way, 0.0) * most - _SLIGHT
                 ahead = not ds <= max(way, 0.0) * most + _SLIGHT
-                if back or ahead or not abs(dr) <= abs(way) * 1.0001 + _SLIGHT or not bodies.budget[i] >= -_SLIGHT:
+                if back or ahead or not abs(dr) <= abs(way) * 1.0001 + _SLIGHT:
+                    bits |= _WAY
+                if not min(bodies.budget[i], bodies.action[i]) >= -_SLIGHT:
                     bits |= _WAY
         if behind[i] and _apart(ego, ego.along, ego.across, rows, i, 0.0) < 0:
             bits |= _DISTANCE
@@ -210,6 +214,7 @@ def permits(before: Surroundings, after: Surroundings, period: float, behind: Bo
     limits = _Limits(
         a.braking + _TOLERANCE,
         a.acceleration + _TOLERANCE,
+        a.power,
         a.max_speed,
         a.reversing_speed + _TOLERANCE,
         a.slow_speed,

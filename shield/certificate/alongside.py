@@ -293,4 +293,6 @@ def warm_up() -> None:
     _may_slip(rows, np.zeros((1, 4)), moving, size, 5.0, size, lane, 3.0, 6.0, one)
     far = np.full(1, 1e3)
     _centred(pair, far)
-    _separations(pair, size, far, far, far, np.zeros((2, 1)), far, 6.0, one, one, np.zeros((1, 1, 2)), far, 3.0, 0.1, one)
+    _separations(
+        pair, size, far, far, far, np.zeros((2, 1)), far, 6.0, one, one, np.zeros((1, 1, 2)), far, 3.0, 0.1, one
+    )

@@ -100,7 +100,9 @@ def _coming(state: Any, size: Any, ends: Any, left: float, right: float, reach: 
         behind -= max((ends[3] - ends[2]) * cos - v * dt, 0.0)
     # Where any of its body may be beside the ego, all of it has to be on one side of the flank.
     window = half + abs(v) * dt + abs(sin) * max(abs(low), abs(high)) + 2 * reach
-    first, last = max(ends[0] - s, -window), min(ends[2] - s, window)
+    # The other gets on along the road meanwhile, and that brings a flank that is turned towards it nearer.
+    moved = max(ends[3] - ends[2], 0.0) if math.isfinite(ends[3]) else 0.0
+    first, last = max(ends[0] - s, -window), min(ends[3] - s, window + moved)
     if first >= last:
         return np.inf
     over = low * cos - max(first * sin, last * sin) - side
@@ -114,7 +116,7 @@ def _front(paths: Any, i: int, center: float, at_once: int, follower: Any, duty:
     """Greatest s of a vehicle behind after each frame: it accelerates until it owes the ego its braking."""
     v0, start, stretch = follower[0], follower[1], follower[2]
     seen, reaction, gain, loss, most = duty[0], int(duty[1]), duty[2], duty[3], duty[4]
-    hold, dt = int(duty[5]), duty[6]
+    hold, dt, power = int(duty[5]), duty[6], duty[7]
     frames = paths.shape[1]
     # The duty starts when the ego has come into sight for good; losing sight of it starts the clock again.
     first = 1
@@ -123,11 +125,13 @@ def _front(paths: Any, i: int, center: float, at_once: int, follower: Any, duty:
             first = k + 2
             break
     turn = at_once if first == 1 and at_once >= 0 else first + reaction
-    way, v, top = 0.0, 0.0, max(v0, most)
+    way, speed, v, top = 0.0, v0, v0, max(v0, most)
     for k in range(frames):
-        v = max(min(v0 + gain * dt * max(min(k, turn) - hold, 0), top) - loss * dt * max(k - turn, 0), 0.0)
+        v = max(speed - loss * dt * max(k - turn, 0), 0.0)
         way += v
         front[k] = start + way * dt * stretch
+        if hold <= k < turn:
+            speed = min(speed + min(gain, power / max(speed, 1e-3)) * dt, top)
     # Where the ego has come to rest at the last frame, its follower may still be doing so.
     if paths[i, frames - 1, 3] < 0.5:
         front[frames - 1] += (v * v / (2 * loss) + 0.5 * v * dt) * stretch
@@ -141,6 +145,7 @@ def least_separations(
     high: Any,
     rear: Any,
     lengths: Any,
+    noses: Any,
     owed: Any,
     follows: Any,
     centers: Any,
@@ -158,13 +163,15 @@ def least_separations(
     size : half extents of the ego with its buffer, length and width of the body, growth (s, r) of the former and of
         the latter on a bend, (8,) [m].
     low, high : lateral extents of the vehicles for each path, (n or 1, m) [m]. rear : least s of each, (m, K) [m].
-    lengths : half the length that each covers along the road, (m,) [m].
+    lengths, noses : half the length that each covers along the road, (m,), and how far its body gets in one frame and
+    in
+        two, (2, m) [m].
     owed : who owes each path its distance, (n, m) bool; no rows where nobody does.
     follows : who is behind and does not, (m,) bool; of them `centers` (n or 1, m) [m] is the lane that they would see
         the ego in, `at_once` (n or 1, m) after how many frames they react if they see it all the time, or -1, and
         `followers` (3, m) are speed, front and stretch.
     duty : distance within which the ego is seen [m], frames of reaction, acceleration, braking [m/s^2], greatest speed
-        [m/s], frames of constant speed before, and frame duration [s], (7,).
+        [m/s], frames of constant speed before, frame duration [s], and power [m^2/s^3], (8,).
     separations : (n, m) [m], result; +inf for who owes it, NaN for a path or a vehicle that is not finite (`rear` adds
         up: its last frame tells).
     reached : frames before the first violation, (n,), result.
@@ -210,11 +217,16 @@ def least_separations(
                     along = max(along, bounds[0, k] - front[k])
                 apart = max(along, max(left - bounds[3, k], bounds[2, k] - right))
                 # Nothing is said about the frame after the last: an ego that brakes stands by then.
-                if coming and k < frames - 1:
-                    ends = (rear[j, k], rear[j, k + 1], np.inf, np.inf)
+                if coming and k == 0 and frames > 1:
+                    ends = (rear[j, 0], rear[j, 1], noses[0, j], noses[1, j])
+                    apart = min(apart, _coming(paths[i, 0], size, ends, left, right, lengths[j], dt))
+                elif coming and k < frames - 1:
+                    along = rear[j, k + 1] - bounds[5, k]
                     if behind:
-                        ends = (rear[j, k], rear[j, k + 1], front[k], front[k + 1])
-                    apart = min(apart, _coming(paths[i, k], size, ends, left, right, lengths[j], dt))
+                        along = max(along, bounds[4, k] - front[k + 1])
+                    later = max(along, max(left - bounds[7, k], bounds[6, k] - right))
+                    if later < 0:
+                        apart = min(apart, later)
                 least = min(least, apart)
                 if apart < 0:
                     reached[i] = min(reached[i], k)
@@ -490,8 +502,8 @@ def warm_up() -> None:
     """Have the kernels compiled, or read from the disk, before they are needed."""
     one, pair, none = np.zeros((1, 1)), np.zeros((1, 2, 4)), np.zeros((1, 1), dtype=np.intp)
     flag, count = np.zeros((1, 1), dtype=np.bool_), np.zeros(1, dtype=np.intp)
-    args = (one, one, np.zeros((1, 2)), np.zeros(1), flag, flag[0], one, none, np.zeros((3, 1)), np.ones(7), one, count)
-    least_separations(pair, np.ones(8), *args)
+    args = (one, one, np.zeros((1, 2)), np.zeros(1), np.zeros((2, 1)), flag, flag[0], one, none, np.zeros((3, 1)),
+    np.ones(8), one, count) least_separations(pair, np.ones(8), *args)
     there, behind = np.zeros(1), np.zeros(1, dtype=np.bool_)
     lanes_held(0.0, there, 1, 1.0, 1.0, -1, count, flag[0])
     others = Others(there, there, there, there, there, behind, there, there, count, there, there)

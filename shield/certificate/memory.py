@@ -135,7 +135,9 @@ class Memory:
         seen = self._seen
         around = seen[2] if seen is not None and seen[1] is scene.others else None
         ignored = self.monitor.offenders
-        return Surveyor(scene, self.config, self._visible, self._owned, around, self._announced, ignored, self._followers)
+        return Surveyor(
+            scene, self.config, self._visible, self._owned, around, self._announced, ignored, self._followers
+        )
 
     def _survey(self, scene: Scene) -> Surveyor:
         """The surveyor of this instant; scenes that differ in the ego's target only share it."""

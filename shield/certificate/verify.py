@@ -142,6 +142,7 @@ class Surveyor:
             states[:, RoadState.R].copy(),
             states[:, RoadState.SPEED] * np.sin(turned),
         )
+        self._noses = around.front(2, scene.dt).T
         self._alongside = Alongside(scene, config, around)
 
     def relevant(self, distance: float, duration: float, followers: bool = True) -> Any:
@@ -216,6 +217,7 @@ class Surveyor:
             high,
             rear,
             self.around.reach[rows],
+            np.ascontiguousarray(self._noses[:, rows]),
             owed,
             follows,
             *behind,
@@ -251,7 +253,16 @@ class Surveyor:
     def _duty(self, hold: int) -> FloatArray:
         a = self.config.assumptions
         return np.array(
-            [a.visible_distance, self._reaction, a.acceleration, a.follower_braking, a.max_speed, hold, self.scene.dt]
+            [
+                a.visible_distance,
+                self._reaction,
+                a.acceleration,
+                a.follower_braking,
+                a.max_speed,
+                hold,
+                self.scene.dt,
+                a.power,
+            ]
         )
 
     def _threats(self, candidates: Candidates, distance: float, duration: float) -> tuple[Any, Any]:

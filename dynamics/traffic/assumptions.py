@@ -56,7 +56,7 @@ class Assumptions:
     max_speed: float = 40.0
     min_speed: float = 0.0
     turning_loss: float = 2.0
-    turning_action: float = 20.0
+    turning_action: float = 17.0
     turning_rate: float = 0.25
     slow_speed: float = 4.0
     reversing_speed: float = 6.0

@@ -14,6 +14,7 @@ from dynamics.vehicle.controllers import KP_LATERAL
 __all__ = [
     "TOUCH",
     "Others",
+    "coming_frame",
     "in_reach",
     "lanes_held",
     "lanes_touched",
@@ -78,7 +79,7 @@ def _extents(paths: Any, i: int, size: Any, dt: float, coming: bool, bounds: Any
 
 
 @compiled
-def _coming(state: Any, size: Any, ends: Any, left: float, right: float, reach: float, dt: float) -> float:
+def coming_frame(state: Any, size: Any, ends: Any, left: float, right: float, reach: float, dt: float) -> float:
     """What is left between the ego and a vehicle over one frame of constant velocities along both headings [m]; +inf
     where there is anything left.
 
@@ -219,7 +220,7 @@ def least_separations(
                 # Nothing is said about the frame after the last: an ego that brakes stands by then.
                 if coming and k == 0 and frames > 1:
                     ends = (rear[j, 0], rear[j, 1], noses[0, j], noses[1, j])
-                    apart = min(apart, _coming(paths[i, 0], size, ends, left, right, lengths[j], dt))
+                    apart = min(apart, coming_frame(paths[i, 0], size, ends, left, right, lengths[j], dt))
                 elif coming and k < frames - 1:
                     along = rear[j, k + 1] - bounds[5, k]
                     if behind:
@@ -502,8 +503,9 @@ def warm_up() -> None:
     """Have the kernels compiled, or read from the disk, before they are needed."""
     one, pair, none = np.zeros((1, 1)), np.zeros((1, 2, 4)), np.zeros((1, 1), dtype=np.intp)
     flag, count = np.zeros((1, 1), dtype=np.bool_), np.zeros(1, dtype=np.intp)
-    args = (one, one, np.zeros((1, 2)), np.zeros(1), np.zeros((2, 1)), flag, flag[0], one, none, np.zeros((3, 1)),
-    np.ones(8), one, count) least_separations(pair, np.ones(8), *args)
+    bodies = np.zeros((1, 2)), np.zeros(1), np.zeros((2, 1))
+    args = (flag, flag[0], one, none, np.zeros((3, 1)), np.ones(8), one, count)
+    least_separations(pair, np.ones(8), one, one, *bodies, *args)
     there, behind = np.zeros(1), np.zeros(1, dtype=np.bool_)
     lanes_held(0.0, there, 1, 1.0, 1.0, -1, count, flag[0])
     others = Others(there, there, there, there, there, behind, there, there, count, there, there)

@@ -125,7 +125,7 @@ def drive_traffic(rng: np.random.Generator, kind: type, rate: int, dense: float)
 @pytest.mark.parametrize("dense", [1.0, 2.0])
 @pytest.mark.parametrize("kind", [behavior.IDMVehicle, behavior.LinearVehicle, behavior.AggressiveVehicle])
 def test_highway_envs_own_traffic_keeps_to_the_rules(kind: type, rate: int, dense: float) -> None:
-    """But for rules 3 and 4, of which the ego's fail-safe decides, and for the crashes that they have among themselves."""
+    """But for rules 3 and 4, of which the ego's fail-safe decides, and for crashes among themselves."""
     old, found = None, []
     for scene in drive_traffic(np.random.default_rng(rate), kind, rate, dense):
         new = Surroundings(scene.others, scene.others_road, scene.road, Assumptions.idm(), scene.dt, old)
@@ -155,7 +155,7 @@ def two(first: tuple[float, ...], second: tuple[float, ...], dt: float = 0.1) ->
         ((0, 4, 0, 20), (2, 4, 0, 20.7), Rule.SPEED, None),
         ((0, 4, 0, -5.8), (-0.58, 4, 0, -6.3), Rule.SPEED, None),
         ((0, 4, 0, 20), (2.1, 4, 0, 20), Rule.WAY, None),
-        ((0, 4, 0, 20), (1.1, 4, 0, 20), 0, None),  # what turning may cost
+        ((0, 4, 0, 20), (1.2, 4, 0, 20), 0, None),  # what turning may cost
         ((0, 4, 0, 20), (0.9, 4, 0, 20), Rule.WAY, None),
         ((0, 4, 0, 5), (-0.1, 4, 0, 5), Rule.WAY, None),
         ((0, 4, 0, 2), (0, 4.2, 0, 2), 0, None),
@@ -182,7 +182,7 @@ def test_the_rules_one_by_one(before, after, broken, grown):
 def test_whoever_is_behind_stays_behind_the_buffer():
     row = np.array([0.0, 0.0, 0.0, 20.0, 5.0, 2.0, 0.0])
     old = around(row[None], 0.1)
-    new = around(row[None] + [2.0, 0, 0, 0, 0, 0, 0], 0.1, old)
+    new = around(row[None] + np.array([2.0, 0, 0, 0, 0, 0, 0]), 0.1, old)
     for gap, broken in ((0.01, 0), (-0.01, int(Rule.DISTANCE))):
         ego = footprint(np.array([2.0 + 2.5 + 4.5 + gap, 0.0, 0.0, 20.0, 5.0, 2.0, 0.0]), 2.0, 0.3)
         assert permits(old, new, 0.1, np.ones(1, dtype=bool), ego).broken[0] == broken
@@ -192,7 +192,7 @@ def test_whoever_is_behind_stays_behind_the_buffer():
 def test_one_that_crashes_breaks_a_rule_unless_the_ego_has_run_into_it():
     row = np.array([0.0, 0.0, 0.0, 20.0, 5.0, 2.0, 0.0])
     old = around(row[None], 0.1)
-    new = around(row[None] + [2.0, 0, 0, 0, 0, 0, 1.0], 0.1, old)
+    new = around(row[None] + np.array([2.0, 0, 0, 0, 0, 0, 1.0]), 0.1, old)
     for crashed, x, broken in ((False, -2.5, int(Rule.CRASH)), (True, -2.5, 0), (True, -9.0, int(Rule.CRASH))):
         ego = footprint(np.array([x, 0.0, 0.0, 20.0, 5.0, 2.0, 1.0]), 2.0, 0.3, crashed)
         assert permits(old, new, 0.1, np.zeros(1, dtype=bool), ego).broken[0] == broken
@@ -204,7 +204,7 @@ def test_rectangles_are_apart_exactly_where_an_axis_separates_them(seed: int) ->
     rng = np.random.default_rng(seed)
     ego = np.array([0.0, 0.0, rng.uniform(-3, 3), 20.0, 5.0, 2.0, 0.0])
     row = np.array([*rng.uniform(-9, 9, 2), rng.uniform(-3, 3), 20.0, rng.uniform(2, 12), rng.uniform(0.5, 3), 0.0])
-    a, b = corners(ego + [0, 0, 0, 0, 4.0, 0.6, 0]), corners(row)
+    a, b = corners(ego + np.array([0, 0, 0, 0, 4.0, 0.6, 0])), corners(row)
     sides = np.array([q - p for shape in (a, b) for p, q in pairwise(shape)])
     normals = np.stack([-sides[:, 1], sides[:, 0]], axis=1) / np.hypot(*sides.T)[:, None]
     pa, pb = a @ normals.T, b @ normals.T

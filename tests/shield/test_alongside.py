@@ -106,7 +106,7 @@ def test_the_property_is_not_empty() -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"offset": 0.0},  # keeps its lane
+        {"offset": 0.0, "u": 27.0, "leader": 18.0, "gap": 30.0},  # keeps its lane, beside one that is hardly blocked
         {"u": 22.0, "leader": 18.0, "gap": 25.0},  # does not pull away
         {"gap": None},  # nobody ahead of it
         {"behind": 8.0},  # already past

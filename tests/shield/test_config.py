@@ -30,9 +30,10 @@ assumptions = st.one_of(
         follower_braking=positive,
         reaction_time=natural,
         visible_distance=natural,
-        keeping_offset=natural,
-        keeping_heading=natural,
-        max_heading=natural,
+        turning_loss=natural,
+        slow_speed=natural,
+        lean=natural,
+        waver=natural,
         blind_merge=st.booleans(),
     ),
 )

@@ -47,7 +47,7 @@ def drive(
         world.move_cars(adversary.wishes(world))
         world.move_inputs(inputs)
         seen = f"seed {seed} {style} {mood}: frame {k}, {decision.tier}, violations {world.core.monitor.count}"
-        assert world.buffer_gap() >= -TOLERANCE, seen
+        assert world.kept(), seen
         assert world.off_road() <= TOLERANCE, seen
         assert world.ego[3] >= -TOLERANCE, seen
     return world
@@ -84,7 +84,7 @@ def test_nearest_by_acceleration_swerves_less() -> None:
             world.claim(world.core.stored_lane)
             world.move_cars([(0.0, 0)])
             world.move_inputs(inputs)
-            assert world.buffer_gap() >= -TOLERANCE
+            assert world.kept()
         across[norm] = np.mean(lateral)
     assert across["range"] > 1.0
     assert across["acceleration"] < 0.2 * across["range"]
@@ -121,7 +121,7 @@ def swerve(seed: int) -> ContinuousWorld:
         world.claim(world.core.stored_lane)
         world.move_cars([(9.0 if rng.random() < 0.9 else -9.0, -int(k >= when and c.lane == 2)) for c in world.cars])
         world.move_inputs(inputs)
-        assert world.buffer_gap() >= -TOLERANCE, (seed, k, decision.tier)
+        assert world.kept(), (seed, k, decision.tier)
         assert world.off_road() <= TOLERANCE, (seed, k, decision.tier)
     return world
 

@@ -171,7 +171,7 @@ class Traffic(RuleBasedStateMachine):
             self.check()
 
     def check(self) -> None:
-        assert self.world.buffer_gap() >= -1e-6
+        assert self.world.kept()
 
     @invariant()
     def the_buffer_holds(self) -> None:

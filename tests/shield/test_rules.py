@@ -132,9 +132,9 @@ def test_the_distance_rule_refuses_lane_changes_near_anybody(others, target, obj
         ([(56, 0, 0)], KEEP, False),
         ([(56, 0, 0)], LEFT, True),
         ([(56, 0, 0)], RIGHT, False),
-        # A follower at 40 m/s in the lane that is entered: 40 * 0.2 + 0.06 + 40.6^2 / 12 - 25^2 / 16 = 106.4 m.
-        ([(-111, 0, 40)], LEFT, True),
-        ([(-112, 0, 40)], LEFT, False),
+        # A follower at 40 m/s in the lane that is entered: 40 * 0.2 + 0.12 + 41.2^2 / 12 - 25^2 / 16 = 110.5 m.
+        ([(-115, 0, 40)], LEFT, True),
+        ([(-116, 0, 40)], LEFT, False),
         ([(-50, 1, 40)], KEEP, False),
         # Alongside in the lane that is entered.
         ([(0, 2, 25)], RIGHT, True),

@@ -93,6 +93,10 @@ class World:
         gaps = [separation(mine, corners(c.s, c.r, c.heading, LENGTH, WIDTH)) for c in self.cars]
         return min(gaps, default=np.inf)
 
+    def kept(self) -> bool:
+        """The theorem: the ego keeps its buffer, or somebody has been seen to break a rule."""
+        return self.buffer_gap() >= -1e-6 or self.core.monitor.count > 0
+
     def move_ego(self, command: FrameCommand | None) -> None:
         """One frame of the ego: its own controllers, or what the core commands."""
         if command is None:
@@ -182,7 +186,7 @@ class World:
             moved.append(rate)
         for car, rate in zip(self.cars, moved, strict=True):
             offset = car.r - self.road.centers[car.lane]
-            bound = 0.3 if abs(offset) > a.keeping_offset else 0.9 * a.keeping_heading
+            bound = 0.3 if abs(offset) > 0.4 else 0.036
             sine = np.clip(-offset / 0.6 / max(car.speed, 1e-3), -np.sin(bound), np.sin(bound))
             car.heading = float(np.arcsin(sine))
             car.s += car.speed * np.cos(car.heading) * self.dt

@@ -12,7 +12,7 @@ may do, from one frame to the next:
    fail-safe;
 4. *reversing*: only from what is ahead in its lanes, and as far as `queue_distance` from it; further where that leaves
    the room for the ego's fail-safe;
-5. *distance*: whoever is behind the ego with its buffer stays behind it;
+5. *distance*: whoever is behind the ego with its buffer, in a lane that the ego owns, stays behind it;
 6. *no crash* with another than the ego.
 
 Rules 1 and 2 are judged here alone. Of rules 3 and 4 this module finds who has taken more room, and the shield whether
@@ -33,7 +33,7 @@ from dynamics.state import BoolArray, FloatArray, Vehicle
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.traffic.occupancy_kernels import Bodies
 
-__all__ = ["Ego", "Motions", "Rule", "apart", "coming_apart", "footprint", "permits"]
+__all__ = ["Ego", "Motions", "Rule", "apart", "footprint", "permits"]
 
 _LENGTH, _WIDTH, _CRASHED = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
 _SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH = 1, 2, 4, 8, 16, 32
@@ -158,8 +158,11 @@ def _judge(
                     bits |= _WAY
                 if not min(bodies.budget[i], bodies.action[i]) >= -_SLIGHT:
                     bits |= _WAY
-        if behind[i] and _apart(ego, ego.along, ego.across, rows, i, 0.0) < 0:
-            bits |= _DISTANCE
+        if behind[i]:
+            touches = _apart(ego, ego.along, ego.across, rows, i, 0.0) < 0
+            # highway-env counts what constant velocities would bring in the coming frame.
+            if touches or _apart(ego, ego.body_along, ego.body_across, rows, i, limits.period) <= 0:
+                bits |= _DISTANCE
         if not (bodies.low[i] >= bodies0.low[i] - _SLIGHT and bodies.high[i] <= bodies0.high[i] + _SLIGHT):
             more |= _LANES
         if not drop <= _GREW:
@@ -179,12 +182,6 @@ def apart(ego: Ego, row: FloatArray) -> float:
     return float(_apart(ego, ego.along, ego.across, row[None], 0, 0.0))
 
 
-def coming_apart(ego: Ego, row: FloatArray, dt: float) -> float:
-    """The same between their bodies while both go on along their headings for `dt` [s]: where it is not positive,
-    highway-env counts a collision (`utils.are_polygons_intersecting`)."""
-    return float(_apart(ego, ego.body_along, ego.body_across, row[None], 0, dt))
-
-
 def permits(before: Surroundings, after: Surroundings, period: float, behind: BoolArray, ego: Ego) -> Motions:
     """What the vehicles did between two scenes, `period` seconds apart; they are matched by their order.
 
@@ -192,7 +189,7 @@ def permits(before: Surroundings, after: Surroundings, period: float, behind: Bo
     ----------
     before, after : the others in both scenes, of the same number; `after` knows `before`.
     period : time between them [s]. Over more than a frame, the way (rule 2) is not judged.
-    behind : who was behind the ego with its buffer in the scene before, (m,).
+    behind : who owed the ego its distance in the scene before, (m,).
     ego : the ego after the frame.
 
     Examples

@@ -109,7 +109,12 @@ class Memory:
         self._surveyor, self._followers = None, self.monitor.followers(scene)
         survey = self._survey(scene)
         self.monitor.update(
-            scene, around, survey.others.behind, self._frames * scene.dt, lambda: self._fail_safe(scene).separations
+            scene,
+            around,
+            survey.others.behind,
+            survey.held,
+            self._frames * scene.dt,
+            lambda: self._fail_safe(scene).separations,
         )
 
     def _fail_safe(self, scene: Scene, survey: Surveyor | None = None) -> FailSafe:

@@ -53,24 +53,29 @@ class AssumptionMonitor:
         return self._last[0]
 
     def followers(self, scene: Scene) -> BoolArray | None:
-        """Who was behind the ego with its buffer in the scene before, (m,) bool; None where the others are not the
-        same."""
+        """Who owed the ego its distance in the scene before, (m,) bool; None where the others are not the same."""
         return None if self._last is None or self.before(scene) is None else self._last[1]
 
     def update(
-        self, scene: Scene, around: Surroundings, behind: BoolArray, period: float, fail_safe: Separations
+        self,
+        scene: Scene,
+        around: Surroundings,
+        behind: BoolArray,
+        held: BoolArray,
+        period: float,
+        fail_safe: Separations,
     ) -> None:
         """Take in the next scene.
 
         Parameters
         ----------
         scene, around : the scene, and its surroundings, which know those of the scene before.
-        behind : who is behind the ego with its buffer, (m,) bool.
+        behind, held : who is behind the ego with its buffer, and who is in a lane that it owns, (m,) bool.
         period : time since the scene before [s].
         fail_safe : asked where somebody has taken more room than before.
         """
         before, last = self.before(scene), self._last
-        self._last = around, behind, bool(scene.ego[Vehicle.CRASHED] > 0)
+        self._last = around, behind & held, bool(scene.ego[Vehicle.CRASHED] > 0)
         if before is None or last is None:
             self.offenders = np.zeros(len(scene.others), dtype=bool)
             self._breaking = self.offenders
@@ -79,6 +84,8 @@ class AssumptionMonitor:
         crashed = bool(scene.ego[Vehicle.CRASHED] > 0) and not last[2]
         seen = footprint(scene.ego, b.longitudinal, b.lateral, crashed)
         broken, grown = permits(before, around, period, last[1], seen)
+        # Who comes beside the ego in its own lane has not stayed behind.
+        broken |= np.where(last[1] & held & ~behind, int(Rule.DISTANCE), 0)
         if grown.any():
             # Who takes more room than before has to leave it to the ego's fail-safe.
             broken |= np.where(fail_safe() < 0, grown, 0)

@@ -26,11 +26,11 @@ from typing import Any
 import numpy as np
 
 from dynamics.scenes.scene import Scene
-from dynamics.state import FloatArray, RoadState, Vehicle
+from dynamics.state import BoolArray, FloatArray, RoadState, Vehicle
 from dynamics.traffic.occupancy import Surroundings
-from dynamics.traffic.permits import apart, coming_apart, footprint
+from dynamics.traffic.permits import apart, footprint
 from shield.certificate.alongside import Alongside
-from shield.certificate.kernels import Others, in_reach, least_separations, margins, rooms, sides_taken, threats
+from shield.certificate.kernels import TOUCH, Others, in_reach, least_separations, margins, rooms, sides_taken, threats
 from shield.certificate.manoeuvres import Candidates
 from shield.config import ShieldConfig
 
@@ -39,6 +39,8 @@ __all__ = ["Clearance", "Surveyor", "least_bad"]
 
 _NOWHERE = np.zeros((0, 0))
 _NO_FOLLOWERS = np.zeros((1, 0)), np.zeros((1, 0), dtype=np.intp), np.zeros((3, 0))
+_CORNER = 0.5
+"""How far a corner of a vehicle behind may come beside a corner of the ego's buffer [m]."""
 _GIVES_WAY = 1.0
 """A vehicle that merges from the far side gives way if its centre is further behind than this [m]."""
 
@@ -76,7 +78,7 @@ class Surveyor:
     around : the scene's surroundings, where they have been built already.
     announced : whether the traffic knows of the lane that a path commits to, so that one behind gives way.
     ignored : whom to leave out, (m,) bool; nobody by default.
-    followers : who was behind the ego in the scene before, (m,) bool; nobody by default.
+    followers : who owed the ego its distance in the scene before, (m,) bool; nobody by default.
     """
 
     def __init__(
@@ -122,13 +124,12 @@ class Surveyor:
         # Who is behind is told from where the body is now: its reach is for wherever it may turn to.
         fronts = 0.5 * (sizes[0] * np.abs(np.cos(turned)) + sizes[1] * np.abs(np.sin(turned)))
         behind = ahead + fronts <= -half
-        # One whose corner has come beside the ego's is still behind until it touches the buffer; and so is one that
-        # slips in behind an ego that pulls away from it.
-        slower = speeds < float(ego[RoadState.SPEED]) * math.cos(psi)
-        later = (ahead < -0.5 * length) & ~behind & (slower if followers is None else followers | slower)
-        for i in np.flatnonzero(later):
-            seen = footprint(scene.ego, b.longitudinal, b.lateral)
-            behind[i] = apart(seen, scene.others[i]) >= 0 and coming_apart(seen, scene.others[i], scene.dt) > 0
+        if followers is not None:
+            # One that owes the ego its distance does so still where a corner of it has come beside a corner of the
+            ego's # buffer, until it touches it.
+            for i in np.flatnonzero(followers & ~behind & (ahead + fronts <= _CORNER - half)):
+                seen = footprint(scene.ego, b.longitudinal, b.lateral)
+                behind[i] = apart(seen, scene.others[i]) >= 0
         self.others = Others(
             ahead,
             np.minimum(ahead, around.bodies.floor - ego[RoadState.S]),
@@ -144,6 +145,14 @@ class Surveyor:
         )
         self._noses = around.front(2, scene.dt).T
         self._alongside = Alongside(scene, config, around)
+
+    @property
+    def held(self) -> BoolArray:
+        """Who is in a lane that the ego owns, (m,) bool."""
+        centers = self.scene.road.centers[self.owned]
+        low, high = self.others.low[:, None], self.others.high[:, None]
+        inside: BoolArray = ((low < centers + TOUCH) & (high > centers - TOUCH)).any(axis=1)
+        return inside
 
     def relevant(self, distance: float, duration: float, followers: bool = True) -> Any:
         """Rows of those who can come into reach of an ego that travels at most `distance` [m] in `duration` [s].

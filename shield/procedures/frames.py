@@ -18,7 +18,7 @@ from shield.decision import Decision, Reason, Tier
 
 __all__ = ["FrameCommand", "FrameSupervisor", "Verdict", "first_verified"]
 
-_ACCELERATIONS = 12
+_ACCELERATIONS = 32
 """Grid points between full braking and the committed acceleration, when a frame is held back."""
 _ROUNDING = 1e-6
 """What rounding may take from a plan that was verified a frame before [m]."""

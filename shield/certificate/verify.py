@@ -126,7 +126,7 @@ class Surveyor:
         behind = ahead + fronts <= -half
         if followers is not None:
             # One that owes the ego its distance does so still where a corner of it has come beside a corner of the
-            ego's # buffer, until it touches it.
+            # ego's buffer, until it touches it.
             for i in np.flatnonzero(followers & ~behind & (ahead + fronts <= _CORNER - half)):
                 seen = footprint(scene.ego, b.longitudinal, b.lateral)
                 behind[i] = apart(seen, scene.others[i]) >= 0

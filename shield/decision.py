@@ -92,6 +92,9 @@ class Decision:
     plan : road states of the executed action and its fail-safe, shape (frames + 1, 4), or None.
     occupancy : rectangles where the others can be, shape (frames, vehicles, 4) as s_min, s_max, r_min, r_max
         in the road frame [m], or None; filled only with `ShieldConfig.record`.
+    clause : which clause of the certificate the margin comes from: "separation", "slip-in", "room", "edge", "gap of the
+        map", "rollback"; "" where none binds, or none was asked.
+    vehicle : row of the vehicle that binds among the scene's others, -1 without one.
     """
 
     proposed: Any
@@ -102,6 +105,8 @@ class Decision:
     latency: float
     plan: FloatArray | None = field(default=None, repr=False, compare=False)
     occupancy: FloatArray | None = field(default=None, repr=False, compare=False)
+    clause: str = ""
+    vehicle: int = -1
 
     @property
     def overridden(self) -> bool:

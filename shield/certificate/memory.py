@@ -20,7 +20,7 @@ from shield.certificate import alongside, kernels
 from shield.certificate.kernels import TOUCH, lanes_held
 from shield.certificate.manoeuvres import brake_candidates
 from shield.certificate.monitor import AssumptionMonitor
-from shield.certificate.verify import Surveyor
+from shield.certificate.verify import Binding, Surveyor
 from shield.config import ShieldConfig
 
 __all__ = ["Memory"]
@@ -45,13 +45,14 @@ _LONG = 10**6
 
 @dataclass(frozen=True, slots=True)
 class FailSafe:
-    """The stored fail-safe played on from now: the lane that it stops in, its path (K, 4), its margin [m], and how far
-    it stays from where each vehicle can be, (m,) [m]."""
+    """The stored fail-safe played on from now: the lane that it stops in, its path (K, 4), its margin [m], how far it
+    stays from where each vehicle can be, (m,) [m], and what the margin comes from."""
 
     lane: int
     path: FloatArray
     margin: float
     separations: FloatArray
+    binding: Binding
 
 
 class Memory:
@@ -127,7 +128,7 @@ class Memory:
         paths = self._rollouts_for(scene).run(scene.ego_road, candidates.commands)
         survey = survey if survey is not None else self._survey(scene)
         result = survey.clearance(paths, candidates)
-        return FailSafe(lane, paths[0], float(result.margin[0]), survey.of_each(result))
+        return FailSafe(lane, paths[0], float(result.margin[0]), survey.of_each(result), result.binding(0))
 
     def _rollouts_for(self, scene: Scene) -> Rollouts:
         key = scene.dt, getattr(scene.road, "profile", None)

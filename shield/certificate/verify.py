@@ -34,15 +34,31 @@ from shield.certificate.kernels import TOUCH, Others, in_reach, least_separation
 from shield.certificate.manoeuvres import Candidates
 from shield.config import ShieldConfig
 
-__all__ = ["Clearance", "Surveyor", "least_bad"]
+__all__ = ["NOTHING", "Binding", "Clearance", "Surveyor", "least_bad"]
 
 
-_NOWHERE = np.zeros((0, 0))
 _NO_FOLLOWERS = np.zeros((1, 0)), np.zeros((1, 0), dtype=np.intp), np.zeros((3, 0))
 _CORNER = 0.5
 """How far a corner of a vehicle behind may come beside a corner of the ego's buffer [m]."""
 _GIVES_WAY = 1.0
 """A vehicle that merges from the far side gives way if its centre is further behind than this [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Binding:
+    """What a margin comes from.
+
+    Attributes
+    ----------
+    clause : its name, "" with nobody in reach. vehicle : row among the scene's others, -1 without one.
+    """
+
+    clause: str = ""
+    vehicle: int = -1
+
+
+NOTHING = Binding()
+"""Nothing binds, or nothing was asked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +72,7 @@ class Clearance:
     parts : where asked for, what the margin is the least of, (n, vehicles + 1) [m]: the least separation from each
         vehicle in reach, +inf from one that owes the ego its distance; from each that may slip in alongside; and the
         room in the lane that is stopped in.
+    slipping, slippers : the same for those that may slip in alongside.
     separations, rows : least separation from each vehicle in reach (n, len(rows)) [m], and which they are.
     """
 
@@ -64,6 +81,21 @@ class Clearance:
     parts: FloatArray | None = None
     separations: FloatArray | None = None
     rows: Any = None
+    slipping: FloatArray | None = None
+    slippers: Any = None
+
+    def binding(self, i: int) -> Binding:
+        """The clause that the margin of path `i` comes from, and the vehicle."""
+        margin = self.margin[i]
+        if np.isneginf(margin):
+            return Binding("gap of the map")
+        for clause, values, rows in (
+            ("separation", self.separations, self.rows),
+            ("slip-in", self.slipping, self.slippers),
+        ):
+            if values is not None and values.shape[1] and values[i].min() <= margin:
+                return Binding(clause, int(rows[values[i].argmin()]))
+        return Binding("" if np.isposinf(margin) else "room")
 
 
 class Surveyor:
@@ -184,7 +216,7 @@ class Surveyor:
             rows, owed = rows[kept], np.ascontiguousarray(owed[:, kept])
         room = rooms(paths, self._size_of_ego, scene.road.centers, candidates.fails, 0.5 * scene.road.width, self._bent)
         separations, reached = self._separations(paths, rows, owed, candidates, hold)
-        slipping = _NOWHERE
+        slipping = np.empty((len(paths), 0))
         if len(self._alongside) and hold == 0:
             slipping = self._alongside.separations(paths, self._size_of_ego)
             if self.ignored is not None and self.ignored.any():
@@ -194,7 +226,7 @@ class Surveyor:
             margin[~np.isfinite(paths).all(axis=(1, 2))] = np.nan
         self._close_gaps(paths, margin)
         each = np.column_stack([separations, *slipping.T, room]) if parts else None
-        return Clearance(margin, reached, each, separations, rows)
+        return Clearance(margin, reached, each, separations, rows, slipping, self._alongside.rows)
 
     def of_each(self, result: Clearance, i: int = 0) -> FloatArray:
         """How far path `i` of a result stays from where each vehicle can be, (m,) [m]; +inf out of reach."""

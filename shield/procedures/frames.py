@@ -13,7 +13,7 @@ from dynamics.state import FloatArray, RoadState, State
 from dynamics.vehicle.controllers import KP_SPEED
 from shield.certificate.manoeuvres import Candidates, brake_candidates
 from shield.certificate.memory import Memory
-from shield.certificate.verify import Clearance, least_bad
+from shield.certificate.verify import NOTHING, Binding, Clearance, least_bad
 from shield.decision import Decision, Reason, Tier
 
 __all__ = ["FrameCommand", "FrameSupervisor", "Verdict", "first_verified"]
@@ -38,11 +38,12 @@ class FrameCommand:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Best margin of one action [m], and the fail-safe lane and path that achieve it."""
+    """Best margin of one action [m], the fail-safe lane and path that achieve it, and what it comes from."""
 
     margin: float
     fail_lane: int
     path: FloatArray | None
+    binding: Binding = NOTHING
 
 
 _UNKNOWN = Verdict(float("nan"), -1, None)
@@ -85,7 +86,7 @@ class FrameSupervisor(Memory):
         if margin >= 0:
             self.stored_lane = fails[best]
             self.monitor.forgive()
-            verdict = Verdict(margin, fails[best], paths[best])
+            verdict = Verdict(margin, fails[best], paths[best], result.binding(best))
             return None, _frame(proposed, None, Reason.NONE, Tier.PASSED, verdict, start)
         command, verdict = self._mend(scene)
         if verdict.margin >= 0:
@@ -106,7 +107,7 @@ class FrameSupervisor(Memory):
                     self.stored_lane = verdict.fail_lane
                     return command, verdict, Tier.EVADED
             command = FrameCommand(stored.lane, -self.config.braking)
-            return command, Verdict(stored.margin, stored.lane, stored.path), Tier.STORED_PLAN
+            return command, Verdict(stored.margin, stored.lane, stored.path, stored.binding), Tier.STORED_PLAN
         command, verdict, _ = self._evade_frame(scene)
         self.stored_lane = None
         return command, verdict, Tier.LARGEST_MARGIN
@@ -124,7 +125,8 @@ class FrameSupervisor(Memory):
         margin = np.nan_to_num(result.margin[every], nan=-np.inf)
         i = int(every[np.lexsort((margin, result.clear[every]))[-1]])
         command = FrameCommand(int(candidates.lanes[i]), float(accelerations[i]))
-        return command, Verdict(float(result.margin[i]), int(candidates.fails[i]), paths[i]), float(lawful[i])
+        verdict = Verdict(float(result.margin[i]), int(candidates.fails[i]), paths[i], result.binding(i))
+        return command, verdict, float(lawful[i])
 
     def _evasions(self, scene: Scene) -> tuple[Candidates, FloatArray]:
         """Accelerations in the ego's lane and its neighbours, each of which stops where it steers to."""
@@ -163,7 +165,7 @@ class FrameSupervisor(Memory):
         if not np.isfinite(score[i]):
             i = least_bad(result)
         command = FrameCommand(int(steer[i]), float(accelerations[i]))
-        return command, Verdict(float(result.margin[i]), int(fails[i]), paths[i])
+        return command, Verdict(float(result.margin[i]), int(fails[i]), paths[i], result.binding(i))
 
     def brake_in_lane(self, lane: int, start: float) -> tuple[FrameCommand, Decision]:
         """The last resort of a frame, for when a stage has failed: brake in the stored lane, else in `lane`."""
@@ -196,4 +198,6 @@ def _frame(
     proposed: Target, command: FrameCommand | None, reason: Reason, tier: Tier, verdict: Verdict, start: float
 ) -> Decision:
     executed: Any = proposed if command is None else command
-    return Decision(proposed, executed, reason, tier, verdict.margin, perf_counter() - start, verdict.path)
+    latency, (clause, vehicle) = perf_counter() - start, (verdict.binding.clause, verdict.binding.vehicle)
+    margin, plan = verdict.margin, verdict.path
+    return Decision(proposed, executed, reason, tier, margin, latency, plan, None, clause, vehicle)

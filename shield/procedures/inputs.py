@@ -26,7 +26,7 @@ from mpc.filter.road_step import StageModel
 from shield.certificate.kernels import lanes_touched, verdicts
 from shield.certificate.manoeuvres import Candidates
 from shield.certificate.memory import Memory
-from shield.certificate.verify import Surveyor
+from shield.certificate.verify import Binding, Surveyor
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
@@ -271,14 +271,20 @@ class ContinuousCore(Memory):
         margin = verdicts(result.margin, edges, allowed, paths, self._frames)
         clear = np.minimum(result.clear, on_road)
         of = None if result.parts is None else np.hstack([result.parts, edges])
+
+        def bind(row: int) -> Binding:
+            if not margin[row] < result.margin[row]:
+                return result.binding(row)
+            return Binding("edge" if np.isfinite(margin[row]) or not allowed[row] else "rollback")
+
         if f == 1:
-            return Judged(inputs, margin, clear, fails, paths, of)
+            return Judged(inputs, margin, clear, fails, paths, of, bind)
         # The first lane that verifies, in order; else the best.
         each = margin.reshape(n, f)
         good = each >= 0
         pick = np.where(good.any(axis=1), good.argmax(axis=1), np.nan_to_num(each, nan=-np.inf).argmax(axis=1))
         rows = np.arange(n) * f + pick
-        return Judged(inputs, margin[rows], clear[rows], fails[rows], paths[rows])
+        return Judged(inputs, margin[rows], clear[rows], fails[rows], paths[rows], bind=lambda i: bind(int(rows[i])))
 
     def _stopped(self, scene: Scene, began: FloatArray, fails: Any) -> FloatArray:
         """Paths (n, h, 4) and the fail-safes after them, in lanes `fails` (n k,): (n k, h + frames, 4)."""
@@ -342,4 +348,6 @@ class ContinuousCore(Memory):
         if self.config.record:
             occupancy = self._survey(scene).around.occupancy(len(judged.paths[0]), scene.dt).rectangles()
         margin = float(judged.margin[0])
-        return Decision(proposal, judged.inputs[0], reason, tier, margin, perf_counter() - start, plan, occupancy)
+        binding, latency = judged.bind(0), perf_counter() - start
+        inputs, clause, vehicle = judged.inputs[0], binding.clause, binding.vehicle
+        return Decision(proposal, inputs, reason, tier, margin, latency, plan, occupancy, clause, vehicle)

@@ -154,17 +154,19 @@ class ShieldCore(FrameSupervisor):
         fails = [f for _, f in pairs]
         period, braking = scene.frames_per_decision, self.config.braking
         paths, bound = self._judge(scene, brake_candidates(scene, lanes, speeds, fails, 1, braking))
-        margins = bound.margin
+        margins, results = bound.margin, [bound] * len(pairs)
         if forecast:
             lasting = brake_candidates(scene, lanes, speeds, fails, period, braking)
             paths, expected = self._judge(scene, lasting, period)
+            sooner = expected.margin < margins
             margins = np.minimum(margins, expected.margin)
+            results = [expected if earlier else bound for earlier in sooner]
         owner = np.array([i for i, _ in pairs])
         out = []
         for i in range(len(targets)):
             rows = np.flatnonzero(owner == i)
             best = int(rows[first_verified(margins[rows])])
-            out.append(Verdict(float(margins[best]), fails[best], paths[best]))
+            out.append(Verdict(float(margins[best]), fails[best], paths[best], results[best].binding(best)))
         return out
 
     def _verify_actions(
@@ -206,12 +208,13 @@ class ShieldCore(FrameSupervisor):
         start: float,
     ) -> Decision:
         self.stored_lane = verdict.fail_lane
-        plan = np.vstack([scene.ego_road, verdict.path])
+        path = verdict.path if verdict.path is not None else np.empty((0, 4))
+        plan = np.vstack([scene.ego_road, path])
         occupancy = None
         if self.config.record:
             around = self._survey(scene).around
             hold = scene.frames_per_decision if tier is Tier.ALTERNATIVE else 0
-            occupancy = around.occupancy(len(verdict.path), scene.dt, hold).rectangles()
+            occupancy = around.occupancy(len(path), scene.dt, hold).rectangles()
         return Decision(
             proposed,
             executed,
@@ -221,6 +224,8 @@ class ShieldCore(FrameSupervisor):
             perf_counter() - start,
             plan,
             occupancy,
+            verdict.binding.clause,
+            verdict.binding.vehicle,
         )
 
     def fallback(self, labels: Sequence[str], proposed: Any, reason: Reason, start: float) -> Decision:

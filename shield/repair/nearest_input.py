@@ -18,14 +18,14 @@ Distances are in shares of the actuators' ranges.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from dynamics.state import FloatArray
 from mpc.filter.nearest_point import nearest
-from shield.certificate.verify import Clearance, least_bad
+from shield.certificate.verify import NOTHING, Binding, Clearance, least_bad
 
 __all__ = ["Judged", "Search"]
 
@@ -79,7 +79,7 @@ _SPIRAL = _spiral(4 * _STREWN)
 @dataclass(frozen=True, slots=True)
 class Judged:
     """Inputs (n, 2), and the best fail-safe of each: margin [m], frames that stay clear and on the road, lane, path;
-    and what the margin is made of (n, parts) [m], where it was asked for."""
+    what the margin is made of (n, parts) [m], where it was asked for; and what tells where one comes from."""
 
     inputs: FloatArray
     margin: FloatArray
@@ -87,11 +87,14 @@ class Judged:
     lanes: Any
     paths: FloatArray
     parts: FloatArray | None = None
+    bind: Callable[[int], Binding] = field(default=lambda _: NOTHING, repr=False)
 
     def row(self, i: int) -> Judged:
         """One of them."""
         one = slice(i, i + 1)
-        return Judged(self.inputs[one], self.margin[one], self.clear[one], self.lanes[one], self.paths[one])
+        bind = self.bind
+        rows = self.inputs[one], self.margin[one], self.clear[one], self.lanes[one], self.paths[one]
+        return Judged(*rows, bind=lambda _: bind(i))
 
 
 Judge = Callable[[FloatArray, list[int], bool], Judged]

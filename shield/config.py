@@ -17,8 +17,8 @@ __all__ = ["MODES", "Buffer", "ShieldConfig"]
 
 MODES = ("none", "distance", "rss", "ttc", "full")
 """Valid `ShieldConfig.mode`: no shield, one rule alone, or the whole procedure."""
-REPAIRS = ("hold", "filter", "brake")
-"""Valid `ShieldConfig.repair`: hold the meta-action back, take the nearest inputs, or brake."""
+REPAIRS = ("hold", "filter")
+"""Valid `ShieldConfig.repair`: hold the meta-action back, or take the nearest inputs."""
 
 NORMS = ("range", "acceleration")
 """Valid `ShieldConfig.norm`."""
@@ -59,8 +59,7 @@ class ShieldConfig:
     response_time : the ego's response time in the RSS rule used alone [s].
     horizon : how far `Shield`, which has meta-actions only, looks ahead when the ego cannot stop [s].
     repair : what `ShieldedEnv` does between two decisions with a meta-action that has become unsafe: "hold" gives it
-        the greatest acceleration that verifies, "filter" the nearest inputs (the predictive filter), "brake" plays
-        the stored fail-safe on.
+        the greatest acceleration that verifies, "filter" the nearest inputs (the predictive filter).
     norm : what a throttle and a wheel angle on a road are nearest in to those proposed: shares of the actuators'
         "range"s, or the "acceleration"s along and across that they mean, a and v^2 delta / L; those swerve less.
     record : keep the others' occupancy in each `Decision` (for drawing); there is none in a parking lot.

@@ -1,4 +1,4 @@
-"""How a frame of a meta-action that has become unsafe is mended: by braking, or by the predictive filter.
+"""How a frame of a meta-action that has become unsafe is mended: by the predictive filter.
 
 `ShieldCore` itself holds the meta-action back: the greatest acceleration that verifies, in the committed lane if it
 can.
@@ -19,16 +19,7 @@ from shield.procedures.frames import FrameCommand, Verdict
 from shield.procedures.inputs import ContinuousCore
 from shield.procedures.meta_actions import ShieldCore
 
-__all__ = ["BrakingCore", "FilteringCore", "make_core"]
-
-
-class BrakingCore(ShieldCore):
-    """Brakes in the stored lane: the fail-safe manoeuvre that was verified at the frame before."""
-
-    def _mend(self, scene: Scene) -> tuple[FrameCommand, Verdict]:
-        lane = self.stored_lane if self.stored_lane is not None else scene.control.target.lane
-        empty = np.empty((0, 4))
-        return FrameCommand(lane, -self.config.braking), Verdict(-np.inf, lane, empty)
+__all__ = ["FilteringCore", "make_core"]
 
 
 class FilteringCore(ContinuousCore, ShieldCore):
@@ -59,7 +50,7 @@ class FilteringCore(ContinuousCore, ShieldCore):
 
 def make_core(config: ShieldConfig) -> ShieldCore:
     """The core that `config.repair` asks for."""
-    kinds = {"hold": ShieldCore, "filter": FilteringCore, "brake": BrakingCore}
+    kinds = {"hold": ShieldCore, "filter": FilteringCore}
     if config.repair == "filter" and config.mode not in ("none", "full"):
         return ShieldCore(config)  # a rule alone supervises no frames
     return kinds[config.repair](config)

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from shield import ShieldConfig, ShieldedEnv, Tier
 from shield.errors import ConfigError
-from shield.procedures.mend import BrakingCore, FilteringCore, make_core
+from shield.procedures.mend import FilteringCore, make_core
 
 
-@pytest.mark.parametrize("repair", ["filter", "brake"])
+@pytest.mark.parametrize("repair", ["filter"])
 @settings(deadline=None, max_examples=12, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 10_000))
 def test_the_buffer_holds_however_a_frame_is_mended(repair: str, seed: int) -> None:
@@ -37,26 +37,21 @@ def test_the_buffer_holds_however_a_frame_is_mended(repair: str, seed: int) -> N
 
 def test_each_name_has_its_core() -> None:
     assert type(make_core(ShieldConfig(repair="filter"))) is FilteringCore
-    assert type(make_core(ShieldConfig(repair="brake"))) is BrakingCore
-    with pytest.raises(ConfigError, match="valid are hold, filter, brake"):
+    with pytest.raises(ConfigError, match="valid are hold, filter"):
         ShieldConfig(repair="swerve")
 
 
-def test_real_episodes_end_well_and_a_brake_alone_gives_away_speed() -> None:
-    speed = {}
-    for repair in ("hold", "filter", "brake"):
+def test_real_episodes_end_well() -> None:
+    for repair in ("hold", "filter"):
         env = ShieldedEnv(gym.make("highway-fast-v0", config={"duration": 12}), ShieldConfig(repair=repair))
-        seen, mended = [], 0
+        mended = 0
         for seed in range(2):
             env.reset(seed=seed)
             done = False
             while not done:
                 _, _, terminated, truncated, info = env.step(3)
-                seen.append(info["speed"])
                 mended += info["shield"]["frames_overridden"]
                 done = terminated or truncated
             assert not info["crashed"]
         assert mended > 0
-        speed[repair] = float(np.mean(seen))
         env.close()
-    assert speed["brake"] < min(speed["hold"], speed["filter"])

@@ -1,0 +1,513 @@
+"""The clauses of the certificate, each with the change that switches it off and the tests that have to notice.
+
+`mutation_check.py` (`make mutants`) applies them one at a time; `tests/test_mutants.py` checks that they still apply.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["MUTANTS", "Edit", "Mutant"]
+
+
+@dataclass(frozen=True)
+class Edit:
+    """A change of one file: `old` occurs in it exactly `count` times, and becomes `new` everywhere."""
+
+    file: str
+    old: str
+    new: str
+    count: int = 1
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A clause switched off, a threshold loosened or a duty shortened.
+
+    Attributes
+    ----------
+    name : what is off.
+    edits : the changes that do it.
+    tests : pytest targets of which at least one has to fail.
+    """
+
+    name: str
+    edits: tuple[Edit, ...]
+    tests: tuple[str, ...]
+
+
+VERIFY, KERNELS = "shield/certificate/verify.py", "shield/certificate/kernels.py"
+MONITOR, FRAMES = "shield/certificate/monitor.py", "shield/procedures/frames.py"
+META, HELD = "shield/procedures/meta_actions.py", "shield/procedures/meta_actions_only.py"
+INPUTS, LOT = "shield/procedures/inputs.py", "shield/procedures/parking_lot.py"
+SEARCH, RULES, MANOEUVRES = "shield/repair/nearest_input.py", "shield/rules.py", "shield/certificate/manoeuvres.py"
+OCCUPANCY, BODIES = "dynamics/traffic/occupancy.py", "dynamics/traffic/occupancy_kernels.py"
+PERMITS, GAPS, ROLLOUTS = "dynamics/traffic/permits.py", "dynamics/roads/gaps.py", "dynamics/vehicle/rollout_kernels.py"
+AGENT = "shield/procedures/held_inputs.py"
+
+_CLAUSES = "tests/shield/test_clauses.py"
+_TESTS = {
+    "door": "test_nothing_verified_has_a_negative_margin",
+    "evades": "test_what_evades_an_offender_clears_everybody_else",
+    "leader": "test_a_leader_that_brakes_and_turns_as_it_may_is_not_touched",
+    "follower": "test_a_follower_that_pushes_until_it_owes_its_braking_does_not_touch",
+    "brakes": "test_the_bound_along_the_road_is_that_of_one_that_brakes",
+    "bicycle": "test_the_fail_safe_of_inputs_is_what_the_bicycle_does",
+    "lot": "test_nothing_is_verified_in_a_parking_lot_without_the_clearance",
+    "buffer": "test_the_buffer_is_kept_along_and_across",
+    "queue": "test_one_that_stands_in_a_queue_may_reverse_into_the_ego",
+    "midline": "test_a_body_beyond_the_midline_may_go_back",
+    "drift": "test_a_body_counts_as_where_its_heading_leads",
+    "diagonal": "test_a_turned_body_reaches_along_the_road_by_its_diagonal",
+    "coming": "test_the_coming_frame_is_clear_too",
+    "blind": "test_a_vehicle_beyond_the_lane_that_is_entered_may_enter_it_as_well",
+    "turning": "test_one_that_is_on_its_way_may_still_come_until_the_ego_has_been_seen_for_long",
+    "owes": "test_who_owes_the_ego_its_distance",
+    "owned": "test_a_lane_is_owned_only_with_a_verified_plan_and_no_longer_than_it_is_touched",
+    "slip": "test_one_alongside_may_slip_in_behind_an_ego_that_passes_it",
+    "room": "test_a_plan_ends_inside_its_lane",
+    "road": "test_nothing_leads_off_the_road_or_backwards",
+    "verdict": "test_the_verdict_of_inputs",
+    "gap": "test_nothing_leads_through_a_gap_of_the_map",
+    "alarm": "test_a_violation_is_counted_and_the_stored_plan_outlives_it",
+    "margin": "test_a_stored_plan_is_recorded_with_its_own_margin",
+}
+
+
+def _at(*names: str) -> tuple[str, ...]:
+    """Tests of `test_clauses.py`, "door[frame]" with what they are given; any other target as it is."""
+    found = []
+    for name in names:
+        short, _, case = name.partition("[")
+        found.append(f"{_CLAUSES}::{_TESTS[short]}{'[' + case if case else ''}" if short in _TESTS else name)
+    return tuple(found)
+
+
+def _off(name: str, file: str, old: str, new: str, *tests: str, count: int = 1) -> Mutant:
+    return Mutant(name, (Edit(file, old, new, count),), _at(*tests))
+
+
+def _both(name: str, *edits: Edit, tests: tuple[str, ...]) -> Mutant:
+    return Mutant(name, edits, _at(*tests))
+
+
+_PERMITS = "tests/dynamics/test_permits.py"
+_LOT = "tests/shield/test_lot.py"
+
+_ACCEPTED = (
+    _off(
+        "frame accepted at -0.3 m",
+        FRAMES,
+        "        if margin >= 0:\n            self.stored_lane = fails[best]",
+        "        if margin >= -0.3:\n            self.stored_lane = fails[best]",
+        "door[frame]",
+    ),
+    _off(
+        "frame held back accepted at -0.3 m",
+        FRAMES,
+        "        if verdict.margin >= 0:\n",
+        "        if verdict.margin >= -0.3:\n",
+        "door[frame]",
+    ),
+    _both(
+        "frame held back to -0.3 m",
+        Edit(FRAMES, "np.where(result.margin >= 0, accelerations", "np.where(result.margin >= -0.3, accelerations"),
+        Edit(FRAMES, "        if verdict.margin >= 0:\n", "        if verdict.margin >= -0.3:\n"),
+        tests=("door[frame]",),
+    ),
+    _both(
+        "frame evades at -0.3 m",
+        Edit(FRAMES, "        keeps = lawful >= 0", "        keeps = lawful >= -0.3"),
+        Edit(FRAMES, "                if lawful >= 0:", "                if lawful >= -0.3:"),
+        tests=("evades[ShieldCore]",),
+    ),
+    _off(
+        "meta-action accepted at -0.3 m",
+        META,
+        "            if verdict.margin >= 0:\n                return self._made(scene, proposed, proposed",
+        "            if verdict.margin >= -0.3:\n                return self._made(scene, proposed, proposed",
+        "door[faster]",
+        "door[slower]",
+    ),
+    _off(
+        "governed or alternative meta-action accepted at -0.3 m",
+        META,
+        "                if verdict.margin >= 0:\n                    return self._made(scene, proposed, action, reason",
+        "                if verdict.margin >= -0.3:\n                    return self._made(scene, proposed, action, reason",
+        "door",
+    ),
+    _off(
+        "alternative meta-action accepted at -0.3 m",
+        META,
+        "            if verdict.margin >= 0:\n                return self._made(scene, proposed, action, reason",
+        "            if verdict.margin >= -0.3:\n                return self._made(scene, proposed, action, reason",
+        "door",
+        count=3,
+    ),
+    _off("mask accepted at -0.3 m", META, "[v.margin >= 0 for v in", "[v.margin >= -0.3 for v in", "door[mask]"),
+    _off(
+        "held meta-action accepted at -0.3 m",
+        HELD,
+        "            if best.margin >= 0:",
+        "            if best.margin >= -0.3:",
+        "door[held faster]",
+        "door[held lane change]",
+    ),
+    _off(
+        "held alternative accepted at -0.3 m",
+        HELD,
+        "            if results[action].margin >= 0:",
+        "            if results[action].margin >= -0.3:",
+        "door[held faster]",
+        "door[held lane change]",
+    ),
+    _off(
+        "input accepted at -0.3 m",
+        INPUTS,
+        "        if judged.margin[0] >= 0:\n            self.monitor.forgive()\n            return proposal",
+        "        if judged.margin[0] >= -0.3:\n            self.monitor.forgive()\n            return proposal",
+        "door[throttle]",
+    ),
+    _off(
+        "repaired input accepted at -0.3 m",
+        INPUTS,
+        "        if not judged.margin[0] >= 0:\n            return self._fall_back",
+        "        if not judged.margin[0] >= -0.3:\n            return self._fall_back",
+        "door[throttle]",
+        "door[throttle and wheel]",
+    ),
+    _both(
+        "input repaired to -0.3 m",
+        Edit(SEARCH, "judged.margin >= 0", "judged.margin >= -0.3", 6),
+        Edit(
+            INPUTS,
+            "        if not judged.margin[0] >= 0:\n            return self._fall_back",
+            "        if not judged.margin[0] >= -0.3:\n            return self._fall_back",
+        ),
+        tests=("door[throttle]", "door[throttle and wheel]"),
+    ),
+    _off(
+        "input evades at -0.3 m",
+        INPUTS,
+        "np.flatnonzero(lawful.margin >= 0)",
+        "np.flatnonzero(lawful.margin >= -0.3)",
+        "evades[ContinuousCore]",
+    ),
+    _off(
+        "parking accepted at -0.05 m",
+        LOT,
+        "        if judged.margin[0] >= 0:\n            return proposal",
+        "        if judged.margin[0] >= -0.05:\n            return proposal",
+        _LOT,
+    ),
+    _off(
+        "parking repaired to -0.05 m",
+        LOT,
+        "        if judged.margin[0] >= 0:\n            return judged.inputs[0]",
+        "        if judged.margin[0] >= -0.05:\n            return judged.inputs[0]",
+        "lot",
+    ),
+)
+
+_CLEARANCE = (
+    _off(
+        "separation off",
+        KERNELS,
+        "            least = min(least, separations[i, j])",
+        "            least = min(least, np.inf)",
+        "leader",
+    ),
+    _off("room in the lane off", KERNELS, "        if room[i] < 0:", "        if room[i] < -1e9:", "room"),
+    _off(
+        "road edge off",
+        KERNELS,
+        "margin[i] if room >= 0 else min(margin[i], room)",
+        "margin[i] if room >= -1e9 else min(margin[i], room)",
+        "road",
+        "verdict",
+    ),
+    _off("one new lane at most, and none again, off", KERNELS, "if not allowed[i] or paths", "if paths", "verdict"),
+    _off("rolling backwards off", KERNELS, "paths[i, held - 1, 3] < -1e-9", "paths[i, held - 1, 3] < -1e9", "road"),
+    _off(
+        "both sides at once off",
+        KERNELS,
+        "        if count > 1:",
+        "        if count > 9:",
+        "tests/shield/test_kernels.py",
+    ),
+    _off(
+        "no way back to a lane left off",
+        KERNELS,
+        "if k > 0 and owned[j] and inside",
+        "if k < 0 and owned[j] and inside",
+        "tests/shield/test_kernels.py",
+    ),
+    _off("gaps of the map off", VERIFY, "        if gaps is not None:", "        if gaps is None and gaps:", "gap"),
+    _off(
+        "gap beginning within a stretch off",
+        GAPS,
+        "        low = np.minimum(low, np.minimum(low[before], low[after]))",
+        "        low = low + 0.05",
+        "tests/dynamics/test_gaps.py",
+    ),
+    _off(
+        "slip-in off",
+        VERIFY,
+        "        if len(self._alongside) and hold == 0:",
+        "        if len(self._alongside) and hold < 0:",
+        "slip",
+    ),
+    _off(
+        "slip-in counts for nothing",
+        KERNELS,
+        "            least = min(least, slipping[i, j])",
+        "            least = min(least, np.inf)",
+        "slip",
+    ),
+    _off(
+        "coming frame off",
+        KERNELS,
+        "    return apart if apart < 0 else np.inf",
+        "    return np.inf",
+        "coming[0]",
+    ),
+    _off("later coming frames off", KERNELS, "if later < 0:", "if later < -1e9:", "coming[1]"),
+    _off(
+        "buffer rule off",
+        RULES,
+        "        return bool(beside.any())",
+        "        return False",
+        "tests/shield/test_rules.py",
+    ),
+    _off("buffer along off", VERIFY, "float(length) + b.longitudinal, 0.5", "float(length), 0.5", "buffer"),
+    _off(
+        "buffer across off",
+        VERIFY,
+        "[Vehicle.WIDTH]) + b.lateral\n        self._size",
+        "[Vehicle.WIDTH])\n        self._size",
+        "buffer",
+    ),
+)
+
+_OWED = (
+    _off(
+        "blind merge off",
+        VERIFY,
+        "        if not (a.blind_merge and bound):",
+        "        if True:",
+        "blind",
+    ),
+    _off(
+        "gives way to what nobody announced",
+        KERNELS,
+        "if step == 0 and announced and not",
+        "if step == 0 and not",
+        "blind",
+    ),
+    _off(
+        "gives way to where the fail-safe returns",
+        KERNELS,
+        "if step == 0 and announced and not",
+        "if announced and not",
+        "blind",
+    ),
+    _off("seen at once by one that is turning in", KERNELS, "if seen and settled[entered]:", "if seen:", "turning"),
+    _off(
+        "who turns in gives way",
+        KERNELS,
+        "if seen and not toward > KP_LATERAL * left + _TURNING:",
+        "if seen:",
+        "turning",
+    ),
+    _off(
+        "everybody behind owes",
+        KERNELS,
+        "others.behind[j] and held and not entered",
+        "others.behind[j] and not entered",
+        "owes",
+    ),
+    _off(
+        "owed even where the path enters the lane",
+        KERNELS,
+        "others.behind[j] and held and not entered",
+        "others.behind[j] and held",
+        "owes",
+    ),
+    _off("those ahead owe", KERNELS, "others.behind[j] and held and not entered", "held and not entered", "owes"),
+    _off("lane owned without a plan", KERNELS, "(had or j == stored) and offset < touch", "offset < touch", "owned"),
+    _off("lane owned for ever", KERNELS, "(had or j == stored) and offset < touch", "had or j == stored", "owned"),
+    _off(
+        "reaction time off",
+        KERNELS,
+        "else first + reaction",
+        "else first",
+        "follower[idm-15-20-0.0]",
+        "follower[rss-25-20-0.0]",
+    ),
+    _off(
+        "visible from the first frame on",
+        KERNELS,
+        "            first = k + 2\n",
+        "            first = 1\n",
+        "follower[idm-15-20-0.0]",
+    ),
+    _off(
+        "seen for long already",
+        VERIFY,
+        "return np.full(home.shape, -1)",
+        "return np.full(home.shape, 0)",
+        "follower[idm-15-20-1.5]",
+        "follower[rss-25-20-1.5]",
+    ),
+    _off(
+        "follower that still brakes when the ego stands off",
+        KERNELS,
+        "    if paths[i, frames - 1, 3] < 0.5:",
+        "    if paths[i, frames - 1, 3] < -0.5:",
+        "follower[rss-25-20-0.0]",
+        "follower[idm-15-20-0.0]",
+    ),
+    _off(
+        "follower accelerates half as hard",
+        KERNELS,
+        "min(gain, power / max(speed, 1e-3)) * dt, top)",
+        "0.5 * min(gain, power / max(speed, 1e-3)) * dt, top)",
+        "follower[idm-15-20-0.0]",
+    ),
+    _off(
+        "follower brakes harder than it owes",
+        VERIFY,
+        "                a.follower_braking,\n",
+        "                1.25 * a.follower_braking,\n",
+        "follower[idm-15-20-0.0]",
+    ),
+)
+
+_PLACES = (
+    _off(
+        "old lane dropped at the midline",
+        BODIES,
+        "        bodies.lane[i], bodies.first[i], bodies.last[i] = here, first, last",
+        "        first, last = here, here\n        bodies.lane[i], bodies.first[i], bodies.last[i] = here, first, last",
+        "midline",
+    ),
+    _off("wavering off", BODIES, "0.5 * width + lanes.waver", "0.5 * width", _PERMITS),
+    _off("leaning off", BODIES, "0.5 * lanes.width + lanes.lean, 0.5", "0.5 * lanes.width, 0.5", _PERMITS),
+    _off("drift along the heading off", BODIES, "drift = v * sin * lanes.dt", "drift = 0.0 * sin", "drift"),
+    _off(
+        "reach is half the length only",
+        BODIES,
+        "0.5 * math.hypot(length, width) + growth",
+        "0.5 * length + growth",
+        "diagonal",
+    ),
+    _off(
+        "turning costs nothing",
+        BODIES,
+        "    return min(budget, action / max(slow, motion.slow))",
+        "    return 0.0 * budget",
+        "leader",
+    ),
+    _off(
+        "reversing in a queue off",
+        BODIES,
+        "        if motion.reversing > 0 and not wrecked:",
+        "        if motion.reversing < 0 and not wrecked:",
+        "queue",
+    ),
+    _off(
+        "least place of the last frame off",
+        BODIES,
+        "        if hold == 0 and frames > 0:",
+        "        if hold == 0 and frames < 0:",
+        "queue",
+    ),
+    _off("others brake less hard", BODIES, "v - motion.braking * dt *", "v - 0.8 * motion.braking * dt *", "brakes"),
+    _off(
+        "others stop less soon",
+        BODIES,
+        "speed - motion.braking * motion.dt",
+        "speed - 0.8 * motion.braking * motion.dt",
+        "brakes",
+    ),
+    _off(
+        "others accelerate less hard",
+        OCCUPANCY,
+        "gain = np.minimum(a.acceleration,",
+        "gain = np.minimum(0.8 * a.acceleration,",
+        _PERMITS,
+    ),
+    _off(
+        "fail-safe assumed to brake harder",
+        MANOEUVRES,
+        "    commands[:, commit:, 2] = braking",
+        "    commands[:, commit:, 2] = 1.2 * braking",
+        "leader",
+    ),
+    _off(
+        "fail-safe of inputs assumed to brake harder",
+        ROLLOUTS,
+        "            a = max(-braking, max(v, 0.0) * (-1 / dt))",
+        "            a = max(-1.2 * braking, max(v, 0.0) * (-1 / dt))",
+        "bicycle",
+    ),
+)
+
+_WATCHED = (
+    _off(
+        "monitor never reports",
+        MONITOR,
+        "        before, last = self.before(scene), self._last\n",
+        "        return\n        before, last = self.before(scene), self._last\n",
+        "alarm",
+    ),
+    _off("more room is never too much", MONITOR, "        if grown.any():", "        if False:", "alarm"),
+    _off("SPEED off", PERMITS, "                bits |= _SPEED", "                bits |= 0", _PERMITS),
+    _off(
+        "WAY off",
+        PERMITS,
+        "                if back or ahead or not abs(dr)",
+        "                if False and not abs(dr)",
+        _PERMITS,
+    ),
+    _off(
+        "what turning may cost off",
+        PERMITS,
+        "if not min(bodies.budget[i], bodies.action[i]) >= -_SLIGHT:",
+        "if False:",
+        _PERMITS,
+    ),
+    _off("LANES off", PERMITS, "            more |= _LANES", "            more |= 0", _PERMITS),
+    _off("REVERSING off", PERMITS, "            more |= _REVERSING", "            more |= 0", _PERMITS),
+    _off("DISTANCE off", PERMITS, "            bits |= _DISTANCE", "            bits |= 0", _PERMITS),
+    _off("CRASH off", PERMITS, "            bits |= _CRASH", "            bits |= 0", _PERMITS),
+    _off(
+        "stored plan of frames given up on an alarm",
+        FRAMES,
+        "(stored.margin >= -_ROUNDING or not self.monitor.violated)",
+        "not self.monitor.violated",
+        "alarm[ShieldCore]",
+    ),
+    _both(
+        "stored plan of inputs given up on an alarm",
+        Edit(INPUTS, "stored.margin[0] >= 0 and violated", "False"),
+        Edit(INPUTS, "stored.margin[0] >= 0 or not violated", "not violated"),
+        tests=("alarm[ContinuousCore]",),
+    ),
+    _off(
+        "stored plan of frames without its own margin",
+        FRAMES,
+        "Verdict(stored.margin, stored.lane, stored.path)",
+        "Verdict(float('inf'), stored.lane, stored.path)",
+        "margin[ShieldCore]",
+    ),
+    _off(
+        "stored plan of inputs with the proposal's margin",
+        INPUTS,
+        "self._record(scene, proposal, stored, reason, Tier.STORED_PLAN, start)",
+        "self._record(scene, proposal, judged, reason, Tier.STORED_PLAN, start)",
+        "margin[ContinuousCore]",
+    ),
+)
+
+MUTANTS = (*_ACCEPTED, *_CLEARANCE, *_OWED, *_PLACES, *_WATCHED)

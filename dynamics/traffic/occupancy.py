@@ -29,7 +29,7 @@ import numpy as np
 from dynamics.roads.straight import Road
 from dynamics.state import FloatArray, RoadState, Vehicle
 from dynamics.traffic.assumptions import Assumptions
-from dynamics.traffic.occupancy_kernels import Bodies, Lanes, Motion, floors, rears, spend, strips
+from dynamics.traffic.occupancy_kernels import Bodies, Lanes, Motion, floors, fronts, rears, spend, strips
 
 __all__ = ["Occupancy", "Surroundings", "constant_velocity", "predict_occupancy"]
 
@@ -124,6 +124,9 @@ class Surroundings:
             self.stretches = np.stack(self.stretch)
         self.motion = Motion(
             a.braking,
+            a.acceleration,
+            a.power,
+            a.max_speed,
             a.min_speed,
             a.slow_speed,
             a.turning_loss,
@@ -153,19 +156,14 @@ class Surroundings:
         rears(rows, self.others, self.states, self.stretches, motion, self.bodies, hold, out)
         return out
 
-    def front(self, frames: int, dt: float, hold: int = 0) -> FloatArray:
-        """Greatest s of each body after 1..K frames, with no duty to react, (m, K) [m]."""
-        a, v = self.assumptions, self.states[:, RoadState.SPEED]
-        fast, speed, top = np.empty((len(v), frames)), v.copy(), np.maximum(v, a.max_speed)
-        for k in range(frames):
-            # One that reverses may turn, and then gets back by less than its speed.
-            fast[:, k] = np.maximum(speed, 0.0)
-            if k >= hold:
-                gain = np.minimum(a.acceleration, a.power / np.maximum(speed, 1e-3))
-                speed = np.minimum(speed + gain * dt, top)
-        if self.stretch is not None:
-            fast = fast * self.stretch[1][:, None]
-        return (self.states[:, RoadState.S] + self.reach)[:, None] + np.cumsum(fast, axis=1) * dt
+    def front(self, frames: int, dt: float, hold: int = 0, rows: Any = None) -> FloatArray:
+        """Greatest s of each body after 1..K frames, with no duty to react, (m, K) [m]; of those in `rows` only, where
+        given."""
+        rows = np.arange(len(self.states)) if rows is None else rows
+        out = np.empty((len(rows), frames))
+        motion = self.motion if dt == self.dt else self.motion._replace(dt=dt)
+        fronts(rows, self.states, self.stretches, motion, self.bodies, hold, out)
+        return out
 
     def occupancy(self, frames: int, dt: float, hold: int = 0) -> Occupancy:
         """Worst-case occupancy over frames 1..K."""

@@ -13,7 +13,7 @@ import numpy as np
 from dynamics.compiled import compiled
 from dynamics.state import Vehicle
 
-__all__ = ["Bodies", "Lanes", "Motion", "floors", "rears", "spend", "strips"]
+__all__ = ["Bodies", "Lanes", "Motion", "floors", "fronts", "rears", "spend", "strips"]
 
 _SPEED, _LENGTH, _WIDTH, _CRASHED = int(Vehicle.SPEED), int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
 _ENDLESS = 1e6
@@ -58,14 +58,18 @@ class Bodies(NamedTuple):
 class Motion(NamedTuple):
     """Bounds on the motion along the road.
 
-    `braking` [m/s^2]; `min_speed` [m/s] below which nobody brakes on purpose; `slow` [m/s] below which way is not
-    counted; `loss` [m] and `action` [m^2/s], what turning may cost, and `turning_rate`
-    [1/s], the share of it by which it comes back; `reversing` [m/s], greatest speed backwards;
-    `queue` [m]: one reverses only from what stands nearer than this ahead, centre to centre; `runout` [s], within
-    which one that reverses comes to rest otherwise; `dt` [s].
+    `braking`, `acceleration` [m/s^2]; `power` [m^2/s^3]: acceleration times speed at most; `max_speed` [m/s] up to
+    which anybody accelerates; `min_speed` [m/s] below which nobody brakes on purpose; `slow` [m/s] below which way is
+    not counted; `loss` [m] and `action` [m^2/s]: what turning may cost, and `turning_rate` [1/s], the share of it by
+    which it comes back; `reversing` [m/s]: greatest speed backwards; `queue` [m], `queue_speed` [m/s]: one reverses
+    only from what is nearer than this ahead, centre to centre, and slower; `runout` [s], within which one that
+    reverses comes to rest otherwise; `dt` [s].
     """
 
     braking: float
+    acceleration: float
+    power: float
+    max_speed: float
     min_speed: float
     slow: float
     loss: float
@@ -225,3 +229,20 @@ def rears(
             out[n, k] = rear
         if hold == 0 and frames > 0:
             out[n, frames - 1] = min(out[n, frames - 1], floor - bodies.reach[j])
+
+
+@compiled
+def fronts(rows: Any, states: Any, stretch: Any, motion: Motion, bodies: Bodies, hold: int, out: Any) -> None:
+    """Greatest s of the bodies of vehicles `rows` (n,) after each frame, `out` (n, K) [m]; `stretch` and `hold` as in
+    `rears`."""
+    dt = motion.dt
+    for n in range(rows.shape[0]):
+        j = rows[n]
+        v, way = states[j, 3], 0.0
+        top, most = max(v, motion.max_speed), stretch[1, j] if stretch.shape[1] > 0 else 1.0
+        for k in range(out.shape[1]):
+            # One that reverses may turn, and then gets back by less than its speed.
+            way += max(v, 0.0) * dt * most
+            out[n, k] = states[j, 0] + bodies.reach[j] + way
+            if k >= hold:
+                v = min(v + min(motion.acceleration, motion.power / max(v, 1e-3)) * dt, top)

@@ -241,7 +241,7 @@ class Alongside:
             return out
         if frames > self._bounds.shape[2]:
             longer = frames + frames // 4
-            front = self._around.front(longer, dt)[rows]
+            front = self._around.front(longer, dt, rows=rows)
             self._bounds = np.stack([self._around.rear(longer, dt, rows=rows), front])
         if self._sweep is None:
             self._sweep = self._swept()

@@ -45,15 +45,24 @@ OCCUPANCY, BODIES = "dynamics/traffic/occupancy.py", "dynamics/traffic/occupancy
 PERMITS, GAPS, ROLLOUTS = "dynamics/traffic/permits.py", "dynamics/roads/gaps.py", "dynamics/vehicle/rollout_kernels.py"
 AGENT = "shield/procedures/held_inputs.py"
 
-_CLAUSES = "tests/shield/test_clauses.py"
+_CLAUSES, _TRAFFIC = "tests/shield/test_clauses.py", "tests/shield/test_clauses_of_traffic.py"
 _TESTS = {
     "door": "test_nothing_verified_has_a_negative_margin",
     "evades": "test_what_evades_an_offender_clears_everybody_else",
+    "lot": "test_nothing_is_verified_in_a_parking_lot_without_the_clearance",
+    "room": "test_a_plan_ends_inside_its_lane",
+    "road": "test_nothing_leads_off_the_road_or_backwards",
+    "verdict": "test_the_verdict_of_inputs",
+    "gap": "test_nothing_leads_through_a_gap_of_the_map",
+    "alarm": "test_a_violation_is_counted_and_the_stored_plan_outlives_it",
+    "margin": "test_a_stored_plan_is_recorded_with_its_own_margin",
+    "grown": "test_who_takes_more_room_has_to_leave_it_to_the_fail_safe",
+}
+_TESTS_OF_TRAFFIC = {
     "leader": "test_a_leader_that_brakes_and_turns_as_it_may_is_not_touched",
     "follower": "test_a_follower_that_pushes_until_it_owes_its_braking_does_not_touch",
     "brakes": "test_the_bound_along_the_road_is_that_of_one_that_brakes",
     "bicycle": "test_the_fail_safe_of_inputs_is_what_the_bicycle_does",
-    "lot": "test_nothing_is_verified_in_a_parking_lot_without_the_clearance",
     "buffer": "test_the_buffer_is_kept_along_and_across",
     "queue": "test_one_that_stands_in_a_queue_may_reverse_into_the_ego",
     "midline": "test_a_body_beyond_the_midline_may_go_back",
@@ -65,21 +74,17 @@ _TESTS = {
     "owes": "test_who_owes_the_ego_its_distance",
     "owned": "test_a_lane_is_owned_only_with_a_verified_plan_and_no_longer_than_it_is_touched",
     "slip": "test_one_alongside_may_slip_in_behind_an_ego_that_passes_it",
-    "room": "test_a_plan_ends_inside_its_lane",
-    "road": "test_nothing_leads_off_the_road_or_backwards",
-    "verdict": "test_the_verdict_of_inputs",
-    "gap": "test_nothing_leads_through_a_gap_of_the_map",
-    "alarm": "test_a_violation_is_counted_and_the_stored_plan_outlives_it",
-    "margin": "test_a_stored_plan_is_recorded_with_its_own_margin",
 }
 
 
 def _at(*names: str) -> tuple[str, ...]:
-    """Tests of `test_clauses.py`, "door[frame]" with what they are given; any other target as it is."""
+    """Targets: of the tests of single clauses the short name, "door[frame]" with what they are given."""
     found = []
     for name in names:
-        short, _, case = name.partition("[")
-        found.append(f"{_CLAUSES}::{_TESTS[short]}{'[' + case if case else ''}" if short in _TESTS else name)
+        short, bracket, case = name.partition("[")
+        for file, tests in ((_CLAUSES, _TESTS), (_TRAFFIC, _TESTS_OF_TRAFFIC)):
+            name = f"{file}::{tests[short]}{bracket}{case}" if short in tests else name
+        found.append(name)
     return tuple(found)
 
 
@@ -132,8 +137,8 @@ _ACCEPTED = (
     _off(
         "governed or alternative meta-action accepted at -0.3 m",
         META,
-        "                if verdict.margin >= 0:\n                    return self._made(scene, proposed, action, reason",
-        "                if verdict.margin >= -0.3:\n                    return self._made(scene, proposed, action, reason",
+        "                if verdict.margin >= 0:\n                    return self._made(scene, proposed, action",
+        "                if verdict.margin >= -0.3:\n                    return self._made(scene, proposed, action",
         "door",
     ),
     _off(
@@ -461,7 +466,7 @@ _WATCHED = (
         "        return\n        before, last = self.before(scene), self._last\n",
         "alarm",
     ),
-    _off("more room is never too much", MONITOR, "        if grown.any():", "        if False:", "alarm"),
+    _off("more room is never too much", MONITOR, "        if grown.any():", "        if False:", "grown"),
     _off("SPEED off", PERMITS, "                bits |= _SPEED", "                bits |= 0", _PERMITS),
     _off(
         "WAY off",
@@ -497,8 +502,8 @@ _WATCHED = (
     _off(
         "stored plan of frames without its own margin",
         FRAMES,
-        "Verdict(stored.margin, stored.lane, stored.path)",
-        "Verdict(float('inf'), stored.lane, stored.path)",
+        "Verdict(stored.margin, stored.lane",
+        "Verdict(float('inf'), stored.lane",
         "margin[ShieldCore]",
     ),
     _off(

@@ -13,6 +13,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from queue import Queue
 from time import perf_counter
@@ -108,8 +109,9 @@ def check(mutants: list[Mutant], jobs: int) -> Iterator[tuple[Mutant, str, float
 
         list(pool.map(lambda copy: copy.warm_up(targets), list(copies.queue)))
         red = {t for failed, _ in pool.map(lambda t: borrow(None, [t]), targets) for t in failed}
-        green = [m for m in mutants if not red.intersection(m.tests)]
-        yield from ((m, RED, 0.0) for m in mutants if m not in green)
+        mutants = [replace(m, tests=tuple(t for t in m.tests if t not in red)) for m in mutants]
+        green = [m for m in mutants if m.tests]
+        yield from ((m, RED, 0.0) for m in mutants if not m.tests)
         for mutant, (verdict, took) in zip(green, pool.map(lambda m: borrow(m, []), green), strict=True):
             yield mutant, str(verdict), took
 

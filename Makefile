@@ -1,7 +1,9 @@
-# One command each: `make demo`, `make cem-demo`, `make test`, `make test-slow`, `make lint`, `make bench`, `make clean`.
+# One command each: `make demo`, `make cem-demo`, `make test`, `make test-slow`, `make mutants`, `make lint`,
+# `make bench`, `make clean`.
 # PYTHON is the interpreter (3.11 or newer) that the virtual environment is made from.
 PYTHON ?= python3
 TORCH  ?= torch==2.13.0
+JOBS   ?= 2
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
@@ -11,7 +13,7 @@ export OMP_NUM_THREADS ?= 1
 export SDL_VIDEODRIVER ?= dummy
 export PYGAME_HIDE_SUPPORT_PROMPT ?= 1
 
-.PHONY: install demo cem-demo test test-slow lint bench clean
+.PHONY: install demo cem-demo test test-slow mutants lint bench clean
 
 install: $(STAMP)
 
@@ -38,6 +40,10 @@ test: lint
 
 test-slow: $(STAMP)
 	HYPOTHESIS_PROFILE=explore $(BIN)/pytest -n auto -m slow
+
+# Each clause of the certificate switched off: some test has to notice.
+mutants: $(STAMP)
+	$(BIN)/python tests/support/mutation_check.py --jobs $(JOBS)
 
 bench: $(STAMP)
 	$(BIN)/pytest benchmarks --benchmark-only -m ""

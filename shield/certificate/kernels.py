@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dynamics.compiled import compiled
-from dynamics.vehicle.controllers import KP_LATERAL
+from dynamics.vehicle.controllers import KP_HEADING, KP_LATERAL
 
 __all__ = [
     "TOUCH",
@@ -39,16 +39,13 @@ class Others(NamedTuple):
     """The vehicles around the ego, as a judgement of paths sees them, each (v,).
 
     `ahead` [m]: centre ahead of the ego's; `least` [m]: the same of the least place that the centre ever comes to;
-    `size` [m]: how near it counts as touching; `speed` [m/s] along the road now; `gain`: stretch of what it gains;
-    `behind`: whether its body is behind the ego with its buffer; `low`, `high` [m]: edges of the lanes that it touches;
-    `lane`: the nearest; `r` [m], `across` [m/s]: where it is across the road, and its speed there.
+    `size` [m]: how near it counts as touching; `behind`: whether its body is behind the ego with its buffer; `low`,
+    `high` [m]: edges of the lanes that it touches; `lane`: the nearest; `r` [m], `across` [m/s]: where it is across the road, and its speed there.
     """
 
     ahead: Any
     least: Any
     size: Any
-    speed: Any
-    gain: Any
     behind: Any
     low: Any
     high: Any
@@ -346,21 +343,17 @@ def in_reach(others: Others, limits: Any, followers: bool) -> Any:
     Parameters
     ----------
     others : the vehicles, (v,).
-    limits : the ego's greatest way [m], in which time [s], the frame duration [s], the perception range [m], and the
-        greatest acceleration [m/s^2], (5,).
+    limits : the ego's greatest way, and the perception range, (2,) [m].
     followers : whether those behind count.
     """
-    distance, duration, dt, perception, acceleration = limits[0], limits[1], limits[2], limits[3], limits[4]
+    distance, perception = limits[0], limits[1]
     rows, count = np.empty(others.ahead.shape[0], np.intp), 0
     for j in range(others.ahead.shape[0]):
         # Written so that a distance that is not a number drops nobody.
         if others.least[j] - others.size[j] > distance or not abs(others.ahead[j]) <= perception:
             continue
-        if followers:
-            gain = 0.5 * acceleration * duration * (duration + dt) * others.gain[j]
-            if not -others.ahead[j] - others.size[j] - max(others.speed[j], 0.0) * duration - gain <= 0.0:
-                continue
-        elif others.behind[j]:
+        # Whoever is behind may still be braking, and coming nearer, long after the ego stands: none of them is too far.
+        if others.behind[j] and not followers:
             continue
         rows[count] = j
         count += 1
@@ -455,10 +448,10 @@ def sides_taken(
                 if step == 0 and announced and not others.ahead[row] > -gives_way:
                     continue
                 # Once the ego is in sight, only one that is on its way already may still come: faster across than one
-                # that settles in the middle of its own lane.
+                # that settles in the middle of its own lane, the lag of its heading included.
                 sign = 1.0 if goal > others.high[row] else -1.0
                 toward, left = sign * others.across[row], sign * (centers[others.lane[row]] - others.r[row])
-                if seen and not toward > KP_LATERAL * left + _TURNING:
+                if seen and not toward > KP_LATERAL * (left + toward / KP_HEADING) + _TURNING:
                     continue
                 low[i, j] = min(low[i, j], goal - 0.5 * width - lean)
                 high[i, j] = max(high[i, j], goal + 0.5 * width + lean)
@@ -508,10 +501,10 @@ def warm_up() -> None:
     least_separations(pair, np.ones(8), one, one, *bodies, *args)
     there, behind = np.zeros(1), np.zeros(1, dtype=np.bool_)
     lanes_held(0.0, there, 1, 1.0, 1.0, -1, count, flag[0])
-    others = Others(there, there, there, there, there, behind, there, there, count, there, there)
+    others = Others(there, there, there, behind, there, there, count, there, there)
     sides_taken(pair, count, count, count, others, there, behind, np.ones(5), True, one, one, none)
-    in_reach(others, np.ones(5), True)
-    threats(others, np.ones(5), count, count, behind, there)
+    in_reach(others, np.ones(2), True)
+    threats(others, np.ones(2), count, count, behind, there)
     margins(one, one, there)
     verdicts(there, np.zeros((1, 2)), behind, pair, 1)
     rooms(pair, np.ones(8), np.zeros(1), count, 2.0, False)

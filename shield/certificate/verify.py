@@ -147,10 +147,6 @@ class Surveyor:
         self._reaction = int(np.ceil(a.reaction_time / scene.dt - 1e-9))
         psi = float(ego[RoadState.HEADING])
         half = lon * abs(math.cos(psi)) + lat * abs(math.sin(psi)) + self.growth[0]
-        speeds, gains = states[:, RoadState.SPEED].copy(), np.ones(len(states))
-        if around.stretch is not None:
-            gains = around.stretch[1]
-            speeds *= gains
         ahead, turned = states[:, RoadState.S] - ego[RoadState.S], states[:, RoadState.HEADING]
         sizes = scene.others[:, Vehicle.LENGTH], scene.others[:, Vehicle.WIDTH]
         # Who is behind is told from where the body is now: its reach is for wherever it may turn to.
@@ -166,8 +162,6 @@ class Surveyor:
             ahead,
             np.minimum(ahead, around.bodies.floor - ego[RoadState.S]),
             around.reach + lon + self.growth[0] + 2.0,
-            speeds,
-            gains,
             behind,
             around.low,
             around.high,
@@ -186,17 +180,16 @@ class Surveyor:
         inside: BoolArray = ((low < centers + TOUCH) & (high > centers - TOUCH)).any(axis=1)
         return inside
 
-    def relevant(self, distance: float, duration: float, followers: bool = True) -> Any:
-        """Rows of those who can come into reach of an ego that travels at most `distance` [m] in `duration` [s].
+    def relevant(self, distance: float, followers: bool = True) -> Any:
+        """Rows of those who can come into reach of an ego that travels at most `distance` [m].
 
-        Dropping the rest cannot change any verdict: nobody ahead moves backwards further than that, and nobody
-        behind accelerates harder than assumed. Without `followers`, those behind are left out altogether.
+        Dropping the rest cannot change any verdict: nobody ahead comes to a place further back than its least one.
+        Without `followers`, those behind are left out altogether.
         """
-        return in_reach(self.others, self._limits(distance, duration), followers)
+        return in_reach(self.others, self._limits(distance), followers)
 
-    def _limits(self, distance: float, duration: float) -> FloatArray:
-        a = self.config.assumptions
-        return np.array([distance, duration, self.scene.dt, self.config.perception_range, a.acceleration])
+    def _limits(self, distance: float) -> FloatArray:
+        return np.array([distance, self.config.perception_range])
 
     def clearance(self, paths: FloatArray, candidates: Candidates, hold: int = 0, parts: bool = False) -> Clearance:
         """Margin of each path against the worst case of the others.
@@ -210,7 +203,7 @@ class Surveyor:
         """
         scene = self.scene
         distance = float(paths[:, -1, RoadState.S].max() - scene.ego_road[RoadState.S])
-        rows, owed = self._threats(candidates, distance, paths.shape[1] * scene.dt)
+        rows, owed = self._threats(candidates, distance)
         if self.ignored is not None and self.ignored.any():
             kept = ~self.ignored[rows]
             rows, owed = rows[kept], np.ascontiguousarray(owed[:, kept])
@@ -306,12 +299,12 @@ class Surveyor:
             ]
         )
 
-    def _threats(self, candidates: Candidates, distance: float, duration: float) -> tuple[Any, Any]:
+    def _threats(self, candidates: Candidates, distance: float) -> tuple[Any, Any]:
         """Rows of those in reach who do not owe the ego their distance on every path, and who of them owes it on which,
         (n, rows) bool; see `threats`."""
         return threats(
             self.others,
-            self._limits(distance, duration),
+            self._limits(distance),
             np.asarray(candidates.lanes, dtype=np.intp),
             np.asarray(candidates.fails, dtype=np.intp),
             self.owned,

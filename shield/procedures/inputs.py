@@ -36,6 +36,8 @@ __all__ = ["ContinuousCore"]
 
 _STAGE, _STAGES = 0.2, 20
 """Stage of the predictive filter [s], and how many."""
+_ROUNDING = 1e-6
+"""What rounding may take from a plan that was verified a frame before [m]."""
 _EVASIONS = 9
 """Accelerations that are tried for each lane where somebody has broken a rule."""
 _NEAREST = 12
@@ -174,11 +176,12 @@ class ContinuousCore(Memory):
         if self.stored_lane is not None:
             law = self._law(scene, self.stored_lane)[None]
             stored = self._judge_inputs(scene, law, [self.stored_lane], survey=self._lawful(scene))
-            if stored.margin[0] >= 0 and violated:
+            keeps = bool(stored.margin[0] >= -_ROUNDING)
+            if keeps and violated:
                 evading = self._evade(scene)
                 if evading is not None:
                     return evading.inputs[0], self._record(scene, proposal, evading, reason, Tier.EVADED, start)
-            if stored.margin[0] >= 0 or not violated:
+            if keeps or not violated:
                 return law[0], self._record(scene, proposal, stored, reason, Tier.STORED_PLAN, start)
         decision = self._record(scene, proposal, judged, reason, Tier.LARGEST_MARGIN, start)
         self.stored_lane = None
@@ -197,7 +200,7 @@ class ContinuousCore(Memory):
         every = self._judge_inputs(scene, inputs[keeps], lanes)
         margin = np.nan_to_num(every.margin, nan=-np.inf)
         best = int(np.lexsort((margin, every.clear))[-1])
-        return lawful.row(int(keeps[best]))
+        return every.row(best)
 
     def _filter_for(self, scene: Scene) -> PredictiveFilter:
         solver = self._filters.get(scene.dt)
@@ -228,7 +231,7 @@ class ContinuousCore(Memory):
         )
         low, high = edges_of(road, [here, lane], float(scene.ego_road[RoadState.R]), half[1])
         owned, duration = survey.owned[here] and survey.owned[lane], settings.ends[-1] * dt
-        rows = survey.relevant((v + 2.0) * duration, duration, followers=not owned)
+        rows = survey.relevant((v + 2.0) * duration, followers=not owned)
         around = survey.around
         # Beyond its edges the plan meets nobody, and need not stay behind them either.
         rows = rows[(around.low[rows] < high) & (around.high[rows] > low)]

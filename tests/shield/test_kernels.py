@@ -179,7 +179,7 @@ def others_at(lanes, ahead, across=0.0, r=None):
     zero, nobody = np.zeros(m), np.zeros(m, dtype=bool)
     where = CENTERS[lanes] if r is None else np.asarray(r, float)
     sides = where - 1.25, where + 1.25
-    return Others(ahead, ahead, zero + 7, zero + 20, zero + 1, nobody, *sides, lanes, where, zero + across)
+    return Others(ahead, ahead, zero + 7, nobody, *sides, lanes, where, zero + across)
 
 
 def sides(path, lane, fail, others, settled=False, announced=True, r=0.0):

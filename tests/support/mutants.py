@@ -41,9 +41,8 @@ MONITOR, FRAMES = "shield/certificate/monitor.py", "shield/procedures/frames.py"
 META, HELD = "shield/procedures/meta_actions.py", "shield/procedures/meta_actions_only.py"
 INPUTS, LOT = "shield/procedures/inputs.py", "shield/procedures/parking_lot.py"
 SEARCH, RULES, MANOEUVRES = "shield/repair/nearest_input.py", "shield/rules.py", "shield/certificate/manoeuvres.py"
-OCCUPANCY, BODIES = "dynamics/traffic/occupancy.py", "dynamics/traffic/occupancy_kernels.py"
+BODIES = "dynamics/traffic/occupancy_kernels.py"
 PERMITS, GAPS, ROLLOUTS = "dynamics/traffic/permits.py", "dynamics/roads/gaps.py", "dynamics/vehicle/rollout_kernels.py"
-AGENT = "shield/procedures/held_inputs.py"
 
 _CLAUSES, _TRAFFIC = "tests/shield/test_clauses.py", "tests/shield/test_clauses_of_traffic.py"
 _TESTS = {
@@ -320,7 +319,7 @@ _OWED = (
     _off(
         "who turns in gives way",
         KERNELS,
-        "if seen and not toward > KP_LATERAL * left + _TURNING:",
+        "if seen and not toward > KP_LATERAL * (left + toward / KP_HEADING) + _TURNING:",
         "if seen:",
         "turning",
     ),
@@ -437,9 +436,9 @@ _PLACES = (
     ),
     _off(
         "others accelerate less hard",
-        OCCUPANCY,
-        "gain = np.minimum(a.acceleration,",
-        "gain = np.minimum(0.8 * a.acceleration,",
+        BODIES,
+        "v + min(motion.acceleration, motion.power",
+        "v + 0.8 * min(motion.acceleration, motion.power",
         _PERMITS,
     ),
     _off(
@@ -495,8 +494,8 @@ _WATCHED = (
     ),
     _both(
         "stored plan of inputs given up on an alarm",
-        Edit(INPUTS, "stored.margin[0] >= 0 and violated", "False"),
-        Edit(INPUTS, "stored.margin[0] >= 0 or not violated", "not violated"),
+        Edit(INPUTS, "keeps and violated", "False"),
+        Edit(INPUTS, "keeps or not violated", "not violated"),
         tests=("alarm[ContinuousCore]",),
     ),
     _off(

@@ -40,7 +40,8 @@ class Others(NamedTuple):
 
     `ahead` [m]: centre ahead of the ego's; `least` [m]: the same of the least place that the centre ever comes to;
     `size` [m]: how near it counts as touching; `behind`: whether its body is behind the ego with its buffer; `low`,
-    `high` [m]: edges of the lanes that it touches; `lane`: the nearest; `r` [m], `across` [m/s]: where it is across the road, and its speed there.
+    `high` [m]: edges of the lanes that it touches; `lane`: the nearest; `r` [m], `across` [m/s]: where it is across the
+    road, and its speed there.
     """
 
     ahead: Any

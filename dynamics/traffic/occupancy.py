@@ -9,11 +9,10 @@ simulator's explicit Euler steps (s_{k+1} = s_k + v_k dt), so the bound is exact
 Along the road: the rear is that of a vehicle that brakes at `braking` from now on. It loses what it may lose by turning
 (`turning_loss`), is not counted on to get anywhere below `slow_speed`, and may reverse from what stands ahead of it.
 The front is that of one that accelerates at `acceleration`, until it owes the ego its braking.
-Across: a vehicle stays in the lanes that its body touches, one frame ahead at constant velocity included. Wherever it
-is
-in them and however it is turned makes no difference, so that a lane change that is aborted late, a car that wavers and
-one that slides need no rule of their own. That it may touch a lane more is not in the bound: it has to leave the room
-for the ego's fail-safe then, and `dynamics.traffic.permits` says so.
+Across: a vehicle stays in the lanes that its body touches, one frame ahead at constant velocity included. Where it is
+in them and how it is turned makes no difference, so that a lane change that is aborted late, a car that wavers and one
+that slides need no rule of their own. That it may touch a lane more is not in the bound: it has to leave the room for
+the ego's fail-safe then, and `dynamics.traffic.permits` says so.
 
 Source: Responsibility-Sensitive Safety (Shalev-Shwartz et al. 2017), set-based prediction (Althoff and Magdici
 2016), with the reaction of highway-env's own traffic.
@@ -81,8 +80,7 @@ class Surroundings:
     assumptions : what they keep to.
     dt : duration of a frame [s].
     before : the same others a frame before, in the same order, from which follows what each may still lose of its way
-    by
-        turning; without it, all of `assumptions.turning_loss`.
+        by turning; without it, all of `assumptions.turning_loss`.
 
     Attributes
     ----------

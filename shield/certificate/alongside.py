@@ -232,8 +232,7 @@ class Alongside:
         Parameters
         ----------
         paths : road states of the ego after frames 1..K, (n, K, 4).
-        size : half extents of the ego with its buffer, as `shield.certificate.kernels.least_separations` has them (8,)
-        [m].
+        size : half extents of the ego with its buffer, as `kernels.least_separations` has them (8,) [m].
         """
         rows, dt, frames = self.rows, self._scene.dt, paths.shape[1]
         out = np.full((len(paths), len(rows)), np.inf)

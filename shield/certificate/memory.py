@@ -13,6 +13,7 @@ from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray, RoadState, State, Vehicle
 from dynamics.traffic.occupancy import Surroundings
+from dynamics.traffic.permits import footprint, permits
 from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.rollouts import Rollouts
 from mpc.filter.nearest_point import nearest
@@ -36,7 +37,11 @@ def _warm_up() -> None:
     Rollouts(0.1).run(state, np.zeros((1, 1, 3)))
     Rollouts(0.1).run_inputs(state, np.zeros((1, 1, 2)))
     Rollouts(0.1).stop(np.zeros((1, 1, 4)), np.zeros(1), 1.0, 1)
-    Surroundings(np.zeros((1, 7)), state[None], road, ShieldConfig().assumptions).rear(1, 0.1)
+    others = np.zeros((1, 7)), state[None], road, ShieldConfig().assumptions, 0.1
+    first = Surroundings(*others)
+    second = Surroundings(*others, before=first)
+    second.occupancy(1, 0.1)
+    permits(first, second, 0.1, np.zeros(1, dtype=bool), footprint(np.zeros(7), 0.0, 0.0))
 
 
 _LONG = 10**6

@@ -34,10 +34,12 @@ from shield.certificate.kernels import TOUCH, Others, in_reach, least_separation
 from shield.certificate.manoeuvres import Candidates
 from shield.config import ShieldConfig
 
-__all__ = ["NOTHING", "Binding", "Clearance", "Surveyor", "least_bad"]
+__all__ = ["NOTHING", "ROUNDING", "Binding", "Clearance", "Surveyor", "least_bad"]
 
 
 _NO_FOLLOWERS = np.zeros((1, 0)), np.zeros((1, 0), dtype=np.intp), np.zeros((3, 0))
+ROUNDING = 1e-6
+"""What rounding may take from a plan that was verified a frame before [m]."""
 _CORNER = 0.5
 """How far a corner of a vehicle behind may come beside a corner of the ego's buffer [m]."""
 _GIVES_WAY = 1.0

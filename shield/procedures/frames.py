@@ -13,15 +13,13 @@ from dynamics.state import FloatArray, RoadState, State
 from dynamics.vehicle.controllers import KP_SPEED
 from shield.certificate.manoeuvres import Candidates, brake_candidates
 from shield.certificate.memory import Memory
-from shield.certificate.verify import NOTHING, Binding, Clearance, least_bad
+from shield.certificate.verify import NOTHING, ROUNDING, Binding, Clearance, least_bad
 from shield.decision import Decision, Reason, Tier
 
 __all__ = ["FrameCommand", "FrameSupervisor", "Verdict", "first_verified"]
 
 _ACCELERATIONS = 32
 """Grid points between full braking and the committed acceleration, when a frame is held back."""
-_ROUNDING = 1e-6
-"""What rounding may take from a plan that was verified a frame before [m]."""
 _LANE_PENALTY = 2.0
 """What it costs to leave the committed lane, in acceleration [m/s^2]."""
 
@@ -100,7 +98,7 @@ class FrameSupervisor(Memory):
         """Nothing verifies against everybody. The stored plan is kept as long as it clears those who have broken no
         rule; among what clears them, what clears the others longest is taken."""
         stored = None if self.stored_lane is None else self._fail_safe(scene, self._lawful(scene))
-        if stored is not None and (stored.margin >= -_ROUNDING or not self.monitor.violated):
+        if stored is not None and (stored.margin >= -ROUNDING or not self.monitor.violated):
             if self.monitor.violated:
                 command, verdict, lawful = self._evade_frame(scene)
                 if lawful >= 0:
@@ -122,8 +120,7 @@ class FrameSupervisor(Memory):
             lawful = self._lawful(scene).clearance(paths, candidates).margin
         keeps = lawful >= 0
         every = np.flatnonzero(keeps) if keeps.any() else np.arange(len(paths))
-        margin = np.nan_to_num(result.margin[every], nan=-np.inf)
-        i = int(every[np.lexsort((margin, result.clear[every]))[-1]])
+        i = int(every[least_bad(Clearance(result.margin[every], result.clear[every]))])
         command = FrameCommand(int(candidates.lanes[i]), float(accelerations[i]))
         verdict = Verdict(float(result.margin[i]), int(candidates.fails[i]), paths[i], result.binding(i))
         return command, verdict, float(lawful[i])

@@ -26,7 +26,7 @@ from mpc.filter.road_step import StageModel
 from shield.certificate.kernels import lanes_touched, verdicts
 from shield.certificate.manoeuvres import Candidates
 from shield.certificate.memory import Memory
-from shield.certificate.verify import Binding, Surveyor
+from shield.certificate.verify import ROUNDING, Binding, Clearance, Surveyor, least_bad
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
@@ -36,8 +36,6 @@ __all__ = ["ContinuousCore"]
 
 _STAGE, _STAGES = 0.2, 20
 """Stage of the predictive filter [s], and how many."""
-_ROUNDING = 1e-6
-"""What rounding may take from a plan that was verified a frame before [m]."""
 _EVASIONS = 9
 """Accelerations that are tried for each lane where somebody has broken a rule."""
 _NEAREST = 12
@@ -176,7 +174,7 @@ class ContinuousCore(Memory):
         if self.stored_lane is not None:
             law = self._law(scene, self.stored_lane)[None]
             stored = self._judge_inputs(scene, law, [self.stored_lane], survey=self._lawful(scene))
-            keeps = bool(stored.margin[0] >= -_ROUNDING)
+            keeps = bool(stored.margin[0] >= -ROUNDING)
             if keeps and violated:
                 evading = self._evade(scene)
                 if evading is not None:
@@ -198,9 +196,7 @@ class ContinuousCore(Memory):
         if not keeps.size:
             return None
         every = self._judge_inputs(scene, inputs[keeps], lanes)
-        margin = np.nan_to_num(every.margin, nan=-np.inf)
-        best = int(np.lexsort((margin, every.clear))[-1])
-        return every.row(best)
+        return every.row(least_bad(Clearance(every.margin, every.clear)))
 
     def _filter_for(self, scene: Scene) -> PredictiveFilter:
         solver = self._filters.get(scene.dt)

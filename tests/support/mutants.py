@@ -488,7 +488,7 @@ _WATCHED = (
     _off(
         "stored plan of frames given up on an alarm",
         FRAMES,
-        "(stored.margin >= -_ROUNDING or not self.monitor.violated)",
+        "(stored.margin >= -ROUNDING or not self.monitor.violated)",
         "not self.monitor.violated",
         "alarm[ShieldCore]",
     ),

@@ -55,6 +55,8 @@ class Scene:
     control : the ego's meta-action interface.
     dt : duration of a simulation frame [s].
     frames_per_decision : simulation frames in one decision period.
+    frame : index of the simulation frame since the episode began, which tells one instant from the next; None where it
+        is not known, and each scene is the next.
     """
 
     ego: FloatArray
@@ -63,6 +65,7 @@ class Scene:
     control: EgoControl
     dt: float
     frames_per_decision: int
+    frame: int | None = None
     ego_road: FloatArray = field(init=False, repr=False)
     others_road: FloatArray = field(init=False, repr=False)
 
@@ -193,6 +196,7 @@ class SceneReader:
             control=control,
             dt=1 / config["simulation_frequency"],
             frames_per_decision=int(config["simulation_frequency"] // config["policy_frequency"]),
+            frame=int(env.steps),
         )
 
 

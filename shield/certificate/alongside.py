@@ -24,16 +24,13 @@ import numpy as np
 from dynamics.compiled import compiled
 from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray, RoadState, Vehicle
+from dynamics.traffic.mobil import COMFORT, GAP, IMPOSED, TIME, TWICE_ROOT
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.vehicle.rollouts import NO_LIMIT, Rollouts
 from shield.config import ShieldConfig
 
 __all__ = ["Alongside", "warm_up"]
 
-_GAP, _TIME, _TWICE_ROOT = 10.0, 1.5, 2.0 * math.sqrt(15.0)
-"""IDM's d0 [m], T [s] and 2 sqrt(a b) [m/s^2]."""
-_IMPOSED = 1.3
-"""Multiple of the gap that d* of a new follower may be: it would brake at no more than 2 m/s^2."""
 _SLACK, _HARDLY = 3.0, 0.5
 """What d* may differ by when the lane change starts [m]; and where it is the ego's own, whose plan is known."""
 _DRIFT = 9.0
@@ -53,7 +50,7 @@ _LASTS = 1.0
 @compiled
 def _desired(v: float, closing: float) -> float:
     """IDM's desired gap d* at speed v, closing in on the vehicle ahead [m]; negative where it pulls away."""
-    return _GAP + _TIME * v + v * closing / _TWICE_ROOT
+    return GAP + TIME * v + v * closing / TWICE_ROOT
 
 
 @compiled
@@ -93,10 +90,10 @@ def _may_slip(
                 continue
             # Whether it may begin while the bodies overlap, at any speed down to which the ego may brake.
             reach, fast = 0.5 * (others[j, 4] + length) + _OVERLAP, max(ego[3], 0.0) + 1.0
-            u = min(max(0.5 * (v - _TIME * _TWICE_ROOT), 0.0), fast)
+            u = min(max(0.5 * (v - TIME * TWICE_ROOT), 0.0), fast)
             most = wanted / left * reach + _SLACK + _DRIFT * _BRAKES
             leads = _desired(v, v - fast) <= most
-            most = _IMPOSED * reach + _HARDLY + _DRIFT * _BRAKES
+            most = IMPOSED * reach + _HARDLY + _DRIFT * _BRAKES
             if leads or _desired(u, u - v) <= most:
                 out[count, 0], out[count, 1], out[count, 2], out[count, 3] = j, to, wanted / left, now
                 count += 1
@@ -113,6 +110,7 @@ def _separations(
     ratios: Any,
     reaches: Any,
     gain: float,
+    braking: float,
     rear: Any,
     front: Any,
     sweep: Any,
@@ -141,15 +139,19 @@ def _separations(
                     ahead_of = ahead > 0
                     if ahead_of:
                         wanted, most = _desired(v, v - u), ratios[0, j] * ahead + _SLACK
-                        at_once = ratios[1, j] * ahead + _HARDLY
+                        # It brakes meanwhile behind its own leader, as IDM does.
+                        t, slows = dt * (k + 1), min(COMFORT * ratios[1, j] ** 2, braking)
+                        at_once = ratios[1, j] * (ahead + 0.5 * slows * t * t) + _HARDLY
+                        slow = max(v - slows * t, 0.0)
+                        least_wanted = min(wanted, _desired(slow, slow - u))
                     else:
-                        wanted, most = _desired(u, u - v), _HARDLY - _IMPOSED * ahead
-                        at_once = 0.0
+                        wanted, most = _desired(u, u - v), _HARDLY - IMPOSED * ahead
+                        at_once, least_wanted = 0.0, np.inf
                     drift = _DRIFT * min(dt * (k + 1), _BRAKES)
                     seen = abs(r - goals[j]) <= sight
                     if began < 0 and seen and abs(wanted) <= most + drift:
                         began, leads = k, ahead_of
-                    if seen and ahead_of and abs(wanted) <= at_once:
+                    if seen and ahead_of and least_wanted <= at_once and wanted >= -at_once:
                         begun = k
                 if began < 0:
                     continue
@@ -253,6 +255,7 @@ class Alongside:
             self._ratios,
             self._around.reach[rows],
             self._config.assumptions.acceleration,
+            self._config.assumptions.braking,
             self._bounds[0],
             self._bounds[1],
             self._sweep,
@@ -293,5 +296,5 @@ def warm_up() -> None:
     far = np.full(1, 1e3)
     _centred(pair, far)
     _separations(
-        pair, size, far, far, far, np.zeros((2, 1)), far, 6.0, one, one, np.zeros((1, 1, 2)), far, 3.0, 0.1, one
+        pair, size, far, far, far, np.zeros((2, 1)), far, 6.0, 6.0, one, one, np.zeros((1, 1, 2)), far, 3.0, 0.1, one
     )

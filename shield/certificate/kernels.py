@@ -20,8 +20,10 @@ __all__ = [
     "lanes_touched",
     "least_separations",
     "margins",
+    "newcomers",
     "rooms",
     "sides_taken",
+    "still_coming",
     "threats",
     "verdicts",
     "warm_up",
@@ -41,7 +43,9 @@ class Others(NamedTuple):
     `ahead` [m]: centre ahead of the ego's; `least` [m]: the same of the least place that the centre ever comes to;
     `size` [m]: how near it counts as touching; `behind`: whether its body is behind the ego with its buffer; `low`,
     `high` [m]: edges of the lanes that it touches; `lane`: the nearest; `r` [m], `across` [m/s]: where it is across the
-    road, and its speed there.
+    road, and its speed there; `held`: whether it is in a lane that the ego owns, or has been behind the ego in one and
+    its strip is not left yet; `beside`, `comes` (lanes, v): which lanes its strip is beside, and which of these it may
+    enter.
     """
 
     ahead: Any
@@ -53,6 +57,9 @@ class Others(NamedTuple):
     lane: Any
     r: Any
     across: Any
+    held: Any
+    beside: Any
+    comes: Any
 
 
 @compiled
@@ -362,26 +369,48 @@ def in_reach(others: Others, limits: Any, followers: bool) -> Any:
 
 
 @compiled
-def threats(others: Others, limits: Any, lanes: Any, fails: Any, owned: Any, centers: Any) -> tuple[Any, Any]:
+def _comes_back(paths: Any, i: int, size: Any, low: float, high: float) -> bool:
+    """Whether a path leaves the strip from `low` to `high` [m] with its buffer, and is in it again later: nobody keeps
+    a place free that the ego has left."""
+    lon, lat, frames = size[0], size[1], paths.shape[1]
+    least, most = np.inf, -np.inf
+    for k in range(frames):
+        least, most = min(least, paths[i, k, 1]), max(most, paths[i, k, 1])
+    # The ego reaches as far to either side as its own width at any heading that a path has.
+    if most - lat < high and least + lat > low:
+        return False
+    left = False
+    for k in range(frames):
+        r, psi = paths[i, k, 1], paths[i, k, 2]
+        half = lon * abs(math.sin(psi)) + lat * abs(math.cos(psi)) + size[5]
+        inside = r - half < high and r + half > low
+        if inside and left:
+            return True
+        left = left or not inside
+    return False
+
+
+@compiled
+def threats(
+    others: Others, limits: Any, lanes: Any, fails: Any, owned: Any, centers: Any, paths: Any, size: Any
+) -> tuple[Any, Any]:
     """Rows of those in reach who do not owe the ego their distance on every path, (m,); and who of them owes it on
     which path, (n, m) bool.
 
     Whoever is behind the ego with its buffer, in a lane that it owns, owes it the distance, but for a path that enters
-    a lane that the ego does not own and that this vehicle touches.
+    a lane that the ego does not own and that this vehicle touches, and for one that leaves its strip and comes back.
 
     Parameters
     ----------
     others, limits : as in `in_reach`.
     lanes, fails : what each path commits to and stops in, (n,). owned : which lanes the ego owns, (lanes,) bool.
-    centers : of the lanes [m].
+    centers : of the lanes [m]. paths, size : (n, K, 4), and as in `least_separations`.
     """
     n = lanes.shape[0]
     rows = in_reach(others, limits, True)
     owed, count = np.empty((n, rows.shape[0]), np.bool_), 0
     for j in rows:
-        kept, held = False, False
-        for k in range(centers.shape[0]):
-            held = held or (owned[k] and others.low[j] < centers[k] + TOUCH and others.high[j] > centers[k] - TOUCH)
+        kept = False
         for i in range(n):
             entered = False
             for lane in (lanes[i], fails[i]):
@@ -389,12 +418,74 @@ def threats(others: Others, limits: Any, lanes: Any, fails: Any, owned: Any, cen
                     entered = entered or (
                         others.low[j] < centers[lane] + TOUCH and others.high[j] > centers[lane] - TOUCH
                     )
-            owed[i, count] = others.behind[j] and held and not entered
+            owed[i, count] = others.behind[j] and others.held[j] and not entered
+            if owed[i, count] and _comes_back(paths, i, size, others.low[j], others.high[j]):
+                owed[i, count] = False
             kept = kept or not owed[i, count]
         if kept:
             rows[count] = j
             count += 1
     return rows[:count], owed[:, :count].copy()
+
+
+@compiled
+def newcomers(others: Others, gains: Any, centers: Any, width: float) -> tuple[Any, Any, Any]:
+    """Which lanes each vehicle's strip is beside; which of them it may enter, for it gains by it or is on its way; which
+    it is on its way to; each (lanes, v) bool.
+
+    On its way is one that is faster across than one that settles in the middle of its own lane, the lag of its heading
+    included.
+
+    Parameters
+    ----------
+    others : the vehicles, (v,). gains : see `dynamics.traffic.mobil.gains`, (v, 2) bool.
+    centers, width : of the lanes [m].
+    """
+    n, v = centers.shape[0], others.lane.shape[0]
+    beside = np.zeros((n, v), np.bool_)
+    may, turning = np.zeros((n, v), np.bool_), np.zeros((n, v), np.bool_)
+    for k in range(n):
+        for j in range(v):
+            # Beside the lane: the next strip begins where this one ends.
+            apart = max(others.low[j] - centers[k], centers[k] - others.high[j])
+            if not 0 < apart < width or not abs(centers[others.lane[j]] - centers[k]) < 1.5 * width:
+                continue
+            beside[k, j] = True
+            above = centers[k] > others.high[j]
+            sign = 1.0 if above else -1.0
+            toward, left = sign * others.across[j], sign * (centers[others.lane[j]] - others.r[j])
+            turning[k, j] = toward > KP_LATERAL * (left + toward / KP_HEADING) + _TURNING
+            may[k, j] = turning[k, j] or gains[j, 1 if above else 0]
+    return beside, may, turning
+
+
+@compiled
+def still_coming(
+    beside: Any, may: Any, turning: Any, before: Any, visible: Any, stored: int, sight: int, settled: int
+) -> Any:
+    """Who may enter which lane although the ego has a plan to stop there, or is in sight there, (lanes, v) bool.
+
+    Whoever may enter when that begins may do so until `sight` frames after the ego has come into sight; those who were
+    on their way by then, until it has been seen for `settled` frames. Nobody joins them.
+
+    Parameters
+    ----------
+    beside, may, turning : see `newcomers`. before : the answer of the scene before, (lanes, v).
+    visible : frames for which the ego has been visible in each lane, (lanes,).
+    stored : the lane in which the stored fail-safe stops, or -1.
+    """
+    out = np.zeros(may.shape, np.bool_)
+    for k in range(may.shape[0]):
+        for j in range(may.shape[1]):
+            if visible[k] >= settled:
+                out[k, j] = False
+            elif visible[k] > sight:
+                out[k, j] = before[k, j] and turning[k, j]
+            elif visible[k] > 0 or k == stored:
+                out[k, j] = before[k, j] and beside[k, j]
+            else:
+                out[k, j] = may[k, j]
+    return out
 
 
 @compiled
@@ -405,9 +496,7 @@ def sides_taken(
     rows: Any,
     others: Others,
     centers: Any,
-    settled: Any,
     settings: Any,
-    announced: bool,
     low: Any,
     high: Any,
     home: Any,
@@ -418,12 +507,11 @@ def sides_taken(
     ----------
     paths, lanes, fails : (n, K, 4), and the lane that each commits to, and stops in, (n,).
     rows : the vehicles, (m,). others : all of them, (v,).
-    centers : of the lanes [m]. settled : in which of them the ego has been in sight for long enough, (lanes,) bool.
-    settings : the ego's lateral position now, the distance within which it is seen, the width of a lane, how far
-        behind the ego one gives way, and how far a body may lean over a marking, (5,) [m].
-    announced : whether the traffic knows of the lane that a path commits to.
+    centers : of the lanes [m].
+    settings : the ego's lateral position now, the distance within which it is seen, the width of a lane, and how far a
+        body may lean over a marking, (4,) [m].
     """
-    r, sight, width, gives_way, lean = settings[0], settings[1], settings[2], settings[3], settings[4]
+    r, sight, width, lean = settings[0], settings[1], settings[2], settings[3]
     for i in range(paths.shape[0]):
         least, most = np.inf, -np.inf
         for k in range(paths.shape[1]):
@@ -434,25 +522,14 @@ def sides_taken(
         for step in range(2 if fails[i] != lanes[i] else 1):
             entered = lanes[i] if step == 0 else fails[i]
             goal = centers[entered]
-            seen = max(abs(least - goal), abs(most - goal)) <= sight and abs(r - goal) <= sight
+            # Once the ego is out of sight there, anybody may come.
+            leaves = abs(r - goal) <= sight < max(abs(least - goal), abs(most - goal))
             for j in range(rows.shape[0]):
                 row = rows[j]
-                # Beside the lane: the next strip begins where this one ends.
-                apart = max(others.low[row] - goal, goal - others.high[row])
-                if apart <= 0:
+                if max(others.low[row] - goal, goal - others.high[row]) <= 0:
                     home[i, j] = entered  # it is there already, and sees the ego there
-                beside = abs(centers[others.lane[row]] - goal) < 1.5 * width
-                if not (0 < apart < width and beside) or not math.isfinite(low[i, j] + high[i, j]):
-                    continue
-                if seen and settled[entered]:
-                    continue
-                if step == 0 and announced and not others.ahead[row] > -gives_way:
-                    continue
-                # Once the ego is in sight, only one that is on its way already may still come: faster across than one
-                # that settles in the middle of its own lane, the lag of its heading included.
-                sign = 1.0 if goal > others.high[row] else -1.0
-                toward, left = sign * others.across[row], sign * (centers[others.lane[row]] - others.r[row])
-                if seen and not toward > KP_LATERAL * (left + toward / KP_HEADING) + _TURNING:
+                enters = others.comes[entered, row] or (leaves and others.beside[entered, row])
+                if not enters or not math.isfinite(low[i, j] + high[i, j]):
                     continue
                 low[i, j] = min(low[i, j], goal - 0.5 * width - lean)
                 high[i, j] = max(high[i, j], goal + 0.5 * width + lean)
@@ -502,10 +579,12 @@ def warm_up() -> None:
     least_separations(pair, np.ones(8), one, one, *bodies, *args)
     there, behind = np.zeros(1), np.zeros(1, dtype=np.bool_)
     lanes_held(0.0, there, 1, 1.0, 1.0, -1, count, flag[0])
-    others = Others(there, there, there, behind, there, there, count, there, there)
-    sides_taken(pair, count, count, count, others, there, behind, np.ones(5), True, one, one, none)
+    others = Others(there, there, there, behind, there, there, count, there, there, behind, flag, flag)
+    newcomers(others, np.zeros((1, 2), dtype=np.bool_), there, 4.0)
+    sides_taken(pair, count, count, count, others, there, np.ones(4), one, one, none)
+    still_coming(flag, flag, flag, flag, count, 0, 1, 1)
     in_reach(others, np.ones(2), True)
-    threats(others, np.ones(2), count, count, behind, there)
+    threats(others, np.ones(2), count, count, behind, there, pair, np.ones(8))
     margins(one, one, there)
     verdicts(there, np.zeros((1, 2)), behind, pair, 1)
     rooms(pair, np.ones(8), np.zeros(1), count, 2.0, False)

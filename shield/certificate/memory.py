@@ -11,7 +11,7 @@ import numpy as np
 
 from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import Scene
-from dynamics.state import FloatArray, RoadState, State, Vehicle
+from dynamics.state import BoolArray, FloatArray, RoadState, State, Vehicle
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.traffic.permits import footprint, permits
 from dynamics.vehicle.controllers import KP_SPEED
@@ -75,8 +75,6 @@ class Memory:
 
     _frames = 1
     """Simulation frames between two scenes."""
-    _announced = True
-    """Whether the traffic knows of the lane that the ego commits to."""
 
     def __init__(self, config: ShieldConfig | None = None) -> None:
         self.config = config if config is not None else ShieldConfig()
@@ -92,16 +90,18 @@ class Memory:
         self._owned: Any = None
         self._followers: Any = None
         self._surveyor: Surveyor | None = None
-        self._seen: tuple[FloatArray, FloatArray, Surroundings] | None = None
+        self._coming: Any = None
+        self._frame: int | None = None
+        self._around: Surroundings | None = None
 
     def _observe(self, scene: Scene) -> None:
         """Take in the next instant, once."""
-        seen = self._seen
-        if seen is not None and np.array_equal(seen[0], scene.ego) and np.array_equal(seen[1], scene.others):
+        if scene.frame is not None and scene.frame == self._frame:
             return
+        self._frame = scene.frame
         a, before = self.config.assumptions, self.monitor.before(scene) if self._frames == 1 else None
         around = Surroundings(scene.others, scene.others_road, scene.road, a, scene.dt, before)
-        self._seen = (scene.ego, scene.others, around)
+        self._around = around
         centers, r = scene.road.centers, float(scene.ego_road[RoadState.R])
         if self._visible is None or self._visible.shape != centers.shape:
             # Whoever is there when it all begins has seen the ego for long.
@@ -112,13 +112,17 @@ class Memory:
         stored = -1 if self.stored_lane is None else self.stored_lane
         visible, owned = self._visible, self._owned
         self._visible, self._owned = lanes_held(r, centers, self._frames, sight, touch, stored, visible, owned)
+        if self._coming is not None and self._coming.shape[0] == centers.size:
+            # Where the ego has got out of sight, anybody may come.
+            self._coming = self._coming | ((visible > 0) & (self._visible == 0))[:, None]
         self._surveyor, self._followers = None, self.monitor.followers(scene)
-        survey = self._survey(scene)
+        self._surveyor = survey = self._look(scene)
+        self._coming = survey.others.comes
         self.monitor.update(
             scene,
             around,
             survey.others.behind,
-            survey.held,
+            survey.others.held,
             self._frames * scene.dt,
             lambda: self._fail_safe(scene).separations,
         )
@@ -141,21 +145,16 @@ class Memory:
             self._rollouts[key] = Rollouts(scene.dt, scene.road)
         return self._rollouts[key]
 
+    def _look(self, scene: Scene, ignored: BoolArray | None = None) -> Surveyor:
+        marks = self._visible, self._owned, self._around, ignored, self._followers, self._coming, self.stored_lane
+        return Surveyor(scene, self.config, *marks)
+
     def _lawful(self, scene: Scene) -> Surveyor:
         """A surveyor of this instant that leaves out those who have broken a rule."""
-        seen = self._seen
-        around = seen[2] if seen is not None and seen[1] is scene.others else None
-        ignored = self.monitor.offenders
-        return Surveyor(
-            scene, self.config, self._visible, self._owned, around, self._announced, ignored, self._followers
-        )
+        return self._look(scene, self.monitor.offenders)
 
     def _survey(self, scene: Scene) -> Surveyor:
-        """The surveyor of this instant; scenes that differ in the ego's target only share it."""
-        held = self._surveyor
-        if held is None or held.scene.ego is not scene.ego or held.scene.others is not scene.others:
-            seen = self._seen
-            around = seen[2] if seen is not None and seen[1] is scene.others else None
-            marks = self._visible, self._owned, around, self._announced, None, self._followers
-            held = self._surveyor = Surveyor(scene, self.config, *marks)
-        return held
+        """The surveyor of this instant."""
+        if self._surveyor is None:
+            self._surveyor = self._look(scene)
+        return self._surveyor

@@ -85,7 +85,7 @@ class AssumptionMonitor:
         seen = footprint(scene.ego, b.longitudinal, b.lateral, crashed)
         broken, grown = permits(before, around, period, last[1], seen)
         # Who comes beside the ego in its own lane has not stayed behind.
-        broken |= np.where(last[1] & held & ~behind, int(Rule.DISTANCE), 0)
+        grown |= np.where(last[1] & held & ~behind, int(Rule.DISTANCE), 0)
         if grown.any():
             # Who takes more room than before has to leave it to the ego's fail-safe.
             broken |= np.where(fail_safe() < 0, grown, 0)

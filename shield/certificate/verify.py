@@ -27,10 +27,22 @@ import numpy as np
 
 from dynamics.scenes.scene import Scene
 from dynamics.state import BoolArray, FloatArray, RoadState, Vehicle
+from dynamics.traffic.mobil import gains
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.traffic.permits import apart, footprint
 from shield.certificate.alongside import Alongside
-from shield.certificate.kernels import TOUCH, Others, in_reach, least_separations, margins, rooms, sides_taken, threats
+from shield.certificate.kernels import (
+    TOUCH,
+    Others,
+    in_reach,
+    least_separations,
+    margins,
+    newcomers,
+    rooms,
+    sides_taken,
+    still_coming,
+    threats,
+)
 from shield.certificate.manoeuvres import Candidates
 from shield.config import ShieldConfig
 
@@ -42,8 +54,8 @@ ROUNDING = 1e-6
 """What rounding may take from a plan that was verified a frame before [m]."""
 _CORNER = 0.5
 """How far a corner of a vehicle behind may come beside a corner of the ego's buffer [m]."""
-_GIVES_WAY = 1.0
-"""A vehicle that merges from the far side gives way if its centre is further behind than this [m]."""
+_GAINS = 1.0
+"""By how much one that enters a lane may be wrong about what it gains by it [m/s^2]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,9 +122,10 @@ class Surveyor:
     visible : frames for which the ego has been visible in each lane already, (lanes,); none by default.
     owned : which lanes the ego owns, (lanes,) bool; the one that it is in by default.
     around : the scene's surroundings, where they have been built already.
-    announced : whether the traffic knows of the lane that a path commits to, so that one behind gives way.
     ignored : whom to leave out, (m,) bool; nobody by default.
     followers : who owed the ego its distance in the scene before, (m,) bool; nobody by default.
+    coming : who could enter which lane in the scene before, (lanes, m) bool; whoever may now by default.
+    stored : the lane in which the stored fail-safe stops; None without one.
     """
 
     def __init__(
@@ -122,11 +135,12 @@ class Surveyor:
         visible: Any = None,
         owned: Any = None,
         around: Surroundings | None = None,
-        announced: bool = True,
         ignored: Any = None,
         followers: Any = None,
+        coming: Any = None,
+        stored: int | None = None,
     ) -> None:
-        self.announced, self.ignored = announced, ignored
+        self.ignored = ignored
         self.scene, self.config, self.visible = scene, config, visible
         if owned is None:
             owned = np.arange(scene.road.centers.size) == scene.road.lane_at(float(scene.ego_road[RoadState.R]))
@@ -160,6 +174,15 @@ class Surveyor:
             for i in np.flatnonzero(followers & ~behind & (ahead + fronts <= _CORNER - half)):
                 seen = footprint(scene.ego, b.longitudinal, b.lateral)
                 behind[i] = apart(seen, scene.others[i]) >= 0
+        half_r = lon * abs(math.sin(psi)) + lat * abs(math.cos(psi)) + self.growth[1]
+        r, centers = float(ego[RoadState.R]), scene.road.centers
+        mine = centers[self.owned]
+        low, high = around.low[:, None], around.high[:, None]
+        held: BoolArray = ((low < mine + TOUCH) & (high > mine - TOUCH)).any(axis=1)
+        if followers is not None:
+            # The duty lasts until the ego has left the strip of the one that owes it.
+            held |= followers & (around.low < r + half_r) & (around.high > r - half_r)
+        nobody = np.zeros((centers.size, len(states)), dtype=bool)
         self.others = Others(
             ahead,
             np.minimum(ahead, around.bodies.floor - ego[RoadState.S]),
@@ -170,17 +193,29 @@ class Surveyor:
             around.lane,
             states[:, RoadState.R].copy(),
             states[:, RoadState.SPEED] * np.sin(turned),
+            held,
+            nobody,
+            nobody,
         )
+        if a.blind_merge:
+            self.others = self._with_newcomers(coming, -1 if stored is None else stored)
         self._noses = around.front(2, scene.dt).T
         self._alongside = Alongside(scene, config, around)
 
-    @property
-    def held(self) -> BoolArray:
-        """Who is in a lane that the ego owns, (m,) bool."""
-        centers = self.scene.road.centers[self.owned]
-        low, high = self.others.low[:, None], self.others.high[:, None]
-        inside: BoolArray = ((low < centers + TOUCH) & (high > centers - TOUCH)).any(axis=1)
-        return inside
+    def _with_newcomers(self, before: Any, stored: int) -> Others:
+        """The others, with who may enter which lane."""
+        road, dt, a = self.scene.road, self.scene.dt, self.config.assumptions
+        tempted = gains(self.around.states, self.around.lane, road.centers, a.visible_distance, _GAINS)
+        beside, may, turning = newcomers(self.others, tempted, road.centers, float(road.width))
+        visible = self.visible
+        if visible is None:
+            offset = np.abs(road.centers - self.scene.ego_road[RoadState.R])
+            visible = np.where(offset <= a.visible_distance, np.iinfo(np.intp).max, 0)
+        settled = int(np.ceil(a.settle_time / dt - 1e-9))
+        if before is None or before.shape != may.shape:
+            before = may
+        comes = still_coming(beside, may, turning, before, np.asarray(visible), stored, self._reaction, settled)
+        return self.others._replace(beside=beside, comes=comes)
 
     def relevant(self, distance: float, followers: bool = True) -> Any:
         """Rows of those who can come into reach of an ego that travels at most `distance` [m].
@@ -205,7 +240,7 @@ class Surveyor:
         """
         scene = self.scene
         distance = float(paths[:, -1, RoadState.S].max() - scene.ego_road[RoadState.S])
-        rows, owed = self._threats(candidates, distance)
+        rows, owed = self._threats(candidates, paths, distance)
         if self.ignored is not None and self.ignored.any():
             kept = ~self.ignored[rows]
             rows, owed = rows[kept], np.ascontiguousarray(owed[:, kept])
@@ -301,7 +336,7 @@ class Surveyor:
             ]
         )
 
-    def _threats(self, candidates: Candidates, distance: float) -> tuple[Any, Any]:
+    def _threats(self, candidates: Candidates, paths: FloatArray, distance: float) -> tuple[Any, Any]:
         """Rows of those in reach who do not owe the ego their distance on every path, and who of them owes it on which,
         (n, rows) bool; see `threats`."""
         return threats(
@@ -311,6 +346,8 @@ class Surveyor:
             np.asarray(candidates.fails, dtype=np.intp),
             self.owned,
             self.scene.road.centers,
+            paths,
+            self._size_of_ego,
         )
 
     def _lateral(
@@ -319,8 +356,7 @@ class Surveyor:
         """Lateral extent and home lane of each vehicle for each path, (n, len(rows)) or broadcastable to it.
 
         A vehicle beside a lane that the ego is about to enter may enter it too, its own leader among them, until it can
-        see the ego there. Where an ego that announces it commits to that lane, one behind gives way (highway-env's
-        traffic aborts such a lane change); of the lane that the fail-safe would return to nobody knows.
+        see the ego there.
         """
         around = self.around
         a, n, m = self.config.assumptions, len(paths), len(rows)
@@ -328,9 +364,6 @@ class Surveyor:
             return around.low[rows][None], around.high[rows][None], around.lane[rows][None]
         low, high, home = np.empty((n, m)), np.empty((n, m)), np.empty((n, m), dtype=np.intp)
         road, r = self.scene.road, float(self.scene.ego_road[RoadState.R])
-        settled = np.ones(road.centers.size, dtype=bool)
-        if self.visible is not None:
-            settled = np.asarray(self.visible) * self.scene.dt >= a.settle_time
         sides_taken(
             paths,
             np.asarray(candidates.lanes, dtype=np.intp),
@@ -338,9 +371,7 @@ class Surveyor:
             rows,
             self.others,
             road.centers,
-            settled,
-            np.array([r, a.visible_distance, road.width, _GIVES_WAY, a.lean]),
-            self.announced,
+            np.array([r, a.visible_distance, road.width, a.lean]),
             low,
             high,
             home,

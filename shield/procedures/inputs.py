@@ -59,9 +59,6 @@ class ContinuousCore(Memory):
         If the mode is one of the rules for meta-actions.
     """
 
-    # highway-env's traffic aborts a lane change for the target of a `ControlledVehicle`; this ego is none.
-    _announced = False
-
     def __init__(
         self,
         config: ShieldConfig | None = None,

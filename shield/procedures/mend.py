@@ -25,9 +25,6 @@ __all__ = ["FilteringCore", "make_core"]
 class FilteringCore(ContinuousCore, ShieldCore):
     """Takes the verified inputs that are nearest to those of the environment's own controllers."""
 
-    # Unlike a throttle and a wheel, meta-actions announce a lane change to highway-env's traffic.
-    _announced = True
-
     @property
     def norm(self) -> str:
         """By acceleration: in shares of the ranges, the repair of a meta-action would swerve."""

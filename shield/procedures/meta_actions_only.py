@@ -127,7 +127,7 @@ class MetaCore:
             paths = self._rollouts_for(scene).run(scene.ego_road, candidates.commands)
             return survey.of_each(survey.clearance(paths, candidates))
 
-        self.monitor.update(scene, around, survey.others.behind, survey.held, period, fail_safe)
+        self.monitor.update(scene, around, survey.others.behind, survey.others.held, period, fail_safe)
 
     def _rollouts_for(self, scene: Scene) -> Rollouts:
         if scene.dt not in self._rollouts:

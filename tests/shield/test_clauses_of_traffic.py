@@ -133,19 +133,37 @@ def test_the_coming_frame_is_clear_too(at):
 
 def test_a_vehicle_beyond_the_lane_that_is_entered_may_enter_it_as_well():
     blind = CONFIG.replace(assumptions=replace(CONFIG.assumptions, blind_merge=False))
-    ahead = scene_of((0, 0, 0, 20), (8, 8, 0, 15))
-    assert clear(ahead, 1) < 0 <= clear(ahead, 1, config=blind)
-    # One behind gives way where it knows of the lane change, and only there.
-    back = scene_of((0, 0, 0, 20), (-3, 8, 0, 20))
-    assert clear(back, 1, announced=False) < 0 <= clear(back, 1, announced=True)
-    # Nobody knows of the lane that the fail-safe would return to.
-    returning = scene_of((0, 8, 0, 20), (-3, 0, 0, 20))
-    assert clear(returning, 2, fail=1, announced=True) < 0 <= clear(returning, 2, announced=True)
+    slow = 30, 8, 0, 10
+    for at in (8, -3):
+        held_up = scene_of((0, 0, 0, 20), (at, 8, 0, 15), slow)
+        assert clear(held_up, 1) < 0 <= clear(held_up, 1, config=blind)
+    # The lane that the fail-safe would return to as well.
+    returning = scene_of((0, 8, 0, 20), (-3, 0, 0, 20), (20, 0, 0, 10))
+    assert clear(returning, 2, fail=1) < 0 <= clear(returning, 2)
+
+
+def test_who_loses_by_it_does_not_enter():
+    leader = 60, 4, 0, 15
+    beyond = (0, 0, 0, 20), (8, 8, 0, 15)
+    assert clear(scene_of(*beyond), 1) < 0 <= clear(scene_of(*beyond, leader), 1)
+    # One that is on its way does.
+    assert clear(scene_of((0, 0, 0, 20), (8, 8, -0.05, 15), leader), 1) < 0
+
+
+def test_nobody_joins_those_who_may_enter_once_there_is_a_plan_to_stop_there():
+    held_up = scene_of((0, 0, 0, 20), (8, 8, 0, 15), (30, 8, 0, 10))
+    nobody = np.zeros((4, 2), dtype=bool)
+    assert clear(held_up, 1, coming=nobody) < 0 <= clear(held_up, 1, coming=nobody, stored=1)
+    # But for a lane out of whose sight the ego gets meanwhile.
+    seen = np.array([1000, 1000, 0, 0])
+    leaving = scene_of((0, 1.2, -0.3, 20), (8, 8, 0, 15), (30, 8, 0, 10))
+    assert clear(leaving, 0, fail=1, coming=nobody, stored=1, visible=seen) < 0
 
 
 def test_one_that_is_on_its_way_may_still_come_until_the_ego_has_been_seen_for_long():
     visible = np.array([1, 1, 0, 0])
     straight, turning = (scene_of((0, 2.5, 0, 15), (6, 8, psi, 15)) for psi in (0.0, -0.03))
+    visible[1] = 4
     assert clear(turning, 1, visible=visible) < 0 <= clear(straight, 1, visible=visible)
     assert clear(turning, 1, visible=visible + 1000) >= 0
 

@@ -16,7 +16,9 @@ from shield.certificate.kernels import (
     lanes_touched,
     least_separations,
     margins,
+    newcomers,
     sides_taken,
+    still_coming,
     verdicts,
 )
 
@@ -172,50 +174,60 @@ def test_a_lane_is_owned_from_the_stored_plan_on_until_the_ego_has_left_it():
     assert list(owned) == [False, True, False]
 
 
-def others_at(lanes, ahead, across=0.0, r=None):
-    """Vehicles in the middle of their lanes."""
+def others_at(lanes, ahead, across=0.0, r=None, gains=True):
+    """Vehicles in the middle of their lanes, and which lanes they may enter."""
     m, lanes = len(lanes), np.asarray(lanes)
     ahead = np.asarray(ahead, float)
-    zero, nobody = np.zeros(m), np.zeros(m, dtype=bool)
+    zero, nobody, nowhere = np.zeros(m), np.zeros(m, dtype=bool), np.zeros((3, m), dtype=bool)
     where = CENTERS[lanes] if r is None else np.asarray(r, float)
     sides = where - 1.25, where + 1.25
-    return Others(ahead, ahead, zero + 7, nobody, *sides, lanes, where, zero + across)
+    bodies = ahead, ahead, zero + 7, nobody, *sides, lanes, where, zero + across
+    others = Others(*bodies, nobody, nowhere, nowhere)
+    beside, may, turning = newcomers(others, np.full((m, 2), gains), CENTERS, 4.0)
+    return others._replace(beside=beside, comes=may), turning
 
 
-def sides(path, lane, fail, others, settled=False, announced=True, r=0.0):
+def sides(path, lane, fail, others, r=0.0):
     n, m = len(path), len(others.lane)
     low, high, home = np.empty((n, m)), np.empty((n, m)), np.empty((n, m), dtype=np.intp)
     lanes, fails, rows = np.full(n, lane), np.full(n, fail), np.arange(m)
-    settings = np.array([r, 3.0, 4.0, 1.0, 0.15])
-    seen = np.full(3, settled)
-    sides_taken(path, lanes, fails, rows, others, CENTERS, seen, settings, announced, low, high, home)
+    settings = np.array([r, 3.0, 4.0, 0.15])
+    sides_taken(path, lanes, fails, rows, others, CENTERS, settings, low, high, home)
     return low[0], high[0], home[0]
 
 
 def test_until_the_ego_is_in_sight_in_a_lane_those_beside_it_may_enter_it_too():
     path = np.zeros((1, 9, 4))
     path[0, :, 1] = np.linspace(0.3, 4.0, 9)
-    others = others_at([2, 2, 0, 1], [20.0, -20.0, 20.0, 30.0])
-    low, high, home = sides(path, 1, 1, others)
-    np.testing.assert_allclose(low, [1.85, 6.75, -1.25, 2.75])  # the one behind gives way to a lane change that it sees
-    np.testing.assert_allclose(high, [9.25, 9.25, 6.15, 5.25])
-    assert list(home) == [1, 2, 1, 1]
-    assert sides(path, 1, 1, others, announced=False)[0][1] == pytest.approx(1.85)
-    # Of the lane that the fail-safe returns to nobody knows.
-    assert sides(path, 0, 1, others)[0][1] == pytest.approx(1.85)
+    others, _ = others_at([2, 2, 0, 1], [20.0, -20.0, 20.0, 30.0])
+    for fail in (0, 1):
+        low, high, home = sides(path, 1, fail, others)
+        np.testing.assert_allclose(low[:3], [1.85, 1.85, -1.25])
+        np.testing.assert_allclose(high[:3], [9.25, 9.25, 6.15])
+        assert list(home[:2]) == [1, 1]
+        np.testing.assert_allclose((low[3], high[3]), ((2.75, 5.25) if fail == 1 else (-2.15, 5.25)))
+    others, _ = others_at([2, 2, 0, 1], [20.0, -20.0, 20.0, 30.0], gains=False)
+    np.testing.assert_allclose(sides(path, 1, 1, others)[0], [6.75, 6.75, -1.25, 2.75])
 
 
-@pytest.mark.parametrize(("across", "r", "settled", "comes"), [
-    (0.0, 8.0, False, False),
-    (-1.0, 8.0, False, True),  # it was on its way before it could see the ego
-    (-1.0, 8.0, True, False),  # nobody is for that long
-    (-1.0, 8.8, False, False),  # it settles in the middle of its own lane
+@pytest.mark.parametrize(("across", "r", "visible", "comes"), [
+    (0.0, 8.0, 3, True),  # it may have begun just before it could see the ego
+    (0.0, 8.0, 4, False),
+    (-1.0, 8.0, 4, True),  # it was on its way before
+    (-1.0, 8.0, 29, True),
+    (-1.0, 8.0, 30, False),  # nobody is for that long
+    (-1.0, 8.8, 4, False),  # it settles in the middle of its own lane
 ])  # fmt: skip
-def test_once_it_is_only_who_was_on_the_way_may_still_come(across, r, settled, comes):
+def test_once_it_is_only_who_was_on_the_way_may_still_come(across, r, visible, comes):
     path = np.zeros((1, 9, 4))
     path[0, :, 1] = 4.0
-    low, _, _ = sides(path, 1, 1, others_at([2], [10.0], across, [r]), settled, r=4.0)
+    others, turning = others_at([2], [10.0], across, [r])
+    seen = np.array([0, visible, 0])
+    still = still_coming(others.beside, others.comes, turning, others.comes, seen, 1, 3, 30)
+    low, _, _ = sides(path, 1, 1, others._replace(comes=still), r=4.0)
     assert (low[0] < 2.0) == comes
+    nobody = np.zeros_like(still)
+    assert not still_coming(others.beside, others.comes, turning, nobody, seen, 1, 3, 30)[1].any()
 
 
 @given(seeds)
@@ -264,7 +276,7 @@ def test_margins_are_those_of_whole_arrays(seed, n, m, slipping):
 
 
 def test_a_vehicle_that_is_nowhere_stays_so():
-    others = others_at([1], [np.nan], r=[np.nan])
+    others, _ = others_at([1], [np.nan], r=[np.nan])
     low, high, _ = sides(drives(np.random.default_rng(0), 1, 5), 1, 1, others)
     assert np.isnan(low).all()
     assert np.isnan(high).all()

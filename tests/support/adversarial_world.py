@@ -67,6 +67,7 @@ class World:
     dt: float = 0.2
     period: int = 5
     speeds: tuple[float, ...] = (20.0, 25.0, 30.0)
+    frame: int = 0
     road: StraightRoad = field(init=False)
     core: ShieldCore = field(init=False)
     visible: np.ndarray = field(init=False)
@@ -84,7 +85,7 @@ class World:
         rows = np.array([c.row() for c in self.cars], dtype=float).reshape(-1, 7)
         ego = np.array([*self.ego, LENGTH, WIDTH, 0.0])
         control = EgoControl(self.target, self.speeds)
-        return Scene(ego, rows, self.road, control, self.dt, self.period)
+        return Scene(ego, rows, self.road, control, self.dt, self.period, self.frame)
 
     def buffer_gap(self) -> float:
         """Least separation of the inflated ego from any car [m]; below zero the buffer is violated."""
@@ -170,6 +171,7 @@ class World:
     def move_cars(self, wishes: list[tuple[float, int]]) -> None:
         """One frame of the traffic; each wish is (acceleration, lane step), cut down to the assumptions."""
         a, moved = self.assumptions, []
+        self.frame += 1
         near = np.abs(self.ego[1] - self.road.centers) <= a.visible_distance
         self.visible = np.where(near, self.visible + 1, 0)
         reaction = int(np.ceil(a.reaction_time / self.dt - 1e-9))

@@ -1,0 +1,55 @@
+"""Who gains by a lane change, against highway-env's own MOBIL."""
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+from highway_env.vehicle.behavior import IDMVehicle
+
+from dynamics.scenes.scene import SceneReader
+from dynamics.traffic.mobil import gains
+
+SIGHT = 3.0
+
+
+def lanes_wanted(env):
+    """Which neighbouring lane each IDM vehicle's own MOBIL recommends, (m, 2) bool; the ego is not there."""
+    base = env.unwrapped
+    ego, road = base.vehicle, base.road
+    others = [v for v in road.vehicles if v is not ego]
+    road.vehicles = others
+    wanted = np.zeros((len(others), 2), dtype=bool)
+    for i, v in enumerate(others):
+        assert isinstance(v, IDMVehicle)
+        for lane in road.network.side_lanes(v.lane_index):
+            wanted[i, int(lane[2] > v.lane_index[2])] = v.mobil(lane)
+    road.vehicles = [ego, *others]
+    return wanted
+
+
+def test_whoever_would_change_lanes_gains_by_it():
+    env = gym.make("highway-fast-v0", config={"vehicles_density": 1.5})
+    reader, found = SceneReader(env), 0
+    for k in range(160):
+        if k % 8 == 0:
+            env.reset(seed=k // 8)
+        env.step(1)
+        scene, wanted = reader.read(), lanes_wanted(env)
+        centers = scene.road.centers
+        lane = np.abs(scene.others_road[:, 1, None] - centers).argmin(axis=1)
+        exact = gains(scene.others_road, lane, centers, SIGHT, 0.0)
+        # highway-env knows the new follower's wish and its own: what it lets in is part of what gains.
+        settled = np.abs(scene.others_road[:, 1] - centers[lane]) < 0.05
+        assert not (wanted & ~exact)[settled].any()
+        assert not (exact & ~gains(scene.others_road, lane, centers, SIGHT, 1.0)).any()
+        found += wanted.sum()
+    env.close()
+    assert found > 10
+
+
+def test_who_is_held_up_gains_and_who_is_not_does_not():
+    lane, centers = np.array([0, 0, 1]), np.array([0.0, 4.0])
+    states = np.array([[0.0, 0.0, 0.0, 20.0], [30.0, 0.0, 0.0, 10.0], [60.0, 4.0, 0.0, 20.0]])
+    assert gains(states, lane, centers, SIGHT, 0.0).tolist() == [[False, True], [False, False], [False, False]]
+    # Not into a lane where the next behind would have to brake hard.
+    states[2] = [-5.0, 4.0, 0.0, 25.0]
+    assert not gains(states, lane, centers, SIGHT, 0.0)[0].any()

@@ -22,7 +22,9 @@ from stable_baselines3 import PPO
 
 from dynamics.scenes.scene import SceneReader
 from dynamics.vehicle.actuators import Actuators
-from shield.procedures.inputs import ContinuousCore
+from shield import ShieldConfig
+from shield.procedures.decide import Core
+from shield.procedures.inputs import Inputs
 
 CONFIG = {"action": {"type": "ContinuousAction"}, "simulation_frequency": 20, "policy_frequency": 20, "duration": 30}
 
@@ -33,7 +35,8 @@ def measure(decisions: int, throttle: bool) -> tuple[list[float], list[float], l
     net = {"net_arch": {"pi": [256, 256], "vf": [256, 256]}}
     policy = PPO("MlpPolicy", env, policy_kwargs=net, device="cpu", seed=0)
     actuators = Actuators.of(env.unwrapped.action_type)  # type: ignore[attr-defined]
-    core, reader = ContinuousCore(actuators=actuators), SceneReader(env)
+    procedure, reader = Inputs(ShieldConfig(), actuators), SceneReader(env)
+    core = Core(procedure)
     passed: list[float] = []
     filtered: list[float] = []
     own: list[float] = []
@@ -42,7 +45,7 @@ def measure(decisions: int, throttle: bool) -> tuple[list[float], list[float], l
         if done:
             obs, _ = env.reset(seed=seed)
             core.reset()
-            core.prepare(reader.read())
+            procedure.prepare(reader.read())
             seed += 1
         start = perf_counter()
         policy.predict(obs, deterministic=True)
@@ -52,9 +55,9 @@ def measure(decisions: int, throttle: bool) -> tuple[list[float], list[float], l
         wheel = -0.5 * psi - 0.01 * (scene.ego_road[1] - scene.road.centers[scene.road.lane_at(scene.ego_road[1])])
         proposal = np.array([5.0 if throttle else 0.3 * (18.0 - v), float(np.clip(wheel, -0.2, 0.2))])
         start = perf_counter()
-        inputs, decision = core.filter(scene, proposal)
+        decision = core.decide(scene, proposal)
         (filtered if decision.overridden else passed).append(1e3 * (perf_counter() - start))
-        obs, _, terminated, truncated, _ = env.step(actuators.normalised(inputs))
+        obs, _, terminated, truncated, _ = env.step(actuators.normalised(decision.executed))
         done = terminated or truncated
     env.close()
     return passed, filtered, own

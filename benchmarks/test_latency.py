@@ -4,12 +4,11 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import pytest
 import torch
+from cores import MetaCore, ShieldCore
 from stable_baselines3 import PPO
 
 from dynamics.scenes.scene import Scene, SceneReader
 from shield import Shield, ShieldedEnv
-from shield.procedures.meta_actions import ShieldCore
-from shield.procedures.meta_actions_only import MetaCore
 
 IDLE, FASTER, SLOWER = 1, 3, 4
 

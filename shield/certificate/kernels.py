@@ -430,8 +430,8 @@ def threats(
 
 @compiled
 def newcomers(others: Others, gains: Any, centers: Any, width: float) -> tuple[Any, Any, Any]:
-    """Which lanes each vehicle's strip is beside; which of them it may enter, for it gains by it or is on its way; which
-    it is on its way to; each (lanes, v) bool.
+    """Which lanes each vehicle's strip is beside; which of them it may enter, for it gains by it or is on its way; and
+    which it is on its way to; each (lanes, v) bool.
 
     On its way is one that is faster across than one that settles in the middle of its own lane, the lag of its heading
     included.

@@ -1,8 +1,12 @@
-"""Watches whether the traffic keeps to the assumptions: `dynamics.traffic.permits`, frame by frame."""
+"""Watches whether the others keep to the assumptions, frame by frame.
+
+Traffic has to keep to `dynamics.traffic.permits`; in a parking lot everything has to stand still.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,90 +16,120 @@ from dynamics.traffic.occupancy import Surroundings
 from dynamics.traffic.permits import Rule, footprint, permits
 from shield.config import ShieldConfig
 
-__all__ = ["AssumptionMonitor"]
+__all__ = ["Stillness", "Watch"]
+
+
+def _nobody() -> BoolArray:
+    return np.zeros(0, dtype=bool)
+
 
 Separations = Callable[[], FloatArray]
 """How far the ego's fail-safe stays from where each vehicle can be now, (m,) [m]; negative where it does not."""
 
 
-class AssumptionMonitor:
-    """Compares each scene with the one before it.
+@dataclass(frozen=True, slots=True, eq=False)
+class Watch:
+    """What has been seen of the others up to one scene.
 
     Attributes
     ----------
+    around : their surroundings in that scene; None before the first.
+    owing : who of them owed the ego its distance, (m,) bool.
+    crashed : whether the ego had crashed.
+    breaking : who was breaking a rule in that very frame, (m,) bool.
+    offenders : who has broken a rule and may still be in the way of the ego's fail-safe, (m,) bool.
     count : violations so far; a vehicle that breaks rules frame after frame counts once until it keeps to them again.
     by_rule : the same by the rule that was broken.
-    offenders : who has broken a rule and may still be in the way of the ego's fail-safe, (m,) bool.
     """
 
-    def __init__(self, config: ShieldConfig) -> None:
-        self._config = config
-        self._last: tuple[Surroundings, BoolArray, bool] | None = None
-        self._breaking: BoolArray = np.zeros(0, dtype=bool)
-        self.count = 0
-        self.by_rule: dict[Rule, int] = {}
-        self.offenders: BoolArray = np.zeros(0, dtype=bool)
+    around: Surroundings | None = None
+    owing: BoolArray = field(default_factory=_nobody)
+    crashed: bool = False
+    breaking: BoolArray = field(default_factory=_nobody)
+    offenders: BoolArray = field(default_factory=_nobody)
+    count: int = 0
+    by_rule: Mapping[Rule, int] = field(default_factory=dict)
 
     @property
     def violated(self) -> bool:
         """Whether anybody who has broken a rule may still be in the way."""
         return bool(self.offenders.any())
 
-    def forgive(self) -> None:
-        """A plan clears everybody again."""
-        if self.offenders.any():
-            self.offenders = np.zeros(self.offenders.shape, dtype=bool)
+    def forgiven(self) -> Watch:
+        """The same once a plan clears everybody again."""
+        return replace(self, offenders=np.zeros(self.offenders.shape, dtype=bool)) if self.violated else self
 
     def before(self, scene: Scene) -> Surroundings | None:
-        """The surroundings of the scene before, where the others are the same."""
-        if self._last is None or len(self._last[0].states) != len(scene.others):
+        """The surroundings that were seen last, where the others are the same as in `scene`."""
+        if self.around is None or len(self.around.states) != len(scene.others):
             return None
-        return self._last[0]
+        return self.around
 
     def followers(self, scene: Scene) -> BoolArray | None:
-        """Who owed the ego its distance in the scene before, (m,) bool; None where the others are not the same."""
-        return None if self._last is None or self.before(scene) is None else self._last[1]
+        """Who owed the ego its distance in the scene seen last, (m,) bool; None where the others are not the same."""
+        return None if self.before(scene) is None else self.owing
 
-    def update(
+    def next(
         self,
+        config: ShieldConfig,
         scene: Scene,
         around: Surroundings,
         behind: BoolArray,
         held: BoolArray,
         period: float,
         fail_safe: Separations,
-    ) -> None:
-        """Take in the next scene.
+    ) -> Watch:
+        """The watch one scene later.
 
         Parameters
         ----------
+        config : the buffer.
         scene, around : the scene, and its surroundings, which know those of the scene before.
         behind, held : who is behind the ego with its buffer, and who is in a lane that it owns, (m,) bool.
         period : time since the scene before [s].
         fail_safe : asked where somebody has taken more room than before.
         """
-        before, last = self.before(scene), self._last
-        self._last = around, behind & held, bool(scene.ego[Vehicle.CRASHED] > 0)
-        if before is None or last is None:
-            self.offenders = np.zeros(len(scene.others), dtype=bool)
-            self._breaking = self.offenders
-            return
-        b = self._config.buffer
-        crashed = bool(scene.ego[Vehicle.CRASHED] > 0) and not last[2]
-        seen = footprint(scene.ego, b.longitudinal, b.lateral, crashed)
-        broken, grown = permits(before, around, period, last[1], seen)
+        before = self.before(scene)
+        crashed = bool(scene.ego[Vehicle.CRASHED] > 0)
+        if before is None:
+            nobody = np.zeros(len(scene.others), dtype=bool)
+            return Watch(around, behind & held, crashed, nobody, nobody, self.count, self.by_rule)
+        seen = footprint(scene.ego, config.buffer.longitudinal, config.buffer.lateral, crashed and not self.crashed)
+        broken, grown = permits(before, around, period, self.owing, seen)
         # Who comes beside the ego in its own lane has not stayed behind.
-        grown |= np.where(last[1] & held & ~behind, int(Rule.DISTANCE), 0)
+        grown |= np.where(self.owing & held & ~behind, int(Rule.DISTANCE), 0)
         if grown.any():
             # Who takes more room than before has to leave it to the ego's fail-safe.
             broken |= np.where(fail_safe() < 0, grown, 0)
         breaking = broken != 0
-        if not breaking.any():
-            self._breaking = breaking
-            return
-        for i in np.flatnonzero(breaking & ~self._breaking):
-            self.count += 1
-            rules = Rule(int(broken[i]))
-            self.by_rule = {**self.by_rule, **{rule: self.by_rule.get(rule, 0) + 1 for rule in rules}}
-        self._breaking = breaking
-        self.offenders = self.offenders | breaking
+        count, by_rule = self.count, dict(self.by_rule)
+        for i in np.flatnonzero(breaking & ~self.breaking):
+            count += 1
+            for rule in Rule(int(broken[i])):
+                by_rule[rule] = by_rule.get(rule, 0) + 1
+        return Watch(around, behind & held, crashed, breaking, self.offenders | breaking, count, by_rule)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stillness:
+    """What has been seen of a lot where everything is assumed to stand; a `Watch` that forgives nothing.
+
+    Attributes
+    ----------
+    count : how often something has begun to move. violated : whether something moves now.
+    moving : which obstacles did in the lot seen last, (m,) bool; they are matched by their order.
+    """
+
+    count: int = 0
+    violated: bool = False
+    moving: BoolArray | None = None
+
+    def next(self, moving: BoolArray) -> Stillness:
+        """The same one lot later."""
+        known = self.moving is not None and self.moving.shape == moving.shape
+        begun = moving & ~self.moving if known else moving  # type: ignore[operator]
+        return Stillness(self.count + int(begun.sum()), bool(moving.any()), moving)
+
+    def forgiven(self) -> Stillness:
+        """The same."""
+        return self

@@ -20,6 +20,7 @@ that an ego at rest is in nobody else's way.
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -201,6 +202,12 @@ class Surveyor:
             self.others = self._with_newcomers(coming, -1 if stored is None else stored)
         self._noses = around.front(2, scene.dt).T
         self._alongside = Alongside(scene, config, around)
+
+    def without(self, ignored: BoolArray) -> Surveyor:
+        """The same for whom some vehicles are not there, (m,) bool."""
+        other = copy(self)
+        other.ignored = ignored
+        return other
 
     def _with_newcomers(self, before: Any, stored: int) -> Others:
         """The others, with who may enter which lane."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -12,22 +12,21 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
-from dynamics.scenes.scene import SceneReader
+from dynamics.scenes.scene import SceneReader, Target
 from mpc.filter.road_step import StageModel
-from shield.certificate.memory import Memory
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
 from shield.doors.input_door import InputDoor, refuse_lots
 from shield.doors.ranking import order_from_scores, ranking_of
-from shield.errors import ConfigError
-from shield.procedures.frames import FrameCommand
-from shield.procedures.mend import make_core
-from shield.procedures.parking_lot import LotCore
+from shield.errors import ConfigError, SceneError
+from shield.procedures.decide import Core, Unreadable, read
+from shield.procedures.frames import FrameCommand, Frames
+from shield.procedures.meta_actions import MetaActions
+from shield.procedures.nearest_inputs import NearestInputs
+from shield.procedures.screen import RuleAlone, Wish
 
 __all__ = ["ShieldedEnv"]
-
-_log = logging.getLogger(__name__)
 
 
 class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
@@ -90,8 +89,11 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             self._inputs = InputDoor(self._base, self.config, model=model)
         elif model is not None:
             raise ConfigError("a model is for ContinuousAction; with meta-actions leave it out")
-        self._meta = make_core(self.config)
-        self.core: Memory | LotCore = self._meta if self._inputs is None else self._inputs.core
+        self._meta = MetaActions(self.config)
+        self._frames = Frames(self.config, NearestInputs(self.config) if self.config.repair == "filter" else None)
+        alone = self.config.mode in ("distance", "rss", "ttc")
+        meta: Core[Any] = Core(RuleAlone(self.config) if alone else self._meta)
+        self.core = meta if self._inputs is None else self._inputs.core
         self._observation: Any = None
         self._supervising = 0.0
         self.last_decision: Decision | None = None
@@ -124,8 +126,10 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Filter one meta-action, run it under supervision, and report in `info["shield"]`."""
+        if self._base.road is None:
+            raise SceneError("the environment has no road yet; call reset() first")
         start = perf_counter()
-        before = self.core.monitor.count
+        before = self.core.violations
         decision = self._decide(action) if self._inputs is None else self._inputs.decide(action)
         self.last_decision = decision
         self.frame_decisions = []
@@ -148,7 +152,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             "margin": min(margins, default=float("inf")),
             "latency_ms": 1e3 * (deciding + self._supervising),
             "frames_overridden": len(frames),
-            "violations": self.core.monitor.count - before,
+            "violations": self.core.violations - before,
         }
         return obs, float(reward), terminated, truncated, info
 
@@ -159,24 +163,17 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """
         if self._inputs is not None:
             raise ConfigError("action_masks() needs DiscreteMetaAction; this environment has ContinuousAction")
-        mask = self._meta.action_mask(self._reader.read())
+        mask = self._meta.mask(self.core.memory, self._reader.read())
         return mask if mask.any() else np.ones_like(mask)
 
     def _decide(self, action: Any) -> Decision:
-        start = perf_counter()
+        start, proposed, labels = perf_counter(), action_index(action), self._reader.actions
         if self.config.mode == "none":
             return Decision(action, action, Reason.NONE, Tier.OFF, np.nan, 0.0)
-        scene = self._reader.read()
-        proposed = action_index(action)
-        if proposed < 0:
-            return self._meta.fallback(self._reader.actions, action, Reason.BAD_ACTION, start)
         order = None if self.policy is None else lambda: self._order(proposed)
-        try:
-            return self._meta.decide(scene, proposed, order)
-        except Exception:
-            # Fail closed: a stage that breaks must not let the proposal through.
-            _log.exception("a stage of the shield raised; the fallback acts")
-            return self._meta.fallback(self._reader.actions, action, Reason.STAGE_FAILED, start)
+        decision = self.core.decide(read(self._reader), Wish(proposed, labels, order))
+        shown = action if proposed < 0 else proposed
+        return replace(decision, proposed=shown, latency=perf_counter() - start)
 
     def _order(self, proposed: int) -> list[int] | None:
         scores = ranking_of(self.policy, self._observation)
@@ -196,15 +193,13 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             # The decision has just verified this very frame, with this very target.
             self.frame_decisions.append(self.last_decision)
             return None
-        start = perf_counter()
-        try:
-            command, decision = self._meta.supervise(self._reader.read(), fresh=first)
-        except Exception:
-            _log.exception("a stage of the shield raised in a frame; the ego brakes in its lane")
-            command, decision = self._meta.brake_in_lane(self._base.vehicle.lane_index[2], start)
+        start, scene = perf_counter(), read(self._reader)
+        blind = Target(int(self._base.vehicle.lane_index[2]), 0.0)
+        target = blind if isinstance(scene, Unreadable) else scene.control.target
+        decision = self.core.decide(scene, target, self._frames)
         self.frame_decisions.append(decision)
         self._supervising += perf_counter() - start
-        return command
+        return None if decision.tier is Tier.PASSED else decision.executed
 
 
 class _Supervised:

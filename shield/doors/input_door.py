@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from contextlib import suppress
 from dataclasses import replace
 from time import perf_counter
@@ -19,13 +18,11 @@ from dynamics.vehicle.controllers import KP_SPEED
 from mpc.filter.road_step import StageModel
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
-from shield.procedures.held_inputs import AgentCore
-from shield.procedures.inputs import ContinuousCore
-from shield.procedures.parking_lot import LotCore
+from shield.procedures.decide import Core, Unreadable, read
+from shield.procedures.inputs import Inputs
+from shield.procedures.parking_lot import ParkingLot
 
 __all__ = ["InputDoor", "refuse_lots"]
-
-_log = logging.getLogger(__name__)
 
 _SAME_SPEED = 1e-3
 """Speeds that count as the same [m/s]."""
@@ -38,7 +35,7 @@ class InputDoor:
     ----------
     base : the highway-env environment, unwrapped.
     config : settings.
-    agent : whether the shield acts through the actions only (`AgentCore`) and not at every frame.
+    agent : whether the shield acts through the actions only and not at every frame.
     model : what the predictive filter plans with on a road, at every frame; the bicycle by default.
 
     Raises
@@ -59,13 +56,9 @@ class InputDoor:
             raise ConfigError("a model is for the predictive filter of ShieldedEnv on a road; leave it out here")
         # A reader and a core belong together: what the one reads, the other judges.
         self._reader: Any = LotReader(base) if self._lot else SceneReader(base, curved=True)
-        self.core: ContinuousCore | LotCore
-        if self._lot:
-            self.core = LotCore(config, self.actuators, self._period if agent else None)
-        elif agent:
-            self.core = AgentCore(config, self.actuators, self._period)
-        else:
-            self.core = ContinuousCore(config, self.actuators, model=model)
+        hold = self._period if agent else None
+        procedure: Any = Inputs(config, self.actuators, hold, model=model) if not self._lot else None
+        self.core: Core[Any] = Core(procedure or ParkingLot(config, self.actuators, hold))
         self._off = config.mode == "none"
         if getattr(base.action_type, "dynamical", False):
             raise ConfigError(
@@ -87,11 +80,12 @@ class InputDoor:
         """Forget everything about the episode, and compute what depends on the road alone."""
         self.core.reset()
         self._first = self._cruise = None
-        if self._off or not isinstance(self.core, ContinuousCore):
+        procedure = self.core.procedure
+        if self._off or not isinstance(procedure, Inputs):
             return
         # A scene that cannot be read is for the first decision to fail closed on.
         with suppress(SceneError):
-            self.core.prepare(self._reader.read())
+            procedure.prepare(self._reader.read())
 
     def decide(self, action: Any) -> Decision:
         """Filter an action for its first frame; `executed` is the action itself where that verifies.
@@ -99,13 +93,12 @@ class InputDoor:
         Otherwise it is the normalised action nearest to what the actuators get: the shield brakes harder than the
         policy can if it has to.
         """
-        start = perf_counter()
         self._untouched = True
         if self._off:
             return Decision(action, action, Reason.NONE, Tier.OFF, np.nan, 0.0)
         read = self.actuators.read(action)
         self._proposal = None if read is None else self.actuators.physical(read)
-        inputs, decision = self._filter(start)
+        inputs, decision = self._filter()
         self._first = inputs, decision
         executed = action if decision.tier is Tier.PASSED else self.actuators.normalised(inputs)
         return replace(decision, proposed=action, executed=executed)
@@ -121,7 +114,7 @@ class InputDoor:
         if first is None and self._untouched:
             low = self._base.vehicle.action
             self._proposal = np.array([float(low["acceleration"]), float(low["steering"])])
-        inputs, decision = first if first is not None else self._filter(perf_counter())
+        inputs, decision = first if first is not None else self._filter()
         self._untouched = self._untouched and decision.tier is Tier.PASSED
         if self._untouched:
             return None, decision
@@ -139,34 +132,22 @@ class InputDoor:
         low, high = self.actuators.acceleration
         return np.array([np.clip(KP_SPEED * (self._cruise - v), low, high), proposal[1]])
 
-    def _resume(self, inputs: FloatArray, decision: Decision) -> tuple[FloatArray, Decision]:
+    def _filter(self) -> tuple[FloatArray, Decision]:
+        start, proposal = perf_counter(), self._proposal
+        scene = read(self._reader, self._stopping())
+        if proposal is not None and not isinstance(scene, Unreadable):
+            proposal = self._cruising(scene, proposal)
+        decision = self.core.decide(scene, proposal)
+        inputs: FloatArray = decision.executed
         if decision.tier is Tier.PASSED and self._proposal is not None and inputs[0] != self._proposal[0]:
-            return inputs, replace(decision, reason=Reason.RESUME, tier=Tier.GOVERNED)
-        return inputs, decision
+            decision = replace(decision, reason=Reason.RESUME, tier=Tier.GOVERNED)
+        return inputs, replace(decision, latency=perf_counter() - start)
 
-    def _filter(self, start: float) -> tuple[FloatArray, Decision]:
-        scene: Any = None
-        proposal = self._proposal
-        try:
-            scene = self._reader.read()
-            if proposal is None:
-                return self.core.brake_inputs(scene, proposal, Reason.BAD_ACTION, start)
-            return self._resume(*self.core.filter(scene, self._cruising(scene, proposal)))
-        except SceneError:
-            return self.core.brake_inputs(None, proposal, Reason.BAD_SCENE, start, floor=self._floor())
-        except Exception:
-            # Fail closed: a stage that breaks must not let the proposal through.
-            _log.exception("a stage of the shield raised; the ego brakes in its lane")
-            return self.core.brake_inputs(scene, proposal, Reason.STAGE_FAILED, start, floor=self._floor())
-
-    def _floor(self) -> float:
-        """The acceleration that just stops the ego, from its speed alone [m/s^2]; none where that is not known."""
+    def _stopping(self) -> float:
+        """The acceleration that just stops the ego until the next scene, from its speed alone [m/s^2]; NaN where that
+        is not known."""
         speed = float(getattr(self._base.vehicle, "speed", np.nan))
-        if not np.isfinite(speed):
-            return 0.0 if self._lot else -np.inf
         frames = self._period if self._agent else 1
-        if not self._lot:
-            speed = max(speed, 0.0)
         return -speed * self._base.config["simulation_frequency"] / frames
 
 

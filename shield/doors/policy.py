@@ -12,14 +12,14 @@ import numpy as np
 
 from dynamics.scenes.scene import SceneReader
 from shield.config import ShieldConfig
-from shield.decision import Decision, Reason
+from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
 from shield.doors.input_door import InputDoor, refuse_lots
 from shield.doors.ranking import order_from_scores, ranking_of
-from shield.errors import ConfigError, PolicyError, SceneError
-from shield.procedures.inputs import ContinuousCore
-from shield.procedures.meta_actions_only import MetaCore
-from shield.procedures.parking_lot import LotCore
+from shield.errors import ConfigError, PolicyError
+from shield.procedures.decide import Core, read
+from shield.procedures.meta_actions_only import MetaActionsOnly
+from shield.procedures.screen import RuleAlone, Wish
 
 __all__ = ["Shield"]
 
@@ -91,10 +91,12 @@ class Shield:
         if kinds == {"ContinuousAction"}:
             self.config = ShieldConfig.of(config)
             self._doors = [InputDoor(base, self.config, agent=True) for base in bases]
-            self._cores: list[MetaCore | ContinuousCore | LotCore] = [door.core for door in self._doors]
+            self._cores: list[Core[Any]] = [door.core for door in self._doors]
         else:
             self.config = ShieldConfig.of(config, ShieldConfig.for_meta_actions())
-            self._cores = [MetaCore(self.config) for _ in bases]
+            alone = self.config.mode in ("distance", "rss", "ttc")
+            procedure: Any = (RuleAlone if alone else MetaActionsOnly)(self.config)
+            self._cores = [Core(procedure) for _ in bases]
         self._roads: list[Any] = [None] * len(bases)
         self.last_decisions: list[Decision] = []
 
@@ -192,24 +194,18 @@ class Shield:
 
     def _decide(self, i: int, proposal: Any, ranking: _Ranking, reason: Reason | None) -> Decision:
         core, reader = self._cores[i], self._readers[i]
-        assert isinstance(core, MetaCore)
-        start = perf_counter()
-        try:
-            scene = reader.read()
-        except SceneError:
-            return core.fallback(reader.actions, proposal, Reason.BAD_SCENE, start)
+        start, proposed, labels = perf_counter(), action_index(proposal), reader.actions
+        if self.config.mode == "none":
+            return Decision(proposal, proposal if proposed < 0 else proposed, Reason.NONE, Tier.OFF, np.nan, 0.0)
         if reader.road is not self._roads[i]:
             self._roads[i] = reader.road
             core.reset()
-        proposed = action_index(proposal)
-        if proposed < 0:
-            return core.fallback(reader.actions, proposal, reason or Reason.BAD_ACTION, start)
-        try:
-            return core.decide(scene, proposed, lambda: ranking.order(i, proposed, len(scene.control.actions)))
-        except Exception:
-            # Fail closed: a stage that breaks must not let the proposal through.
-            _log.exception("a stage of the shield raised; the fallback acts")
-            return core.fallback(reader.actions, proposal, Reason.STAGE_FAILED, start)
+        wish = Wish(proposed, labels, lambda: ranking.order(i, proposed, len(labels)))
+        decision = core.decide(read(reader), wish)
+        if reason is not None and decision.reason is Reason.BAD_ACTION:
+            decision = replace(decision, reason=reason)
+        shown = proposal if proposed < 0 else proposed
+        return replace(decision, proposed=shown, latency=perf_counter() - start)
 
 
 class _Ranking:

@@ -1,187 +1,176 @@
-"""The decision procedure: propose, rules, verify, repair, fall back.
+"""The procedure for meta-actions: propose, rules, verify, repair, fall back.
 
-The invariant: if a scene admits a verified plan and the others keep to the assumptions, nothing that the core
-lets through or substitutes ever brings the ego nearer to another vehicle than the buffer. It holds by
-induction: an action is executed for one frame only if, after it, the fail-safe manoeuvre (brake to a stop in a
-lane) stays clear of every place where the others can be; where nothing verifies, the fail-safe verified at the
-frame before is played on.
+The invariant: if a scene admits a verified plan and the others keep to the assumptions, nothing that is let through or
+substituted ever brings the ego nearer to another vehicle than the buffer. It holds by induction: an action is executed
+for one frame only if, after it, the fail-safe manoeuvre (brake to a stop in a lane) stays clear of every place where
+the others can be; where nothing verifies, the fail-safe verified at the frame before is played on.
+
+The frames between two decisions are supervised by `shield.procedures.frames`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import takewhile
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from dynamics.scenes.scene import Scene, Target
-from dynamics.state import RoadState, State
+from dynamics.state import FloatArray, State
 from shield.certificate.manoeuvres import brake_candidates
+from shield.certificate.memory import Instant, Memory, observe
 from shield.config import ShieldConfig
-from shield.decision import Decision, Reason, Tier
-from shield.procedures.frames import FrameSupervisor, Verdict, first_verified
-from shield.procedures.screen import Screen, slower
-from shield.repair.order import Order, default_order, resolve
+from shield.decision import Reason, Tier
+from shield.procedures.decide import Plan, Tried, Unreadable
+from shield.procedures.frames import HoldBack, fail_lanes, first_verified
+from shield.procedures.screen import Screen, Wish, slower
+from shield.repair.order import default_order, resolve
 
-__all__ = ["ShieldCore"]
+__all__ = ["MetaActions"]
 
 _CAPS = (-4.0, -2.0, 0.0, 5.0)
 """Speed changes at which a lane change is tried when it does not verify as it is [m/s]."""
 
 
-class ShieldCore(FrameSupervisor):
-    """Decides about meta-actions; the frames between two decisions are its base's.
+class MetaActions:
+    """Decides about meta-actions.
 
     Parameters
     ----------
-    config : settings; `ShieldConfig()` by default.
+    config : settings.
     """
 
-    def __init__(self, config: ShieldConfig | None = None) -> None:
-        super().__init__(config)
-        self._screen = Screen(self.config)
+    def __init__(self, config: ShieldConfig) -> None:
+        self.config = config
+        self._screen, self._hold_back = Screen(config), HoldBack()
 
-    # -- decisions ---------------------------------------------------------------------------------------
+    def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
+        """A proposal that is no action, or a scene that is not finite."""
+        return self._screen.refuses(scene, proposal)
 
-    def decide(self, scene: Scene, proposed: int, order: Order = None) -> Decision:
-        """Choose the meta-action to commit to; frames are supervised afterwards by `supervise`.
+    def observe(self, memory: Memory[int], scene: Scene) -> tuple[Instant, Memory[int]]:
+        """Take in a scene."""
+        now = observe(memory, scene, self.config)
+        return now, now.memory
 
-        Parameters
-        ----------
-        scene : the scene now.
-        proposed : the policy's action index.
-        order : the alternatives in the policy's order of preference, or a function that gives it;
-            `default_order` without one.
-        """
-        start = perf_counter()
-        screened = self._screen.decide(scene, proposed, self.fallback, start)
-        if screened is not None:
-            return screened
-        self._observe(scene)
-        target = scene.target_of(proposed)
-        reason = Reason.NONE
+    def plans(self, now: Instant, proposal: Wish) -> Iterator[Tried[int]]:
+        """The proposal; itself with another speed; alternatives; itself held back; and then whatever verifies."""
+        scene, action = now.scene, proposal.action
+        target = scene.target_of(action)
+        changes = _changes_lane(now, target)
         if self._screen.buffer.objects(scene, target):
             reason = Reason.BUFFER
         else:
             # A longitudinal proposal can be held back by the frames; a lane change should be able to end well.
-            verdict = self._verify(scene, [target], forecast=self._changes_lane(scene, target))[0]
-            if verdict.margin >= 0:
-                return self._made(scene, proposed, proposed, reason, Tier.PASSED, verdict, start)
+            (plan,) = self._verify(now, [action], [target], forecast=changes)
+            yield Tried(Tier.PASSED, Reason.NONE, plan)
             reason = self._screen.why(scene, target)
-        return self._repair(scene, proposed, target, reason, order, start)
-
-    def _repair(
-        self,
-        scene: Scene,
-        proposed: int,
-        target: Target,
-        reason: Reason,
-        order: Order,
-        start: float,
-    ) -> Decision:
         labels = scene.control.actions
         targets = [scene.target_of(a) for a in range(len(labels))]
-        # An override that has no policy order behind it holds the proposal back rather than drop it.
-        held = None if self._changes_lane(scene, target) else proposed
-        wanted = resolve(order)
-        if wanted is None:
-            # What can be held back comes before what slows down on purpose.
-            stop = ("SLOWER",) if held is None else ("FASTER", "IDLE", "SLOWER")
-            ordered = default_order(scene, proposed, targets)
-            alternatives = list(takewhile(lambda a: labels[a] not in stop, ordered))
-        else:
-            alternatives = [a for a in wanted if a != proposed]
-        # An action that sets the same target would be the same action under another name.
-        alternatives = [a for a in alternatives if targets[a] != target]
-        if held is None:
+        alternatives = self._alternatives(now, proposal, targets, changes)
+        if changes:
             # A lane change that only its speed stands in the way of.
-            for action, verdict in self._verify_actions(scene, [proposed], targets):
-                if verdict.margin >= 0:
-                    return self._made(scene, proposed, action, reason, Tier.GOVERNED, verdict, start)
-        for action, verdict in self._verify_actions(scene, alternatives, targets):
-            if verdict.margin >= 0:
-                return self._made(scene, proposed, action, reason, Tier.ALTERNATIVE, verdict, start)
-        kept = [held] if held is not None else []
-        kept += [labels.index(x) for x in ("IDLE", "SLOWER") if x in labels]
-        for action in kept:
-            probe = replace(scene, control=replace(scene.control, target=targets[action]))
-            _, verdict = self._hold_back(probe)
-            if verdict.margin >= 0:
-                return self._made(scene, proposed, action, reason, Tier.GOVERNED, verdict, start)
+            for plan in self._verify_actions(now, [action], targets):
+                yield Tried(Tier.GOVERNED, reason, plan)
+        for plan in self._verify_actions(now, alternatives, targets):
+            yield Tried(Tier.ALTERNATIVE, reason, plan)
+        # An override that has no policy order behind it holds the proposal back rather than drop it.
+        kept = ([] if changes else [action]) + [labels.index(x) for x in ("IDLE", "SLOWER") if x in labels]
+        for a in kept:
+            for held in self._hold_back.plans(now, targets[a]):
+                yield Tried(Tier.GOVERNED, reason, replace(held, action=a, path=_from_here(now, held.path)))
         # Whatever is left, whether or not it is expected to last: the certificate needs one frame only.
-        rest = [a for a in range(len(labels)) if a != proposed]
-        for action, verdict in self._verify_actions(scene, rest, targets, forecast=False):
-            if verdict.margin >= 0:
-                return self._made(scene, proposed, action, reason, Tier.ALTERNATIVE, verdict, start)
-        return self.fallback(labels, proposed, Reason.NO_SAFE_PLAN, start)
+        rest = [a for a in range(len(labels)) if a != action]
+        for plan in self._verify_actions(now, rest, targets, forecast=False):
+            yield Tried(Tier.ALTERNATIVE, reason, plan)
 
-    def action_mask(self, scene: Scene) -> Any:
+    def fall_back(self, now: Instant, proposal: Wish, tried: list[Tried[int]]) -> Tried[int]:
+        """Slow down, and leave it to the frames to play the stored plan on."""
+        tier, plan = self.last_resort(now.memory, now.scene, proposal)
+        return Tried(tier, Reason.NO_SAFE_PLAN, plan)
+
+    def last_resort(self, memory: Memory[int], scene: Scene | Unreadable, proposal: Wish) -> tuple[Tier, Plan[int]]:
+        """The same."""
+        tier = Tier.STORED_PLAN if memory.stored is not None else Tier.EMERGENCY
+        return tier, Plan(slower(proposal.labels), stored=memory.stored)
+
+    def mask(self, memory: Memory[int], scene: Scene) -> Any:
         """Which actions verify as they are, (actions,) bool; all False only if none does."""
         labels = scene.control.actions
-        targets = [scene.target_of(a) for a in range(len(labels))]
         mask = np.zeros(len(labels), dtype=bool)
         if not scene.finite:
             return mask
-        self._observe(scene)
+        now = observe(memory, scene, self.config)
+        targets = [scene.target_of(a) for a in range(len(labels))]
         for forecast in (False, True):
             group = [
                 a
                 for a, target in enumerate(targets)
-                if self._changes_lane(scene, target) is forecast and not self._screen.buffer.objects(scene, target)
+                if _changes_lane(now, target) is forecast and not self._screen.buffer.objects(scene, target)
             ]
             if group:
-                verdicts = self._verify(scene, [targets[a] for a in group], forecast)
-                mask[group] = [v.margin >= 0 for v in verdicts]
+                plans = self._verify(now, group, [targets[a] for a in group], forecast)
+                mask[group] = [plan.verified for plan in plans]
         return mask
 
     # -- pieces ------------------------------------------------------------------------------------------
 
-    @staticmethod
-    def _changes_lane(scene: Scene, target: Target) -> bool:
-        return target.lane != scene.road.lane_at(float(scene.ego_road[RoadState.R]))
+    def _alternatives(self, now: Instant, proposal: Wish, targets: list[Target], changes: bool) -> list[int]:
+        """What is tried in the proposal's place: the policy's order, or the documented one without one."""
+        labels, wanted = now.scene.control.actions, resolve(proposal.order)
+        if wanted is None:
+            # What can be held back comes before what slows down on purpose.
+            stop = ("SLOWER",) if changes else ("FASTER", "IDLE", "SLOWER")
+            ordered = default_order(now.scene, proposal.action, targets)
+            wanted = list(takewhile(lambda a: labels[a] not in stop, ordered))
+        # An action that sets the same target would be the same action under another name.
+        return [a for a in wanted if a != proposal.action and targets[a] != targets[proposal.action]]
 
-    def _verify(self, scene: Scene, targets: list[Target], forecast: bool = False) -> list[Verdict]:
-        """Margin of each target, committed to for one frame: the bound that the certificate rests on.
+    def _verify(
+        self, now: Instant, actions: Sequence[int], targets: list[Target], forecast: bool = False
+    ) -> list[Plan[int]]:
+        """Each target committed to for one frame: the bound that the certificate rests on.
 
         With `forecast`, those that are expected to need holding back within the decision period (at constant speed
         of the others) are marked down too: an alternative should last for the whole period.
         """
-        pairs = [(i, f) for i, t in enumerate(targets) for f in self._fail_lanes(scene, t.lane)]
+        scene = now.scene
+        pairs = [(i, f) for i, t in enumerate(targets) for f in fail_lanes(now, t.lane)]
         lanes, speeds = [targets[i].lane for i, _ in pairs], [targets[i].speed for i, _ in pairs]
         fails = [f for _, f in pairs]
         period, braking = scene.frames_per_decision, self.config.braking
-        paths, bound = self._judge(scene, brake_candidates(scene, lanes, speeds, fails, 1, braking))
+        paths, bound = now.judge(brake_candidates(scene, lanes, speeds, fails, 1, braking))
         margins, results = bound.margin, [bound] * len(pairs)
         if forecast:
             lasting = brake_candidates(scene, lanes, speeds, fails, period, braking)
-            paths, expected = self._judge(scene, lasting, period)
+            paths, expected = now.judge(lasting, period)
             sooner = expected.margin < margins
             margins = np.minimum(margins, expected.margin)
             results = [expected if earlier else bound for earlier in sooner]
         owner = np.array([i for i, _ in pairs])
         out = []
-        for i in range(len(targets)):
+        for i, action in enumerate(actions):
             rows = np.flatnonzero(owner == i)
             best = int(rows[first_verified(margins[rows])])
-            out.append(Verdict(float(margins[best]), fails[best], paths[best], results[best].binding(best)))
+            path, occupancy = paths[best], None
+            if self.config.record:
+                hold = period if forecast else 0
+                occupancy = now.survey.around.occupancy(len(path), scene.dt, hold).rectangles()
+            path, binding = _from_here(now, path), results[best].binding(best)
+            out.append(Plan(action, float(margins[best]), fails[best], path, binding, occupancy=occupancy))
         return out
 
     def _verify_actions(
-        self,
-        scene: Scene,
-        actions: Sequence[int],
-        targets: list[Target],
-        forecast: bool = True,
-    ) -> list[tuple[int, Verdict]]:
+        self, now: Instant, actions: Sequence[int], targets: list[Target], forecast: bool = True
+    ) -> list[Plan[int]]:
         """Verify alternatives in one batch; a lane change also with its speed held back by the frames."""
-        labels, v = scene.control.actions, float(scene.ego[State.SPEED])
+        labels, v = now.scene.control.actions, float(now.scene.ego[State.SPEED])
         owner: list[int] = []
         tried: list[Target] = []
         for a in actions:
-            if self._screen.buffer.objects(scene, targets[a]):
+            if self._screen.buffer.objects(now.scene, targets[a]):
                 continue
             speeds = {targets[a].speed}
             if labels[a].startswith("LANE"):
@@ -190,45 +179,16 @@ class ShieldCore(FrameSupervisor):
             tried += [Target(targets[a].lane, speed) for speed in sorted(speeds)]
         if not tried:
             return []
-        verdicts = self._verify(scene, tried, forecast)
-        best: dict[int, Verdict] = {}
-        for a, verdict in zip(owner, verdicts, strict=True):
-            if a not in best or verdict.margin > best[a].margin:
-                best[a] = verdict
-        return [(a, best[a]) for a in actions if a in best]
+        best: dict[int, Plan[int]] = {}
+        for plan in self._verify(now, owner, tried, forecast):
+            if plan.action not in best or plan.margin > best[plan.action].margin:
+                best[plan.action] = plan
+        return [best[a] for a in actions if a in best]
 
-    def _made(
-        self,
-        scene: Scene,
-        proposed: int,
-        executed: int,
-        reason: Reason,
-        tier: Tier,
-        verdict: Verdict,
-        start: float,
-    ) -> Decision:
-        self.stored_lane = verdict.fail_lane
-        path = verdict.path if verdict.path is not None else np.empty((0, 4))
-        plan = np.vstack([scene.ego_road, path])
-        occupancy = None
-        if self.config.record:
-            around = self._survey(scene).around
-            hold = scene.frames_per_decision if tier is Tier.ALTERNATIVE else 0
-            occupancy = around.occupancy(len(path), scene.dt, hold).rectangles()
-        return Decision(
-            proposed,
-            executed,
-            reason,
-            tier,
-            verdict.margin,
-            perf_counter() - start,
-            plan,
-            occupancy,
-            verdict.binding.clause,
-            verdict.binding.vehicle,
-        )
 
-    def fallback(self, labels: Sequence[str], proposed: Any, reason: Reason, start: float) -> Decision:
-        """No action verifies: slow down, and leave it to the frames to play the stored plan on."""
-        tier = Tier.STORED_PLAN if self.stored_lane is not None else Tier.EMERGENCY
-        return Decision(proposed, slower(labels), reason, tier, np.nan, perf_counter() - start)
+def _from_here(now: Instant, path: FloatArray | None) -> FloatArray:
+    return np.vstack([now.scene.ego_road, np.empty((0, 4)) if path is None else path])
+
+
+def _changes_lane(now: Instant, target: Target) -> bool:
+    return target.lane != now.here

@@ -1,21 +1,35 @@
-"""What both doors do before they verify anything: refuse bad input, and run the rules."""
+"""What is done about a meta-action before anything is verified: refuse what is no good, and run the rules."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from time import perf_counter
-
-import numpy as np
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 from dynamics.scenes.scene import Scene, Target
+from shield.certificate.memory import Memory
 from shield.config import ShieldConfig
-from shield.decision import Decision, Reason, Tier
+from shield.decision import Reason, Tier
+from shield.procedures.decide import Plan, Tried, Unreadable
+from shield.repair.order import Order
 from shield.rules import BufferRule, RssRule, Rule, TtcRule, make_rule
 
-__all__ = ["Fallback", "Screen", "slower"]
+__all__ = ["RuleAlone", "Screen", "Wish", "slower"]
 
-Fallback = Callable[[Sequence[str], int, Reason, float], Decision]
-"""What acts when a proposal is refused: (action labels, proposal, reason, start time)."""
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """A proposed meta-action.
+
+    Attributes
+    ----------
+    action : its index, -1 for what is none. labels : of the actions that there are, by index.
+    order : the alternatives in the policy's order of preference, or a function that gives it; None without one.
+    """
+
+    action: int
+    labels: Sequence[str]
+    order: Order = None
 
 
 class Screen:
@@ -27,31 +41,56 @@ class Screen:
     """
 
     def __init__(self, config: ShieldConfig) -> None:
-        self._off = config.mode == "none"
-        self._rule: Rule | None = make_rule(config.mode, config) if config.mode in ("distance", "rss", "ttc") else None
         self.buffer = BufferRule(config.buffer.longitudinal)
         self._explain: tuple[Rule, ...] = (RssRule(config), TtcRule(config.time_to_collision))
 
-    def decide(self, scene: Scene, proposed: int, fallback: Fallback, start: float) -> Decision | None:
-        """The decision where none needs verification: no shield, bad input, or one rule alone; else None."""
-        labels = scene.control.actions
-        if self._off:
-            return Decision(proposed, proposed, Reason.NONE, Tier.OFF, np.nan, 0.0)
-        if not 0 <= proposed < len(labels):
-            return fallback(labels, proposed, Reason.BAD_ACTION, start)
-        if not scene.finite:
-            return fallback(labels, proposed, Reason.BAD_SCENE, start)
-        if self._rule is None:
-            return None
-        objects = self._rule.objects(scene, scene.target_of(proposed))
-        executed = slower(labels) if objects else proposed
-        tier = Tier.ALTERNATIVE if executed != proposed else Tier.PASSED
-        reason = self._rule.reason if executed != proposed else Reason.NONE
-        return Decision(proposed, executed, reason, tier, np.nan, perf_counter() - start)
+    def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
+        """A proposal that is no action, or a scene that is not finite."""
+        if not 0 <= proposal.action < len(proposal.labels):
+            return Reason.BAD_ACTION
+        return None if scene.finite else Reason.BAD_SCENE
 
     def why(self, scene: Scene, target: Target) -> Reason:
         """The reason to record for a target that did not verify."""
         return next((r.reason for r in self._explain if r.objects(scene, target)), Reason.UNVERIFIED)
+
+
+class RuleAlone:
+    """One rule and nothing else: what it objects to is replaced by slowing down.
+
+    Parameters
+    ----------
+    config : its `mode` names the rule.
+    """
+
+    def __init__(self, config: ShieldConfig) -> None:
+        self.config = config
+        self._screen, self._rule = Screen(config), make_rule(config.mode, config)
+
+    def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
+        """A proposal that is no action, or a scene that is not finite."""
+        return self._screen.refuses(scene, proposal)
+
+    def observe(self, memory: Memory[Any], scene: Scene) -> tuple[Scene, Memory[Any]]:
+        """Nothing is remembered."""
+        return scene, memory
+
+    def plans(self, view: Scene, proposal: Wish) -> Iterator[Tried[Any]]:
+        """The proposal, or slowing down."""
+        executed = proposal.action
+        if self._rule.objects(view, view.target_of(proposal.action)):
+            executed = slower(proposal.labels)
+        passed = executed == proposal.action
+        tier, reason = (Tier.PASSED, Reason.NONE) if passed else (Tier.ALTERNATIVE, self._rule.reason)
+        yield Tried(tier, reason, Plan(executed, trusted=True))
+
+    def fall_back(self, view: Scene, proposal: Wish, tried: list[Tried[Any]]) -> Tried[Any]:
+        """Never asked: the rule has a word on everything."""
+        return tried[-1]
+
+    def last_resort(self, memory: Memory[Any], scene: Scene | Unreadable, proposal: Wish) -> tuple[Tier, Plan[Any]]:
+        """Slow down."""
+        return Tier.EMERGENCY, Plan(slower(proposal.labels))
 
 
 def slower(labels: Sequence[str]) -> int:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cores import ContinuousCore, ShieldCore
 
 from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import EgoControl, Scene, Target
 from dynamics.vehicle.actuators import Actuators
 from shield import ShieldConfig, Tier
-from shield.procedures.inputs import ContinuousCore
-from shield.procedures.meta_actions import ShieldCore
 
 
 def scene_of(*others: tuple[float, float, float], speed: float = 25.0, r: float = 4.0) -> Scene:
@@ -54,9 +53,9 @@ def test_what_leaves_the_road_is_the_edge_and_what_rolls_back_is_named() -> None
     core = ContinuousCore(ShieldConfig(), Actuators())
     scene = scene_of(speed=20.0, r=8.4)
     core.filter(scene, np.zeros(2))
-    judged = core._judge_inputs(scene, np.array([[0.0, 0.5], [0.0, 0.0]]), [2])
+    judged = core.judge(scene, np.array([[0.0, 0.5], [0.0, 0.0]]), [2])
     assert judged.bind(0).clause == "edge"
     standing = scene_of(speed=0.0)
     core.reset()
     core.filter(standing, np.zeros(2))
-    assert core._judge_inputs(standing, np.array([[-5.0, 0.0]]), [1]).bind(0).clause == "rollback"
+    assert core.judge(standing, np.array([[-5.0, 0.0]]), [1]).bind(0).clause == "rollback"

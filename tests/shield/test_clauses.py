@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from clause_scenes import CONFIG, DT, after, along, margin, scene_of
+from cores import ContinuousCore, LotCore, MetaCore, ShieldCore
 
 from dynamics.scenes.parking_lot import Lot
 from dynamics.scenes.scene import Scene
@@ -17,10 +18,6 @@ from shield import Decision, Reason, Tier
 from shield.certificate.kernels import verdicts
 from shield.certificate.manoeuvres import Candidates, brake_candidates
 from shield.certificate.verify import Surveyor
-from shield.procedures.inputs import ContinuousCore
-from shield.procedures.meta_actions import ShieldCore
-from shield.procedures.meta_actions_only import MetaCore
-from shield.procedures.parking_lot import LotCore
 
 
 def frame(scene):
@@ -41,8 +38,8 @@ def inputs(a, wheel):
 
 def masked(scene):
     core = ShieldCore()
-    mask = core.action_mask(scene)
-    margins = core._verify(scene, [scene.target_of(a) for a in range(5)])
+    mask = core.mask(scene)
+    margins = core.meta._verify(core.look(scene), range(5), [scene.target_of(a) for a in range(5)])
     worst = min((v.margin for v, m in zip(margins, mask, strict=True) if m), default=-np.inf)
     return Decision(0, 0, Reason.NONE, Tier.PASSED if mask.any() else Tier.EMERGENCY, worst, 0.0)
 
@@ -152,8 +149,8 @@ def test_a_violation_is_counted_and_the_stored_plan_outlives_it(core):
     start = scene_of((0, 0, 0, 20), (30, 4, 0, 20), (90, 0, 0, 20), lanes=1 + 1)
     assert after(shield, start).tier.verified
     decision = after(shield, scene_of((20 * DT, 0, 0, 20), (10, 1.0, 0, 5), (90 + 20 * DT, 0, 0, 20), lanes=2))
-    assert shield.monitor.count == 1
-    assert shield.monitor.violated
+    assert shield.violations == 1
+    assert shield.watch.violated
     assert decision.tier in (Tier.EVADED, Tier.STORED_PLAN)
 
 
@@ -177,5 +174,5 @@ def test_who_takes_more_room_has_to_leave_it_to_the_fail_safe(x, count):
     shield = ShieldCore()
     after(shield, scene_of((0, 0, 0, 20), (x, 2.9, 0, 10), lanes=2))
     after(shield, scene_of((20 * DT, 0, 0, 20), (x + 10 * DT, 2.4, 0, 10), lanes=2))
-    assert shield.monitor.count == count
-    assert shield.monitor.by_rule == ({Rule.LANES: 1} if count else {})
+    assert shield.violations == count
+    assert shield.watch.by_rule == ({Rule.LANES: 1} if count else {})

@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from clause_scenes import BODY, CONFIG, DT, along, braking, clear, driven, extents, margin, scene_of
+from cores import ContinuousCore, ShieldCore
 
 from dynamics.roads.straight import StraightRoad
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Surroundings
 from shield import Buffer
-from shield.procedures.inputs import ContinuousCore
-from shield.procedures.meta_actions import ShieldCore
 
 
 @pytest.mark.parametrize("frames", [8, 80])
@@ -188,10 +187,9 @@ def test_a_lane_is_owned_only_with_a_verified_plan_and_no_longer_than_it_is_touc
     for stored, r, owned in ((0, 2.0, [1, 0]), (1, 2.0, [1, 1]), (1, 4.0, [0, 1])):
         core = ShieldCore()
         core.supervise(scene_of((0, 0, 0, 10), lanes=2))
-        core.stored_lane = stored
+        core.stored = stored
         scene = scene_of((1, r, 0.1, 10), lanes=2)
-        core._observe(scene)
-        assert list(core._survey(scene).owned) == owned
+        assert list(core.look(scene).survey.owned) == owned
 
 
 def test_one_alongside_may_slip_in_behind_an_ego_that_passes_it():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from adversarial_world import Car
 from continuous_world import STYLES, Adversary, ContinuousWorld, propose, random_continuous_world
+from cores import ContinuousCore
 from hypothesis import HealthCheck, Phase, assume, example, given, reject, settings
 from hypothesis import strategies as st
 
@@ -18,7 +19,6 @@ from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.bicycle import LENGTH, step
 from shield import Buffer, ShieldConfig, Tier
 from shield.config import NORMS
-from shield.procedures.inputs import ContinuousCore
 
 SETTINGS = settings(deadline=None, max_examples=50, suppress_health_check=list(HealthCheck))
 SEEDS = st.integers(0, 2**32 - 1)
@@ -43,10 +43,10 @@ def drive(
     world.core.reset()
     for k in range(frames):
         inputs, decision = world.core.filter(world.scene(), propose(rng, style, world, k))
-        world.claim(world.core.stored_lane)
+        world.claim(world.core.stored)
         world.move_cars(adversary.wishes(world))
         world.move_inputs(inputs)
-        seen = f"seed {seed} {style} {mood}: frame {k}, {decision.tier}, violations {world.core.monitor.count}"
+        seen = f"seed {seed} {style} {mood}: frame {k}, {decision.tier}, violations {world.core.violations}"
         assert world.kept(), seen
         assert world.off_road() <= TOLERANCE, seen
         assert world.ego[3] >= -TOLERANCE, seen
@@ -81,7 +81,7 @@ def test_nearest_by_acceleration_swerves_less() -> None:
         for _ in range(90):
             inputs, _ = world.core.filter(world.scene(), np.array([5.0, 0.0]))
             lateral.append(abs(float(world.ego[3] ** 2 * inputs[1] / LENGTH)))
-            world.claim(world.core.stored_lane)
+            world.claim(world.core.stored)
             world.move_cars([(0.0, 0)])
             world.move_inputs(inputs)
             assert world.kept()
@@ -118,7 +118,7 @@ def swerve(seed: int) -> ContinuousWorld:
         inputs, decision = world.core.filter(world.scene(), np.array([acceleration, wheel if k < hold else back]))
         if k == 0 and decision.tier.fallback:
             reject()
-        world.claim(world.core.stored_lane)
+        world.claim(world.core.stored)
         world.move_cars([(9.0 if rng.random() < 0.9 else -9.0, -int(k >= when and c.lane == 2)) for c in world.cars])
         world.move_inputs(inputs)
         assert world.kept(), (seed, k, decision.tier)

@@ -9,6 +9,7 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
 from continuous_world import random_continuous_world
+from cores import ContinuousCore
 
 from dynamics.scenes.scene import Scene, SceneReader
 from dynamics.state import Vehicle
@@ -18,7 +19,6 @@ from dynamics.vehicle.rollouts import Rollouts
 from mpc.filter.predictive_filter import PredictiveFilter
 from shield import Reason, Shield, ShieldConfig, ShieldedEnv, Tier
 from shield.errors import ConfigError, SceneError
-from shield.procedures.inputs import ContinuousCore
 from shield.repair.nearest_input import Search
 
 NAN, INF = float("nan"), float("inf")

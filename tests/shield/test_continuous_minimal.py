@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from continuous_world import STYLES, Adversary, propose, random_continuous_world
+from cores import ContinuousCore
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dynamics.scenes.scene import Scene
 from shield import Tier
-from shield.procedures.inputs import ContinuousCore
 
 RANGES = np.array([10.0, np.pi / 2])
 GRID = np.stack(np.meshgrid(np.linspace(-5, 5, 41), np.linspace(-np.pi / 4, np.pi / 4, 41)), axis=-1).reshape(-1, 2)
@@ -23,9 +23,9 @@ def distance(inputs: np.ndarray, proposal: np.ndarray) -> np.ndarray:
 
 def verified(core: ContinuousCore, scene: Scene, inputs: np.ndarray) -> np.ndarray:
     """Which of the inputs (n, 2) verify, each in whichever lane it can stop in."""
-    lanes = core._stop_lanes(scene)
+    lanes = core.inputs.stop_lanes(core.look(scene))
     chunks = [inputs[i : i + CHUNK] for i in range(0, len(inputs), CHUNK)]
-    return np.concatenate([core._judge_inputs(scene, chunk, lanes).margin >= 0 for chunk in chunks])
+    return np.concatenate([core.judge(scene, chunk, lanes).margin >= 0 for chunk in chunks])
 
 
 def shortfall(seed: int, style: str, mood: str, predictive: bool) -> float | None:
@@ -35,17 +35,17 @@ def shortfall(seed: int, style: str, mood: str, predictive: bool) -> float | Non
     world, adversary = random_continuous_world(rng, predictive=predictive), Adversary(rng, mood)
     first = int(rng.integers(15))
     for k in range(first + 25):
-        scene, proposal, stored = world.scene(), propose(rng, style, world, k), world.core.stored_lane
+        scene, proposal, stored = world.scene(), propose(rng, style, world, k), world.core.stored
         inputs, decision = world.core.filter(scene, proposal)
         if k == 0 and decision.tier.fallback:
             return None
         if k >= first and decision.tier is Tier.GOVERNED:
-            world.core.stored_lane = stored
+            world.core.stored = stored
             mine = float(distance(inputs, proposal))
             nearer = GRID[distance(GRID, proposal) < mine - 0.02]
             nearer = nearer[verified(world.core, scene, nearer)] if nearer.size else nearer
             return mine - float(distance(nearer, proposal).min()) if nearer.size else 0.0
-        world.claim(world.core.stored_lane)
+        world.claim(world.core.stored)
         world.move_cars(adversary.wishes(world))
         world.move_inputs(inputs)
     return None

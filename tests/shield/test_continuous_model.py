@@ -7,13 +7,13 @@ import highway_env  # noqa: F401
 import numpy as np
 import pytest
 from continuous_world import random_continuous_world
+from cores import ContinuousCore
 
 from dynamics.vehicle import bicycle
 from dynamics.vehicle.actuators import Actuators
 from shield import ShieldConfig, ShieldedEnv
 from shield.decision import Tier
 from shield.errors import ConfigError
-from shield.procedures.inputs import ContinuousCore
 from shield.repair.nearest_input import Search
 
 
@@ -54,8 +54,9 @@ def test_what_comes_of_a_model_is_verified_on_the_bicycle(name, monkeypatch):
     """The search is made to find nothing, so that the plan is asked; what leaves has passed, or is a fall-back."""
     asked, used = [], 0
     core = ContinuousCore(model=MODELS[name])
-    plan = core._predict
-    monkeypatch.setattr(core, "_predict", lambda *args: asked.append(plan(*args)) or asked[-1])
+    predictor = core.inputs.predictor
+    plan = predictor.plan
+    monkeypatch.setattr(predictor, "plan", lambda *args: asked.append(plan(*args)) or asked[-1])
     for scene, proposal in SCENES:
         core.reset()
         with monkeypatch.context() as patch:
@@ -64,7 +65,7 @@ def test_what_comes_of_a_model_is_verified_on_the_bicycle(name, monkeypatch):
         assert np.isfinite(inputs).all()
         if decision.tier is Tier.GOVERNED:
             used += 1
-            np.testing.assert_array_equal(inputs[1:], asked[-1][1:])
+            np.testing.assert_array_equal(inputs[1:], asked[-1][0, 1:])
             assert decision.margin >= 0
             assert ContinuousCore(predictive=False).filter(scene, inputs)[1].tier is Tier.PASSED
         else:
@@ -89,5 +90,5 @@ def test_a_model_without_a_filter_that_would_use_it_is_refused():
 def test_the_environment_hands_the_model_to_its_filter():
     env = gym.make("highway-fast-v0", config={"action": {"type": "ContinuousAction"}})
     shielded = ShieldedEnv(env, ShieldConfig(), model=MODELS["honest"])
-    assert shielded.core.model is MODELS["honest"]
-    assert ContinuousCore(ShieldConfig(), Actuators()).model is None
+    assert shielded.core.procedure.predictor.model is MODELS["honest"]
+    assert ContinuousCore(ShieldConfig(), Actuators()).inputs.predictor.model is None

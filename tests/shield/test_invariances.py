@@ -9,6 +9,7 @@ import highway_env  # noqa: F401
 import numpy as np
 import pytest
 from adversarial_world import Car, World, random_world
+from cores import MetaCore, ShieldCore
 from hypothesis import HealthCheck, Phase, assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
@@ -17,8 +18,6 @@ from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import Scene
 from dynamics.state import Vehicle
 from shield import Buffer, ShieldConfig, ShieldedEnv, Tier
-from shield.procedures.meta_actions import ShieldCore
-from shield.procedures.meta_actions_only import MetaCore
 
 SETTINGS = settings(deadline=None, max_examples=60, suppress_health_check=list(HealthCheck))
 SEEDS = st.integers(0, 2**32 - 1)
@@ -163,7 +162,7 @@ class Traffic(RuleBasedStateMachine):
             if k == 0:
                 decision = world.core.decide(scene, action)
                 world.target = scene.target_of(decision.executed)
-                command, _ = world.core.supervise(world.scene(), fresh=True)
+                command, _ = world.core.supervise(world.scene())
             else:
                 command, _ = world.core.supervise(scene)
             world.move_cars([(wish, turns[i % 8]) for i in range(len(world.cars))])

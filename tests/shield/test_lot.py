@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cores import LotCore
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from lot_world import DT, Driver, advance, clearance_of, random_lot
@@ -15,7 +16,6 @@ from dynamics.state import State
 from dynamics.vehicle.actuators import Actuators
 from shield import Reason, ShieldConfig, Tier
 from shield.errors import ConfigError
-from shield.procedures.parking_lot import LotCore
 
 SEEDS, STYLES = st.integers(0, 2**32 - 1), st.sampled_from(Driver.STYLES)
 CLEARANCE = st.sampled_from([0.01, 0.1, 0.5])
@@ -35,9 +35,9 @@ def core_of(period, clearance=0.1):
 
 def admits_a_plan(core, lot):
     """Whether braking with some wheel angle verifies: that is found whatever is proposed."""
-    brake = float(core.brake_inputs(lot, None, Reason.BAD_ACTION, 0.0)[0][0])
+    brake = float(core.brake(lot)[0])
     wheels = np.linspace(-1, 1, 13) * np.pi / 4
-    return bool((core._judge(lot, np.stack([np.full(13, brake), wheels], axis=1)).margin >= 1e-6).any())
+    return bool((core.judge(lot, np.stack([np.full(13, brake), wheels], axis=1)).margin >= 1e-6).any())
 
 
 def drive(core, lot, driver, period, decisions):
@@ -65,7 +65,7 @@ def test_from_a_verified_state_nothing_ever_comes_nearer(seed, style, clearance,
     for proposal, inputs, decision, lots in drive(core, lot, driver, period, 16):
         # The stop of the frame before is always there: nothing is ever taken without a certificate.
         assert decision.tier.verified or decision.tier is Tier.STORED_PLAN
-        assert core.stored_wheel is not None
+        assert core.stored is not None
         if decision.tier is Tier.PASSED:
             assert inputs is proposal
         for after in lots[1:]:
@@ -84,7 +84,7 @@ def test_the_stop_that_was_verified_can_be_driven_from_any_frame(seed, style, pe
     *_, (_, _, _, lots) = drive(core, lot, driver, period, int(rng.integers(1, 12)))
     lot = lots[-1]
     for _ in range(60 if period is None else 20):
-        inputs, _ = core.brake_inputs(lot, None, Reason.BAD_ACTION, 0.0)
+        inputs = core.brake(lot)
         for _ in range(period or 1):
             lot = advance(lot, inputs)
             gap, coming = clearance_of(lot)
@@ -126,7 +126,7 @@ def test_a_repair_is_about_as_near_as_the_nearest_on_a_fine_grid(seed):
     assume(decision.tier is Tier.GOVERNED)
     spans = np.array([10.0, np.pi / 2])
     grid = np.stack(np.meshgrid(np.linspace(-5, 5, 41), np.linspace(-1, 1, 41) * np.pi / 4), axis=-1).reshape(-1, 2)
-    good = core._judge(lot, grid).margin >= 0
+    good = core.judge(lot, grid).margin >= 0
     assume(good.any())
     nearest = np.hypot(*((grid[good] - proposal) / spans).T).min()
     assert np.hypot(*((inputs - proposal) / spans)) <= 1.1 * nearest + 0.08
@@ -161,7 +161,7 @@ def test_a_brake_harder_than_the_policys_is_used_at_every_frame_only():
     assert core_of(None).filter(lot, proposal)[1].tier is Tier.PASSED
     assert core_of(3).filter(lot, proposal)[1].tier is not Tier.PASSED
     for speed in (7.0, -7.0):
-        brakes = [core_of(p).brake_inputs(at(0, speed), None, Reason.BAD_ACTION, 0.0)[0][0] for p in (None, 3)]
+        brakes = [core_of(p).brake(at(0, speed))[0] for p in (None, 3)]
         assert brakes == [-np.sign(speed) * 9.8, -np.sign(speed) * 5.0]
 
 
@@ -171,11 +171,11 @@ def test_reset_forgets():
     moved = replace(lot, obstacles=lot.obstacles + np.array([0, 0, 0, 0.5, 0, 0]))
     core.filter(moved, np.zeros(2))
     core.filter(lot, np.array([0.0, 0.3]))
-    assert core.stored_wheel is not None
-    assert core.monitor.count == 1
+    assert core.stored is not None
+    assert core.violations == 1
     core.reset()
-    assert core.stored_wheel is None
-    assert core.monitor.count == 0
+    assert core.stored is None
+    assert core.violations == 0
     fresh = core_of(None)
     for k in range(5):
         proposal = np.array([5.0, 0.1 * k])
@@ -190,7 +190,7 @@ def test_without_a_plan_to_begin_with_the_record_says_so():
     inputs, decision = core.filter(lot, np.array([5.0, 0.0]))
     assert (decision.reason, decision.tier) == (Reason.NO_SAFE_PLAN, Tier.LARGEST_MARGIN)
     assert decision.margin < 0
-    assert core.stored_wheel is None
+    assert core.stored is None
     assert np.isfinite(inputs).all()
 
 
@@ -203,11 +203,11 @@ def test_something_that_moves_makes_it_brake_against_the_velocity(speed):
         inputs, decision = core.filter(moving, np.array([5.0, 0.0]))
         assert (decision.reason, decision.tier) == (Reason.BAD_SCENE, Tier.EMERGENCY)
         assert inputs[0] == pytest.approx(-np.sign(speed) * 9.8)
-    assert core.monitor.count == 1
-    assert core.stored_wheel is None
+    assert core.violations == 1
+    assert core.stored is None
     assert core.filter(lot, np.zeros(2))[1].tier is Tier.PASSED
     core.filter(moving, np.zeros(2))
-    assert core.monitor.count == 2
+    assert core.violations == 2
 
 
 @pytest.mark.parametrize("column", range(6))

@@ -17,7 +17,7 @@ from evaluation.settings import SETTINGS, get_setting
 from mpc.cem_policy import CEMPolicy
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.errors import ConfigError
-from shield.procedures.parking_lot import LotCore
+from shield.procedures.parking_lot import ParkingLot
 
 FULL = np.array([1.0, 0.0], dtype=np.float32)
 SHORT = replace(get_setting("parking-parked"), config={"vehicles_count": 10, "duration": 6})
@@ -157,7 +157,7 @@ def test_a_stage_that_breaks_brakes(monkeypatch):
     env = lot_env()
     for _ in range(4):
         env.step(FULL)
-    monkeypatch.setattr(LotCore, "_judge", lambda *_: (_ for _ in ()).throw(ZeroDivisionError()))
+    monkeypatch.setattr(ParkingLot, "judge", lambda *_: (_ for _ in ()).throw(ZeroDivisionError()))
     before = env.unwrapped.vehicle.speed
     *_, info = env.step(FULL)
     assert info["shield"]["reason"] == "stage_failed"
@@ -193,18 +193,18 @@ def test_an_episode_begins_with_nothing_remembered():
     env = lot_env()
     for _ in range(5):
         env.step(FULL)
-    assert env.core.stored_wheel is not None
+    assert env.core.memory.stored is not None
     env.reset(seed=1)
-    assert env.core.stored_wheel is None
+    assert env.core.memory.stored is None
     base = gym.make("parking-v0")
     observation, _ = base.reset(seed=0)
     shielded = Shield(Random(), base)
     shielded.predict(observation)
-    assert shielded._doors[0].core.stored_wheel is not None
+    assert shielded._doors[0].core.memory.stored is not None
     observation, _ = base.reset(seed=1)
     shielded.policy = Always(np.array([np.nan, 0.0]))
     shielded.predict(observation)
-    assert shielded._doors[0].core.stored_wheel is None
+    assert shielded._doors[0].core.memory.stored is None
 
 
 @pytest.mark.parametrize("make", [ShieldedEnv, lambda env: Shield(Random(), env)])

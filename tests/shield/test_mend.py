@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from shield import ShieldConfig, ShieldedEnv, Tier
 from shield.errors import ConfigError
-from shield.procedures.mend import FilteringCore, make_core
 
 
 @pytest.mark.parametrize("repair", ["filter"])
@@ -35,8 +34,7 @@ def test_the_buffer_holds_however_a_frame_is_mended(repair: str, seed: int) -> N
         assert world.kept()
 
 
-def test_each_name_has_its_core() -> None:
-    assert type(make_core(ShieldConfig(repair="filter"))) is FilteringCore
+def test_a_repair_that_there_is_not_is_refused() -> None:
     with pytest.raises(ConfigError, match="valid are hold, filter"):
         ShieldConfig(repair="swerve")
 

@@ -6,12 +6,12 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
 import torch
+from cores import MetaCore
 from policies import Always, Ranked, make
 
 from dynamics.scenes.scene import Scene
 from shield import Shield, ShieldedEnv
 from shield.doors.ranking import order_from_scores, ranking_of
-from shield.procedures.meta_actions_only import MetaCore
 from shield.repair.order import default_order
 
 

@@ -62,7 +62,7 @@ def test_a_verified_action_keeps_the_buffer_under_every_extreme_behaviour(seed: 
     committed = world.scene().target_of(decision.executed)
     if command is not None:
         committed = Target(command.lane, world.ego[3] + command.acceleration * 0.6)
-    fail = world.core.stored_lane
+    fail = world.core.stored
     assert fail is not None
     path = fail_safe_path(world, committed, fail)
     b = world.config.buffer
@@ -133,7 +133,7 @@ def run_for(seed: int, style: str, frames: int) -> World:
         if k % world.period == 0:
             decision = world.core.decide(scene, policy_action(rng, style))
             world.target = scene.target_of(decision.executed)
-            command, frame = world.core.supervise(world.scene(), fresh=True)
+            command, frame = world.core.supervise(world.scene())
         else:
             command, frame = world.core.supervise(scene)
         wishes = adversary.wishes(world)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from cores import ShieldCore
 
 from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import EgoControl, Scene, Target
@@ -16,8 +17,6 @@ from dynamics.vehicle.bicycle import step
 from dynamics.vehicle.controllers import speed_control, steering_control
 from shield import Assumptions, ShieldConfig
 from shield.procedures.frames import FrameCommand
-from shield.procedures.mend import make_core
-from shield.procedures.meta_actions import ShieldCore
 
 LENGTH, WIDTH = 5.0, 2.0
 
@@ -75,7 +74,7 @@ class World:
     def __post_init__(self) -> None:
         self.road = StraightRoad.from_lanes(self.lanes)
         self.visible = np.zeros(self.lanes, dtype=int)
-        self.core = make_core(self.config)
+        self.core = ShieldCore(self.config)
 
     @property
     def assumptions(self) -> Assumptions:
@@ -96,7 +95,7 @@ class World:
 
     def kept(self) -> bool:
         """The theorem: the ego keeps its buffer, or somebody has been seen to break a rule."""
-        return self.buffer_gap() >= -1e-6 or self.core.monitor.count > 0
+        return self.buffer_gap() >= -1e-6 or self.core.violations > 0
 
     def move_ego(self, command: FrameCommand | None) -> None:
         """One frame of the ego: its own controllers, or what the core commands."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from cores import ShieldCore
 
 from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import EgoControl, Scene, Target
@@ -12,7 +13,6 @@ from dynamics.vehicle.rollouts import Rollouts
 from shield import Decision, ShieldConfig
 from shield.certificate.manoeuvres import Candidates, brake_candidates
 from shield.certificate.verify import Clearance, Surveyor
-from shield.procedures.meta_actions import ShieldCore
 
 __all__ = ["BODY", "CONFIG", "DT", "after", "along", "braking", "clear", "driven", "extents", "margin", "scene_of"]
 

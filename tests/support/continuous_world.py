@@ -15,12 +15,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from adversarial_world import LENGTH, WIDTH, Car, World, corners
+from cores import ContinuousCore
 
 from dynamics.scenes.scene import Target
 from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.bicycle import step
 from shield import ShieldConfig
-from shield.procedures.inputs import ContinuousCore
 
 __all__ = ["STYLES", "Adversary", "ContinuousWorld", "propose", "random_continuous_world"]
 

@@ -506,8 +506,8 @@ _WATCHED = (
     _off(
         "stored plan of frames given up on an alarm",
         FRAMES,
-        "(stored.margin >= -ROUNDING or not self.monitor.violated)",
-        "not self.monitor.violated",
+        "(stored.margin >= -ROUNDING or not self.watch.violated)",
+        "not self.watch.violated",
         "alarm[ShieldCore]",
     ),
     _both(

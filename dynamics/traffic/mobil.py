@@ -39,12 +39,13 @@ def _held_up(v: float, closing: float, gap: float) -> float:
 
 
 @compiled
-def gains(states: Any, lane: Any, centers: Any, sight: float, slack: float) -> Any:
+def gains(states: Any, lane: Any, low: Any, high: Any, centers: Any, sight: float, slack: float) -> Any:
     """Whether each vehicle would gain by a change into the lane below its own in r, and above, (m, 2) bool.
 
     Parameters
     ----------
     states : road states (m, 4). lane : the nearest lane of each, (m,). centers : of the lanes [m].
+    low, high : edges of the lanes that each touches, (m,) [m]: whoever touches a vehicle's own may be its leader soon.
     sight : how near to a lane's centre a vehicle counts as being in it [m].
     slack : what the gain may lack [m/s^2]; and, as a share of the distance, what the new follower may.
     """
@@ -54,8 +55,11 @@ def gains(states: Any, lane: Any, centers: Any, sight: float, slack: float) -> A
         s, v = states[j, 0], states[j, 3]
         # Of the lanes below, its own, and above: distance and speed of the next ahead, and of the next behind.
         gaps, speeds, backs, behind = np.full(3, np.inf), np.zeros(3), np.full(3, np.inf), np.zeros(3)
+        now, own = 0.0, centers[lane[j]]
         for i in range(m):
             ahead = states[i, 0] - s
+            if i != j and ahead >= 0 and (abs(states[i, 1] - own) <= sight or low[i] < own < high[i]):
+                now = max(now, _held_up(v, v - states[i, 3], ahead) ** 2)
             for k in range(3):
                 to = lane[j] + k - 1
                 if i == j or to < 0 or to >= centers.shape[0] or not abs(states[i, 1] - centers[to]) <= sight:
@@ -64,7 +68,6 @@ def gains(states: Any, lane: Any, centers: Any, sight: float, slack: float) -> A
                     gaps[k], speeds[k] = ahead, states[i, 3]
                 elif -backs[k] < ahead < 0:
                     backs[k], behind[k] = -ahead, states[i, 3]
-        now = _held_up(v, v - speeds[1], gaps[1]) ** 2
         for k in (0, 2):
             to = lane[j] + k - 1
             if to < 0 or to >= centers.shape[0]:

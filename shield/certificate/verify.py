@@ -212,7 +212,8 @@ class Surveyor:
     def _with_newcomers(self, before: Any, stored: int) -> Others:
         """The others, with who may enter which lane."""
         road, dt, a = self.scene.road, self.scene.dt, self.config.assumptions
-        tempted = gains(self.around.states, self.around.lane, road.centers, a.visible_distance, _GAINS)
+        around = self.around
+        tempted = gains(around.states, around.lane, around.low, around.high, road.centers, a.visible_distance, _GAINS)
         beside, may, turning = newcomers(self.others, tempted, road.centers, float(road.width))
         visible = self.visible
         if visible is None:

@@ -36,11 +36,12 @@ def test_whoever_would_change_lanes_gains_by_it():
         scene, wanted = reader.read(), lanes_wanted(env)
         centers = scene.road.centers
         lane = np.abs(scene.others_road[:, 1, None] - centers).argmin(axis=1)
-        exact = gains(scene.others_road, lane, centers, SIGHT, 0.0)
+        edges = scene.others_road[:, 1] - 1.25, scene.others_road[:, 1] + 1.25
+        exact = gains(scene.others_road, lane, *edges, centers, SIGHT, 0.0)
         # highway-env knows the new follower's wish and its own: what it lets in is part of what gains.
         settled = np.abs(scene.others_road[:, 1] - centers[lane]) < 0.05
         assert not (wanted & ~exact)[settled].any()
-        assert not (exact & ~gains(scene.others_road, lane, centers, SIGHT, 1.0)).any()
+        assert not (exact & ~gains(scene.others_road, lane, *edges, centers, SIGHT, 1.0)).any()
         found += wanted.sum()
     env.close()
     assert found > 10
@@ -49,7 +50,18 @@ def test_whoever_would_change_lanes_gains_by_it():
 def test_who_is_held_up_gains_and_who_is_not_does_not():
     lane, centers = np.array([0, 0, 1]), np.array([0.0, 4.0])
     states = np.array([[0.0, 0.0, 0.0, 20.0], [30.0, 0.0, 0.0, 10.0], [60.0, 4.0, 0.0, 20.0]])
-    assert gains(states, lane, centers, SIGHT, 0.0).tolist() == [[False, True], [False, False], [False, False]]
+    edges = states[:, 1] - 1.25, states[:, 1] + 1.25
+    assert gains(states, lane, *edges, centers, SIGHT, 0.0).tolist() == [[False, True], [False, False], [False, False]]
     # Not into a lane where the next behind would have to brake hard.
     states[2] = [-5.0, 4.0, 0.0, 25.0]
-    assert not gains(states, lane, centers, SIGHT, 0.0)[0].any()
+    assert not gains(states, lane, *edges, centers, SIGHT, 0.0)[0].any()
+
+
+def test_who_is_about_to_be_held_up_gains_too():
+    """Somebody slower who is on the way into the lane counts, before MOBIL sees it there."""
+    lane, centers = np.array([1, 2]), np.array([0.0, 4.0, 8.0])
+    states = np.array([[0.0, 4.0, 0.0, 20.0], [30.0, 7.1, -0.3, 10.0]])
+    straight, turning = np.array([2.75, 6.75]), np.array([2.75, 2.75])
+    high = np.array([5.25, 9.25])
+    assert not gains(states, lane, straight, high, centers, SIGHT, 0.0)[0].any()
+    assert gains(states, lane, turning, high, centers, SIGHT, 0.0)[0].tolist() == [True, False]

@@ -29,7 +29,7 @@ from dynamics.traffic.occupancy import Surroundings
 from dynamics.vehicle.rollouts import NO_LIMIT, Rollouts
 from shield.config import ShieldConfig
 
-__all__ = ["Alongside", "warm_up"]
+__all__ = ["Alongside"]
 
 _SLACK, _HARDLY = 3.0, 0.5
 """What d* may differ by when the lane change starts [m]; and where it is the ego's own, whose plan is known."""
@@ -286,15 +286,3 @@ class Alongside:
             ],
             axis=-1,
         )
-
-
-def warm_up() -> None:
-    """Have the kernels compiled, or read from the disk, before they are needed."""
-    one, pair, size = np.zeros((1, 1)), np.zeros((1, 2, 4)), np.zeros(8)
-    lane, moving, rows = np.zeros(1, np.intp), np.zeros(1, np.bool_), np.zeros((1, 7))
-    _may_slip(rows, np.zeros((1, 4)), moving, size, 5.0, size, lane, 3.0, 6.0, one)
-    far = np.full(1, 1e3)
-    _centred(pair, far)
-    _separations(
-        pair, size, far, far, far, np.zeros((2, 1)), far, 6.0, 6.0, one, one, np.zeros((1, 1, 2)), far, 3.0, 0.1, one
-    )

@@ -26,7 +26,6 @@ __all__ = [
     "still_coming",
     "threats",
     "verdicts",
-    "warm_up",
 ]
 
 TOUCH = 1.0
@@ -568,24 +567,3 @@ def lanes_held(
         had = owned[j] if owned.shape[0] > 0 else j == here
         own[j] = (had or j == stored) and offset < touch
     return seen, own
-
-
-def warm_up() -> None:
-    """Have the kernels compiled, or read from the disk, before they are needed."""
-    one, pair, none = np.zeros((1, 1)), np.zeros((1, 2, 4)), np.zeros((1, 1), dtype=np.intp)
-    flag, count = np.zeros((1, 1), dtype=np.bool_), np.zeros(1, dtype=np.intp)
-    bodies = np.zeros((1, 2)), np.zeros(1), np.zeros((2, 1))
-    args = (flag, flag[0], one, none, np.zeros((3, 1)), np.ones(8), one, count)
-    least_separations(pair, np.ones(8), one, one, *bodies, *args)
-    there, behind = np.zeros(1), np.zeros(1, dtype=np.bool_)
-    lanes_held(0.0, there, 1, 1.0, 1.0, -1, count, flag[0])
-    others = Others(there, there, there, behind, there, there, count, there, there, behind, flag, flag)
-    newcomers(others, np.zeros((1, 2), dtype=np.bool_), there, 4.0)
-    sides_taken(pair, count, count, count, others, there, np.ones(4), one, one, none)
-    still_coming(flag, flag, flag, flag, count, 0, 1, 1)
-    in_reach(others, np.ones(2), True)
-    threats(others, np.ones(2), count, count, behind, there, pair, np.ones(8))
-    margins(one, one, there)
-    verdicts(there, np.zeros((1, 2)), behind, pair, 1)
-    rooms(pair, np.ones(8), np.zeros(1), count, 2.0, False)
-    lanes_touched(pair, 5.0, 2.0, 0.0, np.zeros(1), 2.0, flag[0], count)

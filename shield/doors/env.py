@@ -25,6 +25,7 @@ from shield.procedures.frames import FrameCommand, Frames
 from shield.procedures.meta_actions import MetaActions
 from shield.procedures.nearest_inputs import NearestInputs
 from shield.procedures.screen import RuleAlone, Wish
+from shield.procedures.warm_up import warm_up
 
 __all__ = ["ShieldedEnv"]
 
@@ -94,6 +95,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         alone = self.config.mode in ("distance", "rss", "ttc")
         meta: Core[Any] = Core(RuleAlone(self.config) if alone else self._meta)
         self.core = meta if self._inputs is None else self._inputs.core
+        warm_up()
         self._observation: Any = None
         self._supervising = 0.0
         self.last_decision: Decision | None = None

@@ -20,6 +20,7 @@ from shield.errors import ConfigError, PolicyError
 from shield.procedures.decide import Core, read
 from shield.procedures.meta_actions_only import MetaActionsOnly
 from shield.procedures.screen import RuleAlone, Wish
+from shield.procedures.warm_up import warm_up
 
 __all__ = ["Shield"]
 
@@ -97,6 +98,7 @@ class Shield:
             alone = self.config.mode in ("distance", "rss", "ttc")
             procedure: Any = (RuleAlone if alone else MetaActionsOnly)(self.config)
             self._cores = [Core(procedure) for _ in bases]
+        warm_up()
         self._roads: list[Any] = [None] * len(bases)
         self.last_decisions: list[Decision] = []
 

@@ -1,0 +1,58 @@
+"""The kernels compiled, or read from the disk, before a decision waits for them."""
+
+from __future__ import annotations
+
+import logging
+from functools import cache
+from threading import Timer
+
+import numpy as np
+
+from dynamics.roads.straight import StraightRoad
+from dynamics.scenes.scene import EgoControl, Scene, Target
+from shield.certificate.memory import Memory
+from shield.config import ShieldConfig
+from shield.procedures.decide import decide
+from shield.procedures.frames import Frames
+from shield.procedures.inputs import Inputs
+from shield.procedures.meta_actions import MetaActions
+from shield.procedures.screen import Wish
+
+__all__ = ["warm_up"]
+
+_log = logging.getLogger("shield")
+_PATIENCE = 1.0
+"""Time after which it is said what is waited for [s]."""
+
+
+@cache
+def warm_up() -> None:
+    """Make some decisions in a small scene; says what it waits for where that takes long."""
+    said = Timer(
+        _PATIENCE, _log.warning, ["compiling the shield's kernels: once after installation, about half a minute"]
+    )
+    said.daemon = True
+    said.start()
+    try:
+        config = ShieldConfig()
+        frames, meta = Frames(config), MetaActions(config)
+        inputs = Inputs(config, predictive=False)
+        memory: Memory[int] = Memory()
+        for k in range(2):
+            scene = _scene(k)
+            _, memory = decide(memory, scene, Wish(2, scene.control.actions), meta)
+            _, memory = decide(memory, scene, Target(1, 40.0), frames)
+            decide(memory, scene, np.array([5.0, 0.3]), inputs)
+            inputs.observe(memory, scene)[0].survey.relevant(50.0)  # what the predictive filter asks first
+    finally:
+        said.cancel()
+
+
+def _scene(frame: int) -> Scene:
+    """A leader, one alongside that the ego passes, held up by another, and one behind."""
+    dt = 1 / 15
+    x, y, v = np.array([[24.0, 4.0, 15.0], [-1.0, 8.0, 13.0], [14.0, 8.0, 10.0], [-30.0, 4.0, 28.0]]).T
+    others = np.zeros((4, 7))
+    others[:, 0], others[:, 1], others[:, 3], others[:, 4], others[:, 5] = x + v * dt * frame, y, v, 5.0, 2.0
+    ego = np.array([25.0 * dt * frame, 4.3, 0.02, 25.0, 5.0, 2.0, 0.0])
+    return Scene(ego, others, StraightRoad.from_lanes(3), EgoControl(Target(1, 25.0)), dt, 15, frame)

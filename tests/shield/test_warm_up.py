@@ -1,0 +1,56 @@
+"""No decision waits for a compiler: everything that it needs is compiled when the door is made, and that is said."""
+
+import logging
+import subprocess
+import sys
+
+import pytest
+
+from shield.procedures import warm_up as module
+
+DRIVE = """
+import sys
+import gymnasium as gym, highway_env, numpy as np
+from shield import ShieldedEnv
+
+def compiled():
+    found = set()
+    for name, module in list(sys.modules.items()):
+        if name.split(".")[0] in ("shield", "dynamics", "mpc"):
+            for each in vars(module).values():
+                if hasattr(each, "py_func"):
+                    found |= {(each.py_func.__name__, str(one)) for one in each.signatures}
+    return found
+
+env = ShieldedEnv(gym.make("highway-fast-v0", config={config}))
+before = compiled()
+rng = np.random.default_rng(0)
+for seed in range(3):
+    env.reset(seed=seed)
+    done = False
+    while not done:
+        space = env.action_space
+        action = int(rng.integers(5)) if not space.shape else space.low + (space.high - space.low) * rng.random(2)
+        _, _, terminated, truncated, _ = env.step(action)
+        done = terminated or truncated
+assert before and compiled() == before, compiled() - before
+"""
+
+
+@pytest.mark.parametrize(
+    "config", [{}, {"action": {"type": "ContinuousAction"}, "duration": 10}], ids=["meta", "inputs"]
+)
+def test_nothing_is_compiled_once_the_environment_is_there(config):
+    done = subprocess.run(
+        [sys.executable, "-c", DRIVE.replace("{config}", repr(config))], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+@pytest.mark.parametrize("slow", [True, False])
+def test_it_says_what_it_waits_for_where_that_takes_long(monkeypatch, caplog, slow):
+    module.warm_up.cache_clear()
+    monkeypatch.setattr(module, "_PATIENCE", 1e-4 if slow else 600.0)
+    with caplog.at_level(logging.WARNING, "shield"):
+        module.warm_up()
+    assert any("compiling" in record.getMessage() for record in caplog.records) is slow

@@ -1,36 +1,54 @@
 """Compiled loops: numba, with the machine code kept on disk.
 
 A *kernel* is a function of arrays and scalars that decides nothing: the loops over vehicles, candidates and frames.
-The machine code on disk is made again when the kernel's own file has changed, and only then. So a kernel calls
-kernels of its own file alone; `compiled` refuses others.
+numba makes the machine code on disk again when the kernel's own file has changed, and only then. Here it is made again
+when anything has changed that went into it: its file, the files of the kernels that it calls, and the numbers that it
+takes from elsewhere. So kernels may call those of other files, and a copy of the sources finds its code again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from hashlib import sha256
+from inspect import getsource, getsourcefile
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from numba import njit
 
-__all__ = ["compiled"]
+__all__ = ["compiled", "made_from"]
 
 F = TypeVar("F", bound=Callable[..., Any])
+_MADE_FROM: dict[Any, str] = {}
 
 
 def compiled(function: F) -> F:
-    """The function as machine code, made at its first call.
-
-    Raises
-    ------
-    TypeError
-        If it calls a kernel of another file.
-    """
-    for name in function.__code__.co_names:
-        other = getattr(function.__globals__.get(name), "py_func", None)
-        if other is not None and other.__module__ != function.__module__:
-            raise TypeError(f"{function.__name__} calls {name} of {other.__module__}; kernels call those of their file")
+    """The function as machine code, made at its first call."""
+    made = _digest(function)
     try:
         kernel = njit(cache=True, error_model="numpy")(function)
-    except RuntimeError:  # there is no folder to keep it in
+        # What numba compares with what it finds on the disk: by itself the time and size of the kernel's file.
+        kernel._cache._cache_file._source_stamp = made
+    except (RuntimeError, AttributeError):  # there is no folder to keep it in, or it is kept in another way
         kernel = njit(error_model="numpy")(function)
+    _MADE_FROM[kernel] = made
     return cast(F, kernel)
+
+
+def made_from(kernel: Any) -> str:
+    """What tells whether the machine code of a kernel is that of the present sources."""
+    return _MADE_FROM[kernel]
+
+
+def _digest(function: Callable[..., Any]) -> str:
+    file = getsourcefile(function)
+    parts = [function.__qualname__, Path(file).read_text(encoding="utf-8") if file else getsource(function)]
+    for name in function.__code__.co_names:
+        value = function.__globals__.get(name)
+        if isinstance(value, bool | int | float | str | tuple):
+            parts.append(f"{name}={value!r}")
+        elif isinstance(value, type) and issubclass(value, tuple):
+            parts.append(f"{name}={getattr(value, '_fields', ())}")
+        elif hasattr(value, "py_func") and value in _MADE_FROM:
+            parts.append(f"{name}={_MADE_FROM[value]}")
+    return sha256("\0".join(parts).encode()).hexdigest()

@@ -17,7 +17,7 @@ highway-env 1.12's `IDMVehicle`.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,6 +45,20 @@ _CENTRED = 0.2
 """An ego nearer than this to its lane's centre keeps its lane: the one that moves in owes it the room [m]."""
 _LASTS = 1.0
 """Within this time such a vehicle has reached the other lane [s]."""
+
+
+class Slips(NamedTuple):
+    """Vehicles that may slip in, each (m,): where their centres are [m], their speeds [m/s], centres of the lanes that
+    they change into [m]; `ratios` (2, m): d* of the old leader as a share of the gap to it, at the worst and now;
+    `reaches`: half the length of each [m]. And how they accelerate and brake at most [m/s^2]."""
+
+    starts: Any
+    speeds: Any
+    goals: Any
+    ratios: Any
+    reaches: Any
+    gain: float
+    braking: float
 
 
 @compiled
@@ -101,16 +115,57 @@ def _may_slip(
 
 
 @compiled
+def _begins(
+    s: float, r: float, u: float, k: int, j: int, slips: Slips, sight: float, dt: float
+) -> tuple[bool, bool, bool]:
+    """Whether a vehicle may begin to slip in at frame k of a path, which is at s, r with speed u there; whether it may
+    as blocked as it is; and whether the ego is ahead of it."""
+    v, t = slips.speeds[j], dt * (k + 1)
+    ahead = s - slips.starts[j] - v * t
+    seen = abs(r - slips.goals[j]) <= sight
+    if not ahead > 0:
+        wanted = _desired(u, u - v)
+        return seen and abs(wanted) <= _HARDLY - IMPOSED * ahead + _DRIFT * min(t, _BRAKES), False, False
+    wanted = _desired(v, v - u)
+    may = seen and abs(wanted) <= slips.ratios[0, j] * ahead + _SLACK + _DRIFT * min(t, _BRAKES)
+    # It brakes meanwhile behind its own leader, as IDM does.
+    slows = min(COMFORT * slips.ratios[1, j] ** 2, slips.braking)
+    at_once = slips.ratios[1, j] * (ahead + 0.5 * slows * t * t) + _HARDLY
+    slow = max(v - slows * t, 0.0)
+    return may, seen and min(wanted, _desired(slow, slow - u)) <= at_once and wanted >= -at_once, True
+
+
+@compiled
+def _offset(r: float, centers: Any) -> float:
+    """Distance from the nearest lane's centre [m]."""
+    offset = np.inf
+    for c in centers:
+        offset = min(offset, abs(r - c))
+    return offset
+
+
+@compiled
+def _anybody(paths: Any, slips: Slips, centers: Any, sight: float, dt: float) -> bool:
+    """Whether anybody may slip in on any path where that counts, see `_separations`; or a path is not finite."""
+    for i in range(paths.shape[0]):
+        for j in range(slips.goals.shape[0]):
+            began = False
+            for k in range(paths.shape[1]):
+                s, r, u = paths[i, k, 0], paths[i, k, 1], paths[i, k, 3]
+                if not math.isfinite(s + r + paths[i, k, 2] + u):
+                    return True
+                may, at_once, _ = _begins(s, r, u, k, j, slips, sight, dt)
+                began = began or may
+                if began and (at_once or _offset(r, centers) > _CENTRED):
+                    return True
+    return False
+
+
+@compiled
 def _separations(
     paths: Any,
     size: Any,
-    starts: Any,
-    speeds: Any,
-    goals: Any,
-    ratios: Any,
-    reaches: Any,
-    gain: float,
-    braking: float,
+    slips: Slips,
     rear: Any,
     front: Any,
     sweep: Any,
@@ -126,7 +181,7 @@ def _separations(
     """
     lon, lat = size[0], size[1]
     for i in range(paths.shape[0]):
-        for j in range(goals.shape[0]):
+        for j in range(slips.goals.shape[0]):
             began, begun, leads, least = -1, -1, False, np.inf
             for k in range(paths.shape[1]):
                 s, r, psi, u = paths[i, k, 0], paths[i, k, 1], paths[i, k, 2], paths[i, k, 3]
@@ -134,24 +189,10 @@ def _separations(
                     least = np.nan
                     break
                 if begun < 0:
-                    v = speeds[j]
-                    ahead = s - starts[j] - v * dt * (k + 1)
-                    ahead_of = ahead > 0
-                    if ahead_of:
-                        wanted, most = _desired(v, v - u), ratios[0, j] * ahead + _SLACK
-                        # It brakes meanwhile behind its own leader, as IDM does.
-                        t, slows = dt * (k + 1), min(COMFORT * ratios[1, j] ** 2, braking)
-                        at_once = ratios[1, j] * (ahead + 0.5 * slows * t * t) + _HARDLY
-                        slow = max(v - slows * t, 0.0)
-                        least_wanted = min(wanted, _desired(slow, slow - u))
-                    else:
-                        wanted, most = _desired(u, u - v), _HARDLY - IMPOSED * ahead
-                        at_once, least_wanted = 0.0, np.inf
-                    drift = _DRIFT * min(dt * (k + 1), _BRAKES)
-                    seen = abs(r - goals[j]) <= sight
-                    if began < 0 and seen and abs(wanted) <= most + drift:
+                    may, at_once, ahead_of = _begins(s, r, u, k, j, slips, sight, dt)
+                    if began < 0 and may:
                         began, leads = k, ahead_of
-                    if seen and ahead_of and least_wanted <= at_once and wanted >= -at_once:
+                    if at_once:
                         begun = k
                 if began < 0:
                     continue
@@ -160,10 +201,7 @@ def _separations(
                 past = s - half_s - front[j, k] if leads else rear[j, k] - s - half_s
                 if past >= 0 or k - began >= sweep.shape[1]:
                     break
-                offset = np.inf
-                for c in centers:
-                    offset = min(offset, abs(r - c))
-                since = k - began
+                offset, since = _offset(r, centers), k - began
                 if offset <= _CENTRED:
                     # Beside an ego that keeps to the middle it needs more than that: it has to be blocked as it is.
                     if begun < 0:
@@ -172,23 +210,11 @@ def _separations(
                 across = max(sweep[j, since, 0] - r - half_r, r - half_r - sweep[j, since, 1])
                 along = max(rear[j, k] - s - half_s, s - half_s - front[j, k])
                 if offset <= _CENTRED:
-                    nose = starts[j] + speeds[j] * dt * (k + 1) + reaches[j] + 0.5 * gain * (since * dt) ** 2
+                    nose = slips.starts[j] + slips.speeds[j] * dt * (k + 1) + slips.reaches[j]
+                    nose += 0.5 * slips.gain * (since * dt) ** 2
                     along = s - half_s - nose
                 least = min(least, max(along, across))
             out[i, j] = least
-
-
-@compiled
-def _centred(paths: Any, centers: Any) -> bool:
-    """Whether all paths keep to the centres of lanes at all times."""
-    for i in range(paths.shape[0]):
-        for k in range(paths.shape[1]):
-            offset = np.inf
-            for c in centers:
-                offset = min(offset, abs(paths[i, k, 1] - c))
-            if not (offset <= _CENTRED and math.isfinite(paths[i, k, 0] + paths[i, k, 2] + paths[i, k, 3])):
-                return False
-    return True
 
 
 class Alongside:
@@ -219,9 +245,15 @@ class Alongside:
             )
         self.rows = found[:count, 0].astype(np.intp)
         states = around.states[self.rows]
-        self._starts, self._speeds = states[:, RoadState.S].copy(), states[:, RoadState.SPEED].copy()
-        self._goals = road.centers[found[:count, 1].astype(np.intp)]
-        self._ratios = np.ascontiguousarray(found[:count, 2:].T)
+        self._slips = Slips(
+            states[:, RoadState.S].copy(),
+            states[:, RoadState.SPEED].copy(),
+            road.centers[found[:count, 1].astype(np.intp)],
+            np.ascontiguousarray(found[:count, 2:].T),
+            around.reach[self.rows],
+            a.acceleration,
+            a.braking,
+        )
         self._sweep: FloatArray | None = None
         self._bounds = np.empty((2, count, 0))
 
@@ -238,7 +270,8 @@ class Alongside:
         """
         rows, dt, frames = self.rows, self._scene.dt, paths.shape[1]
         out = np.full((len(paths), len(rows)), np.inf)
-        if not (self._ratios[1] > 0).any() and _centred(paths, self._scene.road.centers):
+        centers, sight = self._scene.road.centers, self._config.assumptions.visible_distance
+        if not _anybody(paths, self._slips, centers, sight, dt):
             return out
         if frames > self._bounds.shape[2]:
             longer = frames + frames // 4
@@ -249,18 +282,12 @@ class Alongside:
         _separations(
             paths,
             size,
-            self._starts,
-            self._speeds,
-            self._goals,
-            self._ratios,
-            self._around.reach[rows],
-            self._config.assumptions.acceleration,
-            self._config.assumptions.braking,
+            self._slips,
             self._bounds[0],
             self._bounds[1],
             self._sweep,
-            self._scene.road.centers,
-            self._config.assumptions.visible_distance,
+            centers,
+            sight,
             dt,
             out,
         )
@@ -271,7 +298,7 @@ class Alongside:
         dt, road = self._scene.dt, self._scene.road
         states, frames = self._around.states[self.rows], int(np.ceil(_LASTS / self._scene.dt))
         commands = np.empty((len(states), frames, 3))
-        commands[..., 0], commands[..., 1] = self._goals[:, None], states[:, RoadState.SPEED, None]
+        commands[..., 0], commands[..., 1] = self._slips.goals[:, None], states[:, RoadState.SPEED, None]
         commands[..., 2] = NO_LIMIT
         path = Rollouts(dt, road).run(states, commands)
         length, width = self._around.others[self.rows][:, [Vehicle.LENGTH, Vehicle.WIDTH]].T[..., None]

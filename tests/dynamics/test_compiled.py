@@ -1,31 +1,68 @@
-"""What `compiled` promises: kernels are kept on disk, and one that would go stale there is refused."""
+"""What `compiled` promises: kernels are kept on disk, and made again when anything has changed that went into them."""
 
-import numpy as np
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
-from dynamics.compiled import compiled
-from dynamics.vehicle.rollout_kernels import slip_at
+from dynamics.compiled import compiled, made_from
+
+FILES = {
+    "inner.py": "from dynamics.compiled import compiled\nfrom numbers_of import BIAS\n\n"
+    "@compiled\ndef inner(x):\n    return x + BIAS\n",
+    "numbers_of.py": "BIAS = 1.0\nGAIN = 2.0\n",
+    "outer.py": "from dynamics.compiled import compiled\nfrom inner import inner\nfrom numbers_of import GAIN\n\n"
+    "@compiled\ndef outer(x):\n    return GAIN * inner(x)\n",
+}
+PROGRAM = """
+from outer import outer
+print(outer(3.0), sum(outer.stats.cache_hits.values()))
+"""
 
 
-def calls_another_file(x):
-    return slip_at(x, x, x, x, x, np.zeros((8, 0)), 0.1)
-
-
-def _half(x):
+def half(x):
     return 0.5 * x
 
 
-half = compiled(_half)
+half = compiled(half)
 
 
 def quarter(x):
     return half(half(x))
 
 
-def test_a_kernel_of_another_file_is_refused():
-    with pytest.raises(TypeError, match=r"slip_at of dynamics\.vehicle\.rollout_kernels"):
-        compiled(calls_another_file)
-
-
-def test_a_kernel_of_the_same_file_may_be_called():
+def test_a_kernel_may_call_a_kernel():
     assert compiled(quarter)(2.0) == 0.5
+
+
+def test_what_it_calls_is_part_of_what_it_is_made_from():
+    first = made_from(compiled(quarter))
+    assert first == made_from(compiled(quarter))
+    assert first != made_from(half)
+
+
+def run(folder: Path) -> tuple[float, int]:
+    """The answer of `outer(3)`, and how often its code was found on the disk."""
+    root = Path(__file__).parents[2]
+    paths = os.pathsep.join([str(folder), str(root)])
+    env = {**os.environ, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(folder / "kept"), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run([sys.executable, "-c", PROGRAM], env=env, capture_output=True, text=True, check=True)
+    value, hits = done.stdout.split()
+    return float(value), int(hits)
+
+
+@pytest.mark.parametrize(("file", "old", "new", "then"), [
+    ("inner.py", "x + BIAS", "x - BIAS", 4.0),  # the kernel that it calls
+    ("numbers_of.py", "BIAS = 1.0", "BIAS = 2.0", 10.0),  # a number that this one uses
+    ("numbers_of.py", "GAIN = 2.0", "GAIN = 3.0", 12.0),  # a number of its own
+])  # fmt: skip
+def test_code_on_the_disk_is_found_again_and_never_stale(tmp_path, file, old, new, then):
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    assert run(tmp_path) == (8.0, 0)
+    assert run(tmp_path) == (8.0, 1)
+    path = tmp_path / file
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    assert run(tmp_path) == (then, 0)

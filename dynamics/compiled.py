@@ -26,7 +26,7 @@ def compiled(function: F) -> F:
     """The function as machine code, made at its first call."""
     made = _digest(function)
     try:
-        kernel = njit(cache=True, error_model="numpy")(function)
+        kernel: Any = njit(cache=True, error_model="numpy")(function)
         # What numba compares with what it finds on the disk: by itself the time and size of the kernel's file.
         kernel._cache._cache_file._source_stamp = made
     except (RuntimeError, AttributeError):  # there is no folder to keep it in, or it is kept in another way

@@ -47,7 +47,7 @@ class Assumptions:
         the ego is not visible there.
     slip_in : whether a vehicle alongside may change into the ego's lane behind an ego that pulls away from it, or
         before one that it pulls away from, as MOBIL does once IDM's desired gap has vanished
-        (`shield.certificate.alongside`).
+        (`shield.certificate.clauses.slip_in`).
     """
 
     braking: float = 6.0

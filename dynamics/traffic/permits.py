@@ -33,7 +33,7 @@ from dynamics.state import BoolArray, FloatArray, Vehicle
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.traffic.occupancy_kernels import Bodies
 
-__all__ = ["Ego", "Motions", "Rule", "apart", "footprint", "permits"]
+__all__ = ["Ego", "Motions", "Rule", "footprint", "gap_between", "permits"]
 
 _LENGTH, _WIDTH, _CRASHED = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
 _SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH = 1, 2, 4, 8, 16, 32
@@ -99,9 +99,10 @@ class _Limits(NamedTuple):
 
 
 @compiled
-def _apart(ego: Ego, along: float, across: float, rows: Any, i: int, dt: float) -> float:
+def gap_between(ego: Ego, along: float, across: float, rows: Any, i: int, dt: float) -> float:
     """Greatest gap along the directions of the sides of two rectangles [m], see `dynamics.scenes.rectangles`, while
-    both move for `dt` along their headings [s]."""
+    both move for `dt` along their headings [s]: the ego with half extents `along`, `across` [m], and vehicle `i` of
+    `rows` (m, 7)."""
     dx, dy = ego.x - rows[i, 0], ego.y - rows[i, 1]
     ux, uy, wx, wy = math.cos(ego.heading), math.sin(ego.heading), math.cos(rows[i, 2]), math.sin(rows[i, 2])
     c, s = abs(ux * wx + uy * wy), abs(uy * wx - ux * wy)
@@ -142,7 +143,7 @@ def _judge(
         most = stretch[1, i] if stretch.shape[1] > 0 else 1.0
         way, wrecked = v0 * limits.period, rows0[i, _CRASHED] > 0
         # Whoever the ego has run into has broken no rule by it.
-        struck = ego.crashed and _apart(ego, ego.body_along, ego.body_across, rows, i, 0.0) < _TOUCHING
+        struck = ego.crashed and gap_between(ego, ego.body_along, ego.body_across, rows, i, 0.0) < _TOUCHING
         if rows[i, _CRASHED] > 0 and not wrecked and not struck:
             bits |= _CRASH
         if not wrecked:
@@ -159,9 +160,9 @@ def _judge(
                 if not min(bodies.budget[i], bodies.action[i]) >= -_SLIGHT:
                     bits |= _WAY
         if behind[i]:
-            touches = _apart(ego, ego.along, ego.across, rows, i, 0.0) < 0
+            touches = gap_between(ego, ego.along, ego.across, rows, i, 0.0) < 0
             # highway-env counts what constant velocities would bring in the coming frame.
-            if touches or _apart(ego, ego.body_along, ego.body_across, rows, i, limits.period) <= 0:
+            if touches or gap_between(ego, ego.body_along, ego.body_across, rows, i, limits.period) <= 0:
                 bits |= _DISTANCE
         if not (bodies.low[i] >= bodies0.low[i] - _SLIGHT and bodies.high[i] <= bodies0.high[i] + _SLIGHT):
             more |= _LANES
@@ -175,11 +176,6 @@ def footprint(ego: FloatArray, longitudinal: float, lateral: float, crashed: boo
     x, y, heading, speed, length, width = ego[: Vehicle.CRASHED].tolist()
     along, across = 0.5 * length, 0.5 * width
     return Ego(x, y, heading, speed, along + longitudinal, across + lateral, along, across, crashed)
-
-
-def apart(ego: Ego, row: FloatArray) -> float:
-    """Greatest gap between the ego with its buffer and a vehicle (7,), along the directions of their sides [m]."""
-    return float(_apart(ego, ego.along, ego.across, row[None], 0, 0.0))
 
 
 def permits(before: Surroundings, after: Surroundings, period: float, behind: BoolArray, ego: Ego) -> Motions:

@@ -28,9 +28,7 @@ _PATIENCE = 1.0
 @cache
 def warm_up() -> None:
     """Make some decisions in a small scene; says what it waits for where that takes long."""
-    said = Timer(
-        _PATIENCE, _log.warning, ["compiling the shield's kernels: once after installation, about half a minute"]
-    )
+    said = Timer(_PATIENCE, _log.warning, ["compiling the shield's kernels: once after installation, some 15 s"])
     said.daemon = True
     said.start()
     try:

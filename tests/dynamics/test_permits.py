@@ -17,7 +17,7 @@ from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import Scene, SceneReader
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Surroundings
-from dynamics.traffic.permits import Ego, Rule, apart, footprint, permits
+from dynamics.traffic.permits import Ego, Rule, footprint, gap_between, permits
 
 LIMITS = settings(deadline=None, max_examples=60)
 FRAMES, HORIZON = 60, 40
@@ -209,4 +209,5 @@ def test_rectangles_are_apart_exactly_where_an_axis_separates_them(seed: int) ->
     normals = np.stack([-sides[:, 1], sides[:, 0]], axis=1) / np.hypot(*sides.T)[:, None]
     pa, pb = a @ normals.T, b @ normals.T
     gap = np.maximum(pa.min(axis=0) - pb.max(axis=0), pb.min(axis=0) - pa.max(axis=0)).max()
-    assert apart(footprint(ego, 2.0, 0.3), row) == pytest.approx(gap, abs=1e-9)
+    seen = footprint(ego, 2.0, 0.3)
+    assert gap_between(seen, seen.along, seen.across, row[None], 0, 0.0) == pytest.approx(gap, abs=1e-9)

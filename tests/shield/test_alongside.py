@@ -18,11 +18,12 @@ from dynamics.scenes.scene import EgoControl, Scene, Target
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.vehicle.rollouts import BRAKE, Rollouts
 from shield import ShieldConfig
-from shield.certificate.alongside import Alongside
+from shield.certificate.clauses.footprint import Footprint
+from shield.certificate.clauses.slip_in import Alongside
 
 DT, LANES = 0.05, 2
 CONFIG = ShieldConfig()
-SIZE = np.array([4.5, 1.3, 5.0, 2.0, 0.0, 0.0, 0.0, 0.0])
+SIZE = Footprint(4.5, 1.3, 5.0, 2.0)
 
 
 def scene_of(offset: float, u: float, behind: float, v: float, gap: float, leader: float) -> Scene:

@@ -15,7 +15,7 @@ from dynamics.scenes.scene import Scene
 from dynamics.traffic.permits import Rule
 from dynamics.vehicle.rollouts import Rollouts
 from shield import Decision, Reason, Tier
-from shield.certificate.kernels import verdicts
+from shield.certificate.clauses.edge import verdicts
 from shield.certificate.manoeuvres import Candidates, brake_candidates
 from shield.certificate.verify import Surveyor
 

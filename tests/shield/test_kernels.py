@@ -9,23 +9,16 @@ from highway_env.vehicle.kinematics import Vehicle as Simulated
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shield.certificate.kernels import (
-    Others,
-    coming_frame,
-    lanes_held,
-    lanes_touched,
-    least_separations,
-    margins,
-    newcomers,
-    sides_taken,
-    still_coming,
-    verdicts,
-)
+from shield.certificate.clauses.duties import Others, lanes_held, newcomers, sides_taken, still_coming
+from shield.certificate.clauses.edge import lanes_touched, verdicts
+from shield.certificate.clauses.footprint import Footprint
+from shield.certificate.clauses.room import margins
+from shield.certificate.clauses.separation import Duty, coming_frame, least_separations
 
 CENTERS = np.array([0.0, 4.0, 8.0])
-SIZE = np.array([4.5, 1.3, 5.0, 2.0, 0.1, 0.05, 0.02, 0.01])
+SIZE = Footprint(4.5, 1.3, 5.0, 2.0, 0.1, 0.05, 0.02, 0.01)
 DT = 0.1
-DUTY = np.array([3.0, 4.0, 6.0, 5.0, 40.0, 0.0, DT, 75.0])
+DUTY = Duty(3.0, 4, 6.0, 5.0, 40.0, 75.0, 0, DT)
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -73,7 +66,7 @@ def front_of(path, center, at_once, v0, start, stretch):
     k = np.arange(frames)
     top = np.full(frames, v0)
     for i in range(1, frames):
-        more = min(gain, DUTY[7] / max(top[i - 1], 1e-3)) * DT if i <= turn else 0.0
+        more = min(gain, DUTY.power / max(top[i - 1], 1e-3)) * DT if i <= turn else 0.0
         top[i] = min(top[i - 1] + more, max(v0, most))
     v = np.maximum(top - loss * DT * np.maximum(k - turn, 0), 0.0)
     way = np.cumsum(v) * DT
@@ -234,7 +227,7 @@ def test_once_it_is_only_who_was_on_the_way_may_still_come(across, r, visible, c
 def test_what_stays_apart_in_the_coming_frame_does_so_in_the_simulator(seed):
     """Whatever the other's heading: where nothing is said against it, highway-env counts no coming collision."""
     rng = np.random.default_rng(seed)
-    dt, size = rng.choice([0.2, 1 / 15]), np.array([4.5, 1.3, 5.0, 2.0, 0.0, 0.0, 0.0, 0.0])
+    dt, size = rng.choice([0.2, 1 / 15]), Footprint(4.5, 1.3, 5.0, 2.0)
     ego, other = Simulated(None, [0, 0], rng.normal(0, 0.2), rng.uniform(0, 35)), None
     length, width = rng.choice([(5.0, 2.0), (12.0, 2.5), (2.0, 0.8)])
     other = Simulated(None, [rng.uniform(-14, 14), rng.uniform(-6, 6)], rng.normal(0, 0.2), rng.uniform(0, 35))

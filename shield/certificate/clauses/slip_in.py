@@ -27,6 +27,7 @@ from dynamics.state import FloatArray, RoadState, Vehicle
 from dynamics.traffic.mobil import COMFORT, GAP, IMPOSED, TIME, TWICE_ROOT
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.vehicle.rollouts import NO_LIMIT, Rollouts
+from shield.certificate.clauses.footprint import Footprint
 from shield.config import ShieldConfig
 
 __all__ = ["Alongside"]
@@ -164,7 +165,7 @@ def _anybody(paths: Any, slips: Slips, centers: Any, sight: float, dt: float) ->
 @compiled
 def _separations(
     paths: Any,
-    size: Any,
+    size: Footprint,
     slips: Slips,
     rear: Any,
     front: Any,
@@ -179,7 +180,7 @@ def _separations(
     The first frame at which it may start to is the worst: afterwards it reaches furthest. `sweep` (m, T, 2) is where
     its body is across the road after so many frames [m]; it owes the ego its distance once it has no overlap with it.
     """
-    lon, lat = size[0], size[1]
+    lon, lat = size.along, size.across
     for i in range(paths.shape[0]):
         for j in range(slips.goals.shape[0]):
             began, begun, leads, least = -1, -1, False, np.inf
@@ -197,7 +198,7 @@ def _separations(
                 if began < 0:
                     continue
                 sin, cos = abs(math.sin(psi)), abs(math.cos(psi))
-                half_s, half_r = lon * cos + lat * sin + size[4], lon * sin + lat * cos + size[5]
+                half_s, half_r = lon * cos + lat * sin + size.growth_along, lon * sin + lat * cos + size.growth_across
                 past = s - half_s - front[j, k] if leads else rear[j, k] - s - half_s
                 if past >= 0 or k - began >= sweep.shape[1]:
                     break
@@ -260,13 +261,13 @@ class Alongside:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def separations(self, paths: FloatArray, size: FloatArray) -> FloatArray:
+    def separations(self, paths: FloatArray, size: Footprint) -> FloatArray:
         """Least separation of each path from each of them, (n, len(self)) [m]; +inf where they stay apart.
 
         Parameters
         ----------
         paths : road states of the ego after frames 1..K, (n, K, 4).
-        size : half extents of the ego with its buffer, as `kernels.least_separations` has them (8,) [m].
+        size : the ego's footprint.
         """
         rows, dt, frames = self.rows, self._scene.dt, paths.shape[1]
         out = np.full((len(paths), len(rows)), np.inf)

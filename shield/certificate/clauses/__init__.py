@@ -1,0 +1,1 @@
+"""What a plan has to satisfy: the clauses of the certificate, one a file."""

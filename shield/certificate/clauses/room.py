@@ -1,0 +1,54 @@
+"""The clause of room: a plan stops inside one lane; and the margin that comes of all clauses."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from dynamics.compiled import compiled
+from shield.certificate.clauses.footprint import Footprint
+
+__all__ = ["margins", "rooms"]
+
+
+@compiled
+def rooms(paths: Any, size: Footprint, centers: Any, fails: Any, side: float, bent: bool) -> Any:
+    """What is left beside the ego with its buffer in the lane that each path stops in, (n,) [m]; negative where it
+    reaches out. `size` as in `least_separations`."""
+    out, last = np.empty(paths.shape[0]), paths.shape[1] - 1
+    for i in range(paths.shape[0]):
+        r, psi = paths[i, last, 1], paths[i, last, 2]
+        sin, cos = abs(math.sin(psi)), abs(math.cos(psi))
+        # On a bend, what lies ahead and behind in the lane bends with the road: only the body has to fit.
+        half = (
+            0.5 * size.length * sin + size.across * cos + size.bare_across
+            if bent
+            else size.along * sin + size.across * cos
+        )
+        out[i] = side - abs(r - centers[fails[i]]) - half
+    return out
+
+
+@compiled
+def margins(separations: Any, slipping: Any, room: Any) -> Any:
+    """The least separation of each path, and what it lacks of room where it does, (n,) [m]; NaN where anything is.
+
+    Parameters
+    ----------
+    separations, slipping : from vehicles in reach (n, m), and from those that may slip in (n, q) [m]. room : (n,) [m].
+    """
+    out = np.empty(room.shape[0])
+    for i in range(room.shape[0]):
+        least, known = np.inf, not math.isnan(room[i])
+        if room[i] < 0:
+            least = room[i]
+        for j in range(separations.shape[1]):
+            known = known and not math.isnan(separations[i, j])
+            least = min(least, separations[i, j])
+        for j in range(slipping.shape[1]):
+            known = known and not math.isnan(slipping[i, j])
+            least = min(least, slipping[i, j])
+        out[i] = least if known else np.nan
+    return out

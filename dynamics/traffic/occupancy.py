@@ -21,6 +21,7 @@ Source: Responsibility-Sensitive Safety (Shalev-Shwartz et al. 2017), set-based 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,26 @@ class Occupancy:
         k = self.rear.shape[1]
         low, high = (np.repeat(a[None], k, axis=0) for a in (self.low, self.high))
         return np.stack([self.rear.T, self.front.T, low, high], axis=-1)
+
+
+@lru_cache(maxsize=16)
+def _motion(a: Assumptions, dt: float) -> Motion:
+    return Motion(
+        a.braking,
+        a.acceleration,
+        a.power,
+        a.max_speed,
+        a.min_speed,
+        a.slow_speed,
+        a.turning_loss,
+        a.turning_action,
+        a.turning_rate,
+        a.reversing_speed,
+        a.queue_distance,
+        a.queue_speed,
+        a.runout_time,
+        dt,
+    )
 
 
 class Surroundings:
@@ -120,22 +141,7 @@ class Surroundings:
             (least, greatest), (least_high, greatest_high) = bends.stretch(self.low), bends.stretch(self.high)
             self.stretch = np.minimum(least, least_high), np.maximum(greatest, greatest_high)
             self.stretches = np.stack(self.stretch)
-        self.motion = Motion(
-            a.braking,
-            a.acceleration,
-            a.power,
-            a.max_speed,
-            a.min_speed,
-            a.slow_speed,
-            a.turning_loss,
-            a.turning_action,
-            a.turning_rate,
-            a.reversing_speed,
-            a.queue_distance,
-            a.queue_speed,
-            a.runout_time,
-            self.dt,
-        )
+        self.motion = _motion(a, self.dt)
         self.lap = float(getattr(road, "length", 0.0)) if getattr(road, "closed", False) else 0.0
         if before is not None:
             spend(before.states, before.bodies, states, self.stretches, self.motion, self.lap, self.bodies)

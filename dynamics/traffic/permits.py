@@ -24,12 +24,14 @@ from __future__ import annotations
 
 import math
 from enum import IntFlag
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dynamics.compiled import compiled
 from dynamics.state import BoolArray, FloatArray, Vehicle
+from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.traffic.occupancy_kernels import Bodies
 
@@ -171,6 +173,21 @@ def _judge(
         broken[i], grown[i] = bits, more
 
 
+@lru_cache(maxsize=16)
+def _limits(a: Assumptions, period: float, lap: float, one_frame: bool) -> _Limits:
+    return _Limits(
+        a.braking + _TOLERANCE,
+        a.acceleration + _TOLERANCE,
+        a.power,
+        a.max_speed,
+        a.reversing_speed + _TOLERANCE,
+        a.slow_speed,
+        period,
+        lap,
+        one_frame,
+    )
+
+
 def footprint(ego: FloatArray, longitudinal: float, lateral: float, crashed: bool = False) -> Ego:
     """The ego of a vehicle row (7,) and its buffer along and across its heading [m]."""
     x, y, heading, speed, length, width = ego[: Vehicle.CRASHED].tolist()
@@ -203,18 +220,7 @@ def permits(before: Surroundings, after: Surroundings, period: float, behind: Bo
     >>> Rule(int(permits(first, at(2.0, 19.0, first), 0.1, nobody, ego).broken[0]))
     <Rule.SPEED: 1>
     """
-    a = before.assumptions
-    limits = _Limits(
-        a.braking + _TOLERANCE,
-        a.acceleration + _TOLERANCE,
-        a.power,
-        a.max_speed,
-        a.reversing_speed + _TOLERANCE,
-        a.slow_speed,
-        float(period),
-        after.lap,
-        bool(period < 1.5 * before.dt),
-    )
+    limits = _limits(before.assumptions, float(period), after.lap, bool(period < 1.5 * before.dt))
     m = len(after.states)
     found = Motions(np.zeros(m, np.intp), np.zeros(m, np.intp))
     rows0, rows = before.others, after.others

@@ -135,7 +135,7 @@ def observe(
         return survey.of_each(_brake(scene, stop, config.braking, rollouts, survey)[1])
 
     others, period = survey.others, frames * scene.dt
-    watch = watch.next(config, scene, around, others.behind, others.held, period, separations)
+    watch = watch.next(scene, survey.seen, around, others.behind, others.held, period, separations)
     return Instant(scene, config, replace(memory, frame=scene.frame, survey=survey, watch=watch), rollouts, survey)
 
 

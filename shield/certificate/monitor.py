@@ -13,8 +13,7 @@ import numpy as np
 from dynamics.scenes.scene import Scene
 from dynamics.state import BoolArray, FloatArray, Vehicle
 from dynamics.traffic.occupancy import Surroundings
-from dynamics.traffic.permits import Rule, footprint, permits
-from shield.config import ShieldConfig
+from dynamics.traffic.permits import Ego, Rule, permits
 
 __all__ = ["Stillness", "Watch"]
 
@@ -71,8 +70,8 @@ class Watch:
 
     def next(
         self,
-        config: ShieldConfig,
         scene: Scene,
+        ego: Ego,
         around: Surroundings,
         behind: BoolArray,
         held: BoolArray,
@@ -83,8 +82,8 @@ class Watch:
 
         Parameters
         ----------
-        config : the buffer.
-        scene, around : the scene, and its surroundings, which know those of the scene before.
+        scene, ego : the scene, and the ego with its buffer in it.
+        around : its surroundings, which know those of the scene before.
         behind, held : who is behind the ego with its buffer, and who is in a lane that it owns, (m,) bool.
         period : time since the scene before [s].
         fail_safe : asked where somebody has taken more room than before.
@@ -94,20 +93,21 @@ class Watch:
         if before is None:
             nobody = np.zeros(len(scene.others), dtype=bool)
             return Watch(around, behind & held, crashed, nobody, nobody, self.count, self.by_rule)
-        seen = footprint(scene.ego, config.buffer.longitudinal, config.buffer.lateral, crashed and not self.crashed)
-        broken, grown = permits(before, around, period, self.owing, seen)
+        broken, grown = permits(before, around, period, self.owing, ego._replace(crashed=crashed and not self.crashed))
         # Who comes beside the ego in its own lane has not stayed behind.
         grown |= np.where(self.owing & held & ~behind, int(Rule.DISTANCE), 0)
         if grown.any():
             # Who takes more room than before has to leave it to the ego's fail-safe.
             broken |= np.where(fail_safe() < 0, grown, 0)
-        breaking = broken != 0
+        breaking, owing = broken != 0, behind & held
+        if not breaking.any():
+            return Watch(around, owing, crashed, breaking, self.offenders, self.count, self.by_rule)
         count, by_rule = self.count, dict(self.by_rule)
         for i in np.flatnonzero(breaking & ~self.breaking):
             count += 1
             for rule in Rule(int(broken[i])):
                 by_rule[rule] = by_rule.get(rule, 0) + 1
-        return Watch(around, behind & held, crashed, breaking, self.offenders | breaking, count, by_rule)
+        return Watch(around, owing, crashed, breaking, self.offenders | breaking, count, by_rule)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,12 +21,14 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from dynamics.scenes.scene import Scene
 from dynamics.state import BoolArray, FloatArray, RoadState, Vehicle
+from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.traffic.permits import footprint
 from shield.certificate.clauses.duties import Sight, in_reach, others_of
@@ -145,30 +147,29 @@ class Surveyor:
             bare = road.bends.growth(length, width)
         self.growth, self.bare = growth, bare
         self._size = Footprint(0.5 * length + b.longitudinal, 0.5 * width + b.lateral, length, width, *growth, *bare)
-        frames, m = _frames(a.reaction_time, scene.dt), len(scene.others)
+        m = len(scene.others)
         perception, blind = float(config.perception_range), bool(a.blind_merge)
         self._ground = Ground(road.centers, float(road.width), a.lean, perception, road.bends is not None, blind)
-        self._duty = Duty(
-            a.visible_distance, frames, a.acceleration, a.follower_braking, a.max_speed, a.power, 0, scene.dt
-        )
+        self._duty, sight = _duty(a, scene.dt), _sight(a, scene.dt, float(road.width))
+        self.seen = footprint(scene.ego, b.longitudinal, b.lateral)
         self._visible = np.zeros(road.centers.size, dtype=np.intp) if visible is None else np.asarray(visible, np.intp)
-        seen = self._visible
+        in_sight = self._visible
         if visible is None:
             offset = np.abs(road.centers - scene.ego_road[RoadState.R])
-            seen = np.where(offset <= a.visible_distance, np.iinfo(np.intp).max, 0)
+            in_sight = np.where(offset <= a.visible_distance, np.iinfo(np.intp).max, 0)
         self.others = others_of(
             around.others,
             around.states,
             around.bodies,
             scene.ego_road,
             self._size,
-            footprint(scene.ego, b.longitudinal, b.lateral),
+            self.seen,
             self.owned,
             np.zeros(m, dtype=bool) if followers is None else followers,
             np.zeros((0, 0), dtype=bool) if coming is None else coming,
-            seen,
+            in_sight,
             -1 if stored is None else stored,
-            Sight(a.visible_distance, _GAINS, frames, _frames(a.settle_time, scene.dt), blind, float(road.width)),
+            sight,
             road.centers,
         )
         rows = around.others, around.states, around.stretches, around.bodies, around.motion
@@ -236,6 +237,18 @@ class Surveyor:
         gaps = self.scene.road.gaps
         if gaps is not None:
             margin[gaps.met(paths) & ~np.isnan(margin)] = -np.inf
+
+
+@lru_cache(maxsize=16)
+def _duty(a: Assumptions, dt: float) -> Duty:
+    frames = _frames(a.reaction_time, dt)
+    return Duty(a.visible_distance, frames, a.acceleration, a.follower_braking, a.max_speed, a.power, 0, dt)
+
+
+@lru_cache(maxsize=16)
+def _sight(a: Assumptions, dt: float, width: float) -> Sight:
+    frames = _frames(a.reaction_time, dt), _frames(a.settle_time, dt)
+    return Sight(a.visible_distance, _GAINS, *frames, bool(a.blind_merge), width)
 
 
 def _frames(time: float, dt: float) -> int:

@@ -245,6 +245,10 @@ class Alongside:
                 found,
             )
         self.rows = found[:count, 0].astype(np.intp)
+        self._sweep: FloatArray | None = None
+        self._bounds = np.empty((2, count, 0))
+        if not count:
+            return
         states = around.states[self.rows]
         self._slips = Slips(
             states[:, RoadState.S].copy(),
@@ -255,8 +259,6 @@ class Alongside:
             a.acceleration,
             a.braking,
         )
-        self._sweep: FloatArray | None = None
-        self._bounds = np.empty((2, count, 0))
 
     def __len__(self) -> int:
         return len(self.rows)

@@ -15,7 +15,8 @@ from dynamics.state import FloatArray, RoadState, State, Vehicle
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.rollouts import Rollouts
-from shield.certificate.clauses.duties import TOUCH, lanes_held
+from shield.certificate.clauses.duties import lanes_held
+from shield.certificate.clauses.others import TOUCH
 from shield.certificate.manoeuvres import Candidates, brake_candidates
 from shield.certificate.monitor import Stillness, Watch
 from shield.certificate.verify import Binding, Clearance, Surveyor

@@ -31,11 +31,11 @@ from dynamics.state import BoolArray, FloatArray, RoadState, Vehicle
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.traffic.permits import footprint
+from shield.certificate.alongside import Alongside
 from shield.certificate.clauses.duties import Sight, in_reach, others_of
 from shield.certificate.clauses.footprint import Footprint
 from shield.certificate.clauses.room import margins
 from shield.certificate.clauses.separation import Duty
-from shield.certificate.clauses.slip_in import Alongside
 from shield.certificate.clauses.together import Around, Ground, judged
 from shield.certificate.manoeuvres import Candidates
 from shield.config import ShieldConfig

@@ -18,8 +18,8 @@ from dynamics.scenes.scene import EgoControl, Scene, Target
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.vehicle.rollouts import BRAKE, Rollouts
 from shield import ShieldConfig
+from shield.certificate.alongside import Alongside
 from shield.certificate.clauses.footprint import Footprint
-from shield.certificate.clauses.slip_in import Alongside
 
 DT, LANES = 0.05, 2
 CONFIG = ShieldConfig()

@@ -9,9 +9,11 @@ from highway_env.vehicle.kinematics import Vehicle as Simulated
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shield.certificate.clauses.duties import Others, lanes_held, newcomers, sides_taken, still_coming
+from shield.certificate.clauses.duties import lanes_held
 from shield.certificate.clauses.edge import lanes_touched, verdicts
+from shield.certificate.clauses.entering import newcomers, sides_taken, still_coming
 from shield.certificate.clauses.footprint import Footprint
+from shield.certificate.clauses.others import Others
 from shield.certificate.clauses.room import margins
 from shield.certificate.clauses.separation import Duty, coming_frame, least_separations
 

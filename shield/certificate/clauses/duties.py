@@ -1,4 +1,4 @@
-"""Who owes the ego its distance, and who may come into its lane: of whom a plan has to stay clear."""
+"""Who owes the ego its distance, and which lanes are its own: of whom a plan has to stay clear."""
 
 from __future__ import annotations
 
@@ -12,54 +12,31 @@ from dynamics.state import Vehicle
 from dynamics.traffic.mobil import gains
 from dynamics.traffic.occupancy_kernels import Bodies
 from dynamics.traffic.permits import Ego, gap_between
-from dynamics.vehicle.controllers import KP_HEADING, KP_LATERAL
+from shield.certificate.clauses.entering import newcomers, still_coming
 from shield.certificate.clauses.footprint import Footprint, reach_across, reach_along
+from shield.certificate.clauses.others import TOUCH, Others
 
-__all__ = [
-    "TOUCH",
-    "Others",
-    "Sight",
-    "in_reach",
-    "lanes_held",
-    "newcomers",
-    "others_of",
-    "sides_taken",
-    "still_coming",
-    "threats",
-]
+__all__ = ["Sight", "in_reach", "lanes_held", "others_of", "threats"]
 
 _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
-TOUCH = 1.0
-"""How near to a lane's centre a body comes before it is in the way there [m]: half the width of a car."""
-_TURNING = 0.25
-"""Speed across the road, beyond that of one that settles in its lane, from which a vehicle counts as changing [m/s]."""
 _CORNER = 0.5
 """How far a corner of a vehicle behind may come beside a corner of the ego's buffer [m]."""
 
 
-class Others(NamedTuple):
-    """The vehicles around the ego, as a judgement of paths sees them, each (v,).
+class Sight(NamedTuple):
+    """What decides about who sees whom.
 
-    `ahead` [m]: centre ahead of the ego's; `least` [m]: the same of the least place that the centre ever comes to;
-    `size` [m]: how near it counts as touching; `behind`: whether its body is behind the ego with its buffer; `low`,
-    `high` [m]: edges of the lanes that it touches; `lane`: the nearest; `r` [m], `across` [m/s]: where it is across the
-    road, and its speed there; `held`: whether it is in a lane that the ego owns, or has been behind the ego in one and
-    its strip is not left yet; `beside`, `comes` (lanes, v): which lanes its strip is beside, and which of these it may
-    enter.
+    `distance`: from a lane's centre within which a vehicle is seen there [m]; `slack` [m/s^2]: on what one gains that
+    enters a lane; `reaction`, `settled`: frames for which the ego has been in sight after which nobody begins to enter,
+    and nobody enters any more; `blind`: whether anybody enters a lane that the ego is about to; `width`: of a lane [m].
     """
 
-    ahead: Any
-    least: Any
-    size: Any
-    behind: Any
-    low: Any
-    high: Any
-    lane: Any
-    r: Any
-    across: Any
-    held: Any
-    beside: Any
-    comes: Any
+    distance: float
+    slack: float
+    reaction: int
+    settled: int
+    blind: bool
+    width: float
 
 
 @compiled
@@ -147,79 +124,37 @@ def threats(
 
 
 @compiled
-def newcomers(others: Others, gains: Any, centers: Any, width: float) -> tuple[Any, Any, Any]:
-    """Which lanes each vehicle's strip is beside; which of them it may enter, for it gains by it or is on its way; and
-    which it is on its way to; each (lanes, v) bool.
-
-    On its way is one that is faster across than one that settles in the middle of its own lane, the lag of its heading
-    included.
+def lanes_held(
+    r: float, centers: Any, frames: int, sight: float, touch: float, stored: int, visible: Any, owned: Any
+) -> tuple[Any, Any]:
+    """The visibility clock and the lanes owned, one scene later.
 
     Parameters
     ----------
-    others : the vehicles, (v,). gains : see `dynamics.traffic.mobil.gains`, (v, 2) bool.
-    centers, width : of the lanes [m].
-    """
-    n, v = centers.shape[0], others.lane.shape[0]
-    beside = np.zeros((n, v), np.bool_)
-    may, turning = np.zeros((n, v), np.bool_), np.zeros((n, v), np.bool_)
-    for k in range(n):
-        for j in range(v):
-            # Beside the lane: the next strip begins where this one ends.
-            apart = max(others.low[j] - centers[k], centers[k] - others.high[j])
-            if not 0 < apart < width or not abs(centers[others.lane[j]] - centers[k]) < 1.5 * width:
-                continue
-            beside[k, j] = True
-            above = centers[k] > others.high[j]
-            sign = 1.0 if above else -1.0
-            toward, left = sign * others.across[j], sign * (centers[others.lane[j]] - others.r[j])
-            turning[k, j] = toward > KP_LATERAL * (left + toward / KP_HEADING) + _TURNING
-            may[k, j] = turning[k, j] or gains[j, 1 if above else 0]
-    return beside, may, turning
-
-
-@compiled
-def still_coming(
-    beside: Any, may: Any, turning: Any, before: Any, visible: Any, stored: int, sight: int, settled: int
-) -> Any:
-    """Who may enter which lane although the ego has a plan to stop there, or is in sight there, (lanes, v) bool.
-
-    Whoever may enter when that begins may do so until `sight` frames after the ego has come into sight; those who were
-    on their way by then, until it has been seen for `settled` frames. Nobody joins them.
-
-    Parameters
-    ----------
-    beside, may, turning : see `newcomers`. before : the answer of the scene before, (lanes, v).
-    visible : frames for which the ego has been visible in each lane, (lanes,).
+    r : lateral position of the ego [m]. centers : of the lanes [m].
+    frames : since the scene before. sight, touch : how near to a lane's centre the ego is visible in it, and touches
+        it [m].
     stored : the lane in which the stored fail-safe stops, or -1.
+    visible, owned : of the scene before, (lanes,); `owned` is empty in the first.
+
+    Returns
+    -------
+    Frames for which the ego has been visible in each lane, (lanes,); and whether it owns it, (lanes,) bool. A lane is
+    owned from when the ego touches it with a verified plan to stop there, until it has left it.
     """
-    out = np.zeros(may.shape, np.bool_)
-    for k in range(may.shape[0]):
-        for j in range(may.shape[1]):
-            if visible[k] >= settled:
-                out[k, j] = False
-            elif visible[k] > sight:
-                out[k, j] = before[k, j] and turning[k, j]
-            elif visible[k] > 0 or k == stored:
-                out[k, j] = before[k, j] and beside[k, j]
-            else:
-                out[k, j] = may[k, j]
-    return out
-
-
-class Sight(NamedTuple):
-    """What decides about who sees whom.
-
-    `distance`: from a lane's centre within which a vehicle is seen there [m]; `slack` [m/s^2]: on what one gains that
-    enters a lane; `reaction`, `settled`: frames for which the ego has been in sight after which nobody begins to enter,
-    and nobody enters any more; `blind`: whether anybody enters a lane that the ego is about to; `width`: of a lane [m].
-    """
-
-    distance: float
-    slack: float
-    reaction: int
-    settled: int
-    blind: bool
-    width: float
+    n = centers.shape[0]
+    seen, own = np.zeros(n, np.intp), np.zeros(n, np.bool_)
+    here = 0
+    for j in range(n):
+        if abs(r - centers[j]) < abs(r - centers[here]):
+            here = j
+    for j in range(n):
+        offset = abs(r - centers[j])
+        if offset <= sight:
+            seen[j] = visible[j] + frames
+        had = owned[j] if owned.shape[0] > 0 else j == here
+        own[j] = (had or j == stored) and offset < touch
+    return seen, own
 
 
 @compiled
@@ -279,85 +214,3 @@ def others_of(
     last = before if before.shape == may.shape else may
     comes = still_coming(beside, may, turning, last, visible, stored, sight.reaction, sight.settled)
     return Others(ahead, least, near, behind, bodies.low, bodies.high, bodies.lane, r, across, held, beside, comes)
-
-
-@compiled
-def sides_taken(
-    paths: Any,
-    lanes: Any,
-    fails: Any,
-    rows: Any,
-    others: Others,
-    centers: Any,
-    settings: Any,
-    low: Any,
-    high: Any,
-    home: Any,
-) -> None:
-    """Where each vehicle can be across the road, for each path: `low`, `high` (n, m) [m], and its lane `home` (n, m).
-
-    Parameters
-    ----------
-    paths, lanes, fails : (n, K, 4), and the lane that each commits to, and stops in, (n,).
-    rows : the vehicles, (m,). others : all of them, (v,).
-    centers : of the lanes [m].
-    settings : the ego's lateral position now, the distance within which it is seen, the width of a lane, and how far a
-        body may lean over a marking, (4,) [m].
-    """
-    r, sight, width, lean = settings[0], settings[1], settings[2], settings[3]
-    for i in range(paths.shape[0]):
-        least, most = np.inf, -np.inf
-        for k in range(paths.shape[1]):
-            least, most = min(least, paths[i, k, 1]), max(most, paths[i, k, 1])
-        for j in range(rows.shape[0]):
-            row = rows[j]
-            low[i, j], high[i, j], home[i, j] = others.low[row], others.high[row], others.lane[row]
-        for step in range(2 if fails[i] != lanes[i] else 1):
-            entered = lanes[i] if step == 0 else fails[i]
-            goal = centers[entered]
-            # Once the ego is out of sight there, anybody may come.
-            leaves = abs(r - goal) <= sight < max(abs(least - goal), abs(most - goal))
-            for j in range(rows.shape[0]):
-                row = rows[j]
-                if max(others.low[row] - goal, goal - others.high[row]) <= 0:
-                    home[i, j] = entered  # it is there already, and sees the ego there
-                enters = others.comes[entered, row] or (leaves and others.beside[entered, row])
-                if not enters or not math.isfinite(low[i, j] + high[i, j]):
-                    continue
-                low[i, j] = min(low[i, j], goal - 0.5 * width - lean)
-                high[i, j] = max(high[i, j], goal + 0.5 * width + lean)
-                home[i, j] = entered
-
-
-@compiled
-def lanes_held(
-    r: float, centers: Any, frames: int, sight: float, touch: float, stored: int, visible: Any, owned: Any
-) -> tuple[Any, Any]:
-    """The visibility clock and the lanes owned, one scene later.
-
-    Parameters
-    ----------
-    r : lateral position of the ego [m]. centers : of the lanes [m].
-    frames : since the scene before. sight, touch : how near to a lane's centre the ego is visible in it, and touches
-        it [m].
-    stored : the lane in which the stored fail-safe stops, or -1.
-    visible, owned : of the scene before, (lanes,); `owned` is empty in the first.
-
-    Returns
-    -------
-    Frames for which the ego has been visible in each lane, (lanes,); and whether it owns it, (lanes,) bool. A lane is
-    owned from when the ego touches it with a verified plan to stop there, until it has left it.
-    """
-    n = centers.shape[0]
-    seen, own = np.zeros(n, np.intp), np.zeros(n, np.bool_)
-    here = 0
-    for j in range(n):
-        if abs(r - centers[j]) < abs(r - centers[here]):
-            here = j
-    for j in range(n):
-        offset = abs(r - centers[j])
-        if offset <= sight:
-            seen[j] = visible[j] + frames
-        had = owned[j] if owned.shape[0] > 0 else j == here
-        own[j] = (had or j == stored) and offset < touch
-    return seen, own

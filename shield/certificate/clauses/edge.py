@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.compiled import compiled
-from shield.certificate.clauses.duties import TOUCH
+from shield.certificate.clauses.others import TOUCH
 
 __all__ = ["lanes_touched", "verdicts"]
 

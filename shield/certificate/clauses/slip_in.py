@@ -22,15 +22,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dynamics.compiled import compiled
-from dynamics.scenes.scene import Scene
-from dynamics.state import FloatArray, RoadState, Vehicle
 from dynamics.traffic.mobil import COMFORT, GAP, IMPOSED, TIME, TWICE_ROOT
-from dynamics.traffic.occupancy import Surroundings
-from dynamics.vehicle.rollouts import NO_LIMIT, Rollouts
 from shield.certificate.clauses.footprint import Footprint
-from shield.config import ShieldConfig
 
-__all__ = ["Alongside"]
+__all__ = ["Slips", "anybody", "least_separations_of_slips", "may_slip"]
 
 _SLACK, _HARDLY = 3.0, 0.5
 """What d* may differ by when the lane change starts [m]; and where it is the ego's own, whose plan is known."""
@@ -44,8 +39,6 @@ _NEAR = 60.0
 """Vehicles further away along the road are not looked at [m]."""
 _CENTRED = 0.2
 """An ego nearer than this to its lane's centre keeps its lane: the one that moves in owes it the room [m]."""
-_LASTS = 1.0
-"""Within this time such a vehicle has reached the other lane [s]."""
 
 
 class Slips(NamedTuple):
@@ -69,7 +62,7 @@ def _desired(v: float, closing: float) -> float:
 
 
 @compiled
-def _may_slip(
+def may_slip(
     others: Any,
     states: Any,
     moving: Any,
@@ -146,8 +139,8 @@ def _offset(r: float, centers: Any) -> float:
 
 
 @compiled
-def _anybody(paths: Any, slips: Slips, centers: Any, sight: float, dt: float) -> bool:
-    """Whether anybody may slip in on any path where that counts, see `_separations`; or a path is not finite."""
+def anybody(paths: Any, slips: Slips, centers: Any, sight: float, dt: float) -> bool:
+    """Whether anybody may slip in on any path where that counts (`least_separations_of_slips`); or one is not finite."""
     for i in range(paths.shape[0]):
         for j in range(slips.goals.shape[0]):
             began = False
@@ -163,7 +156,7 @@ def _anybody(paths: Any, slips: Slips, centers: Any, sight: float, dt: float) ->
 
 
 @compiled
-def _separations(
+def least_separations_of_slips(
     paths: Any,
     size: Footprint,
     slips: Slips,
@@ -216,103 +209,3 @@ def _separations(
                     along = s - half_s - nose
                 least = min(least, max(along, across))
             out[i, j] = least
-
-
-class Alongside:
-    """Who may slip in alongside the ego in one scene, and how near that would come.
-
-    Parameters
-    ----------
-    scene, config, around : the scene, the shield's settings, and the scene's surroundings.
-    """
-
-    def __init__(self, scene: Scene, config: ShieldConfig, around: Surroundings) -> None:
-        self._scene, self._config, self._around = scene, config, around
-        found = np.empty((2 * len(scene.others), 4))
-        a, road = config.assumptions, scene.road
-        count = 0
-        if a.slip_in and len(scene.others):
-            count = _may_slip(
-                around.others,
-                around.states,
-                around.bodies.first != around.bodies.last,
-                scene.ego_road,
-                float(scene.ego[Vehicle.LENGTH]),
-                road.centers,
-                around.lane,
-                a.visible_distance,
-                a.braking,
-                found,
-            )
-        self.rows = found[:count, 0].astype(np.intp)
-        self._sweep: FloatArray | None = None
-        self._bounds = np.empty((2, count, 0))
-        if not count:
-            return
-        states = around.states[self.rows]
-        self._slips = Slips(
-            states[:, RoadState.S].copy(),
-            states[:, RoadState.SPEED].copy(),
-            road.centers[found[:count, 1].astype(np.intp)],
-            np.ascontiguousarray(found[:count, 2:].T),
-            around.reach[self.rows],
-            a.acceleration,
-            a.braking,
-        )
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def separations(self, paths: FloatArray, size: Footprint) -> FloatArray:
-        """Least separation of each path from each of them, (n, len(self)) [m]; +inf where they stay apart.
-
-        Parameters
-        ----------
-        paths : road states of the ego after frames 1..K, (n, K, 4).
-        size : the ego's footprint.
-        """
-        rows, dt, frames = self.rows, self._scene.dt, paths.shape[1]
-        out = np.full((len(paths), len(rows)), np.inf)
-        centers, sight = self._scene.road.centers, self._config.assumptions.visible_distance
-        if not _anybody(paths, self._slips, centers, sight, dt):
-            return out
-        if frames > self._bounds.shape[2]:
-            longer = frames + frames // 4
-            front = self._around.front(longer, dt, rows=rows)
-            self._bounds = np.stack([self._around.rear(longer, dt, rows=rows), front])
-        if self._sweep is None:
-            self._sweep = self._swept()
-        _separations(
-            paths,
-            size,
-            self._slips,
-            self._bounds[0],
-            self._bounds[1],
-            self._sweep,
-            centers,
-            sight,
-            dt,
-            out,
-        )
-        return out
-
-    def _swept(self) -> FloatArray:
-        """Where each body is across the road after 1..T frames of its lane change, (m, T, 2) [m]."""
-        dt, road = self._scene.dt, self._scene.road
-        states, frames = self._around.states[self.rows], int(np.ceil(_LASTS / self._scene.dt))
-        commands = np.empty((len(states), frames, 3))
-        commands[..., 0], commands[..., 1] = self._slips.goals[:, None], states[:, RoadState.SPEED, None]
-        commands[..., 2] = NO_LIMIT
-        path = Rollouts(dt, road).run(states, commands)
-        length, width = self._around.others[self.rows][:, [Vehicle.LENGTH, Vehicle.WIDTH]].T[..., None]
-        sin, cos = np.abs(np.sin(path[..., RoadState.HEADING])), np.abs(np.cos(path[..., RoadState.HEADING]))
-        half = 0.5 * (length * sin + width * cos)
-        low, high = path[..., RoadState.R] - half, path[..., RoadState.R] + half
-        own = self._around.hull[:, self.rows]
-        return np.stack(
-            [
-                np.minimum.accumulate(np.minimum(low, own[0][:, None]), axis=1),
-                np.maximum.accumulate(np.maximum(high, own[1][:, None]), axis=1),
-            ],
-            axis=-1,
-        )

@@ -8,8 +8,10 @@ import numpy as np
 
 from dynamics.compiled import compiled
 from dynamics.traffic.occupancy_kernels import Bodies, Motion, rears
-from shield.certificate.clauses.duties import Others, sides_taken, threats
+from shield.certificate.clauses.duties import threats
+from shield.certificate.clauses.entering import sides_taken
 from shield.certificate.clauses.footprint import Footprint
+from shield.certificate.clauses.others import Others
 from shield.certificate.clauses.room import rooms
 from shield.certificate.clauses.separation import Duty, least_separations
 

@@ -1,0 +1,125 @@
+"""Who may come into a lane that the ego is about to enter, or has entered."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from dynamics.compiled import compiled
+from dynamics.vehicle.controllers import KP_HEADING, KP_LATERAL
+from shield.certificate.clauses.others import Others
+
+__all__ = ["newcomers", "sides_taken", "still_coming"]
+
+_TURNING = 0.25
+"""Speed across the road, beyond that of one that settles in its lane, from which a vehicle counts as changing [m/s]."""
+
+
+@compiled
+def newcomers(others: Others, gains: Any, centers: Any, width: float) -> tuple[Any, Any, Any]:
+    """Which lanes each vehicle's strip is beside; which of them it may enter, for it gains by it or is on its way; and
+    which it is on its way to; each (lanes, v) bool.
+
+    On its way is one that is faster across than one that settles in the middle of its own lane, the lag of its heading
+    included.
+
+    Parameters
+    ----------
+    others : the vehicles, (v,). gains : see `dynamics.traffic.mobil.gains`, (v, 2) bool.
+    centers, width : of the lanes [m].
+    """
+    n, v = centers.shape[0], others.lane.shape[0]
+    beside = np.zeros((n, v), np.bool_)
+    may, turning = np.zeros((n, v), np.bool_), np.zeros((n, v), np.bool_)
+    for k in range(n):
+        for j in range(v):
+            # Beside the lane: the next strip begins where this one ends.
+            apart = max(others.low[j] - centers[k], centers[k] - others.high[j])
+            if not 0 < apart < width or not abs(centers[others.lane[j]] - centers[k]) < 1.5 * width:
+                continue
+            beside[k, j] = True
+            above = centers[k] > others.high[j]
+            sign = 1.0 if above else -1.0
+            toward, left = sign * others.across[j], sign * (centers[others.lane[j]] - others.r[j])
+            turning[k, j] = toward > KP_LATERAL * (left + toward / KP_HEADING) + _TURNING
+            may[k, j] = turning[k, j] or gains[j, 1 if above else 0]
+    return beside, may, turning
+
+
+@compiled
+def still_coming(
+    beside: Any, may: Any, turning: Any, before: Any, visible: Any, stored: int, sight: int, settled: int
+) -> Any:
+    """Who may enter which lane although the ego has a plan to stop there, or is in sight there, (lanes, v) bool.
+
+    Whoever may enter when that begins may do so until `sight` frames after the ego has come into sight; those who were
+    on their way by then, until it has been seen for `settled` frames. Nobody joins them.
+
+    Parameters
+    ----------
+    beside, may, turning : see `newcomers`. before : the answer of the scene before, (lanes, v).
+    visible : frames for which the ego has been visible in each lane, (lanes,).
+    stored : the lane in which the stored fail-safe stops, or -1.
+    """
+    out = np.zeros(may.shape, np.bool_)
+    for k in range(may.shape[0]):
+        for j in range(may.shape[1]):
+            if visible[k] >= settled:
+                out[k, j] = False
+            elif visible[k] > sight:
+                out[k, j] = before[k, j] and turning[k, j]
+            elif visible[k] > 0 or k == stored:
+                out[k, j] = before[k, j] and beside[k, j]
+            else:
+                out[k, j] = may[k, j]
+    return out
+
+
+@compiled
+def sides_taken(
+    paths: Any,
+    lanes: Any,
+    fails: Any,
+    rows: Any,
+    others: Others,
+    centers: Any,
+    settings: Any,
+    low: Any,
+    high: Any,
+    home: Any,
+) -> None:
+    """Where each vehicle can be across the road, for each path: `low`, `high` (n, m) [m], and its lane `home` (n, m).
+
+    Parameters
+    ----------
+    paths, lanes, fails : (n, K, 4), and the lane that each commits to, and stops in, (n,).
+    rows : the vehicles, (m,). others : all of them, (v,).
+    centers : of the lanes [m].
+    settings : the ego's lateral position now, the distance within which it is seen, the width of a lane, and how far a
+        body may lean over a marking, (4,) [m].
+    """
+    r, sight, width, lean = settings[0], settings[1], settings[2], settings[3]
+    for i in range(paths.shape[0]):
+        least, most = np.inf, -np.inf
+        for k in range(paths.shape[1]):
+            least, most = min(least, paths[i, k, 1]), max(most, paths[i, k, 1])
+        for j in range(rows.shape[0]):
+            row = rows[j]
+            low[i, j], high[i, j], home[i, j] = others.low[row], others.high[row], others.lane[row]
+        for step in range(2 if fails[i] != lanes[i] else 1):
+            entered = lanes[i] if step == 0 else fails[i]
+            goal = centers[entered]
+            # Once the ego is out of sight there, anybody may come.
+            leaves = abs(r - goal) <= sight < max(abs(least - goal), abs(most - goal))
+            for j in range(rows.shape[0]):
+                row = rows[j]
+                if max(others.low[row] - goal, goal - others.high[row]) <= 0:
+                    home[i, j] = entered  # it is there already, and sees the ego there
+                enters = others.comes[entered, row] or (leaves and others.beside[entered, row])
+                if not enters or not math.isfinite(low[i, j] + high[i, j]):
+                    continue
+                low[i, j] = min(low[i, j], goal - 0.5 * width - lean)
+                high[i, j] = max(high[i, j], goal + 0.5 * width + lean)
+                home[i, j] = entered

@@ -1,0 +1,35 @@
+"""The vehicles around the ego, as a judgement of paths sees them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+__all__ = ["TOUCH", "Others"]
+
+TOUCH = 1.0
+"""How near to a lane's centre a body comes before it is in the way there [m]: half the width of a car."""
+
+
+class Others(NamedTuple):
+    """The vehicles around the ego, as a judgement of paths sees them, each (v,).
+
+    `ahead` [m]: centre ahead of the ego's; `least` [m]: the same of the least place that the centre ever comes to;
+    `size` [m]: how near it counts as touching; `behind`: whether its body is behind the ego with its buffer; `low`,
+    `high` [m]: edges of the lanes that it touches; `lane`: the nearest; `r` [m], `across` [m/s]: where it is across the
+    road, and its speed there; `held`: whether it is in a lane that the ego owns, or has been behind the ego in one and
+    its strip is not left yet; `beside`, `comes` (lanes, v): which lanes its strip is beside, and which of these it may
+    enter.
+    """
+
+    ahead: Any
+    least: Any
+    size: Any
+    behind: Any
+    low: Any
+    high: Any
+    lane: Any
+    r: Any
+    across: Any
+    held: Any
+    beside: Any
+    comes: Any

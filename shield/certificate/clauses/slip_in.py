@@ -140,7 +140,7 @@ def _offset(r: float, centers: Any) -> float:
 
 @compiled
 def anybody(paths: Any, slips: Slips, centers: Any, sight: float, dt: float) -> bool:
-    """Whether anybody may slip in on any path where that counts (`least_separations_of_slips`); or one is not finite."""
+    """Whether anybody may slip in where that counts (`least_separations_of_slips`); or a path is not finite."""
     for i in range(paths.shape[0]):
         for j in range(slips.goals.shape[0]):
             began = False

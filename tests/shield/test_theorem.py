@@ -45,6 +45,7 @@ ONCE_FOUND = {
     ("tailgater", "meta", 15): (2, 9),
     ("tailgater", "continuous", 5): (7, 15),
     ("tailgater", "continuous", 15): (35,),
+    ("tailgater", "continuous", 30): (20_026,),
     ("random_inputs", "meta", 5): (2, 3),
     ("random_inputs", "meta", 15): (1, 5),
     ("random_inputs", "continuous", 5): (1, 3),
@@ -94,7 +95,7 @@ def clean_breaches(runs: list[Run]) -> list[str]:
     return [run.describe(out) for run, out in found if out.clean_breach]
 
 
-@pytest.mark.parametrize(("name", "action", "hz"), QUICK)
+@pytest.mark.parametrize(("name", "action", "hz"), [*QUICK, *(c for c in ONCE_FOUND if c not in QUICK)])
 def test_no_attack_breaches_unflagged(name, action, hz):
     seeds = sorted({*range(RUNS), *ONCE_FOUND.get((name, action, hz), ())})
     found = clean_breaches([Run.sample(name, action, hz, seed) for seed in seeds])

@@ -1,4 +1,4 @@
-"""The command `shield`: train, evaluate, demo, config, dynamics."""
+"""The command `shield`: train, evaluate, demo, picture, figures, config, dynamics."""
 
 from __future__ import annotations
 
@@ -193,6 +193,17 @@ def picture(
     from evaluation.report.video import still_of_override
 
     _out.print(f"wrote {still_of_override(output)}")
+
+
+@app.command()
+def figures(
+    output: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("docs", "images"),
+) -> None:
+    """Draw the figures of how the shield decides."""
+    from evaluation.report.figures import write_figures
+
+    for path in write_figures(output):
+        _out.print(f"wrote {path}")
 
 
 @app.command("config")

@@ -16,7 +16,7 @@ RUN = CliRunner()
 def test_help_names_every_command():
     result = RUN.invoke(app, ["--help"])
     assert result.exit_code == 0
-    for command in ("train", "evaluate", "demo", "picture", "config"):
+    for command in ("train", "evaluate", "demo", "picture", "figures", "config"):
         assert command in result.output
 
 

@@ -1,0 +1,299 @@
+"""Five small scenes, and what the shield makes of them: what the figures of the decision are drawn from.
+
+Everything is computed by the certificate and the procedures themselves; `evaluation.report.figures` draws it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from dynamics.roads.straight import StraightRoad
+from dynamics.scenes.scene import EgoControl, Scene, Target
+from dynamics.state import FloatArray, RoadState, Vehicle
+from dynamics.traffic.occupancy import Occupancy, Surroundings
+from shield.certificate.manoeuvres import brake_candidates
+from shield.certificate.memory import Instant, Memory, observe
+from shield.certificate.verify import Surveyor
+from shield.config import ShieldConfig
+from shield.decision import Decision
+from shield.procedures.decide import decide
+from shield.procedures.inputs import Inputs
+from shield.repair.nearest_input import Judged
+
+__all__ = [
+    "CONFIG",
+    "LENGTH",
+    "WIDTH",
+    "Bounds",
+    "Duties",
+    "Duty",
+    "Searched",
+    "SlipIn",
+    "Tube",
+    "bounds",
+    "duties",
+    "extents",
+    "passing",
+    "searched",
+    "slip_in",
+    "tube",
+]
+
+CONFIG = ShieldConfig()
+"""The defaults."""
+LENGTH, WIDTH = 5.0, 2.0
+"""Of every vehicle [m]."""
+_DT, _FINE = 1 / 15, 1 / 60
+"""Duration of a frame, and one that draws a smooth curve [s]."""
+
+Row = tuple[float, float, float, float]
+"""x, y [m], heading [rad], speed [m/s]."""
+
+
+def _scene(ego: Row, *others: Row, lanes: int, lane: int | None = None, dt: float = _DT) -> Scene:
+    """Vehicles of 5 m x 2 m on a straight road whose lane i is centred at y = 4 i."""
+    road = StraightRoad.from_lanes(lanes)
+    rows = np.array([[*row, LENGTH, WIDTH, 0.0] for row in others], dtype=float).reshape(-1, len(Vehicle))
+    target = Target(road.lane_at(ego[1]) if lane is None else lane, ego[3])
+    return Scene(np.array([*ego, LENGTH, WIDTH, 0.0]), rows, road, EgoControl(target), dt, round(1 / dt))
+
+
+def _stop(now: Instant, lane: int, speed: float) -> tuple[FloatArray, float, FloatArray, FloatArray]:
+    """One frame on the way to a lane and a speed [m/s], then braking to a stop there: its path (K, 4), its margin [m],
+    and its least separations from each vehicle, and from each that may slip in, (m,) and (q,) [m]."""
+    candidates = brake_candidates(now.scene, [lane], [speed], [lane], 1, now.config.braking)
+    paths, result = now.judge(candidates)
+    assert result.slipping is not None
+    return paths[0], float(result.margin[0]), now.survey.of_each(result), result.slipping[0]
+
+
+def extents(states: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Half extents of the ego with its buffer along and across the road at road states (..., 4), [m]."""
+    lon, lat = 0.5 * LENGTH + CONFIG.buffer.longitudinal, 0.5 * WIDTH + CONFIG.buffer.lateral
+    sin, cos = np.abs(np.sin(states[..., RoadState.HEADING])), np.abs(np.cos(states[..., RoadState.HEADING]))
+    return lon * cos + lat * sin, lon * sin + lat * cos
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tube:
+    """A proposal for one frame and its fail-safe, behind a slower vehicle.
+
+    Attributes
+    ----------
+    scene : the ego, and its leader.
+    path : road states of the ego after frames 1..K, (K, 4).
+    occupancy : of the leader over the same frames.
+    front : foremost s of the ego with its buffer, (K,) [m].
+    margin : of the plan [m].
+    """
+
+    scene: Scene
+    path: FloatArray
+    occupancy: Occupancy
+    front: FloatArray
+    margin: float
+
+    @property
+    def gaps(self) -> FloatArray:
+        """From the ego's buffer to the leader's least place, (K,) [m]."""
+        return self.occupancy.rear[0] - self.front
+
+
+def tube() -> Tube:
+    """FASTER behind a slower vehicle, in the middle of a lane change."""
+    scene = _scene((0.0, 5.3, -0.06, 25.0), (18.0, 4.0, 0.0, 20.0), lanes=3, lane=1)
+    now = observe(Memory(), scene, CONFIG)
+    path, margin, *_ = _stop(now, 1, 30.0)
+    occupancy = now.survey.around.occupancy(len(path), scene.dt)
+    return Tube(scene, path, occupancy, path[:, RoadState.S] + extents(path)[0], margin)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bounds:
+    """Where vehicles can be, along the road and across.
+
+    Attributes
+    ----------
+    speeds : of one on its own, and of one behind another that stands, (2,) [m/s].
+    moving, queueing : (rear, front) of their bodies after 1..K frames, each (K,) [m].
+    time : of the frames, (K,) [s].
+    stands : rear of the one that stands [m].
+    across : a road with a vehicle in the middle of its lane, one off the middle, and one across a marking.
+    around : where these can be.
+    """
+
+    speeds: tuple[float, float]
+    moving: tuple[FloatArray, FloatArray]
+    queueing: tuple[FloatArray, FloatArray]
+    time: FloatArray
+    stands: float
+    across: Scene
+    around: Surroundings
+
+
+def bounds() -> Bounds:
+    """One at 20 m/s, one at 4 m/s that comes up to a standing vehicle, and three across a road."""
+    frames = round(4.0 / _DT)
+
+    def along(*rows: Row) -> tuple[FloatArray, FloatArray]:
+        scene = _scene((-100.0, 0.0, 0.0, 20.0), *rows, lanes=1)
+        found = Surroundings(scene.others, scene.others_road, scene.road, CONFIG.assumptions, scene.dt)
+        return found.rear(frames, scene.dt)[0], found.front(frames, scene.dt)[0]
+
+    stands = (9.0, 0.0, 0.0, 0.0)
+    across = _scene(
+        (-100.0, 0.0, 0.0, 20.0), (6.0, 0.0, 0.0, 20.0), (15.0, 4.7, 0.0, 20.0), (24.0, 10.1, 0.0, 20.0), lanes=4
+    )
+    around = Surroundings(across.others, across.others_road, across.road, CONFIG.assumptions, across.dt)
+    time: FloatArray = _DT * np.arange(1, frames + 1, dtype=np.float64)
+    rear = stands[0] - 0.5 * LENGTH
+    speeds = 20.0, 4.0
+    moving, queueing = along((0.0, 0.0, 0.0, speeds[0])), along((0.0, 0.0, 0.0, speeds[1]), stands)
+    return Bounds(speeds, moving, queueing, time, rear, across, around)
+
+
+class Duty(Enum):
+    """What a vehicle owes an ego that is about to enter a lane."""
+
+    DISTANCE = "behind, in a lane that the ego owns: owes it its distance"
+    NOT_YET = "behind, in the lane that the ego enters: owes nothing yet"
+    ENTERS = "may enter that lane too"
+    NOTHING = "ahead or alongside: owes nothing"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Duties:
+    """A lane change, and what each of the others owes.
+
+    Attributes
+    ----------
+    scene : the scene. goal : the lane that the ego enters.
+    path : road states of the ego after frames 1..K, (K, 4).
+    owes : of each vehicle, (m,).
+    separations : of the plan from each, (m,) [m]; +inf from one that owes its distance.
+    margin : of the plan [m].
+    survey : the judge that all of this was asked of.
+    """
+
+    scene: Scene
+    goal: int
+    path: FloatArray
+    owes: tuple[Duty, ...]
+    separations: FloatArray
+    margin: float
+    survey: Surveyor
+
+
+def duties() -> Duties:
+    """The ego changes from lane 1 to lane 2 of four."""
+    behind, leader, alongside = (-24.0, 4.0, 0.0, 27.0), (42.0, 4.0, 0.0, 22.0), (3.0, 0.0, 0.0, 25.0)
+    entered, ahead = (-44.0, 8.0, 0.0, 24.0), (55.0, 8.0, 0.0, 20.0)
+    held_up, slow = (10.0, 12.0, 0.0, 24.0), (32.0, 12.0, 0.0, 16.0)
+    others = (behind, leader, alongside, entered, ahead, held_up, slow)
+    scene = _scene((0.0, 4.0, 0.0, 25.0), *others, lanes=4)
+    goal = 2
+    now = observe(Memory(), scene, CONFIG)
+    path, margin, separations, _ = _stop(now, goal, 25.0)
+    seen, center = now.survey.others, scene.road.centers[goal]
+    there = (seen.low < center) & (seen.high > center)
+    owes = []
+    for j in range(len(others)):
+        if seen.behind[j] and seen.held[j]:
+            owes.append(Duty.DISTANCE)
+        elif seen.behind[j] and there[j]:
+            owes.append(Duty.NOT_YET)
+        else:
+            owes.append(Duty.ENTERS if seen.comes[goal, j] else Duty.NOTHING)
+    return Duties(scene, goal, path, tuple(owes), separations, margin, now.survey)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlipIn:
+    """An ego that passes a slower vehicle which is held up by its leader.
+
+    Attributes
+    ----------
+    ahead : places of the ego's centre, seen from that of the slower vehicle, (n,) [m].
+    offsets : of the ego from the middle of its lane, (2,) [m].
+    separations : what the clause leaves at each place, (2, n) [m]; +inf where nobody may slip in.
+    at : index of the place where the two differ most. shown : the scene there, for the second offset.
+    """
+
+    ahead: FloatArray
+    offsets: tuple[float, float]
+    separations: FloatArray
+    at: int
+    shown: Scene
+
+
+def passing(ahead: float, offset: float) -> Scene:
+    """The ego in lane 0, `offset` [m] off its middle and so far `ahead` [m] of a slower vehicle in lane 1."""
+    return _scene((ahead, offset, 0.0, 30.0), (0.0, 4.0, 0.0, 18.0), (24.0, 4.0, 0.0, 17.0), lanes=2, dt=_FINE)
+
+
+def slip_in(step: float = 0.25) -> SlipIn:
+    """Places that are `step` [m] apart."""
+    ahead, offsets = np.arange(-4.0, 10.0 + step, step), (0.0, 0.7)
+    separations = np.full((2, ahead.size), np.inf)
+    for i, offset in enumerate(offsets):
+        for k, x in enumerate(ahead):
+            *_, slipping = _stop(observe(Memory(), passing(float(x), offset), CONFIG), 0, 30.0)
+            separations[i, k] = slipping.min(initial=np.inf)
+    known = np.where(np.isfinite(separations).all(axis=0), separations, 0.0)
+    at = int((known[0] - known[1]).argmax())
+    return SlipIn(ahead, offsets, separations, at, passing(float(ahead[at]), offsets[1]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Searched:
+    """A search for the nearest input that verifies.
+
+    Attributes
+    ----------
+    scene, proposal : what it starts from, the proposal (2,) [m/s^2, rad].
+    decision : what came of it.
+    linearised, strewn : inputs that were judged to linearise the certificate, and all others, (n, 2).
+    accelerations, wheels : axes of a grid [m/s^2], [rad]. margins : over them, (accelerations, wheels) [m].
+    """
+
+    scene: Scene
+    proposal: FloatArray
+    decision: Decision
+    linearised: FloatArray
+    strewn: FloatArray
+    accelerations: FloatArray
+    wheels: FloatArray
+    margins: FloatArray
+
+
+class _Noted(Inputs):
+    """Keeps what it was asked to judge."""
+
+    def __init__(self) -> None:
+        super().__init__(CONFIG, predictive=False)
+        self.linearised: list[FloatArray] = []
+        self.strewn: list[FloatArray] = []
+
+    def judge(
+        self, now: Instant, inputs: FloatArray, stops: list[int], parts: bool = False, survey: Surveyor | None = None
+    ) -> Judged:
+        """The same, noted."""
+        (self.linearised if parts else self.strewn).append(inputs)
+        return super().judge(now, inputs, stops, parts, survey)
+
+
+def searched(points: tuple[int, int] = (201, 301)) -> Searched:
+    """Throttle behind one leader and beside another vehicle; the grid has `points` accelerations and wheel angles."""
+    scene = _scene((0.0, 3.0, 0.0, 21.5), (12.0, 4.0, 0.0, 17.5), (8.0, 0.0, 0.0, 19.0), lanes=3)
+    proposal, noted, plain = np.array([4.0, 0.01]), _Noted(), Inputs(CONFIG, predictive=False)
+    decision, _ = decide(Memory(), scene, proposal, noted)
+    now, _ = plain.observe(Memory(), scene)
+    (_, gas), (left, right) = plain.actuators.acceleration, plain.actuators.steering
+    accelerations, wheels = np.linspace(-CONFIG.braking, gas, points[0]), np.linspace(left, right, points[1])
+    grid = np.stack(np.meshgrid(accelerations, wheels, indexing="ij"), axis=-1).reshape(-1, 2)
+    margins = plain.judge(now, grid, plain.stop_lanes(now)).margin.reshape(accelerations.size, wheels.size)
+    judged = np.concatenate(noted.linearised), np.concatenate(noted.strewn)
+    return Searched(scene, proposal, decision, *judged, accelerations, wheels, margins)

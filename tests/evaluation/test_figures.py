@@ -1,0 +1,83 @@
+"""The figures of the decision are drawn from what the shield computes."""
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from dynamics.state import RoadState
+from evaluation.commands.cli import app
+from evaluation.report.decision_scenes import CONFIG, Duty, bounds, duties, passing, searched, slip_in, tube
+from shield.certificate.manoeuvres import Candidates
+from shield.certificate.memory import Memory, observe
+from shield.certificate.verify import Surveyor
+from shield.procedures.inputs import Inputs
+
+
+def test_the_command_writes_five_pictures(tmp_path):
+    result = CliRunner().invoke(app, ["figures", "--output", str(tmp_path / "a")], catch_exceptions=False)
+    assert result.exit_code == 0
+    pictures = sorted((tmp_path / "a").iterdir())
+    assert [path.name for path in pictures] == ["duties.png", "occupancy.png", "search.png", "slip-in.png", "tube.png"]
+    for path in pictures:
+        assert path.stat().st_size < 60_000
+        assert 750 < Image.open(path).width < 850
+
+
+def test_the_margin_of_the_tube_is_the_clearance_of_its_path():
+    found = tube()
+    lanes = np.array([1])
+    judged = Surveyor(found.scene, CONFIG).clearance(found.path[None], Candidates(found.path[None], lanes, lanes))
+    assert found.margin == pytest.approx(float(judged.margin[0]))
+    assert found.margin == pytest.approx(float(found.gaps.min()))
+    assert found.margin > 0
+    assert found.path[-1, RoadState.SPEED] == 0
+
+
+def test_the_bounds_are_those_of_the_assumptions():
+    found, a = bounds(), CONFIG.assumptions
+    fast, _ = found.speeds
+    rear, front = found.moving
+    stopped = rear[-1] - rear[0] + fast / 15
+    assert stopped == pytest.approx(fast**2 / (2 * a.braking) - a.turning_loss, abs=1.5)
+    assert np.diff(front).max() * 15 <= min(a.max_speed, fast + a.acceleration * found.time[-1])
+    assert found.queueing[0][-1] < found.queueing[0][0] - 1
+    assert found.queueing[0][-1] > found.stands - a.queue_distance - 5
+    middle, off, across = found.around.high - found.around.low
+    assert middle == pytest.approx(2 + 2 * a.waver)
+    assert middle < off < 4 + 2 * a.lean < across
+
+
+def test_whoever_owes_the_ego_its_distance_does_not_count_and_all_others_do():
+    found = duties()
+    assert set(found.owes) == set(Duty)
+    owing = np.array([duty is Duty.DISTANCE for duty in found.owes])
+    assert np.isposinf(found.separations[owing]).all()
+    assert found.margin == pytest.approx(found.separations[~owing].min())
+    assert found.margin > 0
+    assert found.survey.others.comes[found.goal, found.owes.index(Duty.ENTERS)]
+
+
+def test_the_drawn_separations_are_those_of_the_clause():
+    found = slip_in(0.5)
+    centred, off = found.separations[:, found.at]
+    assert centred >= 0 > off
+    now = observe(Memory(), passing(float(found.ahead[found.at]), found.offsets[1]), CONFIG)
+    assert np.array_equal(now.scene.ego, found.shown.ego)
+    fail_safe = now.fail_safe()
+    assert fail_safe.binding.clause == "slip-in"
+    assert fail_safe.margin == pytest.approx(off, abs=0.1)
+
+
+def test_the_drawn_answer_verifies_and_nothing_on_the_grid_is_much_nearer():
+    found = searched((61, 81))
+    inputs = Inputs(CONFIG, predictive=False)
+    now, _ = inputs.observe(Memory(), found.scene)
+    both = inputs.judge(now, np.array([found.proposal, found.decision.executed]), inputs.stop_lanes(now))
+    assert both.margin[0] < 0 <= both.margin[1]
+    grid = np.stack(np.meshgrid(found.accelerations, found.wheels, indexing="ij"), axis=-1)
+    spans = np.ptp([inputs.actuators.acceleration, inputs.actuators.steering], axis=1)
+    distance = np.hypot(*((grid - found.proposal) / spans).T).T
+    reached = np.hypot(*((found.decision.executed - found.proposal) / spans))
+    assert distance[found.margins >= 0].min() > reached - 0.02
+    assert any(np.array_equal(found.decision.executed, x) for x in np.concatenate([found.linearised, found.strewn]))

@@ -6,17 +6,17 @@ may do, from one frame to the next:
 1. *speed*: change by no more than `braking` and `acceleration` allow, rise no further than to `max_speed`, and reverse
    no faster than `reversing_speed`;
 2. *way*: get on along the road as its speed says, but for what turning takes from it (`turning_loss` and
-`turning_action`, which comes back at
-   `turning_rate`), and sideways no further than its speed says;
+   `turning_action`, which comes back at `turning_rate`), and sideways no further than its speed says;
 3. *lanes*: stay in the lanes that its body touches. It may touch another one where that leaves the room for the ego's
    fail-safe;
 4. *reversing*: only from what is ahead in its lanes, and as far as `queue_distance` from it; further where that leaves
    the room for the ego's fail-safe;
-5. *distance*: whoever is behind the ego with its buffer, in a lane that the ego owns, stays behind it;
+5. *distance*: whoever is behind the ego with its buffer, in a lane that the ego owns, stays behind it, and comes beside
+   it where that leaves the room for the ego's fail-safe;
 6. *no crash* with another than the ego.
 
-Rules 1 and 2 are judged here alone. Of rules 3 and 4 this module finds who has taken more room, and the shield whether
-the fail-safe suffers from it. The first two make what they permit a matter of one frame: a bound that holds for a frame
+Rules 1 and 2 are judged here alone. Of rules 3 and 4 this module finds who has taken more room, and the shield (of
+rule 5 as well) whether the fail-safe suffers from it. The first two make what they permit a matter of one frame: a bound that holds for a frame
 holds for all that follow, and `tests/dynamics/test_permits.py` has arbitrary inputs try to break that.
 """
 

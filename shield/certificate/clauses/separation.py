@@ -137,8 +137,7 @@ def least_separations(
     paths : (n, K, 4).
     size : the ego's footprint.
     low, high : lateral extents of the vehicles for each path, (n or 1, m) [m]. rear : least s of each, (m, K) [m].
-    lengths, noses : half the length that each covers along the road, (m,), and how far its body gets in one frame and
-    in
+    lengths, noses : half the length that each covers along the road, (m,), and how far its body gets in one frame and in
         two, (2, m) [m].
     owed : who owes each path its distance, (n, m) bool; no rows where nobody does.
     follows : who is behind and does not, (m,) bool; of them `centers` (n or 1, m) [m] is the lane that they would see

@@ -26,8 +26,8 @@ class Assumptions:
     power : the same for one that is fast already: no more than `power` / speed [m^2/s^3].
     max_speed : greatest speed that a slower vehicle accelerates to [m/s]; one that is faster keeps its speed or slows.
     min_speed : speed below which a moving vehicle does not brake on purpose [m/s]; 0 lets it stop.
-    turning_loss : way along the road that a vehicle may lose by turning, at more than `slow_speed` [m]. A lane change of
-        highway-env's traffic costs 0.3 m at 25 m/s, 0.8 m at 10 m/s and 2 m at 6 m/s.
+    turning_loss : way along the road that a vehicle may lose by turning, at more than `slow_speed` [m]. A lane change
+        of highway-env's traffic costs 0.3 m at 25 m/s, 0.8 m at 10 m/s and 2 m at 6 m/s.
     turning_action : speed times way that it may lose by turning [m^2/s]: half the square of the speed across the road,
         over time. So one that is fast loses less.
     turning_rate : share of both that is forgiven in a second [1/s].
@@ -88,7 +88,7 @@ class Assumptions:
 
     @classmethod
     def idm(cls) -> Assumptions:
-        """highway-env's IDM and MOBIL traffic: |a| <= 6 m/s^2, a reaction within a frame or two, lane changes that pay."""
+        """highway-env's IDM and MOBIL traffic: |a| <= 6 m/s^2, a quick reaction, lane changes that pay."""
         return cls()
 
     @classmethod

@@ -15,9 +15,10 @@ may do, from one frame to the next:
    it where that leaves the room for the ego's fail-safe;
 6. *no crash* with another than the ego.
 
-Rules 1 and 2 are judged here alone. Of rules 3 and 4 this module finds who has taken more room, and the shield (of
-rule 5 as well) whether the fail-safe suffers from it. The first two make what they permit a matter of one frame: a bound that holds for a frame
-holds for all that follow, and `tests/dynamics/test_permits.py` has arbitrary inputs try to break that.
+Rules 1 and 2 are judged here alone. Of rules 3 and 4 this module finds who has taken more room; whether the fail-safe
+suffers from it, and whether one that has come beside the ego (rule 5) leaves it the room, is for the shield to say. The
+first two make what they permit a matter of one frame: a bound that holds for a frame holds for all that follow, and
+`tests/dynamics/test_permits.py` has arbitrary inputs try to break that.
 """
 
 from __future__ import annotations

@@ -137,8 +137,8 @@ def least_separations(
     paths : (n, K, 4).
     size : the ego's footprint.
     low, high : lateral extents of the vehicles for each path, (n or 1, m) [m]. rear : least s of each, (m, K) [m].
-    lengths, noses : half the length that each covers along the road, (m,), and how far its body gets in one frame and in
-        two, (2, m) [m].
+    lengths, noses : half the length that each covers along the road, (m,), and how far its body gets in one frame and
+        in two, (2, m) [m].
     owed : who owes each path its distance, (n, m) bool; no rows where nobody does.
     follows : who is behind and does not, (m,) bool; of them `centers` (n or 1, m) [m] is the lane that they would see
         the ego in, `at_once` (n or 1, m) after how many frames they react if they see it all the time, or -1, and

@@ -209,6 +209,14 @@ def test_one_that_owes_the_ego_its_distance_does_so_until_the_ego_has_left_its_s
     assert along(scene, passing(2.4), 1, followers=np.array([True]), **marks) == np.inf
 
 
+@pytest.mark.parametrize(("front", "owed", "behind"), [(-4.6, True, True), (-4.6, False, False), (-4.4, True, False)])
+def test_one_that_owes_the_ego_its_distance_is_behind_until_it_touches_the_buffer(front, owed, behind):
+    """Beside the rearmost corner of a turned ego, the other corner of whose buffer is further ahead."""
+    scene = scene_of((0, 0, 0.3, 5), (front - 2.5, -1.6, 0, 5))
+    assert 4.5 * np.cos(0.3) + 1.3 * np.sin(0.3) > 4.6
+    assert Surveyor(scene, CONFIG, followers=np.array([owed])).others.behind[0] == behind
+
+
 def test_anybody_may_come_into_a_lane_out_of_whose_sight_the_ego_has_got():
     """The ego has a plan to stop in lane 1, from which it gets out of sight; nobody gains by going there."""
     for r, comes in ((5.5, False), (7.2, True)):

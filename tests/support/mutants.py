@@ -82,6 +82,7 @@ _TESTS_OF_TRAFFIC = {
     "owes": "test_who_owes_the_ego_its_distance",
     "left": "test_nobody_owes_a_place_that_the_ego_has_left_and_comes_back_to",
     "lasts": "test_one_that_owes_the_ego_its_distance_does_so_until_the_ego_has_left_its_strip",
+    "corner": "test_one_that_owes_the_ego_its_distance_is_behind_until_it_touches_the_buffer",
     "anybody": "test_anybody_may_come_into_a_lane_out_of_whose_sight_the_ego_has_got",
     "owned": "test_a_lane_is_owned_only_with_a_verified_plan_and_no_longer_than_it_is_touched",
     "slip": "test_one_alongside_may_slip_in_behind_an_ego_that_passes_it",
@@ -141,6 +142,13 @@ _ACCEPTED = (
         "np.where(result.margin >= 0, accelerations",
         "np.where(result.margin >= -0.3, accelerations",
         "mended[frame]",
+    ),
+    _off(
+        "frame to evade with chosen at -0.3 m",
+        FRAMES,
+        "    keeps = lawful >= 0\n",
+        "    keeps = lawful >= -0.3\n",
+        "evades[ShieldCore]",
     ),
     _both(
         "frame evades at -0.3 m",
@@ -356,6 +364,20 @@ _OWED = (
         "lasts",
     ),
     _off(
+        "duty ends where a corner comes beside a corner",
+        VERIFY,
+        "                behind[i] = apart(seen, scene.others[i]) >= 0\n",
+        "                pass\n",
+        "corner",
+    ),
+    _off(
+        "duty lasts where the buffer is touched",
+        VERIFY,
+        "                behind[i] = apart(seen, scene.others[i]) >= 0\n",
+        "                behind[i] = True\n",
+        "corner",
+    ),
+    _off(
         "nobody joins where the ego has got out of sight",
         MEMORY,
         "        coming = coming | ((before > 0) & (visible == 0))[:, None]\n",
@@ -566,6 +588,13 @@ _WATCHED = (
         "replace(self.plan(now, stored), action=law[0])",
         "replace(tried[0].plan, action=law[0])",
         "margin[ContinuousCore]",
+    ),
+    _off(
+        "what does not verify is stored",
+        DECIDE,
+        "stored = None if tier is Tier.LARGEST_MARGIN else plan.stored",
+        "stored = plan.stored",
+        f"{_LOT}::test_without_a_plan_to_begin_with_the_record_says_so",
     ),
 )
 

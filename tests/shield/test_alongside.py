@@ -47,8 +47,9 @@ def judged(scene: Scene, config: ShieldConfig = CONFIG) -> float:
     return float(found.separations(plan(scene), SIZE).min()) if len(found) else np.inf
 
 
-def worst_overlap(scene: Scene) -> float:
-    """How deep highway-env's vehicle comes into the body of an off-centre ego on its plan [m]; -inf if it stays out."""
+def worst_overlap(scene: Scene, beyond: float = 0.2) -> float:
+    """How deep highway-env's vehicle comes into the body of an ego that is further than `beyond` off the centre, on its
+    plan [m]; -inf if it stays out."""
     road = Road(RoadNetwork.straight_road_network(LANES, length=1000), np_random=np.random.default_rng(0))
     ego = ControlledVehicle(road, scene.ego[:2], 0.0, scene.ego[3], target_speed=30.0)
     car, leader = (
@@ -72,7 +73,7 @@ def worst_overlap(scene: Scene) -> float:
         across = abs(car.position[1] - state[1]) - 1.0 * (1 + cos) - 2.5 * sin
         if along >= 0:
             break
-        if abs(state[1]) > 0.2:
+        if abs(state[1]) > beyond:
             worst = max(worst, -max(along, across))
     return worst
 
@@ -101,6 +102,13 @@ def test_the_property_is_not_empty() -> None:
     """Passing at 34 m/s, 0.7 m off the centre: what happened on highway-v0, seed 300147."""
     scene = scene_of(offset=0.7, u=34.0, behind=1.0, v=18.5, gap=12.0, leader=10.0)
     assert worst_overlap(scene) > 0
+    assert judged(scene) < 0
+
+
+def test_one_that_brakes_behind_its_leader_slips_in_beside_an_ego_that_keeps_its_lane() -> None:
+    """It is faster than its leader when the ego falls back to it, and no longer when the ego is alongside."""
+    scene = scene_of(offset=0.1, u=34.3, behind=-7.5, v=14.0, gap=33.0, leader=9.5)
+    assert worst_overlap(scene, beyond=-1.0) > 0
     assert judged(scene) < 0
 
 

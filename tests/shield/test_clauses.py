@@ -18,6 +18,7 @@ from shield import Decision, Reason, Tier
 from shield.certificate.clauses.edge import verdicts
 from shield.certificate.manoeuvres import Candidates, brake_candidates
 from shield.certificate.verify import Surveyor
+from shield.procedures.frames import first_verified
 
 
 def frame(scene):
@@ -69,6 +70,42 @@ def test_nothing_verified_has_a_negative_margin(door):
     assert min(d.margin for d in verified) >= 0
 
 
+def braked(scene):
+    """The path of braking in lane 0 from now on, (K, 4)."""
+    candidates = brake_candidates(scene, [0], [-100.0], [0], 1, CONFIG.braking)
+    candidates.commands[:, 0] = candidates.commands[:, 1]
+    return Rollouts(DT).run(scene.ego_road, candidates.commands)[0]
+
+
+@pytest.mark.parametrize("door", ["frame", "throttle"])
+def test_what_nearly_verifies_does_not_stand_in_the_way_of_what_does(door):
+    """Where braking verifies, something that verifies is executed."""
+    found = []
+    for gap in np.arange(9.0, 30.0, 0.1):
+        scene = scene_of((0.0, 0.0, 0.0, 20.0), (gap, 0.0, 0.0, 14.0), speed=25.0, lanes=1)
+        if along(scene, braked(scene)) >= 1e-6:
+            found.append(DOORS[door](scene).tier)
+    assert all(tier.verified for tier in found)
+    assert Tier.GOVERNED in found
+
+
+def test_the_first_that_verifies_is_taken_and_else_the_best():
+    assert first_verified(np.array([-0.1, 0.2, 0.3])) == 1
+    assert first_verified(np.array([-0.2, -0.1])) == 1
+
+
+def test_an_input_passes_in_whichever_lane_its_fail_safe_stops():
+    """Astride of a marking, behind one in the lane that comes first."""
+    passed = []
+    for gap in np.arange(9.0, 40.0, 0.1):
+        core, scene = ContinuousCore(predictive=False), scene_of((0, 1.9, 0.05, 20), (gap, 0, 0, 0), lanes=2)
+        proposal = np.zeros(2)
+        verifies = [core.judge(scene, proposal[None], [lane]).margin[0] >= 0 for lane in (0, 1)]
+        passed.append((any(verifies), verifies[0]))
+        assert (core.filter(scene, proposal)[1].tier is Tier.PASSED) == any(verifies)
+    assert (True, False) in passed
+
+
 @pytest.mark.parametrize("core", [ShieldCore, ContinuousCore])
 def test_what_evades_an_offender_clears_everybody_else(core):
     """One behind runs into the buffer; the ego gets away from it, but only as far as its leader leaves the room."""
@@ -84,6 +121,8 @@ def test_what_evades_an_offender_clears_everybody_else(core):
             path = decision.plan if core is ShieldCore else decision.plan[1:]
             assert along(now, path, ignored=np.array([True, False])) >= 0
     assert tiers.count(Tier.EVADED) > 100
+    # Braking in the stored lane is one of the evasions: where it clears the others, something does.
+    assert Tier.STORED_PLAN not in tiers
 
 
 # -- where the ego may be --------------------------------------------------------------------------------------------
@@ -155,6 +194,30 @@ def test_a_violation_is_counted_and_the_stored_plan_outlives_it(core):
 
 
 @pytest.mark.parametrize("core", [ShieldCore, ContinuousCore])
+def test_who_has_broken_a_rule_is_forgiven_once_a_plan_clears_everybody_again(core):
+    """One far ahead stops at once: there is room for that."""
+    shield = core()
+    before, now = scene_of((0, 0, 0, 10), (60, 0, 0, 20)), scene_of((10 * DT, 0, 0, 10), (60 + 20 * DT, 0, 0, 0))
+    after(shield, before)
+    assert shield.look(now).memory.watch.violated
+    shield.reset()
+    assert after(shield, before, now).tier.verified
+    assert shield.violations == 1
+    assert not shield.watch.violated
+
+
+@pytest.mark.parametrize("core", [ShieldCore, ContinuousCore])
+def test_one_instant_seen_twice_is_one(core):
+    """Neither the visibility clock nor the count goes on: who has not moved meanwhile has not stood still."""
+    shield = core()
+    for k in range(3):
+        scene = scene_of((20 * DT * k, 0, 0, 20), (60 + 20 * DT * k, 0, 0, 20))
+        first, again = (shield.look(replace(scene, frame=k)) for _ in range(2))
+        np.testing.assert_array_equal(first.survey.visible, again.survey.visible)
+    assert shield.violations == 0
+
+
+@pytest.mark.parametrize("core", [ShieldCore, ContinuousCore])
 def test_a_stored_plan_is_recorded_with_its_own_margin(core):
     """Somebody appears from nowhere, which breaks no rule and leaves no plan; what is least bad is another input."""
     shield = core()
@@ -162,10 +225,7 @@ def test_a_stored_plan_is_recorded_with_its_own_margin(core):
     scene = scene_of((10 * DT, 0, 0, 10), (10.4, 0, 0, 0), (19.5, 0, 0, 19), lanes=3)
     decision = after(shield, scene)
     assert decision.tier is Tier.STORED_PLAN
-    stopped = brake_candidates(scene, [0], [-100.0], [0], 1, CONFIG.braking)
-    stopped.commands[:, 0] = stopped.commands[:, 1]
-    path = Rollouts(DT).run(scene.ego_road, stopped.commands)[0]
-    assert decision.margin == pytest.approx(along(scene, path))
+    assert decision.margin == pytest.approx(along(scene, braked(scene)))
 
 
 @pytest.mark.parametrize(("x", "count"), [(12.0, 1), (90.0, 0)])
@@ -176,3 +236,13 @@ def test_who_takes_more_room_has_to_leave_it_to_the_fail_safe(x, count):
     after(shield, scene_of((20 * DT, 0, 0, 20), (x + 10 * DT, 2.4, 0, 10), lanes=2))
     assert shield.violations == count
     assert shield.watch.by_rule == ({Rule.LANES: 1} if count else {})
+
+
+@pytest.mark.parametrize(("r", "y", "count"), [(-0.9, 1.6, 1), (4.0, 0.0, 0)])
+def test_who_owes_the_ego_its_distance_does_not_come_beside_it(r, y, count):
+    """From behind an ego at rest to beside it, outside of its buffer: in its own lane, or in the next one."""
+    shield = ShieldCore()
+    for x in (-7.2, -7.2 + 15 * DT):
+        shield.look(scene_of((0, r, 0, 0), (x, y, 0, 15), lanes=2))
+    assert shield.violations == count
+    assert shield.watch.by_rule == ({Rule.DISTANCE: 1} if count else {})

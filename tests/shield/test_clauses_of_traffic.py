@@ -13,6 +13,7 @@ from dynamics.roads.straight import StraightRoad
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Surroundings
 from shield import Buffer
+from shield.certificate.verify import Surveyor
 
 
 @pytest.mark.parametrize("frames", [8, 80])
@@ -181,6 +182,48 @@ def test_who_owes_the_ego_its_distance():
     # In the ego's lane and in the one that it enters.
     both = scene_of((0, 0, 0, 5), (-12, 2.2, 0, 25))
     assert clear(both, 1) < 0
+
+
+def passing(*across):
+    """A path at 5 m/s that is so far across the road in its first frames, and stays at the last of them."""
+    r = [*across, *[across[-1]] * 20]
+    return [[5.0 * DT * k, r[k - 1], 0.0, 5.0] for k in range(1, len(r))]
+
+
+def test_nobody_owes_a_place_that_the_ego_has_left_and_comes_back_to():
+    behind = scene_of((0, 0, 0, 5), (-12, 0, 0, 25))
+    for path, owed in (([0.0], True), ([0.0, 1.5, 0.0], True), ([0.0, 4.0], True), ([0.0, 4.0, 0.0], False)):
+        assert (along(behind, passing(*path)) == np.inf) == owed
+    assert along(behind, passing(0.0, 4.0, 0.0)) < 0
+
+
+def test_one_that_owes_the_ego_its_distance_does_so_until_the_ego_has_left_its_strip():
+    """The ego has left its old lane for the next one, but for a corner that still touches the strip of one behind."""
+    for r, duty in ((2.4, True), (2.7, False)):
+        scene = scene_of((0, r, 0, 5), (-12, 0, 0, 25))
+        marks = {"owned": [False, True, False, False]}
+        held = [Surveyor(scene, CONFIG, followers=np.array([f]), **marks).others.held[0] for f in (False, True)]
+        assert held == [False, duty]
+    scene = scene_of((0, 2.4, 0, 5), (-12, 0, 0, 25))
+    assert along(scene, passing(2.4), 1, **marks) < 0
+    assert along(scene, passing(2.4), 1, followers=np.array([True]), **marks) == np.inf
+
+
+@pytest.mark.parametrize(("front", "owed", "behind"), [(-4.6, True, True), (-4.6, False, False), (-4.4, True, False)])
+def test_one_that_owes_the_ego_its_distance_is_behind_until_it_touches_the_buffer(front, owed, behind):
+    """Beside the rearmost corner of a turned ego, the other corner of whose buffer is further ahead."""
+    scene = scene_of((0, 0, 0.3, 5), (front - 2.5, -1.6, 0, 5))
+    assert 4.5 * np.cos(0.3) + 1.3 * np.sin(0.3) > 4.6
+    assert Surveyor(scene, CONFIG, followers=np.array([owed])).others.behind[0] == behind
+
+
+def test_anybody_may_come_into_a_lane_out_of_whose_sight_the_ego_has_got():
+    """The ego has a plan to stop in lane 1, from which it gets out of sight; nobody gains by going there."""
+    for r, comes in ((5.5, False), (7.2, True)):
+        core = ShieldCore()
+        core.look(scene_of((0, 5.4, 0, 10), (20, 0, 0, 10)))
+        core.stored = 1
+        assert core.look(scene_of((10 * DT, r, 0, 10), (20 + 10 * DT, 0, 0, 10))).survey.others.comes[1, 0] == comes
 
 
 def test_a_lane_is_owned_only_with_a_verified_plan_and_no_longer_than_it_is_touched():

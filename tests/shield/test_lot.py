@@ -113,6 +113,19 @@ def test_the_margin_is_that_of_the_plan(seed, style):
     assert decision.margin >= 0
 
 
+@pytest.mark.parametrize("style", Driver.STYLES)
+def test_where_braking_with_some_wheel_verifies_something_that_verifies_is_executed(style):
+    found = 0
+    for seed in range(250):
+        rng = np.random.default_rng(seed)
+        lot, driver, core = random_lot(rng), Driver(rng, style), core_of(None)
+        if admits_a_plan(core, lot):
+            found += 1
+            proposal = ACTUATORS.physical(ACTUATORS.read(driver.act(lot, 0)))
+            assert core.filter(lot, proposal)[1].tier.verified, seed
+    assert found > 100
+
+
 @settings(deadline=None, max_examples=25)
 @given(SEEDS)
 def test_a_repair_is_about_as_near_as_the_nearest_on_a_fine_grid(seed):

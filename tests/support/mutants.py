@@ -37,8 +37,9 @@ class Mutant:
 
 
 VERIFY, KERNELS = "shield/certificate/verify.py", "shield/certificate/kernels.py"
-MONITOR, FRAMES = "shield/certificate/monitor.py", "shield/procedures/frames.py"
-META, HELD = "shield/procedures/meta_actions.py", "shield/procedures/meta_actions_only.py"
+MONITOR, MEMORY = "shield/certificate/monitor.py", "shield/certificate/memory.py"
+ALONGSIDE, MOBIL = "shield/certificate/alongside.py", "dynamics/traffic/mobil.py"
+DECIDE, FRAMES = "shield/procedures/decide.py", "shield/procedures/frames.py"
 INPUTS, LOT = "shield/procedures/inputs.py", "shield/procedures/parking_lot.py"
 SEARCH, RULES, MANOEUVRES = "shield/repair/nearest_input.py", "shield/rules.py", "shield/certificate/manoeuvres.py"
 BODIES = "dynamics/traffic/occupancy_kernels.py"
@@ -48,6 +49,9 @@ _CLAUSES, _TRAFFIC = "tests/shield/test_clauses.py", "tests/shield/test_clauses_
 _TESTS = {
     "door": "test_nothing_verified_has_a_negative_margin",
     "evades": "test_what_evades_an_offender_clears_everybody_else",
+    "mended": "test_what_nearly_verifies_does_not_stand_in_the_way_of_what_does",
+    "first": "test_the_first_that_verifies_is_taken_and_else_the_best",
+    "lanes": "test_an_input_passes_in_whichever_lane_its_fail_safe_stops",
     "lot": "test_nothing_is_verified_in_a_parking_lot_without_the_clearance",
     "room": "test_a_plan_ends_inside_its_lane",
     "road": "test_nothing_leads_off_the_road_or_backwards",
@@ -55,6 +59,9 @@ _TESTS = {
     "gap": "test_nothing_leads_through_a_gap_of_the_map",
     "alarm": "test_a_violation_is_counted_and_the_stored_plan_outlives_it",
     "margin": "test_a_stored_plan_is_recorded_with_its_own_margin",
+    "forgiven": "test_who_has_broken_a_rule_is_forgiven_once_a_plan_clears_everybody_again",
+    "twice": "test_one_instant_seen_twice_is_one",
+    "comes beside": "test_who_owes_the_ego_its_distance_does_not_come_beside_it",
     "grown": "test_who_takes_more_room_has_to_leave_it_to_the_fail_safe",
 }
 _TESTS_OF_TRAFFIC = {
@@ -73,6 +80,10 @@ _TESTS_OF_TRAFFIC = {
     "joins": "test_nobody_joins_those_who_may_enter_once_there_is_a_plan_to_stop_there",
     "turning": "test_one_that_is_on_its_way_may_still_come_until_the_ego_has_been_seen_for_long",
     "owes": "test_who_owes_the_ego_its_distance",
+    "left": "test_nobody_owes_a_place_that_the_ego_has_left_and_comes_back_to",
+    "lasts": "test_one_that_owes_the_ego_its_distance_does_so_until_the_ego_has_left_its_strip",
+    "corner": "test_one_that_owes_the_ego_its_distance_is_behind_until_it_touches_the_buffer",
+    "anybody": "test_anybody_may_come_into_a_lane_out_of_whose_sight_the_ego_has_got",
     "owned": "test_a_lane_is_owned_only_with_a_verified_plan_and_no_longer_than_it_is_touched",
     "slip": "test_one_alongside_may_slip_in_behind_an_ego_that_passes_it",
 }
@@ -97,100 +108,75 @@ def _both(name: str, *edits: Edit, tests: tuple[str, ...]) -> Mutant:
     return Mutant(name, edits, _at(*tests))
 
 
-_PERMITS = "tests/dynamics/test_permits.py"
+_PERMITS, _MOBIL = "tests/dynamics/test_permits.py", "tests/dynamics/test_mobil.py"
 _LOT = "tests/shield/test_lot.py"
 
+
+def _verified(kind: str, test: str) -> Mutant:
+    """There is one place where plans are accepted; what decides about each kind of action has to notice by itself."""
+    old = "        return self.trusted or self.margin >= 0\n"
+    return _off(f"{kind} accepted at -0.3 m", DECIDE, old, old.replace(">= 0", ">= -0.3"), test)
+
+
 _ACCEPTED = (
+    _verified("frame", "door[frame]"),
+    _verified("lane change", "door[lane change]"),
+    _verified("FASTER", "door[faster]"),
+    _verified("SLOWER", "door[slower]"),
+    _verified("mask", "door[mask]"),
+    _verified("lane change without frames", "door[held lane change]"),
+    _verified("FASTER without frames", "door[held faster]"),
+    _verified("throttle", "door[throttle]"),
+    _verified("throttle and wheel", "door[throttle and wheel]"),
+    _verified("parking", "lot"),
     _off(
-        "frame accepted at -0.3 m",
+        "fail-safe of a frame chosen at -0.3 m",
         FRAMES,
-        "        if margin >= 0:\n            self.stored_lane = fails[best]",
-        "        if margin >= -0.3:\n            self.stored_lane = fails[best]",
-        "door[frame]",
+        "    good = np.flatnonzero(margins >= 0)",
+        "    good = np.flatnonzero(margins >= -0.3)",
+        "first",
     ),
     _off(
-        "frame held back accepted at -0.3 m",
-        FRAMES,
-        "        if verdict.margin >= 0:\n",
-        "        if verdict.margin >= -0.3:\n",
-        "door[frame]",
-    ),
-    _both(
         "frame held back to -0.3 m",
-        Edit(FRAMES, "np.where(result.margin >= 0, accelerations", "np.where(result.margin >= -0.3, accelerations"),
-        Edit(FRAMES, "        if verdict.margin >= 0:\n", "        if verdict.margin >= -0.3:\n"),
-        tests=("door[frame]",),
+        FRAMES,
+        "np.where(result.margin >= 0, accelerations",
+        "np.where(result.margin >= -0.3, accelerations",
+        "mended[frame]",
+    ),
+    _off(
+        "frame to evade with chosen at -0.3 m",
+        FRAMES,
+        "    keeps = lawful >= 0\n",
+        "    keeps = lawful >= -0.3\n",
+        "evades[ShieldCore]",
     ),
     _both(
         "frame evades at -0.3 m",
-        Edit(FRAMES, "        keeps = lawful >= 0", "        keeps = lawful >= -0.3"),
+        Edit(FRAMES, "    keeps = lawful >= 0\n", "    keeps = lawful >= -0.3\n"),
         Edit(FRAMES, "                if lawful >= 0:", "                if lawful >= -0.3:"),
         tests=("evades[ShieldCore]",),
     ),
     _off(
-        "meta-action accepted at -0.3 m",
-        META,
-        "            if verdict.margin >= 0:\n                return self._made(scene, proposed, proposed",
-        "            if verdict.margin >= -0.3:\n                return self._made(scene, proposed, proposed",
-        "door[faster]",
-        "door[slower]",
-    ),
-    _off(
-        "governed or alternative meta-action accepted at -0.3 m",
-        META,
-        "                if verdict.margin >= 0:\n                    return self._made(scene, proposed, action",
-        "                if verdict.margin >= -0.3:\n                    return self._made(scene, proposed, action",
-        "door",
-    ),
-    _off(
-        "alternative meta-action accepted at -0.3 m",
-        META,
-        "            if verdict.margin >= 0:\n                return self._made(scene, proposed, action, reason",
-        "            if verdict.margin >= -0.3:\n                return self._made(scene, proposed, action, reason",
-        "door",
-        count=3,
-    ),
-    _off("mask accepted at -0.3 m", META, "[v.margin >= 0 for v in", "[v.margin >= -0.3 for v in", "door[mask]"),
-    _off(
-        "held meta-action accepted at -0.3 m",
-        HELD,
-        "            if best.margin >= 0:",
-        "            if best.margin >= -0.3:",
-        "door[held faster]",
-        "door[held lane change]",
-    ),
-    _off(
-        "held alternative accepted at -0.3 m",
-        HELD,
-        "            if results[action].margin >= 0:",
-        "            if results[action].margin >= -0.3:",
-        "door[held faster]",
-        "door[held lane change]",
-    ),
-    _off(
-        "input accepted at -0.3 m",
+        "fail-safe of an input chosen at -0.3 m",
         INPUTS,
-        "        if judged.margin[0] >= 0:\n            self.monitor.forgive()\n            return proposal",
-        "        if judged.margin[0] >= -0.3:\n            self.monitor.forgive()\n            return proposal",
-        "door[throttle]",
+        "        good = each >= 0\n",
+        "        good = each >= -0.3\n",
+        "lanes",
     ),
     _off(
-        "repaired input accepted at -0.3 m",
+        "no other fail-safe of an input above -0.3 m",
         INPUTS,
-        "        if not judged.margin[0] >= 0:\n            return self._fall_back",
-        "        if not judged.margin[0] >= -0.3:\n            return self._fall_back",
-        "door[throttle]",
-        "door[throttle and wheel]",
+        "if not judged.margin[0] >= 0 and others:",
+        "if not judged.margin[0] >= -0.3 and others:",
+        "lanes",
     ),
-    _both(
+    _off(
         "input repaired to -0.3 m",
-        Edit(SEARCH, "judged.margin >= 0", "judged.margin >= -0.3", 6),
-        Edit(
-            INPUTS,
-            "        if not judged.margin[0] >= 0:\n            return self._fall_back",
-            "        if not judged.margin[0] >= -0.3:\n            return self._fall_back",
-        ),
-        tests=("door[throttle]", "door[throttle and wheel]"),
+        SEARCH,
+        "judged.margin >= 0",
+        "judged.margin >= -0.3",
+        "mended[throttle]",
+        count=6,
     ),
     _off(
         "input evades at -0.3 m",
@@ -200,18 +186,18 @@ _ACCEPTED = (
         "evades[ContinuousCore]",
     ),
     _off(
-        "parking accepted at -0.05 m",
+        "parking repaired near the proposal to -0.05 m",
         LOT,
-        "        if judged.margin[0] >= 0:\n            return proposal",
-        "        if judged.margin[0] >= -0.05:\n            return proposal",
+        "if judged.margin[0] >= 0 else np.inf",
+        "if judged.margin[0] >= -0.05 else np.inf",
         _LOT,
     ),
     _off(
-        "parking repaired to -0.05 m",
+        "parking repaired far from the proposal to -0.05 m",
         LOT,
-        "        if judged.margin[0] >= 0:\n            return judged.inputs[0]",
-        "        if judged.margin[0] >= -0.05:\n            return judged.inputs[0]",
-        "lot",
+        "np.where(grid.margin >= 0,",
+        "np.where(grid.margin >= -0.05,",
+        _LOT,
     ),
 )
 
@@ -269,6 +255,13 @@ _CLEARANCE = (
         "            least = min(least, slipping[i, j])",
         "            least = min(least, np.inf)",
         "slip",
+    ),
+    _off(
+        "one that slips in keeps its speed meanwhile",
+        ALONGSIDE,
+        "slows = dt * (k + 1), min(COMFORT * ratios[1, j] ** 2, braking)",
+        "slows = dt * (k + 1), 0.0",
+        "tests/shield/test_alongside.py",
     ),
     _off(
         "coming frame off",
@@ -356,6 +349,43 @@ _OWED = (
         "others.held[j] and not entered",
         "owes",
     ),
+    _off(
+        "owed what was left and is come back to",
+        KERNELS,
+        "        if inside and left:",
+        "        if inside and False:",
+        "left",
+    ),
+    _off(
+        "duty ends where the lane is owned no more",
+        VERIFY,
+        "            held |= followers & (around.low",
+        "            held |= False & (around.low",
+        "lasts",
+    ),
+    _off(
+        "duty ends where a corner comes beside a corner",
+        VERIFY,
+        "                behind[i] = apart(seen, scene.others[i]) >= 0\n",
+        "                pass\n",
+        "corner",
+    ),
+    _off(
+        "duty lasts where the buffer is touched",
+        VERIFY,
+        "                behind[i] = apart(seen, scene.others[i]) >= 0\n",
+        "                behind[i] = True\n",
+        "corner",
+    ),
+    _off(
+        "nobody joins where the ego has got out of sight",
+        MEMORY,
+        "        coming = coming | ((before > 0) & (visible == 0))[:, None]\n",
+        "        pass\n",
+        "anybody",
+    ),
+    _off("who enters need not gain by it", MOBIL, "gain >= _LEAST_GAIN - slack and imposed", "imposed", _MOBIL),
+    _off("who enters may impose anything", MOBIL, " and imposed <= IMPOSED + slack", "", _MOBIL),
     _off("lane owned without a plan", KERNELS, "(had or j == stored) and offset < touch", "offset < touch", "owned"),
     _off("lane owned for ever", KERNELS, "(had or j == stored) and offset < touch", "had or j == stored", "owned"),
     _off(
@@ -479,9 +509,38 @@ _WATCHED = (
     _off(
         "monitor never reports",
         MONITOR,
-        "        before, last = self.before(scene), self._last\n",
-        "        return\n        before, last = self.before(scene), self._last\n",
+        "        before = self.before(scene)\n        crashed",
+        "        before = None\n        crashed",
         "alarm",
+    ),
+    _off(
+        "whoever owes the ego its distance may come beside it",
+        MONITOR,
+        "        grown |= np.where(self.owing & held & ~behind, int(Rule.DISTANCE), 0)\n",
+        "",
+        "comes beside",
+    ),
+    _off(
+        "nobody is forgiven",
+        DECIDE,
+        "memory.watch.forgiven() if tier.verified else memory.watch",
+        "memory.watch",
+        "forgiven[ShieldCore]",
+        "forgiven[ContinuousCore]",
+    ),
+    _off(
+        "forgiven without a plan that clears everybody",
+        DECIDE,
+        "memory.watch.forgiven() if tier.verified else memory.watch",
+        "memory.watch.forgiven()",
+        "alarm",
+    ),
+    _off(
+        "an instant seen twice is two",
+        MEMORY,
+        "scene.frame is not None and scene.frame == memory.frame",
+        "False",
+        "twice",
     ),
     _off("more room is never too much", MONITOR, "        if grown.any():", "        if False:", "grown"),
     _off("SPEED off", PERMITS, "                bits |= _SPEED", "                bits |= 0", _PERMITS),
@@ -506,8 +565,8 @@ _WATCHED = (
     _off(
         "stored plan of frames given up on an alarm",
         FRAMES,
-        "(stored.margin >= -ROUNDING or not self.watch.violated)",
-        "not self.watch.violated",
+        "(kept.margin >= -ROUNDING or not violated)",
+        "not violated",
         "alarm[ShieldCore]",
     ),
     _both(
@@ -519,16 +578,23 @@ _WATCHED = (
     _off(
         "stored plan of frames without its own margin",
         FRAMES,
-        "Verdict(stored.margin, stored.lane",
-        "Verdict(float('inf'), stored.lane",
+        "Plan(command, kept.margin, kept.lane",
+        "Plan(command, float('inf'), kept.lane",
         "margin[ShieldCore]",
     ),
     _off(
         "stored plan of inputs with the proposal's margin",
         INPUTS,
-        "self._record(scene, proposal, stored, reason, Tier.STORED_PLAN, start)",
-        "self._record(scene, proposal, judged, reason, Tier.STORED_PLAN, start)",
+        "replace(self.plan(now, stored), action=law[0])",
+        "replace(tried[0].plan, action=law[0])",
         "margin[ContinuousCore]",
+    ),
+    _off(
+        "what does not verify is stored",
+        DECIDE,
+        "stored = None if tier is Tier.LARGEST_MARGIN else plan.stored",
+        "stored = plan.stored",
+        f"{_LOT}::test_without_a_plan_to_begin_with_the_record_says_so",
     ),
 )
 

@@ -36,9 +36,12 @@ class Mutant:
     tests: tuple[str, ...]
 
 
-VERIFY, KERNELS = "shield/certificate/verify.py", "shield/certificate/kernels.py"
+VERIFY, CLAUSES = "shield/certificate/verify.py", "shield/certificate/clauses"
+SEPARATION, ROOM, EDGE = f"{CLAUSES}/separation.py", f"{CLAUSES}/room.py", f"{CLAUSES}/edge.py"
+DUTIES, ENTERING, SLIPS = f"{CLAUSES}/duties.py", f"{CLAUSES}/entering.py", f"{CLAUSES}/slip_in.py"
+TOGETHER = f"{CLAUSES}/together.py"
 MONITOR, MEMORY = "shield/certificate/monitor.py", "shield/certificate/memory.py"
-ALONGSIDE, MOBIL = "shield/certificate/alongside.py", "dynamics/traffic/mobil.py"
+MOBIL = "dynamics/traffic/mobil.py"
 DECIDE, FRAMES = "shield/procedures/decide.py", "shield/procedures/frames.py"
 INPUTS, LOT = "shield/procedures/inputs.py", "shield/procedures/parking_lot.py"
 SEARCH, RULES, MANOEUVRES = "shield/repair/nearest_input.py", "shield/rules.py", "shield/certificate/manoeuvres.py"
@@ -204,32 +207,32 @@ _ACCEPTED = (
 _CLEARANCE = (
     _off(
         "separation off",
-        KERNELS,
+        ROOM,
         "            least = min(least, separations[i, j])",
         "            least = min(least, np.inf)",
         "leader",
     ),
-    _off("room in the lane off", KERNELS, "        if room[i] < 0:", "        if room[i] < -1e9:", "room"),
+    _off("room in the lane off", ROOM, "        if room[i] < 0:", "        if room[i] < -1e9:", "room"),
     _off(
         "road edge off",
-        KERNELS,
+        EDGE,
         "margin[i] if room >= 0 else min(margin[i], room)",
         "margin[i] if room >= -1e9 else min(margin[i], room)",
         "road",
         "verdict",
     ),
-    _off("one new lane at most, and none again, off", KERNELS, "if not allowed[i] or paths", "if paths", "verdict"),
-    _off("rolling backwards off", KERNELS, "paths[i, held - 1, 3] < -1e-9", "paths[i, held - 1, 3] < -1e9", "road"),
+    _off("one new lane at most, and none again, off", EDGE, "if not allowed[i] or paths", "if paths", "verdict"),
+    _off("rolling backwards off", EDGE, "paths[i, held - 1, 3] < -1e-9", "paths[i, held - 1, 3] < -1e9", "road"),
     _off(
         "both sides at once off",
-        KERNELS,
+        EDGE,
         "        if count > 1:",
         "        if count > 9:",
         "tests/shield/test_kernels.py",
     ),
     _off(
         "no way back to a lane left off",
-        KERNELS,
+        EDGE,
         "if k > 0 and owned[j] and inside",
         "if k < 0 and owned[j] and inside",
         "tests/shield/test_kernels.py",
@@ -251,26 +254,26 @@ _CLEARANCE = (
     ),
     _off(
         "slip-in counts for nothing",
-        KERNELS,
+        ROOM,
         "            least = min(least, slipping[i, j])",
         "            least = min(least, np.inf)",
         "slip",
     ),
     _off(
         "one that slips in keeps its speed meanwhile",
-        ALONGSIDE,
-        "slows = dt * (k + 1), min(COMFORT * ratios[1, j] ** 2, braking)",
-        "slows = dt * (k + 1), 0.0",
+        SLIPS,
+        "slows = min(COMFORT * slips.ratios[1, j] ** 2, slips.braking)",
+        "slows = 0.0",
         "tests/shield/test_alongside.py",
     ),
     _off(
         "coming frame off",
-        KERNELS,
+        SEPARATION,
         "    return apart if apart < 0 else np.inf",
         "    return np.inf",
         "coming[0]",
     ),
-    _off("later coming frames off", KERNELS, "if later < 0:", "if later < -1e9:", "coming[1]"),
+    _off("later coming frames off", SEPARATION, "if later < 0:", "if later < -1e9:", "coming[1]"),
     _off(
         "buffer rule off",
         RULES,
@@ -278,12 +281,12 @@ _CLEARANCE = (
         "        return False",
         "tests/shield/test_rules.py",
     ),
-    _off("buffer along off", VERIFY, "float(length) + b.longitudinal, 0.5", "float(length), 0.5", "buffer"),
+    _off("buffer along off", VERIFY, "Footprint(0.5 * length + b.longitudinal,", "Footprint(0.5 * length,", "buffer"),
     _off(
         "buffer across off",
         VERIFY,
-        "[Vehicle.WIDTH]) + b.lateral\n        self._size",
-        "[Vehicle.WIDTH])\n        self._size",
+        "0.5 * width + b.lateral, length",
+        "0.5 * width, length",
         "buffer",
     ),
 )
@@ -291,90 +294,90 @@ _CLEARANCE = (
 _OWED = (
     _off(
         "blind merge off",
-        VERIFY,
-        "        if not (a.blind_merge and bound):",
-        "        if True:",
+        TOGETHER,
+        "    bound = ground.blind and duty.hold == 0",
+        "    bound = False",
         "blind",
     ),
     _off(
         "nobody enters but who is on the way",
-        KERNELS,
+        ENTERING,
         "may[k, j] = turning[k, j] or gains[j, 1 if above else 0]",
         "may[k, j] = turning[k, j]",
         "blind",
     ),
     _off(
         "nobody enters but who gains by it",
-        KERNELS,
+        ENTERING,
         "may[k, j] = turning[k, j] or gains[j, 1 if above else 0]",
         "may[k, j] = gains[j, 1 if above else 0]",
         "loses",
     ),
     _off(
-        "seen at once by one that is turning in", KERNELS, "if visible[k] >= settled:", "if visible[k] > 0:", "turning"
+        "seen at once by one that is turning in", ENTERING, "if visible[k] >= settled:", "if visible[k] > 0:", "turning"
     ),
-    _off("who turns in gives way", KERNELS, "before[k, j] and turning[k, j]", "False", "turning"),
+    _off("who turns in gives way", ENTERING, "before[k, j] and turning[k, j]", "False", "turning"),
     _off(
         "begun before it could see the ego",
-        KERNELS,
+        ENTERING,
         "elif visible[k] > sight:",
         "elif visible[k] > 0:",
         "tests/shield/test_kernels.py",
     ),
     _off(
         "nobody comes where the ego is out of sight",
-        KERNELS,
+        ENTERING,
         "leaves and others.beside",
         "False and others.beside",
         "joins",
     ),
     _off(
         "everybody behind owes",
-        KERNELS,
+        DUTIES,
         "others.behind[j] and others.held[j] and not entered",
         "others.behind[j] and not entered",
         "owes",
     ),
     _off(
         "owed even where the path enters the lane",
-        KERNELS,
+        DUTIES,
         "others.behind[j] and others.held[j] and not entered",
         "others.behind[j] and others.held[j]",
         "owes",
     ),
     _off(
         "those ahead owe",
-        KERNELS,
+        DUTIES,
         "others.behind[j] and others.held[j] and not entered",
         "others.held[j] and not entered",
         "owes",
     ),
     _off(
         "owed what was left and is come back to",
-        KERNELS,
+        DUTIES,
         "        if inside and left:",
         "        if inside and False:",
         "left",
     ),
     _off(
         "duty ends where the lane is owned no more",
-        VERIFY,
-        "            held |= followers & (around.low",
-        "            held |= False & (around.low",
+        DUTIES,
+        "held[j] or (followers[j] and low",
+        "held[j] or (False and low",
         "lasts",
     ),
     _off(
         "duty ends where a corner comes beside a corner",
-        VERIFY,
-        "                behind[i] = apart(seen, scene.others[i]) >= 0\n",
-        "                pass\n",
+        DUTIES,
+        "behind[j] = gap_between(seen, seen.along, seen.across, rows, j, 0.0) >= 0",
+        "pass",
         "corner",
     ),
     _off(
         "duty lasts where the buffer is touched",
-        VERIFY,
-        "                behind[i] = apart(seen, scene.others[i]) >= 0\n",
-        "                behind[i] = True\n",
+        DUTIES,
+        "behind[j] = gap_between(seen, seen.along, seen.across, rows, j, 0.0) >= 0",
+        "behind[j] = True",
         "corner",
     ),
     _off(
@@ -386,11 +389,11 @@ _OWED = (
     ),
     _off("who enters need not gain by it", MOBIL, "gain >= _LEAST_GAIN - slack and imposed", "imposed", _MOBIL),
     _off("who enters may impose anything", MOBIL, " and imposed <= IMPOSED + slack", "", _MOBIL),
-    _off("lane owned without a plan", KERNELS, "(had or j == stored) and offset < touch", "offset < touch", "owned"),
-    _off("lane owned for ever", KERNELS, "(had or j == stored) and offset < touch", "had or j == stored", "owned"),
+    _off("lane owned without a plan", DUTIES, "(had or j == stored) and offset < touch", "offset < touch", "owned"),
+    _off("lane owned for ever", DUTIES, "(had or j == stored) and offset < touch", "had or j == stored", "owned"),
     _off(
         "reaction time off",
-        KERNELS,
+        SEPARATION,
         "else first + reaction",
         "else first",
         "follower[idm-15-20-0.0]",
@@ -398,22 +401,22 @@ _OWED = (
     ),
     _off(
         "visible from the first frame on",
-        KERNELS,
+        SEPARATION,
         "            first = k + 2\n",
         "            first = 1\n",
         "follower[idm-15-20-0.0]",
     ),
     _off(
         "seen for long already",
-        VERIFY,
-        "return np.full(home.shape, -1)",
-        "return np.full(home.shape, 0)",
+        TOGETHER,
+        "np.full(home.shape, -1)",
+        "np.full(home.shape, 0)",
         "follower[idm-15-20-1.5]",
         "follower[rss-25-20-1.5]",
     ),
     _off(
         "follower that still brakes when the ego stands off",
-        KERNELS,
+        SEPARATION,
         "    if paths[i, frames - 1, 3] < 0.5:",
         "    if paths[i, frames - 1, 3] < -0.5:",
         "follower[rss-25-20-0.0]",
@@ -421,7 +424,7 @@ _OWED = (
     ),
     _off(
         "follower accelerates half as hard",
-        KERNELS,
+        SEPARATION,
         "min(gain, power / max(speed, 1e-3)) * dt, top)",
         "0.5 * min(gain, power / max(speed, 1e-3)) * dt, top)",
         "follower[idm-15-20-0.0]",
@@ -429,8 +432,8 @@ _OWED = (
     _off(
         "follower brakes harder than it owes",
         VERIFY,
-        "                a.follower_braking,\n",
-        "                1.25 * a.follower_braking,\n",
+        "a.acceleration, a.follower_braking,",
+        "a.acceleration, 1.25 * a.follower_braking,",
         "follower[idm-15-20-0.0]",
     ),
 )

@@ -9,15 +9,15 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
 from continuous_world import random_continuous_world
-from cores import ContinuousCore
+from cores import ContinuousCore, nowhere
 
 from dynamics.scenes.scene import Scene, SceneReader
 from dynamics.state import Vehicle
-from dynamics.traffic.occupancy import Surroundings
 from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.rollouts import Rollouts
 from mpc.filter.predictive_filter import PredictiveFilter
 from shield import Reason, Shield, ShieldConfig, ShieldedEnv, Tier
+from shield.certificate import verify
 from shield.errors import ConfigError, SceneError
 from shield.repair.nearest_input import Search
 
@@ -216,7 +216,7 @@ def test_a_plan_that_is_nan_or_wrong_is_not_used(broken, monkeypatch):
     assert np.array_equal(clean, ContinuousCore(predictive=True).filter(scene, proposal)[0])
 
 
-STAGES = [(PredictiveFilter, "solve"), (Rollouts, "run_inputs"), (Rollouts, "stop"), (Surroundings, "rear")]
+STAGES = [(PredictiveFilter, "solve"), (Rollouts, "run_inputs"), (Rollouts, "stop"), (verify, "judged")]
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda s: f"{s[0].__name__}.{s[1]}")
@@ -248,11 +248,12 @@ def test_a_stage_that_raises_is_labelled_and_the_next_step_is_clean(stage, monke
     assert info["shield"]["reason"] != "stage_failed"
 
 
-@pytest.mark.parametrize("stage", [(Rollouts, "run_inputs"), (Rollouts, "stop"), (Surroundings, "rear")])
+@pytest.mark.parametrize("stage", [(Rollouts, "run_inputs"), (Rollouts, "stop"), (verify, "judged")])
 def test_a_stage_that_computes_nan_verifies_nothing(stage, env, monkeypatch):
     right = getattr(*stage)
     with monkeypatch.context() as patch, Actions(env) as actions, np.errstate(all="ignore"):
-        patch.setattr(*stage, lambda self, *a, **k: np.full_like(right(self, *a, **k), NAN))
+        broken = nowhere(right) if stage[0] is verify else lambda *a, **k: np.full_like(right(*a, **k), NAN)
+        patch.setattr(*stage, broken)
         *_, info = env.step(FULL)
     assert Tier(info["shield"]["tier"]).fallback
     assert all(a < 5.0 for a, _ in actions.seen)

@@ -4,10 +4,11 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
+from cores import nowhere
 
-from dynamics.traffic.occupancy import Surroundings
 from dynamics.vehicle.rollouts import Rollouts
 from shield import Shield, ShieldedEnv
+from shield.certificate import verify
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError, PolicyError, SceneError
 
@@ -324,8 +325,7 @@ def nan_stage(request, monkeypatch):
         run = Rollouts.run
         monkeypatch.setattr(Rollouts, "run", lambda self, *args: np.full_like(run(self, *args), NAN))
     else:
-        rear = Surroundings.rear
-        monkeypatch.setattr(Surroundings, "rear", lambda self, *a, **k: np.full_like(rear(self, *a, **k), NAN))
+        monkeypatch.setattr(verify, "judged", nowhere(verify.judged))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -367,7 +367,7 @@ def test_rollouts_that_are_nan_do_not_pass_on_an_empty_road(door, monkeypatch):
     assert last.reason == Reason.NO_SAFE_PLAN
 
 
-@pytest.mark.parametrize("stage", [(Rollouts, "run"), (Surroundings, "rear")], ids=["rollouts", "occupancy"])
+@pytest.mark.parametrize("stage", [(Rollouts, "run"), (verify, "judged")], ids=["rollouts", "occupancy"])
 def test_when_a_stage_raises_nothing_unfiltered_reaches_the_environment(stage, spy, shielded, monkeypatch):
     def broken(*args, **kwargs):
         raise RuntimeError("stage")

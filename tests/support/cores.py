@@ -19,7 +19,16 @@ from shield.procedures.nearest_inputs import NearestInputs
 from shield.procedures.parking_lot import ParkingLot
 from shield.procedures.screen import RuleAlone, Wish
 
-__all__ = ["ContinuousCore", "LotCore", "MetaCore", "ShieldCore"]
+__all__ = ["ContinuousCore", "LotCore", "MetaCore", "ShieldCore", "nowhere"]
+
+
+def nowhere(judged: Any) -> Any:
+    """`judged`, for which it is not known where the others can be: their bounds are NaN."""
+
+    def unknown(paths: Any, lanes: Any, fails: Any, state: Any, size: Any, around: Any, *rest: Any) -> Any:
+        return judged(paths, lanes, fails, state, size, around._replace(states=around.states * np.nan), *rest)
+
+    return unknown
 
 
 class _Driven:

@@ -53,14 +53,14 @@ def gains(states: Any, lane: Any, low: Any, high: Any, centers: Any, sight: floa
     out = np.zeros((m, 2), np.bool_)
     for j in range(m):
         s, v = states[j, 0], states[j, 3]
-        # Of the lanes below, its own, and above: distance and speed of the next ahead, and of the next behind.
+        # Of the lanes below [0] and above [2]: distance and speed of the next ahead, and of the next behind.
         gaps, speeds, backs, behind = np.full(3, np.inf), np.zeros(3), np.full(3, np.inf), np.zeros(3)
         now, own = 0.0, centers[lane[j]]
         for i in range(m):
             ahead = states[i, 0] - s
             if i != j and ahead >= 0 and (abs(states[i, 1] - own) <= sight or low[i] < own < high[i]):
                 now = max(now, _held_up(v, v - states[i, 3], ahead) ** 2)
-            for k in range(3):
+            for k in (0, 2):
                 to = lane[j] + k - 1
                 if i == j or to < 0 or to >= centers.shape[0] or not abs(states[i, 1] - centers[to]) <= sight:
                     continue

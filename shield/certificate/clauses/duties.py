@@ -67,7 +67,7 @@ def in_reach(others: Others, limits: Any, followers: bool) -> Any:
 def _comes_back(paths: Any, i: int, size: Footprint, low: float, high: float) -> bool:
     """Whether a path leaves the strip from `low` to `high` [m] with its buffer, and is in it again later: nobody keeps
     a place free that the ego has left."""
-    lon, lat, frames = size.along, size.across, paths.shape[1]
+    lat, frames = size.across, paths.shape[1]
     least, most = np.inf, -np.inf
     for k in range(frames):
         least, most = min(least, paths[i, k, 1]), max(most, paths[i, k, 1])
@@ -77,7 +77,7 @@ def _comes_back(paths: Any, i: int, size: Footprint, low: float, high: float) ->
     left = False
     for k in range(frames):
         r, psi = paths[i, k, 1], paths[i, k, 2]
-        half = lon * abs(math.sin(psi)) + lat * abs(math.cos(psi)) + size.growth_across
+        half = reach_across(size, psi)
         inside = r - half < high and r + half > low
         if inside and left:
             return True

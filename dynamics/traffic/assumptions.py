@@ -26,11 +26,13 @@ class Assumptions:
     power : the same for one that is fast already: no more than `power` / speed [m^2/s^3].
     max_speed : greatest speed that a slower vehicle accelerates to [m/s]; one that is faster keeps its speed or slows.
     min_speed : speed below which a moving vehicle does not brake on purpose [m/s]; 0 lets it stop.
-    turning_loss : way along the road that a vehicle may lose by turning, at more than `slow_speed` [m]. A lane change
-        of highway-env's traffic costs 0.3 m at 25 m/s, 0.8 m at 10 m/s and 2 m at 6 m/s.
+    turning_loss : way along the road that a car may lose by turning, at more than `slow_speed` [m]. A lane change of
+        highway-env's traffic costs 0.3 m at 25 m/s, 0.8 m at 10 m/s and 1.4 m at 6 m/s.
     turning_action : speed times way that it may lose by turning [m^2/s]: half the square of the speed across the road,
         over time. So one that is fast loses less.
-    turning_rate : share of both that is forgiven in a second [1/s].
+    turning_loss_back, turning_action_back : how fast they come back [m/s], [m^2/s^2].
+    turning_burst : speed times way that it may lose within any second [m^2/s]: one lane change, and not two; those of
+        highway-env's cars come to 9.3 at most.
     slow_speed : speed below which nobody is counted on to get anywhere [m/s].
     reversing_speed : greatest speed backwards [m/s]; 0 where nobody reverses.
     queue_distance, queue_speed : a vehicle reverses only from one ahead in its lanes that is nearer than this, centre
@@ -54,9 +56,11 @@ class Assumptions:
     power: float = 75.0
     max_speed: float = 40.0
     min_speed: float = 0.0
-    turning_loss: float = 2.0
-    turning_action: float = 17.0
-    turning_rate: float = 0.25
+    turning_loss: float = 1.2
+    turning_action: float = 7.0
+    turning_loss_back: float = 0.5
+    turning_action_back: float = 6.0
+    turning_burst: float = 10.0
     slow_speed: float = 4.0
     reversing_speed: float = 6.0
     queue_distance: float = 14.0

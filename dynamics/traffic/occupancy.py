@@ -35,6 +35,10 @@ __all__ = ["Occupancy", "Surroundings", "constant_velocity", "predict_occupancy"
 
 
 _STRAIGHT = np.zeros((2, 0))
+_CAR = 6.0
+"""Length up to which a vehicle turns as a car does; a longer one swings further [m]."""
+_COARSE = 3.5
+"""By what share vehicles swing further for each second that a frame lasts: their controllers act once a frame."""
 
 
 def constant_velocity(states: FloatArray, frames: int, dt: float) -> FloatArray:
@@ -79,9 +83,11 @@ def _motion(a: Assumptions, dt: float) -> Motion:
         a.max_speed,
         a.min_speed,
         a.slow_speed,
-        a.turning_loss,
-        a.turning_action,
-        a.turning_rate,
+        a.turning_loss * (1 + _COARSE * dt),
+        a.turning_action * (1 + _COARSE * dt),
+        a.turning_loss_back,
+        a.turning_action_back,
+        a.turning_burst,
         a.reversing_speed,
         a.queue_distance,
         a.queue_speed,
@@ -124,10 +130,13 @@ class Surroundings:
         others, states = np.ascontiguousarray(others, float), np.ascontiguousarray(states, float)
         self.others, self.states, self.assumptions, self.dt = others, states, assumptions, float(dt)
         m, a, bends = len(states), assumptions, road.bends
-        numbers, self.hull = np.empty((4, m)), np.empty((2, m))
-        lanes = np.empty((3, m), np.intp)
-        numbers[1], numbers[2] = a.turning_loss, a.turning_action
-        self.bodies = Bodies(*lanes, *self.hull, *numbers)
+        numbers, self.hull = np.empty((5, m)), np.empty((2, m))
+        lanes, reach, floor = np.empty((3, m), np.intp), numbers[0], numbers[4]
+        swing = np.maximum(others[:, Vehicle.LENGTH] / _CAR, 1.0)
+        self.motion = _motion(a, self.dt)
+        numbers[1], numbers[2], numbers[3] = swing * self.motion.loss, swing * self.motion.action, swing
+        recent = np.zeros((m, max(int(np.ceil(1 / self.dt - 1e-9)), 1)))
+        self.bodies = Bodies(*lanes, *self.hull, reach, *numbers[1:4], recent, floor)
         growth = np.zeros((m, 2))
         self.stretch: tuple[FloatArray, FloatArray] | None = None
         self.stretches = _STRAIGHT
@@ -141,7 +150,6 @@ class Surroundings:
             (least, greatest), (least_high, greatest_high) = bends.stretch(self.low), bends.stretch(self.high)
             self.stretch = np.minimum(least, least_high), np.maximum(greatest, greatest_high)
             self.stretches = np.stack(self.stretch)
-        self.motion = _motion(a, self.dt)
         self.lap = float(getattr(road, "length", 0.0)) if getattr(road, "closed", False) else 0.0
         if before is not None:
             spend(before.states, before.bodies, states, self.stretches, self.motion, self.lap, self.bodies)

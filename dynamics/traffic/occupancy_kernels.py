@@ -40,8 +40,9 @@ class Bodies(NamedTuple):
     `lane`: the nearest; `first`, `last`: the lanes that the body touches (first > last where it touches none);
     `low`, `high` [m]: outer edges of the lanes touched and of the body; `reach` [m]: half the length that the body
     covers along the road at any heading; `budget` [m], `action` [m^2/s]: what it may still lose of its way
-    by turning, as such and times its speed, negative where it has lost more; `floor` [m]: least
-    s that its centre ever comes to.
+    by turning, as such and times its speed, negative where it has lost more; `recent` [m^2/s]: what it has lost of
+    the latter in each frame of the last second, (m, frames), the newest first; `swing`: how much more than a car it may
+    lose; `floor` [m]: least s that its centre ever comes to.
     """
 
     lane: Any
@@ -52,6 +53,8 @@ class Bodies(NamedTuple):
     reach: Any
     budget: Any
     action: Any
+    swing: Any
+    recent: Any
     floor: Any
 
 
@@ -60,8 +63,8 @@ class Motion(NamedTuple):
 
     `braking`, `acceleration` [m/s^2]; `power` [m^2/s^3]: acceleration times speed at most; `max_speed` [m/s] up to
     which anybody accelerates; `min_speed` [m/s] below which nobody brakes on purpose; `slow` [m/s] below which way is
-    not counted; `loss` [m] and `action` [m^2/s]: what turning may cost, and `turning_rate` [1/s], the share of it by
-    which it comes back; `reversing` [m/s]: greatest speed backwards; `queue` [m], `queue_speed` [m/s]: one reverses
+    not counted; `loss` [m] and `action` [m^2/s]: what turning may cost a car, `loss_back` [m/s] and `action_back`
+    [m^2/s^2]: how fast that comes back, and `burst` [m^2/s]: action within a second at most; `reversing` [m/s]: greatest speed backwards; `queue` [m], `queue_speed` [m/s]: one reverses
     only from what is nearer than this ahead, centre to centre, and slower; `runout` [s], within which one that
     reverses comes to rest otherwise; `dt` [s].
     """
@@ -74,7 +77,9 @@ class Motion(NamedTuple):
     slow: float
     loss: float
     action: float
-    turning_rate: float
+    loss_back: float
+    action_back: float
+    burst: float
     reversing: float
     queue: float
     queue_speed: float
@@ -120,28 +125,33 @@ def strips(others: Any, states: Any, growth: Any, lanes: Lanes, bodies: Bodies) 
 
 @compiled
 def spend(states0: Any, bodies0: Bodies, states: Any, stretch: Any, motion: Motion, lap: float, bodies: Bodies) -> None:
-    """Fill in `budget` and `action` from the frame before: what was left, and what has come back, less what turning has
-    taken of each vehicle's way. `lap` is the length of a closed road, 0 of an open one [m]."""
+    """Fill in `budget`, `action` and `recent` from the frame before: what was left, and what has come back, less what
+    turning has taken of each vehicle's way. `lap` is the length of a closed road, 0 of an open one [m]."""
     for i in range(states.shape[0]):
-        v, back = states0[i, 3], motion.turning_rate * motion.dt
-        budget = min(max(bodies0.budget[i], 0.0) + back * motion.loss, motion.loss)
-        action = min(max(bodies0.action[i], 0.0) + back * motion.action, motion.action)
+        v, swing, lost = states0[i, 3], bodies.swing[i], 0.0
         if v > motion.slow:
             ds = states[i, 0] - states0[i, 0]
             if lap > 0:
                 ds -= lap * np.rint(ds / lap)
             least = stretch[0, i] if stretch.shape[1] > 0 else 1.0
             lost = max(v * motion.dt * least - ds, 0.0)
-            budget, action = budget - lost, action - v * lost
-        bodies.budget[i], bodies.action[i] = budget, action
+        budget, action = motion.loss_back * motion.dt, motion.action_back * motion.dt
+        bodies.budget[i] = min(max(bodies0.budget[i], 0.0) + budget, swing * motion.loss) - lost
+        bodies.action[i] = min(max(bodies0.action[i], 0.0) + action, swing * motion.action) - v * lost
+        within = v * lost
+        bodies.recent[i, 0] = within
+        for k in range(bodies.recent.shape[1] - 1):
+            within += bodies0.recent[i, k]
+            bodies.recent[i, k + 1] = bodies0.recent[i, k]
+        if within > swing * motion.burst:
+            bodies.action[i] = min(bodies.action[i], swing * motion.burst - within)
 
 
 @compiled
 def _lost(bodies: Bodies, i: int, slow: float, time: float, motion: Motion) -> float:
     """What a vehicle can have lost by turning after `time` [s], at no less than `slow` [m/s], [m]."""
-    back = motion.turning_rate * time
-    budget = max(bodies.budget[i], 0.0) + back * motion.loss
-    action = max(bodies.action[i], 0.0) + back * motion.action
+    budget = max(bodies.budget[i], 0.0) + motion.loss_back * time
+    action = max(bodies.action[i], 0.0) + motion.action_back * time
     return min(budget, action / max(slow, motion.slow))
 
 
@@ -204,7 +214,15 @@ def rears(
         v, wrecked, wreck = states[j, 3], others[j, _CRASHED] > 0, 1.0
         least_speed, start, floor = min(v, motion.min_speed), states[j, 0] - bodies.reach[j], bodies.floor[j]
         way, time, back, lost = 0.0, 0.0, 0.0, 0.0
+        burst, second = 0.0, bodies.recent.shape[1]
         for k in range(frames):
+            # What turning may take of a second that ends with this frame, and of those after it.
+            if k % second == 0:
+                burst += bodies.swing[j] * motion.burst
+                for i in range(second - 1):
+                    burst -= bodies.recent[j, i]
+            else:
+                burst += bodies.recent[j, second - 1 - k % second]
             slow = max(v - motion.braking * dt * max(k - hold, 0), least_speed)
             if wrecked:
                 # highway-env: a crashed vehicle brakes at -1 * speed per second.
@@ -216,7 +234,7 @@ def rears(
             else:
                 if slow >= motion.slow:
                     way, time = way + slow * dt, time + dt
-                    lost = _lost(bodies, j, slow, time, motion)
+                    lost = min(_lost(bodies, j, slow, time, motion), max(burst, 0.0) / slow)
                 else:
                     lost, back = _lost(bodies, j, 0.0, time, motion), back + max(motion.reversing, -v) * dt
                 along = max(way - lost, 0.0)

@@ -155,8 +155,10 @@ def two(first: tuple[float, ...], second: tuple[float, ...], dt: float = 0.1) ->
         ((0, 4, 0, 20), (2, 4, 0, 20.7), Rule.SPEED, None),
         ((0, 4, 0, -5.8), (-0.58, 4, 0, -6.3), Rule.SPEED, None),
         ((0, 4, 0, 20), (2.1, 4, 0, 20), Rule.WAY, None),
-        ((0, 4, 0, 20), (1.2, 4, 0, 20), 0, None),  # what turning may cost
-        ((0, 4, 0, 20), (0.9, 4, 0, 20), Rule.WAY, None),
+        ((0, 4, 0, 20), (1.88, 4, 0, 20), 0, None),  # what turning may cost in a frame
+        ((0, 4, 0, 20), (1.87, 4, 0, 20), Rule.WAY, None),
+        ((0, 4, 0, 12), (0.8, 4, 0, 12), 0, None),
+        ((0, 4, 0, 12), (0.7, 4, 0, 12), Rule.WAY, None),
         ((0, 4, 0, 5), (-0.1, 4, 0, 5), Rule.WAY, None),
         ((0, 4, 0, 2), (0, 4.2, 0, 2), 0, None),
         ((0, 4, 0, 2), (0, 4.3, 0, 2), Rule.WAY, None),
@@ -177,6 +179,20 @@ def test_the_rules_one_by_one(before, after, broken, grown):
     assert found[0] == int(broken)
     if grown is not None:
         assert found[1] == int(grown)
+
+
+@pytest.mark.parametrize(("speed", "lost", "frames"), [(20.0, 0.1, 10), (12.0, 0.1, 21), (6.0, 0.1, 39)])
+def test_what_turning_may_cost_is_used_up(speed: float, lost: float, frames: int) -> None:
+    """17 m^2/s and 2 m, of which a quarter comes back in a second."""
+    dt, row = 0.1, np.array([[0.0, 4.0, 0.0, speed, 5.0, 2.0, 0.0]])
+    old, count = around(row, dt), 0
+    while True:
+        row = row + np.array([speed * dt - lost, 0, 0, 0, 0, 0, 0])
+        new = around(row, dt, old)
+        if permits(old, new, dt, np.zeros(1, dtype=bool), FAR).broken[0]:
+            break
+        old, count = new, count + 1
+    assert count == frames
 
 
 def test_whoever_is_behind_stays_behind_the_buffer():

@@ -22,6 +22,9 @@ class Assumptions:
     Attributes
     ----------
     braking : greatest deceleration of any vehicle [m/s^2].
+    calm_braking : greatest deceleration of one whom nothing ahead asks for more (`dynamics.traffic.reaction`), as IDM
+        and MOBIL would have it [m/s^2]. It may brake harder where that leaves the room for the ego's fail-safe. With
+        `braking` itself, everybody may brake as hard as can be at any time.
     acceleration : greatest acceleration of any vehicle [m/s^2].
     power : the same for one that is fast already: no more than `power` / speed [m^2/s^3].
     max_speed : greatest speed that a slower vehicle accelerates to [m/s]; one that is faster keeps its speed or slows.
@@ -52,6 +55,7 @@ class Assumptions:
     """
 
     braking: float = 6.0
+    calm_braking: float = 3.0
     acceleration: float = 6.0
     power: float = 75.0
     max_speed: float = 40.0
@@ -101,7 +105,7 @@ class Assumptions:
 
         Source: Shalev-Shwartz et al. 2017, with the constants customary on motorways.
         """
-        return cls(braking=8.0, acceleration=6.0, max_speed=45.0, follower_braking=4.0, reaction_time=1.0)
+        return cls(braking=8.0, calm_braking=8.0, acceleration=6.0, max_speed=45.0, follower_braking=4.0, reaction_time=1.0)
 
     @classmethod
     def moderate(cls) -> Assumptions:

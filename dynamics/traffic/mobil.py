@@ -20,7 +20,7 @@ import numpy as np
 
 from dynamics.compiled import compiled
 
-__all__ = ["COMFORT", "GAP", "IMPOSED", "TIME", "TWICE_ROOT", "gains"]
+__all__ = ["COMFORT", "GAP", "IMPOSED", "TIME", "TWICE_ROOT", "desired_gap", "gains"]
 
 GAP, TIME, TWICE_ROOT = 10.0, 1.5, 2.0 * math.sqrt(15.0)
 """IDM's d0 [m], T [s] and 2 sqrt(a b) [m/s^2]."""
@@ -33,9 +33,15 @@ _LEAST_GAIN = 0.2
 
 
 @compiled
+def desired_gap(v: float, closing: float) -> float:
+    """IDM's desired gap d* at speed v, closing in on the vehicle ahead [m]; negative where it pulls away."""
+    return GAP + TIME * v + v * closing / TWICE_ROOT
+
+
+@compiled
 def _held_up(v: float, closing: float, gap: float) -> float:
     """d* / d of a vehicle behind another."""
-    return (GAP + TIME * v + v * closing / TWICE_ROOT) / max(gap, 1e-2)
+    return desired_gap(v, closing) / max(gap, 1e-2)
 
 
 @compiled

@@ -6,7 +6,8 @@ Road frame. Frame k = 1..K after the scene. The occupancy of a vehicle at frame 
 [rear_k, front_k] x [low, high]: the hull of every place that its body can be at. Positions follow the
 simulator's explicit Euler steps (s_{k+1} = s_k + v_k dt), so the bound is exact and not only nearly so.
 
-Along the road: the rear is that of a vehicle that brakes at `braking` from now on. It loses what it may lose by turning
+Along the road: the rear is that of a vehicle that brakes from now on as hard as it may: at `calm_braking`, and at up to
+`braking` from when what is ahead of it may ask for that (`dynamics.traffic.reaction`). It loses what it may lose by turning
 (`turning_loss`), is not counted on to get anywhere below `slow_speed`, and may reverse from what stands ahead of it.
 The front is that of one that accelerates at `acceleration`, until it owes the ego its braking.
 Across: a vehicle stays in the lanes that its body touches, one frame ahead at constant velocity included. Where it is
@@ -30,6 +31,7 @@ from dynamics.roads.straight import Road
 from dynamics.state import FloatArray, RoadState, Vehicle
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy_kernels import Bodies, Lanes, Motion, floors, fronts, rears, spend, strips
+from dynamics.traffic.reaction import brakings
 
 __all__ = ["Occupancy", "Surroundings", "constant_velocity", "predict_occupancy"]
 
@@ -37,6 +39,8 @@ __all__ = ["Occupancy", "Surroundings", "constant_velocity", "predict_occupancy"
 _STRAIGHT = np.zeros((2, 0))
 _CAR = 6.0
 """Length up to which a vehicle turns as a car does; a longer one swings further [m]."""
+_REACTING = 3.0
+"""Time for which it is looked at how hard each may brake; afterwards, it may as hard as anybody [s]."""
 _COARSE = 3.5
 """By what share vehicles swing further for each second that a frame lasts: their controllers act once a frame."""
 
@@ -88,6 +92,7 @@ def _motion(a: Assumptions, dt: float) -> Motion:
         a.turning_loss_back,
         a.turning_action_back,
         a.turning_burst,
+        min(a.calm_braking, a.braking),
         a.reversing_speed,
         a.queue_distance,
         a.queue_speed,
@@ -108,6 +113,7 @@ class Surroundings:
     dt : duration of a frame [s].
     before : the same others a frame before, in the same order, from which follows what each may still lose of its way
         by turning; without it, all of `assumptions.turning_loss`.
+    ego : where the ego is along the road, for whom those behind it may have to brake [m]; NaN without one.
 
     Attributes
     ----------
@@ -126,17 +132,19 @@ class Surroundings:
         assumptions: Assumptions,
         dt: float = 1 / 15,
         before: Surroundings | None = None,
+        ego: float = float("nan"),
     ) -> None:
         others, states = np.ascontiguousarray(others, float), np.ascontiguousarray(states, float)
         self.others, self.states, self.assumptions, self.dt = others, states, assumptions, float(dt)
         m, a, bends = len(states), assumptions, road.bends
         numbers, self.hull = np.empty((5, m)), np.empty((2, m))
+        brakes = np.empty((m, int(np.ceil(_REACTING / self.dt))))
         lanes, reach, floor = np.empty((3, m), np.intp), numbers[0], numbers[4]
         swing = np.maximum(others[:, Vehicle.LENGTH] / _CAR, 1.0)
         self.motion = _motion(a, self.dt)
         numbers[1], numbers[2], numbers[3] = swing * self.motion.loss, swing * self.motion.action, swing
         recent = np.zeros((m, max(int(np.ceil(1 / self.dt - 1e-9)), 1)))
-        self.bodies = Bodies(*lanes, *self.hull, reach, *numbers[1:4], recent, floor)
+        self.bodies = Bodies(*lanes, *self.hull, reach, *numbers[1:4], brakes, recent, floor)
         growth = np.zeros((m, 2))
         self.stretch: tuple[FloatArray, FloatArray] | None = None
         self.stretches = _STRAIGHT
@@ -153,7 +161,9 @@ class Surroundings:
         self.lap = float(getattr(road, "length", 0.0)) if getattr(road, "closed", False) else 0.0
         if before is not None:
             spend(before.states, before.bodies, states, self.stretches, self.motion, self.lap, self.bodies)
-        floors(others, states, self.stretches, self.motion, self.bodies)
+        order = np.argsort(-states[:, 0])
+        brakings(others, states, self.motion, self.lap, float(ego), order, self.bodies)
+        floors(others, states, self.stretches, self.motion, order, self.bodies)
 
     def rear(self, frames: int, dt: float, hold: int = 0, rows: Any = None) -> FloatArray:
         """Least s of each body after 1..K frames, (m, K) [m]; of those in `rows` only, where given. The last column

@@ -13,7 +13,7 @@ import numpy as np
 from dynamics.compiled import compiled
 from dynamics.state import Vehicle
 
-__all__ = ["Bodies", "Lanes", "Motion", "floors", "fronts", "rears", "spend", "strips"]
+__all__ = ["Bodies", "Lanes", "Motion", "apart", "floors", "fronts", "rears", "spend", "strips"]
 
 _SPEED, _LENGTH, _WIDTH, _CRASHED = int(Vehicle.SPEED), int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
 _ENDLESS = 1e6
@@ -42,7 +42,8 @@ class Bodies(NamedTuple):
     covers along the road at any heading; `budget` [m], `action` [m^2/s]: what it may still lose of its way
     by turning, as such and times its speed, negative where it has lost more; `recent` [m^2/s]: what it has lost of
     the latter in each frame of the last second, (m, frames), the newest first; `swing`: how much more than a car it may
-    lose; `floor` [m]: least s that its centre ever comes to.
+    lose; `brakes` (m, K) [m/s^2]: how hard it may brake at each of the coming frames, see `dynamics.traffic.reaction`;
+    `floor` [m]: least s that its centre ever comes to.
     """
 
     lane: Any
@@ -54,6 +55,7 @@ class Bodies(NamedTuple):
     budget: Any
     action: Any
     swing: Any
+    brakes: Any
     recent: Any
     floor: Any
 
@@ -64,7 +66,8 @@ class Motion(NamedTuple):
     `braking`, `acceleration` [m/s^2]; `power` [m^2/s^3]: acceleration times speed at most; `max_speed` [m/s] up to
     which anybody accelerates; `min_speed` [m/s] below which nobody brakes on purpose; `slow` [m/s] below which way is
     not counted; `loss` [m] and `action` [m^2/s]: what turning may cost a car, `loss_back` [m/s] and `action_back`
-    [m^2/s^2]: how fast that comes back, and `burst` [m^2/s]: action within a second at most; `reversing` [m/s]: greatest speed backwards; `queue` [m], `queue_speed` [m/s]: one reverses
+    [m^2/s^2]: how fast that comes back, and `burst` [m^2/s]: action within a second at most; `calm` [m/s^2]: braking that needs no
+    reason; `reversing` [m/s]: greatest speed backwards; `queue` [m], `queue_speed` [m/s]: one reverses
     only from what is nearer than this ahead, centre to centre, and slower; `runout` [s], within which one that
     reverses comes to rest otherwise; `dt` [s].
     """
@@ -80,6 +83,7 @@ class Motion(NamedTuple):
     loss_back: float
     action_back: float
     burst: float
+    calm: float
     reversing: float
     queue: float
     queue_speed: float
@@ -156,10 +160,19 @@ def _lost(bodies: Bodies, i: int, slow: float, time: float, motion: Motion) -> f
 
 
 @compiled
-def _braking_way(v: float, wrecked: bool, motion: Motion) -> tuple[float, float]:
+def apart(bodies: Bodies, i: int, j: int) -> bool:
+    """Whether two vehicles are in different lanes."""
+    if bodies.first[i] > bodies.last[i] or bodies.first[j] > bodies.last[j]:
+        return bodies.low[j] >= bodies.high[i] or bodies.high[j] <= bodies.low[i]
+    # Strips of neighbouring lanes overlap by what may lean.
+    return bodies.first[j] > bodies.last[i] or bodies.last[j] < bodies.first[i]
+
+
+@compiled
+def _braking_way(v: float, wrecked: bool, brakes: Any, motion: Motion) -> tuple[float, float]:
     """The way that a vehicle counts on before it stands, braking from now on [m], and for how long it does [s]."""
     way, time, wreck, least = 0.0, 0.0, 1.0, min(v, motion.min_speed)
-    speed = v
+    speed, k = v, 0
     while True:
         slow = max(speed, least)
         if wrecked:
@@ -169,19 +182,19 @@ def _braking_way(v: float, wrecked: bool, motion: Motion) -> tuple[float, float]
             return way, time
         if least >= motion.slow:
             return _ENDLESS, 0.0  # it never brakes below `min_speed`
-        way, time, speed = way + slow * motion.dt, time + motion.dt, speed - motion.braking * motion.dt
+        rate = brakes[k] if k < brakes.shape[0] else motion.braking
+        way, time, speed, k = way + slow * motion.dt, time + motion.dt, speed - rate * motion.dt, k + 1
 
 
 @compiled
-def floors(others: Any, states: Any, stretch: Any, motion: Motion, bodies: Bodies) -> None:
+def floors(others: Any, states: Any, stretch: Any, motion: Motion, order: Any, bodies: Bodies) -> None:
     """Fill in `floor`: where a vehicle's centre comes to rest at the least, or as far behind what is ahead in its lanes
     as it may reverse to. A vehicle that reverses runs out within `motion.runout`."""
     m = states.shape[0]
-    order = np.argsort(-states[:, 0])
     for n in range(m):
         i = order[n]
         v, wrecked = states[i, 3], others[i, _CRASHED] > 0
-        way, time = _braking_way(v, wrecked, motion)
+        way, time = _braking_way(v, wrecked, bodies.brakes[i], motion)
         way = max(way - _lost(bodies, i, 0.0, time, motion), 0.0) + min(v, 0.0) * motion.runout
         if stretch.shape[1] > 0:
             way = min(way * stretch[0, i], way * stretch[1, i])
@@ -189,11 +202,7 @@ def floors(others: Any, states: Any, stretch: Any, motion: Motion, bodies: Bodie
         if motion.reversing > 0 and not wrecked:
             for k in range(n):
                 j = order[k]
-                # Both touch a lane, or one of them none at all: strips of neighbouring lanes overlap by what may lean.
-                beside = bodies.first[j] > bodies.last[i] or bodies.last[j] < bodies.first[i]
-                if bodies.first[i] > bodies.last[i] or bodies.first[j] > bodies.last[j]:
-                    beside = bodies.low[j] >= bodies.high[i] or bodies.high[j] <= bodies.low[i]
-                if not beside and states[j, 0] > states[i, 0] and states[j, 3] < motion.queue_speed:
+                if not apart(bodies, i, j) and states[j, 0] > states[i, 0] and states[j, 3] < motion.queue_speed:
                     least = min(least, bodies.floor[j] - motion.queue)
         bodies.floor[i] = least
 
@@ -214,7 +223,7 @@ def rears(
         v, wrecked, wreck = states[j, 3], others[j, _CRASHED] > 0, 1.0
         least_speed, start, floor = min(v, motion.min_speed), states[j, 0] - bodies.reach[j], bodies.floor[j]
         way, time, back, lost = 0.0, 0.0, 0.0, 0.0
-        burst, second = 0.0, bodies.recent.shape[1]
+        burst, second, brakes = 0.0, bodies.recent.shape[1], v
         for k in range(frames):
             # What turning may take of a second that ends with this frame, and of those after it.
             if k % second == 0:
@@ -223,7 +232,9 @@ def rears(
                     burst -= bodies.recent[j, i]
             else:
                 burst += bodies.recent[j, second - 1 - k % second]
-            slow = max(v - motion.braking * dt * max(k - hold, 0), least_speed)
+            slow = max(brakes, least_speed)
+            if k >= hold:
+                brakes -= (bodies.brakes[j, k - hold] if k - hold < bodies.brakes.shape[1] else motion.braking) * dt
             if wrecked:
                 # highway-env: a crashed vehicle brakes at -1 * speed per second.
                 slow = min(slow, v * wreck)

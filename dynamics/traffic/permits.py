@@ -13,11 +13,13 @@ may do, from one frame to the next:
    the room for the ego's fail-safe;
 5. *distance*: whoever is behind the ego with its buffer, in a lane that the ego owns, stays behind it, and comes beside
    it where that leaves the room for the ego's fail-safe;
-6. *no crash* with another than the ego.
+6. *no crash* with another than the ego;
+7. *braking*: harder than at `calm_braking` only as what is ahead asks for, or may come to ask for once it has moved in
+   before it (`dynamics.traffic.reaction`); harder where that leaves the room for the ego's fail-safe.
 
-Rules 1 and 2 are judged here alone. Of rules 3 and 4 this module finds who has taken more room; whether the fail-safe
-suffers from it, and whether one that has come beside the ego (rule 5) leaves it the room, is for the shield to say. The
-first two make what they permit a matter of one frame: a bound that holds for a frame holds for all that follow, and
+Rules 1 and 2 are judged here alone. Of rules 3, 4 and 7 this module finds who has taken more room; whether the
+fail-safe suffers from it, and whether one that has come beside the ego (rule 5) leaves it the room, is for the shield
+to say. The first two make what they permit a matter of one frame: a bound that holds for a frame holds for all that follow, and
 `tests/dynamics/test_permits.py` has arbitrary inputs try to break that.
 """
 
@@ -39,7 +41,7 @@ from dynamics.traffic.occupancy_kernels import Bodies
 __all__ = ["Ego", "Motions", "Rule", "footprint", "gap_between", "permits"]
 
 _LENGTH, _WIDTH, _CRASHED = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
-_SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH = 1, 2, 4, 8, 16, 32
+_SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH, _BRAKING = 1, 2, 4, 8, 16, 32, 64
 _TOUCHING = 2.0
 """Bodies nearer than this have crashed into one another: highway-env moves them apart in the frame of a crash [m]."""
 _TOLERANCE = 1e-6
@@ -59,6 +61,7 @@ class Rule(IntFlag):
     REVERSING = _REVERSING
     DISTANCE = _DISTANCE
     CRASH = _CRASH
+    BRAKING = _BRAKING
 
 
 class Motions(NamedTuple):
@@ -67,7 +70,7 @@ class Motions(NamedTuple):
     Attributes
     ----------
     broken : rules 1, 2, 5 and 6 that each broke, (m,) of `Rule` bits.
-    grown : rules 3 and 4 that each broke unless it leaves the room, (m,) of `Rule` bits.
+    grown : rules 3, 4 and 7 that each broke unless it leaves the room, (m,) of `Rule` bits.
     """
 
     broken: Any
@@ -98,6 +101,7 @@ class _Limits(NamedTuple):
     slow: float
     period: float
     lap: float
+    frames: int
     one_frame: bool
 
 
@@ -169,13 +173,22 @@ def _judge(
                 bits |= _DISTANCE
         if not (bodies.low[i] >= bodies0.low[i] - _SLIGHT and bodies.high[i] <= bodies0.high[i] + _SLIGHT):
             more |= _LANES
+        if not wrecked:
+            allowed = 0.0
+            for k in range(limits.frames):
+                allowed += bodies0.brakes[i, k] if k < bodies0.brakes.shape[1] else limits.braking
+            harder = not v0 - v <= (allowed + _TOLERANCE) * limits.period / limits.frames
+            for k in range(bodies.brakes.shape[1] - limits.frames):
+                harder = harder or bodies.brakes[i, k] > bodies0.brakes[i, k + limits.frames] + _TOLERANCE
+            if harder:
+                more |= _BRAKING
         if not drop <= _GREW:
             more |= _REVERSING
         broken[i], grown[i] = bits, more
 
 
 @lru_cache(maxsize=16)
-def _limits(a: Assumptions, period: float, lap: float, one_frame: bool) -> _Limits:
+def _limits(a: Assumptions, period: float, lap: float, frames: int) -> _Limits:
     return _Limits(
         a.braking + _TOLERANCE,
         a.acceleration + _TOLERANCE,
@@ -185,7 +198,8 @@ def _limits(a: Assumptions, period: float, lap: float, one_frame: bool) -> _Limi
         a.slow_speed,
         period,
         lap,
-        one_frame,
+        frames,
+        frames == 1,
     )
 
 
@@ -221,7 +235,7 @@ def permits(before: Surroundings, after: Surroundings, period: float, behind: Bo
     >>> Rule(int(permits(first, at(2.0, 19.0, first), 0.1, nobody, ego).broken[0]))
     <Rule.SPEED: 1>
     """
-    limits = _limits(before.assumptions, float(period), after.lap, bool(period < 1.5 * before.dt))
+    limits = _limits(before.assumptions, float(period), after.lap, max(round(period / before.dt), 1))
     m = len(after.states)
     found = Motions(np.zeros(m, np.intp), np.zeros(m, np.intp))
     rows0, rows = before.others, after.others

@@ -125,7 +125,8 @@ def observe(
     watch = memory.watch if isinstance(memory.watch, Watch) else Watch()
     last, lane = memory.survey, memory.stored if isinstance(memory.stored, int) else None
     before = watch.before(scene) if frames == 1 else None
-    around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, before)
+    ego = float(scene.ego_road[RoadState.S])
+    around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, before, ego)
     visible, owned, coming = _lanes(last, scene, config, frames, lane)
     survey = Surveyor(scene, config, visible, owned, around, None, watch.followers(scene), coming, lane)
 

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dynamics.compiled import compiled
-from dynamics.traffic.mobil import COMFORT, GAP, IMPOSED, TIME, TWICE_ROOT
+from dynamics.traffic.mobil import COMFORT, IMPOSED, TIME, TWICE_ROOT, desired_gap
 from shield.certificate.clauses.footprint import Footprint
 
 __all__ = ["Slips", "anybody", "least_separations_of_slips", "may_slip"]
@@ -56,12 +56,6 @@ class Slips(NamedTuple):
 
 
 @compiled
-def _desired(v: float, closing: float) -> float:
-    """IDM's desired gap d* at speed v, closing in on the vehicle ahead [m]; negative where it pulls away."""
-    return GAP + TIME * v + v * closing / TWICE_ROOT
-
-
-@compiled
 def may_slip(
     others: Any,
     states: Any,
@@ -91,18 +85,18 @@ def may_slip(
                 ahead = states[i, 0] - s
                 if i != j and 0 <= ahead < gap and abs(states[i, 1] - centers[lane[j]]) <= sight:
                     gap, closing = ahead, v - states[i, 3] + braking * _BRAKES
-                    wanted = max(_desired(v, closing), 0.0)
+                    wanted = max(desired_gap(v, closing), 0.0)
                     left = max(gap - _BRAKES * max(closing, 0.0), 1.0)
-                    now = max(_desired(v, v - states[i, 3]), 0.0) / max(gap, 1.0)
+                    now = max(desired_gap(v, v - states[i, 3]), 0.0) / max(gap, 1.0)
             if not wanted > 0:
                 continue
             # Whether it may begin while the bodies overlap, at any speed down to which the ego may brake.
             reach, fast = 0.5 * (others[j, 4] + length) + _OVERLAP, max(ego[3], 0.0) + 1.0
             u = min(max(0.5 * (v - TIME * TWICE_ROOT), 0.0), fast)
             most = wanted / left * reach + _SLACK + _DRIFT * _BRAKES
-            leads = _desired(v, v - fast) <= most
+            leads = desired_gap(v, v - fast) <= most
             most = IMPOSED * reach + _HARDLY + _DRIFT * _BRAKES
-            if leads or _desired(u, u - v) <= most:
+            if leads or desired_gap(u, u - v) <= most:
                 out[count, 0], out[count, 1], out[count, 2], out[count, 3] = j, to, wanted / left, now
                 count += 1
     return count
@@ -118,15 +112,15 @@ def _begins(
     ahead = s - slips.starts[j] - v * t
     seen = abs(r - slips.goals[j]) <= sight
     if not ahead > 0:
-        wanted = _desired(u, u - v)
+        wanted = desired_gap(u, u - v)
         return seen and abs(wanted) <= _HARDLY - IMPOSED * ahead + _DRIFT * min(t, _BRAKES), False, False
-    wanted = _desired(v, v - u)
+    wanted = desired_gap(v, v - u)
     may = seen and abs(wanted) <= slips.ratios[0, j] * ahead + _SLACK + _DRIFT * min(t, _BRAKES)
     # It brakes meanwhile behind its own leader, as IDM does.
     slows = min(COMFORT * slips.ratios[1, j] ** 2, slips.braking)
     at_once = slips.ratios[1, j] * (ahead + 0.5 * slows * t * t) + _HARDLY
     slow = max(v - slows * t, 0.0)
-    return may, seen and min(wanted, _desired(slow, slow - u)) <= at_once and wanted >= -at_once, True
+    return may, seen and min(wanted, desired_gap(slow, slow - u)) <= at_once and wanted >= -at_once, True
 
 
 @compiled

@@ -7,8 +7,9 @@ Road frame. Frame k = 1..K after the scene. The occupancy of a vehicle at frame 
 simulator's explicit Euler steps (s_{k+1} = s_k + v_k dt), so the bound is exact and not only nearly so.
 
 Along the road: the rear is that of a vehicle that brakes from now on as hard as it may: at `calm_braking`, and at up to
-`braking` from when what is ahead of it may ask for that (`dynamics.traffic.reaction`). It loses what it may lose by turning
-(`turning_loss`), is not counted on to get anywhere below `slow_speed`, and may reverse from what stands ahead of it.
+`braking` from when what is ahead of it may ask for that (`dynamics.traffic.reaction`). It loses what it may lose by
+turning (`turning_loss`), is not counted on to get anywhere below `slow_speed`, and may reverse from what stands ahead
+of it.
 The front is that of one that accelerates at `acceleration`, until it owes the ego its braking.
 Across: a vehicle stays in the lanes that its body touches, one frame ahead at constant velocity included. Where it is
 in them and how it is turned makes no difference, so that a lane change that is aborted late, a car that wavers and one

@@ -173,6 +173,7 @@ def _judge(
                 bits |= _DISTANCE
         if not (bodies.low[i] >= bodies0.low[i] - _SLIGHT and bodies.high[i] <= bodies0.high[i] + _SLIGHT):
             more |= _LANES
+        harder = False
         if not wrecked:
             allowed = 0.0
             for k in range(limits.frames):
@@ -182,7 +183,7 @@ def _judge(
                 harder = harder or bodies.brakes[i, k] > bodies0.brakes[i, k + limits.frames] + _TOLERANCE
             if harder:
                 more |= _BRAKING
-        if not drop <= _GREW:
+        if not drop <= _GREW and not harder:
             more |= _REVERSING
         broken[i], grown[i] = bits, more
 

@@ -137,7 +137,8 @@ class Surveyor:
             owned = np.arange(scene.road.centers.size) == scene.road.lane_at(float(scene.ego_road[RoadState.R]))
         self.owned = np.asarray(owned, dtype=bool)
         if around is None:
-            around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt)
+            ego = float(scene.ego_road[RoadState.S])
+            around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, None, ego)
         self.around, road, b, a = around, scene.road, config.buffer, config.assumptions
         length, width = float(scene.ego[Vehicle.LENGTH]), float(scene.ego[Vehicle.WIDTH])
         # What the ego's buffered footprint, and its body, need beyond a straight road's rectangle.

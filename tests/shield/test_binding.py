@@ -31,7 +31,7 @@ def test_nobody_in_reach_binds_nothing() -> None:
 
 def test_a_frame_names_it_too() -> None:
     core = ShieldCore(ShieldConfig())
-    _, frame = core.supervise(scene_of((18.5, 4.0, 18.0), (60.0, 0.0, 25.0)))
+    _, frame = core.supervise(scene_of((11.5, 4.0, 16.0), (60.0, 0.0, 25.0)))
     assert frame.tier is not Tier.PASSED
     assert (frame.clause, frame.vehicle) == ("separation", 0)
 

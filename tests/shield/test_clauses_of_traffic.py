@@ -16,32 +16,44 @@ from shield import Buffer
 from shield.certificate.verify import Surveyor
 
 
+HELD_UP = CONFIG.replace(assumptions=replace(CONFIG.assumptions, calm_braking=6.0))
+
+
+@pytest.mark.parametrize(("ahead", "calm"), [((), 45), ((35.0,), 0), ((150.5,), 45)])
 @pytest.mark.parametrize("frames", [8, 80])
-def test_the_bound_along_the_road_is_that_of_one_that_brakes(frames):
-    """In each frame; the last column stands for all the rest."""
-    rows = np.array([[0.0, 0.0, 0.0, 20.0, *BODY]])
+def test_the_bound_along_the_road_is_that_of_one_that_brakes(frames, ahead, calm):
+    """In each frame; the last column stands for all the rest. On a free road it does not brake hard for three
+    seconds."""
+    rows = np.array([[0.0, 0.0, 0.0, 20.0, *BODY], *([s, 0.0, 0.0, 0.0, *BODY] for s in ahead)])
     around = Surroundings(rows, rows[:, :4], StraightRoad.from_lanes(1), CONFIG.assumptions, DT)
     bound = around.rear(frames, DT)[0]
-    way = np.cumsum(np.maximum(20.0 - 6.0 * DT * np.arange(80), 0.0)) * DT
+    rates = np.where(np.arange(80) < calm, 3.0, 6.0)
+    way = np.cumsum(np.maximum(20.0 - np.cumsum([0.0, *rates[:-1]]) * DT, 0.0)) * DT
     assert (bound[:-1] <= way[: frames - 1] - 2.5 + 1e-9).all()
     assert bound[-1] <= way[-1] - 2.5
     assert around.bodies.floor[0] <= way[-1]
+    # And no further back than what turning may take, and the diagonal.
+    assert (bound[: min(frames - 1, 25)] >= way[: min(frames - 1, 25)] - 2.7 - 2.5).all()
 
 
+@pytest.mark.parametrize("config", [CONFIG, HELD_UP])
 @pytest.mark.parametrize(("v", "leader"), [(10.0, 10.0), (25.0, 15.0)])
-def test_a_leader_that_brakes_and_turns_as_it_may_is_not_touched(v, leader):
-    accepted = 0
+def test_a_leader_that_brakes_and_turns_as_it_may_is_not_touched(v, leader, config):
+    accepted, least = 0, np.inf
     for gap in np.arange(8.0, 60.0, 0.1):
         scene = scene_of((0, 0, 0, v), (gap, 0, 0, leader))
-        if margin(scene, 0) < 0:
+        if margin(scene, 0, config=config) < 0:
             continue
         accepted += 1
-        s, u, lost = gap, leader, 0.0
+        s, u, lost, k = gap, leader, 0.0, 0
         for state in driven(scene, 0):
-            turned = min(u * DT, 1.999 - lost) if u < 8 else 0.0
-            s, u, lost = s + u * DT - turned, max(u - 6 * DT, 0.0), lost + turned
+            turned = min(u * DT, 1.47 - lost) if u < 5.5 else 0.0
+            rate, k = (6 if k >= 45 or config is HELD_UP else 3), k + 1
+            s, u, lost = s + u * DT - turned, max(u - rate * DT, 0.0), lost + turned
+            least = min(least, s - 2.5 - (state[0] + 4.5))
             assert s - 2.5 - (state[0] + 4.5) >= -1e-9, gap
     assert 0 < accepted < 520
+    assert least < 4.0
 
 
 PUSHES = [("idm", 15, 20), ("rss", 25, 20), ("idm", 20, 40)]

@@ -92,7 +92,7 @@ def test_assumptions_can_be_a_profile(name):
         ("mode = ", "not a TOML document"),
         ("brakes = 5.0", "unknown key 'brakes' in config; valid are mode, buffer, assumptions, braking"),
         ("[buffer]\nlong = 5.0", "unknown key 'long' in buffer; valid are longitudinal, lateral"),
-        ("[assumptions]\nbrake = 5.0", "unknown key 'brake' in assumptions; valid are braking, acceleration"),
+        ("[assumptions]\nbrake = 5.0", "unknown key 'brake' in assumptions; valid are braking, calm_braking"),
         ("[extra]\nx = 1", "unknown key 'extra'"),
         ("buffer = 2.0", "buffer must be a table"),
         ("assumptions = 2.0", "assumptions must be a table"),

@@ -6,11 +6,14 @@ A point of the unit cube stands for the numbers.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from attack_drivers import POLICIES, policy_of
 from driven_traffic import LANE, Outcome, Scenario, Setting, drive
+
+from dynamics.traffic.assumptions import Assumptions
+from shield import ShieldConfig
 
 __all__ = ["ATTACKS", "Attack", "Run", "play"]
 
@@ -19,6 +22,9 @@ Bounds = Mapping[str, tuple[float, float]]
 
 SLOW = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
 """Speeds of the meta-actions where the ego is to drive slowly."""
+
+WARY = ShieldConfig(assumptions=replace(Assumptions.idm(), calm_braking=Assumptions.idm().braking))
+"""Counts on no reason for braking."""
 
 TRUCK, CAR, MOTORCYCLE = (12.0, 2.5), (5.0, 2.0), (2.0, 0.8)
 
@@ -70,11 +76,12 @@ class Run:
 
 
 def play(run: Run) -> Outcome:
-    """Drive one run."""
+    """Drive one run; every other one where anybody may brake as hard as can be at any time."""
     attack = ATTACKS[run.attack]
     scenario = attack.build(attack.numbers(run.unit))
     setting = Setting(run.action, run.hz, attack.seconds)
-    return drive(scenario, setting, policy_of(scenario.policy, run.action), run.seed)
+    config = WARY if run.seed % 2 else ShieldConfig()
+    return drive(scenario, setting, policy_of(scenario.policy, run.action), run.seed, config)
 
 
 ATTACKS: dict[str, Attack] = {}

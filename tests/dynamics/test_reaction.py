@@ -1,0 +1,97 @@
+"""How hard one may brake: what is ahead asks for it, in highway-env's own traffic as well."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gymnasium as gym
+import highway_env  # noqa: F401
+import numpy as np
+import pytest
+
+from dynamics.roads.straight import StraightRoad
+from dynamics.scenes.scene import SceneReader
+from dynamics.traffic.assumptions import Assumptions
+from dynamics.traffic.occupancy import Surroundings
+
+DT = 0.1
+IDM = Assumptions.idm()
+
+
+def brakes(*vehicles: tuple[float, ...], assumptions: Assumptions = IDM, ego: float = np.nan) -> np.ndarray:
+    """What vehicles at (s, r, speed), and perhaps crashed, may do in the coming frames, (m, K)."""
+    rows = np.array([[s, r, 0.0, v, 5.0, 2.0, *(crashed or [0.0])] for s, r, v, *crashed in vehicles])
+    road = StraightRoad.from_lanes(3)
+    return Surroundings(rows, rows[:, :4], road, assumptions, DT, None, ego).bodies.brakes
+
+
+def test_nobody_brakes_hard_on_a_free_road() -> None:
+    assert (brakes((0.0, 0.0, 25.0))[0] == IDM.calm_braking).all()
+    assert (brakes((0.0, 0.0, 25.0), (-9.0, 0.0, 30.0), (160.0, 0.0, 25.0))[0] == IDM.calm_braking).all()
+
+
+def test_the_nearer_and_the_slower_one_is_ahead_the_harder_and_the_sooner() -> None:
+    bounds = [brakes((0.0, 0.0, 20.0), (s, 0.0, 20.0))[0] for s in (25.0, 35.0, 45.0, 60.0, 90.0)]
+    bounds += [brakes((0.0, 0.0, 20.0), (90.0, 0.0, v))[0] for v in (25.0, 30.0)]
+    for near, far in zip(bounds, bounds[1:], strict=False):
+        assert (near >= far).all()
+        assert near.sum() > far.sum()
+    assert (bounds[0] == IDM.braking).all()
+    assert bounds[2][0] == pytest.approx(1.1 * 3 * (40 / (45 - 1.2 * 1.35)) ** 2 + 0.5)
+    assert all((np.diff(bound) >= -1e-9).all() for bound in bounds)
+
+
+def test_one_whose_leader_has_a_free_road_brakes_later_than_one_whose_leader_does_not() -> None:
+    free = brakes((0.0, 0.0, 20.0), (60.0, 0.0, 20.0))[0]
+    held_up = brakes((0.0, 0.0, 20.0), (60.0, 0.0, 20.0), (80.0, 0.0, 5.0))[0]
+    assert held_up.sum() > free.sum() + 1
+
+
+def test_one_in_another_lane_asks_for_something_once_it_may_come_in() -> None:
+    alone = IDM.calm_braking * 30
+    ahead = brakes((0.0, 0.0, 20.0), (30.0, 4.0, 20.0))[0]
+    assert ahead[0] == IDM.braking  # MOBIL lets it come in at once
+    beside = brakes((0.0, 0.0, 20.0), (2.0, 4.0, 20.0))[0]
+    assert beside[0] == IDM.calm_braking
+    assert beside.sum() > alone  # once it has got ahead
+    beyond = brakes((0.0, 0.0, 20.0), (30.0, 8.0, 20.0))[0]
+    assert beyond[0] == IDM.calm_braking
+    assert beside.sum() < ahead.sum()
+    assert alone < beyond.sum() < ahead.sum()
+    assert brakes((0.0, 0.0, 20.0), (-60.0, 4.0, 20.0))[0].sum() == pytest.approx(alone)
+
+
+def test_who_may_brake_as_hard_as_can_be() -> None:
+    assert (brakes((0.0, 0.0, 20.0), ego=1.0) == IDM.braking).all()  # it may have the ego to brake for
+    assert (brakes((0.0, 0.0, 20.0), ego=-1.0) == IDM.calm_braking).all()
+    assert (brakes((0.0, 0.0, 20.0, 1.0)) == IDM.braking).all()
+    assert (brakes((0.0, 0.0, 20.0), assumptions=replace(IDM, calm_braking=6.0)) == 6.0).all()
+    assert (brakes((0.0, 0.0, 20.0), assumptions=Assumptions.rss()) == 8.0).all()
+
+
+@pytest.mark.parametrize("rate", [5, 15])
+def test_highway_envs_own_traffic_brakes_no_harder_than_that(rate: int) -> None:
+    """But for lane changes that make one brake harder than MOBIL looks for, of which there are hardly any; and each
+    bound holds what comes after it."""
+    config = {"simulation_frequency": rate, "lanes_count": 3, "vehicles_count": 20, "vehicles_density": 1.5}
+    frames, hard, harder, grown = 0, 0, 0, 0
+    for seed in range(3):
+        env = gym.make("highway-v0", config=config)
+        env.reset(seed=seed)
+        reader, old = SceneReader(env), None
+        road, ego = env.unwrapped.road, env.unwrapped.vehicle
+        ego.position = ego.position - np.array([500.0, 0.0])
+        for _ in range(10 * rate):
+            scene = reader.read()
+            new = Surroundings(scene.others, scene.others_road, scene.road, IDM, scene.dt, old)
+            if old is not None:
+                slowed = (old.states[:, 3] - new.states[:, 3]) / scene.dt
+                frames, hard = frames + len(slowed), hard + int((slowed > IDM.calm_braking).sum())
+                harder += int((slowed > old.bodies.brakes[:, 0] + 1e-6).sum())
+                grown += int((new.bodies.brakes[:, :-1] > old.bodies.brakes[:, 1:] + 1e-6).any(axis=1).sum())
+            road.act()
+            road.step(scene.dt)
+            old = new
+    assert hard > 20
+    assert harder <= 0.02 * hard
+    assert grown <= 0.02 * frames

@@ -105,7 +105,7 @@ class Assumptions:
 
         Source: Shalev-Shwartz et al. 2017, with the constants customary on motorways.
         """
-        return cls(braking=8.0, calm_braking=8.0, acceleration=6.0, max_speed=45.0, follower_braking=4.0, reaction_time=1.0)
+        return cls(braking=8.0, calm_braking=8.0, max_speed=45.0, follower_braking=4.0, reaction_time=1.0)
 
     @classmethod
     def moderate(cls) -> Assumptions:

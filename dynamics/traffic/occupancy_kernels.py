@@ -66,8 +66,8 @@ class Motion(NamedTuple):
     `braking`, `acceleration` [m/s^2]; `power` [m^2/s^3]: acceleration times speed at most; `max_speed` [m/s] up to
     which anybody accelerates; `min_speed` [m/s] below which nobody brakes on purpose; `slow` [m/s] below which way is
     not counted; `loss` [m] and `action` [m^2/s]: what turning may cost a car, `loss_back` [m/s] and `action_back`
-    [m^2/s^2]: how fast that comes back, and `burst` [m^2/s]: action within a second at most; `calm` [m/s^2]: braking that needs no
-    reason; `reversing` [m/s]: greatest speed backwards; `queue` [m], `queue_speed` [m/s]: one reverses
+    [m^2/s^2]: how fast that comes back, and `burst` [m^2/s]: action within a second at most; `calm` [m/s^2]: braking
+    that needs no reason; `reversing` [m/s]: greatest speed backwards; `queue` [m], `queue_speed` [m/s]: one reverses
     only from what is nearer than this ahead, centre to centre, and slower; `runout` [s], within which one that
     reverses comes to rest otherwise; `dt` [s].
     """

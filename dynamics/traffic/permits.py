@@ -19,8 +19,8 @@ may do, from one frame to the next:
 
 Rules 1 and 2 are judged here alone. Of rules 3, 4 and 7 this module finds who has taken more room; whether the
 fail-safe suffers from it, and whether one that has come beside the ego (rule 5) leaves it the room, is for the shield
-to say. The first two make what they permit a matter of one frame: a bound that holds for a frame holds for all that follow, and
-`tests/dynamics/test_permits.py` has arbitrary inputs try to break that.
+to say. The first two make what they permit a matter of one frame: a bound that holds for a frame holds for all that
+follow, and `tests/dynamics/test_permits.py` has arbitrary inputs try to break that.
 """
 
 from __future__ import annotations

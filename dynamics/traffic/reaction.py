@@ -37,41 +37,33 @@ _LANE, _TOWARDS = 5.0, 14.0
 
 
 @compiled
-def _faster(v: float, motion: Motion) -> float:
-    """Speed after a frame at the greatest acceleration [m/s]."""
-    return min(v + min(motion.acceleration, motion.power / max(v, 1e-3)) * motion.dt, max(v, motion.max_speed))
+def _fastest(v: float, motion: Motion, speeds: Any, ways: Any) -> None:
+    """Greatest speed at each of the coming frames, `speeds` (K,) [m/s], and how far that has led by then, `ways`."""
+    way, top = 0.0, max(v, motion.max_speed)
+    for k in range(speeds.shape[0]):
+        speeds[k], ways[k] = v, way
+        way += v * motion.dt
+        v = min(v + min(motion.acceleration, motion.power / max(v, 1e-3)) * motion.dt, top)
 
 
 @compiled
-def _press(
-    i: int, j: int, ahead: float, hardest: Any, wrecked: bool, states: Any, motion: Motion, bodies: Bodies, end: int
-) -> int:
-    """Raise `bodies.brakes` of vehicle i to what vehicle j, `ahead` [m] of it, may ask for, braking at `hardest` (K,)
-    itself; the number of frames before i may brake as hard as can be, `end` at most."""
-    dt, brakes = motion.dt, bodies.brakes[i]
-    entered, first = not apart(bodies, i, j), 0
-    if not entered:
-        first = int((abs(states[j, 1] - states[i, 1]) - _LANE) / (_TOWARDS * dt))
-    elif ahead < 0:
-        return end
-    # The extremes: i as fast and j as slow and as near as can be; and the other way round.
-    v, u, d = max(states[i, 3], 0.0), states[j, 3], ahead - max(bodies.budget[j], 0.0)
-    slow, fast, far, backwards = v, u, ahead, min(u, 0.0 if wrecked else -motion.reversing)
-    for k in range(end):
-        if not entered and k >= first:
-            entered = far > 0 and desired_gap(slow, slow - fast) <= (IMPOSED + _MORE) * far
-        if entered:
-            rate = motion.braking
-            if d > 1.0:
-                rate = min(_SCALE * COMFORT * (desired_gap(v, max(v - u, 0.0)) / d) ** 2 + _SLACK, rate)
-            brakes[k] = max(brakes[k], rate)
-            if rate >= motion.braking:
-                return k + 1
-        d, far = d + (u - v - motion.loss_back) * dt, far + (fast - slow) * dt
+def _slowest(v: float, brakes: Any, wrecked: bool, backwards: float, motion: Motion, speeds: Any, ways: Any) -> None:
+    """Least speed at each of the coming frames of one that brakes at `brakes` (K,), down to `backwards` [m/s]."""
+    way, dt = 0.0, motion.dt
+    for k in range(speeds.shape[0]):
+        speeds[k], ways[k] = v, way
+        way += v * dt
         # highway-env: a crashed vehicle brakes at -1 * speed per second.
-        u = max(min(u - hardest[k] * dt, u * (1 - dt) if wrecked else u), backwards)
-        v, fast, slow = _faster(v, motion), _faster(fast, motion), max(slow - motion.braking * dt, 0.0)
-    return end
+        v = max(min(v - brakes[k] * dt, v * (1 - dt) if wrecked else v), backwards)
+
+
+@compiled
+def _asked(k: int, d: float, fast: Any, slow: Any, motion: Motion) -> float:
+    """Braking at frame k for what is then at distance d ahead, and no faster than `slow` [m/s^2]."""
+    if not d > 1.0:
+        return motion.braking
+    wanted = desired_gap(fast[k], max(fast[k] - slow[k], 0.0))
+    return min(_SCALE * COMFORT * (wanted / d) ** 2 + _SLACK, motion.braking)
 
 
 @compiled
@@ -84,24 +76,63 @@ def brakings(others: Any, states: Any, motion: Motion, lap: float, ego: float, o
     ego : where the ego is along the road [m]; whoever is behind it may have it to brake for. NaN without one.
     order : the vehicles from the first along the road to the last, (m,).
     """
-    m, frames = states.shape[0], bodies.brakes.shape[1]
-    worst = np.full(frames, motion.braking)
+    m, frames, dt, last = states.shape[0], bodies.brakes.shape[1], motion.dt, bodies.brakes.shape[1] - 1
+    bodies.brakes[:] = motion.braking
+    if not motion.calm < motion.braking:
+        return
+    # As fast, and as slow, as each may be; the latter as its own bound says, once that is known.
+    fast, fast_way = np.empty((m, frames)), np.empty((m, frames))
+    slow, slow_way = np.empty((m, frames)), np.empty((m, frames))
+    hard, hard_way = np.empty(frames), np.empty(frames)
+    for i in range(m):
+        wrecked = others[i, _CRASHED] > 0
+        backwards = min(states[i, 3], 0.0 if wrecked else -motion.reversing)
+        _fastest(max(states[i, 3], 0.0), motion, fast[i], fast_way[i])
+        _slowest(states[i, 3], bodies.brakes[i], wrecked, backwards, motion, slow[i], slow_way[i])
     for n in range(m):
         i = order[n]
-        behind = ego - states[i, 0]
+        behind, wrecked, brakes = ego - states[i, 0], others[i, _CRASHED] > 0, bodies.brakes[i]
         if lap > 0:
             behind -= lap * np.rint(behind / lap)
-        if behind > 0 or others[i, _CRASHED] > 0 or not motion.calm < motion.braking:
-            bodies.brakes[i] = motion.braking
+        if behind > 0 or wrecked:
             continue
-        bodies.brakes[i] = motion.calm
+        brakes[:] = motion.calm
+        way, v = 0.0, max(states[i, 3], 0.0)
+        for k in range(frames):
+            hard[k], hard_way[k] = v, way
+            way, v = way + v * dt, max(v - motion.braking * dt, 0.0)
         end = frames
         for p in range(m):
             j = order[p]
             ahead = states[j, 0] - states[i, 0]
             if lap > 0:
                 ahead -= lap * np.rint(ahead / lap)
-            if i != j and abs(ahead) <= _FAR:
-                hardest = bodies.brakes[j] if p < n else worst
-                end = _press(i, j, ahead, hardest, others[j, _CRASHED] > 0, states, motion, bodies, end)
-        bodies.brakes[i, end:] = motion.braking
+            if i == j or not abs(ahead) <= _FAR:
+                continue
+            near = ahead - max(bodies.budget[j], 0.0)
+            if ahead <= 0 and ahead + fast_way[j, last] - hard_way[last] <= 0:
+                continue  # it does not get ahead
+            # The distance is least at one of its ends: it falls ever faster. What is wanted grows.
+            d = min(near, near + slow_way[j, last] - fast_way[i, last] - motion.loss_back * dt * last)
+            if not _asked(last, d, fast[i], slow[j], motion) > motion.calm:
+                continue  # nor does it ask for anything
+            entered, first = not apart(bodies, i, j), 0
+            if entered and ahead < 0:
+                continue
+            if not entered:
+                first = int((abs(states[j, 1] - states[i, 1]) - _LANE) / (_TOWARDS * dt))
+            for k in range(end):
+                if not entered and k >= first:
+                    far = ahead + fast_way[j, k] - hard_way[k]
+                    entered = far > 0 and desired_gap(hard[k], hard[k] - fast[j, k]) <= (IMPOSED + _MORE) * far
+                if not entered:
+                    continue
+                d = near + slow_way[j, k] - fast_way[i, k] - motion.loss_back * dt * k
+                rate = _asked(k, d, fast[i], slow[j], motion)
+                brakes[k] = max(brakes[k], rate)
+                if rate >= motion.braking:
+                    end = k + 1
+                    break
+        brakes[end:] = motion.braking
+        backwards = min(states[i, 3], -motion.reversing)
+        _slowest(states[i, 3], brakes, False, backwards, motion, slow[i], slow_way[i])

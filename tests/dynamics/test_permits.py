@@ -183,7 +183,9 @@ def test_the_rules_one_by_one(before, after, broken, grown):
         assert found[1] == int(grown)
 
 
-@pytest.mark.parametrize(("speed", "lost", "frames"), [(20.0, 0.1, 5), (20.0, 0.04, 44), (12.0, 0.1, 8), (6.0, 0.1, 31)])
+@pytest.mark.parametrize(
+    ("speed", "lost", "frames"), [(20.0, 0.1, 5), (20.0, 0.04, 44), (12.0, 0.1, 8), (6.0, 0.1, 31)]
+)
 def test_what_turning_may_cost_is_used_up(speed: float, lost: float, frames: int) -> None:
     """Within a second, or in the course of time."""
     dt, row = 0.1, np.array([[0.0, 4.0, 0.0, speed, 5.0, 2.0, 0.0]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import gymnasium as gym
 import highway_env  # noqa: F401
@@ -33,7 +34,7 @@ def test_nobody_brakes_hard_on_a_free_road() -> None:
 def test_the_nearer_and_the_slower_one_is_ahead_the_harder_and_the_sooner() -> None:
     bounds = [brakes((0.0, 0.0, 20.0), (s, 0.0, 20.0))[0] for s in (25.0, 35.0, 45.0, 60.0, 90.0)]
     bounds += [brakes((0.0, 0.0, 20.0), (90.0, 0.0, v))[0] for v in (25.0, 30.0)]
-    for near, far in zip(bounds, bounds[1:], strict=False):
+    for near, far in pairwise(bounds):
         assert (near >= far).all()
         assert near.sum() > far.sum()
     assert (bounds[0] == IDM.braking).all()

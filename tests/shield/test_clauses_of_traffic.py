@@ -15,7 +15,6 @@ from dynamics.traffic.occupancy import Surroundings
 from shield import Buffer
 from shield.certificate.verify import Surveyor
 
-
 HELD_UP = CONFIG.replace(assumptions=replace(CONFIG.assumptions, calm_braking=6.0))
 
 

@@ -169,7 +169,13 @@ def apart(bodies: Bodies, i: int, j: int) -> bool:
 
 
 @compiled
-def _braking_way(v: float, wrecked: bool, brakes: Any, motion: Motion) -> tuple[float, float]:
+def _rate(bodies: Bodies, i: int, k: int, motion: Motion) -> float:
+    """How hard a vehicle may brake at the coming frame k [m/s^2]."""
+    return bodies.brakes[i, k] if k < bodies.brakes.shape[1] else motion.braking
+
+
+@compiled
+def _braking_way(i: int, v: float, wrecked: bool, motion: Motion, bodies: Bodies) -> tuple[float, float]:
     """The way that a vehicle counts on before it stands, braking from now on [m], and for how long it does [s]."""
     way, time, wreck, least = 0.0, 0.0, 1.0, min(v, motion.min_speed)
     speed, k = v, 0
@@ -182,8 +188,8 @@ def _braking_way(v: float, wrecked: bool, brakes: Any, motion: Motion) -> tuple[
             return way, time
         if least >= motion.slow:
             return _ENDLESS, 0.0  # it never brakes below `min_speed`
-        rate = brakes[k] if k < brakes.shape[0] else motion.braking
-        way, time, speed, k = way + slow * motion.dt, time + motion.dt, speed - rate * motion.dt, k + 1
+        way, time = way + slow * motion.dt, time + motion.dt
+        speed, k = speed - _rate(bodies, i, k, motion) * motion.dt, k + 1
 
 
 @compiled
@@ -194,7 +200,7 @@ def floors(others: Any, states: Any, stretch: Any, motion: Motion, order: Any, b
     for n in range(m):
         i = order[n]
         v, wrecked = states[i, 3], others[i, _CRASHED] > 0
-        way, time = _braking_way(v, wrecked, bodies.brakes[i], motion)
+        way, time = _braking_way(i, v, wrecked, motion, bodies)
         way = max(way - _lost(bodies, i, 0.0, time, motion), 0.0) + min(v, 0.0) * motion.runout
         if stretch.shape[1] > 0:
             way = min(way * stretch[0, i], way * stretch[1, i])
@@ -234,7 +240,7 @@ def rears(
                 burst += bodies.recent[j, second - 1 - k % second]
             slow = max(brakes, least_speed)
             if k >= hold:
-                brakes -= (bodies.brakes[j, k - hold] if k - hold < bodies.brakes.shape[1] else motion.braking) * dt
+                brakes -= _rate(bodies, j, k - hold, motion) * dt
             if wrecked:
                 # highway-env: a crashed vehicle brakes at -1 * speed per second.
                 slow = min(slow, v * wreck)

@@ -45,7 +45,7 @@ MOBIL = "dynamics/traffic/mobil.py"
 DECIDE, FRAMES = "shield/procedures/decide.py", "shield/procedures/frames.py"
 INPUTS, LOT = "shield/procedures/inputs.py", "shield/procedures/parking_lot.py"
 SEARCH, RULES, MANOEUVRES = "shield/repair/nearest_input.py", "shield/rules.py", "shield/certificate/manoeuvres.py"
-BODIES = "dynamics/traffic/occupancy_kernels.py"
+BODIES, REACTION = "dynamics/traffic/occupancy_kernels.py", "dynamics/traffic/reaction.py"
 PERMITS, GAPS, ROLLOUTS = "dynamics/traffic/permits.py", "dynamics/roads/gaps.py", "dynamics/vehicle/rollout_kernels.py"
 
 _CLAUSES, _TRAFFIC = "tests/shield/test_clauses.py", "tests/shield/test_clauses_of_traffic.py"
@@ -112,6 +112,7 @@ def _both(name: str, *edits: Edit, tests: tuple[str, ...]) -> Mutant:
 
 
 _PERMITS, _MOBIL = "tests/dynamics/test_permits.py", "tests/dynamics/test_mobil.py"
+_REACTION = "tests/dynamics/test_reaction.py"
 _LOT = "tests/shield/test_lot.py"
 
 
@@ -477,12 +478,12 @@ _PLACES = (
         "        if hold == 0 and frames < 0:",
         "queue",
     ),
-    _off("others brake less hard", BODIES, "v - motion.braking * dt *", "v - 0.8 * motion.braking * dt *", "brakes"),
+    _off("others brake less hard", BODIES, "brakes -= _rate(", "brakes -= 0.8 * _rate(", "brakes"),
     _off(
         "others stop less soon",
         BODIES,
-        "speed - motion.braking * motion.dt",
-        "speed - 0.8 * motion.braking * motion.dt",
+        "speed - _rate(",
+        "speed - 0.8 * _rate(",
         "brakes",
     ),
     _off(
@@ -561,6 +562,43 @@ _WATCHED = (
         "if False:",
         _PERMITS,
     ),
+    _off(
+        "a second of turning costs what it likes",
+        BODIES,
+        "        if within > swing * motion.burst:",
+        "        if False:",
+        _PERMITS,
+    ),
+    _off("BRAKING off", PERMITS, "                more |= _BRAKING", "                more |= 0", _PERMITS),
+    _off(
+        "one who brakes hard for nothing is not noticed",
+        PERMITS,
+        "harder = not v0 - v <= (allowed + _TOLERANCE) * limits.period / limits.frames",
+        "harder = False",
+        _PERMITS,
+    ),
+    _off(
+        "one who may brake harder than before is not noticed",
+        PERMITS,
+        "harder = harder or bodies.brakes[i, k] > bodies0.brakes[i, k + limits.frames] + _TOLERANCE",
+        "harder = harder",
+        _PERMITS,
+    ),
+    _off(
+        "nobody ahead asks for braking",
+        REACTION,
+        "                brakes[k] = max(brakes[k], rate)",
+        "                brakes[k] = motion.calm",
+        _REACTION,
+    ),
+    _off(
+        "nobody moves in ahead",
+        REACTION,
+        "                if not entered and k >= first:",
+        "                if False:",
+        _REACTION,
+    ),
+    _off("the ego is braked for by nobody", REACTION, "if behind > 0 or wrecked:", "if wrecked:", _REACTION),
     _off("LANES off", PERMITS, "            more |= _LANES", "            more |= 0", _PERMITS),
     _off("REVERSING off", PERMITS, "            more |= _REVERSING", "            more |= 0", _PERMITS),
     _off("DISTANCE off", PERMITS, "            bits |= _DISTANCE", "            bits |= 0", _PERMITS),

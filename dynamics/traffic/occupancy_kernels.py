@@ -152,10 +152,10 @@ def spend(states0: Any, bodies0: Bodies, states: Any, stretch: Any, motion: Moti
 
 
 @compiled
-def _lost(bodies: Bodies, i: int, slow: float, time: float, motion: Motion) -> float:
+def _lost(budget: float, action: float, slow: float, time: float, motion: Motion) -> float:
     """What a vehicle can have lost by turning after `time` [s], at no less than `slow` [m/s], [m]."""
-    budget = max(bodies.budget[i], 0.0) + motion.loss_back * time
-    action = max(bodies.action[i], 0.0) + motion.action_back * time
+    budget = max(budget, 0.0) + motion.loss_back * time
+    action = max(action, 0.0) + motion.action_back * time
     return min(budget, action / max(slow, motion.slow))
 
 
@@ -169,13 +169,13 @@ def apart(bodies: Bodies, i: int, j: int) -> bool:
 
 
 @compiled
-def _rate(bodies: Bodies, i: int, k: int, motion: Motion) -> float:
+def _rate(brakes: Any, i: int, k: int, motion: Motion) -> float:
     """How hard a vehicle may brake at the coming frame k [m/s^2]."""
-    return bodies.brakes[i, k] if k < bodies.brakes.shape[1] else motion.braking
+    return brakes[i, k] if k < brakes.shape[1] else motion.braking
 
 
 @compiled
-def _braking_way(i: int, v: float, wrecked: bool, motion: Motion, bodies: Bodies) -> tuple[float, float]:
+def _braking_way(i: int, v: float, wrecked: bool, brakes: Any, motion: Motion) -> tuple[float, float]:
     """The way that a vehicle counts on before it stands, braking from now on [m], and for how long it does [s]."""
     way, time, wreck, least = 0.0, 0.0, 1.0, min(v, motion.min_speed)
     speed, k = v, 0
@@ -189,7 +189,7 @@ def _braking_way(i: int, v: float, wrecked: bool, motion: Motion, bodies: Bodies
         if least >= motion.slow:
             return _ENDLESS, 0.0  # it never brakes below `min_speed`
         way, time = way + slow * motion.dt, time + motion.dt
-        speed, k = speed - _rate(bodies, i, k, motion) * motion.dt, k + 1
+        speed, k = speed - _rate(brakes, i, k, motion) * motion.dt, k + 1
 
 
 @compiled
@@ -200,15 +200,16 @@ def floors(others: Any, states: Any, stretch: Any, motion: Motion, order: Any, b
     for n in range(m):
         i = order[n]
         v, wrecked = states[i, 3], others[i, _CRASHED] > 0
-        way, time = _braking_way(i, v, wrecked, motion, bodies)
-        way = max(way - _lost(bodies, i, 0.0, time, motion), 0.0) + min(v, 0.0) * motion.runout
+        way, time = _braking_way(i, v, wrecked, bodies.brakes, motion)
+        way = max(way - _lost(bodies.budget[i], bodies.action[i], 0.0, time, motion), 0.0) + min(v, 0.0) * motion.runout
         if stretch.shape[1] > 0:
             way = min(way * stretch[0, i], way * stretch[1, i])
         least = states[i, 0] + way
         if motion.reversing > 0 and not wrecked:
             for k in range(n):
                 j = order[k]
-                if not apart(bodies, i, j) and states[j, 0] > states[i, 0] and states[j, 3] < motion.queue_speed:
+                slow = states[j, 3] < motion.queue_speed
+                if slow and states[j, 0] > states[i, 0] and not apart(bodies, i, j):
                     least = min(least, bodies.floor[j] - motion.queue)
         bodies.floor[i] = least
 
@@ -223,24 +224,25 @@ def rears(
     `stretch` (2, m) has the least and greatest metres of s in a metre driven; no columns on a straight road. `hold`
     frames at constant speed are expected before the worst case starts; then the result is a forecast and no bound.
     """
-    frames, dt = out.shape[1], motion.dt
+    frames, dt, brakes, recent = out.shape[1], motion.dt, bodies.brakes, bodies.recent
     for n in range(rows.shape[0]):
         j = rows[n]
+        budget, action, swing = bodies.budget[j], bodies.action[j], bodies.swing[j]
         v, wrecked, wreck = states[j, 3], others[j, _CRASHED] > 0, 1.0
         least_speed, start, floor = min(v, motion.min_speed), states[j, 0] - bodies.reach[j], bodies.floor[j]
         way, time, back, lost = 0.0, 0.0, 0.0, 0.0
-        burst, second, brakes = 0.0, bodies.recent.shape[1], v
+        burst, second, speed = 0.0, recent.shape[1], v
         for k in range(frames):
             # What turning may take of a second that ends with this frame, and of those after it.
             if k % second == 0:
-                burst += bodies.swing[j] * motion.burst
+                burst += swing * motion.burst
                 for i in range(second - 1):
-                    burst -= bodies.recent[j, i]
+                    burst -= recent[j, i]
             else:
-                burst += bodies.recent[j, second - 1 - k % second]
-            slow = max(brakes, least_speed)
+                burst += recent[j, second - 1 - k % second]
+            slow = max(speed, least_speed)
             if k >= hold:
-                brakes -= _rate(bodies, j, k - hold, motion) * dt
+                speed -= _rate(brakes, j, k - hold, motion) * dt
             if wrecked:
                 # highway-env: a crashed vehicle brakes at -1 * speed per second.
                 slow = min(slow, v * wreck)
@@ -251,9 +253,9 @@ def rears(
             else:
                 if slow >= motion.slow:
                     way, time = way + slow * dt, time + dt
-                    lost = min(_lost(bodies, j, slow, time, motion), max(burst, 0.0) / slow)
+                    lost = min(_lost(budget, action, slow, time, motion), max(burst, 0.0) / slow)
                 else:
-                    lost, back = _lost(bodies, j, 0.0, time, motion), back + max(motion.reversing, -v) * dt
+                    lost, back = _lost(budget, action, 0.0, time, motion), back + max(motion.reversing, -v) * dt
                 along = max(way - lost, 0.0)
             if stretch.shape[1] > 0:
                 along = min(along * stretch[0, j], along * stretch[1, j])

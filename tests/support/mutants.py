@@ -478,7 +478,7 @@ _PLACES = (
         "        if hold == 0 and frames < 0:",
         "queue",
     ),
-    _off("others brake less hard", BODIES, "brakes -= _rate(", "brakes -= 0.8 * _rate(", "brakes"),
+    _off("others brake less hard", BODIES, "speed -= _rate(", "speed -= 0.8 * _rate(", "brakes"),
     _off(
         "others stop less soon",
         BODIES,

@@ -171,7 +171,7 @@ class Surroundings:
         if before is not None:
             spend(before.states, before.bodies, states, self.stretches, self.motion, self.lap, self.bodies)
         order = np.argsort(-states[:, 0])
-        brakings(others, states, self.motion, self.lap, float(ego), order, self.bodies)
+        brakings(others, states, self.stretches, self.motion, self.lap, float(ego), order, self.bodies)
         floors(others, states, self.stretches, self.motion, order, self.bodies)
 
     def rear(self, frames: int, dt: float, hold: int = 0, rows: Any = None) -> FloatArray:

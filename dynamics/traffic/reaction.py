@@ -58,6 +58,13 @@ def _slowest(v: float, brakes: Any, wrecked: bool, backwards: float, motion: Mot
 
 
 @compiled
+def _scale(ways: Any, least: float, greatest: float) -> None:
+    """The least that ways (K,) may come to along the road [m], given metres of s in a metre driven."""
+    for k in range(ways.shape[0]):
+        ways[k] = min(ways[k] * least, ways[k] * greatest)
+
+
+@compiled
 def _asked(k: int, d: float, fast: Any, slow: Any, motion: Motion) -> float:
     """Braking at frame k for what is then at distance d ahead, and no faster than `slow` [m/s^2]."""
     if not d > 1.0:
@@ -67,8 +74,11 @@ def _asked(k: int, d: float, fast: Any, slow: Any, motion: Motion) -> float:
 
 
 @compiled
-def brakings(others: Any, states: Any, motion: Motion, lap: float, ego: float, order: Any, bodies: Bodies) -> None:
-    """Fill in `brakes` from vehicle rows (m, 7) and road states (m, 4).
+def brakings(
+    others: Any, states: Any, stretch: Any, motion: Motion, lap: float, ego: float, order: Any, bodies: Bodies
+) -> None:
+    """Fill in `brakes` from vehicle rows (m, 7), road states (m, 4), and the least and greatest metres of s in a metre
+    driven, (2, m), or no columns on a straight road.
 
     Parameters
     ----------
@@ -77,7 +87,7 @@ def brakings(others: Any, states: Any, motion: Motion, lap: float, ego: float, o
     order : the vehicles from the first along the road to the last, (m,).
     """
     m, frames, dt, last = states.shape[0], bodies.brakes.shape[1], motion.dt, bodies.brakes.shape[1] - 1
-    bodies.brakes[:] = motion.braking
+    bodies.brakes[:], curved = motion.braking, stretch.shape[1] > 0
     if not motion.calm < motion.braking:
         return
     # As fast, and as slow, as each may be; the latter as its own bound says, once that is known.
@@ -89,6 +99,9 @@ def brakings(others: Any, states: Any, motion: Motion, lap: float, ego: float, o
         backwards = min(states[i, 3], 0.0 if wrecked else -motion.reversing)
         _fastest(max(states[i, 3], 0.0), motion, fast[i], fast_way[i])
         _slowest(states[i, 3], bodies.brakes[i], wrecked, backwards, motion, slow[i], slow_way[i])
+        if curved:
+            fast_way[i] *= stretch[1, i]
+            _scale(slow_way[i], stretch[0, i], stretch[1, i])
     for n in range(m):
         i = order[n]
         behind, wrecked, brakes = ego - states[i, 0], others[i, _CRASHED] > 0, bodies.brakes[i]
@@ -99,7 +112,7 @@ def brakings(others: Any, states: Any, motion: Motion, lap: float, ego: float, o
         brakes[:] = motion.calm
         way, v = 0.0, max(states[i, 3], 0.0)
         for k in range(frames):
-            hard[k], hard_way[k] = v, way
+            hard[k], hard_way[k] = v, way * stretch[0, i] if curved else way
             way, v = way + v * dt, max(v - motion.braking * dt, 0.0)
         end = frames
         for p in range(m):
@@ -136,3 +149,5 @@ def brakings(others: Any, states: Any, motion: Motion, lap: float, ego: float, o
         brakes[end:] = motion.braking
         backwards = min(states[i, 3], -motion.reversing)
         _slowest(states[i, 3], brakes, False, backwards, motion, slow[i], slow_way[i])
+        if curved:
+            _scale(slow_way[i], stretch[0, i], stretch[1, i])

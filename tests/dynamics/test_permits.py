@@ -212,6 +212,18 @@ def test_a_long_one_may_lose_more_by_turning(length: float, frames: int) -> None
     assert count == frames
 
 
+def test_one_that_is_cut_in_on_may_brake_and_that_is_noticed() -> None:
+    """By the one before it, nearer than MOBIL would let it move in; where there is the distance, it was expected."""
+    for gap, grown in ((6.0, int(Rule.BRAKING)), (35.0, 0)):
+        rows = np.array([[0.0, 4.0, 0.0, 20.0, 5.0, 2.0, 0.0], [gap, 0.9, 0.0, 20.0, 5.0, 2.0, 0.0]])
+        old = around(rows, 0.1)
+        later = rows + np.array([[2.0, 0, 0, 0, 0, 0, 0], [1.95, 0.45, 0, 0, 0, 0, 0]])
+        new = around(later, 0.1, old)
+        assert old.bodies.last[1] == 0
+        assert new.bodies.last[1] == 1
+        assert permits(old, new, 0.1, np.zeros(2, dtype=bool), FAR).grown[0] == grown
+
+
 def test_whoever_is_behind_stays_behind_the_buffer():
     row = np.array([0.0, 0.0, 0.0, 20.0, 5.0, 2.0, 0.0])
     old = around(row[None], 0.1)

@@ -35,7 +35,7 @@ class Assumptions:
         over time. So one that is fast loses less.
     turning_loss_back, turning_action_back : how fast they come back [m/s], [m^2/s^2].
     turning_burst : speed times way that it may lose within any second [m^2/s]: one lane change, and not two; those of
-        highway-env's cars come to 9.3 at most.
+        highway-env's cars come to 10.2 at most.
     slow_speed : speed below which nobody is counted on to get anywhere [m/s].
     reversing_speed : greatest speed backwards [m/s]; 0 where nobody reverses.
     queue_distance, queue_speed : a vehicle reverses only from one ahead in its lanes that is nearer than this, centre
@@ -64,7 +64,7 @@ class Assumptions:
     turning_action: float = 7.0
     turning_loss_back: float = 0.5
     turning_action_back: float = 6.0
-    turning_burst: float = 10.0
+    turning_burst: float = 11.5
     slow_speed: float = 4.0
     reversing_speed: float = 6.0
     queue_distance: float = 14.0

@@ -184,7 +184,7 @@ def test_the_rules_one_by_one(before, after, broken, grown):
 
 
 @pytest.mark.parametrize(
-    ("speed", "lost", "frames"), [(20.0, 0.1, 5), (20.0, 0.04, 44), (12.0, 0.1, 8), (6.0, 0.1, 31)]
+    ("speed", "lost", "frames"), [(20.0, 0.1, 5), (20.0, 0.04, 44), (12.0, 0.1, 9), (6.0, 0.1, 31)]
 )
 def test_what_turning_may_cost_is_used_up(speed: float, lost: float, frames: int) -> None:
     """Within a second, or in the course of time."""
@@ -199,7 +199,7 @@ def test_what_turning_may_cost_is_used_up(speed: float, lost: float, frames: int
     assert count == frames
 
 
-@pytest.mark.parametrize(("length", "frames"), [(5.0, 5), (12.0, 14)])
+@pytest.mark.parametrize(("length", "frames"), [(5.0, 6), (12.0, 14)])
 def test_a_long_one_may_lose_more_by_turning(length: float, frames: int) -> None:
     dt, row = 0.1, np.array([[0.0, 4.0, 0.0, 20.0, length, 2.0, 0.0]])
     old, count = around(row, dt), 0

@@ -34,7 +34,7 @@ from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy_kernels import Bodies, Lanes, Motion, floors, fronts, rears, spend, strips
 from dynamics.traffic.reaction import brakings
 
-__all__ = ["Occupancy", "Surroundings", "constant_velocity", "predict_occupancy"]
+__all__ = ["Occupancy", "Surroundings", "constant_velocity"]
 
 
 _STRAIGHT = np.zeros((2, 0))
@@ -174,7 +174,7 @@ class Surroundings:
         brakings(others, states, self.stretches, self.motion, self.lap, float(ego), order, self.bodies)
         floors(others, states, self.stretches, self.motion, order, self.bodies)
 
-    def rear(self, frames: int, dt: float, hold: int = 0, rows: Any = None) -> FloatArray:
+    def rear(self, frames: int, hold: int = 0, rows: Any = None) -> FloatArray:
         """Least s of each body after 1..K frames, (m, K) [m]; of those in `rows` only, where given. The last column
         stands for all frames from then on.
 
@@ -183,39 +183,18 @@ class Surroundings:
         """
         rows = np.arange(len(self.states)) if rows is None else rows
         out = np.empty((len(rows), frames))
-        motion = self.motion if dt == self.dt else self.motion._replace(dt=dt)
-        rears(rows, self.others, self.states, self.stretches, motion, self.bodies, hold, out)
+        rears(rows, self.others, self.states, self.stretches, self.motion, self.bodies, hold, out)
         return out
 
-    def front(self, frames: int, dt: float, hold: int = 0, rows: Any = None) -> FloatArray:
+    def front(self, frames: int, hold: int = 0, rows: Any = None) -> FloatArray:
         """Greatest s of each body after 1..K frames, with no duty to react, (m, K) [m]; of those in `rows` only, where
         given."""
         rows = np.arange(len(self.states)) if rows is None else rows
         out = np.empty((len(rows), frames))
-        motion = self.motion if dt == self.dt else self.motion._replace(dt=dt)
-        fronts(rows, self.states, self.stretches, motion, self.bodies, hold, out)
+        fronts(rows, self.states, self.stretches, self.motion, self.bodies, hold, out)
         return out
 
-    def occupancy(self, frames: int, dt: float, hold: int = 0) -> Occupancy:
+    def occupancy(self, frames: int, hold: int = 0) -> Occupancy:
         """Worst-case occupancy over frames 1..K."""
-        rear, front = self.rear(frames, dt, hold), self.front(frames, dt, hold)
+        rear, front = self.rear(frames, hold), self.front(frames, hold)
         return Occupancy(rear, front, self.low, self.high)
-
-
-def predict_occupancy(
-    others: FloatArray,
-    states: FloatArray,
-    road: Road,
-    assumptions: Assumptions,
-    frames: int,
-    dt: float,
-    hold: int = 0,
-) -> Occupancy:
-    """Worst-case occupancy of the others over frames 1..K.
-
-    Parameters
-    ----------
-    others : vehicle rows (m, 7). states : the same in the road frame (m, 4).
-    hold : see `Surroundings.rear`.
-    """
-    return Surroundings(others, states, road, assumptions, dt).occupancy(frames, dt, hold)

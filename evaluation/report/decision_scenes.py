@@ -107,7 +107,7 @@ def tube() -> Tube:
     scene = _scene((0.0, 5.3, -0.06, 25.0), (18.0, 4.0, 0.0, 20.0), lanes=3, lane=1)
     now = observe(Memory(), scene, CONFIG)
     path, margin, *_ = _stop(now, 1, 30.0)
-    occupancy = now.survey.around.occupancy(len(path), scene.dt)
+    occupancy = now.survey.around.occupancy(len(path))
     return Tube(scene, path, occupancy, path[:, RoadState.S] + extents(path)[0], margin)
 
 
@@ -141,7 +141,7 @@ def bounds() -> Bounds:
     def along(*rows: Row) -> tuple[FloatArray, FloatArray]:
         scene = _scene((-100.0, 0.0, 0.0, 20.0), *rows, lanes=1)
         found = Surroundings(scene.others, scene.others_road, scene.road, CONFIG.assumptions, scene.dt)
-        return found.rear(frames, scene.dt)[0], found.front(frames, scene.dt)[0]
+        return found.rear(frames)[0], found.front(frames)[0]
 
     stands = (9.0, 0.0, 0.0, 0.0)
     across = _scene(

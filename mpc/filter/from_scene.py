@@ -18,7 +18,7 @@ __all__ = ["curvature_ahead", "edges_of", "rectangles"]
 def rectangles(around: Surroundings, rows: Any, settings: FilterSettings) -> FloatArray:
     """Where the vehicles of `rows` can be at the end of each stage, (N, len(rows), 4), columns `Occupied` [m]."""
     ends = np.array(settings.ends) - 1
-    seen = around.occupancy(settings.ends[-1], settings.dt)
+    seen = around.occupancy(settings.ends[-1])
     boxes = np.empty((settings.stages, len(rows), 4))
     boxes[..., 0], boxes[..., 1] = seen.rear[np.ix_(rows, ends)].T, seen.front[np.ix_(rows, ends)].T
     boxes[..., 2], boxes[..., 3] = seen.low[rows], seen.high[rows]

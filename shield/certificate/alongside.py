@@ -78,8 +78,8 @@ class Alongside:
             return out
         if frames > self._bounds.shape[2]:
             longer = frames + frames // 4
-            front = self._around.front(longer, dt, rows=rows)
-            self._bounds = np.stack([self._around.rear(longer, dt, rows=rows), front])
+            front = self._around.front(longer, rows=rows)
+            self._bounds = np.stack([self._around.rear(longer, rows=rows), front])
         if self._sweep is None:
             self._sweep = self._swept()
         least_separations_of_slips(

@@ -174,7 +174,7 @@ class Surveyor:
             road.centers,
         )
         rows = around.others, around.states, around.stretches, around.bodies, around.motion
-        self._around = Around(*rows, around.front(2, scene.dt), self.others)
+        self._around = Around(*rows, around.front(2), self.others)
         self._alongside = Alongside(scene, config, around)
 
     def without(self, ignored: BoolArray) -> Surveyor:

@@ -209,7 +209,7 @@ class Inputs:
         """The plan of an input that has been judged."""
         path, occupancy = np.vstack([now.scene.ego_road, judged.paths[0]]), None
         if self.config.record:
-            occupancy = now.survey.around.occupancy(len(judged.paths[0]), now.scene.dt).rectangles()
+            occupancy = now.survey.around.occupancy(len(judged.paths[0])).rectangles()
         margin, clear = float(judged.margin[0]), int(judged.clear[0])
         return Plan(judged.inputs[0], margin, int(judged.lanes[0]), path, judged.bind(0), clear, occupancy)
 

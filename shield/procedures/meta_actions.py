@@ -157,7 +157,7 @@ class MetaActions:
             path, occupancy = paths[best], None
             if self.config.record:
                 hold = period if forecast else 0
-                occupancy = now.survey.around.occupancy(len(path), scene.dt, hold).rectangles()
+                occupancy = now.survey.around.occupancy(len(path), hold).rectangles()
             path, binding = _from_here(now, path), results[best].binding(best)
             out.append(Plan(action, float(margins[best]), fails[best], path, binding, occupancy=occupancy))
         return out

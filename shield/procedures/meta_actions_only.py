@@ -111,7 +111,7 @@ class MetaActionsOnly:
         paths, result = now.judge(candidates)
         occupancy = None
         if self.config.record:
-            occupancy = now.survey.around.occupancy(paths.shape[1], scene.dt).rectangles()
+            occupancy = now.survey.around.occupancy(paths.shape[1]).rectangles()
         out = []
         for i, action in enumerate(actions):
             path, left = np.vstack([scene.ego_road, paths[i]]), sequences[i][1:]

@@ -84,8 +84,8 @@ def test_what_is_permitted_stays_inside_the_bound_and_the_bound_inside_itself(se
         rows = rows_of(vehicles)
         new = around(rows, dt, old)
         broken, grown = permits(old, new, dt, nobody, FAR)
-        could, can = old.rear(HORIZON + 1, dt), new.rear(HORIZON, dt)
-        front, later = old.front(HORIZON + 1, dt), new.front(HORIZON, dt)
+        could, can = old.rear(HORIZON + 1), new.rear(HORIZON)
+        front, later = old.front(HORIZON + 1), new.front(HORIZON)
         for i in np.flatnonzero((broken == 0) & (grown == 0)):
             body = corners(rows[i])
             assert body[:, 0].min() >= could[i, 0] - 1e-6

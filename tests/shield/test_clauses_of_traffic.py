@@ -25,7 +25,7 @@ def test_the_bound_along_the_road_is_that_of_one_that_brakes(frames, ahead, calm
     seconds."""
     rows = np.array([[0.0, 0.0, 0.0, 20.0, *BODY], *([s, 0.0, 0.0, 0.0, *BODY] for s in ahead)])
     around = Surroundings(rows, rows[:, :4], StraightRoad.from_lanes(1), CONFIG.assumptions, DT)
-    bound = around.rear(frames, DT)[0]
+    bound = around.rear(frames)[0]
     rates = np.where(np.arange(80) < calm, 3.0, 6.0)
     way = np.cumsum(np.maximum(20.0 - np.cumsum([0.0, *rates[:-1]]) * DT, 0.0)) * DT
     assert (bound[:-1] <= way[: frames - 1] - 2.5 + 1e-9).all()
@@ -124,7 +124,7 @@ def test_a_turned_body_reaches_along_the_road_by_its_diagonal():
     turned = np.arctan2(2, 5)
     rows = np.array([[0.0, 0.0, turned, 0.0, *BODY]])
     around = Surroundings(rows, rows[:, :4], StraightRoad.from_lanes(1), Assumptions.idm(), DT)
-    assert around.rear(1, DT)[0, 0] <= -2.5 * np.cos(turned) - np.sin(turned) + 1e-9
+    assert around.rear(1)[0, 0] <= -2.5 * np.cos(turned) - np.sin(turned) + 1e-9
 
 
 def beside(psi, at):

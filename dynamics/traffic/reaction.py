@@ -14,7 +14,7 @@ Sources: Treiber, Hennecke and Helbing 2000 (IDM); Kesting, Treiber and Helbing 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,31 +37,36 @@ _LANE, _TOWARDS = 5.0, 14.0
 
 
 @compiled
-def _fastest(v: float, motion: Motion, speeds: Any, ways: Any) -> None:
-    """Greatest speed at each of the coming frames, `speeds` (K,) [m/s], and how far that has led by then, `ways`."""
+def _fastest(v: float, most: float, motion: Motion, speeds: Any, ways: Any) -> None:
+    """Greatest speed at each of the coming frames, `speeds` (K,) [m/s], and how far that has led by then along the
+    road, `ways` (K,) [m], at `most` metres of it in a metre driven."""
     way, top = 0.0, max(v, motion.max_speed)
     for k in range(speeds.shape[0]):
-        speeds[k], ways[k] = v, way
+        speeds[k], ways[k] = v, way * most
         way += v * motion.dt
         v = min(v + min(motion.acceleration, motion.power / max(v, 1e-3)) * motion.dt, top)
 
 
 @compiled
-def _slowest(v: float, brakes: Any, wrecked: bool, backwards: float, motion: Motion, speeds: Any, ways: Any) -> None:
-    """Least speed at each of the coming frames of one that brakes at `brakes` (K,), down to `backwards` [m/s]."""
+def _slowest(
+    v: float,
+    backwards: float,
+    brakes: Any,
+    wrecked: bool,
+    least: float,
+    most: float,
+    motion: Motion,
+    speeds: Any,
+    ways: Any,
+) -> None:
+    """Least speed at each of the coming frames of one that brakes at `brakes` (K,), down to `backwards` [m/s], and how
+    far that has led, at between `least` and `most` metres of the road in a metre driven."""
     way, dt = 0.0, motion.dt
     for k in range(speeds.shape[0]):
-        speeds[k], ways[k] = v, way
+        speeds[k], ways[k] = v, min(way * least, way * most)
         way += v * dt
         # highway-env: a crashed vehicle brakes at -1 * speed per second.
         v = max(min(v - brakes[k] * dt, v * (1 - dt) if wrecked else v), backwards)
-
-
-@compiled
-def _scale(ways: Any, least: float, greatest: float) -> None:
-    """The least that ways (K,) may come to along the road [m], given metres of s in a metre driven."""
-    for k in range(ways.shape[0]):
-        ways[k] = min(ways[k] * least, ways[k] * greatest)
 
 
 @compiled
@@ -71,6 +76,41 @@ def _asked(k: int, d: float, fast: Any, slow: Any, motion: Motion) -> float:
         return motion.braking
     wanted = desired_gap(fast[k], max(fast[k] - slow[k], 0.0))
     return min(_SCALE * COMFORT * (wanted / d) ** 2 + _SLACK, motion.braking)
+
+
+class _Extremes(NamedTuple):
+    """Speeds of each vehicle at each of the coming frames, and how far they have led by then, each (m, K): as fast, and
+    as slow, as it may be; and as slow as anybody could be that goes forwards."""
+
+    fast: Any
+    fast_way: Any
+    slow: Any
+    slow_way: Any
+    slowest: Any
+    slowest_way: Any
+
+
+@compiled
+def _press(
+    i: int, j: int, ahead: float, near: float, first: int, x: _Extremes, motion: Motion, brakes: Any, end: int
+) -> int:
+    """Raise `brakes` (K,) of vehicle i to what vehicle j may ask for that is `ahead` of it, and no nearer than `near`
+    [m]: at once where `first` is negative, and else from the frame at which it may move in, no sooner than `first`.
+
+    Returns how many frames there are before i may brake as hard as can be, `end` at most.
+    """
+    entered, back = first < 0, motion.loss_back * motion.dt
+    for k in range(end):
+        if not entered and k >= first:
+            far, v = ahead + x.fast_way[j, k] - x.slowest_way[i, k], x.slowest[i, k]
+            entered = far > 0 and desired_gap(v, v - x.fast[j, k]) <= (IMPOSED + _MORE) * far
+        if entered:
+            d = near + x.slow_way[j, k] - x.fast_way[i, k] - back * k
+            rate = _asked(k, d, x.fast[i], x.slow[j], motion)
+            brakes[k] = max(brakes[k], rate)
+            if rate >= motion.braking:
+                return k + 1
+    return end
 
 
 @compiled
@@ -86,68 +126,45 @@ def brakings(
     ego : where the ego is along the road [m]; whoever is behind it may have it to brake for. NaN without one.
     order : the vehicles from the first along the road to the last, (m,).
     """
-    m, frames, dt, last = states.shape[0], bodies.brakes.shape[1], motion.dt, bodies.brakes.shape[1] - 1
+    m, frames, last = states.shape[0], bodies.brakes.shape[1], bodies.brakes.shape[1] - 1
     bodies.brakes[:], curved = motion.braking, stretch.shape[1] > 0
     if not motion.calm < motion.braking:
         return
-    # As fast, and as slow, as each may be; the latter as its own bound says, once that is known.
-    fast, fast_way = np.empty((m, frames)), np.empty((m, frames))
-    slow, slow_way = np.empty((m, frames)), np.empty((m, frames))
-    hard, hard_way = np.empty(frames), np.empty(frames)
+    ways = np.empty((6, m, frames))
+    x = _Extremes(ways[0], ways[1], ways[2], ways[3], ways[4], ways[5])
     for i in range(m):
-        wrecked = others[i, _CRASHED] > 0
-        backwards = min(states[i, 3], 0.0 if wrecked else -motion.reversing)
-        _fastest(max(states[i, 3], 0.0), motion, fast[i], fast_way[i])
-        _slowest(states[i, 3], bodies.brakes[i], wrecked, backwards, motion, slow[i], slow_way[i])
-        if curved:
-            fast_way[i] *= stretch[1, i]
-            _scale(slow_way[i], stretch[0, i], stretch[1, i])
-    for n in range(m):
-        i = order[n]
-        behind, wrecked, brakes = ego - states[i, 0], others[i, _CRASHED] > 0, bodies.brakes[i]
+        v, wrecked, least = states[i, 3], others[i, _CRASHED] > 0, stretch[0, i] if curved else 1.0
+        most, brakes = stretch[1, i] if curved else 1.0, bodies.brakes[i]
+        _fastest(max(v, 0.0), most, motion, x.fast[i], x.fast_way[i])
+        _slowest(max(v, 0.0), 0.0, brakes, False, least, most, motion, x.slowest[i], x.slowest_way[i])
+        backwards = min(v, 0.0 if wrecked else -motion.reversing)
+        _slowest(v, backwards, brakes, wrecked, least, most, motion, x.slow[i], x.slow_way[i])
+    for i in order:
+        behind, brakes, end = ego - states[i, 0], bodies.brakes[i], frames
         if lap > 0:
             behind -= lap * np.rint(behind / lap)
-        if behind > 0 or wrecked:
+        if behind > 0 or others[i, _CRASHED] > 0:
             continue
         brakes[:] = motion.calm
-        way, v = 0.0, max(states[i, 3], 0.0)
-        for k in range(frames):
-            hard[k], hard_way[k] = v, way * stretch[0, i] if curved else way
-            way, v = way + v * dt, max(v - motion.braking * dt, 0.0)
-        end = frames
-        for p in range(m):
-            j = order[p]
+        for j in order:
             ahead = states[j, 0] - states[i, 0]
             if lap > 0:
                 ahead -= lap * np.rint(ahead / lap)
             if i == j or not abs(ahead) <= _FAR:
                 continue
-            near = ahead - max(bodies.budget[j], 0.0)
-            if ahead <= 0 and ahead + fast_way[j, last] - hard_way[last] <= 0:
+            if ahead <= 0 and ahead + x.fast_way[j, last] - x.slowest_way[i, last] <= 0:
                 continue  # it does not get ahead
             # The distance is least at one of its ends: it falls ever faster. What is wanted grows.
-            d = min(near, near + slow_way[j, last] - fast_way[i, last] - motion.loss_back * dt * last)
-            if not _asked(last, d, fast[i], slow[j], motion) > motion.calm:
+            near = ahead - max(bodies.budget[j], 0.0)
+            d = near + x.slow_way[j, last] - x.fast_way[i, last] - motion.loss_back * motion.dt * last
+            if not _asked(last, min(near, d), x.fast[i], x.slow[j], motion) > motion.calm:
                 continue  # nor does it ask for anything
-            entered, first = not apart(bodies, i, j), 0
-            if entered and ahead < 0:
-                continue
-            if not entered:
-                first = int((abs(states[j, 1] - states[i, 1]) - _LANE) / (_TOWARDS * dt))
-            for k in range(end):
-                if not entered and k >= first:
-                    far = ahead + fast_way[j, k] - hard_way[k]
-                    entered = far > 0 and desired_gap(hard[k], hard[k] - fast[j, k]) <= (IMPOSED + _MORE) * far
-                if not entered:
-                    continue
-                d = near + slow_way[j, k] - fast_way[i, k] - motion.loss_back * dt * k
-                rate = _asked(k, d, fast[i], slow[j], motion)
-                brakes[k] = max(brakes[k], rate)
-                if rate >= motion.braking:
-                    end = k + 1
-                    break
+            first = -1
+            if apart(bodies, i, j):
+                first = max(int((abs(states[j, 1] - states[i, 1]) - _LANE) / (_TOWARDS * motion.dt)), 0)
+            if first >= 0 or ahead >= 0:
+                end = _press(i, j, ahead, near, first, x, motion, brakes, end)
         brakes[end:] = motion.braking
-        backwards = min(states[i, 3], -motion.reversing)
-        _slowest(states[i, 3], brakes, False, backwards, motion, slow[i], slow_way[i])
-        if curved:
-            _scale(slow_way[i], stretch[0, i], stretch[1, i])
+        # Those behind count on it.
+        v, least, most = states[i, 3], stretch[0, i] if curved else 1.0, stretch[1, i] if curved else 1.0
+        _slowest(v, min(v, -motion.reversing), brakes, False, least, most, motion, x.slow[i], x.slow_way[i])

@@ -26,7 +26,7 @@ from dynamics.traffic.occupancy_kernels import Bodies, Motion, apart
 __all__ = ["brakings"]
 
 _CRASHED = int(Vehicle.CRASHED)
-_FAR = 150.0
+_FAR = 600.0
 """What is further ahead asks for no braking beyond `Motion.calm` [m]."""
 _SCALE, _SLACK = 1.1, 0.5
 """How much harder than IDM one may brake: as a share of it, and in addition [m/s^2]."""

@@ -29,6 +29,7 @@ def brakes(*vehicles: tuple[float, ...], assumptions: Assumptions = IDM, ego: fl
 def test_nobody_brakes_hard_on_a_free_road() -> None:
     assert (brakes((0.0, 0.0, 25.0))[0] == IDM.calm_braking).all()
     assert (brakes((0.0, 0.0, 25.0), (-9.0, 0.0, 30.0), (160.0, 0.0, 25.0))[0] == IDM.calm_braking).all()
+    assert (brakes((0.0, 0.0, 25.0), (610.0, 0.0, 0.0))[0] == IDM.calm_braking).all()
 
 
 def test_the_nearer_and_the_slower_one_is_ahead_the_harder_and_the_sooner() -> None:
@@ -96,3 +97,14 @@ def test_highway_envs_own_traffic_brakes_no_harder_than_that(rate: int) -> None:
     assert hard > 20
     assert harder <= 0.02 * hard
     assert grown <= 0.02 * frames
+
+
+@pytest.mark.parametrize("speed", [20.0, 30.0, 40.0])
+def test_what_stands_far_ahead_is_counted_on_before_it_asks_for_anything(speed: float) -> None:
+    """From one frame to the next, nobody may brake harder than was to be expected: out of the distance, too."""
+    old = brakes((0.0, 0.0, speed), (620.0, 0.0, 0.0))[0]
+    for at in np.arange(speed * DT, 620.0, speed * DT):
+        new = brakes((at, 0.0, speed), (620.0, 0.0, 0.0))[0]
+        assert (new[:-1] <= old[1:] + 1e-9).all()
+        old = new
+    assert (old == IDM.braking).all()

@@ -18,7 +18,7 @@ from shield.certificate.verify import Surveyor
 HELD_UP = CONFIG.replace(assumptions=replace(CONFIG.assumptions, calm_braking=6.0))
 
 
-@pytest.mark.parametrize(("ahead", "calm"), [((), 45), ((35.0,), 0), ((150.5,), 45)])
+@pytest.mark.parametrize(("ahead", "calm"), [((), 45), ((35.0,), 0), ((600.5,), 45)])
 @pytest.mark.parametrize("frames", [8, 80])
 def test_the_bound_along_the_road_is_that_of_one_that_brakes(frames, ahead, calm):
     """In each frame; the last column stands for all the rest. On a free road it does not brake hard for three

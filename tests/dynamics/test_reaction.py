@@ -28,7 +28,7 @@ def brakes(*vehicles: tuple[float, ...], assumptions: Assumptions = IDM, ego: fl
 
 def test_nobody_brakes_hard_on_a_free_road() -> None:
     assert (brakes((0.0, 0.0, 25.0))[0] == IDM.calm_braking).all()
-    assert (brakes((0.0, 0.0, 25.0), (-9.0, 0.0, 30.0), (160.0, 0.0, 25.0))[0] == IDM.calm_braking).all()
+    assert (brakes((0.0, 0.0, 25.0), (-9.0, 0.0, 30.0), (300.0, 0.0, 25.0))[0] == IDM.calm_braking).all()
     assert (brakes((0.0, 0.0, 25.0), (610.0, 0.0, 0.0))[0] == IDM.calm_braking).all()
 
 

@@ -287,7 +287,7 @@ class _Noted(Inputs):
 
 def searched(points: tuple[int, int] = (201, 301)) -> Searched:
     """Throttle behind one leader and beside another vehicle; the grid has `points` accelerations and wheel angles."""
-    scene = _scene((0.0, 3.0, 0.0, 21.5), (12.0, 4.0, 0.0, 17.5), (8.0, 0.0, 0.0, 19.0), lanes=3)
+    scene = _scene((0.0, 3.0, 0.0, 21.5), (9.5, 4.0, 0.0, 17.5), (8.0, 0.0, 0.0, 19.0), lanes=3)
     proposal, noted, plain = np.array([4.0, 0.01]), _Noted(), Inputs(CONFIG, predictive=False)
     decision, _ = decide(Memory(), scene, proposal, noted)
     now, _ = plain.observe(Memory(), scene)

@@ -15,10 +15,13 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from numba import njit
+from numba.np.unsafe.ndarray import to_fixed_tuple
 
-__all__ = ["compiled", "made_from"]
+__all__ = ["compiled", "made_from", "numbers_of"]
 
 F = TypeVar("F", bound=Callable[..., Any])
+numbers_of: Any = to_fixed_tuple
+"""`numbers_of(row, n)` are the n numbers of an array as a tuple, inside a kernel: what a NamedTuple is made of."""
 _MADE_FROM: dict[Any, str] = {}
 
 

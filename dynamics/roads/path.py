@@ -19,6 +19,7 @@ from dynamics.errors import SceneError
 from dynamics.roads.arcs import Arcs, place, project
 from dynamics.roads.bends import Bends
 from dynamics.roads.gaps import Gaps
+from dynamics.roads.straight import nearest
 from dynamics.state import FloatArray, RoadState, State, wrap_to_pi
 
 __all__ = ["CurvatureProfile", "PathRoad"]
@@ -182,7 +183,7 @@ class PathRoad:
 
     def lane_at(self, r: float) -> int:
         """Index of the lane whose centre is nearest to lateral position r [m]."""
-        return int(np.argmin(np.abs(self.centers - r)))
+        return int(nearest(self.centers, float(r)))
 
     def reachable(self, s: float, r: float) -> list[bool]:
         """Which lanes highway-env lets a vehicle at (s, r) [m] choose as a target.

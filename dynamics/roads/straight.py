@@ -11,11 +11,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from dynamics.compiled import compiled
 from dynamics.errors import SceneError
 from dynamics.roads.gaps import Gaps
 from dynamics.state import FloatArray, RoadState, State
 
-__all__ = ["Road", "StraightRoad"]
+__all__ = ["Road", "StraightRoad", "nearest"]
 
 
 class Road(Protocol):
@@ -70,6 +71,16 @@ class Road(Protocol):
     def reachable(self, s: float, r: float) -> list[bool]:
         """Which lanes highway-env lets a vehicle at (s, r) [m] choose as a target."""
         ...
+
+
+@compiled
+def nearest(centers: Any, r: float) -> int:
+    """Index of the centre that is nearest to r, the first of two."""
+    best = 0
+    for j in range(1, centers.shape[0]):
+        if abs(centers[j] - r) < abs(centers[best] - r):
+            best = j
+    return best
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +202,7 @@ class StraightRoad:
 
     def lane_at(self, r: float) -> int:
         """Index of the lane whose centre is nearest to lateral position r [m]."""
-        return int(np.argmin(np.abs(self.centers - r)))
+        return int(nearest(self.centers, float(r)))
 
     def reachable(self, s: float, r: float) -> list[bool]:
         """Which lanes highway-env lets a vehicle at (s, r) [m] choose as a target.

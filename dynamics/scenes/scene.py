@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from dynamics.compiled import compiled
 from dynamics.errors import ActionError, SceneError
 from dynamics.roads.network import read_network
 from dynamics.roads.straight import Road, StraightRoad
@@ -89,9 +91,7 @@ class Scene:
     @property
     def finite(self) -> bool:
         """Whether every number in the scene is finite."""
-        return bool(
-            np.isfinite(self.ego).all() and np.isfinite(self.others).all() and np.isfinite(self.control.target.speed)
-        )
+        return math.isfinite(self.control.target.speed) and bool(_finite(self.ego, self.others))
 
     @classmethod
     def from_env(cls, env: Any, curved: bool = False) -> Scene:
@@ -123,6 +123,18 @@ class Scene:
             reachable = self.road.reachable(float(self.ego_road[0]), float(self.ego_road[1]))
             return Target(lane if reachable[lane] else now.lane, now.speed)
         return now
+
+
+@compiled
+def _finite(ego: Any, others: Any) -> bool:
+    for value in ego:
+        if not math.isfinite(value):
+            return False
+    for row in others:
+        for value in row:
+            if not math.isfinite(value):
+                return False
+    return True
 
 
 class SceneReader:

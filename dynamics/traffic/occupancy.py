@@ -23,21 +23,25 @@ Source: Responsibility-Sensitive Safety (Shalev-Shwartz et al. 2017), set-based 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 
+from dynamics.compiled import compiled
 from dynamics.roads.straight import Road
 from dynamics.state import FloatArray, RoadState, Vehicle
 from dynamics.traffic.assumptions import Assumptions
-from dynamics.traffic.occupancy_kernels import Bodies, Lanes, Motion, floors, fronts, rears, spend, strips
+from dynamics.traffic.occupancy_kernels import Lanes, floors, fronts, rears, spend, strips
 from dynamics.traffic.reaction import brakings
+from dynamics.traffic.tables import Bodies, Motion, Tables, bodies_of, motion_of
 
 __all__ = ["Occupancy", "Surroundings", "constant_velocity"]
 
 
-_STRAIGHT = np.zeros((2, 0))
+_STRAIGHT, _NO_GROWTH = np.zeros((2, 0)), np.zeros((0, 2))
+_NOBODY = np.zeros((0, 4))
+_LENGTH, _SIZE = int(Vehicle.LENGTH), [int(Vehicle.LENGTH), int(Vehicle.WIDTH)]
 _CAR = 6.0
 """Length up to which a vehicle turns as a car does; a longer one swings further [m]."""
 _REACTING = 3.0
@@ -80,8 +84,9 @@ class Occupancy:
 
 
 @lru_cache(maxsize=16)
-def _motion(a: Assumptions, dt: float) -> Motion:
-    return Motion(
+def _settings(a: Assumptions, dt: float) -> tuple[Motion, FloatArray]:
+    """The bounds on the motion; and their numbers, with `lean` and `waver`."""
+    motion = Motion(
         a.braking,
         a.acceleration,
         a.power,
@@ -100,6 +105,60 @@ def _motion(a: Assumptions, dt: float) -> Motion:
         a.runout_time,
         dt,
     )
+    return motion, np.array([*motion, a.lean, a.waver], dtype=float)
+
+
+@compiled
+def _rearmost_last(states: Any) -> Any:
+    """The vehicles from the first along the road to the last, (m,); those whose place is not known come last."""
+    m = states.shape[0]
+    order = np.empty(m, np.intp)
+    for i in range(m):
+        k = i
+        while k > 0 and not states[order[k - 1], 0] >= states[i, 0] and states[i, 0] == states[i, 0]:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = i
+    return order
+
+
+@compiled
+def _look(
+    others: Any,
+    states: Any,
+    growth: Any,
+    stretch: Any,
+    centers: Any,
+    width: float,
+    settings: Any,
+    lap: float,
+    ego: float,
+    states0: Any,
+    numbers0: Any,
+    recent0: Any,
+    marks: Any,
+    numbers: Any,
+    brakes: Any,
+    recent: Any,
+) -> None:
+    """Fill in the tables of `Surroundings` from what it is made of.
+
+    `states0`, `numbers0` and `recent0` are of the frame before, of no vehicles without one; for the rest see `strips`,
+    `spend`, `brakings` and `floors`.
+    """
+    motion, bodies = motion_of(settings), bodies_of(marks, numbers, brakes, recent)
+    strips(others, states, growth, Lanes(centers, width, settings[17], settings[18], motion.dt), bodies)
+    bodies.swing[:] = np.maximum(others[:, _LENGTH] / _CAR, 1.0)
+    bodies.budget[:], bodies.action[:] = bodies.swing * motion.loss, bodies.swing * motion.action
+    if states0.shape[0] == states.shape[0]:
+        before = bodies_of(marks, numbers0, brakes, recent0)
+        spend(states0, before, states, stretch, motion, lap, bodies)
+    order = _rearmost_last(states)
+    brakings(others, states, stretch, motion, lap, ego, order, bodies)
+    floors(others, states, stretch, motion, order, bodies)
+    nose, rows = np.empty((states.shape[0], 2)), np.arange(states.shape[0])
+    fronts(rows, states, stretch, motion, bodies, 0, nose)
+    bodies.noses[:] = nose.T
 
 
 class Surroundings:
@@ -118,11 +177,10 @@ class Surroundings:
 
     Attributes
     ----------
-    bodies : lanes that they touch, and bounds on where their bodies come to be, see `Bodies`.
-    low, high : edges of the lanes touched, (m,) [m]; `hull` is both, (2, m).
-    lane : index of the lane nearest to each vehicle, (m,).
-    reach : half the length that its body covers along the road at any heading, (m,) [m].
-    stretch : least and greatest metres of s in a metre driven, each (m,); None on a straight road.
+    tables : lanes that they touch, and bounds on where their bodies come to be; `bodies` gives the rows their names.
+    stretch : least and greatest metres of s in a metre driven, (2, m); no columns on a straight road.
+    motion, settings : bounds on the motion, and as an array.
+    lap : length of a closed road, 0 of an open one [m].
     """
 
     def __init__(
@@ -137,42 +195,59 @@ class Surroundings:
     ) -> None:
         others, states = np.ascontiguousarray(others, float), np.ascontiguousarray(states, float)
         self.others, self.states, self.assumptions, self.dt = others, states, assumptions, float(dt)
-        m, a, bends = len(states), assumptions, road.bends
-        self.motion, self.hull = _motion(a, self.dt), np.empty((2, m))
-        swing = np.maximum(others[:, Vehicle.LENGTH] / _CAR, 1.0)
-        self.bodies = Bodies(
-            lane=np.empty(m, np.intp),
-            first=np.empty(m, np.intp),
-            last=np.empty(m, np.intp),
-            low=self.hull[0],
-            high=self.hull[1],
-            reach=np.empty(m),
-            budget=swing * self.motion.loss,
-            action=swing * self.motion.action,
-            swing=swing,
-            brakes=np.empty((m, int(np.ceil(_REACTING / self.dt)))),
-            recent=np.zeros((m, max(int(np.ceil(1 / self.dt - 1e-9)), 1))),
-            floor=np.empty(m),
-        )
-        growth = np.zeros((m, 2))
-        self.stretch: tuple[FloatArray, FloatArray] | None = None
-        self.stretches = _STRAIGHT
-        if bends is not None and m:
-            growth = np.array([bends.growth(*size) for size in others[:, [Vehicle.LENGTH, Vehicle.WIDTH]]])
-        # What a bend adds to a body is no reason to take it to be in the next lane.
-        strips(others, states, growth, Lanes(road.centers, float(road.width), a.lean, a.waver, self.dt), self.bodies)
-        self.low, self.high = self.hull
-        self.lane, self.reach = self.bodies.lane, self.bodies.reach
-        if bends is not None:
-            (least, greatest), (least_high, greatest_high) = bends.stretch(self.low), bends.stretch(self.high)
-            self.stretch = np.minimum(least, least_high), np.maximum(greatest, greatest_high)
-            self.stretches = np.stack(self.stretch)
+        self.motion, self.settings = _settings(assumptions, self.dt)
         self.lap = float(getattr(road, "length", 0.0)) if getattr(road, "closed", False) else 0.0
+        self.tables = Tables.empty(len(states), *_frames(self.dt))
+        centers, width, growth, self.stretch = road.centers, float(road.width), _NO_GROWTH, _STRAIGHT
+        if road.bends is not None and len(states):
+            growth, bends = np.array([road.bends.growth(*size) for size in others[:, _SIZE]]), road.bends
+            lanes = Lanes(centers, width, assumptions.lean, assumptions.waver, self.dt)
+            strips(others, states, growth, lanes, self.bodies)
+            ends = bends.stretch(self.low), bends.stretch(self.high)
+            self.stretch = np.stack([np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])])
+        last = (_NOBODY, self.tables.numbers, self.tables.recent)
         if before is not None:
-            spend(before.states, before.bodies, states, self.stretches, self.motion, self.lap, self.bodies)
-        order = np.argsort(-states[:, 0])
-        brakings(others, states, self.stretches, self.motion, self.lap, float(ego), order, self.bodies)
-        floors(others, states, self.stretches, self.motion, order, self.bodies)
+            last = (before.states, before.tables.numbers, before.tables.recent)
+        _look(
+            others,
+            states,
+            growth,
+            self.stretch,
+            centers,
+            width,
+            self.settings,
+            self.lap,
+            float(ego),
+            *last,
+            *self.tables,
+        )
+
+    @cached_property
+    def bodies(self) -> Bodies:
+        """The rows of the tables by their names."""
+        named: Any = bodies_of
+        bodies: Bodies = named.py_func(*self.tables)
+        return bodies
+
+    @property
+    def low(self) -> FloatArray:
+        """Lower edges of the lanes touched, (m,) [m]."""
+        return self.tables.numbers[0]
+
+    @property
+    def high(self) -> FloatArray:
+        """Upper edges of the lanes touched, (m,) [m]."""
+        return self.tables.numbers[1]
+
+    @property
+    def reach(self) -> FloatArray:
+        """Half the length that each body covers along the road at any heading, (m,) [m]."""
+        return self.tables.numbers[2]
+
+    @property
+    def lane(self) -> Any:
+        """Index of the lane nearest to each vehicle, (m,)."""
+        return self.tables.marks[0]
 
     def rear(self, frames: int, hold: int = 0, rows: Any = None) -> FloatArray:
         """Least s of each body after 1..K frames, (m, K) [m]; of those in `rows` only, where given. The last column
@@ -183,7 +258,7 @@ class Surroundings:
         """
         rows = np.arange(len(self.states)) if rows is None else rows
         out = np.empty((len(rows), frames))
-        rears(rows, self.others, self.states, self.stretches, self.motion, self.bodies, hold, out)
+        rears(rows, self.others, self.states, self.stretch, self.motion, self.bodies, hold, out)
         return out
 
     def front(self, frames: int, hold: int = 0, rows: Any = None) -> FloatArray:
@@ -191,10 +266,16 @@ class Surroundings:
         given."""
         rows = np.arange(len(self.states)) if rows is None else rows
         out = np.empty((len(rows), frames))
-        fronts(rows, self.states, self.stretches, self.motion, self.bodies, hold, out)
+        fronts(rows, self.states, self.stretch, self.motion, self.bodies, hold, out)
         return out
 
     def occupancy(self, frames: int, hold: int = 0) -> Occupancy:
         """Worst-case occupancy over frames 1..K."""
         rear, front = self.rear(frames, hold), self.front(frames, hold)
         return Occupancy(rear, front, self.low, self.high)
+
+
+@lru_cache(maxsize=16)
+def _frames(dt: float) -> tuple[int, int]:
+    """For how many coming frames it is looked at how hard each may brake, and how many there are in a second."""
+    return int(np.ceil(_REACTING / dt)), max(int(np.ceil(1 / dt - 1e-9)), 1)

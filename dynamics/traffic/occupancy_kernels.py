@@ -12,8 +12,9 @@ import numpy as np
 
 from dynamics.compiled import compiled
 from dynamics.state import Vehicle
+from dynamics.traffic.tables import Bodies, Motion
 
-__all__ = ["Bodies", "Lanes", "Motion", "apart", "floors", "fronts", "rears", "spend", "strips"]
+__all__ = ["Lanes", "apart", "floors", "fronts", "rears", "spend", "strips"]
 
 _SPEED, _LENGTH, _WIDTH, _CRASHED = int(Vehicle.SPEED), int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
 _ENDLESS = 1e6
@@ -34,105 +35,60 @@ class Lanes(NamedTuple):
     dt: float
 
 
-class Bodies(NamedTuple):
-    """Where each vehicle's body is and can come to be across the road, each (m,).
-
-    `lane`: the nearest; `first`, `last`: the lanes that the body touches (first > last where it touches none);
-    `low`, `high` [m]: outer edges of the lanes touched and of the body; `reach` [m]: half the length that the body
-    covers along the road at any heading; `budget` [m], `action` [m^2/s]: what it may still lose of its way
-    by turning, as such and times its speed, negative where it has lost more; `recent` [m^2/s]: what it has lost of
-    the latter in each frame of the last second, (m, frames), the newest first; `swing`: how much more than a car it may
-    lose; `brakes` (m, K) [m/s^2]: how hard it may brake at each of the coming frames, see `dynamics.traffic.reaction`;
-    `floor` [m]: least s that its centre ever comes to.
-    """
-
-    lane: Any
-    first: Any
-    last: Any
-    low: Any
-    high: Any
-    reach: Any
-    budget: Any
-    action: Any
-    swing: Any
-    brakes: Any
-    recent: Any
-    floor: Any
-
-
-class Motion(NamedTuple):
-    """Bounds on the motion along the road.
-
-    `braking`, `acceleration` [m/s^2]; `power` [m^2/s^3]: acceleration times speed at most; `max_speed` [m/s] up to
-    which anybody accelerates; `min_speed` [m/s] below which nobody brakes on purpose; `slow` [m/s] below which way is
-    not counted; `loss` [m] and `action` [m^2/s]: what turning may cost a car, `loss_back` [m/s] and `action_back`
-    [m^2/s^2]: how fast that comes back, and `burst` [m^2/s]: action within a second at most; `calm` [m/s^2]: braking
-    that needs no reason; `reversing` [m/s]: greatest speed backwards; `queue` [m], `queue_speed` [m/s]: one reverses
-    only from what is nearer than this ahead, centre to centre, and slower; `runout` [s], within which one that
-    reverses comes to rest otherwise; `dt` [s].
-    """
-
-    braking: float
-    acceleration: float
-    power: float
-    max_speed: float
-    min_speed: float
-    slow: float
-    loss: float
-    action: float
-    loss_back: float
-    action_back: float
-    burst: float
-    calm: float
-    reversing: float
-    queue: float
-    queue_speed: float
-    runout: float
-    dt: float
-
-
 @compiled
 def strips(others: Any, states: Any, growth: Any, lanes: Lanes, bodies: Bodies) -> None:
     """Fill in lane, first, last, low, high and reach from vehicle rows (m, 7), road states (m, 4) and what a bend adds
-    to each body along and across (m, 2) [m]; NaN for a vehicle whose row is."""
-    count = lanes.centers.shape[0]
+    to each body along and across, (m, 2) [m], or no rows on a straight road; NaN for a vehicle whose row is."""
+    centers, count = lanes.centers, lanes.centers.shape[0]
+    # Out of a loop: it is slow to get an array out of a tuple.
+    lane, starts, ends, lows, highs, reach = (
+        bodies.lane,
+        bodies.first,
+        bodies.last,
+        bodies.low,
+        bodies.high,
+        bodies.reach,
+    )
     for i in range(states.shape[0]):
         s, r, psi, v = states[i, 0], states[i, 1], states[i, 2], states[i, 3]
         length, width = others[i, _LENGTH], others[i, _WIDTH]
         if not math.isfinite(s + r + psi + v + length + width):
-            bodies.lane[i], bodies.first[i], bodies.last[i] = 0, 0, count - 1
-            bodies.low[i], bodies.high[i], bodies.reach[i] = np.nan, np.nan, np.nan
+            lane[i], starts[i], ends[i] = 0, 0, count - 1
+            lows[i], highs[i], reach[i] = np.nan, np.nan, np.nan
             continue
         sin = math.sin(psi)
         half = 0.5 * (length * abs(sin) + width * abs(math.cos(psi)))
         # highway-env counts what constant velocity along the heading would bring within a frame.
         drift = v * sin * lanes.dt
         low, high = r - half + min(drift, 0.0), r + half + max(drift, 0.0)
-        here = int(min(max(np.rint((r - lanes.centers[0]) / lanes.width), 0), count - 1))
+        here = int(min(max(np.rint((r - centers[0]) / lanes.width), 0), count - 1))
         side, core = 0.5 * lanes.width + lanes.lean, 0.5 * width + lanes.waver
         first, last = count, -1
         for j in range(count):
-            if high > lanes.centers[j] - side + 2 * lanes.lean and low < lanes.centers[j] + side - 2 * lanes.lean:
+            if high > centers[j] - side + 2 * lanes.lean and low < centers[j] + side - 2 * lanes.lean:
                 first, last = min(first, j), max(last, j)
-        bodies.lane[i], bodies.first[i], bodies.last[i] = here, first, last
+        lane[i], starts[i], ends[i] = here, first, last
         if first <= last:
             # Up to the marking; or up to as far as one wavers that is in the middle of that lane, or on its way there.
-            least, most = lanes.centers[first] - side, lanes.centers[last] + side
-            if low >= lanes.centers[first] - core:
-                least = lanes.centers[first] - core
-            if high <= lanes.centers[last] + core:
-                most = lanes.centers[last] + core
+            least, most = centers[first] - side, centers[last] + side
+            if low >= centers[first] - core:
+                least = centers[first] - core
+            if high <= centers[last] + core:
+                most = centers[last] + core
             low, high = min(low, least), max(high, most)
-        bodies.low[i], bodies.high[i] = low - growth[i, 1], high + growth[i, 1]
-        bodies.reach[i] = 0.5 * math.hypot(length, width) + growth[i, 0]
+        along, across = (growth[i, 0], growth[i, 1]) if growth.shape[0] > 0 else (0.0, 0.0)
+        lows[i], highs[i] = low - across, high + across
+        reach[i] = 0.5 * math.hypot(length, width) + along
 
 
 @compiled
 def spend(states0: Any, bodies0: Bodies, states: Any, stretch: Any, motion: Motion, lap: float, bodies: Bodies) -> None:
     """Fill in `budget`, `action` and `recent` from the frame before: what was left, and what has come back, less what
     turning has taken of each vehicle's way. `lap` is the length of a closed road, 0 of an open one [m]."""
+    left, left_action, before = bodies0.budget, bodies0.action, bodies0.recent
+    budgets, actions, recent, swings = bodies.budget, bodies.action, bodies.recent, bodies.swing
     for i in range(states.shape[0]):
-        v, swing, lost = states0[i, 3], bodies.swing[i], 0.0
+        v, swing, lost = states0[i, 3], swings[i], 0.0
         if v > motion.slow:
             ds = states[i, 0] - states0[i, 0]
             if lap > 0:
@@ -140,15 +96,15 @@ def spend(states0: Any, bodies0: Bodies, states: Any, stretch: Any, motion: Moti
             least = stretch[0, i] if stretch.shape[1] > 0 else 1.0
             lost = max(v * motion.dt * least - ds, 0.0)
         budget, action = motion.loss_back * motion.dt, motion.action_back * motion.dt
-        bodies.budget[i] = min(max(bodies0.budget[i], 0.0) + budget, swing * motion.loss) - lost
-        bodies.action[i] = min(max(bodies0.action[i], 0.0) + action, swing * motion.action) - v * lost
+        budgets[i] = min(max(left[i], 0.0) + budget, swing * motion.loss) - lost
+        actions[i] = min(max(left_action[i], 0.0) + action, swing * motion.action) - v * lost
         within = v * lost
-        bodies.recent[i, 0] = within
-        for k in range(bodies.recent.shape[1] - 1):
-            within += bodies0.recent[i, k]
-            bodies.recent[i, k + 1] = bodies0.recent[i, k]
+        recent[i, 0] = within
+        for k in range(recent.shape[1] - 1):
+            within += before[i, k]
+            recent[i, k + 1] = before[i, k]
         if within > swing * motion.burst:
-            bodies.action[i] = min(bodies.action[i], swing * motion.burst - within)
+            actions[i] = min(actions[i], swing * motion.burst - within)
 
 
 @compiled
@@ -160,12 +116,12 @@ def _lost(budget: float, action: float, slow: float, time: float, motion: Motion
 
 
 @compiled
-def apart(bodies: Bodies, i: int, j: int) -> bool:
-    """Whether two vehicles are in different lanes."""
-    if bodies.first[i] > bodies.last[i] or bodies.first[j] > bodies.last[j]:
-        return bodies.low[j] >= bodies.high[i] or bodies.high[j] <= bodies.low[i]
+def apart(first: Any, last: Any, low: Any, high: Any, i: int, j: int) -> bool:
+    """Whether two vehicles are in different lanes, by arrays of `Bodies`: in a loop it is slow to get these out."""
+    if first[i] > last[i] or first[j] > last[j]:
+        return low[j] >= high[i] or high[j] <= low[i]
     # Strips of neighbouring lanes overlap by what may lean.
-    return bodies.first[j] > bodies.last[i] or bodies.last[j] < bodies.first[i]
+    return first[j] > last[i] or last[j] < first[i]
 
 
 @compiled
@@ -196,11 +152,12 @@ def _braking_way(i: int, v: float, wrecked: bool, brakes: Any, motion: Motion) -
 def floors(others: Any, states: Any, stretch: Any, motion: Motion, order: Any, bodies: Bodies) -> None:
     """Fill in `floor`: where a vehicle's centre comes to rest at the least, or as far behind what is ahead in its lanes
     as it may reverse to. A vehicle that reverses runs out within `motion.runout`."""
-    m = states.shape[0]
+    m, brakes, floor = states.shape[0], bodies.brakes, bodies.floor
+    first, last, low, high = bodies.first, bodies.last, bodies.low, bodies.high
     for n in range(m):
         i = order[n]
         v, wrecked = states[i, 3], others[i, _CRASHED] > 0
-        way, time = _braking_way(i, v, wrecked, bodies.brakes, motion)
+        way, time = _braking_way(i, v, wrecked, brakes, motion)
         way = max(way - _lost(bodies.budget[i], bodies.action[i], 0.0, time, motion), 0.0) + min(v, 0.0) * motion.runout
         if stretch.shape[1] > 0:
             way = min(way * stretch[0, i], way * stretch[1, i])
@@ -209,9 +166,9 @@ def floors(others: Any, states: Any, stretch: Any, motion: Motion, order: Any, b
             for k in range(n):
                 j = order[k]
                 slow = states[j, 3] < motion.queue_speed
-                if slow and states[j, 0] > states[i, 0] and not apart(bodies, i, j):
-                    least = min(least, bodies.floor[j] - motion.queue)
-        bodies.floor[i] = least
+                if slow and states[j, 0] > states[i, 0] and not apart(first, last, low, high, i, j):
+                    least = min(least, floor[j] - motion.queue)
+        floor[i] = least
 
 
 @compiled
@@ -225,11 +182,18 @@ def rears(
     frames at constant speed are expected before the worst case starts; then the result is a forecast and no bound.
     """
     frames, dt, brakes, recent = out.shape[1], motion.dt, bodies.brakes, bodies.recent
+    budgets, actions, swings, reaches, floors = (
+        bodies.budget,
+        bodies.action,
+        bodies.swing,
+        bodies.reach,
+        bodies.floor,
+    )
     for n in range(rows.shape[0]):
         j = rows[n]
-        budget, action, swing = bodies.budget[j], bodies.action[j], bodies.swing[j]
+        budget, action, swing, reach = budgets[j], actions[j], swings[j], reaches[j]
         v, wrecked, wreck = states[j, 3], others[j, _CRASHED] > 0, 1.0
-        least_speed, start, floor = min(v, motion.min_speed), states[j, 0] - bodies.reach[j], bodies.floor[j]
+        least_speed, start, floor = min(v, motion.min_speed), states[j, 0] - reach, floors[j]
         way, time, back, lost = 0.0, 0.0, 0.0, 0.0
         burst, second, speed = 0.0, recent.shape[1], v
         for k in range(frames):
@@ -261,18 +225,18 @@ def rears(
                 along = min(along * stretch[0, j], along * stretch[1, j])
             rear = start + along
             # Once it stands it may reverse, as far as to its floor.
-            if hold == 0 and rear > floor - bodies.reach[j]:
-                rear = max(rear - back, floor - bodies.reach[j])
+            if hold == 0 and rear > floor - reach:
+                rear = max(rear - back, floor - reach)
             out[n, k] = rear
         if hold == 0 and frames > 0:
-            out[n, frames - 1] = min(out[n, frames - 1], floor - bodies.reach[j])
+            out[n, frames - 1] = min(out[n, frames - 1], floor - reach)
 
 
 @compiled
 def fronts(rows: Any, states: Any, stretch: Any, motion: Motion, bodies: Bodies, hold: int, out: Any) -> None:
     """Greatest s of the bodies of vehicles `rows` (n,) after each frame, `out` (n, K) [m]; `stretch` and `hold` as in
     `rears`."""
-    dt = motion.dt
+    dt, reach = motion.dt, bodies.reach
     for n in range(rows.shape[0]):
         j = rows[n]
         v, way = states[j, 3], 0.0
@@ -280,6 +244,6 @@ def fronts(rows: Any, states: Any, stretch: Any, motion: Motion, bodies: Bodies,
         for k in range(out.shape[1]):
             # One that reverses may turn, and then gets back by less than its speed.
             way += max(v, 0.0) * dt * most
-            out[n, k] = states[j, 0] + bodies.reach[j] + way
+            out[n, k] = states[j, 0] + reach[j] + way
             if k >= hold:
                 v = min(v + min(motion.acceleration, motion.power / max(v, 1e-3)) * dt, top)

@@ -32,11 +32,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import compiled
+from dynamics.compiled import compiled, numbers_of
 from dynamics.state import BoolArray, FloatArray, Vehicle
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Surroundings
-from dynamics.traffic.occupancy_kernels import Bodies
+from dynamics.traffic.tables import bodies_of
 
 __all__ = ["Ego", "Motions", "Rule", "footprint", "gap_between", "permits"]
 
@@ -101,8 +101,7 @@ class _Limits(NamedTuple):
     slow: float
     period: float
     lap: float
-    frames: int
-    one_frame: bool
+    frames: float
 
 
 @compiled
@@ -128,22 +127,40 @@ def gap_between(ego: Ego, along: float, across: float, rows: Any, i: int, dt: fl
 def _judge(
     rows0: Any,
     states0: Any,
-    bodies0: Bodies,
+    marks0: Any,
+    numbers0: Any,
+    brakes0: Any,
+    recent0: Any,
     rows: Any,
     states: Any,
-    bodies: Bodies,
+    marks: Any,
+    numbers: Any,
+    brakes: Any,
+    recent: Any,
     stretch: Any,
     behind: Any,
     ego: Ego,
-    limits: _Limits,
+    row: Any,
     broken: Any,
     grown: Any,
 ) -> None:
+    limits = _Limits(*numbers_of(row, 9))
+    bodies0, bodies = bodies_of(marks0, numbers0, brakes0, recent0), bodies_of(marks, numbers, brakes, recent)
+    frames = int(limits.frames)
+    low0, high0, floor0, low, high, floor = (
+        bodies0.low,
+        bodies0.high,
+        bodies0.floor,
+        bodies.low,
+        bodies.high,
+        bodies.floor,
+    )
+    budget, action = bodies.budget, bodies.action
     for i in range(rows.shape[0]):
         v0, v = states0[i, 3], states[i, 3]
         bits, more = 0, 0
         ds, dr = states[i, 0] - states0[i, 0], states[i, 1] - states0[i, 1]
-        drop = bodies0.floor[i] - bodies.floor[i]
+        drop = floor0[i] - floor[i]
         if limits.lap > 0:
             ds -= limits.lap * np.rint(ds / limits.lap)
             drop -= limits.lap * np.rint(drop / limits.lap)
@@ -159,28 +176,28 @@ def _judge(
             most_rate = min(limits.acceleration, limits.power / max(v0, 1e-3) + _TOLERANCE)
             if sped or not (-limits.braking <= rate <= most_rate):
                 bits |= _SPEED
-            if limits.one_frame:
+            if frames == 1:
                 back = not ds >= min(way, 0.0) * most - _SLIGHT
                 ahead = not ds <= max(way, 0.0) * most + _SLIGHT
                 if back or ahead or not abs(dr) <= abs(way) * 1.0001 + _SLIGHT:
                     bits |= _WAY
-                if not min(bodies.budget[i], bodies.action[i]) >= -_SLIGHT:
+                if not min(budget[i], action[i]) >= -_SLIGHT:
                     bits |= _WAY
         if behind[i]:
             touches = gap_between(ego, ego.along, ego.across, rows, i, 0.0) < 0
             # highway-env counts what constant velocities would bring in the coming frame.
             if touches or gap_between(ego, ego.body_along, ego.body_across, rows, i, limits.period) <= 0:
                 bits |= _DISTANCE
-        if not (bodies.low[i] >= bodies0.low[i] - _SLIGHT and bodies.high[i] <= bodies0.high[i] + _SLIGHT):
+        if not (low[i] >= low0[i] - _SLIGHT and high[i] <= high0[i] + _SLIGHT):
             more |= _LANES
         harder = False
         if not wrecked:
             allowed = 0.0
-            for k in range(limits.frames):
-                allowed += bodies0.brakes[i, k] if k < bodies0.brakes.shape[1] else limits.braking
+            for k in range(frames):
+                allowed += brakes0[i, k] if k < brakes0.shape[1] else limits.braking
             harder = not v0 - v <= (allowed + _TOLERANCE) * limits.period / limits.frames
-            for k in range(bodies.brakes.shape[1] - limits.frames):
-                harder = harder or bodies.brakes[i, k] > bodies0.brakes[i, k + limits.frames] + _TOLERANCE
+            for k in range(brakes.shape[1] - frames):
+                harder = harder or brakes[i, k] > brakes0[i, k + frames] + _TOLERANCE
             if harder:
                 more |= _BRAKING
         if not drop <= _GREW and not harder:
@@ -189,8 +206,8 @@ def _judge(
 
 
 @lru_cache(maxsize=16)
-def _limits(a: Assumptions, period: float, lap: float, frames: int) -> _Limits:
-    return _Limits(
+def _limits(a: Assumptions, period: float, lap: float, frames: int) -> FloatArray:
+    limits = _Limits(
         a.braking + _TOLERANCE,
         a.acceleration + _TOLERANCE,
         a.power,
@@ -200,8 +217,8 @@ def _limits(a: Assumptions, period: float, lap: float, frames: int) -> _Limits:
         period,
         lap,
         frames,
-        frames == 1,
     )
+    return np.array(limits, dtype=float)
 
 
 def footprint(ego: FloatArray, longitudinal: float, lateral: float, crashed: bool = False) -> Ego:
@@ -239,18 +256,6 @@ def permits(before: Surroundings, after: Surroundings, period: float, behind: Bo
     limits = _limits(before.assumptions, float(period), after.lap, max(round(period / before.dt), 1))
     m = len(after.states)
     found = Motions(np.zeros(m, np.intp), np.zeros(m, np.intp))
-    rows0, rows = before.others, after.others
-    _judge(
-        rows0,
-        before.states,
-        before.bodies,
-        rows,
-        after.states,
-        after.bodies,
-        after.stretches,
-        behind,
-        ego,
-        limits,
-        *found,
-    )
+    old, new = (before.others, before.states, *before.tables), (after.others, after.states, *after.tables)
+    _judge(*old, *new, after.stretch, behind, ego, limits, *found)
     return found

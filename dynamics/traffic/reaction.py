@@ -21,7 +21,8 @@ import numpy as np
 from dynamics.compiled import compiled
 from dynamics.state import Vehicle
 from dynamics.traffic.mobil import COMFORT, IMPOSED, desired_gap
-from dynamics.traffic.occupancy_kernels import Bodies, Motion, apart
+from dynamics.traffic.occupancy_kernels import apart
+from dynamics.traffic.tables import Bodies, Motion
 
 __all__ = ["brakings"]
 
@@ -70,11 +71,11 @@ def _slowest(
 
 
 @compiled
-def _asked(k: int, d: float, fast: Any, slow: Any, motion: Motion) -> float:
-    """Braking at frame k for what is then at distance d ahead, and no faster than `slow` [m/s^2]."""
+def _asked(d: float, fast: float, slow: float, motion: Motion) -> float:
+    """Braking at speed `fast` for what is at distance d ahead, and at speed `slow` [m/s^2]."""
     if not d > 1.0:
         return motion.braking
-    wanted = desired_gap(fast[k], max(fast[k] - slow[k], 0.0))
+    wanted = desired_gap(fast, max(fast - slow, 0.0))
     return min(_SCALE * COMFORT * (wanted / d) ** 2 + _SLACK, motion.braking)
 
 
@@ -106,7 +107,7 @@ def _press(
             entered = far > 0 and desired_gap(v, v - x.fast[j, k]) <= (IMPOSED + _MORE) * far
         if entered:
             d = near + x.slow_way[j, k] - x.fast_way[i, k] - back * k
-            rate = _asked(k, d, x.fast[i], x.slow[j], motion)
+            rate = _asked(d, x.fast[i, k], x.slow[j, k], motion)
             brakes[k] = max(brakes[k], rate)
             if rate >= motion.braking:
                 return k + 1
@@ -130,23 +131,27 @@ def brakings(
     bodies.brakes[:], curved = motion.braking, stretch.shape[1] > 0
     if not motion.calm < motion.braking:
         return
-    ways = np.empty((6, m, frames))
+    low, high, starts, ends = bodies.low, bodies.high, bodies.first, bodies.last
+    all_brakes, budget, ways = bodies.brakes, bodies.budget, np.empty((6, m, frames))
     x = _Extremes(ways[0], ways[1], ways[2], ways[3], ways[4], ways[5])
     for i in range(m):
         v, wrecked, least = states[i, 3], others[i, _CRASHED] > 0, stretch[0, i] if curved else 1.0
-        most, brakes = stretch[1, i] if curved else 1.0, bodies.brakes[i]
+        most, brakes = stretch[1, i] if curved else 1.0, all_brakes[i]
         _fastest(max(v, 0.0), most, motion, x.fast[i], x.fast_way[i])
         _slowest(max(v, 0.0), 0.0, brakes, False, least, most, motion, x.slowest[i], x.slowest_way[i])
         backwards = min(v, 0.0 if wrecked else -motion.reversing)
         _slowest(v, backwards, brakes, wrecked, least, most, motion, x.slow[i], x.slow_way[i])
-    for i in order:
-        behind, brakes, end = ego - states[i, 0], bodies.brakes[i], frames
+    for n in range(m):
+        i, end = order[n], frames
+        behind, brakes = ego - states[i, 0], all_brakes[i]
         if lap > 0:
             behind -= lap * np.rint(behind / lap)
         if behind > 0 or others[i, _CRASHED] > 0:
             continue
         brakes[:] = motion.calm
-        for j in order:
+        # The nearest first: what may make it brake as hard as can be leaves less to be looked at in the others.
+        for other in range(m):
+            j = order[n - 1 - other] if other < n else order[other]
             ahead = states[j, 0] - states[i, 0]
             if lap > 0:
                 ahead -= lap * np.rint(ahead / lap)
@@ -155,12 +160,12 @@ def brakings(
             if ahead <= 0 and ahead + x.fast_way[j, last] - x.slowest_way[i, last] <= 0:
                 continue  # it does not get ahead
             # The distance is least at one of its ends: it falls ever faster. What is wanted grows.
-            near = ahead - max(bodies.budget[j], 0.0)
+            near = ahead - max(budget[j], 0.0)
             d = near + x.slow_way[j, last] - x.fast_way[i, last] - motion.loss_back * motion.dt * last
-            if not _asked(last, min(near, d), x.fast[i], x.slow[j], motion) > motion.calm:
+            if not _asked(min(near, d), x.fast[i, last], x.slow[j, last], motion) > motion.calm:
                 continue  # nor does it ask for anything
             first = -1
-            if apart(bodies, i, j):
+            if apart(starts, ends, low, high, i, j):
                 first = max(int((abs(states[j, 1] - states[i, 1]) - _LANE) / (_TOWARDS * motion.dt)), 0)
             if first >= 0 or ahead >= 0:
                 end = _press(i, j, ahead, near, first, x, motion, brakes, end)

@@ -22,10 +22,22 @@ from dynamics.state import FloatArray
 from dynamics.vehicle.bicycle import LENGTH, MAX_SPEED
 from dynamics.vehicle.controllers import KP_HEADING, KP_LATERAL, KP_SPEED, MAX_SLIP
 
-__all__ = ["roll_brakes", "roll_commands", "roll_inputs", "roll_stops", "slip_at", "table_of"]
+__all__ = [
+    "NO_LIMIT",
+    "roll_brakes",
+    "roll_commands",
+    "roll_inputs",
+    "roll_stops",
+    "roll_targets",
+    "slip_at",
+    "table_of",
+]
 
+NO_LIMIT = 1e12
+"""Deceleration bound that stands for none [m/s^2]."""
 _NONZERO = 1e-2
 """The least speed that highway-env divides by [m/s]."""
+_STRAIGHT = np.zeros((8, 0))
 _MOST_HEADING = math.sin(math.pi / 4)
 _FAR = 1e9
 """Where an open path's first and last piece begin and end [m]."""
@@ -38,7 +50,7 @@ _MOST_BEND = 0.7
 def table_of(road: Any) -> FloatArray:
     """The table of a road; of a straight one, or None, it has no pieces."""
     if not isinstance(road, PathRoad):
-        return np.zeros((8, 0))
+        return _STRAIGHT
     return _table(road.profile)
 
 
@@ -134,6 +146,33 @@ def roll_commands(start: Any, commands: Any, table: Any, dt: float, paths: Any) 
             a = max(max(KP_SPEED * (commands[i, f, 1] - v), -commands[i, f, 2]), max(v, 0.0) * (-1 / dt))
             slip = slip_at(s, r, psi, v, commands[i, f, 0], table, dt)
             s, r, psi, v = _step(s, r, psi, v, a, slip, table, dt)
+            paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
+
+
+@compiled
+def roll_targets(
+    start: Any,
+    centers: Any,
+    lanes: Any,
+    fails: Any,
+    speeds: Any,
+    commit: int,
+    braking: float,
+    table: Any,
+    dt: float,
+    paths: Any,
+) -> None:
+    """A state (4,) that tracks the middles of lanes (n,) of those at `centers`, and speeds (n,), for `commit` frames,
+    and then brakes to a stop on the way to those of lanes `fails`, to the states after each frame, `paths`
+    (n, frames, 4)."""
+    for i in range(paths.shape[0]):
+        s, r, psi, v = start[0], start[1], start[2], start[3]
+        for f in range(paths.shape[1]):
+            goal, a = centers[lanes[i]], KP_SPEED * (speeds[i] - v)
+            if f >= commit:
+                goal, a = centers[fails[i]], -braking
+            slip = slip_at(s, r, psi, v, goal, table, dt)
+            s, r, psi, v = _step(s, r, psi, v, max(a, max(v, 0.0) * (-1 / dt)), slip, table, dt)
             paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
 
 

@@ -15,19 +15,19 @@ along the road, and the steering knows its curvature.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from dynamics.roads.path import PathRoad
 from dynamics.roads.straight import StraightRoad
 from dynamics.state import FloatArray
-from dynamics.vehicle.rollout_kernels import roll_brakes, roll_commands, roll_inputs, table_of
+from dynamics.vehicle.rollout_kernels import NO_LIMIT, roll_brakes, roll_commands, roll_inputs, roll_targets, table_of
 
 __all__ = ["BRAKE", "NO_LIMIT", "Rollouts"]
 
 BRAKE = -1e9
 """Target speed that stands for braking as hard as the command allows [m/s]."""
-NO_LIMIT = 1e12
-"""Deceleration bound that stands for none [m/s^2]."""
 
 
 class Rollouts:
@@ -58,6 +58,34 @@ class Rollouts:
         n, frames, _ = commands.shape
         paths = np.empty((n, frames, 4))
         roll_commands(self._starts(state, n), np.ascontiguousarray(commands, float), self._table, self.dt, paths)
+        return paths
+
+    def run_brakes(
+        self,
+        state: FloatArray,
+        centers: FloatArray,
+        lanes: Any,
+        fails: Any,
+        speeds: FloatArray,
+        commit: int,
+        frames: int,
+        braking: float,
+    ) -> FloatArray:
+        """Track lanes and speeds for some frames, and then brake to a stop.
+
+        Parameters
+        ----------
+        state : road state, shape (4,).
+        centers : of the lanes [m]. lanes, fails : in which each goes, and stops, (n,). speeds : tracked, (n,) [m/s].
+        commit, frames : for which they are tracked, and of the paths.
+        braking : deceleration afterwards [m/s^2].
+
+        Returns
+        -------
+        Road states after each frame, shape (n, frames, 4).
+        """
+        paths = np.empty((len(speeds), frames, 4))
+        roll_targets(state, centers, lanes, fails, speeds, commit, braking, self._table, self.dt, paths)
         return paths
 
     def run_inputs(self, state: FloatArray, inputs: FloatArray) -> FloatArray:

@@ -66,7 +66,6 @@ def _stop(now: Instant, lane: int, speed: float) -> tuple[FloatArray, float, Flo
     and its least separations from each vehicle, and from each that may slip in, (m,) and (q,) [m]."""
     candidates = brake_candidates(now.scene, [lane], [speed], [lane], 1, now.config.braking)
     paths, result = now.judge(candidates)
-    assert result.slipping is not None
     return paths[0], float(result.margin[0]), now.survey.of_each(result), result.slipping[0]
 
 

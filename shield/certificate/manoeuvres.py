@@ -1,4 +1,4 @@
-"""Candidate manoeuvres as command sequences: pure array building, no rollouts and no judgement.
+"""Candidate manoeuvres, as commands and not yet as paths: no judgement.
 
 A candidate commits to a target for some frames and then carries out the fail-safe manoeuvre: brake to a stop in
 a lane. With meta-actions only, the fail-safe is a sequence of meta-actions instead.
@@ -6,17 +6,31 @@ a lane. With meta-actions only, the fail-safe is a sequence of meta-actions inst
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from dynamics.scenes.scene import Scene, Target
 from dynamics.state import FloatArray, State
 from dynamics.vehicle.controllers import KP_SPEED, speed_to_index
-from dynamics.vehicle.rollouts import BRAKE, NO_LIMIT
+from dynamics.vehicle.rollouts import NO_LIMIT, Rollouts
 
-__all__ = ["Candidates", "brake_candidates", "meta_candidates"]
+__all__ = ["Brakes", "Candidates", "Manoeuvres", "brake_candidates", "meta_candidates"]
+
+
+class Manoeuvres(Protocol):
+    """n manoeuvres, with the lane that each commits to, and stops in, (n,)."""
+
+    @property
+    def lanes(self) -> Any: ...
+    @property
+    def fails(self) -> Any: ...
+
+    def paths(self, rollouts: Rollouts, state: FloatArray) -> FloatArray:
+        """Road states after each frame, (n, frames, 4), from a road state (4,)."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +48,40 @@ class Candidates:
     lanes: Any
     fails: Any
 
+    def paths(self, rollouts: Rollouts, state: FloatArray) -> FloatArray:
+        """Road states after each frame, (n, frames, 4), from a road state (4,)."""
+        return rollouts.run(state, self.commands)
+
+
+@dataclass(frozen=True, slots=True)
+class Brakes:
+    """n targets that are tracked for some frames, and then braking to a stop.
+
+    Attributes
+    ----------
+    centers : of the road's lanes [m]. lanes, fails : lane that each commits to, and stops in, (n,).
+    speeds : that each commits to, (n,) [m/s]. commit, frames : of commitment, and in all.
+    braking : deceleration afterwards [m/s^2].
+    """
+
+    centers: FloatArray
+    lanes: Any
+    fails: Any
+    speeds: FloatArray
+    commit: int
+    frames: int
+    braking: float
+
+    def paths(self, rollouts: Rollouts, state: FloatArray) -> FloatArray:
+        """Road states after each frame, (n, frames, 4), from a road state (4,)."""
+        return rollouts.run_brakes(
+            state, self.centers, self.lanes, self.fails, self.speeds, self.commit, self.frames, self.braking
+        )
+
 
 def brake_candidates(
     scene: Scene, target_lanes: Any, target_speeds: Any, fail_lanes: Any, commit: int, braking: float
-) -> Candidates:
+) -> Brakes:
     """Commit to each target for `commit` frames, then brake to a stop in the fail-safe lane.
 
     Parameters
@@ -45,22 +89,13 @@ def brake_candidates(
     target_lanes, target_speeds, fail_lanes : one of each per candidate, (n,); speeds [m/s].
     braking : deceleration of the fail-safe [m/s^2].
     """
-    centers, dt = scene.road.centers, scene.dt
-    lanes, fails = np.asarray(target_lanes), np.asarray(fail_lanes)
-    speeds = np.asarray(target_speeds, dtype=float)
-    v0 = float(scene.ego[State.SPEED])
-    # The speed after the commitment follows the controller's geometric law exactly.
-    v_end = speeds + (v0 - speeds) * (1 - KP_SPEED * dt) ** commit
-    top = max(v0, float(v_end.max()), 0.0)
-    frames = commit + int(np.ceil(top / (braking * dt))) + 1
-    commands = np.empty((lanes.size, frames, 3))
-    commands[:, :commit, 0] = centers[lanes][:, None]
-    commands[:, :commit, 1] = speeds[:, None]
-    commands[:, :commit, 2] = NO_LIMIT
-    commands[:, commit:, 0] = centers[fails][:, None]
-    commands[:, commit:, 1] = BRAKE
-    commands[:, commit:, 2] = braking
-    return Candidates(commands, lanes, fails)
+    lanes, fails = np.asarray(target_lanes, np.intp), np.asarray(fail_lanes, np.intp)
+    speeds, v0 = np.asarray(target_speeds, dtype=float), float(scene.ego[State.SPEED])
+    # The speed after the commitment follows the controller's geometric law exactly, and grows with the target's.
+    most = float(speeds.max())
+    top = max(v0, most + (v0 - most) * (1 - KP_SPEED * scene.dt) ** commit, 0.0)
+    frames = commit + math.ceil(top / (braking * scene.dt)) + 1
+    return Brakes(scene.road.centers, lanes, fails, speeds, commit, frames, float(braking))
 
 
 def meta_candidates(scene: Scene, actions: list[int], horizon: float) -> tuple[Candidates, list[tuple[int, ...]]]:

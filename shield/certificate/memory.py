@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Generic, TypeVar
 
@@ -17,7 +17,7 @@ from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.rollouts import Rollouts
 from shield.certificate.clauses.duties import lanes_held
 from shield.certificate.clauses.others import TOUCH
-from shield.certificate.manoeuvres import Candidates, brake_candidates
+from shield.certificate.manoeuvres import Manoeuvres, brake_candidates
 from shield.certificate.monitor import Stillness, Watch
 from shield.certificate.verify import Binding, Clearance, Surveyor
 from shield.config import ShieldConfig
@@ -25,8 +25,8 @@ from shield.config import ShieldConfig
 __all__ = ["FailSafe", "Instant", "Memory", "observe"]
 
 S = TypeVar("S")
-_LONG = 10**6
-"""Frames that stand for as long as one likes."""
+_FIRST = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=bool), np.zeros((0, 0), dtype=bool)
+"""What is known of the lanes before the first scene."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,15 +86,15 @@ class Instant:
         assert isinstance(self.memory.watch, Watch)
         return self.survey.without(self.memory.watch.offenders)
 
-    @property
+    @cached_property
     def here(self) -> int:
         """The lane that the ego's centre is in."""
         return self.scene.road.lane_at(float(self.scene.ego_road[RoadState.R]))
 
-    def judge(self, candidates: Candidates, hold: int = 0) -> tuple[FloatArray, Clearance]:
+    def judge(self, candidates: Manoeuvres, hold: int = 0) -> tuple[FloatArray, Clearance]:
         """Paths (n, K, 4) of some candidates, and what there is to say against them; see `Surveyor.clearance`."""
-        paths = self.rollouts.run(self.scene.ego_road, candidates.commands)
-        return paths, self.survey.clearance(paths, candidates, hold)
+        paths = candidates.paths(self.rollouts, self.scene.ego_road)
+        return paths, self.survey.clearance(paths, candidates.lanes, candidates.fails, hold)
 
     def fail_safe(self, lawful: bool = False) -> FailSafe:
         """The stored fail-safe from now on; without one, that of the ego's own lane."""
@@ -136,27 +136,21 @@ def observe(
         stop = lane if lane is not None else scene.road.lane_at(float(scene.ego_road[RoadState.R]))
         return survey.of_each(_brake(scene, stop, config.braking, rollouts, survey)[1])
 
-    others, period = survey.others, frames * scene.dt
-    watch = watch.next(scene, survey.seen, around, others.behind, others.held, period, separations)
-    return Instant(scene, config, replace(memory, frame=scene.frame, survey=survey, watch=watch), rollouts, survey)
+    period = frames * scene.dt
+    watch = watch.next(scene, survey.seen, around, survey.behind, survey.held, period, separations)
+    memory = Memory(scene.frame, memory.stored, survey, watch, memory.plan)
+    return Instant(scene, config, memory, rollouts, survey)
 
 
 def _lanes(last: Surveyor | None, scene: Scene, config: ShieldConfig, frames: int, stored: int | None) -> Any:
     """Frames for which the ego has been visible in each lane, which it owns, and who could enter which before."""
-    centers, r, sight = scene.road.centers, float(scene.ego_road[RoadState.R]), config.assumptions.visible_distance
-    if last is None or last.visible is None or last.visible.shape != centers.shape:
-        # Whoever is there when it all begins has seen the ego for long.
-        before, owned = np.where(np.abs(centers - r) <= sight, _LONG, 0), np.zeros(0, dtype=bool)
-        coming = None
-    else:
-        before, owned, coming = last.visible, last.owned, last.others.comes
+    before = _FIRST
+    if last is not None and last.visible is not None and last.visible.shape == scene.road.centers.shape:
+        before = last.visible, last.owned, last.comes
     swing = 0.5 * float(scene.ego[Vehicle.LENGTH]) * abs(math.sin(scene.ego_road[RoadState.HEADING]))
-    touch = TOUCH + 0.5 * float(scene.ego[Vehicle.WIDTH]) + swing
-    visible, owned = lanes_held(r, centers, frames, sight, touch, -1 if stored is None else stored, before, owned)
-    if coming is not None:
-        # Where the ego has got out of sight, anybody may come.
-        coming = coming | ((before > 0) & (visible == 0))[:, None]
-    return visible, owned, coming
+    touch, sight = TOUCH + 0.5 * float(scene.ego[Vehicle.WIDTH]) + swing, config.assumptions.visible_distance
+    r = float(scene.ego_road[RoadState.R])
+    return lanes_held(r, scene.road.centers, frames, sight, touch, -1 if stored is None else stored, *before)
 
 
 def _brake(
@@ -165,5 +159,5 @@ def _brake(
     """Braking to a stop in a lane from now on: its path (K, 4), and what there is to say against it."""
     speed = float(scene.ego[State.SPEED]) - braking / KP_SPEED
     candidates = brake_candidates(scene, [lane], [speed], [lane], 1, braking)
-    paths = rollouts.run(scene.ego_road, candidates.commands)
-    return paths[0], survey.clearance(paths, candidates)
+    paths = candidates.paths(rollouts, scene.ego_road)
+    return paths[0], survey.clearance(paths, candidates.lanes, candidates.fails)

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
+from dynamics.compiled import compiled
 from dynamics.scenes.scene import Scene
 from dynamics.state import BoolArray, FloatArray, Vehicle
 from dynamics.traffic.occupancy import Surroundings
@@ -18,12 +20,28 @@ from dynamics.traffic.permits import Ego, Rule, permits
 __all__ = ["Stillness", "Watch"]
 
 
+_DISTANCE = int(Rule.DISTANCE)
+
+
 def _nobody() -> BoolArray:
     return np.zeros(0, dtype=bool)
 
 
 Separations = Callable[[], FloatArray]
 """How far the ego's fail-safe stays from where each vehicle can be now, (m,) [m]; negative where it does not."""
+
+
+@compiled
+def _stayed(owed: Any, behind: Any, held: Any, broken: Any, grown: Any, owing: Any) -> tuple[bool, bool]:
+    """Fill in who owes the ego its distance now, `owing`, and add to `grown` who has not stayed behind: who owed it,
+    and has come beside it in its own lane. Returns whether anybody has broken a rule, and taken more room."""
+    some, more = False, False
+    for i in range(owed.shape[0]):
+        owing[i] = behind[i] and held[i]
+        if owed[i] and held[i] and not behind[i]:
+            grown[i] |= _DISTANCE
+        some, more = some or broken[i] != 0, more or grown[i] != 0
+    return some, more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,14 +111,17 @@ class Watch:
         if before is None:
             nobody = np.zeros(len(scene.others), dtype=bool)
             return Watch(around, behind & held, crashed, nobody, nobody, self.count, self.by_rule)
-        broken, grown = permits(before, around, period, self.owing, ego._replace(crashed=crashed and not self.crashed))
-        # Who comes beside the ego in its own lane has not stayed behind.
-        grown |= np.where(self.owing & held & ~behind, int(Rule.DISTANCE), 0)
-        if grown.any():
+        if crashed and not self.crashed:
+            ego = ego._replace(crashed=True)
+        broken, grown = permits(before, around, period, self.owing, ego)
+        owing = np.empty(len(broken), dtype=bool)
+        some, more = _stayed(self.owing, behind, held, broken, grown, owing)
+        if more:
             # Who takes more room than before has to leave it to the ego's fail-safe.
             broken |= np.where(fail_safe() < 0, grown, 0)
-        breaking, owing = broken != 0, behind & held
-        if not breaking.any():
+            some = bool(broken.any())
+        breaking = broken != 0
+        if not some:
             return Watch(around, owing, crashed, breaking, self.offenders, self.count, self.by_rule)
         count, by_rule = self.count, dict(self.by_rule)
         for i in np.flatnonzero(breaking & ~self.breaking):

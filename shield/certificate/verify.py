@@ -21,32 +21,37 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 
 from dynamics.scenes.scene import Scene
 from dynamics.state import BoolArray, FloatArray, RoadState, Vehicle
-from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Surroundings
-from dynamics.traffic.permits import footprint
-from shield.certificate.alongside import Alongside
-from shield.certificate.clauses.duties import Sight, in_reach, others_of
+from dynamics.traffic.permits import Ego, footprint
+from dynamics.vehicle.rollout_kernels import table_of
+from shield.certificate.clauses.duties import in_reach
 from shield.certificate.clauses.footprint import Footprint
-from shield.certificate.clauses.room import margins
-from shield.certificate.clauses.separation import Duty
-from shield.certificate.clauses.together import Around, Ground, judged
-from shield.certificate.manoeuvres import Candidates
-from shield.config import ShieldConfig
+from shield.certificate.clauses.others import Others, empty_others, others_from
+from shield.certificate.clauses.settings import settings_of
+from shield.certificate.clauses.together import (
+    NOTHING_BINDS,
+    ROOM_BINDS,
+    SEPARATION_BINDS,
+    SLIP_IN_BINDS,
+    judged,
+    seen,
+)
+from shield.config import Buffer, ShieldConfig
 
 __all__ = ["NOTHING", "ROUNDING", "Binding", "Clearance", "Surveyor", "least_bad"]
 
 
 ROUNDING = 1e-6
 """What rounding may take from a plan that was verified a frame before [m]."""
-_GAINS = 1.0
-"""By how much one that enters a lane may be wrong about what it gains by it [m/s^2]."""
+_CLAUSES = {NOTHING_BINDS: "", SEPARATION_BINDS: "separation", SLIP_IN_BINDS: "slip-in", ROOM_BINDS: "room"}
+_NOBODY, _NO_LANES = np.zeros(0, dtype=bool), np.zeros((0, 0), dtype=bool)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,33 +79,42 @@ class Clearance:
     ----------
     margin : least separation beyond the buffer, (n,) [m]; +inf with nobody in reach, -inf in a gap of the map.
     clear : frames before the first violation, (n,); all of them without one.
-    parts : where asked for, what the margin is the least of, (n, vehicles + 1) [m]: the least separation from each
-        vehicle in reach, +inf from one that owes the ego its distance; from each that may slip in alongside; and the
-        room in the lane that is stopped in.
-    slipping, slippers : the same for those that may slip in alongside.
-    separations, rows : least separation from each vehicle in reach (n, len(rows)) [m], and which they are.
+    found : what the margin is the least of, (1 + q + c, n) [m]: the room in the lane that is stopped in; the least
+        separation from each vehicle in reach, +inf from one that owes the ego its distance; and from each that may slip
+        in alongside.
+    rows : the vehicles in reach, (q,).
+    binds : what each margin comes from, and which vehicle, (2, n).
     """
 
     margin: FloatArray
     clear: Any
-    parts: FloatArray | None = None
-    separations: FloatArray | None = None
+    found: FloatArray | None = None
     rows: Any = None
-    slipping: FloatArray | None = None
-    slippers: Any = None
+    binds: Any = None
+
+    @property
+    def separations(self) -> FloatArray:
+        """Least separation of each path from each vehicle in reach, (n, q) [m]."""
+        assert self.found is not None
+        return self.found[1 : 1 + len(self.rows)].T
+
+    @property
+    def slipping(self) -> FloatArray:
+        """The same from those that may slip in alongside, (n, c) [m]."""
+        assert self.found is not None
+        return self.found[1 + len(self.rows) :].T
+
+    @property
+    def parts(self) -> FloatArray:
+        """What the margins are the least of, (n, q + c + 1) [m]: both, and the room."""
+        assert self.found is not None
+        return np.vstack([self.found[1:], self.found[:1]]).T
 
     def binding(self, i: int) -> Binding:
         """The clause that the margin of path `i` comes from, and the vehicle."""
-        margin = self.margin[i]
-        if np.isneginf(margin):
+        if self.margin[i] == -np.inf:
             return Binding("gap of the map")
-        for clause, values, rows in (
-            ("separation", self.separations, self.rows),
-            ("slip-in", self.slipping, self.slippers),
-        ):
-            if values is not None and values.shape[1] and values[i].min() <= margin:
-                return Binding(clause, int(rows[values[i].argmin()]))
-        return Binding("" if np.isposinf(margin) else "room")
+        return Binding(_CLAUSES[int(self.binds[0, i])], int(self.binds[1, i]))
 
 
 class Surveyor:
@@ -117,6 +131,10 @@ class Surveyor:
     followers : who owed the ego its distance in the scene before, (m,) bool; nobody by default.
     coming : who could enter which lane in the scene before, (lanes, m) bool; whoever may now by default.
     stored : the lane in which the stored fail-safe stops; None without one.
+
+    Attributes
+    ----------
+    size : the ego's footprint. behind, held : see `Others`, (m,) bool. comes : who may enter which lane, (lanes, m).
     """
 
     def __init__(
@@ -131,51 +149,61 @@ class Surveyor:
         coming: Any = None,
         stored: int | None = None,
     ) -> None:
-        self.ignored = np.zeros(0, dtype=bool) if ignored is None else ignored
+        self.ignored = _NOBODY if ignored is None else ignored
         self.scene, self.config, self.visible = scene, config, visible
+        road, state, a, lanes = scene.road, scene.ego_road, config.assumptions, scene.road.centers.size
         if owned is None:
-            owned = np.arange(scene.road.centers.size) == scene.road.lane_at(float(scene.ego_road[RoadState.R]))
+            owned = np.arange(lanes) == road.lane_at(float(state[RoadState.R]))
         self.owned = np.asarray(owned, dtype=bool)
         if around is None:
-            ego = float(scene.ego_road[RoadState.S])
-            around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, None, ego)
-        self.around, road, b, a = around, scene.road, config.buffer, config.assumptions
-        length, width = float(scene.ego[Vehicle.LENGTH]), float(scene.ego[Vehicle.WIDTH])
-        # What the ego's buffered footprint, and its body, need beyond a straight road's rectangle.
-        growth, bare = (0.0, 0.0), (0.0, 0.0)
-        if road.bends is not None:
-            growth = road.bends.growth(length + 2 * b.longitudinal, width + 2 * b.lateral)
-            bare = road.bends.growth(length, width)
-        self.growth, self.bare = growth, bare
-        self._size = Footprint(0.5 * length + b.longitudinal, 0.5 * width + b.lateral, length, width, *growth, *bare)
-        m = len(scene.others)
-        perception, blind = float(config.perception_range), bool(a.blind_merge)
-        self._ground = Ground(road.centers, float(road.width), a.lean, perception, road.bends is not None, blind)
-        self._duty, sight = _duty(a, scene.dt), _sight(a, scene.dt, float(road.width))
-        self.seen = footprint(scene.ego, b.longitudinal, b.lateral)
-        self._visible = np.zeros(road.centers.size, dtype=np.intp) if visible is None else np.asarray(visible, np.intp)
+            ego = float(state[RoadState.S])
+            around = Surroundings(scene.others, scene.others_road, road, a, scene.dt, None, ego)
+        self.around = around
+        self.size, self._size = _footprint(
+            float(scene.ego[Vehicle.LENGTH]), float(scene.ego[Vehicle.WIDTH]), config.buffer, road.bends
+        )
+        bent, perception = road.bends is not None, float(config.perception_range)
+        self._settings = settings_of(a, float(road.width), perception, bent, scene.dt)
+        self._table = table_of(road)
+        self._visible = np.zeros(lanes, dtype=np.intp) if visible is None else np.asarray(visible, np.intp)
         in_sight = self._visible
         if visible is None:
-            offset = np.abs(road.centers - scene.ego_road[RoadState.R])
+            offset = np.abs(road.centers - state[RoadState.R])
             in_sight = np.where(offset <= a.visible_distance, np.iinfo(np.intp).max, 0)
-        self.others = others_of(
+        m = len(scene.others)
+        self._of_others = numbers, flags = empty_others(m, lanes)
+        slipping = np.empty((2 * m, 4))
+        count = seen(
             around.others,
             around.states,
-            around.bodies,
-            scene.ego_road,
+            *around.tables,
+            scene.ego,
+            state,
             self._size,
-            self.seen,
+            road.centers,
+            self._settings,
             self.owned,
-            np.zeros(m, dtype=bool) if followers is None else followers,
-            np.zeros((0, 0), dtype=bool) if coming is None else coming,
             in_sight,
             -1 if stored is None else stored,
-            sight,
-            road.centers,
+            _NOBODY if followers is None else followers,
+            _NO_LANES if coming is None else coming,
+            numbers,
+            flags,
+            slipping,
         )
-        rows = around.others, around.states, around.stretches, around.bodies, around.motion
-        self._around = Around(*rows, around.front(2), self.others)
-        self._alongside = Alongside(scene, config, around)
+        self._slipping, self.behind, self.held, self.comes = slipping[:count], flags[0], flags[1], flags[2 + lanes :]
+
+    @cached_property
+    def seen(self) -> Ego:
+        """The ego with its buffer, in the world frame."""
+        return footprint(self.scene.ego, self.config.buffer.longitudinal, self.config.buffer.lateral)
+
+    @cached_property
+    def others(self) -> Others:
+        """The vehicles as a judgement of paths sees them."""
+        named: Any = others_from
+        others: Others = named.py_func(self.around.bodies, *self._of_others)
+        return others
 
     def without(self, ignored: BoolArray) -> Surveyor:
         """The same for whom some vehicles are not there, (m,) bool."""
@@ -189,47 +217,46 @@ class Surveyor:
         Dropping the rest cannot change any verdict: nobody ahead comes to a place further back than its least one.
         Without `followers`, those behind are left out altogether.
         """
-        return in_reach(self.others, (distance, self._ground.perception), followers)
+        return in_reach(self.others, (distance, float(self.config.perception_range)), followers)
 
-    def clearance(self, paths: FloatArray, candidates: Candidates, hold: int = 0, parts: bool = False) -> Clearance:
+    def clearance(self, paths: FloatArray, lanes: Any, fails: Any, hold: int = 0) -> Clearance:
         """Margin of each path against the worst case of the others.
 
         Parameters
         ----------
         paths : road states of the ego after frames 1..K, (n, K, 4).
-        candidates : what the paths were rolled out from.
+        lanes, fails : the lane that each commits to, and stops in, (n,).
         hold : frames for which the others are *expected* to keep their speed (a forecast, not a bound).
-        parts : whether the parts of the margins are wanted.
         """
-        separations, rows, reached, room = judged(
+        around = self.around
+        found, marks, rows = judged(
             paths,
-            candidates.lanes,
-            candidates.fails,
+            lanes,
+            fails,
             self.scene.ego_road,
             self._size,
-            self._around,
+            self.scene.road.centers,
+            self._settings,
+            around.settings,
+            self._table,
+            hold,
             self.owned,
             self._visible,
             self.ignored,
-            self._ground,
-            self._duty if hold == 0 else self._duty._replace(hold=hold),
+            around.others,
+            around.states,
+            around.stretch,
+            *around.tables,
+            *self._of_others,
+            self._slipping,
         )
-        slipping = np.empty((len(paths), 0))
-        if len(self._alongside) and hold == 0:
-            slipping = self._alongside.separations(paths, self._size)
-            if self.ignored.any():
-                slipping[:, self.ignored[self._alongside.rows]] = np.inf
-        margin = margins(separations, slipping, room)
-        if rows.size == 0:
-            margin[~np.isfinite(paths).all(axis=(1, 2))] = np.nan
-        self._close_gaps(paths, margin)
-        each = np.column_stack([separations, *slipping.T, room]) if parts else None
-        return Clearance(margin, reached, each, separations, rows, slipping, self._alongside.rows)
+        self._close_gaps(paths, found[0])
+        return Clearance(found[0], marks[0], found[1:], rows, marks[1:])
 
     def of_each(self, result: Clearance, i: int = 0) -> FloatArray:
         """How far path `i` of a result stays from where each vehicle can be, (m,) [m]; +inf out of reach."""
         out = np.full(len(self.scene.others), np.inf)
-        if result.separations is not None:
+        if result.found is not None:
             out[result.rows] = result.separations[i]
         return out
 
@@ -240,20 +267,17 @@ class Surveyor:
             margin[gaps.met(paths) & ~np.isnan(margin)] = -np.inf
 
 
-@lru_cache(maxsize=16)
-def _duty(a: Assumptions, dt: float) -> Duty:
-    frames = _frames(a.reaction_time, dt)
-    return Duty(a.visible_distance, frames, a.acceleration, a.follower_braking, a.max_speed, a.power, 0, dt)
-
-
-@lru_cache(maxsize=16)
-def _sight(a: Assumptions, dt: float, width: float) -> Sight:
-    frames = _frames(a.reaction_time, dt), _frames(a.settle_time, dt)
-    return Sight(a.visible_distance, _GAINS, *frames, bool(a.blind_merge), width)
-
-
-def _frames(time: float, dt: float) -> int:
-    return int(np.ceil(time / dt - 1e-9))
+@lru_cache(maxsize=64)
+def _footprint(length: float, width: float, buffer: Buffer, bends: Any) -> tuple[Footprint, FloatArray]:
+    """The ego's footprint, and its numbers: on a bend, its buffered footprint and its body need more than a straight
+    road's rectangle."""
+    growth, bare = (0.0, 0.0), (0.0, 0.0)
+    if bends is not None:
+        growth = bends.growth(length + 2 * buffer.longitudinal, width + 2 * buffer.lateral)
+        bare = bends.growth(length, width)
+    half = 0.5 * length + buffer.longitudinal, 0.5 * width + buffer.lateral
+    size = Footprint(*half, length, width, *growth, *bare)
+    return size, np.array(size, dtype=float)
 
 
 def least_bad(result: Clearance) -> int:

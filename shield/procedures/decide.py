@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -140,7 +140,8 @@ def _decided(start: float, memory: Memory[S], proposal: Any, one: Tried[S]) -> t
     tier, plan = one.tier, one.plan
     stored = None if tier is Tier.LARGEST_MARGIN else plan.stored
     watch = memory.watch.forgiven() if tier.verified else memory.watch
-    memory = replace(memory, stored=stored, watch=watch, plan=memory.plan if plan.predicted is None else plan.predicted)
+    predicted = memory.plan if plan.predicted is None else plan.predicted
+    memory = Memory(memory.frame, stored, memory.survey, watch, predicted)
     latency, (clause, vehicle) = perf_counter() - start, (plan.binding.clause, plan.binding.vehicle)
     record = plan.margin, latency, plan.path, plan.occupancy, clause, vehicle
     return Decision(proposal, plan.action, one.reason, tier, *record), memory

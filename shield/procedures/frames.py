@@ -14,7 +14,7 @@ import numpy as np
 from dynamics.scenes.scene import Scene, Target
 from dynamics.state import FloatArray, State
 from dynamics.vehicle.controllers import KP_SPEED
-from shield.certificate.manoeuvres import Candidates, brake_candidates
+from shield.certificate.manoeuvres import Brakes, brake_candidates
 from shield.certificate.memory import Instant, Memory, observe
 from shield.certificate.verify import ROUNDING, Clearance, least_bad
 from shield.config import ShieldConfig
@@ -130,7 +130,7 @@ def _evade(now: Instant, target: Target) -> tuple[Plan[int], float]:
     paths, result = now.judge(candidates)
     lawful = result.margin
     if now.memory.watch.violated:
-        lawful = now.lawful.clearance(paths, candidates).margin
+        lawful = now.lawful.clearance(paths, candidates.lanes, candidates.fails).margin
     keeps = lawful >= 0
     every = np.flatnonzero(keeps) if keeps.any() else np.arange(len(paths))
     i = int(every[least_bad(Clearance(result.margin[every], result.clear[every]))])
@@ -139,7 +139,7 @@ def _evade(now: Instant, target: Target) -> tuple[Plan[int], float]:
     return plan, float(lawful[i])
 
 
-def _evasions(now: Instant, target: Target) -> tuple[Candidates, FloatArray]:
+def _evasions(now: Instant, target: Target) -> tuple[Brakes, FloatArray]:
     """Accelerations in the ego's lane and its neighbours, each of which stops where it steers to."""
     scene, here, grid = now.scene, now.here, _accelerations(now, target)
     lanes = [lane for lane in (here, here - 1, here + 1) if 0 <= lane < scene.road.centers.size]

@@ -21,7 +21,6 @@ from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.bicycle import LENGTH
 from mpc.filter.road_step import StageModel
 from shield.certificate.clauses.edge import lanes_touched, verdicts
-from shield.certificate.manoeuvres import Candidates
 from shield.certificate.memory import Instant, Memory, observe
 from shield.certificate.verify import ROUNDING, Binding, Clearance, Surveyor, least_bad
 from shield.config import ShieldConfig
@@ -186,10 +185,10 @@ class Inputs:
         paths = self.execution.stops(scene, now.rollouts.run_inputs(scene.ego_road, held), fails)
         entered, edges, allowed, on_road = self._entered(now, paths, fails)
         survey = survey if survey is not None else now.survey
-        result = survey.clearance(paths, Candidates(paths, entered, fails), parts=parts)
+        result = survey.clearance(paths, entered, fails)
         margin = verdicts(result.margin, edges, allowed, paths, frames)
         clear = np.minimum(result.clear, on_road)
-        of = None if result.parts is None else np.hstack([result.parts, edges])
+        of = np.hstack([result.parts, edges]) if parts else None
 
         def bind(row: int) -> Binding:
             if not margin[row] < result.margin[row]:
@@ -239,7 +238,7 @@ class Inputs:
         """
         ego, survey, road = now.scene.ego, now.survey, now.scene.road
         length, width, side = float(ego[Vehicle.LENGTH]), float(ego[Vehicle.WIDTH]), 0.5 * road.width
-        return lanes_touched(paths, length, width, survey.bare[1], road.centers, side, survey.owned, fails)
+        return lanes_touched(paths, length, width, survey.size.bare_across, road.centers, side, survey.owned, fails)
 
     def _stop_lane(self, now: Instant) -> int:
         """The lane in which the fail-safe of the frame before would stop, however far; the ego's own without one."""

@@ -52,7 +52,8 @@ class MetaActionsOnly:
         def fail_safe(survey: Surveyor) -> FloatArray:
             # The ego has no brake: what counts is the room for the slowest that its actions allow.
             candidates, _ = meta_candidates(scene, [slower(scene.control.actions)], self.config.horizon)
-            return survey.of_each(survey.clearance(rollouts.run(scene.ego_road, candidates.commands), candidates))
+            paths = candidates.paths(rollouts, scene.ego_road)
+            return survey.of_each(survey.clearance(paths, candidates.lanes, candidates.fails))
 
         now = observe(memory, scene, self.config, scene.frames_per_decision, fail_safe)
         return now, now.memory

@@ -41,7 +41,10 @@ def warm_up() -> None:
             _, memory = decide(memory, scene, Wish(2, scene.control.actions), meta)
             _, memory = decide(memory, scene, Target(1, 40.0), frames)
             decide(memory, scene, np.array([5.0, 0.3]), inputs)
-            inputs.observe(memory, scene)[0].survey.relevant(50.0)  # what the predictive filter asks first
+            # What the predictive filter asks.
+            survey = inputs.observe(memory, scene)[0].survey
+            survey.around.occupancy(2)
+            survey.relevant(50.0)
     finally:
         said.cancel()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dynamics.scenes.scene import Scene
-from dynamics.state import FloatArray, RoadState, State, Vehicle
+from dynamics.state import FloatArray, RoadState, State
 from dynamics.vehicle.actuators import Actuators
 from mpc.filter.from_scene import curvature_ahead, edges_of, rectangles
 from mpc.filter.guess import shifted
@@ -50,13 +50,9 @@ class Predictor:
         """
         solver = self._filter_for(now.scene)
         settings, scene = solver.settings, now.scene
-        survey, b, road, dt = now.survey, self._config.buffer, scene.road, scene.dt
+        survey, road, dt = now.survey, scene.road, scene.dt
         here, v = now.here, max(float(scene.ego[State.SPEED]), 0.0)
-        along, across = survey.growth
-        half = (
-            0.5 * float(scene.ego[Vehicle.LENGTH]) + b.longitudinal + along,
-            0.5 * float(scene.ego[Vehicle.WIDTH]) + b.lateral + across,
-        )
+        half = survey.size.along + survey.size.growth_along, survey.size.across + survey.size.growth_across
         low, high = edges_of(road, [here, lane], float(scene.ego_road[RoadState.R]), half[1])
         owned, duration = survey.owned[here] and survey.owned[lane], settings.ends[-1] * dt
         rows = survey.relevant((v + 2.0) * duration, followers=not owned)

@@ -8,7 +8,6 @@ from typer.testing import CliRunner
 from dynamics.state import RoadState
 from evaluation.commands.cli import app
 from evaluation.report.decision_scenes import CONFIG, Duty, bounds, duties, passing, searched, slip_in, tube
-from shield.certificate.manoeuvres import Candidates
 from shield.certificate.memory import Memory, observe
 from shield.certificate.verify import Surveyor
 from shield.procedures.inputs import Inputs
@@ -27,7 +26,7 @@ def test_the_command_writes_five_pictures(tmp_path):
 def test_the_margin_of_the_tube_is_the_clearance_of_its_path():
     found = tube()
     lanes = np.array([1])
-    judged = Surveyor(found.scene, CONFIG).clearance(found.path[None], Candidates(found.path[None], lanes, lanes))
+    judged = Surveyor(found.scene, CONFIG).clearance(found.path[None], lanes, lanes)
     assert found.margin == pytest.approx(float(judged.margin[0]))
     assert found.margin == pytest.approx(float(found.gaps.min()))
     assert found.margin > 0

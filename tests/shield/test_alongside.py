@@ -15,15 +15,12 @@ from hypothesis import strategies as st
 
 from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import EgoControl, Scene, Target
-from dynamics.traffic.occupancy import Surroundings
 from dynamics.vehicle.rollouts import BRAKE, Rollouts
 from shield import ShieldConfig
-from shield.certificate.alongside import Alongside
-from shield.certificate.clauses.footprint import Footprint
+from shield.certificate.verify import Surveyor
 
 DT, LANES = 0.05, 2
 CONFIG = ShieldConfig()
-SIZE = Footprint(4.5, 1.3, 5.0, 2.0)
 
 
 def scene_of(offset: float, u: float, behind: float, v: float, gap: float, leader: float) -> Scene:
@@ -42,9 +39,8 @@ def plan(scene: Scene) -> np.ndarray:
 
 
 def judged(scene: Scene, config: ShieldConfig = CONFIG) -> float:
-    around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions)
-    found = Alongside(scene, config, around)
-    return float(found.separations(plan(scene), SIZE).min()) if len(found) else np.inf
+    lanes = np.zeros(1, dtype=np.intp)
+    return float(Surveyor(scene, config).clearance(plan(scene), lanes, lanes).slipping.min(initial=np.inf))
 
 
 def worst_overlap(scene: Scene, beyond: float = 0.2) -> float:

@@ -16,7 +16,7 @@ from dynamics.traffic.permits import Rule
 from dynamics.vehicle.rollouts import Rollouts
 from shield import Decision, Reason, Tier
 from shield.certificate.clauses.edge import verdicts
-from shield.certificate.manoeuvres import Candidates, brake_candidates
+from shield.certificate.manoeuvres import brake_candidates
 from shield.certificate.verify import Surveyor
 from shield.procedures.frames import first_verified
 
@@ -72,9 +72,7 @@ def test_nothing_verified_has_a_negative_margin(door):
 
 def braked(scene):
     """The path of braking in lane 0 from now on, (K, 4)."""
-    candidates = brake_candidates(scene, [0], [-100.0], [0], 1, CONFIG.braking)
-    candidates.commands[:, 0] = candidates.commands[:, 1]
-    return Rollouts(DT).run(scene.ego_road, candidates.commands)[0]
+    return brake_candidates(scene, [0], [0.0], [0], 0, CONFIG.braking).paths(Rollouts(DT), scene.ego_road)[0]
 
 
 @pytest.mark.parametrize("door", ["frame", "throttle"])
@@ -167,8 +165,8 @@ def test_nothing_leads_through_a_gap_of_the_map():
 
 def along_gap(scene) -> float:
     path = np.repeat(scene.ego_road[None], 2, axis=0)
-    candidates = Candidates(np.empty((1, 1, 3)), np.zeros(1, int), np.zeros(1, int))
-    return float(Surveyor(scene, CONFIG).clearance(path[None], candidates).margin[0])
+    lanes = np.zeros(1, dtype=int)
+    return float(Surveyor(scene, CONFIG).clearance(path[None], lanes, lanes).margin[0])
 
 
 def test_nothing_is_verified_in_a_parking_lot_without_the_clearance():

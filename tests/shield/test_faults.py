@@ -318,12 +318,21 @@ def test_a_missing_road_stops_the_shielded_environment(spy, shielded):
 # -- stages that break ------------------------------------------------------------------------------------------
 
 
+ROLLS = "run", "run_brakes"
+
+
+def break_rollouts(monkeypatch):
+    """All rollouts of the ego are NaN."""
+    for name in ROLLS:
+        run = getattr(Rollouts, name)
+        monkeypatch.setattr(Rollouts, name, lambda self, *args, run=run: np.full_like(run(self, *args), NAN))
+
+
 @pytest.fixture(params=["rollouts", "occupancy"])
 def nan_stage(request, monkeypatch):
     """A stage that computes NaN: the ego's rollouts, or where the others can be."""
     if request.param == "rollouts":
-        run = Rollouts.run
-        monkeypatch.setattr(Rollouts, "run", lambda self, *args: np.full_like(run(self, *args), NAN))
+        break_rollouts(monkeypatch)
     else:
         monkeypatch.setattr(verify, "judged", nowhere(verify.judged))
 
@@ -352,8 +361,7 @@ def test_a_stage_that_computes_nan_verifies_nothing_for_predict(seed, spy):
 
 @pytest.mark.parametrize("door", ["env", "predict"])
 def test_rollouts_that_are_nan_do_not_pass_on_an_empty_road(door, monkeypatch):
-    run = Rollouts.run
-    monkeypatch.setattr(Rollouts, "run", lambda self, *args: np.full_like(run(self, *args), NAN))
+    break_rollouts(monkeypatch)
     spy = spied(vehicles_count=0)
     obs, _ = spy.reset(seed=0)
     shield = Shield(Policy(3), env=spy)
@@ -367,12 +375,13 @@ def test_rollouts_that_are_nan_do_not_pass_on_an_empty_road(door, monkeypatch):
     assert last.reason == Reason.NO_SAFE_PLAN
 
 
-@pytest.mark.parametrize("stage", [(Rollouts, "run"), (verify, "judged")], ids=["rollouts", "occupancy"])
+@pytest.mark.parametrize("stage", [(Rollouts, *ROLLS), (verify, "judged")], ids=["rollouts", "occupancy"])
 def test_when_a_stage_raises_nothing_unfiltered_reaches_the_environment(stage, spy, shielded, monkeypatch):
     def broken(*args, **kwargs):
         raise RuntimeError("stage")
 
-    monkeypatch.setattr(*stage, broken)
+    for name in stage[1:]:
+        monkeypatch.setattr(stage[0], name, broken)
     try:
         *_, info = shielded.step(3)
     except RuntimeError:

@@ -157,15 +157,17 @@ def test_lanes_touched_are_those_of_whole_arrays(seed, n, frames):
 
 
 def test_a_lane_is_owned_from_the_stored_plan_on_until_the_ego_has_left_it():
-    visible, owned = lanes_held(0.1, CENTERS, 1, 3.0, 2.1, -1, np.zeros(3, dtype=np.intp), np.zeros(0, dtype=bool))
+    nobody = np.zeros((0, 0), dtype=bool)
+    marks = np.zeros(3, dtype=np.intp), np.zeros(0, dtype=bool), nobody
+    visible, owned, _ = lanes_held(0.1, CENTERS, 1, 3.0, 2.1, -1, *marks)
     assert list(owned) == [True, False, False]
     assert list(visible) == [1, 0, 0]
-    _, owned = lanes_held(1.5, CENTERS, 1, 3.0, 2.1, 1, visible, owned)
+    _, owned, _ = lanes_held(1.5, CENTERS, 1, 3.0, 2.1, 1, visible, owned, nobody)
     assert list(owned) == [True, False, False]  # the stored plan stops in lane 1, which is not touched yet
-    visible, owned = lanes_held(2.0, CENTERS, 2, 3.0, 2.1, 1, visible, owned)
+    visible, owned, _ = lanes_held(2.0, CENTERS, 2, 3.0, 2.1, 1, visible, owned, nobody)
     assert list(owned) == [True, True, False]
     assert list(visible) == [3, 2, 0]
-    _, owned = lanes_held(3.9, CENTERS, 1, 3.0, 2.1, 1, visible, owned)
+    _, owned, _ = lanes_held(3.9, CENTERS, 1, 3.0, 2.1, 1, visible, owned, nobody)
     assert list(owned) == [False, True, False]
 
 

@@ -11,7 +11,7 @@ from dynamics.vehicle.bicycle import step
 from dynamics.vehicle.controllers import steering_control
 from dynamics.vehicle.rollouts import Rollouts
 from shield import Decision, ShieldConfig
-from shield.certificate.manoeuvres import Candidates, brake_candidates
+from shield.certificate.manoeuvres import brake_candidates
 from shield.certificate.verify import Clearance, Surveyor
 
 __all__ = ["BODY", "CONFIG", "DT", "after", "along", "braking", "clear", "driven", "extents", "margin", "scene_of"]
@@ -32,8 +32,8 @@ def braking(scene, lane, fail=None, config=CONFIG, **marks) -> Clearance:
     """One frame on the way to a lane, then a stop in it, or in lane `fail`."""
     fails = [lane if fail is None else fail]
     candidates = brake_candidates(scene, [lane], [scene.ego[3]], fails, 1, config.braking)
-    paths = Rollouts(scene.dt, scene.road).run(scene.ego_road, candidates.commands)
-    return Surveyor(scene, config, **marks).clearance(paths, candidates)
+    paths = candidates.paths(Rollouts(scene.dt, scene.road), scene.ego_road)
+    return Surveyor(scene, config, **marks).clearance(paths, candidates.lanes, candidates.fails)
 
 
 def margin(scene, lane, fail=None, config=CONFIG, **marks) -> float:
@@ -47,9 +47,11 @@ def clear(scene, lane, fail=None, config=CONFIG, **marks) -> float:
 
 def along(scene, path, lane=0, config=CONFIG, **marks) -> float:
     """Least separation on a given path (K, 4)."""
-    candidates = Candidates(np.empty((1, 1, 3)), np.array([lane]), np.array([lane]))
+    lanes = np.array([lane])
     return float(
-        Surveyor(scene, config, **marks).clearance(np.array([path], float), candidates).separations.min(initial=np.inf)
+        Surveyor(scene, config, **marks)
+        .clearance(np.array([path], float), lanes, lanes)
+        .separations.min(initial=np.inf)
     )
 
 

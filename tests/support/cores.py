@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -23,10 +24,11 @@ __all__ = ["ContinuousCore", "LotCore", "MetaCore", "ShieldCore", "nowhere"]
 
 
 def nowhere(judged: Any) -> Any:
-    """`judged`, for which it is not known where the others can be: their bounds are NaN."""
+    """`judged`, for which it is not known where the others can be: their states are NaN."""
+    place = list(signature(judged.py_func).parameters).index("states")
 
-    def unknown(paths: Any, lanes: Any, fails: Any, state: Any, size: Any, around: Any, *rest: Any) -> Any:
-        return judged(paths, lanes, fails, state, size, around._replace(states=around.states * np.nan), *rest)
+    def unknown(*args: Any) -> Any:
+        return judged(*args[:place], args[place] * np.nan, *args[place + 1 :])
 
     return unknown
 

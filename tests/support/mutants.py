@@ -39,7 +39,7 @@ class Mutant:
 VERIFY, CLAUSES = "shield/certificate/verify.py", "shield/certificate/clauses"
 SEPARATION, ROOM, EDGE = f"{CLAUSES}/separation.py", f"{CLAUSES}/room.py", f"{CLAUSES}/edge.py"
 DUTIES, ENTERING, SLIPS = f"{CLAUSES}/duties.py", f"{CLAUSES}/entering.py", f"{CLAUSES}/slip_in.py"
-TOGETHER = f"{CLAUSES}/together.py"
+TOGETHER, SETTINGS = f"{CLAUSES}/together.py", f"{CLAUSES}/settings.py"
 MONITOR, MEMORY = "shield/certificate/monitor.py", "shield/certificate/memory.py"
 MOBIL = "dynamics/traffic/mobil.py"
 DECIDE, FRAMES = "shield/procedures/decide.py", "shield/procedures/frames.py"
@@ -248,9 +248,9 @@ _CLEARANCE = (
     ),
     _off(
         "slip-in off",
-        VERIFY,
-        "        if len(self._alongside) and hold == 0:",
-        "        if len(self._alongside) and hold < 0:",
+        TOGETHER,
+        "    slips = slipping if hold == 0",
+        "    slips = slipping if hold < 0",
         "slip",
     ),
     _off(
@@ -282,12 +282,12 @@ _CLEARANCE = (
         "        return False",
         "tests/shield/test_rules.py",
     ),
-    _off("buffer along off", VERIFY, "Footprint(0.5 * length + b.longitudinal,", "Footprint(0.5 * length,", "buffer"),
+    _off("buffer along off", VERIFY, "0.5 * length + buffer.longitudinal,", "0.5 * length,", "buffer"),
     _off(
         "buffer across off",
         VERIFY,
-        "0.5 * width + b.lateral, length",
-        "0.5 * width, length",
+        "0.5 * width + buffer.lateral\n    size",
+        "0.5 * width\n    size",
         "buffer",
     ),
 )
@@ -296,8 +296,8 @@ _OWED = (
     _off(
         "blind merge off",
         TOGETHER,
-        "    bound = ground.blind and duty.hold == 0",
-        "    bound = False",
+        "x.blind > 0 and hold == 0",
+        "False",
         "blind",
     ),
     _off(
@@ -328,29 +328,29 @@ _OWED = (
     _off(
         "nobody comes where the ego is out of sight",
         ENTERING,
-        "leaves and others.beside",
-        "False and others.beside",
+        "leaves and beside",
+        "False and beside",
         "joins",
     ),
     _off(
         "everybody behind owes",
         DUTIES,
-        "others.behind[j] and others.held[j] and not entered",
-        "others.behind[j] and not entered",
+        "behind[j] and held[j] and not entered",
+        "behind[j] and not entered",
         "owes",
     ),
     _off(
         "owed even where the path enters the lane",
         DUTIES,
-        "others.behind[j] and others.held[j] and not entered",
-        "others.behind[j] and others.held[j]",
+        "behind[j] and held[j] and not entered",
+        "behind[j] and held[j]",
         "owes",
     ),
     _off(
         "those ahead owe",
         DUTIES,
-        "others.behind[j] and others.held[j] and not entered",
-        "others.held[j] and not entered",
+        "behind[j] and held[j] and not entered",
+        "held[j] and not entered",
         "owes",
     ),
     _off(
@@ -363,29 +363,29 @@ _OWED = (
     _off(
         "duty ends where the lane is owned no more",
         DUTIES,
-        "held[j] or (followers[j] and low",
-        "held[j] or (False and low",
+        "held or (followed and low",
+        "held or (False and low",
         "lasts",
     ),
     _off(
         "duty ends where a corner comes beside a corner",
         DUTIES,
-        "behind[j] = gap_between(seen, seen.along, seen.across, rows, j, 0.0) >= 0",
+        "behind = gap_between(ego.seen, ego.seen.along, ego.seen.across, rows, j, 0.0) >= 0",
         "pass",
         "corner",
     ),
     _off(
         "duty lasts where the buffer is touched",
         DUTIES,
-        "behind[j] = gap_between(seen, seen.along, seen.across, rows, j, 0.0) >= 0",
-        "behind[j] = True",
+        "behind = gap_between(ego.seen, ego.seen.along, ego.seen.across, rows, j, 0.0) >= 0",
+        "behind = True",
         "corner",
     ),
     _off(
         "nobody joins where the ego has got out of sight",
-        MEMORY,
-        "        coming = coming | ((before > 0) & (visible == 0))[:, None]\n",
-        "        pass\n",
+        DUTIES,
+        "            comes[j, :] = True",
+        "            pass",
         "anybody",
     ),
     _off("who enters need not gain by it", MOBIL, "gain >= _LEAST_GAIN - slack and imposed", "imposed", _MOBIL),
@@ -432,9 +432,9 @@ _OWED = (
     ),
     _off(
         "follower brakes harder than it owes",
-        VERIFY,
-        "a.acceleration, a.follower_braking,",
-        "a.acceleration, 1.25 * a.follower_braking,",
+        SETTINGS,
+        "            a.follower_braking,",
+        "            1.25 * a.follower_braking,",
         "follower[idm-15-20-0.0]",
     ),
 )
@@ -443,8 +443,8 @@ _PLACES = (
     _off(
         "old lane dropped at the midline",
         BODIES,
-        "        bodies.lane[i], bodies.first[i], bodies.last[i] = here, first, last",
-        "        first, last = here, here\n        bodies.lane[i], bodies.first[i], bodies.last[i] = here, first, last",
+        "        lane[i], starts[i], ends[i] = here, first, last",
+        "        lane[i], starts[i], ends[i] = here, here, here\n        first, last = here, here",
         "midline",
     ),
     _off("wavering off", BODIES, "0.5 * width + lanes.waver", "0.5 * width", _PERMITS),
@@ -453,8 +453,8 @@ _PLACES = (
     _off(
         "reach is half the length only",
         BODIES,
-        "0.5 * math.hypot(length, width) + growth",
-        "0.5 * length + growth",
+        "0.5 * math.hypot(length, width) + along",
+        "0.5 * length + along",
         "diagonal",
     ),
     _off(
@@ -495,9 +495,9 @@ _PLACES = (
     ),
     _off(
         "fail-safe assumed to brake harder",
-        MANOEUVRES,
-        "    commands[:, commit:, 2] = braking",
-        "    commands[:, commit:, 2] = 1.2 * braking",
+        ROLLOUTS,
+        "goal, a = centers[fails[i]], -braking",
+        "goal, a = centers[fails[i]], -1.2 * braking",
         "leader",
     ),
     _off(
@@ -520,8 +520,8 @@ _WATCHED = (
     _off(
         "whoever owes the ego its distance may come beside it",
         MONITOR,
-        "        grown |= np.where(self.owing & held & ~behind, int(Rule.DISTANCE), 0)\n",
-        "",
+        "            grown[i] |= _DISTANCE",
+        "            pass",
         "comes beside",
     ),
     _off(
@@ -546,7 +546,7 @@ _WATCHED = (
         "False",
         "twice",
     ),
-    _off("more room is never too much", MONITOR, "        if grown.any():", "        if False:", "grown"),
+    _off("more room is never too much", MONITOR, "        if more:", "        if False:", "grown"),
     _off("SPEED off", PERMITS, "                bits |= _SPEED", "                bits |= 0", _PERMITS),
     _off(
         "WAY off",
@@ -558,7 +558,7 @@ _WATCHED = (
     _off(
         "what turning may cost off",
         PERMITS,
-        "if not min(bodies.budget[i], bodies.action[i]) >= -_SLIGHT:",
+        "if not min(budget[i], action[i]) >= -_SLIGHT:",
         "if False:",
         _PERMITS,
     ),
@@ -580,7 +580,7 @@ _WATCHED = (
     _off(
         "one who may brake harder than before is not noticed",
         PERMITS,
-        "harder = harder or bodies.brakes[i, k] > bodies0.brakes[i, k + limits.frames] + _TOLERANCE",
+        "harder = harder or brakes[i, k] > brakes0[i, k + frames] + _TOLERANCE",
         "harder = harder",
         _PERMITS,
     ),

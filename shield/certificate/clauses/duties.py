@@ -10,15 +10,17 @@ import numpy as np
 from dynamics.compiled import compiled
 from dynamics.state import Vehicle
 from dynamics.traffic.mobil import gains
-from dynamics.traffic.occupancy_kernels import Bodies
 from dynamics.traffic.permits import Ego, gap_between
+from dynamics.traffic.tables import Bodies
 from shield.certificate.clauses.entering import newcomers, still_coming
 from shield.certificate.clauses.footprint import Footprint, reach_across, reach_along
 from shield.certificate.clauses.others import TOUCH, Others
 
-__all__ = ["Sight", "in_reach", "lanes_held", "others_of", "threats"]
+__all__ = ["Sight", "Standing", "in_reach", "lanes_held", "others_of", "threats"]
 
 _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
+_LONG = 10**6
+"""Frames that stand for as long as one likes."""
 _CORNER = 0.5
 """How far a corner of a vehicle behind may come beside a corner of the ego's buffer [m]."""
 
@@ -50,13 +52,14 @@ def in_reach(others: Others, limits: Any, followers: bool) -> Any:
     followers : whether those behind count.
     """
     distance, perception = limits[0], limits[1]
-    rows, count = np.empty(others.ahead.shape[0], np.intp), 0
-    for j in range(others.ahead.shape[0]):
+    least, size, ahead, behind = others.least, others.size, others.ahead, others.behind
+    rows, count = np.empty(ahead.shape[0], np.intp), 0
+    for j in range(ahead.shape[0]):
         # Written so that a distance that is not a number drops nobody.
-        if others.least[j] - others.size[j] > distance or not abs(others.ahead[j]) <= perception:
+        if least[j] - size[j] > distance or not abs(ahead[j]) <= perception:
             continue
         # Whoever is behind may still be braking, and coming nearer, long after the ego stands: none of them is too far.
-        if others.behind[j] and not followers:
+        if behind[j] and not followers:
             continue
         rows[count] = j
         count += 1
@@ -101,7 +104,7 @@ def threats(
     lanes, fails : what each path commits to and stops in, (n,). owned : which lanes the ego owns, (lanes,) bool.
     centers : of the lanes [m]. paths, size : (n, K, 4), and as in `least_separations`.
     """
-    n = lanes.shape[0]
+    n, low, high, behind, held = lanes.shape[0], others.low, others.high, others.behind, others.held
     rows = in_reach(others, limits, True)
     owed, count = np.empty((n, rows.shape[0]), np.bool_), 0
     for j in rows:
@@ -110,11 +113,9 @@ def threats(
             entered = False
             for lane in (lanes[i], fails[i]):
                 if not owned[lane]:
-                    entered = entered or (
-                        others.low[j] < centers[lane] + TOUCH and others.high[j] > centers[lane] - TOUCH
-                    )
-            owed[i, count] = others.behind[j] and others.held[j] and not entered
-            if owed[i, count] and _comes_back(paths, i, size, others.low[j], others.high[j]):
+                    entered = entered or (low[j] < centers[lane] + TOUCH and high[j] > centers[lane] - TOUCH)
+            owed[i, count] = behind[j] and held[j] and not entered
+            if owed[i, count] and _comes_back(paths, i, size, low[j], high[j]):
                 owed[i, count] = False
             kept = kept or not owed[i, count]
         if kept:
@@ -125,9 +126,9 @@ def threats(
 
 @compiled
 def lanes_held(
-    r: float, centers: Any, frames: int, sight: float, touch: float, stored: int, visible: Any, owned: Any
-) -> tuple[Any, Any]:
-    """The visibility clock and the lanes owned, one scene later.
+    r: float, centers: Any, frames: int, sight: float, touch: float, stored: int, visible: Any, owned: Any, coming: Any
+) -> tuple[Any, Any, Any]:
+    """The visibility clock, the lanes owned, and who could enter which before, one scene later.
 
     Parameters
     ----------
@@ -135,15 +136,18 @@ def lanes_held(
     frames : since the scene before. sight, touch : how near to a lane's centre the ego is visible in it, and touches
         it [m].
     stored : the lane in which the stored fail-safe stops, or -1.
-    visible, owned : of the scene before, (lanes,); `owned` is empty in the first.
+    visible, owned : of the scene before, (lanes,); both are empty in the first, and whoever is there when it all begins
+        has seen the ego for long.
+    coming : who could enter which lane in the scene before, (lanes, m) bool; of any other shape without one.
 
     Returns
     -------
-    Frames for which the ego has been visible in each lane, (lanes,); and whether it owns it, (lanes,) bool. A lane is
-    owned from when the ego touches it with a verified plan to stop there, until it has left it.
+    Frames for which the ego has been visible in each lane, (lanes,); whether it owns it, (lanes,) bool: from when it
+    touches it with a verified plan to stop there, until it has left it; and `coming`, where anybody may come into a
+    lane that the ego has got out of sight in.
     """
-    n = centers.shape[0]
-    seen, own = np.zeros(n, np.intp), np.zeros(n, np.bool_)
+    n, first = centers.shape[0], visible.shape[0] != centers.shape[0]
+    seen, own, comes = np.zeros(n, np.intp), np.zeros(n, np.bool_), coming.copy()
     here = 0
     for j in range(n):
         if abs(r - centers[j]) < abs(r - centers[here]):
@@ -151,10 +155,25 @@ def lanes_held(
     for j in range(n):
         offset = abs(r - centers[j])
         if offset <= sight:
-            seen[j] = visible[j] + frames
-        had = owned[j] if owned.shape[0] > 0 else j == here
+            seen[j] = (_LONG if first else visible[j]) + frames
+        had = owned[j] if not first and owned.shape[0] > 0 else j == here
         own[j] = (had or j == stored) and offset < touch
-    return seen, own
+        if not first and comes.shape[0] == n and visible[j] > 0 and seen[j] == 0:
+            comes[j, :] = True
+    return seen, own, comes
+
+
+class Standing(NamedTuple):
+    """Where the ego stands: `state` on the road (4,); `size`; `seen`, the same in the world; `owned`, which lanes it
+    owns, and `visible`, for how many frames it has been visible in each, (lanes,); `stored`: the lane in which its
+    stored fail-safe stops, or -1."""
+
+    state: Any
+    size: Footprint
+    seen: Ego
+    owned: Any
+    visible: Any
+    stored: int
 
 
 @compiled
@@ -162,55 +181,50 @@ def others_of(
     rows: Any,
     states: Any,
     bodies: Bodies,
-    state: Any,
-    size: Footprint,
-    seen: Ego,
-    owned: Any,
+    ego: Standing,
     followers: Any,
     before: Any,
-    visible: Any,
-    stored: int,
     sight: Sight,
     centers: Any,
-) -> Others:
-    """The vehicles as a judgement of paths sees them.
+    others: Others,
+) -> None:
+    """Fill in the vehicles as a judgement of paths sees them, `others`.
 
     Parameters
     ----------
     rows, states, bodies : vehicle rows (m, 7), road states (m, 4), and what is known of their bodies.
-    state, size, seen : the ego's road state (4,), its footprint, and the same in the world frame.
-    owned : which lanes it owns, (lanes,) bool. followers : who owed it the distance in the scene before, (m,) bool.
-    before, visible, stored : see `still_coming`; without a scene before, `before` has another shape.
+    ego : where it stands.
+    followers : who owed it the distance in the scene before, (m,) bool; empty without one.
+    before : see `still_coming`; without a scene before, it has another shape.
     """
-    m = states.shape[0]
-    ahead, least, near, across = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
-    behind, held = np.zeros(m, np.bool_), np.zeros(m, np.bool_)
+    state, size, owned = ego.state, ego.size, ego.owned
+    lows, highs, floor, reach = bodies.low, bodies.high, bodies.floor, bodies.reach
+    aheads, leasts, near, rs, across = others.ahead, others.least, others.size, others.r, others.across
+    behinds, helds = others.behind, others.held
     half, side = reach_along(size, state[2]), reach_across(size, state[2])
-    for j in range(m):
-        ahead[j] = states[j, 0] - state[0]
+    for j in range(states.shape[0]):
+        ahead = states[j, 0] - state[0]
         sin, cos = math.sin(states[j, 2]), math.cos(states[j, 2])
         # Who is behind is told from where the body is now: its reach is for wherever it may turn to.
-        beyond = ahead[j] + 0.5 * (rows[j, _LENGTH] * abs(cos) + rows[j, _WIDTH] * abs(sin)) + half
-        behind[j] = beyond <= 0
-        if followers[j] and not behind[j] and beyond <= _CORNER:
+        beyond = ahead + 0.5 * (rows[j, _LENGTH] * abs(cos) + rows[j, _WIDTH] * abs(sin)) + half
+        behind, followed = beyond <= 0, followers.shape[0] > 0 and followers[j]
+        if followed and not behind and beyond <= _CORNER:
             # One that owes the ego its distance does so still where a corner of it has come beside a corner of the
             # ego's buffer, until it touches it.
-            behind[j] = gap_between(seen, seen.along, seen.across, rows, j, 0.0) >= 0
-        low, high = bodies.low[j], bodies.high[j]
+            behind = gap_between(ego.seen, ego.seen.along, ego.seen.across, rows, j, 0.0) >= 0
+        low, high, held = lows[j], highs[j], False
         for k in range(centers.shape[0]):
-            held[j] = held[j] or (owned[k] and low < centers[k] + TOUCH and high > centers[k] - TOUCH)
+            held = held or (owned[k] and low < centers[k] + TOUCH and high > centers[k] - TOUCH)
         # The duty lasts until the ego has left the strip of the one that owes it.
-        held[j] = held[j] or (followers[j] and low < state[1] + side and high > state[1] - side)
-        least[j] = min(ahead[j], bodies.floor[j] - state[0])
-        near[j] = bodies.reach[j] + size.along + size.growth_along + 2.0
-        across[j] = states[j, 3] * sin
-    nobody = np.zeros((centers.shape[0], m), np.bool_)
-    r = states[:, 1].copy()
-    others = Others(ahead, least, near, behind, bodies.low, bodies.high, bodies.lane, r, across, held, nobody, nobody)
+        held = held or (followed and low < state[1] + side and high > state[1] - side)
+        aheads[j], behinds[j], helds[j] = ahead, behind, held
+        leasts[j] = min(ahead, floor[j] - state[0])
+        near[j] = reach[j] + size.along + size.growth_along + 2.0
+        rs[j], across[j] = states[j, 1], states[j, 3] * sin
     if not sight.blind:
-        return others
+        return
     tempted = gains(states, bodies.lane, bodies.low, bodies.high, centers, sight.distance, sight.slack)
     beside, may, turning = newcomers(others, tempted, centers, sight.width)
     last = before if before.shape == may.shape else may
-    comes = still_coming(beside, may, turning, last, visible, stored, sight.reaction, sight.settled)
-    return Others(ahead, least, near, behind, bodies.low, bodies.high, bodies.lane, r, across, held, beside, comes)
+    others.beside[:] = beside
+    others.comes[:] = still_coming(beside, may, turning, last, ego.visible, ego.stored, sight.reaction, sight.settled)

@@ -30,19 +30,20 @@ def newcomers(others: Others, gains: Any, centers: Any, width: float) -> tuple[A
     others : the vehicles, (v,). gains : see `dynamics.traffic.mobil.gains`, (v, 2) bool.
     centers, width : of the lanes [m].
     """
-    n, v = centers.shape[0], others.lane.shape[0]
+    low, high, lane, r, across = others.low, others.high, others.lane, others.r, others.across
+    n, v = centers.shape[0], lane.shape[0]
     beside = np.zeros((n, v), np.bool_)
     may, turning = np.zeros((n, v), np.bool_), np.zeros((n, v), np.bool_)
     for k in range(n):
         for j in range(v):
             # Beside the lane: the next strip begins where this one ends.
-            apart = max(others.low[j] - centers[k], centers[k] - others.high[j])
-            if not 0 < apart < width or not abs(centers[others.lane[j]] - centers[k]) < 1.5 * width:
+            apart = max(low[j] - centers[k], centers[k] - high[j])
+            if not 0 < apart < width or not abs(centers[lane[j]] - centers[k]) < 1.5 * width:
                 continue
             beside[k, j] = True
-            above = centers[k] > others.high[j]
+            above = centers[k] > high[j]
             sign = 1.0 if above else -1.0
-            toward, left = sign * others.across[j], sign * (centers[others.lane[j]] - others.r[j])
+            toward, left = sign * across[j], sign * (centers[lane[j]] - r[j])
             turning[k, j] = toward > KP_LATERAL * (left + toward / KP_HEADING) + _TURNING
             may[k, j] = turning[k, j] or gains[j, 1 if above else 0]
     return beside, may, turning
@@ -100,6 +101,7 @@ def sides_taken(
     settings : the ego's lateral position now, the distance within which it is seen, the width of a lane, and how far a
         body may lean over a marking, (4,) [m].
     """
+    lows, highs, lane, comes, beside = others.low, others.high, others.lane, others.comes, others.beside
     r, sight, width, lean = settings[0], settings[1], settings[2], settings[3]
     for i in range(paths.shape[0]):
         least, most = np.inf, -np.inf
@@ -107,7 +109,7 @@ def sides_taken(
             least, most = min(least, paths[i, k, 1]), max(most, paths[i, k, 1])
         for j in range(rows.shape[0]):
             row = rows[j]
-            low[i, j], high[i, j], home[i, j] = others.low[row], others.high[row], others.lane[row]
+            low[i, j], high[i, j], home[i, j] = lows[row], highs[row], lane[row]
         for step in range(2 if fails[i] != lanes[i] else 1):
             entered = lanes[i] if step == 0 else fails[i]
             goal = centers[entered]
@@ -115,9 +117,9 @@ def sides_taken(
             leaves = abs(r - goal) <= sight < max(abs(least - goal), abs(most - goal))
             for j in range(rows.shape[0]):
                 row = rows[j]
-                if max(others.low[row] - goal, goal - others.high[row]) <= 0:
+                if max(lows[row] - goal, goal - highs[row]) <= 0:
                     home[i, j] = entered  # it is there already, and sees the ego there
-                enters = others.comes[entered, row] or (leaves and others.beside[entered, row])
+                enters = comes[entered, row] or (leaves and beside[entered, row])
                 if not enters or not math.isfinite(low[i, j] + high[i, j]):
                     continue
                 low[i, j] = min(low[i, j], goal - 0.5 * width - lean)

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-__all__ = ["TOUCH", "Others"]
+import numpy as np
+
+from dynamics.compiled import compiled
+from dynamics.traffic.tables import Bodies
+
+__all__ = ["TOUCH", "Others", "empty_others", "others_from"]
 
 TOUCH = 1.0
 """How near to a lane's centre a body comes before it is in the way there [m]: half the width of a car."""
@@ -33,3 +38,17 @@ class Others(NamedTuple):
     held: Any
     beside: Any
     comes: Any
+
+
+def empty_others(m: int, lanes: int) -> tuple[Any, Any]:
+    """Arrays for what is known of m vehicles beyond their `Bodies`: numbers (5, m), and flags (2 + 2 lanes, m)."""
+    return np.empty((5, m)), np.zeros((2 + 2 * lanes, m), np.bool_)
+
+
+@compiled
+def others_from(bodies: Bodies, numbers: Any, flags: Any) -> Others:
+    """The rows of both arrays by their names."""
+    ahead, least, size, r, across = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
+    behind, held, lanes = flags[0], flags[1], flags.shape[0] // 2 + 1
+    beside, comes, lane = flags[2:lanes], flags[lanes:], bodies.lane
+    return Others(ahead, least, size, behind, bodies.low, bodies.high, lane, r, across, held, beside, comes)

@@ -23,9 +23,11 @@ import numpy as np
 
 from dynamics.compiled import compiled
 from dynamics.traffic.mobil import COMFORT, IMPOSED, TIME, TWICE_ROOT, desired_gap
+from dynamics.traffic.tables import Bodies
+from dynamics.vehicle.rollout_kernels import NO_LIMIT, roll_commands
 from shield.certificate.clauses.footprint import Footprint
 
-__all__ = ["Slips", "anybody", "least_separations_of_slips", "may_slip"]
+__all__ = ["Slips", "anybody", "least_separations_of_slips", "may_slip", "slips_of", "sweeps"]
 
 _SLACK, _HARDLY = 3.0, 0.5
 """What d* may differ by when the lane change starts [m]; and where it is the ego's own, whose plan is known."""
@@ -37,6 +39,8 @@ _BRAKES = 1.0
 """Such a vehicle, and its leader, are taken to have braked for so long at most by then [s]."""
 _NEAR = 60.0
 """Vehicles further away along the road are not looked at [m]."""
+_LASTS = 1.0
+"""Within this time such a vehicle has reached the other lane [s]."""
 _CENTRED = 0.2
 """An ego nearer than this to its lane's centre keeps its lane: the one that moves in owes it the room [m]."""
 
@@ -59,21 +63,20 @@ class Slips(NamedTuple):
 def may_slip(
     others: Any,
     states: Any,
-    moving: Any,
+    bodies: Bodies,
     ego: Any,
     length: float,
     centers: Any,
-    lane: Any,
     sight: float,
     braking: float,
     out: Any,
 ) -> int:
     """Which vehicles may slip into a lane in which the ego is seen; rows (vehicle, lane, multiple of the gap that d*
     may be, the same of this very moment) of `out` (2 m, 4), and how many of them there are."""
-    count, m = 0, states.shape[0]
+    count, m, lane, first, last = 0, states.shape[0], bodies.lane, bodies.first, bodies.last
     for j in range(m):
         v, s = states[j, 3], states[j, 0]
-        if moving[j] or not abs(s - ego[0]) <= _NEAR or others[j, 6] > 0 or not v >= 1.0:
+        if first[j] != last[j] or not abs(s - ego[0]) <= _NEAR or others[j, 6] > 0 or not v >= 1.0:
             continue
         for side in (-1, 1):
             to = lane[j] + side
@@ -100,6 +103,42 @@ def may_slip(
                 out[count, 0], out[count, 1], out[count, 2], out[count, 3] = j, to, wanted / left, now
                 count += 1
     return count
+
+
+@compiled
+def slips_of(found: Any, states: Any, bodies: Bodies, centers: Any, gain: float, braking: float) -> tuple[Any, Slips]:
+    """Rows of those that `may_slip` has found, (n, 4), and what is known of them."""
+    n = found.shape[0]
+    rows, numbers, ratios = np.empty(n, np.intp), np.empty((4, n)), np.empty((2, n))
+    for k in range(n):
+        j = rows[k] = int(found[k, 0])
+        numbers[0, k], numbers[1, k] = states[j, 0], states[j, 3]
+        numbers[2, k], numbers[3, k] = centers[int(found[k, 1])], bodies.reach[j]
+        ratios[0, k], ratios[1, k] = found[k, 2], found[k, 3]
+    return rows, Slips(numbers[0], numbers[1], numbers[2], ratios, numbers[3], gain, braking)
+
+
+@compiled
+def sweeps(rows: Any, slips: Slips, others: Any, states: Any, bodies: Bodies, table: Any, dt: float) -> Any:
+    """Where each body is across the road after 1..T frames of its lane change, from the strip that it is in, (n, T, 2)
+    [m]: `rows` of vehicle rows (m, 7) and road states (m, 4), on the road of a `table` of
+    `dynamics.vehicle.rollout_kernels`."""
+    n, frames = rows.shape[0], math.ceil(_LASTS / dt)
+    starts, commands, paths = np.empty((n, 4)), np.empty((n, frames, 3)), np.empty((n, frames, 4))
+    for k in range(n):
+        starts[k] = states[rows[k]]
+        commands[k, :, 0], commands[k, :, 1], commands[k, :, 2] = slips.goals[k], slips.speeds[k], NO_LIMIT
+    roll_commands(starts, commands, table, dt, paths)
+    out = np.empty((n, frames, 2))
+    for k in range(n):
+        j = rows[k]
+        low, high, length, width = bodies.low[j], bodies.high[j], others[j, 4], others[j, 5]
+        for f in range(frames):
+            r, sin, cos = paths[k, f, 1], abs(math.sin(paths[k, f, 2])), abs(math.cos(paths[k, f, 2]))
+            half = 0.5 * (length * sin + width * cos)
+            low, high = min(low, r - half), max(high, r + half)
+            out[k, f, 0], out[k, f, 1] = low, high
+    return out
 
 
 @compiled

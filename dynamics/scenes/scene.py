@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -203,7 +204,7 @@ class SceneReader:
         )
         return Scene(
             ego=np.array(_row(ego), dtype=float),
-            others=np.array(others, dtype=float).reshape(-1, len(Vehicle)),
+            others=np.fromiter(chain.from_iterable(others), float).reshape(-1, len(Vehicle)),
             road=self._road,
             control=control,
             dt=1 / config["simulation_frequency"],

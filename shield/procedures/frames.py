@@ -165,5 +165,7 @@ def fail_lanes(now: Instant, lane: int) -> list[int]:
 
 def first_verified(margins: FloatArray) -> int:
     """The first that verifies, in order of preference; the largest margin if none does."""
-    good = np.flatnonzero(margins >= 0)
-    return int(good[0]) if good.size else int(margins.argmax())
+    for i, margin in enumerate(margins.tolist()):
+        if margin >= 0:
+            return i
+    return int(margins.argmax())

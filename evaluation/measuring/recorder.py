@@ -79,11 +79,7 @@ class History:
         return bool(self.ego[:, Track.OFF_ROAD].any())
 
     def gaps(self, frame: int) -> FloatArray:
-        """Clearance between the ego and each other vehicle in a frame [m], shape (vehicles - 1,).
-
-        On a straight road footprints are the smallest boxes along the road that hold the rotated rectangles,
-        elsewhere the rectangles themselves.
-        """
+        """Clearance between the ego and each other vehicle in a frame [m], shape (vehicles - 1,)."""
         return self._clearance(frame)
 
     def min_gap(self) -> float:
@@ -95,12 +91,8 @@ class History:
         return float(self._clearance(slice(None)).min())
 
     def _clearance(self, frames: Any) -> FloatArray:
-        if isinstance(self.road, StraightRoad):
-            distance = clearance(self.states[frames, :1], self.states[frames, 1:])
-        else:
-            world = self._world()[frames]
-            distance = separation(*(world[..., part, : Track.CRASHED] for part in (slice(1), slice(1, None))))
-        return distance
+        world = self._world()[frames]
+        return separation(*(world[..., part, : Track.CRASHED] for part in (slice(1), slice(1, None))))
 
     def mean_jerk(self) -> float:
         """Mean size of the jerk along the way, frame by frame up to a crash [m/s^3]; NaN in less than three frames."""
@@ -120,24 +112,6 @@ class History:
     def _world(self) -> FloatArray:
         """States in the world frame, or (on a straight road) in one that is only turned and moved."""
         return self.states if self.world is None else self.world
-
-
-def clearance(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Distance between the road-aligned boxes of vehicles [m]; 0 when they overlap."""
-    half_1, half_2 = _half_extents(first), _half_extents(second)
-    along = np.abs(second[..., Track.S] - first[..., Track.S]) - half_1[0] - half_2[0]
-    across = np.abs(second[..., Track.R] - first[..., Track.R]) - half_1[1] - half_2[1]
-    distance: FloatArray = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
-    return distance
-
-
-def _half_extents(states: FloatArray) -> tuple[FloatArray, FloatArray]:
-    cos, sin = (
-        np.abs(np.cos(states[..., Track.HEADING])),
-        np.abs(np.sin(states[..., Track.HEADING])),
-    )
-    length, width = states[..., Track.LENGTH], states[..., Track.WIDTH]
-    return (length * cos + width * sin) / 2, (length * sin + width * cos) / 2
 
 
 class Recorder:

@@ -148,8 +148,9 @@ def rich_table(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> Tabl
 def markdown(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> str:
     """The table in Markdown."""
     headings, cells = _cells(frame, columns)
-    rule = [":--" if i < len(_NAMES) else "--:" for i in range(len(headings))]
-    return "\n".join("| " + " | ".join(row) + " |" for row in [headings, rule, *cells])
+    aligned = ["left" if i < len(_NAMES) else "right" for i in range(len(headings))]
+    table = pd.DataFrame(cells, columns=headings)
+    return table.to_markdown(index=False, disable_numparse=True, colalign=aligned)
 
 
 def write_table(frame: pd.DataFrame, path: str | Path) -> Path:

@@ -39,12 +39,12 @@ import filter_nlp
 from filter_scenes import KINDS, environment, record
 
 from mpc import FilterProblem, FilterResult, FilterSettings, PredictiveFilter
-from mpc.filter.build import Program
-from mpc.filter.daqp_solver import Answer, Solver
-from mpc.filter.guess import brake_guess, shifted
-from mpc.filter.osqp_solver import OsqpSolver
-from mpc.filter.road_step import rollout_function
-from mpc.filter.sparse_build import SparseProgram
+from mpc.filter.program.condensed import Program
+from mpc.filter.program.road_step import rollout_function
+from mpc.filter.program.sparse import SparseProgram
+from mpc.filter.solvers.daqp import Answer, Solver
+from mpc.filter.solvers.guess import brake_guess, shifted
+from mpc.filter.solvers.osqp import OsqpSolver
 
 QUESTION = (
     *("state", "inputs", "occupancy", "rest", "edges", "corridor"),
@@ -100,7 +100,7 @@ def do_mpc_controller(settings: FilterSettings) -> Any:
         import do_mpc
     except ImportError:
         return None
-    from mpc.filter.road_step import stage_expression
+    from mpc.filter.program.road_step import stage_expression
 
     model = do_mpc.model.Model("discrete", "SX")
     import casadi as ca

@@ -19,13 +19,13 @@ import highway_env  # noqa: F401
 import numpy as np
 import torch
 
-from dynamics.learned import parking_state as parking
-from dynamics.learned.collect import collect
-from dynamics.learned.distill import DistillConfig, distill
-from dynamics.learned.fit import FitConfig, fit
-from dynamics.learned.linear import ModelConfig
-from dynamics.learned.model import rollout_held
-from dynamics.learned.oracle import BicycleModel
+from dynamics.learned.data.collect import collect
+from dynamics.learned.models.linear import ModelConfig
+from dynamics.learned.models.model import rollout_held
+from dynamics.learned.models.oracle import BicycleModel
+from dynamics.learned.tasks import parking_state as parking
+from dynamics.learned.training.distill import DistillConfig, distill
+from dynamics.learned.training.fit import FitConfig, fit
 
 BLOCKS, HOLD, RUNS = 8, 4, 30
 

@@ -13,10 +13,10 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 
 from dynamics.errors import ConfigError
-from dynamics.learned.model import StepModel
-from dynamics.learned.oracle import BicycleModel
-from dynamics.learned.roundabout_model import RoundaboutModel
-from dynamics.learned.traffic_model import TrafficModel
+from dynamics.learned.models.model import StepModel
+from dynamics.learned.models.oracle import BicycleModel
+from dynamics.learned.tasks.roundabout_model import RoundaboutModel
+from dynamics.learned.tasks.traffic_model import TrafficModel
 from mpc.sampling.categorical import CategoricalCEM, CategoricalSettings
 from mpc.sampling.cem import CEM, PlannerSettings
 from mpc.sampling.mppi import MPPI
@@ -93,7 +93,7 @@ class CEMPolicy:
         Parameters
         ----------
         env : the environment or VecEnv; obstacles are read from it, and the bicycle where there is no model.
-        model : of the states of `dynamics.learned.parking_state`; the true bicycle by default.
+        model : of the states of `dynamics.learned.tasks.parking_state`; the true bicycle by default.
         settings : how to search; `parking_settings()` by default.
         task : what is to be small; `ParkingTask(env)` by default.
         temperature : of `MPPI`, which searches in place of `CEM` where one is given, by default with the settings

@@ -26,8 +26,8 @@ from dynamics.vehicle.curved_bicycle import steer
 from mpc.filter.from_scene import curvature_ahead, edges_of, rectangles
 from mpc.filter.predictive_filter import PredictiveFilter
 from mpc.filter.problem import BACKENDS, FilterProblem, FilterSettings, Reference
+from mpc.filter.program.road_step import StageModel
 from mpc.filter.result import FilterResult
-from mpc.filter.road_step import StageModel
 
 __all__ = ["MPCPolicy"]
 

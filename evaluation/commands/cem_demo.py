@@ -12,9 +12,9 @@ import imageio.v3 as iio
 import numpy as np
 from PIL import Image, ImageDraw
 
-from dynamics.learned import parking_state as parking
-from dynamics.learned.model import rollout
-from dynamics.learned.oracle import BicycleModel
+from dynamics.learned.models.model import rollout
+from dynamics.learned.models.oracle import BicycleModel
+from dynamics.learned.tasks import parking_state as parking
 from evaluation.running.parking_planner import TrainedParking, train
 from evaluation.settings import get_setting
 from evaluation.threads import one_thread

@@ -51,9 +51,9 @@ def fit(
     Prints for each round the open-loop position error [m] after 1 and 15 decisions: on the held-out
     episodes of all its data, and on its new driving before it was fitted to.
     """
-    from dynamics.learned.files import save_model
-    from dynamics.learned.open_loop import open_loop
-    from dynamics.learned.variants import variant as named
+    from dynamics.learned.models.files import save_model
+    from dynamics.learned.training.open_loop import open_loop
+    from dynamics.learned.training.variants import variant as named
     from evaluation.measuring.dynamics_study import HORIZON, learn
 
     given = {"transitions": transitions, "rounds": rounds, "per_round": per_round}
@@ -98,7 +98,7 @@ def fit(
 
 def _fit_driving(setting: str, seed: int, transitions: int | None, output: Path) -> None:
     """The models of a setting, and their open-loop errors [m] in fresh driving."""
-    from dynamics.learned.oracle import BicycleModel
+    from dynamics.learned.models.oracle import BicycleModel
     from evaluation.running.driving_model import TRANSITIONS, measure, train_driving
     from mpc.mpc_policy import MPCPolicy
 
@@ -124,8 +124,8 @@ def export_command(
     name: Annotated[str, typer.Argument(help="Id of the Minari data set, such as parking/planner-v0.")],
 ) -> None:
     """Write transitions as a Minari data set (an extra: pip install -e .[minari])."""
-    from dynamics.learned.minari import to_minari
-    from dynamics.learned.transitions import Transitions
+    from dynamics.learned.data.minari import to_minari
+    from dynamics.learned.data.transitions import Transitions
 
     transitions = Transitions.load(data)
     to_minari(transitions, name)
@@ -139,7 +139,7 @@ def import_command(
     dt: Annotated[float | None, typer.Option(help="Duration of a decision [s], where the data set has none.")] = None,
 ) -> None:
     """Read a Minari data set whose observations are states."""
-    from dynamics.learned.minari import from_minari
+    from dynamics.learned.data.minari import from_minari
 
     transitions = from_minari(name, dt)
     _out.print(f"wrote {transitions.save(output)} ({len(transitions)} transitions)")
@@ -201,7 +201,7 @@ def plot(
 
 def _names(variants: list[str], models: list[Path]) -> list[str]:
     """The variants that were asked for; all of them without any wish."""
-    from dynamics.learned.variants import VARIANTS, variant
+    from dynamics.learned.training.variants import VARIANTS, variant
 
     names = list(dict.fromkeys(name.strip() for value in variants for name in value.split(",") if name.strip()))
     if models and names:

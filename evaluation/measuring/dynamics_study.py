@@ -17,18 +17,18 @@ import highway_env  # noqa: F401  (registers the environments)
 import pandas as pd
 
 from dynamics.errors import ConfigError
-from dynamics.learned import parking_state as parking
-from dynamics.learned.collect import Predicts, collect
-from dynamics.learned.distill import distill
-from dynamics.learned.files import load_model
-from dynamics.learned.fit import Fit, fit
-from dynamics.learned.linear import LinearStructuredModel
-from dynamics.learned.model import DynamicsModel
-from dynamics.learned.on_policy_rounds import Round, RoundsConfig, first_driving, rounds
-from dynamics.learned.open_loop import OpenLoop, open_loop
-from dynamics.learned.oracle import BicycleModel
-from dynamics.learned.transitions import Transitions
-from dynamics.learned.variants import DEFAULT, VARIANTS, Variant, variant
+from dynamics.learned.data.collect import Predicts, collect
+from dynamics.learned.data.transitions import Transitions
+from dynamics.learned.models.files import load_model
+from dynamics.learned.models.linear import LinearStructuredModel
+from dynamics.learned.models.model import DynamicsModel
+from dynamics.learned.models.oracle import BicycleModel
+from dynamics.learned.tasks import parking_state as parking
+from dynamics.learned.training.distill import distill
+from dynamics.learned.training.fit import Fit, fit
+from dynamics.learned.training.on_policy_rounds import Round, RoundsConfig, first_driving, rounds
+from dynamics.learned.training.open_loop import OpenLoop, open_loop
+from dynamics.learned.training.variants import DEFAULT, VARIANTS, Variant, variant
 
 __all__ = [
     "ENVIRONMENTS",

@@ -17,15 +17,15 @@ import gymnasium as gym
 import numpy as np
 
 from dynamics.errors import ModelError
-from dynamics.learned.casadi_steps import LearnedStep, LearnedSteps, actuator_notes
-from dynamics.learned.collect import Predicts, collect
-from dynamics.learned.driving_state import OBSERVATION, RandomDriver, state
-from dynamics.learned.files import save_model
-from dynamics.learned.fit import FitConfig, fit
-from dynamics.learned.linear import LinearStructuredModel, ModelConfig
-from dynamics.learned.model import DynamicsModel
-from dynamics.learned.open_loop import OpenLoop, open_loop
-from dynamics.learned.transitions import Transitions
+from dynamics.learned.data.collect import Predicts, collect
+from dynamics.learned.data.transitions import Transitions
+from dynamics.learned.models.casadi_steps import LearnedStep, LearnedSteps, actuator_notes
+from dynamics.learned.models.files import save_model
+from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
+from dynamics.learned.models.model import DynamicsModel
+from dynamics.learned.tasks.driving_state import OBSERVATION, RandomDriver, state
+from dynamics.learned.training.fit import FitConfig, fit
+from dynamics.learned.training.open_loop import OpenLoop, open_loop
 from dynamics.vehicle.actuators import Actuators
 from evaluation.settings import Setting, get_setting
 from shield.errors import ConfigError
@@ -108,7 +108,7 @@ def collect_driving(
     Parameters
     ----------
     setting : whose road and simulation frequency; with `ContinuousAction`.
-    transitions, seed : as in `dynamics.learned.collect.collect`.
+    transitions, seed : as in `dynamics.learned.data.collect.collect`.
     policy : made with the environment, drives among the setting's traffic from its starts and with its throttle;
         without one there is no traffic, starts are at any speed, and inputs are random, down to `BRAKING`.
 

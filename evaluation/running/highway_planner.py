@@ -9,10 +9,10 @@ from typing import Any
 
 import gymnasium as gym
 
-from dynamics.learned.files import load_model, save_model
-from dynamics.learned.fit import FitConfig, fit
-from dynamics.learned.linear import LinearStructuredModel
-from dynamics.learned.traffic_model import TrafficModel, collect_traffic, traffic_config
+from dynamics.learned.models.files import load_model, save_model
+from dynamics.learned.models.linear import LinearStructuredModel
+from dynamics.learned.tasks.traffic_model import TrafficModel, collect_traffic, traffic_config
+from dynamics.learned.training.fit import FitConfig, fit
 from evaluation.settings import get_setting
 from mpc.cem_policy import CEMPolicy
 from shield.errors import ConfigError

@@ -27,7 +27,7 @@ from evaluation.running.highway_planner import highway_policy
 from evaluation.running.parking_planner import PARKING_POLICIES, parking_policy
 from evaluation.running.roundabout_planner import roundabout_policy
 from mpc import MPCPolicy
-from mpc.filter.road_step import StageModel
+from mpc.filter.program.road_step import StageModel
 from shield.errors import ConfigError
 
 __all__ = [

@@ -18,13 +18,13 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import torch
 
-from dynamics.learned import parking_state as parking
-from dynamics.learned.distill import DistillConfig, DistilledModel, distill
-from dynamics.learned.files import load_model, save_model
-from dynamics.learned.fit import FitConfig
-from dynamics.learned.linear import LinearStructuredModel, ModelConfig
-from dynamics.learned.on_policy_rounds import RoundsConfig, rounds
-from dynamics.learned.transitions import Transitions
+from dynamics.learned.data.transitions import Transitions
+from dynamics.learned.models.files import load_model, save_model
+from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
+from dynamics.learned.tasks import parking_state as parking
+from dynamics.learned.training.distill import DistillConfig, DistilledModel, distill
+from dynamics.learned.training.fit import FitConfig
+from dynamics.learned.training.on_policy_rounds import RoundsConfig, rounds
 from mpc.cem_policy import CEMPolicy
 from mpc.tasks.cautious_parking import CautiousTask
 from mpc.tasks.notebook import NotebookModel, NotebookPolicy, collect_as_notebook, fit_as_notebook

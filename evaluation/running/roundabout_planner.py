@@ -9,11 +9,11 @@ from typing import Any
 
 import gymnasium as gym
 
-from dynamics.learned.files import load_model, save_model
-from dynamics.learned.fit import FitConfig, fit
-from dynamics.learned.linear import LinearStructuredModel
-from dynamics.learned.roundabout_model import RoundaboutModel, collect_roundabout, roundabout_config
-from dynamics.learned.transitions import Transitions
+from dynamics.learned.data.transitions import Transitions
+from dynamics.learned.models.files import load_model, save_model
+from dynamics.learned.models.linear import LinearStructuredModel
+from dynamics.learned.tasks.roundabout_model import RoundaboutModel, collect_roundabout, roundabout_config
+from dynamics.learned.training.fit import FitConfig, fit
 from evaluation.settings import get_setting
 from mpc.cem_policy import CEMPolicy
 from mpc.tasks.roundabout import RoundaboutTask

@@ -26,16 +26,16 @@ import numpy as np
 
 from dynamics.errors import ConfigError
 from dynamics.state import FloatArray
-from mpc.filter.build import Program
-from mpc.filter.daqp_solver import QuadraticSolver, Solver
-from mpc.filter.descent import Descent, descend
-from mpc.filter.guess import brake_guess, braking_function, shifted
-from mpc.filter.osqp_solver import OsqpSolver
 from mpc.filter.problem import FilterProblem, FilterSettings, readable
-from mpc.filter.question import Question
+from mpc.filter.program.condensed import Program
+from mpc.filter.program.question import Question
+from mpc.filter.program.road_step import StageModel
+from mpc.filter.program.sparse import SparseProgram
 from mpc.filter.result import FilterResult, Status
-from mpc.filter.road_step import StageModel
-from mpc.filter.sparse_build import SparseProgram
+from mpc.filter.solvers.daqp import QuadraticSolver, Solver
+from mpc.filter.solvers.descent import Descent, descend
+from mpc.filter.solvers.guess import brake_guess, braking_function, shifted
+from mpc.filter.solvers.osqp import OsqpSolver
 
 __all__ = ["PredictiveFilter"]
 
@@ -49,9 +49,8 @@ class PredictiveFilter:
     Parameters
     ----------
     settings : fixed for the filter's life.
-    model : what plans are made with, such as `dynamics.learned.casadi_steps.LearnedStep`; highway-env's bicycle by
-    default.
-        Every figure of a result is then the model's; the guess to brake stays the bicycle's.
+    model : what plans are made with, such as `dynamics.learned.models.casadi_steps.LearnedStep`; highway-env's bicycle
+        by default. Every figure of a result is then the model's; the guess to brake stays the bicycle's.
 
     Raises
     ------

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.errors import ConfigError
-from dynamics.learned.model import StepModel
+from dynamics.learned.models.model import StepModel
 from mpc.sampling.plan import Cost, Fallback, Grid, Plan, PlanMemory, PlanStatus, evaluate, read_states
 
 __all__ = ["CategoricalCEM", "CategoricalSettings"]

@@ -22,7 +22,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from dynamics.errors import ConfigError
-from dynamics.learned.model import StepModel
+from dynamics.learned.models.model import StepModel
 from mpc.sampling.noise import NoiseBank
 from mpc.sampling.plan import Cost, Fallback, Plan, PlanMemory, PlanStatus, evaluate, read_states
 from mpc.sampling.settings import PlannerSettings
@@ -66,7 +66,7 @@ class SamplingPlanner:
 
     Parameters
     ----------
-    model : anything with `state_dim`, `action_dim` and `step(states, actions)` (see `dynamics.learned.model`).
+    model : anything with `state_dim`, `action_dim` and `step(states, actions)` (see `dynamics.learned.models.model`).
     settings : how to search.
     update : how the distribution moves to the elites.
     fallback : actions for states in which no plan has a finite cost; zeros by default.
@@ -247,7 +247,7 @@ class CEM(SamplingPlanner):
 
     Examples
     --------
-    >>> from dynamics.learned.oracle import BicycleModel
+    >>> from dynamics.learned.models.oracle import BicycleModel
     >>> planner = CEM(BicycleModel(), PlannerSettings.multistart())
     >>> start = np.array([0.0, 0, 0, 0, 1, 0])
     >>> plan = planner.plan(start, lambda t: np.hypot(t.states[..., -1, 0] - 20, t.states[..., -1, 1] - 3))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.errors import ConfigError
-from dynamics.learned.model import StepModel
+from dynamics.learned.models.model import StepModel
 from mpc.sampling.cem import PlannerSettings, SamplingPlanner
 from mpc.sampling.plan import Fallback
 
@@ -50,7 +50,7 @@ class MPPI(SamplingPlanner):
 
     Examples
     --------
-    >>> from dynamics.learned.oracle import BicycleModel
+    >>> from dynamics.learned.models.oracle import BicycleModel
     >>> planner = MPPI(BicycleModel(), temperature=0.1)
     >>> start = np.array([0.0, 0, 0, 0, 1, 0])
     >>> plan = planner.plan(start, lambda t: np.abs(t.states[..., -1, 0] - 20))

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.errors import ConfigError, ModelError
-from dynamics.learned.model import StepModel, rollout_held
+from dynamics.learned.models.model import StepModel, rollout_held
 
 __all__ = ["Cost", "Fallback", "Grid", "Plan", "PlanMemory", "PlanStatus", "Trajectories", "evaluate", "read_states"]
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.errors import ConfigError
-from dynamics.learned.parking_state import SCALES
+from dynamics.learned.tasks.parking_state import SCALES
 from mpc.tasks.costs import Disagreeing, DisagreementCost, Sum
 from mpc.tasks.parking import ParkingTask
 

@@ -2,7 +2,7 @@ r"""What a planner over meta-actions has to know of a straight highway: speed pa
 
 Notation
 --------
-States are those of `dynamics.learned.traffic_model`. Between two looked-at states positions are taken to change
+States are those of `dynamics.learned.tasks.traffic_model`. Between two looked-at states positions are taken to change
 evenly; a plan that comes nearer than the margins to a vehicle at any of `_PARTS` times in between costs `contact`.
 """
 
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.errors import ConfigError, DataError
-from dynamics.learned.traffic_model import EGO, VEHICLE
+from dynamics.learned.tasks.traffic_model import EGO, VEHICLE
 from dynamics.vehicle.bicycle import LENGTH, WIDTH
 from mpc.sampling.plan import Trajectories
 from mpc.tasks.costs import Sum, Term

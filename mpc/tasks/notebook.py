@@ -24,7 +24,7 @@ import torch
 from torch import Tensor, nn
 
 from dynamics.errors import ModelError
-from dynamics.learned.parking_state import ACTION_DIM, DT, STATE_DIM
+from dynamics.learned.tasks.parking_state import ACTION_DIM, DT, STATE_DIM
 from mpc.tasks.parking_costs import WEIGHTS
 
 __all__ = ["NotebookModel", "NotebookPolicy", "collect_as_notebook", "fit_as_notebook"]

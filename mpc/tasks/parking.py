@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from dynamics.errors import ConfigError
-from dynamics.learned import parking_state as parking
-from dynamics.learned.parking_state import Parking
+from dynamics.learned.tasks import parking_state as parking
+from dynamics.learned.tasks.parking_state import Parking
 from dynamics.vehicle.actuators import Actuators
 from mpc.sampling.cem import PlannerSettings
 from mpc.sampling.plan import Fallback

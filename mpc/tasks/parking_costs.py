@@ -1,4 +1,4 @@
-r"""Costs of parking, on states (x, y [m], vx, vy [m/s], cos psi, sin psi) of `dynamics.learned.parking_state`.
+r"""Costs of parking, on states (x, y [m], vx, vy [m/s], cos psi, sin psi) of `dynamics.learned.tasks.parking_state`.
 
 Notation
 --------
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.learned.parking_state import SCALES, Parking
+from dynamics.learned.tasks.parking_state import SCALES, Parking
 from dynamics.vehicle.bicycle import LENGTH, WIDTH
 from mpc.sampling.plan import Trajectories
 from mpc.tasks.costs import Factor, Term

@@ -2,12 +2,11 @@ r"""What a planner over meta-actions has to know of a roundabout: speed pays, co
 
 Notation
 --------
-States are those of `dynamics.learned.roundabout_model`: every other vehicle in two rows, one that stays on at the next
-exit and one
-that leaves. Between two looked-at states a vehicle moves along the cubic through both places with both velocities
-(Hermite); at 16 m/s and a radius of 22 m that is within 2 cm of the circle after 1 s. A vehicle is a rectangle along
-its direction; of the axes along which two rectangles can be apart those of the other vehicle are looked at, so that
-what counts as clear is clear.
+States are those of `dynamics.learned.tasks.roundabout_model`: every other vehicle in two rows, one that stays on at
+the next exit and one that leaves. Between two looked-at states a vehicle moves along the cubic through both places
+with both velocities (Hermite); at 16 m/s and a radius of 22 m that is within 2 cm of the circle after 1 s. A vehicle
+is a rectangle along its direction; of the axes along which two rectangles can be apart those of the other vehicle are
+looked at, so that what counts as clear is clear.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.errors import ConfigError, DataError
-from dynamics.learned.roundabout_model import EGO, ROW
+from dynamics.learned.tasks.roundabout_model import EGO, ROW
 from dynamics.vehicle.bicycle import LENGTH, WIDTH
 from mpc.sampling.categorical import CategoricalSettings
 from mpc.sampling.plan import Trajectories

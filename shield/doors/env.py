@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
 from dynamics.scenes.scene import SceneReader, Target
-from mpc.filter.road_step import StageModel
+from mpc.filter.program.road_step import StageModel
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
@@ -46,7 +46,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     policy : where given, alternatives are tried in its order of preference (probabilities or Q-values of the
         last observation).
     model : what the predictive filter plans with for `ContinuousAction`, such as
-        `dynamics.learned.casadi_steps.LearnedSteps`; the bicycle by default. Everything is verified on the bicycle.
+        `dynamics.learned.models.casadi_steps.LearnedSteps`; the bicycle by default. All is verified on the bicycle.
 
     Raises
     ------

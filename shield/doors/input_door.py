@@ -15,7 +15,7 @@ from dynamics.scenes.scene import SceneReader
 from dynamics.state import FloatArray, State
 from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.controllers import KP_SPEED
-from mpc.filter.road_step import StageModel
+from mpc.filter.program.road_step import StageModel
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.procedures.decide import Core, Unreadable, read

@@ -19,7 +19,7 @@ from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray, RoadState, State, Vehicle
 from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.bicycle import LENGTH
-from mpc.filter.road_step import StageModel
+from mpc.filter.program.road_step import StageModel
 from shield.certificate.clauses.edge import lanes_touched, verdicts
 from shield.certificate.memory import Instant, Memory, observe
 from shield.certificate.verify import ROUNDING, Binding, Clearance, Surveyor, least_bad

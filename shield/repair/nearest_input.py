@@ -5,7 +5,7 @@ What verifies is decided by a judge, and nothing leaves that was not judged. The
 frame. So the search
 
 1. linearises all parts at an input by finite differences of the exact rollouts, goes to the nearest point at which they
-   hold (`mpc.filter.nearest_point`), and again from there: Newton's method for the nearest point of the boundary;
+   hold (`mpc.filter.solvers.nearest_point`), and again from there: Newton's method for the boundary's nearest point;
 2. where that has found nothing: tries a fan of inputs between the proposal and braking in a lane, and then
    rings around the proposal, nearer than the best so far;
 3. sweeps what is nearer than the best so far with points strewn evenly, for what verifies is not convex and need not
@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.state import FloatArray
-from mpc.filter.nearest_point import nearest
+from mpc.filter.solvers.nearest_point import nearest
 from shield.certificate.verify import NOTHING, Binding, Clearance, least_bad
 
 __all__ = ["Judged", "Search"]

@@ -8,10 +8,10 @@ from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray, RoadState, State
 from dynamics.vehicle.actuators import Actuators
 from mpc.filter.from_scene import curvature_ahead, edges_of, rectangles
-from mpc.filter.guess import shifted
 from mpc.filter.predictive_filter import PredictiveFilter
 from mpc.filter.problem import FilterProblem, FilterSettings
-from mpc.filter.road_step import StageModel
+from mpc.filter.program.road_step import StageModel
+from mpc.filter.solvers.guess import shifted
 from shield.certificate.memory import Instant
 from shield.config import ShieldConfig
 

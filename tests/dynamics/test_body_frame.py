@@ -9,7 +9,7 @@ from driving_data import angles, coordinates, moved, states
 from hypothesis import given, settings
 
 from dynamics.errors import ConfigError
-from dynamics.learned.body_frame import Layout
+from dynamics.learned.models.body_frame import Layout
 
 LAYOUT = Layout()
 

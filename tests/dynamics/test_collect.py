@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError, DataError
-from dynamics.learned import parking_state as parking
-from dynamics.learned.collect import RESET_SEEDS, RandomPolicy, collect
-from dynamics.learned.oracle import BicycleModel
+from dynamics.learned.data.collect import RESET_SEEDS, RandomPolicy, collect
+from dynamics.learned.models.oracle import BicycleModel
+from dynamics.learned.tasks import parking_state as parking
 
 
 class Countdown(gym.Env):

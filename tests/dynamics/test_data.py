@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import DataError, ShieldError
-from dynamics.learned.transitions import Transitions
+from dynamics.learned.data.transitions import Transitions
 
 lengths = st.lists(st.integers(1, 7), min_size=1, max_size=6)
 

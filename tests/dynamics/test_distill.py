@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError, ModelError
-from dynamics.learned.distill import DistillConfig, distill
-from dynamics.learned.fit import FitConfig, fit
-from dynamics.learned.linear import LinearStructuredModel, ModelConfig
-from dynamics.learned.model import HeldModel, rollout
+from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
+from dynamics.learned.models.model import HeldModel, rollout
+from dynamics.learned.training.distill import DistillConfig, distill
+from dynamics.learned.training.fit import FitConfig, fit
 
 DATA = driving(16, 30)
 MODEL = fit(DATA, ModelConfig(members=2, hidden=(16, 16)), FitConfig(epochs=60, finish_epochs=0, batch=64)).model

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError, ModelError
-from dynamics.learned.body_frame import Layout
-from dynamics.learned.linear import LinearStructuredModel, ModelConfig
+from dynamics.learned.models.body_frame import Layout
+from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
 
 BODY = ModelConfig(members=3)
 PLAIN = ModelConfig(form="plain", hide_position=False, unit_heading=False, shared=False)

@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError, ModelError
-from dynamics.learned.body_frame import Layout
-from dynamics.learned.casadi_steps import TOLERANCE, LearnedStep, LearnedSteps, actuator_notes
-from dynamics.learned.files import save_model
-from dynamics.learned.linear import LinearStructuredModel, ModelConfig
+from dynamics.learned.models.body_frame import Layout
+from dynamics.learned.models.casadi_steps import TOLERANCE, LearnedStep, LearnedSteps, actuator_notes
+from dynamics.learned.models.files import save_model
+from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
 from dynamics.vehicle.actuators import Actuators
 
 ACTUATORS = Actuators(acceleration=(-10.0, 5.0))

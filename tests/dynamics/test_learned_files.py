@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ModelError, ShieldError
-from dynamics.learned.files import CONFIG_FILE, WEIGHTS_FILE, load_model, read_config, save_model
-from dynamics.learned.linear import LinearStructuredModel, ModelConfig
+from dynamics.learned.models.files import CONFIG_FILE, WEIGHTS_FILE, load_model, read_config, save_model
+from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
 
 configs = st.builds(
     ModelConfig,

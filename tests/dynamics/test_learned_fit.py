@@ -12,10 +12,10 @@ import torch
 from driving_data import driving
 
 from dynamics.errors import ConfigError, DataError, ModelError
-from dynamics.learned.fit import FitConfig, fit
-from dynamics.learned.linear import ModelConfig
-from dynamics.learned.open_loop import open_loop
-from dynamics.learned.transitions import Transitions
+from dynamics.learned.data.transitions import Transitions
+from dynamics.learned.models.linear import ModelConfig
+from dynamics.learned.training.fit import FitConfig, fit
+from dynamics.learned.training.open_loop import open_loop
 
 DATA = driving(16, 30)
 FRESH = driving(10, 20, seed=9)

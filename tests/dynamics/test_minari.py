@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError, DataError
-from dynamics.learned.minari import from_minari, to_minari
-from dynamics.learned.transitions import Transitions
+from dynamics.learned.data.minari import from_minari, to_minari
+from dynamics.learned.data.transitions import Transitions
 
 numbers = count()
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynamics.errors import ModelError
-from dynamics.learned.model import rollout, rollout_held
+from dynamics.learned.models.model import rollout, rollout_held
 
 
 class Affine:

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynamics.learned.monomials import Monomials
+from dynamics.learned.models.monomials import Monomials
 
 
 @given(st.integers(1, 4), st.integers(0, 5), st.sets(st.integers(0, 3)), st.integers(0, 99))

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError, ModelError
-from dynamics.learned.linear import LinearStructuredModel
-from dynamics.learned.roundabout_model import (
+from dynamics.learned.models.linear import LinearStructuredModel
+from dynamics.learned.tasks.roundabout_model import (
     ALPHA,
     EGO,
     ROW,

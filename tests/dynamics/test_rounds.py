@@ -8,11 +8,11 @@ import pytest
 from gymnasium import spaces
 
 from dynamics.errors import ConfigError
-from dynamics.learned.collect import RandomPolicy
-from dynamics.learned.fit import FitConfig
-from dynamics.learned.linear import LinearStructuredModel, ModelConfig
-from dynamics.learned.on_policy_rounds import RoundsConfig, rounds
-from dynamics.learned.oracle import BicycleModel
+from dynamics.learned.data.collect import RandomPolicy
+from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
+from dynamics.learned.models.oracle import BicycleModel
+from dynamics.learned.training.fit import FitConfig
+from dynamics.learned.training.on_policy_rounds import RoundsConfig, rounds
 
 
 class Yard(gym.Env):

@@ -10,16 +10,16 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-import dynamics.learned.variants as variants
+import dynamics.learned.training.variants as variants
 from dynamics.errors import ConfigError, ShieldError
-from dynamics.learned.files import load_model, read_config
-from dynamics.learned.fit import FitConfig
-from dynamics.learned.fit import fit as original
-from dynamics.learned.linear import ModelConfig
-from dynamics.learned.on_policy_rounds import RoundsConfig
-from dynamics.learned.open_loop import OpenLoop
-from dynamics.learned.transitions import Transitions
-from dynamics.learned.variants import VARIANTS, Variant, variant
+from dynamics.learned.data.transitions import Transitions
+from dynamics.learned.models.files import load_model, read_config
+from dynamics.learned.models.linear import ModelConfig
+from dynamics.learned.training.fit import FitConfig
+from dynamics.learned.training.fit import fit as original
+from dynamics.learned.training.on_policy_rounds import RoundsConfig
+from dynamics.learned.training.open_loop import OpenLoop
+from dynamics.learned.training.variants import VARIANTS, Variant, variant
 from evaluation.commands.cli import app
 from evaluation.measuring.dynamics_study import HORIZON, Trial, errors, plot, study
 
@@ -99,7 +99,7 @@ def test_a_study_tests_all_on_the_same_driving_and_fits_nothing_twice(monkeypatc
     apart = replace(first, data=RoundsConfig(transitions=150, rounds=0))
     monkeypatch.setattr(variants, "VARIANTS", {"first": first, "other": other, "apart": apart, "rounds": TINY})
     fits = []
-    for module in ("dynamics.learned.on_policy_rounds", "evaluation.measuring.dynamics_study"):
+    for module in ("dynamics.learned.training.on_policy_rounds", "evaluation.measuring.dynamics_study"):
         monkeypatch.setattr(f"{module}.fit", lambda *a, **k: fits.append(len(a[0])) or original(*a, **k))
     (trials,) = study(("first", "other", "apart", "rounds"), (1,), transitions=60)
     # Rounds 0 and 1 of the default, then the two that are something else.

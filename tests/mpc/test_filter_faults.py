@@ -7,8 +7,8 @@ import pytest
 
 from dynamics.errors import ConfigError, SceneError, ShieldError
 from mpc import FilterProblem, FilterSettings, PredictiveFilter, Reference, Status
-from mpc.filter.build import build
-from mpc.filter.daqp_solver import Answer, Solver, residuals
+from mpc.filter.program.condensed import build
+from mpc.filter.solvers.daqp import Answer, Solver, residuals
 
 SETTINGS = FilterSettings()
 N = SETTINGS.stages

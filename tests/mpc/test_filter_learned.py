@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from dynamics.errors import ConfigError
 from dynamics.vehicle import bicycle
 from mpc import FilterProblem, FilterSettings, PredictiveFilter, Status
-from mpc.filter.build import build
-from mpc.filter.road_step import stage_expression
+from mpc.filter.program.condensed import build
+from mpc.filter.program.road_step import stage_expression
 
 SETTINGS = FilterSettings(dt=0.05, substeps=4, stages=8, obstacles=1)
 HALF = (4.5, 1.3)

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mpc import FilterProblem, FilterSettings, PredictiveFilter, Reference, Status
-from mpc.filter.guess import brake_guess, shifted
 from mpc.filter.problem import BACKENDS
-from mpc.filter.road_step import rollout_function
+from mpc.filter.program.road_step import rollout_function
+from mpc.filter.solvers.guess import brake_guess, shifted
 
 SETTINGS = FilterSettings()
 HALF = (4.5, 1.3)

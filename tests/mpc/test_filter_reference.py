@@ -8,10 +8,10 @@ import pytest
 from filter_scenes import KINDS, record
 
 from mpc import FilterSettings, PredictiveFilter, Status
-from mpc.filter.build import build
-from mpc.filter.daqp_solver import Solver
-from mpc.filter.guess import brake_guess, shifted
-from mpc.filter.road_step import rollout_function
+from mpc.filter.program.condensed import build
+from mpc.filter.program.road_step import rollout_function
+from mpc.filter.solvers.daqp import Solver
+from mpc.filter.solvers.guess import brake_guess, shifted
 
 SETTINGS = FilterSettings(sweeps=10, tolerance=0.002)
 """Settled, so that what is compared is the optimum and not the budget."""

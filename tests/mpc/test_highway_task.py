@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError, DataError, ModelError
-from dynamics.learned.linear import LinearStructuredModel
-from dynamics.learned.traffic_model import EGO, VEHICLE, TrafficModel, collect_traffic, traffic_config
+from dynamics.learned.models.linear import LinearStructuredModel
+from dynamics.learned.tasks.traffic_model import EGO, VEHICLE, TrafficModel, collect_traffic, traffic_config
 from evaluation.running.highway_planner import highway_policy, load_traffic
 from evaluation.running.named_policies import make_policy
 from evaluation.settings import get_setting

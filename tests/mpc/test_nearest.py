@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mpc.filter.nearest_point import nearest
+from mpc.filter.solvers.nearest_point import nearest
 
 SOLVER = ca.conic("qp", "daqp", {"h": ca.Sparsity.dense(2, 2), "a": ca.Sparsity.dense(12, 2)}, {"error_on_fail": False})
 

@@ -12,12 +12,12 @@ from scipy import sparse
 
 from dynamics.errors import ConfigError
 from mpc import FilterProblem, FilterSettings, MPCPolicy, PredictiveFilter, Reference, Status
-from mpc.filter.build import build
-from mpc.filter.daqp_solver import Solver, residuals
-from mpc.filter.guess import brake_guess, shifted
-from mpc.filter.osqp_solver import ROUND, OsqpSolver
-from mpc.filter.sparse_build import SparseProgram, build_sparse
-from mpc.filter.warm_start import WarmStart
+from mpc.filter.program.condensed import build
+from mpc.filter.program.sparse import SparseProgram, build_sparse
+from mpc.filter.solvers.daqp import Solver, residuals
+from mpc.filter.solvers.guess import brake_guess, shifted
+from mpc.filter.solvers.osqp import ROUND, OsqpSolver
+from mpc.filter.solvers.warm_start import WarmStart
 
 SETTINGS = FilterSettings()
 OSQP = replace(SETTINGS, backend="osqp")

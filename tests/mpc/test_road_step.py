@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynamics.vehicle import bicycle
-from mpc.filter.road_step import rollout_function
+from mpc.filter.program.road_step import rollout_function
 
 DT = 1 / 15
 floats = st.floats

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError, DataError
-from dynamics.learned.linear import LinearStructuredModel
-from dynamics.learned.roundabout_model import EGO, ROW, RoundaboutModel, roundabout_config
+from dynamics.learned.models.linear import LinearStructuredModel
+from dynamics.learned.tasks.roundabout_model import EGO, ROW, RoundaboutModel, roundabout_config
 from evaluation.running.named_policies import make_policy
 from evaluation.running.roundabout_planner import load_roundabout, roundabout_policy
 from evaluation.settings import get_setting

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
-from dynamics.learned.oracle import BicycleModel
-from dynamics.learned.transitions import Transitions
+from dynamics.learned.data.transitions import Transitions
+from dynamics.learned.models.oracle import BicycleModel
 
 
 def driving(episodes: int = 12, steps: int = 30, seed: int = 0) -> Transitions:

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from mpc.filter.problem import FREE, Side
-from mpc.filter.road_step import stage_expression
+from mpc.filter.program.road_step import stage_expression
 
 SMOOTH = 0.02
 

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from dynamics.errors import ConfigError, ModelError
-from dynamics.learned.linear import LinearStructuredModel, ModelConfig
+from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
 
 __all__ = ["CONFIG_FILE", "FORMAT", "WEIGHTS_FILE", "load_model", "read_config", "save_model"]
 

@@ -23,9 +23,9 @@ import casadi as ca
 import numpy as np
 
 from dynamics.errors import ConfigError, ModelError
-from dynamics.learned.body_frame import Layout
-from dynamics.learned.files import load_model, read_config
-from dynamics.learned.linear import LinearStructuredModel
+from dynamics.learned.models.body_frame import Layout
+from dynamics.learned.models.files import load_model, read_config
+from dynamics.learned.models.linear import LinearStructuredModel
 from dynamics.vehicle.actuators import Actuators
 
 __all__ = ["TOLERANCE", "LearnedStep", "LearnedSteps", "actuator_notes"]
@@ -43,7 +43,7 @@ class LearnedStep:
 
     Parameters
     ----------
-    model : in body frame, with the state of `dynamics.learned.driving_state` (and `dynamics.learned.parking_state`).
+    model : in body frame, with the state of `dynamics.learned.tasks.driving_state` (and `parking_state` there).
     actuators : the throttle and steering that its normalised actions stand for.
 
     Attributes
@@ -105,7 +105,7 @@ class LearnedStep:
 
     @classmethod
     def load(cls, folder: str | Path) -> LearnedStep:
-        """From a folder that `dynamics.learned.files.save_model` wrote with `actuator_notes` among its notes.
+        """From a folder that `dynamics.learned.models.files.save_model` wrote with `actuator_notes` among its notes.
 
         Raises
         ------

@@ -1,8 +1,8 @@
 r"""Continuous driving at highway speeds: the state of the ego, what shows it, and random driving to learn from.
 
-The state has the six columns of `dynamics.learned.parking_state.Parking`, in SI units and the world frame: position
-[m], velocity
-[m/s] and heading as (cos, sin). `OBSERVATION` is the observation of highway-env that shows it, for any of its roads.
+The state has the six columns of `dynamics.learned.tasks.parking_state.Parking`, in SI units and the world frame:
+position [m], velocity [m/s] and heading as (cos, sin). `OBSERVATION` is the observation of highway-env that shows it,
+for any of its roads.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """One question along guessed inputs, stage by stage, as CasADi expressions: what both forms of the program are made of.
 
-`mpc.filter.build` condenses them for DAQP, `mpc.filter.sparse_build` keeps the states for OSQP. The rows, the sides and
-what is violated are therefore the same expressions.
+`mpc.filter.program.condensed` condenses them for DAQP, `mpc.filter.program.sparse` keeps the states for
+OSQP. The rows, the sides and what is violated are therefore the same expressions.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from typing import Any
 import casadi as ca
 
 from mpc.filter.problem import FREE, FilterSettings
-from mpc.filter.road_step import StageModel, stage_expression
-from mpc.filter.rows import end_function, row_function
-from mpc.filter.sides import SideChoice
+from mpc.filter.program.road_step import StageModel, stage_expression
+from mpc.filter.program.rows import end_function, row_function
+from mpc.filter.program.sides import SideChoice
 
 __all__ = ["ENDS", "INFINITY", "LEVER", "MISC", "TANGENTS", "Linearised", "linearised"]
 

@@ -1,5 +1,5 @@
-"""Sensitivities, rows and objective of the filter's program, as CasADi expressions; `mpc.filter.linearised` and
-`mpc.filter.build` put them together.
+"""Sensitivities, rows and objective of the filter's program, as CasADi expressions; `mpc.filter.program.linearised` and
+`mpc.filter.program.condensed` put them together.
 
 Notation
 --------
@@ -12,8 +12,8 @@ from __future__ import annotations
 import casadi as ca
 
 from mpc.filter.problem import FilterSettings
-from mpc.filter.road_step import feed_forward
-from mpc.filter.sides import along
+from mpc.filter.program.road_step import feed_forward
+from mpc.filter.program.sides import along
 
 __all__ = ["SOFT", "TURNS", "Sensitivity", "end_function", "objective", "references", "row_function"]
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.errors import ConfigError, DataError
-from dynamics.learned.transitions import Transitions
+from dynamics.learned.data.transitions import Transitions
 from dynamics.state import FloatArray
 
 __all__ = ["FORMAT", "from_minari", "to_minari"]
@@ -81,7 +81,7 @@ def from_minari(
 ) -> Transitions:
     """Read a data set from Minari's local store.
 
-    The last transition of an episode that ended by itself is left out, as in `dynamics.learned.collect.collect`.
+    The last transition of an episode that ended by itself is left out, as in `dynamics.learned.data.collect.collect`.
 
     Parameters
     ----------

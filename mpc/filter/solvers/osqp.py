@@ -19,10 +19,10 @@ import numpy as np
 from scipy import sparse
 
 from dynamics.state import FloatArray
-from mpc.filter.daqp_solver import FAILED, GREATEST, Answer
 from mpc.filter.problem import FilterSettings
-from mpc.filter.sparse_build import SparseProgram
-from mpc.filter.warm_start import WarmStart
+from mpc.filter.program.sparse import SparseProgram
+from mpc.filter.solvers.daqp import FAILED, GREATEST, Answer
+from mpc.filter.solvers.warm_start import WarmStart
 
 __all__ = ["ROUND", "OsqpSolver"]
 

@@ -1,5 +1,5 @@
 """Macro-steps of a learned model: fitted to its own rollouts, and measured on others (see
-`dynamics.learned.macro_steps`)."""
+`dynamics.learned.models.macro_steps`)."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from dynamics.errors import ConfigError, ModelError
-from dynamics.learned.linear import LinearStructuredModel
-from dynamics.learned.macro_steps import Agreement, DistilledModel, MacroStep, turned
-from dynamics.learned.monomials import Monomials
-from dynamics.learned.transitions import Transitions
+from dynamics.learned.data.transitions import Transitions
+from dynamics.learned.models.linear import LinearStructuredModel
+from dynamics.learned.models.macro_steps import Agreement, DistilledModel, MacroStep, turned
+from dynamics.learned.models.monomials import Monomials
 from dynamics.state import FloatArray
 
 __all__ = ["DistillConfig", "distill"]

@@ -33,11 +33,11 @@ import casadi as ca
 import numpy as np
 
 from dynamics.state import FloatArray
-from mpc.filter.linearised import INFINITY, LEVER, linearised
 from mpc.filter.problem import FilterProblem, FilterSettings
-from mpc.filter.question import Question
-from mpc.filter.road_step import StageModel
-from mpc.filter.rows import Sensitivity, objective, references
+from mpc.filter.program.linearised import INFINITY, LEVER, linearised
+from mpc.filter.program.question import Question
+from mpc.filter.program.road_step import StageModel
+from mpc.filter.program.rows import Sensitivity, objective, references
 
 __all__ = ["Program", "build"]
 

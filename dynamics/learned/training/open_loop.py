@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynamics.errors import DataError
-from dynamics.learned.model import DynamicsModel
-from dynamics.learned.transitions import Transitions
+from dynamics.learned.data.transitions import Transitions
+from dynamics.learned.models.model import DynamicsModel
 from dynamics.state import FloatArray
 
 __all__ = ["OpenLoop", "open_loop"]

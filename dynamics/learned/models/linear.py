@@ -7,10 +7,9 @@ State x (d), normalised action u (m), decision dt [s]; E members of an ensemble,
 - *plain*: A and B come from networks that see all of x but the position, and multiply x itself. `hide_position` also
   takes the position's columns out of A. With `units` instead of a fitted normalisation and one member, it is the
   model of HighwayEnv's parking notebook (Leurent, 2020), where A multiplies the absolute position.
-- *body*: the same in the ego's frame (`dynamics.learned.body_frame`): z+ = z + dt (A(z, u) z + B(z, u) u), then back
-to the
-  world. Equivariant under rigid motions of the plane. In the world's coordinates it is of the plain form again, with
-  R A R' and R B.
+- *body*: the same in the ego's frame (`dynamics.learned.models.body_frame`): z+ = z + dt (A(z, u) z + B(z, u) u), then
+  back to the world. Equivariant under rigid motions of the plane. In the world's coordinates it is of the plain form
+  again, with R A R' and R B.
 
 After the step the heading is scaled back to unit length (not in the notebook's model). The ensemble's prediction is
 the mean of its members' A and B; their spread is the disagreement. Normalisation is inside: networks see
@@ -29,8 +28,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from dynamics.errors import ModelError
-from dynamics.learned import model as protocol
-from dynamics.learned.config import ModelConfig
+from dynamics.learned.models import model as protocol
+from dynamics.learned.models.config import ModelConfig
 from dynamics.state import FloatArray
 
 __all__ = ["LinearStructuredModel", "ModelConfig"]
@@ -63,8 +62,8 @@ class _Ensemble(nn.Module):
 class LinearStructuredModel(nn.Module):
     """x+ = x + dt (A(x, u) x + B(x, u) u); see the head of this module.
 
-    A new one has random weights and no normalisation: `dynamics.learned.fit.fit` gives a trained one,
-    `dynamics.learned.files.load_model` a stored one.
+    A new one has random weights and no normalisation: `dynamics.learned.training.fit.fit` gives a trained one,
+    `dynamics.learned.models.files.load_model` a stored one.
 
     Parameters
     ----------

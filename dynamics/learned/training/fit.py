@@ -19,8 +19,8 @@ import torch
 from torch import Tensor
 
 from dynamics.errors import ConfigError, DataError, ModelError
-from dynamics.learned.linear import LinearStructuredModel, ModelConfig
-from dynamics.learned.transitions import Transitions
+from dynamics.learned.data.transitions import Transitions
+from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
 
 __all__ = ["Fit", "FitConfig", "fit"]
 

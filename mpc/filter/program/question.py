@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from dynamics.state import FloatArray
-from mpc.filter.linearised import MISC
 from mpc.filter.problem import FREE, FilterProblem, FilterSettings, Occupied
+from mpc.filter.program.linearised import MISC
 
 __all__ = ["Question", "Weights", "bind"]
 

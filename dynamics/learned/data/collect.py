@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 
 from dynamics.errors import ConfigError, DataError
-from dynamics.learned.transitions import Transitions
+from dynamics.learned.data.transitions import Transitions
 from dynamics.state import FloatArray
 
 __all__ = ["RESET_SEEDS", "Predicts", "RandomPolicy", "collect"]
@@ -87,7 +87,7 @@ def collect(
     transitions : how many to record.
     seed : of the generator behind resets and random actions. The same seed gives the same data.
     state : the state (d,) in the model's units, read from an observation (for parking-v0
-    `dynamics.learned.parking_state.state`). dt : duration of a decision [s].
+    `dynamics.learned.tasks.parking_state.state`). dt : duration of a decision [s].
     episode_steps : cut episodes off after so many decisions; None leaves it to the environment.
     hold : a random action is held for 1 to `hold` decisions.
 

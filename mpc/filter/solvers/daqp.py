@@ -15,9 +15,9 @@ import casadi as ca
 import numpy as np
 
 from dynamics.state import FloatArray
-from mpc.filter.build import Program
 from mpc.filter.problem import FilterSettings
-from mpc.filter.question import bind
+from mpc.filter.program.condensed import Program
+from mpc.filter.program.question import bind
 
 __all__ = ["FAILED", "GREATEST", "Answer", "QuadraticSolver", "Solver", "residuals", "sane"]
 

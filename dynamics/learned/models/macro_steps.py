@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.errors import ModelError
-from dynamics.learned import model as protocol
-from dynamics.learned.config import ModelConfig
-from dynamics.learned.monomials import Monomials
+from dynamics.learned.models import model as protocol
+from dynamics.learned.models.config import ModelConfig
+from dynamics.learned.models.monomials import Monomials
 
 __all__ = ["Agreement", "DistilledModel", "MacroStep", "turned"]
 
@@ -83,7 +83,7 @@ class MacroStep:
 
 
 class DistilledModel:
-    """Macro-steps of a body-form model, made by `dynamics.learned.distill`: a `DynamicsModel` with a fast
+    """Macro-steps of a body-form model, made by `dynamics.learned.training.distill`: a `DynamicsModel` with a fast
     `rollout_held`.
 
     Attributes

@@ -2,9 +2,9 @@ r"""The filter's quadratic program with its states kept, scaled, as one fused Ca
 
 The problem
 -----------
-The same objective, stages, moves, sides and rows as in `mpc.filter.build`, uncondensed (multiple shooting): unknowns
-are the changes dz of the scaled inputs of each move about the guess, the deviations dx_k of the states from the guess's
-rollout, and the slack of each move,
+The same objective, stages, moves, sides and rows as in `mpc.filter.program.condensed`, uncondensed (multiple
+shooting): unknowns are the changes dz of the scaled inputs of each move about the guess, the deviations dx_k of the
+states from the guess's rollout, and the slack of each move,
 
     min 1/2 x' P x + q' x   s.t.  l <= A x <= u,   x = (dz (2 moves), dx (4 N), slack (moves))
 
@@ -33,11 +33,11 @@ import casadi as ca
 import numpy as np
 
 from dynamics.state import FloatArray
-from mpc.filter.linearised import ENDS, INFINITY, LEVER, TANGENTS, Linearised, linearised
 from mpc.filter.problem import FilterProblem, FilterSettings
-from mpc.filter.question import Question, bind
-from mpc.filter.road_step import StageModel
-from mpc.filter.rows import SOFT, objective, references
+from mpc.filter.program.linearised import ENDS, INFINITY, LEVER, TANGENTS, Linearised, linearised
+from mpc.filter.program.question import Question, bind
+from mpc.filter.program.road_step import StageModel
+from mpc.filter.program.rows import SOFT, objective, references
 
 __all__ = ["SparseProgram", "build_sparse"]
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.errors import ModelError
-from dynamics.learned.model import check_batch
+from dynamics.learned.models.model import check_batch
 from dynamics.state import State
 from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.bicycle import LENGTH, MAX_SPEED

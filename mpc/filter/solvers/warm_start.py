@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from dynamics.state import FloatArray
-from mpc.filter.guess import in_force
-from mpc.filter.linearised import ENDS
 from mpc.filter.problem import FilterSettings
-from mpc.filter.rows import SOFT, TURNS
+from mpc.filter.program.linearised import ENDS
+from mpc.filter.program.rows import SOFT, TURNS
+from mpc.filter.solvers.guess import in_force
 
 __all__ = ["WarmStart"]
 
@@ -19,7 +19,7 @@ __all__ = ["WarmStart"]
 class WarmStart:
     """Slack [m] and multipliers, each in its row's own unit; owned by one solver and cleared by its `reset`.
 
-    Rows and unknowns are those of `mpc.filter.sparse_build`.
+    Rows and unknowns are those of `mpc.filter.program.sparse`.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, get_args
 
 from dynamics.errors import ConfigError
-from dynamics.learned.body_frame import Layout
+from dynamics.learned.models.body_frame import Layout
 
 __all__ = ["ACTIVATIONS", "Form", "ModelConfig"]
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from dynamics.errors import ConfigError
-from dynamics.learned.collect import Predicts, collect
-from dynamics.learned.fit import Fit, FitConfig, fit
-from dynamics.learned.linear import LinearStructuredModel, ModelConfig
-from dynamics.learned.transitions import Transitions
+from dynamics.learned.data.collect import Predicts, collect
+from dynamics.learned.data.transitions import Transitions
+from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
+from dynamics.learned.training.fit import Fit, FitConfig, fit
 from dynamics.state import FloatArray
 
 __all__ = ["Round", "RoundsConfig", "first_driving", "rounds"]
@@ -84,7 +84,7 @@ def rounds(
 
     Parameters
     ----------
-    state : reads the model's state from an observation (see `dynamics.learned.collect.collect`).
+    state : reads the model's state from an observation (see `dynamics.learned.data.collect.collect`).
     policy_of : makes the driver of a round from the model and the data so far; None if there are no rounds.
     tensorboard : folder for TensorBoard's event files, one below it for each round.
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from dynamics.errors import ConfigError
-from dynamics.learned.fit import FitConfig
-from dynamics.learned.linear import ModelConfig
-from dynamics.learned.on_policy_rounds import RoundsConfig
-from dynamics.learned.parking_state import SCALES
+from dynamics.learned.models.linear import ModelConfig
+from dynamics.learned.tasks.parking_state import SCALES
+from dynamics.learned.training.fit import FitConfig
+from dynamics.learned.training.on_policy_rounds import RoundsConfig
 
 __all__ = ["DEFAULT", "VARIANTS", "Variant", "variant"]
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from dynamics.state import FloatArray
 from dynamics.vehicle.bicycle import LENGTH
 from mpc.filter.problem import FilterProblem, FilterSettings
-from mpc.filter.road_step import feed_forward, stage_expression
+from mpc.filter.program.road_step import feed_forward, stage_expression
 
 __all__ = ["brake_guess", "braking_function", "in_force", "shifted"]
 

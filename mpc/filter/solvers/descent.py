@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from dynamics.state import FloatArray, RoadState
-from mpc.filter.daqp_solver import QuadraticSolver
-from mpc.filter.question import Question
+from mpc.filter.program.question import Question
 from mpc.filter.result import Status
+from mpc.filter.solvers.daqp import QuadraticSolver
 
 __all__ = ["Descent", "descend"]
 

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from dynamics.errors import ConfigError, DataError, ModelError
-from dynamics.learned.body_frame import Layout
-from dynamics.learned.linear import LinearStructuredModel, ModelConfig
-from dynamics.learned.model import check_batch
-from dynamics.learned.transitions import Transitions
+from dynamics.learned.data.transitions import Transitions
+from dynamics.learned.models.body_frame import Layout
+from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
+from dynamics.learned.models.model import check_batch
 
 __all__ = ["EGO", "PAIR", "VEHICLE", "TrafficModel", "collect_traffic", "traffic_config"]
 

@@ -1,0 +1,1 @@
+"""What it is learned from: transitions, and where they come from."""

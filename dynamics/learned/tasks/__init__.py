@@ -1,0 +1,1 @@
+"""What is particular to parking, driving, the highway and the roundabout."""

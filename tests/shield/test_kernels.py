@@ -14,8 +14,9 @@ from shield.certificate.clauses.edge import lanes_touched, verdicts
 from shield.certificate.clauses.entering import newcomers, sides_taken, still_coming
 from shield.certificate.clauses.footprint import Footprint
 from shield.certificate.clauses.others import Others
+from shield.certificate.clauses.plans import Plans
 from shield.certificate.clauses.room import margins
-from shield.certificate.clauses.separation import Duty, coming_frame, least_separations
+from shield.certificate.clauses.separation import Duty, Extents, coming_frame, least_separations
 
 CENTERS = np.array([0.0, 4.0, 8.0])
 SIZE = Footprint(4.5, 1.3, 5.0, 2.0, 0.1, 0.05, 0.02, 0.01)
@@ -55,7 +56,7 @@ def traffic(rng, n, m, frames):
 
 def separations_of(paths, t):
     out, reached = np.empty((len(paths), len(t["rear"]))), np.empty(len(paths), dtype=np.intp)
-    least_separations(paths, SIZE, *t.values(), DUTY, out, reached)
+    least_separations(paths, SIZE, Extents(**t), DUTY, out, reached)
     return out, reached
 
 
@@ -189,7 +190,7 @@ def sides(path, lane, fail, others, r=0.0):
     low, high, home = np.empty((n, m)), np.empty((n, m)), np.empty((n, m), dtype=np.intp)
     lanes, fails, rows = np.full(n, lane), np.full(n, fail), np.arange(m)
     settings = np.array([r, 3.0, 4.0, 0.15])
-    sides_taken(path, lanes, fails, rows, others, CENTERS, settings, low, high, home)
+    sides_taken(Plans(path, lanes, fails), rows, others, CENTERS, settings, low, high, home)
     return low[0], high[0], home[0]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from dynamics.compiled import compiled
 from dynamics.vehicle.controllers import KP_HEADING, KP_LATERAL
 from shield.certificate.clauses.others import Others
+from shield.certificate.clauses.plans import Plans
 
 __all__ = ["newcomers", "sides_taken", "still_coming"]
 
@@ -80,9 +81,7 @@ def still_coming(
 
 @compiled
 def sides_taken(
-    paths: Any,
-    lanes: Any,
-    fails: Any,
+    plans: Plans,
     rows: Any,
     others: Others,
     centers: Any,
@@ -95,12 +94,12 @@ def sides_taken(
 
     Parameters
     ----------
-    paths, lanes, fails : (n, K, 4), and the lane that each commits to, and stops in, (n,).
     rows : the vehicles, (m,). others : all of them, (v,).
     centers : of the lanes [m].
     settings : the ego's lateral position now, the distance within which it is seen, the width of a lane, and how far a
         body may lean over a marking, (4,) [m].
     """
+    paths, lanes, fails = plans.paths, plans.lanes, plans.fails
     lows, highs, lane, comes, beside = others.low, others.high, others.lane, others.comes, others.beside
     r, sight, width, lean = settings[0], settings[1], settings[2], settings[3]
     for i in range(paths.shape[0]):

@@ -10,7 +10,7 @@ import numpy as np
 from dynamics.compiled import compiled
 from shield.certificate.clauses.footprint import Footprint
 
-__all__ = ["Duty", "coming_frame", "least_separations"]
+__all__ = ["Duty", "Extents", "coming_frame", "least_separations"]
 
 _STRAIGHT = 0.01
 """Sine of the heading below which a path's own next frame is where constant velocity leads."""
@@ -112,42 +112,47 @@ def _front(paths: Any, i: int, center: float, at_once: int, follower: Any, duty:
         front[frames - 1] += (v * v / (2 * loss) + 0.5 * v * dt) * stretch
 
 
+class Extents(NamedTuple):
+    """Where m vehicles can be, for each of n paths.
+
+    `low`, `high` (n or 1, m) [m]: across the road; `rear` (m, K) [m]: least s of each; `lengths` (m,), `noses` (2, m)
+    [m]: half the length that each covers along the road, and how far its body gets in one frame and in two; `owed`
+    (n, m): who owes each path its distance, no rows where nobody does; `follows` (m,): who is behind and does not. Of
+    those, `centers` (n or 1, m) [m] is the lane that they would see the ego in, `at_once` (n or 1, m) after how many
+    frames they react if they see it all the time, or -1, and `followers` (3, m) are speed, front and stretch.
+    """
+
+    low: Any
+    high: Any
+    rear: Any
+    lengths: Any
+    noses: Any
+    owed: Any
+    follows: Any
+    centers: Any
+    at_once: Any
+    followers: Any
+
+
 @compiled
-def least_separations(
-    paths: Any,
-    size: Footprint,
-    low: Any,
-    high: Any,
-    rear: Any,
-    lengths: Any,
-    noses: Any,
-    owed: Any,
-    follows: Any,
-    centers: Any,
-    at_once: Any,
-    followers: Any,
-    duty: Duty,
-    separations: Any,
-    reached: Any,
-) -> None:
+def least_separations(paths: Any, size: Footprint, others: Extents, duty: Duty, separations: Any, reached: Any) -> None:
     """The least separation of each path from each vehicle, and the first frame in which one is negative.
 
     Parameters
     ----------
-    paths : (n, K, 4).
-    size : the ego's footprint.
-    low, high : lateral extents of the vehicles for each path, (n or 1, m) [m]. rear : least s of each, (m, K) [m].
-    lengths, noses : half the length that each covers along the road, (m,), and how far its body gets in one frame and
-        in two, (2, m) [m].
-    owed : who owes each path its distance, (n, m) bool; no rows where nobody does.
-    follows : who is behind and does not, (m,) bool; of them `centers` (n or 1, m) [m] is the lane that they would see
-        the ego in, `at_once` (n or 1, m) after how many frames they react if they see it all the time, or -1, and
-        `followers` (3, m) are speed, front and stretch.
-    duty : what a vehicle behind owes.
+    paths : (n, K, 4). size : the ego's footprint. others : where they can be. duty : what a vehicle behind owes.
     separations : (n, m) [m], result; +inf for who owes it, NaN for a path or a vehicle that is not finite (`rear` adds
         up: its last frame tells).
     reached : frames before the first violation, (n,), result.
     """
+    low, high, rear, lengths, noses = others.low, others.high, others.rear, others.lengths, others.noses
+    owed, follows, centers, at_once, followers = (
+        others.owed,
+        others.follows,
+        others.centers,
+        others.at_once,
+        others.followers,
+    )
     n, frames, m = paths.shape[0], paths.shape[1], rear.shape[0]
     bounds, front, dt = np.empty((8, frames)), np.empty(frames), duty.dt
     for i in range(n):

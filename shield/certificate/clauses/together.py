@@ -17,8 +17,9 @@ from shield.certificate.clauses.duties import Standing, others_of, threats
 from shield.certificate.clauses.entering import sides_taken
 from shield.certificate.clauses.footprint import Footprint
 from shield.certificate.clauses.others import Others, others_from
+from shield.certificate.clauses.plans import Plans
 from shield.certificate.clauses.room import margins, rooms
-from shield.certificate.clauses.separation import least_separations
+from shield.certificate.clauses.separation import Extents, least_separations
 from shield.certificate.clauses.settings import Settings, duty_of, settings_from, sight_of
 from shield.certificate.clauses.slip_in import anybody, least_separations_of_slips, may_slip, slips_of, sweeps
 
@@ -26,14 +27,6 @@ __all__ = ["NOTHING_BINDS", "ROOM_BINDS", "SEPARATION_BINDS", "SLIP_IN_BINDS", "
 
 NOTHING_BINDS, SEPARATION_BINDS, SLIP_IN_BINDS, ROOM_BINDS = 0, 1, 2, 3
 """What a margin comes from."""
-
-
-class Plans(NamedTuple):
-    """Paths (n, K, 4), and the lane that each commits to, and stops in, (n,)."""
-
-    paths: Any
-    lanes: Any
-    fails: Any
 
 
 class Ground(NamedTuple):
@@ -209,7 +202,7 @@ def _separations(
     home = np.empty(low.shape, np.intp)
     if bound:
         settings = (r, x.seen, x.width, x.lean)
-        sides_taken(plans.paths, plans.lanes, plans.fails, near, others, centers, settings, low, high, home)
+        sides_taken(plans, near, others, centers, settings, low, high, home)
     else:
         low[0], high[0], home[0] = others.low[near], others.high[near], others.lane[near]
     rear = np.empty((q, frames))
@@ -230,8 +223,8 @@ def _separations(
         if stretch.shape[1] > 0:
             followers[2, j] = stretch[1, k]
     separations, behind = np.empty((n, q)), others.behind[near]
-    of_them = (low, high, rear, lengths, noses, owed, behind, goals, at_once, followers)
-    least_separations(plans.paths, foot, *of_them, duty, separations, reached)
+    extents = Extents(low, high, rear, lengths, noses, owed, behind, goals, at_once, followers)
+    least_separations(plans.paths, foot, extents, duty, separations, reached)
     return separations
 
 

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BoolArray", "FloatArray", "RoadState", "State", "Vehicle", "wrap_to_pi"]
+__all__ = ["BoolArray", "FloatArray", "IntArray", "RoadState", "State", "Vehicle", "wrap_to_pi"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.intp]
 
 
 class State(IntEnum):

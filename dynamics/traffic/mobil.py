@@ -14,11 +14,11 @@ highway-env 1.12's `IDMVehicle`.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from dynamics.compiled import compiled
+from dynamics.state import BoolArray, FloatArray, IntArray
 
 __all__ = ["COMFORT", "GAP", "IMPOSED", "TIME", "TWICE_ROOT", "desired_gap", "gains"]
 
@@ -45,7 +45,15 @@ def _held_up(v: float, closing: float, gap: float) -> float:
 
 
 @compiled
-def gains(states: Any, lane: Any, low: Any, high: Any, centers: Any, sight: float, slack: float) -> Any:
+def gains(
+    states: FloatArray,
+    lane: IntArray,
+    low: FloatArray,
+    high: FloatArray,
+    centers: FloatArray,
+    sight: float,
+    slack: float,
+) -> BoolArray:
     """Whether each vehicle would gain by a change into the lane below its own in r, and above, (m, 2) bool.
 
     Parameters

@@ -30,7 +30,7 @@ import numpy as np
 
 from dynamics.compiled import compiled
 from dynamics.roads.straight import Road
-from dynamics.state import FloatArray, RoadState, Vehicle
+from dynamics.state import FloatArray, IntArray, RoadState, Vehicle
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy_kernels import Lanes, floors, fronts, rears, spend, strips
 from dynamics.traffic.reaction import brakings
@@ -109,7 +109,7 @@ def _settings(a: Assumptions, dt: float) -> tuple[Motion, FloatArray]:
 
 
 @compiled
-def _rearmost_last(states: Any) -> Any:
+def _rearmost_last(states: FloatArray) -> IntArray:
     """The vehicles from the first along the road to the last, (m,); those whose place is not known come last."""
     m = states.shape[0]
     order = np.empty(m, np.intp)
@@ -124,22 +124,22 @@ def _rearmost_last(states: Any) -> Any:
 
 @compiled
 def _look(
-    others: Any,
-    states: Any,
-    growth: Any,
-    stretch: Any,
-    centers: Any,
+    others: FloatArray,
+    states: FloatArray,
+    growth: FloatArray,
+    stretch: FloatArray,
+    centers: FloatArray,
     width: float,
-    settings: Any,
+    settings: FloatArray,
     lap: float,
     ego: float,
-    states0: Any,
-    numbers0: Any,
-    recent0: Any,
-    marks: Any,
-    numbers: Any,
-    brakes: Any,
-    recent: Any,
+    states0: FloatArray,
+    numbers0: FloatArray,
+    recent0: FloatArray,
+    marks: IntArray,
+    numbers: FloatArray,
+    brakes: FloatArray,
+    recent: FloatArray,
 ) -> None:
     """Fill in the tables of `Surroundings` from what it is made of.
 
@@ -208,19 +208,9 @@ class Surroundings:
         last = (_NOBODY, self.tables.numbers, self.tables.recent)
         if before is not None:
             last = (before.states, before.tables.numbers, before.tables.recent)
-        _look(
-            others,
-            states,
-            growth,
-            self.stretch,
-            centers,
-            width,
-            self.settings,
-            self.lap,
-            float(ego),
-            *last,
-            *self.tables,
-        )
+        scene = (others, states, growth, self.stretch, centers, width, self.settings, self.lap, float(ego))
+        marks, numbers, brakes, recent = self.tables
+        _look(*scene, *last, marks, numbers, brakes, recent)
 
     @cached_property
     def bodies(self) -> Bodies:
@@ -245,11 +235,11 @@ class Surroundings:
         return self.tables.numbers[2]
 
     @property
-    def lane(self) -> Any:
+    def lane(self) -> IntArray:
         """Index of the lane nearest to each vehicle, (m,)."""
         return self.tables.marks[0]
 
-    def rear(self, frames: int, hold: int = 0, rows: Any = None) -> FloatArray:
+    def rear(self, frames: int, hold: int = 0, rows: IntArray | None = None) -> FloatArray:
         """Least s of each body after 1..K frames, (m, K) [m]; of those in `rows` only, where given. The last column
         stands for all frames from then on.
 
@@ -261,7 +251,7 @@ class Surroundings:
         rears(rows, self.others, self.states, self.stretch, self.motion, self.bodies, hold, out)
         return out
 
-    def front(self, frames: int, hold: int = 0, rows: Any = None) -> FloatArray:
+    def front(self, frames: int, hold: int = 0, rows: IntArray | None = None) -> FloatArray:
         """Greatest s of each body after 1..K frames, with no duty to react, (m, K) [m]; of those in `rows` only, where
         given."""
         rows = np.arange(len(self.states)) if rows is None else rows

@@ -6,12 +6,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dynamics.compiled import compiled
-from dynamics.state import Vehicle
+from dynamics.state import FloatArray, IntArray, Vehicle
 from dynamics.traffic.tables import Bodies, Motion
 
 __all__ = ["Lanes", "apart", "floors", "fronts", "rears", "spend", "strips"]
@@ -28,7 +28,7 @@ class Lanes(NamedTuple):
     that keeps to it; `dt`: duration of a frame [s].
     """
 
-    centers: Any
+    centers: FloatArray
     width: float
     lean: float
     waver: float
@@ -36,7 +36,7 @@ class Lanes(NamedTuple):
 
 
 @compiled
-def strips(others: Any, states: Any, growth: Any, lanes: Lanes, bodies: Bodies) -> None:
+def strips(others: FloatArray, states: FloatArray, growth: FloatArray, lanes: Lanes, bodies: Bodies) -> None:
     """Fill in lane, first, last, low, high and reach from vehicle rows (m, 7), road states (m, 4) and what a bend adds
     to each body along and across, (m, 2) [m], or no rows on a straight road; NaN for a vehicle whose row is."""
     centers, count = lanes.centers, lanes.centers.shape[0]
@@ -82,7 +82,15 @@ def strips(others: Any, states: Any, growth: Any, lanes: Lanes, bodies: Bodies) 
 
 
 @compiled
-def spend(states0: Any, bodies0: Bodies, states: Any, stretch: Any, motion: Motion, lap: float, bodies: Bodies) -> None:
+def spend(
+    states0: FloatArray,
+    bodies0: Bodies,
+    states: FloatArray,
+    stretch: FloatArray,
+    motion: Motion,
+    lap: float,
+    bodies: Bodies,
+) -> None:
     """Fill in `budget`, `action` and `recent` from the frame before: what was left, and what has come back, less what
     turning has taken of each vehicle's way. `lap` is the length of a closed road, 0 of an open one [m]."""
     left, left_action, before = bodies0.budget, bodies0.action, bodies0.recent
@@ -116,7 +124,7 @@ def _lost(budget: float, action: float, slow: float, time: float, motion: Motion
 
 
 @compiled
-def apart(first: Any, last: Any, low: Any, high: Any, i: int, j: int) -> bool:
+def apart(first: IntArray, last: IntArray, low: FloatArray, high: FloatArray, i: int, j: int) -> bool:
     """Whether two vehicles are in different lanes, by arrays of `Bodies`: in a loop it is slow to get these out."""
     if first[i] > last[i] or first[j] > last[j]:
         return low[j] >= high[i] or high[j] <= low[i]
@@ -125,13 +133,13 @@ def apart(first: Any, last: Any, low: Any, high: Any, i: int, j: int) -> bool:
 
 
 @compiled
-def _rate(brakes: Any, i: int, k: int, motion: Motion) -> float:
+def _rate(brakes: FloatArray, i: int, k: int, motion: Motion) -> float:
     """How hard a vehicle may brake at the coming frame k [m/s^2]."""
     return brakes[i, k] if k < brakes.shape[1] else motion.braking
 
 
 @compiled
-def _braking_way(i: int, v: float, wrecked: bool, brakes: Any, motion: Motion) -> tuple[float, float]:
+def _braking_way(i: int, v: float, wrecked: bool, brakes: FloatArray, motion: Motion) -> tuple[float, float]:
     """The way that a vehicle counts on before it stands, braking from now on [m], and for how long it does [s]."""
     way, time, wreck, least = 0.0, 0.0, 1.0, min(v, motion.min_speed)
     speed, k = v, 0
@@ -149,7 +157,9 @@ def _braking_way(i: int, v: float, wrecked: bool, brakes: Any, motion: Motion) -
 
 
 @compiled
-def floors(others: Any, states: Any, stretch: Any, motion: Motion, order: Any, bodies: Bodies) -> None:
+def floors(
+    others: FloatArray, states: FloatArray, stretch: FloatArray, motion: Motion, order: IntArray, bodies: Bodies
+) -> None:
     """Fill in `floor`: where a vehicle's centre comes to rest at the least, or as far behind what is ahead in its lanes
     as it may reverse to. A vehicle that reverses runs out within `motion.runout`."""
     m, brakes, floor = states.shape[0], bodies.brakes, bodies.floor
@@ -173,7 +183,14 @@ def floors(others: Any, states: Any, stretch: Any, motion: Motion, order: Any, b
 
 @compiled
 def rears(
-    rows: Any, others: Any, states: Any, stretch: Any, motion: Motion, bodies: Bodies, hold: int, out: Any
+    rows: IntArray,
+    others: FloatArray,
+    states: FloatArray,
+    stretch: FloatArray,
+    motion: Motion,
+    bodies: Bodies,
+    hold: int,
+    out: FloatArray,
 ) -> None:
     """Least s of the bodies of vehicles `rows` (n,) after each frame, `out` (n, K) [m]; the last frame stands for all
     that follow it.
@@ -233,7 +250,9 @@ def rears(
 
 
 @compiled
-def fronts(rows: Any, states: Any, stretch: Any, motion: Motion, bodies: Bodies, hold: int, out: Any) -> None:
+def fronts(
+    rows: IntArray, states: FloatArray, stretch: FloatArray, motion: Motion, bodies: Bodies, hold: int, out: FloatArray
+) -> None:
     """Greatest s of the bodies of vehicles `rows` (n,) after each frame, `out` (n, K) [m]; `stretch` and `hold` as in
     `rears`."""
     dt, reach = motion.dt, bodies.reach

@@ -28,12 +28,12 @@ from __future__ import annotations
 import math
 from enum import IntFlag
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dynamics.compiled import compiled, numbers_of
-from dynamics.state import BoolArray, FloatArray, Vehicle
+from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.traffic.tables import bodies_of
@@ -73,8 +73,8 @@ class Motions(NamedTuple):
     grown : rules 3, 4 and 7 that each broke unless it leaves the room, (m,) of `Rule` bits.
     """
 
-    broken: Any
-    grown: Any
+    broken: IntArray
+    grown: IntArray
 
 
 class Ego(NamedTuple):
@@ -105,7 +105,7 @@ class _Limits(NamedTuple):
 
 
 @compiled
-def gap_between(ego: Ego, along: float, across: float, rows: Any, i: int, dt: float) -> float:
+def gap_between(ego: Ego, along: float, across: float, rows: FloatArray, i: int, dt: float) -> float:
     """Greatest gap along the directions of the sides of two rectangles [m], see `dynamics.scenes.rectangles`, while
     both move for `dt` along their headings [s]: the ego with half extents `along`, `across` [m], and vehicle `i` of
     `rows` (m, 7)."""
@@ -125,24 +125,24 @@ def gap_between(ego: Ego, along: float, across: float, rows: Any, i: int, dt: fl
 
 @compiled
 def _judge(
-    rows0: Any,
-    states0: Any,
-    marks0: Any,
-    numbers0: Any,
-    brakes0: Any,
-    recent0: Any,
-    rows: Any,
-    states: Any,
-    marks: Any,
-    numbers: Any,
-    brakes: Any,
-    recent: Any,
-    stretch: Any,
-    behind: Any,
+    rows0: FloatArray,
+    states0: FloatArray,
+    marks0: IntArray,
+    numbers0: FloatArray,
+    brakes0: FloatArray,
+    recent0: FloatArray,
+    rows: FloatArray,
+    states: FloatArray,
+    marks: IntArray,
+    numbers: FloatArray,
+    brakes: FloatArray,
+    recent: FloatArray,
+    stretch: FloatArray,
+    behind: BoolArray,
     ego: Ego,
-    row: Any,
-    broken: Any,
-    grown: Any,
+    row: FloatArray,
+    broken: IntArray,
+    grown: IntArray,
 ) -> None:
     limits = _Limits(*numbers_of(row, 9))
     bodies0, bodies = bodies_of(marks0, numbers0, brakes0, recent0), bodies_of(marks, numbers, brakes, recent)

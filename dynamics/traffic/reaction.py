@@ -14,12 +14,12 @@ Sources: Treiber, Hennecke and Helbing 2000 (IDM); Kesting, Treiber and Helbing 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dynamics.compiled import compiled
-from dynamics.state import Vehicle
+from dynamics.state import FloatArray, IntArray, Vehicle
 from dynamics.traffic.mobil import COMFORT, IMPOSED, desired_gap
 from dynamics.traffic.occupancy_kernels import apart
 from dynamics.traffic.tables import Bodies, Motion
@@ -38,7 +38,7 @@ _LANE, _TOWARDS = 5.0, 14.0
 
 
 @compiled
-def _fastest(v: float, most: float, motion: Motion, speeds: Any, ways: Any) -> None:
+def _fastest(v: float, most: float, motion: Motion, speeds: FloatArray, ways: FloatArray) -> None:
     """Greatest speed at each of the coming frames, `speeds` (K,) [m/s], and how far that has led by then along the
     road, `ways` (K,) [m], at `most` metres of it in a metre driven."""
     way, top = 0.0, max(v, motion.max_speed)
@@ -52,13 +52,13 @@ def _fastest(v: float, most: float, motion: Motion, speeds: Any, ways: Any) -> N
 def _slowest(
     v: float,
     backwards: float,
-    brakes: Any,
+    brakes: FloatArray,
     wrecked: bool,
     least: float,
     most: float,
     motion: Motion,
-    speeds: Any,
-    ways: Any,
+    speeds: FloatArray,
+    ways: FloatArray,
 ) -> None:
     """Least speed at each of the coming frames of one that brakes at `brakes` (K,), down to `backwards` [m/s], and how
     far that has led, at between `least` and `most` metres of the road in a metre driven."""
@@ -83,17 +83,17 @@ class _Extremes(NamedTuple):
     """Speeds of each vehicle at each of the coming frames, and how far they have led by then, each (m, K): as fast, and
     as slow, as it may be; and as slow as anybody could be that goes forwards."""
 
-    fast: Any
-    fast_way: Any
-    slow: Any
-    slow_way: Any
-    slowest: Any
-    slowest_way: Any
+    fast: FloatArray
+    fast_way: FloatArray
+    slow: FloatArray
+    slow_way: FloatArray
+    slowest: FloatArray
+    slowest_way: FloatArray
 
 
 @compiled
 def _press(
-    i: int, j: int, ahead: float, near: float, first: int, x: _Extremes, motion: Motion, brakes: Any, end: int
+    i: int, j: int, ahead: float, near: float, first: int, x: _Extremes, motion: Motion, brakes: FloatArray, end: int
 ) -> int:
     """Raise `brakes` (K,) of vehicle i to what vehicle j may ask for that is `ahead` of it, and no nearer than `near`
     [m]: at once where `first` is negative, and else from the frame at which it may move in, no sooner than `first`.
@@ -116,7 +116,14 @@ def _press(
 
 @compiled
 def brakings(
-    others: Any, states: Any, stretch: Any, motion: Motion, lap: float, ego: float, order: Any, bodies: Bodies
+    others: FloatArray,
+    states: FloatArray,
+    stretch: FloatArray,
+    motion: Motion,
+    lap: float,
+    ego: float,
+    order: IntArray,
+    bodies: Bodies,
 ) -> None:
     """Fill in `brakes` from vehicle rows (m, 7), road states (m, 4), and the least and greatest metres of s in a metre
     driven, (2, m), or no columns on a straight road.

@@ -6,11 +6,12 @@ a tuple. So arrays with many rows go from call to call, and inside they get thei
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dynamics.compiled import compiled, numbers_of
+from dynamics.state import FloatArray, IntArray
 
 __all__ = ["Bodies", "Motion", "Tables", "bodies_of", "motion_of"]
 
@@ -28,19 +29,19 @@ class Bodies(NamedTuple):
     after two.
     """
 
-    lane: Any
-    first: Any
-    last: Any
-    low: Any
-    high: Any
-    reach: Any
-    budget: Any
-    action: Any
-    swing: Any
-    brakes: Any
-    recent: Any
-    floor: Any
-    noses: Any
+    lane: IntArray
+    first: IntArray
+    last: IntArray
+    low: FloatArray
+    high: FloatArray
+    reach: FloatArray
+    budget: FloatArray
+    action: FloatArray
+    swing: FloatArray
+    brakes: FloatArray
+    recent: FloatArray
+    floor: FloatArray
+    noses: FloatArray
 
 
 class Motion(NamedTuple):
@@ -77,10 +78,10 @@ class Motion(NamedTuple):
 class Tables(NamedTuple):
     """The arrays that `Bodies` are rows of: `marks` (3, m) of integers, `numbers` (9, m), `brakes` and `recent`."""
 
-    marks: Any
-    numbers: Any
-    brakes: Any
-    recent: Any
+    marks: IntArray
+    numbers: FloatArray
+    brakes: FloatArray
+    recent: FloatArray
 
     @classmethod
     def empty(cls, m: int, coming: int, past: int) -> Tables:
@@ -89,7 +90,7 @@ class Tables(NamedTuple):
 
 
 @compiled
-def bodies_of(marks: Any, numbers: Any, brakes: Any, recent: Any) -> Bodies:
+def bodies_of(marks: IntArray, numbers: FloatArray, brakes: FloatArray, recent: FloatArray) -> Bodies:
     """The rows of `Tables` by their names."""
     lane, first, last = marks[0], marks[1], marks[2]
     low, high, reach, budget, action = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
@@ -98,6 +99,6 @@ def bodies_of(marks: Any, numbers: Any, brakes: Any, recent: Any) -> Bodies:
 
 
 @compiled
-def motion_of(row: Any) -> Motion:
+def motion_of(row: FloatArray) -> Motion:
     """The numbers of a `Motion`, (17,), by their names."""
     return Motion(*numbers_of(row, 17))

@@ -18,7 +18,7 @@ import numpy as np
 from dynamics.compiled import compiled
 from dynamics.roads.arcs import STRAIGHT
 from dynamics.roads.path import CurvatureProfile, PathRoad
-from dynamics.state import FloatArray
+from dynamics.state import FloatArray, IntArray
 from dynamics.vehicle.bicycle import LENGTH, MAX_SPEED
 from dynamics.vehicle.controllers import KP_HEADING, KP_LATERAL, KP_SPEED, MAX_SLIP
 
@@ -64,7 +64,7 @@ def _table(profile: CurvatureProfile) -> FloatArray:
 
 
 @compiled
-def _piece(table: Any, s: float) -> tuple[int, float]:
+def _piece(table: FloatArray, s: float) -> tuple[int, float]:
     """The piece of the path at arc length s, and s on the first lap."""
     within = s - table[6, 0] * math.floor(s / table[6, 0]) if table[7, 0] > 0 else s
     low, high = 0, table.shape[1]
@@ -86,7 +86,7 @@ def _project(x: float, y: float, k: float) -> tuple[float, float]:
 
 @compiled
 def _step(
-    s: float, r: float, psi: float, v: float, a: float, slip: float, table: Any, dt: float
+    s: float, r: float, psi: float, v: float, a: float, slip: float, table: FloatArray, dt: float
 ) -> tuple[float, float, float, float]:
     """One simulation frame: `bicycle.slip_step`, and on a path the projection of `curved.curved_step`."""
     if v > MAX_SPEED:
@@ -117,7 +117,7 @@ def _step(
 
 
 @compiled
-def slip_at(s: float, r: float, psi: float, v: float, goal: float, table: Any, dt: float) -> float:
+def slip_at(s: float, r: float, psi: float, v: float, goal: float, table: FloatArray, dt: float) -> float:
     """Sine of the slip angle that leads a road state to lateral position `goal` [m].
 
     Source: `ControlledVehicle.steering_control` of highway-env 1.12; on a path, the law of
@@ -138,7 +138,7 @@ def slip_at(s: float, r: float, psi: float, v: float, goal: float, table: Any, d
 
 
 @compiled
-def roll_commands(start: Any, commands: Any, table: Any, dt: float, paths: Any) -> None:
+def roll_commands(start: FloatArray, commands: FloatArray, table: FloatArray, dt: float, paths: FloatArray) -> None:
     """States (n, 4) and commands (n, frames, 3) to the states after each frame, `paths` (n, frames, 4)."""
     for i in range(start.shape[0]):
         s, r, psi, v = start[i, 0], start[i, 1], start[i, 2], start[i, 3]
@@ -151,16 +151,16 @@ def roll_commands(start: Any, commands: Any, table: Any, dt: float, paths: Any) 
 
 @compiled
 def roll_targets(
-    start: Any,
-    centers: Any,
-    lanes: Any,
-    fails: Any,
-    speeds: Any,
+    start: FloatArray,
+    centers: FloatArray,
+    lanes: IntArray,
+    fails: IntArray,
+    speeds: FloatArray,
     commit: int,
     braking: float,
-    table: Any,
+    table: FloatArray,
     dt: float,
-    paths: Any,
+    paths: FloatArray,
 ) -> None:
     """A state (4,) that tracks the middles of lanes (n,) of those at `centers`, and speeds (n,), for `commit` frames,
     and then brakes to a stop on the way to those of lanes `fails`, to the states after each frame, `paths`
@@ -177,7 +177,9 @@ def roll_targets(
 
 
 @compiled
-def roll_brakes(began: Any, goals: Any, braking: float, table: Any, dt: float, paths: Any) -> None:
+def roll_brakes(
+    began: FloatArray, goals: FloatArray, braking: float, table: FloatArray, dt: float, paths: FloatArray
+) -> None:
     """Paths (n, h, 4), the same with braking to a stop on the way to the lines `goals` (n k,) after them: each path is
     followed by k of them, `paths` (n k, frames, 4)."""
     each, first = paths.shape[0] // began.shape[0], began.shape[1]
@@ -198,7 +200,7 @@ def roll_brakes(began: Any, goals: Any, braking: float, table: Any, dt: float, p
 
 
 @compiled
-def roll_inputs(start: Any, inputs: Any, table: Any, dt: float, paths: Any) -> None:
+def roll_inputs(start: FloatArray, inputs: FloatArray, table: FloatArray, dt: float, paths: FloatArray) -> None:
     """States (n, 4) and inputs (n, frames, 2) to the states after each frame, `paths` (n, frames, 4)."""
     for i in range(start.shape[0]):
         s, r, psi, v = start[i, 0], start[i, 1], start[i, 2], start[i, 3]
@@ -210,7 +212,9 @@ def roll_inputs(start: Any, inputs: Any, table: Any, dt: float, paths: Any) -> N
 
 
 @compiled
-def roll_stops(start: Any, stops: Any, hold: int, table: Any, dt: float, paths: Any) -> None:
+def roll_stops(
+    start: FloatArray, stops: FloatArray, hold: int, table: FloatArray, dt: float, paths: FloatArray
+) -> None:
     """States (n, 4) and stops (n, 3) of `dynamics.vehicle.held_rollouts`, with inputs held for `hold` frames, to the
     states after each frame, `paths` (n, frames, 4)."""
     for i in range(start.shape[0]):

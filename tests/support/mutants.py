@@ -136,8 +136,8 @@ _ACCEPTED = (
     _off(
         "fail-safe of a frame chosen at -0.3 m",
         FRAMES,
-        "    good = np.flatnonzero(margins >= 0)",
-        "    good = np.flatnonzero(margins >= -0.3)",
+        "        if margin >= 0:",
+        "        if margin >= -0.3:",
         "first",
     ),
     _off(

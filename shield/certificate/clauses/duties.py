@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dynamics.compiled import compiled
-from dynamics.state import Vehicle
+from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
 from dynamics.traffic.mobil import gains
 from dynamics.traffic.permits import Ego, gap_between
 from dynamics.traffic.tables import Bodies
@@ -42,7 +42,7 @@ class Sight(NamedTuple):
 
 
 @compiled
-def in_reach(others: Others, limits: Any, followers: bool) -> Any:
+def in_reach(others: Others, limits: tuple[float, float], followers: bool) -> IntArray:
     """Rows of the vehicles that can come into reach of the ego, in order.
 
     Parameters
@@ -67,7 +67,7 @@ def in_reach(others: Others, limits: Any, followers: bool) -> Any:
 
 
 @compiled
-def _comes_back(paths: Any, i: int, size: Footprint, low: float, high: float) -> bool:
+def _comes_back(paths: FloatArray, i: int, size: Footprint, low: float, high: float) -> bool:
     """Whether a path leaves the strip from `low` to `high` [m] with its buffer, and is in it again later: nobody keeps
     a place free that the ego has left."""
     lat, frames = size.across, paths.shape[1]
@@ -90,8 +90,15 @@ def _comes_back(paths: Any, i: int, size: Footprint, low: float, high: float) ->
 
 @compiled
 def threats(
-    others: Others, limits: Any, lanes: Any, fails: Any, owned: Any, centers: Any, paths: Any, size: Footprint
-) -> tuple[Any, Any]:
+    others: Others,
+    limits: tuple[float, float],
+    lanes: IntArray,
+    fails: IntArray,
+    owned: BoolArray,
+    centers: FloatArray,
+    paths: FloatArray,
+    size: Footprint,
+) -> tuple[IntArray, BoolArray]:
     """Rows of those in reach who do not owe the ego their distance on every path, (m,); and who of them owes it on
     which path, (n, m) bool.
 
@@ -126,8 +133,16 @@ def threats(
 
 @compiled
 def lanes_held(
-    r: float, centers: Any, frames: int, sight: float, touch: float, stored: int, visible: Any, owned: Any, coming: Any
-) -> tuple[Any, Any, Any]:
+    r: float,
+    centers: FloatArray,
+    frames: int,
+    sight: float,
+    touch: float,
+    stored: int,
+    visible: IntArray,
+    owned: BoolArray,
+    coming: BoolArray,
+) -> tuple[IntArray, BoolArray, BoolArray]:
     """The visibility clock, the lanes owned, and who could enter which before, one scene later.
 
     Parameters
@@ -168,24 +183,24 @@ class Standing(NamedTuple):
     owns, and `visible`, for how many frames it has been visible in each, (lanes,); `stored`: the lane in which its
     stored fail-safe stops, or -1."""
 
-    state: Any
+    state: FloatArray
     size: Footprint
     seen: Ego
-    owned: Any
-    visible: Any
+    owned: BoolArray
+    visible: IntArray
     stored: int
 
 
 @compiled
 def others_of(
-    rows: Any,
-    states: Any,
+    rows: FloatArray,
+    states: FloatArray,
     bodies: Bodies,
     ego: Standing,
-    followers: Any,
-    before: Any,
+    followers: FloatArray,
+    before: BoolArray,
     sight: Sight,
-    centers: Any,
+    centers: FloatArray,
     others: Others,
 ) -> None:
     """Fill in the vehicles as a judgement of paths sees them, `others`.

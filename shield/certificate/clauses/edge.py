@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from dynamics.compiled import compiled
+from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.certificate.clauses.others import TOUCH
 
 __all__ = ["lanes_touched", "verdicts"]
@@ -15,8 +15,15 @@ __all__ = ["lanes_touched", "verdicts"]
 
 @compiled
 def lanes_touched(
-    paths: Any, length: float, width: float, bare: float, centers: Any, side: float, owned: Any, fails: Any
-) -> tuple[Any, Any, Any, Any]:
+    paths: FloatArray,
+    length: float,
+    width: float,
+    bare: float,
+    centers: FloatArray,
+    side: float,
+    owned: BoolArray,
+    fails: IntArray,
+) -> tuple[IntArray, FloatArray, BoolArray, IntArray]:
     """The lanes that the body of each path touches.
 
     Parameters
@@ -66,7 +73,7 @@ def lanes_touched(
 
 
 @compiled
-def verdicts(margin: Any, edges: Any, allowed: Any, paths: Any, held: int) -> Any:
+def verdicts(margin: FloatArray, edges: FloatArray, allowed: BoolArray, paths: FloatArray, held: int) -> FloatArray:
     """Margins (n,) with what each path lacks of room on the road (n, 2) [m]; -inf where it may not go, or rolls
     backwards after `held` frames: that has no fail-safe, the brake stands still."""
     out = np.empty(margin.shape[0])

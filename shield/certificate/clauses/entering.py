@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from dynamics.compiled import compiled
+from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.vehicle.controllers import KP_HEADING, KP_LATERAL
 from shield.certificate.clauses.others import Others
 from shield.certificate.clauses.plans import Plans
@@ -19,7 +19,9 @@ _TURNING = 0.25
 
 
 @compiled
-def newcomers(others: Others, gains: Any, centers: Any, width: float) -> tuple[Any, Any, Any]:
+def newcomers(
+    others: Others, gains: BoolArray, centers: FloatArray, width: float
+) -> tuple[BoolArray, BoolArray, BoolArray]:
     """Which lanes each vehicle's strip is beside; which of them it may enter, for it gains by it or is on its way; and
     which it is on its way to; each (lanes, v) bool.
 
@@ -52,8 +54,15 @@ def newcomers(others: Others, gains: Any, centers: Any, width: float) -> tuple[A
 
 @compiled
 def still_coming(
-    beside: Any, may: Any, turning: Any, before: Any, visible: Any, stored: int, sight: int, settled: int
-) -> Any:
+    beside: BoolArray,
+    may: BoolArray,
+    turning: BoolArray,
+    before: BoolArray,
+    visible: IntArray,
+    stored: int,
+    sight: int,
+    settled: int,
+) -> BoolArray:
     """Who may enter which lane although the ego has a plan to stop there, or is in sight there, (lanes, v) bool.
 
     Whoever may enter when that begins may do so until `sight` frames after the ego has come into sight; those who were
@@ -82,13 +91,13 @@ def still_coming(
 @compiled
 def sides_taken(
     plans: Plans,
-    rows: Any,
+    rows: IntArray,
     others: Others,
-    centers: Any,
-    settings: Any,
-    low: Any,
-    high: Any,
-    home: Any,
+    centers: FloatArray,
+    settings: tuple[float, float, float, float],
+    low: FloatArray,
+    high: FloatArray,
+    home: IntArray,
 ) -> None:
     """Where each vehicle can be across the road, for each path: `low`, `high` (n, m) [m], and its lane `home` (n, m).
 

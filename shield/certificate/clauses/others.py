@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dynamics.compiled import compiled
+from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.tables import Bodies
 
 __all__ = ["TOUCH", "Others", "empty_others", "others_from"]
@@ -26,27 +27,27 @@ class Others(NamedTuple):
     enter.
     """
 
-    ahead: Any
-    least: Any
-    size: Any
-    behind: Any
-    low: Any
-    high: Any
-    lane: Any
-    r: Any
-    across: Any
-    held: Any
-    beside: Any
-    comes: Any
+    ahead: FloatArray
+    least: FloatArray
+    size: FloatArray
+    behind: BoolArray
+    low: FloatArray
+    high: FloatArray
+    lane: IntArray
+    r: FloatArray
+    across: FloatArray
+    held: BoolArray
+    beside: BoolArray
+    comes: BoolArray
 
 
-def empty_others(m: int, lanes: int) -> tuple[Any, Any]:
+def empty_others(m: int, lanes: int) -> tuple[FloatArray, BoolArray]:
     """Arrays for what is known of m vehicles beyond their `Bodies`: numbers (5, m), and flags (2 + 2 lanes, m)."""
     return np.empty((5, m)), np.zeros((2 + 2 * lanes, m), np.bool_)
 
 
 @compiled
-def others_from(bodies: Bodies, numbers: Any, flags: Any) -> Others:
+def others_from(bodies: Bodies, numbers: FloatArray, flags: BoolArray) -> Others:
     """The rows of both arrays by their names."""
     ahead, least, size, r, across = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
     behind, held, lanes = flags[0], flags[1], flags.shape[0] // 2 + 1

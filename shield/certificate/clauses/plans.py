@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from dynamics.state import FloatArray, IntArray
 
 __all__ = ["Plans"]
 
@@ -10,6 +12,6 @@ __all__ = ["Plans"]
 class Plans(NamedTuple):
     """Paths (n, K, 4), and the lane that each commits to, and stops in, (n,)."""
 
-    paths: Any
-    lanes: Any
-    fails: Any
+    paths: FloatArray
+    lanes: IntArray
+    fails: IntArray

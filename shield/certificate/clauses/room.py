@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from dynamics.compiled import compiled
+from dynamics.state import FloatArray, IntArray
 from shield.certificate.clauses.footprint import Footprint
 
 __all__ = ["margins", "rooms"]
 
 
 @compiled
-def rooms(paths: Any, size: Footprint, centers: Any, fails: Any, side: float, bent: bool) -> Any:
+def rooms(
+    paths: FloatArray, size: Footprint, centers: FloatArray, fails: IntArray, side: float, bent: bool
+) -> FloatArray:
     """What is left beside the ego with its buffer in the lane that each path stops in, (n,) [m]; negative where it
     reaches out. `size` as in `least_separations`."""
     out, last = np.empty(paths.shape[0]), paths.shape[1] - 1
@@ -32,7 +34,7 @@ def rooms(paths: Any, size: Footprint, centers: Any, fails: Any, side: float, be
 
 
 @compiled
-def margins(separations: Any, slipping: Any, room: Any) -> Any:
+def margins(separations: FloatArray, slipping: FloatArray, room: FloatArray) -> FloatArray:
     """The least separation of each path, and what it lacks of room where it does, (n,) [m]; NaN where anything is.
 
     Parameters

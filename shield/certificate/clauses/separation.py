@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dynamics.compiled import compiled
+from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.certificate.clauses.footprint import Footprint
 
 __all__ = ["Duty", "Extents", "coming_frame", "least_separations"]
@@ -32,7 +33,7 @@ class Duty(NamedTuple):
 
 
 @compiled
-def _extents(paths: Any, i: int, size: Footprint, dt: float, coming: bool, bounds: Any) -> bool:
+def _extents(paths: FloatArray, i: int, size: Footprint, dt: float, coming: bool, bounds: FloatArray) -> bool:
     """Where the ego's rectangle is in each frame: s and r from `bounds[0]`, `[2]` to `bounds[1]`, `[3]` with the
     buffer; and, with `coming`, its body one frame later at constant velocity, `bounds[4:8]`. False if not finite."""
     lon, lat, length, width = size.along, size.across, size.length, size.width
@@ -53,7 +54,15 @@ def _extents(paths: Any, i: int, size: Footprint, dt: float, coming: bool, bound
 
 
 @compiled
-def coming_frame(state: Any, size: Footprint, ends: Any, left: float, right: float, reach: float, dt: float) -> float:
+def coming_frame(
+    state: FloatArray,
+    size: Footprint,
+    ends: tuple[float, float, float, float],
+    left: float,
+    right: float,
+    reach: float,
+    dt: float,
+) -> float:
     """What is left between the ego and a vehicle over one frame of constant velocities along both headings [m]; +inf
     where there is anything left.
 
@@ -87,7 +96,9 @@ def coming_frame(state: Any, size: Footprint, ends: Any, left: float, right: flo
 
 
 @compiled
-def _front(paths: Any, i: int, center: float, at_once: int, follower: Any, duty: Duty, front: Any) -> None:
+def _front(
+    paths: FloatArray, i: int, center: float, at_once: int, follower: FloatArray, duty: Duty, front: FloatArray
+) -> None:
     """Greatest s of a vehicle behind after each frame: it accelerates until it owes the ego its braking."""
     v0, start, stretch = follower[0], follower[1], follower[2]
     seen, reaction, gain, loss, most = duty.seen, duty.reaction, duty.acceleration, duty.braking, duty.max_speed
@@ -122,20 +133,22 @@ class Extents(NamedTuple):
     frames they react if they see it all the time, or -1, and `followers` (3, m) are speed, front and stretch.
     """
 
-    low: Any
-    high: Any
-    rear: Any
-    lengths: Any
-    noses: Any
-    owed: Any
-    follows: Any
-    centers: Any
-    at_once: Any
-    followers: Any
+    low: FloatArray
+    high: FloatArray
+    rear: FloatArray
+    lengths: FloatArray
+    noses: FloatArray
+    owed: BoolArray
+    follows: BoolArray
+    centers: FloatArray
+    at_once: IntArray
+    followers: FloatArray
 
 
 @compiled
-def least_separations(paths: Any, size: Footprint, others: Extents, duty: Duty, separations: Any, reached: Any) -> None:
+def least_separations(
+    paths: FloatArray, size: Footprint, others: Extents, duty: Duty, separations: FloatArray, reached: IntArray
+) -> None:
     """The least separation of each path from each vehicle, and the first frame in which one is negative.
 
     Parameters

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -78,7 +78,7 @@ def _frames(time: float, dt: float) -> int:
 
 
 @compiled
-def settings_from(row: Any) -> Settings:
+def settings_from(row: FloatArray) -> Settings:
     """The numbers by their names."""
     return Settings(*numbers_of(row, 16))
 

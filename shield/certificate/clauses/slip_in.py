@@ -17,11 +17,12 @@ highway-env 1.12's `IDMVehicle`.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dynamics.compiled import compiled
+from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.mobil import COMFORT, IMPOSED, TIME, TWICE_ROOT, desired_gap
 from dynamics.traffic.tables import Bodies
 from dynamics.vehicle.rollout_kernels import NO_LIMIT, roll_commands
@@ -50,26 +51,26 @@ class Slips(NamedTuple):
     they change into [m]; `ratios` (2, m): d* of the old leader as a share of the gap to it, at the worst and now;
     `reaches`: half the length of each [m]. And how they accelerate and brake at most [m/s^2]."""
 
-    starts: Any
-    speeds: Any
-    goals: Any
-    ratios: Any
-    reaches: Any
+    starts: FloatArray
+    speeds: FloatArray
+    goals: FloatArray
+    ratios: FloatArray
+    reaches: FloatArray
     gain: float
     braking: float
 
 
 @compiled
 def may_slip(
-    others: Any,
-    states: Any,
+    others: FloatArray,
+    states: FloatArray,
     bodies: Bodies,
-    ego: Any,
+    ego: FloatArray,
     length: float,
-    centers: Any,
+    centers: FloatArray,
     sight: float,
     braking: float,
-    out: Any,
+    out: FloatArray,
 ) -> int:
     """Which vehicles may slip into a lane in which the ego is seen; rows (vehicle, lane, multiple of the gap that d*
     may be, the same of this very moment) of `out` (2 m, 4), and how many of them there are."""
@@ -106,7 +107,9 @@ def may_slip(
 
 
 @compiled
-def slips_of(found: Any, states: Any, bodies: Bodies, centers: Any, gain: float, braking: float) -> tuple[Any, Slips]:
+def slips_of(
+    found: FloatArray, states: FloatArray, bodies: Bodies, centers: FloatArray, gain: float, braking: float
+) -> tuple[IntArray, Slips]:
     """Rows of those that `may_slip` has found, (n, 4), and what is known of them."""
     n = found.shape[0]
     rows, numbers, ratios = np.empty(n, np.intp), np.empty((4, n)), np.empty((2, n))
@@ -119,7 +122,9 @@ def slips_of(found: Any, states: Any, bodies: Bodies, centers: Any, gain: float,
 
 
 @compiled
-def sweeps(rows: Any, slips: Slips, others: Any, states: Any, bodies: Bodies, table: Any, dt: float) -> Any:
+def sweeps(
+    rows: IntArray, slips: Slips, others: FloatArray, states: FloatArray, bodies: Bodies, table: FloatArray, dt: float
+) -> FloatArray:
     """Where each body is across the road after 1..T frames of its lane change, from the strip that it is in, (n, T, 2)
     [m]: `rows` of vehicle rows (m, 7) and road states (m, 4), on the road of a `table` of
     `dynamics.vehicle.rollout_kernels`."""
@@ -163,7 +168,7 @@ def _begins(
 
 
 @compiled
-def _offset(r: float, centers: Any) -> float:
+def _offset(r: float, centers: FloatArray) -> float:
     """Distance from the nearest lane's centre [m]."""
     offset = np.inf
     for c in centers:
@@ -172,7 +177,7 @@ def _offset(r: float, centers: Any) -> float:
 
 
 @compiled
-def anybody(paths: Any, slips: Slips, centers: Any, sight: float, dt: float) -> bool:
+def anybody(paths: FloatArray, slips: Slips, centers: FloatArray, sight: float, dt: float) -> bool:
     """Whether anybody may slip in where that counts (`least_separations_of_slips`); or a path is not finite."""
     for i in range(paths.shape[0]):
         for j in range(slips.goals.shape[0]):
@@ -190,16 +195,16 @@ def anybody(paths: Any, slips: Slips, centers: Any, sight: float, dt: float) -> 
 
 @compiled
 def least_separations_of_slips(
-    paths: Any,
+    paths: FloatArray,
     size: Footprint,
     slips: Slips,
-    rear: Any,
-    front: Any,
-    sweep: Any,
-    centers: Any,
+    rear: FloatArray,
+    front: FloatArray,
+    sweep: FloatArray,
+    centers: FloatArray,
     sight: float,
     dt: float,
-    out: Any,
+    out: FloatArray,
 ) -> None:
     """Least separation of each path from each vehicle that slips in, `out` (n, m) [m]; +inf where it does not.
 

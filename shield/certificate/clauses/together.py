@@ -5,11 +5,12 @@ They are handed arrays and nothing else, which get their names inside; `dynamics
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dynamics.compiled import compiled, numbers_of
+from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.occupancy_kernels import fronts, rears
 from dynamics.traffic.permits import Ego
 from dynamics.traffic.tables import Bodies, Motion, bodies_of, motion_of
@@ -32,18 +33,18 @@ NOTHING_BINDS, SEPARATION_BINDS, SLIP_IN_BINDS, ROOM_BINDS = 0, 1, 2, 3
 class Ground(NamedTuple):
     """Centres of the lanes [m], which of them the ego owns, and for how many frames it has been visible in each."""
 
-    centers: Any
-    owned: Any
-    visible: Any
+    centers: FloatArray
+    owned: BoolArray
+    visible: IntArray
 
 
 class Around(NamedTuple):
     """The others of a scene: `rows` (m, 7), `states` (m, 4), what a metre driven is of the road, `stretch` (2, m or 0),
     `bodies`, `motion` and `others`."""
 
-    rows: Any
-    states: Any
-    stretch: Any
+    rows: FloatArray
+    states: FloatArray
+    stretch: FloatArray
     bodies: Bodies
     motion: Motion
     others: Others
@@ -51,25 +52,25 @@ class Around(NamedTuple):
 
 @compiled
 def seen(
-    rows: Any,
-    states: Any,
-    marks: Any,
-    numbers: Any,
-    brakes: Any,
-    recent: Any,
-    vehicle: Any,
-    state: Any,
-    size: Any,
-    centers: Any,
-    settings: Any,
-    owned: Any,
-    visible: Any,
+    rows: FloatArray,
+    states: FloatArray,
+    marks: IntArray,
+    numbers: FloatArray,
+    brakes: FloatArray,
+    recent: FloatArray,
+    vehicle: FloatArray,
+    state: FloatArray,
+    size: FloatArray,
+    centers: FloatArray,
+    settings: FloatArray,
+    owned: BoolArray,
+    visible: IntArray,
     stored: int,
-    followers: Any,
-    before: Any,
-    of_others: Any,
-    flags: Any,
-    slipping: Any,
+    followers: FloatArray,
+    before: BoolArray,
+    of_others: FloatArray,
+    flags: BoolArray,
+    slipping: FloatArray,
 ) -> int:
     """Take in a scene: fill in what is to be known of the others before any path is judged.
 
@@ -104,30 +105,30 @@ def seen(
 
 @compiled
 def judged(
-    paths: Any,
-    lanes: Any,
-    fails: Any,
-    state: Any,
-    size: Any,
-    centers: Any,
-    settings: Any,
-    motion: Any,
-    table: Any,
+    paths: FloatArray,
+    lanes: IntArray,
+    fails: IntArray,
+    state: FloatArray,
+    size: FloatArray,
+    centers: FloatArray,
+    settings: FloatArray,
+    motion: FloatArray,
+    table: FloatArray,
     hold: int,
-    owned: Any,
-    visible: Any,
-    ignored: Any,
-    rows: Any,
-    states: Any,
-    stretch: Any,
-    marks: Any,
-    numbers: Any,
-    brakes: Any,
-    recent: Any,
-    of_others: Any,
-    flags: Any,
-    slipping: Any,
-) -> tuple[Any, Any, Any]:
+    owned: BoolArray,
+    visible: IntArray,
+    ignored: BoolArray,
+    rows: FloatArray,
+    states: FloatArray,
+    stretch: FloatArray,
+    marks: IntArray,
+    numbers: FloatArray,
+    brakes: FloatArray,
+    recent: FloatArray,
+    of_others: FloatArray,
+    flags: BoolArray,
+    slipping: FloatArray,
+) -> tuple[FloatArray, IntArray, IntArray]:
     """What is said against paths.
 
     Parameters
@@ -188,12 +189,12 @@ def _separations(
     foot: Footprint,
     ground: Ground,
     around: Around,
-    near: Any,
-    owed: Any,
+    near: IntArray,
+    owed: BoolArray,
     x: Settings,
     hold: int,
-    reached: Any,
-) -> Any:
+    reached: IntArray,
+) -> FloatArray:
     """The least separation of each path from each vehicle `near` (q,) that does not owe it, `owed` (n, q), (n, q) [m];
     `r` is where the ego is across the road."""
     n, frames, q = plans.paths.shape[0], plans.paths.shape[1], near.shape[0]
@@ -230,8 +231,15 @@ def _separations(
 
 @compiled
 def _slips(
-    paths: Any, foot: Footprint, centers: Any, table: Any, ignored: Any, around: Around, found: Any, x: Settings
-) -> Any:
+    paths: FloatArray,
+    foot: Footprint,
+    centers: FloatArray,
+    table: FloatArray,
+    ignored: BoolArray,
+    around: Around,
+    found: FloatArray,
+    x: Settings,
+) -> FloatArray:
     """The least separation of each path from each of those `found` that may slip in, (n, c) [m]; +inf where it does
     not."""
     n, frames, c = paths.shape[0], paths.shape[1], found.shape[0]
@@ -255,7 +263,9 @@ def _slips(
 
 
 @compiled
-def _binding(margin: float, separations: Any, near: Any, apart: Any, slips: Any) -> tuple[int, int]:
+def _binding(
+    margin: float, separations: FloatArray, near: IntArray, apart: FloatArray, slips: FloatArray
+) -> tuple[int, int]:
     """What a margin comes from, and which vehicle."""
     if separations.shape[0] > 0 and separations.min() <= margin:
         return SEPARATION_BINDS, near[separations.argmin()]

@@ -25,7 +25,7 @@ from rich.table import Table
 
 ROOT = Path(__file__).parents[2]
 KILLED, SURVIVED = "killed", "SURVIVED"
-STALE = "STALE: its text is not in the sources as often as stated; update tests/support/mutants.py"
+STALE = "STALE: its text is not in the sources as often as stated; update tests/support/mutants"
 RED = "RED: its tests fail, or are missing, without the mutant"
 BROKEN = "BROKEN: its tests did not fail but could not be run, or its kernel does not compile"
 STYLES = {KILLED: "green", SURVIVED: "bold red"}

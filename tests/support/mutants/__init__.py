@@ -1,0 +1,15 @@
+"""The clauses of the certificate, each with the change that switches it off and the tests that have to notice.
+
+`mutation_check.py` (`make mutants`) applies them one at a time; `tests/test_mutants.py` checks that they still apply.
+"""
+
+from mutants.accepted import ACCEPTED
+from mutants.clearance import CLEARANCE
+from mutants.kinds import Edit, Mutant
+from mutants.owed import OWED
+from mutants.places import PLACES
+from mutants.watched import WATCHED
+
+__all__ = ["MUTANTS", "Edit", "Mutant"]
+
+MUTANTS = (*ACCEPTED, *CLEARANCE, *OWED, *PLACES, *WATCHED)

@@ -1,0 +1,90 @@
+"""What is accepted short of the certificate."""
+
+from __future__ import annotations
+
+from mutants.kinds import FRAMES, INPUTS, LOT, SEARCH, TESTS_OF_LOT, Edit, both, off, verified
+
+__all__ = ["ACCEPTED"]
+
+ACCEPTED = (
+    verified("frame", "door[frame]"),
+    verified("lane change", "door[lane change]"),
+    verified("FASTER", "door[faster]"),
+    verified("SLOWER", "door[slower]"),
+    verified("mask", "door[mask]"),
+    verified("lane change without frames", "door[held lane change]"),
+    verified("FASTER without frames", "door[held faster]"),
+    verified("throttle", "door[throttle]"),
+    verified("throttle and wheel", "door[throttle and wheel]"),
+    verified("parking", "lot"),
+    off(
+        "fail-safe of a frame chosen at -0.3 m",
+        FRAMES,
+        "        if margin >= 0:",
+        "        if margin >= -0.3:",
+        "first",
+    ),
+    off(
+        "frame held back to -0.3 m",
+        FRAMES,
+        "np.where(result.margin >= 0, accelerations",
+        "np.where(result.margin >= -0.3, accelerations",
+        "mended[frame]",
+    ),
+    off(
+        "frame to evade with chosen at -0.3 m",
+        FRAMES,
+        "    keeps = lawful >= 0\n",
+        "    keeps = lawful >= -0.3\n",
+        "evades[ShieldCore]",
+    ),
+    both(
+        "frame evades at -0.3 m",
+        Edit(FRAMES, "    keeps = lawful >= 0\n", "    keeps = lawful >= -0.3\n"),
+        Edit(FRAMES, "                if lawful >= 0:", "                if lawful >= -0.3:"),
+        tests=("evades[ShieldCore]",),
+    ),
+    off(
+        "fail-safe of an input chosen at -0.3 m",
+        INPUTS,
+        "        good = each >= 0\n",
+        "        good = each >= -0.3\n",
+        "lanes",
+    ),
+    off(
+        "no other fail-safe of an input above -0.3 m",
+        INPUTS,
+        "if not judged.margin[0] >= 0 and others:",
+        "if not judged.margin[0] >= -0.3 and others:",
+        "lanes",
+    ),
+    off(
+        "input repaired to -0.3 m",
+        SEARCH,
+        "judged.margin >= 0",
+        "judged.margin >= -0.3",
+        "mended[throttle]",
+        count=6,
+    ),
+    off(
+        "input evades at -0.3 m",
+        INPUTS,
+        "np.flatnonzero(lawful.margin >= 0)",
+        "np.flatnonzero(lawful.margin >= -0.3)",
+        "evades[ContinuousCore]",
+    ),
+    off(
+        "parking repaired near the proposal to -0.05 m",
+        LOT,
+        "if judged.margin[0] >= 0 else np.inf",
+        "if judged.margin[0] >= -0.05 else np.inf",
+        TESTS_OF_LOT,
+    ),
+    off(
+        "parking repaired far from the proposal to -0.05 m",
+        LOT,
+        "np.where(grid.margin >= 0,",
+        "np.where(grid.margin >= -0.05,",
+        TESTS_OF_LOT,
+    ),
+)

@@ -1,0 +1,154 @@
+"""Who owes the ego its distance, and who may come in."""
+
+from __future__ import annotations
+
+from mutants.kinds import DUTIES, ENTERING, MOBIL, SEPARATION, SETTINGS, TESTS_OF_MOBIL, TOGETHER, off
+
+__all__ = ["OWED"]
+
+OWED = (
+    off(
+        "blind merge off",
+        TOGETHER,
+        "x.blind > 0 and hold == 0",
+        "False",
+        "blind",
+    ),
+    off(
+        "nobody enters but who is on the way",
+        ENTERING,
+        "may[k, j] = turning[k, j] or gains[j, 1 if above else 0]",
+        "may[k, j] = turning[k, j]",
+        "blind",
+    ),
+    off(
+        "nobody enters but who gains by it",
+        ENTERING,
+        "may[k, j] = turning[k, j] or gains[j, 1 if above else 0]",
+        "may[k, j] = gains[j, 1 if above else 0]",
+        "loses",
+    ),
+    off(
+        "seen at once by one that is turning in", ENTERING, "if visible[k] >= settled:", "if visible[k] > 0:", "turning"
+    ),
+    off("who turns in gives way", ENTERING, "before[k, j] and turning[k, j]", "False", "turning"),
+    off(
+        "begun before it could see the ego",
+        ENTERING,
+        "elif visible[k] > sight:",
+        "elif visible[k] > 0:",
+        "tests/shield/test_kernels.py",
+    ),
+    off(
+        "nobody comes where the ego is out of sight",
+        ENTERING,
+        "leaves and beside",
+        "False and beside",
+        "joins",
+    ),
+    off(
+        "everybody behind owes",
+        DUTIES,
+        "behind[j] and held[j] and not entered",
+        "behind[j] and not entered",
+        "owes",
+    ),
+    off(
+        "owed even where the path enters the lane",
+        DUTIES,
+        "behind[j] and held[j] and not entered",
+        "behind[j] and held[j]",
+        "owes",
+    ),
+    off(
+        "those ahead owe",
+        DUTIES,
+        "behind[j] and held[j] and not entered",
+        "held[j] and not entered",
+        "owes",
+    ),
+    off(
+        "owed what was left and is come back to",
+        DUTIES,
+        "        if inside and left:",
+        "        if inside and False:",
+        "left",
+    ),
+    off(
+        "duty ends where the lane is owned no more",
+        DUTIES,
+        "held or (followed and low",
+        "held or (False and low",
+        "lasts",
+    ),
+    off(
+        "duty ends where a corner comes beside a corner",
+        DUTIES,
+        "behind = gap_between(ego.seen, ego.seen.along, ego.seen.across, rows, j, 0.0) >= 0",
+        "pass",
+        "corner",
+    ),
+    off(
+        "duty lasts where the buffer is touched",
+        DUTIES,
+        "behind = gap_between(ego.seen, ego.seen.along, ego.seen.across, rows, j, 0.0) >= 0",
+        "behind = True",
+        "corner",
+    ),
+    off(
+        "nobody joins where the ego has got out of sight",
+        DUTIES,
+        "            comes[j, :] = True",
+        "            pass",
+        "anybody",
+    ),
+    off("who enters need not gain by it", MOBIL, "gain >= _LEAST_GAIN - slack and imposed", "imposed", TESTS_OF_MOBIL),
+    off("who enters may impose anything", MOBIL, " and imposed <= IMPOSED + slack", "", TESTS_OF_MOBIL),
+    off("lane owned without a plan", DUTIES, "(had or j == stored) and offset < touch", "offset < touch", "owned"),
+    off("lane owned for ever", DUTIES, "(had or j == stored) and offset < touch", "had or j == stored", "owned"),
+    off(
+        "reaction time off",
+        SEPARATION,
+        "else first + reaction",
+        "else first",
+        "follower[idm-15-20-0.0]",
+        "follower[rss-25-20-0.0]",
+    ),
+    off(
+        "visible from the first frame on",
+        SEPARATION,
+        "            first = k + 2\n",
+        "            first = 1\n",
+        "follower[idm-15-20-0.0]",
+    ),
+    off(
+        "seen for long already",
+        TOGETHER,
+        "np.full(home.shape, -1)",
+        "np.full(home.shape, 0)",
+        "follower[idm-15-20-1.5]",
+        "follower[rss-25-20-1.5]",
+    ),
+    off(
+        "follower that still brakes when the ego stands off",
+        SEPARATION,
+        "    if paths[i, frames - 1, 3] < 0.5:",
+        "    if paths[i, frames - 1, 3] < -0.5:",
+        "follower[rss-25-20-0.0]",
+        "follower[idm-15-20-0.0]",
+    ),
+    off(
+        "follower accelerates half as hard",
+        SEPARATION,
+        "min(gain, power / max(speed, 1e-3)) * dt, top)",
+        "0.5 * min(gain, power / max(speed, 1e-3)) * dt, top)",
+        "follower[idm-15-20-0.0]",
+    ),
+    off(
+        "follower brakes harder than it owes",
+        SETTINGS,
+        "            a.follower_braking,",
+        "            1.25 * a.follower_braking,",
+        "follower[idm-15-20-0.0]",
+    ),
+)

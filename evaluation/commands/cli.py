@@ -43,7 +43,8 @@ class Door(StrEnum):
 
     ENV = "env"
     POLICY = "policy"
-    BOTH = "both"
+    ACTIONS = "actions"
+    ALL = "all"
 
 
 @app.command("train")
@@ -84,8 +85,9 @@ def evaluate(
     door: Annotated[
         Door,
         typer.Option(
-            help="env: the shield acts at each simulation frame;"
-            " policy: it chooses among actions; both: one after the other."
+            help="env: ShieldedEnv, around the environment; policy: Shield, around the policy;"
+            " actions: the same, which chooses among actions and leaves the frames between alone; all: one after the"
+            " other."
         ),
     ] = Door.ENV,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes for each row.")] = 100,
@@ -123,7 +125,7 @@ def evaluate(
     from evaluation.running.records import make_variants
 
     shield_config = None if config is None else ShieldConfig.load(config)
-    doors = [Door.ENV.value, Door.POLICY.value] if door is Door.BOTH else [door.value]
+    doors = [each.value for each in Door if each is not Door.ALL] if door is Door.ALL else [door.value]
     if output is not None:
         _check_output(output)
     parts = [

@@ -90,8 +90,8 @@ class _Driver:
         self.shield: Shield | None = None
         if variant.door == "env":
             self.env = ShieldedEnv(self.env, variant.config, policy=self.policy, model=learned)
-        elif variant.door == "policy":
-            self.shield = Shield(self.policy, self.env, variant.config)
+        elif variant.door in ("policy", "actions"):
+            self.shield = Shield(self.policy, self.env, variant.config, frames=variant.door == "policy")
             self.driver = self.shield
         self.rules = AttributionRules(assumptions=variant.config.assumptions, braking=variant.config.braking)
 
@@ -143,16 +143,7 @@ class _Driver:
         if self.shield is None:
             shield: Mapping[str, Any] = info["shield"]
             return shield
-        decision = self.shield.last_decision
-        assert decision is not None  # `predict` came before
-        return {
-            **_UNSHIELDED,
-            "overridden": decision.overridden,
-            "margin": decision.margin,
-            "reason": decision.reason.value,
-            "tier": decision.tier.value,
-            "latency_ms": 1e3 * decision.latency,
-        }
+        return self.shield.report()
 
 
 def _plain(action: Any) -> Any:

@@ -12,8 +12,8 @@ from shield.errors import ConfigError
 
 __all__ = ["DOORS", "EpisodeRecord", "Variant", "make_variants"]
 
-DOORS = ("none", "env", "policy")
-"""No shield; `ShieldedEnv` (every simulation frame); `Shield` (meta-actions only)."""
+DOORS = ("none", "env", "policy", "actions")
+"""No shield; `ShieldedEnv`; `Shield`; `Shield` with actions alone, `frames=False`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ def make_variants(modes: Sequence[str], doors: Sequence[str], config: ShieldConf
     variants: list[Variant] = []
     for mode in modes:
         for door in ["none"] if mode == "none" else doors:
-            chosen = config or (ShieldConfig.for_meta_actions() if door == "policy" else ShieldConfig())
+            chosen = config or (ShieldConfig.for_meta_actions() if door == "actions" else ShieldConfig())
             variant = Variant(door, chosen if door == "none" else chosen.replace(mode=mode))
             if variant not in variants:
                 variants.append(variant)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -12,19 +11,18 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
-from dynamics.scenes.scene import SceneReader, Target
 from mpc.filter.program.road_step import StageModel
 from shield.config import ShieldConfig
-from shield.decision import Decision, Reason, Tier
+from shield.decision import Decision
 from shield.doors.discrete_action import action_index
-from shield.doors.input_door import InputDoor, refuse_lots
+from shield.doors.environments import base_environments, the_action_type
+from shield.doors.input_door import InputDoor
+from shield.doors.meta_door import MetaDoor
 from shield.doors.ranking import order_from_scores, ranking_of
+from shield.doors.report import report
+from shield.doors.supervision import Command, Supervision
 from shield.errors import ConfigError, SceneError
-from shield.procedures.decide import Core, Unreadable, read
-from shield.procedures.frames import FrameCommand, Frames
-from shield.procedures.meta_actions import MetaActions
-from shield.procedures.nearest_inputs import NearestInputs
-from shield.procedures.screen import RuleAlone, Wish
+from shield.procedures.decide import Core
 from shield.procedures.warm_up import warm_up
 
 __all__ = ["ShieldedEnv"]
@@ -78,49 +76,34 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         policy: Any = None,
         model: StageModel | None = None,
     ) -> None:
+        bases = base_environments(env, "ShieldedEnv")
         RecordConstructorArgs.__init__(self, _disable_deepcopy=True, config=config, policy=policy, model=model)
         gym.Wrapper.__init__(self, env)
         self.config = ShieldConfig.of(config)
         self.policy = policy
-        self._base: Any = env.unwrapped
-        self._check_action_type()
-        self._reader = SceneReader(env)
-        self._inputs: InputDoor | None = None
-        if self._kind() == "ContinuousAction":
-            self._inputs = InputDoor(self._base, self.config, model=model)
+        self._base: Any = bases[0]
+        kind = the_action_type(bases, "ShieldedEnv")
+        self._door: MetaDoor | InputDoor
+        if kind == "ContinuousAction":
+            self._door = InputDoor(self._base, self.config, model=model)
         elif model is not None:
             raise ConfigError("a model is for ContinuousAction; with meta-actions leave it out")
-        self._meta = MetaActions(self.config)
-        self._frames = Frames(self.config, NearestInputs(self.config) if self.config.repair == "filter" else None)
-        alone = self.config.mode in ("distance", "rss", "ttc")
-        meta: Core[Any] = Core(RuleAlone(self.config) if alone else self._meta)
-        self.core = meta if self._inputs is None else self._inputs.core
+        else:
+            self._door = MetaDoor(self._base, self.config)
+        self.core: Core[Any] = self._door.core
         warm_up()
         self._observation: Any = None
         self._supervising = 0.0
         self.last_decision: Decision | None = None
         self.frame_decisions: list[Decision] = []
 
-    def _kind(self) -> str:
-        return type(getattr(self.unwrapped, "action_type", None)).__name__
-
-    def _check_action_type(self) -> None:
-        kind = self._kind()
-        if kind not in ("DiscreteMetaAction", "ContinuousAction"):
-            raise ConfigError(
-                f"ShieldedEnv filters DiscreteMetaAction and ContinuousAction; this environment has {kind}. Pass "
-                'config={"action": {"type": "DiscreteMetaAction"}} to gym.make'
-            )
-        if kind != "ContinuousAction":
-            refuse_lots([self._base])
-
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment and forget everything about the last episode."""
         obs, info = self.env.reset(seed=seed, options=options)
-        self.core.reset()
-        if self._inputs is not None:
-            self._inputs.reset()
-        self._check_action_type()
+        inputs = the_action_type([self._base], "ShieldedEnv") == "ContinuousAction"
+        if inputs is not isinstance(self._door, InputDoor):
+            raise ConfigError("the reset has changed the environment's action type; make a new ShieldedEnv around it")
+        self._door.reset()
         self._observation = obs
         self.last_decision = None
         self.frame_decisions = []
@@ -132,30 +115,19 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             raise SceneError("the environment has no road yet; call reset() first")
         start = perf_counter()
         before = self.core.violations
-        decision = self._decide(action) if self._inputs is None else self._inputs.decide(action)
+        decision = self._door.decide(action, self._order_of(action))
         self.last_decision = decision
         self.frame_decisions = []
         self._supervising = 0.0
         deciding = perf_counter() - start
         if self.config.mode == "full":
-            with _Supervised(self._base, self._frame):
+            with Supervision(self._base, self._frame):
                 obs, reward, terminated, truncated, info = self.env.step(decision.executed)
         else:
             obs, reward, terminated, truncated, info = self.env.step(decision.executed)
         self._observation = obs
-        frames = [d for d in self.frame_decisions if d.overridden]
-        overridden = [decision, *frames] if decision.overridden else frames
-        shown = next((d for d in overridden if d.tier.fallback), overridden[0] if overridden else decision)
-        margins = [d.margin for d in (decision, *self.frame_decisions) if np.isfinite(d.margin)]
-        info["shield"] = {
-            "overridden": decision.overridden or bool(frames),
-            "reason": shown.reason.value,
-            "tier": shown.tier.value,
-            "margin": min(margins, default=float("inf")),
-            "latency_ms": 1e3 * (deciding + self._supervising),
-            "frames_overridden": len(frames),
-            "violations": self.core.violations - before,
-        }
+        violations = self.core.violations - before
+        info["shield"] = report(decision, self.frame_decisions, deciding + self._supervising, violations)
         return obs, float(reward), terminated, truncated, info
 
     def action_masks(self) -> np.ndarray[Any, Any]:
@@ -163,19 +135,13 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
         (MaskablePPO cannot handle an empty mask; `step` then falls back whatever is chosen.)
         """
-        if self._inputs is not None:
+        if not isinstance(self._door, MetaDoor):
             raise ConfigError("action_masks() needs DiscreteMetaAction; this environment has ContinuousAction")
-        mask = self._meta.mask(self.core.memory, self._reader.read())
-        return mask if mask.any() else np.ones_like(mask)
+        return self._door.mask()
 
-    def _decide(self, action: Any) -> Decision:
-        start, proposed, labels = perf_counter(), action_index(action), self._reader.actions
-        if self.config.mode == "none":
-            return Decision(action, action, Reason.NONE, Tier.OFF, np.nan, 0.0)
-        order = None if self.policy is None else lambda: self._order(proposed)
-        decision = self.core.decide(read(self._reader), Wish(proposed, labels, order))
-        shown = action if proposed < 0 else proposed
-        return replace(decision, proposed=shown, latency=perf_counter() - start)
+    def _order_of(self, action: Any) -> Callable[[], list[int] | None] | None:
+        """The policy's order of preference over what it has not proposed, where it is needed."""
+        return None if self.policy is None else lambda: self._order(action_index(action))
 
     def _order(self, proposed: int) -> list[int] | None:
         scores = ranking_of(self.policy, self._observation)
@@ -183,57 +149,9 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             return None
         return order_from_scores(np.asarray(scores).reshape(-1), proposed)
 
-    def _frame(self) -> FrameCommand | dict[str, float] | None:
-        if self._inputs is not None:
-            start = perf_counter()
-            raw, decision = self._inputs.frame()
-            self.frame_decisions.append(decision)
-            self._supervising += perf_counter() - start
-            return raw
-        first = not self.frame_decisions
-        if first and self.last_decision is not None and self.last_decision.tier is Tier.PASSED:
-            # The decision has just verified this very frame, with this very target.
-            self.frame_decisions.append(self.last_decision)
-            return None
-        start, scene = perf_counter(), read(self._reader)
-        blind = Target(int(self._base.vehicle.lane_index[2]), 0.0)
-        target = blind if isinstance(scene, Unreadable) else scene.control.target
-        decision = self.core.decide(scene, target, self._frames)
+    def _frame(self) -> Command:
+        start = perf_counter()
+        command, decision = self._door.frame()
         self.frame_decisions.append(decision)
         self._supervising += perf_counter() - start
-        return None if decision.tier is Tier.PASSED else decision.executed
-
-
-class _Supervised:
-    """For the duration of one step, lets `frame` have the last word on the ego's low-level action."""
-
-    def __init__(self, env: Any, frame: Callable[[], FrameCommand | dict[str, float] | None]) -> None:
-        self._env, self._frame = env, frame
-
-    def __enter__(self) -> None:
-        ego, frame = self._env.vehicle, self._frame
-        act = type(ego).act
-
-        def supervised(action: Any = None) -> None:
-            act(ego, action)
-            if action is not None:
-                return
-            command = frame()
-            if isinstance(command, dict):
-                ego.action = command
-            elif command is not None:
-                lane = (*ego.target_lane_index[:2], command.lane)
-                if command.lane != ego.target_lane_index[2]:
-                    ego.target_lane_index = lane
-                floor = -max(ego.speed, 0.0) * self._env.config["simulation_frequency"]
-                wheel = command.steering
-                ego.action = {
-                    "steering": ego.steering_control(lane) if wheel is None else wheel,
-                    "acceleration": max(command.acceleration, floor),
-                }
-
-        ego.act = supervised
-        self._ego = ego
-
-    def __exit__(self, *_: Any) -> None:
-        del self._ego.act
+        return command

@@ -87,11 +87,16 @@ class InputDoor:
         with suppress(SceneError):
             procedure.prepare(self._reader.read())
 
-    def decide(self, action: Any) -> Decision:
+    @property
+    def supervising(self) -> bool:
+        """Whether `frame` has a say."""
+        return not (self._off or self._agent)
+
+    def decide(self, action: Any, order: Any = None) -> Decision:
         """Filter an action for its first frame; `executed` is the action itself where that verifies.
 
         Otherwise it is the normalised action nearest to what the actuators get: the shield brakes harder than the
-        policy can if it has to.
+        policy can if it has to. (Inputs have no order: `order` is for the door of meta-actions.)
         """
         self._untouched = True
         if self._off:

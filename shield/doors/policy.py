@@ -5,21 +5,21 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from dynamics.scenes.scene import SceneReader
 from shield.config import ShieldConfig
-from shield.decision import Decision, Reason, Tier
+from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
-from shield.doors.input_door import InputDoor, refuse_lots
+from shield.doors.environments import base_environments, the_action_type
+from shield.doors.input_door import InputDoor
+from shield.doors.liveness import Liveness
+from shield.doors.meta_door import MetaDoor
 from shield.doors.ranking import order_from_scores, ranking_of
+from shield.doors.report import report
+from shield.doors.supervision import Command, Supervision
 from shield.errors import ConfigError, PolicyError
-from shield.procedures.decide import Core, read
-from shield.procedures.meta_actions_only import MetaActionsOnly
-from shield.procedures.screen import RuleAlone, Wish
 from shield.procedures.warm_up import warm_up
 
 __all__ = ["Shield"]
@@ -30,23 +30,35 @@ _log = logging.getLogger(__name__)
 class Shield:
     """Wraps a policy; `predict` returns its action where that verifies, and an alternative otherwise.
 
-    The shield reads the simulator's true state: the observation alone does not show who drives behind.
+    The shield reads the simulator's true state: the observation alone does not show who drives behind. It also has the
+    last word at each simulation frame between two calls of `predict`, as `ShieldedEnv` does: a meta-action lasts for
+    many frames, in which the world moves on.
 
     Parameters
     ----------
     policy : an SB3 or sb3-contrib model, a bare `BasePolicy`, or any object with SB3's `predict()`.
-    env : the environment(s) that the actions are meant for: a Gymnasium environment or a VecEnv. Without it the
-        environment that the model carries is used.
-    config : settings, or the path of a TOML file; by default `ShieldConfig.for_meta_actions()`, for throttle and
-        steering `ShieldConfig()`.
+    env : the environment(s) that the actions are meant for: a Gymnasium environment or a VecEnv of one process. Without
+        it the environment that the model carries is used; `predict` raises where another one is driven.
+    config : settings, or the path of a TOML file; `ShieldConfig()` by default. Without `frames`, meta-actions have
+        `ShieldConfig.for_meta_actions()`.
+    frames : whether the frames between two decisions are supervised. Without, `Shield` is a pure filter of actions: it
+        touches nothing but what `predict` returns, and has to look seconds ahead with what it assumes.
 
     Raises
     ------
     PolicyError
         If `policy` has no `predict`.
     ConfigError
-        If there is no environment to read the scene from, its actions are neither meta-actions nor continuous, or
-        it is a parking lot and they are not continuous, or cannot brake; or if the settings cannot be read.
+        If there is no highway-env environment to read the scene from, it is shielded already, its actions are neither
+        meta-actions nor continuous, or it is a parking lot and they are not continuous, or cannot brake; or if the
+        settings cannot be read.
+    SceneError
+        If its road is not supported.
+
+    Attributes
+    ----------
+    last_decisions : the decision of the last `predict`, one for each environment.
+    frame_decisions : those about the frames since, a list for each environment.
 
     Examples
     --------
@@ -62,7 +74,9 @@ class Shield:
     3
     """
 
-    def __init__(self, policy: Any, env: Any = None, config: ShieldConfig | str | Path | None = None) -> None:
+    def __init__(
+        self, policy: Any, env: Any = None, config: ShieldConfig | str | Path | None = None, frames: bool = True
+    ) -> None:
         if not callable(getattr(policy, "predict", None)):
             raise PolicyError(
                 f"{type(policy).__name__} has no predict(); pass an SB3 model, a BasePolicy, or an "
@@ -77,35 +91,43 @@ class Shield:
                 "or load the model with its environment, PPO.load(path, env=env)"
             )
         self._env = env
-        bases = _base_environments(env)
-        kinds = {type(getattr(base, "action_type", None)).__name__ for base in bases}
-        if len(kinds) != 1 or not kinds <= {"DiscreteMetaAction", "ContinuousAction"}:
-            raise ConfigError(
-                f"Shield filters DiscreteMetaAction or ContinuousAction; this environment has "
-                f"{', '.join(sorted(kinds))}. "
-                'Pass config={"action": {"type": "DiscreteMetaAction"}} to gym.make'
-            )
-        if kinds != {"ContinuousAction"}:
-            refuse_lots(bases)
-        self._readers = [SceneReader(base) for base in bases]
-        self._doors: list[InputDoor] = []
-        if kinds == {"ContinuousAction"}:
+        self._bases = base_environments(env, "Shield")
+        self._frames = frames
+        self._doors: list[MetaDoor | InputDoor]
+        if the_action_type(self._bases, "Shield") == "ContinuousAction":
             self.config = ShieldConfig.of(config)
-            self._doors = [InputDoor(base, self.config, agent=True) for base in bases]
-            self._cores: list[Core[Any]] = [door.core for door in self._doors]
+            self._doors = [InputDoor(base, self.config, agent=not frames) for base in self._bases]
         else:
-            self.config = ShieldConfig.of(config, ShieldConfig.for_meta_actions())
-            alone = self.config.mode in ("distance", "rss", "ttc")
-            procedure: Any = (RuleAlone if alone else MetaActionsOnly)(self.config)
-            self._cores = [Core(procedure) for _ in bases]
+            self.config = ShieldConfig.of(config, ShieldConfig() if frames else ShieldConfig.for_meta_actions())
+            self._doors = [MetaDoor(base, self.config, frames) for base in self._bases]
+        self._inputs = isinstance(self._doors[0], InputDoor)
         warm_up()
-        self._roads: list[Any] = [None] * len(bases)
+        n = len(self._bases)
+        self._roads: list[Any] = [None] * n
+        self._alive = [Liveness(base) for base in self._bases]
+        self._supervisions: list[Supervision | None] = [None] * n
+        self._counted = [0] * n
         self.last_decisions: list[Decision] = []
+        self.frame_decisions: list[list[Decision]] = [[] for _ in range(n)]
 
     @property
     def last_decision(self) -> Decision | None:
         """The decision of the last `predict` (of the first environment, where there are several)."""
         return self.last_decisions[0] if self.last_decisions else None
+
+    def report(self, i: int = 0) -> dict[str, Any]:
+        """What `ShieldedEnv` has in `info["shield"]`, of environment `i` since the last `predict`.
+
+        Raises
+        ------
+        ConfigError
+            If there has been none.
+        """
+        if not self.last_decisions:
+            raise ConfigError("report() is about the last decision; call predict() first")
+        decision, frames = self.last_decisions[i], self.frame_decisions[i]
+        latency = decision.latency + sum(d.latency for d in frames)
+        return report(decision, frames, latency, self._doors[i].core.violations - self._counted[i])
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name == "policy":
@@ -114,8 +136,11 @@ class Shield:
 
     def reset(self) -> None:
         """Forget everything; done by itself when an environment starts a new episode."""
-        for core in self._cores:
-            core.reset()
+        for i, door in enumerate(self._doors):
+            door.reset()
+            supervision, self._supervisions[i] = self._supervisions[i], None
+            if supervision is not None:
+                supervision.remove()
         self.last_decisions = []
 
     def predict(
@@ -140,10 +165,15 @@ class Shield:
         ------
         ConfigError
             If a batch has not one row per environment.
+        SceneError
+            If the observation has changed, and the environment that the shield reads has not moved.
         """
         reason: Reason | None = None
         proposals: Any
-        size = self._doors[0].actuators.size if self._doors else 1
+        first = self._doors[0]
+        size = first.actuators.size if isinstance(first, InputDoor) else 1
+        for i, alive in enumerate(self._alive):
+            alive.check(_row(observation, i, len(self._alive)))
         try:
             proposals, state = self.policy.predict(
                 observation, state=state, episode_start=episode_start, deterministic=deterministic
@@ -156,58 +186,61 @@ class Shield:
                 key = next(iter(seen))
                 space, seen = space[key], seen[key]
             batched = np.ndim(seen) > len(space.shape or ()) or hasattr(self._env, "single_action_space")
-            shape = (len(self._cores),) if batched else ()
-            proposals = np.full((*shape, size) if self._doors else shape, np.nan)
+            shape = (len(self._doors),) if batched else ()
+            proposals = np.full((*shape, size) if self._inputs else shape, np.nan)
             reason = Reason.POLICY_FAILED
         flat = np.asarray(proposals).reshape(-1)
-        if flat.size != len(self._cores) * size:
+        if flat.size != len(self._doors) * size:
             raise ConfigError(
-                f"the policy returned {flat.size / size:g} actions for {len(self._cores)} environments; a batch "
+                f"the policy returned {flat.size / size:g} actions for {len(self._doors)} environments; a batch "
                 "needs one row per environment"
             )
-        if self._doors:
-            return self._predict_inputs(np.asarray(proposals), reason), state
-        if reason is None and flat.dtype.kind == "f" and not np.isfinite(flat).all():
+        if reason is None and flat.dtype.kind == "f" and not np.isfinite(flat).all() and not self._inputs:
             reason = Reason.POLICY_FAILED
+        rows = np.asarray(proposals).reshape(len(self._doors), -1) if self._inputs else flat
         ranking = _Ranking(self.policy, observation)
-        self.last_decisions = [self._decide(i, p, ranking, reason) for i, p in enumerate(flat)]
-        executed = np.array([d.executed for d in self.last_decisions], dtype=np.int64)
-        return executed.reshape(np.shape(proposals)), state
-
-    def _predict_inputs(self, proposals: Any, reason: Reason | None) -> Any:
-        """Filter continuous actions; where all of them verify, what is returned is the policy's own array."""
-        rows = proposals.reshape(len(self._doors), -1)
-        self.last_decisions = []
-        for door, reader, row in zip(self._doors, self._readers, rows, strict=True):
-            i = len(self.last_decisions)
-            if reader.road is not self._roads[i]:
-                self._roads[i] = reader.road
-                door.reset()
-            decision = door.decide(row)
-            if reason is not None and decision.reason is Reason.BAD_ACTION:
-                decision = replace(decision, reason=reason)
-            self.last_decisions.append(decision)
+        self.last_decisions = [self._decide(i, row, ranking, reason) for i, row in enumerate(rows)]
+        if not self._inputs:
+            executed = np.array([d.executed for d in self.last_decisions], dtype=np.int64)
+            return executed.reshape(np.shape(proposals)), state
         if not any(d.overridden for d in self.last_decisions):
-            return proposals
+            return proposals, state
         # Whole numbers cannot hold what was verified.
         kind = proposals.dtype if proposals.dtype.kind == "f" else np.dtype(np.float32)
-        executed = [np.asarray(d.executed, dtype=kind).reshape(-1) for d in self.last_decisions]
-        return np.stack(executed).reshape(proposals.shape)
+        inputs = [np.asarray(d.executed, dtype=kind).reshape(-1) for d in self.last_decisions]
+        return np.stack(inputs).reshape(proposals.shape), state
 
     def _decide(self, i: int, proposal: Any, ranking: _Ranking, reason: Reason | None) -> Decision:
-        core, reader = self._cores[i], self._readers[i]
-        start, proposed, labels = perf_counter(), action_index(proposal), reader.actions
-        if self.config.mode == "none":
-            return Decision(proposal, proposal if proposed < 0 else proposed, Reason.NONE, Tier.OFF, np.nan, 0.0)
-        if reader.road is not self._roads[i]:
-            self._roads[i] = reader.road
-            core.reset()
-        wish = Wish(proposed, labels, lambda: ranking.order(i, proposed, len(labels)))
-        decision = core.decide(read(reader), wish)
+        door, base = self._doors[i], self._bases[i]
+        if base.road is not self._roads[i]:
+            self._roads[i] = base.road
+            door.reset()
+        self._counted[i], self.frame_decisions[i] = door.core.violations, []
+        wanted: Any = None
+        if not self._inputs:
+            proposed = action_index(proposal)
+            wanted = lambda: ranking.order(i, proposed, base.action_space.n)  # noqa: E731
+        decision = door.decide(proposal, wanted)
         if reason is not None and decision.reason is Reason.BAD_ACTION:
             decision = replace(decision, reason=reason)
-        shown = proposal if proposed < 0 else proposed
-        return replace(decision, proposed=shown, latency=perf_counter() - start)
+        supervision = self._supervisions[i]
+        if self._frames and door.supervising and (supervision is None or not supervision.supervises(base.vehicle)):
+            self._supervisions[i] = Supervision(base, lambda: self._frame(i)).install()
+        return decision
+
+    def _frame(self, i: int) -> Command:
+        command, decision = self._doors[i].frame()
+        self.frame_decisions[i].append(decision)
+        return command
+
+
+def _row(observation: Any, i: int, n: int) -> Any:
+    """What one environment of several has shown."""
+    if n == 1:
+        return observation
+    if isinstance(observation, dict):
+        return {key: value[i] for key, value in observation.items()}
+    return observation[i]
 
 
 class _Ranking:
@@ -224,16 +257,3 @@ class _Ranking:
         if scores is None or np.atleast_2d(scores).shape[1] != actions:
             return None
         return order_from_scores(np.atleast_2d(scores)[row], proposed)
-
-
-def _base_environments(env: Any) -> list[Any]:
-    """The highway-env environments inside `env`, innermost."""
-    if not hasattr(env, "num_envs"):
-        return [env.unwrapped]
-    inner = getattr(env, "envs", None)
-    if inner is not None:
-        return [e.unwrapped for e in inner]
-    raise ConfigError(
-        f"{type(env).__name__} keeps its environments in other processes, where Shield cannot read "
-        "the scene; put the shield inside instead: SubprocVecEnv([lambda: ShieldedEnv(gym.make(...))])"
-    )

@@ -351,12 +351,13 @@ def test_a_stage_that_computes_nan_verifies_nothing(seed, spy):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.usefixtures("nan_stage")
-def test_a_stage_that_computes_nan_verifies_nothing_for_predict(seed, spy):
-    shield = Shield(Policy(3), env=spy)
+@pytest.mark.parametrize(("frames", "tier"), [(True, Tier.EMERGENCY), (False, Tier.LARGEST_MARGIN)])
+def test_a_stage_that_computes_nan_verifies_nothing_for_predict(seed, spy, frames, tier):
+    shield = Shield(Policy(3), env=spy, frames=frames)
     obs, _ = spy.reset(seed=seed)
     with np.errstate(all="ignore"):
         shield.predict(obs)
-    assert (shield.last_decision.reason, shield.last_decision.tier) == (Reason.NO_SAFE_PLAN, Tier.LARGEST_MARGIN)
+    assert (shield.last_decision.reason, shield.last_decision.tier) == (Reason.NO_SAFE_PLAN, tier)
 
 
 @pytest.mark.parametrize("door", ["env", "predict"])

@@ -139,9 +139,16 @@ def test_what_has_no_predict_is_refused(policy, env):
         Shield(policy, env=env)
 
 
-def test_other_environments_are_refused():
-    with pytest.raises(ConfigError, match="DiscreteMetaAction"):
-        Shield(Always(0), env=gym.make("CartPole-v1"))
+@pytest.mark.parametrize("door", [lambda env: Shield(Always(0), env=env), ShieldedEnv], ids=["policy", "env"])
+def test_what_is_no_highway_is_refused(door):
+    with pytest.raises(ConfigError, match=r"CartPoleEnv is not a highway-env environment.*racetracks and parking lots"):
+        door(gym.make("CartPole-v1"))
+    with pytest.raises(ConfigError, match=r"got ShieldConfig; settings go to config="):
+        door(ShieldConfig())
+    with pytest.raises(ConfigError, match="is a ShieldedEnv already"):
+        door(gym.wrappers.TimeLimit(ShieldedEnv(make()), 5))
+    with pytest.raises(ConfigError, match="ContinuousAction; this environment has DiscreteAction"):
+        door(gym.make("highway-fast-v0", config={"action": {"type": "DiscreteAction"}}))
 
 
 def test_attributes_of_the_model_are_reached_through_the_shield(models):
@@ -189,7 +196,7 @@ def test_two_environments_are_filtered_row_by_row_and_auto_reset_forgets():
     vec = DummyVecEnv([lambda: make(duration=3), lambda: make(duration=5)])
     vec.seed(0)
     obs = vec.reset()
-    shielded, fresh = Shield(Always(3), env=vec), [None, None]
+    shielded, fresh = Shield(Always(3), env=vec, frames=False), [None, None]
     for _ in range(16):
         action, _ = shielded.predict(obs)
         assert action.shape == (2,)
@@ -200,7 +207,7 @@ def test_two_environments_are_filtered_row_by_row_and_auto_reset_forgets():
                 assert same(other.last_decisions[i], shielded.last_decisions[i])
         obs, _, dones, _ = vec.step(action)
         # From an episode's start on, the shield decides as one that has seen nothing before.
-        fresh = [Shield(Always(3), env=vec) if dones[i] else fresh[i] for i in range(2)]
+        fresh = [Shield(Always(3), env=vec, frames=False) if dones[i] else fresh[i] for i in range(2)]
     assert None not in fresh
 
 

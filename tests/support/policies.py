@@ -6,7 +6,7 @@ import numpy as np
 from sb3_contrib import QRDQN, TRPO, MaskablePPO, RecurrentPPO
 from stable_baselines3 import A2C, DQN, PPO
 
-__all__ = ["KINDS", "SHORT", "Always", "Ranked", "make", "model_of"]
+__all__ = ["KINDS", "SHORT", "Always", "Playback", "Ranked", "make", "model_of"]
 
 SHORT = {"duration": 6}
 KINDS = {
@@ -27,6 +27,19 @@ def make(**config):
 def model_of(name, env):
     kind, policy, kwargs = KINDS[name]
     return kind(policy, env, policy_kwargs={"net_arch": [8]}, device="cpu", seed=0, **kwargs)
+
+
+class Playback:
+    """Actions one after the other, as an object with SB3's `predict`."""
+
+    def __init__(self, actions):
+        self._actions = iter(actions)
+
+    def __call__(self, observation):
+        return next(self._actions)
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return np.asarray(next(self._actions)), state
 
 
 class Always:

@@ -1,0 +1,79 @@
+"""What is handed in as an environment: the highway-env environments inside, or an error that says what is valid."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from shield.errors import ConfigError
+
+__all__ = ["base_environments", "refuse_shielded", "the_action_type"]
+
+_KINDS = ("DiscreteMetaAction", "ContinuousAction")
+
+
+def base_environments(env: Any, door: str) -> list[Any]:
+    """The highway-env environments inside a Gymnasium environment or a VecEnv of one process, innermost.
+
+    Raises
+    ------
+    ConfigError
+        If it is none, keeps its environments in other processes, or is shielded already.
+    """
+    if not hasattr(env, "unwrapped") and not hasattr(env, "num_envs"):
+        raise ConfigError(
+            f"{door} takes a Gymnasium environment or a VecEnv, got {type(env).__name__}; settings go to config="
+        )
+    each = [env]
+    if hasattr(env, "num_envs"):
+        each = getattr(env, "envs", None) or []
+        if not each:
+            raise ConfigError(
+                f"{type(env).__name__} keeps its environments in other processes, where {door} cannot read "
+                "the scene; put the shield inside instead: SubprocVecEnv([lambda: ShieldedEnv(gym.make(...))])"
+            )
+    for one in each:
+        refuse_shielded(one, door)
+    bases = [one.unwrapped for one in each]
+    for base in bases:
+        if not hasattr(base, "road") or not hasattr(base, "controlled_vehicles"):
+            raise ConfigError(
+                f"{type(base).__name__} is not a highway-env environment: it has no road and vehicles. {door} is for "
+                "highway-v0, highway-fast-v0 and roads like theirs, racetracks and parking lots"
+            )
+    return bases
+
+
+def refuse_shielded(env: Any, door: str) -> None:
+    """Raise where there is a shield inside already.
+
+    Raises
+    ------
+    ConfigError
+        If one of the wrappers is a `ShieldedEnv`.
+    """
+    if any(type(one).__name__ == "ShieldedEnv" for one in _layers(env)):
+        raise ConfigError(f"this environment is a ShieldedEnv already: {door} around it would filter what was filtered")
+
+
+def the_action_type(bases: list[Any], door: str) -> str:
+    """What the policy decides about: "DiscreteMetaAction" or "ContinuousAction".
+
+    Raises
+    ------
+    ConfigError
+        If it is neither, or not the same in all environments.
+    """
+    kinds = sorted({type(getattr(base, "action_type", None)).__name__ for base in bases})
+    if len(kinds) != 1 or kinds[0] not in _KINDS:
+        raise ConfigError(
+            f"{door} filters {' or '.join(_KINDS)}; this environment has {', '.join(kinds)}. "
+            'Pass config={"action": {"type": "DiscreteMetaAction"}} to gym.make'
+        )
+    return kinds[0]
+
+
+def _layers(env: Any) -> Iterator[Any]:
+    while env is not None:
+        yield env
+        env = env.__dict__.get("env")

@@ -1,0 +1,98 @@
+"""The door for `DiscreteMetaAction`: meta-actions filtered, and the frames between two of them supervised."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from dynamics.scenes.scene import Scene, SceneReader, Target
+from shield.config import ShieldConfig
+from shield.decision import Decision, Reason, Tier
+from shield.doors.discrete_action import action_index
+from shield.doors.input_door import refuse_lots
+from shield.doors.supervision import Command
+from shield.procedures.decide import Core, Unreadable, read
+from shield.procedures.frames import Frames
+from shield.procedures.meta_actions import MetaActions
+from shield.procedures.meta_actions_only import MetaActionsOnly
+from shield.procedures.nearest_inputs import NearestInputs
+from shield.procedures.screen import RuleAlone, Wish
+
+__all__ = ["MetaDoor"]
+
+
+class MetaDoor:
+    """Filters the meta-actions of one environment.
+
+    Parameters
+    ----------
+    base : the highway-env environment, unwrapped.
+    config : settings.
+    frames : whether the frames between two decisions are supervised, with `frame`. Without, a meta-action has to last
+        until the next decision, and the shield's look-ahead ends with its horizon.
+
+    Raises
+    ------
+    SceneError
+        If the environment's road or number of controlled vehicles is not supported.
+    ConfigError
+        If it is a parking lot.
+    """
+
+    def __init__(self, base: Any, config: ShieldConfig, frames: bool = True) -> None:
+        refuse_lots([base])
+        self.config, self.reader, self._base = config, SceneReader(base), base
+        self._meta: Any = MetaActions(config) if frames else MetaActionsOnly(config)
+        self._frames = Frames(config, NearestInputs(config) if config.repair == "filter" else None)
+        alone = config.mode in ("distance", "rss", "ttc")
+        self.core: Core[Any] = Core(RuleAlone(config) if alone else self._meta)
+        self._passed: tuple[Decision, Target] | None = None
+
+    @property
+    def supervising(self) -> bool:
+        """Whether `frame` has a say."""
+        return self.config.mode == "full"
+
+    def reset(self) -> None:
+        """Forget everything about the episode."""
+        self.core.reset()
+        self._passed = None
+
+    def decide(self, action: Any, order: Callable[[], list[int] | None] | None = None) -> Decision:
+        """Filter one meta-action; `order` gives the policy's order of preference over the others."""
+        start, proposed, labels = perf_counter(), action_index(action), self.reader.actions
+        shown = action if proposed < 0 else proposed
+        self._passed = None
+        if self.config.mode == "none":
+            return Decision(shown, shown, Reason.NONE, Tier.OFF, np.nan, 0.0)
+        scene = read(self.reader)
+        decision = self.core.decide(scene, Wish(proposed, labels, order))
+        if decision.tier is Tier.PASSED and isinstance(scene, Scene):
+            self._passed = replace(decision, latency=0.0), scene.target_of(proposed)
+        return replace(decision, proposed=shown, latency=perf_counter() - start)
+
+    def frame(self) -> tuple[Command, Decision]:
+        """What the actuators get for the next frame, None where the environment's own stands; and the record."""
+        passed, self._passed = self._passed, None
+        if passed is not None and self._tracked() == passed[1]:
+            # The decision has just verified this very frame, with this very target.
+            return None, passed[0]
+        scene = read(self.reader)
+        blind = Target(int(self._base.vehicle.lane_index[2]), 0.0)
+        target = blind if isinstance(scene, Unreadable) else scene.control.target
+        decision = self.core.decide(scene, target, self._frames)
+        return (None if decision.tier is Tier.PASSED else decision.executed), decision
+
+    def mask(self) -> np.ndarray[Any, Any]:
+        """Which actions verify now; all True where none does."""
+        mask: np.ndarray[Any, Any] = self._meta.mask(self.core.memory, self.reader.read())
+        return mask if mask.any() else np.ones_like(mask)
+
+    def _tracked(self) -> Target:
+        """What the ego's controllers track."""
+        ego = self._base.vehicle
+        return Target(int(ego.target_lane_index[2]), float(ego.target_speed))

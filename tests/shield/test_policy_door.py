@@ -1,0 +1,118 @@
+"""`Shield(policy)` between the policy and an environment that it reads: which one, and for how long."""
+
+import copy
+import pickle
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+import pytest
+from policies import Always, Playback, make
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from shield import Shield, ShieldConfig, ShieldedEnv
+from shield.errors import SceneError
+
+CONTINUOUS = {"action": {"type": "ContinuousAction"}}
+
+
+def driven(env, act, seed):
+    """What comes of an episode: rewards, and what the shield reported."""
+    obs, _ = env.reset(seed=seed)
+    out, done = [], False
+    while not done:
+        obs, reward, terminated, truncated, info = env.step(act(obs))
+        out.append((reward, info))
+        done = terminated or truncated
+    return out
+
+
+@pytest.mark.parametrize("config", [{}, CONTINUOUS], ids=["meta", "inputs"])
+@pytest.mark.parametrize("seed", range(3))
+def test_it_drives_exactly_as_the_shielded_environment_does(config, seed):
+    actions = np.random.default_rng(seed)
+    plan = [actions.uniform(-1, 1, 2).astype(np.float32) if config else int(actions.integers(5)) for _ in range(12)]
+    env = gym.make("highway-fast-v0", config={"duration": 12, **config})
+    policy = Playback(plan)
+    shield = Shield(policy, env=env)
+    reports = []
+
+    def act(obs):
+        if shield.last_decisions:
+            reports.append(shield.report())
+        return shield.predict(obs)[0]
+
+    mine = driven(env, act, seed)
+    theirs = driven(ShieldedEnv(gym.make("highway-fast-v0", config={"duration": 12, **config})), Playback(plan), seed)
+    assert [reward for reward, _ in mine] == [reward for reward, _ in theirs]
+    reports.append(shield.report())
+    for report, (_, info) in zip(reports, theirs, strict=True):
+        expected = info["shield"]
+        assert {k: report[k] for k in report if k != "latency_ms"} == {
+            k: expected[k] for k in expected if k != "latency_ms"
+        }
+
+
+def test_always_faster_does_not_crash_between_two_decisions():
+    crashed = []
+    for frames in (False, True):
+        env = gym.make("highway-fast-v0")
+        shield = Shield(Always(3), env=env, frames=frames)
+        for seed in range(12):
+            driven(env, lambda obs, shield=shield: int(shield.predict(obs)[0]), seed)
+            crashed.append((frames, env.unwrapped.vehicle.crashed))
+    assert not any(crash for frames, crash in crashed if frames)
+
+
+def test_another_environment_than_the_one_that_is_driven_is_noticed(tmp_path):
+    trained, driven = make(duration=20), make(duration=20)
+    model = PPO("MlpPolicy", trained, n_steps=8, batch_size=8, device="cpu")
+    model.save(tmp_path / "model.zip")
+    shield = Shield(PPO.load(tmp_path / "model.zip", env=trained, device="cpu"))
+    obs, _ = driven.reset(seed=0)
+    action, _ = shield.predict(obs)
+    shield.predict(obs)  # to ask twice about the same is no driving
+    obs, *_ = driven.step(int(action))
+    with pytest.raises(SceneError, match=r"Shield\(model, env=env\)"):
+        shield.predict(obs)
+
+
+def test_one_of_several_that_stands_still_is_noticed():
+    vec = DummyVecEnv([make, make])
+    shield = Shield(Always(1), env=vec)
+    obs = vec.reset()
+    shield.predict(obs)
+    obs[0], *_ = vec.envs[0].step(1)
+    shield.predict(obs)
+    obs[1] += 0.01
+    with pytest.raises(SceneError, match="nobody drives"):
+        shield.predict(obs)
+
+
+def test_a_copy_of_the_environment_is_not_supervised():
+    env = make()
+    shield = Shield(Always(3), env=env)
+    obs, _ = env.reset(seed=0)
+    shield.predict(obs)
+    copied = copy.deepcopy(env.unwrapped)
+    before = pickle.dumps((env.unwrapped.vehicle.position, env.unwrapped.vehicle.speed))
+    copied.step(3)
+    assert shield.frame_decisions == [[]]
+    assert pickle.dumps((env.unwrapped.vehicle.position, env.unwrapped.vehicle.speed)) == before
+    assert copied.vehicle.speed != env.unwrapped.vehicle.speed
+    env.step(3)
+    assert shield.frame_decisions[0]
+
+
+def test_reset_takes_the_hand_off_the_vehicle():
+    env = make()
+    shield = Shield(Always(3), env=env)
+    obs, _ = env.reset(seed=0)
+    shield.predict(obs)
+    assert "act" in vars(env.unwrapped.vehicle)
+    shield.reset()
+    assert "act" not in vars(env.unwrapped.vehicle)
+    off = Shield(Always(3), env=env, config=ShieldConfig(mode="none"))
+    off.predict(obs)
+    assert "act" not in vars(env.unwrapped.vehicle)

@@ -136,7 +136,7 @@ def step_share(policy: Any, decisions: int) -> tuple[list[float], list[float], l
     while len(with_shield) < decisions:
         action = int(policy.predict(obs, deterministic=True)[0])
         start = perf_counter()
-        obs, _, terminated, truncated, info = shielded.step(action)
+        obs, _, terminated, truncated, _ = shielded.step(action)
         middle = perf_counter()
         executed = int(shielded.last_decision.executed) if shielded.last_decision else action
         # The bare step, too, comes right after the policy has run, as it does where one drives.
@@ -148,7 +148,7 @@ def step_share(policy: Any, decisions: int) -> tuple[list[float], list[float], l
         if i > warm:
             with_shield.append(middle - start)
             without.append(end - again)
-            inside.append(1e-3 * info["shield"]["latency_ms"])
+            inside.append(shielded.latency)
         if terminated or truncated or ended or cut:
             seed += 1
             obs, _ = shielded.reset(seed=seed)

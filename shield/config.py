@@ -64,6 +64,8 @@ class ShieldConfig:
         "range"s, or the "acceleration"s along and across that they mean, a and v^2 delta / L; those swerve less.
     record : keep the others' occupancy in each `Decision` (for drawing); there is none in a parking lot.
     clearance : the distance that no verified action may violate in a parking lot, on all sides [m].
+    patience : for how many decisions in a row the fallback acts where the scene, or the policy's action, cannot be
+        read; then that is raised. 0 for any number.
     """
 
     mode: str = "full"
@@ -79,6 +81,7 @@ class ShieldConfig:
     norm: str = "range"
     record: bool = False
     clearance: float = 0.1
+    patience: int = 30
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:
@@ -93,6 +96,8 @@ class ShieldConfig:
             raise ConfigError(f"ShieldConfig.assumptions must be Assumptions, got {self.assumptions!r}")
         if not isinstance(self.record, bool):
             raise ConfigError(f"ShieldConfig.record must be true or false, got {self.record!r}")
+        if type(self.patience) is not int or self.patience < 0:
+            raise ConfigError(f"ShieldConfig.patience must be a whole number of decisions, got {self.patience!r}")
         for name in (
             "clearance",
             "braking",

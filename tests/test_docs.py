@@ -22,7 +22,7 @@ def test_the_readme_example_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     (block,) = re.findall(r"```python\n(.*?)```", TEXT["README.md"], re.DOTALL)
     names: dict[str, object] = {}
     exec(compile(block, "README.md", "exec"), names)
-    assert set(names["info"]["shield"]) >= {"overridden", "reason", "tier", "margin", "latency_ms"}  # type: ignore[index]
+    assert set(names["info"]["shield"]) >= {"overridden", "reason", "tier", "margin"}  # type: ignore[index]
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -103,6 +103,10 @@ class LotReader:
         if count != 1:
             raise SceneError(f"the shield supports one controlled vehicle, got {count}")
 
+    def check(self) -> None:
+        """Raise SceneError where the lot cannot be read."""
+        self.read()
+
     def read(self) -> Lot:
         """The lot now.
 

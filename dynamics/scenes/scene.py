@@ -174,8 +174,8 @@ class SceneReader:
         """Labels of the meta-actions, by index."""
         return tuple(getattr(self._env.action_type, "actions", {}).values())
 
-    def read(self) -> Scene:
-        """The scene now.
+    def check(self) -> None:
+        """Read the road map.
 
         Raises
         ------
@@ -188,6 +188,17 @@ class SceneReader:
         if env.road.network is not self._network or self._road is None:
             self._road = _road_of(env.road.network, self._curved)
             self._network = env.road.network
+
+    def read(self) -> Scene:
+        """The scene now.
+
+        Raises
+        ------
+        SceneError
+            If the road is missing or unsupported.
+        """
+        self.check()
+        env = self._env
         ego = env.vehicle
         if ego is None:
             raise SceneError("the environment has no ego vehicle; call reset() first")

@@ -140,10 +140,10 @@ class _Driver:
     def _shield_info(self, info: Mapping[str, Any]) -> Mapping[str, Any]:
         if self.variant.door == "none":
             return {**_UNSHIELDED, "latency_ms": 0.0}
-        if self.shield is None:
-            shield: Mapping[str, Any] = info["shield"]
-            return shield
-        return self.shield.report()
+        if self.shield is not None:
+            return {**self.shield.report(), "latency_ms": 1e3 * self.shield.latency}
+        assert isinstance(self.env, ShieldedEnv)
+        return {**info["shield"], "latency_ms": 1e3 * self.env.latency}
 
 
 def _plain(action: Any) -> Any:

@@ -18,6 +18,7 @@ from shield.doors.discrete_action import action_index
 from shield.doors.environments import base_environments, the_action_type
 from shield.doors.input_door import InputDoor
 from shield.doors.meta_door import MetaDoor
+from shield.doors.patience import Patience
 from shield.doors.ranking import order_from_scores, ranking_of
 from shield.doors.report import report
 from shield.doors.supervision import Command, Supervision
@@ -56,8 +57,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     Notes
     -----
-    `info["shield"]` holds `overridden`, `reason`, `tier`, `margin` [m], `latency_ms` (all the time that the
-    shield took in this step), `frames_overridden` and `violations` (of the assumptions, by the traffic).
+    `info["shield"]` holds `overridden`, `reason`, `tier`, `margin` [m], `frames_overridden` and `violations` (of the
+    assumptions, by the traffic); `latency` is all the time that the shield took in the last step [s].
 
     Examples
     --------
@@ -93,7 +94,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self.core: Core[Any] = self._door.core
         warm_up()
         self._observation: Any = None
-        self._supervising = 0.0
+        self._supervising = self.latency = 0.0
+        self._patience = Patience(self.config.patience)
         self.last_decision: Decision | None = None
         self.frame_decisions: list[Decision] = []
 
@@ -116,6 +118,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         start = perf_counter()
         before = self.core.violations
         decision = self._door.decide(action, self._order_of(action))
+        self._patience.check(decision, self._door.cause)
         self.last_decision = decision
         self.frame_decisions = []
         self._supervising = 0.0
@@ -126,8 +129,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         else:
             obs, reward, terminated, truncated, info = self.env.step(decision.executed)
         self._observation = obs
-        violations = self.core.violations - before
-        info["shield"] = report(decision, self.frame_decisions, deciding + self._supervising, violations)
+        self.latency = deciding + self._supervising
+        info["shield"] = report(decision, self.frame_decisions, self.core.violations - before)
         return obs, float(reward), terminated, truncated, info
 
     def action_masks(self) -> np.ndarray[Any, Any]:

@@ -71,17 +71,29 @@ class InputDoor:
                 f"speed_range {base.action_type.speed_range}. Leave speed_range out of the action's config"
             )
         self._agent = agent
+        self.cause = ""
+        if base.road is not None and not self._off:
+            self._reader.check()
         self._untouched = True
         self._cruise: float | None = None
         self._proposal: FloatArray | None = None
         self._first: tuple[FloatArray, Decision] | None = None
 
     def reset(self) -> None:
-        """Forget everything about the episode, and compute what depends on the road alone."""
+        """Forget everything about the episode, and compute what depends on the road alone.
+
+        Raises
+        ------
+        SceneError
+            If the episode's road is not supported.
+        """
         self.core.reset()
         self._first = self._cruise = None
         procedure = self.core.procedure
-        if self._off or not isinstance(procedure, Inputs):
+        if self._off:
+            return
+        self._reader.check()
+        if not isinstance(procedure, Inputs):
             return
         # A scene that cannot be read is for the first decision to fail closed on.
         with suppress(SceneError):
@@ -140,6 +152,7 @@ class InputDoor:
     def _filter(self) -> tuple[FloatArray, Decision]:
         start, proposal = perf_counter(), self._proposal
         scene = read(self._reader, self._stopping())
+        self.cause = scene.cause if isinstance(scene, Unreadable) else ""
         if proposal is not None and not isinstance(scene, Unreadable):
             proposal = self._cruising(scene, proposal)
         decision = self.core.decide(scene, proposal)

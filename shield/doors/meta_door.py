@@ -41,6 +41,10 @@ class MetaDoor:
         If the environment's road or number of controlled vehicles is not supported.
     ConfigError
         If it is a parking lot.
+
+    Attributes
+    ----------
+    core : what decides, and remembers. cause : why the scene of the last decision could not be read, "" where it could.
     """
 
     def __init__(self, base: Any, config: ShieldConfig, frames: bool = True) -> None:
@@ -51,6 +55,9 @@ class MetaDoor:
         alone = config.mode in ("distance", "rss", "ttc")
         self.core: Core[Any] = Core(RuleAlone(config) if alone else self._meta)
         self._passed: tuple[Decision, Target] | None = None
+        self.cause = ""
+        if base.road is not None and config.mode != "none":
+            self.reader.check()
 
     @property
     def supervising(self) -> bool:
@@ -58,8 +65,16 @@ class MetaDoor:
         return self.config.mode == "full"
 
     def reset(self) -> None:
-        """Forget everything about the episode."""
+        """Forget everything about the episode.
+
+        Raises
+        ------
+        SceneError
+            If the episode's road is not supported.
+        """
         self.core.reset()
+        if self.config.mode != "none":
+            self.reader.check()
         self._passed = None
 
     def decide(self, action: Any, order: Callable[[], list[int] | None] | None = None) -> Decision:
@@ -70,6 +85,7 @@ class MetaDoor:
         if self.config.mode == "none":
             return Decision(shown, shown, Reason.NONE, Tier.OFF, np.nan, 0.0)
         scene = read(self.reader)
+        self.cause = scene.cause if isinstance(scene, Unreadable) else ""
         decision = self.core.decide(scene, Wish(proposed, labels, order))
         if decision.tier is Tier.PASSED and isinstance(scene, Scene):
             self._passed = replace(decision, latency=0.0), scene.target_of(proposed)

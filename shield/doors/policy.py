@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from shield.doors.environments import base_environments, the_action_type
 from shield.doors.input_door import InputDoor
 from shield.doors.liveness import Liveness
 from shield.doors.meta_door import MetaDoor
+from shield.doors.patience import Patience
 from shield.doors.ranking import order_from_scores, ranking_of
 from shield.doors.report import report
 from shield.doors.supervision import Command, Supervision
@@ -104,6 +106,7 @@ class Shield:
         warm_up()
         n = len(self._bases)
         self._roads: list[Any] = [None] * n
+        self._patience = [Patience(self.config.patience) for _ in self._bases]
         self._alive = [Liveness(base) for base in self._bases]
         self._supervisions: list[Supervision | None] = [None] * n
         self._counted = [0] * n
@@ -125,9 +128,13 @@ class Shield:
         """
         if not self.last_decisions:
             raise ConfigError("report() is about the last decision; call predict() first")
-        decision, frames = self.last_decisions[i], self.frame_decisions[i]
-        latency = decision.latency + sum(d.latency for d in frames)
-        return report(decision, frames, latency, self._doors[i].core.violations - self._counted[i])
+        violations = self._doors[i].core.violations - self._counted[i]
+        return report(self.last_decisions[i], self.frame_decisions[i], violations)
+
+    @property
+    def latency(self) -> float:
+        """All the time that the shield took since `predict` was called last, the policy's own excepted [s]."""
+        return sum(d.latency for d in chain(self.last_decisions, *self.frame_decisions))
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name == "policy":
@@ -166,10 +173,14 @@ class Shield:
         ConfigError
             If a batch has not one row per environment.
         SceneError
-            If the observation has changed, and the environment that the shield reads has not moved.
+            If the observation has changed, and the environment that the shield reads has not moved; or its road is not
+            supported; or if it could not be read in more than `ShieldConfig.patience` decisions in a row.
+        PolicyError
+            If the policy has failed in as many.
         """
         reason: Reason | None = None
         proposals: Any
+        cause = ""
         first = self._doors[0]
         size = first.actuators.size if isinstance(first, InputDoor) else 1
         for i, alive in enumerate(self._alive):
@@ -178,8 +189,9 @@ class Shield:
             proposals, state = self.policy.predict(
                 observation, state=state, episode_start=episode_start, deterministic=deterministic
             )
-        except Exception:
-            _log.exception("the policy raised; the fallback acts")
+        except Exception as error:
+            cause = f"{type(error).__name__}: {error}"
+            _log.debug("the policy raised", exc_info=True)
             # A policy that breaks must not take the car with it: the record says that it did.
             space, seen = self._env.observation_space, observation
             if isinstance(seen, dict) and seen:
@@ -200,6 +212,8 @@ class Shield:
         rows = np.asarray(proposals).reshape(len(self._doors), -1) if self._inputs else flat
         ranking = _Ranking(self.policy, observation)
         self.last_decisions = [self._decide(i, row, ranking, reason) for i, row in enumerate(rows)]
+        for patience, decision, door in zip(self._patience, self.last_decisions, self._doors, strict=True):
+            patience.check(decision, cause or door.cause)
         if not self._inputs:
             executed = np.array([d.executed for d in self.last_decisions], dtype=np.int64)
             return executed.reshape(np.shape(proposals)), state

@@ -12,13 +12,13 @@ from shield.decision import Decision
 __all__ = ["report"]
 
 
-def report(decision: Decision, frames: Sequence[Decision], latency: float, violations: int) -> dict[str, Any]:
+def report(decision: Decision, frames: Sequence[Decision], violations: int) -> dict[str, Any]:
     """A decision and those about its frames as one: overridden where one of them is, with the reason of a fallback
     before that of any other.
 
     Parameters
     ----------
-    latency : of all of them [s]. violations : of the assumptions, by the traffic.
+    violations : of the assumptions, by the traffic.
     """
     held = [d for d in frames if d.overridden]
     overridden = [decision, *held] if decision.overridden else held
@@ -29,7 +29,6 @@ def report(decision: Decision, frames: Sequence[Decision], latency: float, viola
         "reason": shown.reason.value,
         "tier": shown.tier.value,
         "margin": min(margins, default=float("inf")),
-        "latency_ms": 1e3 * latency,
         "frames_overridden": len(held),
         "violations": violations,
     }

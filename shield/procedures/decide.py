@@ -80,12 +80,13 @@ class Unreadable:
 
     Attributes
     ----------
-    reason : why. stopping : the acceleration that just stops the ego until the next scene [m/s^2], NaN where its speed
-        is not known.
+    reason : why. cause : what was raised. stopping : the acceleration that just stops the ego until the next scene
+        [m/s^2], NaN where its speed is not known.
     """
 
     reason: Reason = Reason.BAD_SCENE
     stopping: float = float("nan")
+    cause: str = ""
 
 
 class Procedure(Protocol[S, View]):
@@ -185,8 +186,8 @@ def read(reader: Reader, stopping: float = np.nan) -> Any:
     """The scene now, or `Unreadable`."""
     try:
         return reader.read()
-    except SceneError:
-        return Unreadable(Reason.BAD_SCENE, stopping)
+    except SceneError as error:
+        return Unreadable(Reason.BAD_SCENE, stopping, str(error))
     except Exception:
         _log.exception("the scene could not be read; the last resort acts")
         return Unreadable(Reason.STAGE_FAILED, stopping)

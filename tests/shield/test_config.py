@@ -116,7 +116,7 @@ def test_what_is_wrong_is_named(text, word):
         ShieldConfig.from_toml(text)
 
 
-OTHERS = ("mode", "buffer", "assumptions", "repair", "norm", "record")
+OTHERS = ("mode", "buffer", "assumptions", "repair", "norm", "record", "patience")
 NUMBERS = [f.name for f in fields(ShieldConfig) if f.name not in OTHERS]
 
 

@@ -163,7 +163,7 @@ def test_a_reader_that_raises_brakes_to_a_stop_and_never_backwards(error, env, m
     env.step(FULL * 0)
     with monkeypatch.context() as patch, Actions(env) as actions:
         patch.setattr(SceneReader, "read", lambda self: (_ for _ in ()).throw(error))
-        for _ in range(40):
+        for _ in range(30):
             *_, info = env.step(FULL)
             assert info["shield"]["tier"] == "emergency"
             assert info["shield"]["reason"] == ("bad_scene" if isinstance(error, SceneError) else "stage_failed")

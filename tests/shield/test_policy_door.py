@@ -11,8 +11,9 @@ from policies import Always, Playback, make
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from dynamics.scenes.scene import SceneReader
 from shield import Shield, ShieldConfig, ShieldedEnv
-from shield.errors import SceneError
+from shield.errors import ConfigError, PolicyError, SceneError
 
 CONTINUOUS = {"action": {"type": "ContinuousAction"}}
 
@@ -48,10 +49,7 @@ def test_it_drives_exactly_as_the_shielded_environment_does(config, seed):
     assert [reward for reward, _ in mine] == [reward for reward, _ in theirs]
     reports.append(shield.report())
     for report, (_, info) in zip(reports, theirs, strict=True):
-        expected = info["shield"]
-        assert {k: report[k] for k in report if k != "latency_ms"} == {
-            k: expected[k] for k in expected if k != "latency_ms"
-        }
+        assert report == info["shield"]
 
 
 def test_always_faster_does_not_crash_between_two_decisions():
@@ -116,3 +114,70 @@ def test_reset_takes_the_hand_off_the_vehicle():
     off = Shield(Always(3), env=env, config=ShieldConfig(mode="none"))
     off.predict(obs)
     assert "act" not in vars(env.unwrapped.vehicle)
+
+
+UNSUPPORTED = [
+    ("merge-v0", "DiscreteMetaAction"),
+    ("roundabout-v0", "DiscreteMetaAction"),
+    ("intersection-v0", "DiscreteMetaAction"),
+    ("intersection-v0", "ContinuousAction"),
+    ("exit-v0", "DiscreteMetaAction"),
+    ("exit-v0", "ContinuousAction"),
+    ("two-way-v0", "DiscreteMetaAction"),
+    ("u-turn-v0", "DiscreteMetaAction"),
+]
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(("name", "kind"), UNSUPPORTED)
+@pytest.mark.parametrize("door", [lambda env: Shield(Always(0), env=env), ShieldedEnv], ids=["policy", "env"])
+def test_roads_that_are_not_supported_are_refused_at_once(door, name, kind):
+    env = gym.make(name, config={"action": {"type": kind}})
+    with pytest.raises(SceneError, match=r"support"):
+        door(env)
+    assert env.reset(seed=0)  # the environment is none the worse for it
+
+
+class Broken:
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        raise RuntimeError("weights are gone")
+
+
+def test_a_policy_that_fails_on_and_on_is_an_error_and_said_once(caplog):
+    env = make(duration=100, policy_frequency=5)
+    shield = Shield(Broken(), env=env, config=ShieldConfig(patience=4))
+    obs, _ = env.reset(seed=0)
+    for _ in range(4):
+        action, _ = shield.predict(obs)
+        obs, *_ = env.step(int(action))
+    assert [r.message for r in caplog.records if "weights are gone" in r.message] == [caplog.records[-1].message]
+    with pytest.raises(PolicyError, match=r"5 decisions in a row.*RuntimeError: weights are gone.*patience"):
+        shield.predict(obs)
+
+
+@pytest.mark.parametrize("door", ["policy", "env"])
+def test_a_scene_that_cannot_be_read_is_an_error_after_a_while(door, monkeypatch, caplog):
+    env = make(duration=100, policy_frequency=5)
+    shield = Shield(Always(1), env=env, config=ShieldConfig(patience=3))
+    shielded = ShieldedEnv(env, ShieldConfig(patience=3)) if door == "env" else env
+    obs, _ = shielded.reset(seed=0)
+
+    def unreadable(self):
+        raise SceneError("fog")
+
+    monkeypatch.setattr(SceneReader, "read", unreadable)
+
+    def step(obs):
+        return shielded.step(1 if door == "env" else int(shield.predict(obs)[0]))[0]
+
+    for _ in range(3):
+        obs = step(obs)
+    with pytest.raises(SceneError, match=r"4 decisions in a row: the scene could not be read.*\(fog\)"):
+        step(obs)
+    assert sum("fog" in r.message for r in caplog.records) == 1
+
+
+@pytest.mark.parametrize("patience", [-1, 2.5, True, "7"])
+def test_patience_is_a_number_of_decisions(patience):
+    with pytest.raises(ConfigError, match="whole number of decisions"):
+        ShieldConfig(patience=patience)

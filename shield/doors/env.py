@@ -14,12 +14,13 @@ from gymnasium.utils import RecordConstructorArgs
 from mpc.filter.program.road_step import StageModel
 from shield.config import ShieldConfig
 from shield.decision import Decision
+from shield.doors.adapters import as_policy
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import base_environments, the_action_type
 from shield.doors.input_door import InputDoor
 from shield.doors.meta_door import MetaDoor
 from shield.doors.patience import Patience
-from shield.doors.ranking import order_from_scores, ranking_of
+from shield.doors.ranking import normalised, order_from_scores, ranking_of
 from shield.doors.report import report
 from shield.doors.supervision import Command, Supervision
 from shield.errors import ConfigError, SceneError
@@ -81,7 +82,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         RecordConstructorArgs.__init__(self, _disable_deepcopy=True, config=config, policy=policy, model=model)
         gym.Wrapper.__init__(self, env)
         self.config = ShieldConfig.of(config)
-        self.policy = policy
+        self.policy = None if policy is None else as_policy(policy, env)
         self._base: Any = bases[0]
         kind = the_action_type(bases, "ShieldedEnv")
         self._door: MetaDoor | InputDoor
@@ -147,7 +148,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return None if self.policy is None else lambda: self._order(action_index(action))
 
     def _order(self, proposed: int) -> list[int] | None:
-        scores = ranking_of(self.policy, self._observation)
+        scores = ranking_of(self.policy, normalised(self.policy, self._observation))
         if scores is None or np.size(scores) != gym.spaces.flatdim(self.unwrapped.action_space):
             return None
         return order_from_scores(np.asarray(scores).reshape(-1), proposed)

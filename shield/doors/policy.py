@@ -12,6 +12,7 @@ import numpy as np
 
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
+from shield.doors.adapters import as_policy, refuse_misfits
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import base_environments, the_action_type
 from shield.doors.input_door import InputDoor
@@ -21,7 +22,7 @@ from shield.doors.patience import Patience
 from shield.doors.ranking import order_from_scores, ranking_of
 from shield.doors.report import report
 from shield.doors.supervision import Command, Supervision
-from shield.errors import ConfigError, PolicyError
+from shield.errors import ConfigError
 from shield.procedures.warm_up import warm_up
 
 __all__ = ["Shield"]
@@ -38,7 +39,8 @@ class Shield:
 
     Parameters
     ----------
-    policy : an SB3 or sb3-contrib model, a bare `BasePolicy`, or any object with SB3's `predict()`.
+    policy : an SB3 or sb3-contrib model, a bare `BasePolicy`, any object with SB3's `predict()`, a `torch.nn.Module`
+        (scores of the actions, or continuous ones), or a function of the observation.
     env : the environment(s) that the actions are meant for: a Gymnasium environment or a VecEnv of one process. Without
         it the environment that the model carries is used; `predict` raises where another one is driven.
     config : settings, or the path of a TOML file; `ShieldConfig()` by default. Without `frames`, meta-actions have
@@ -49,7 +51,7 @@ class Shield:
     Raises
     ------
     PolicyError
-        If `policy` has no `predict`.
+        If `policy` is none of these, or was made for other observations or actions.
     ConfigError
         If there is no highway-env environment to read the scene from, it is shielded already, its actions are neither
         meta-actions nor continuous, or it is a parking lot and they are not continuous, or cannot brake; or if the
@@ -79,12 +81,6 @@ class Shield:
     def __init__(
         self, policy: Any, env: Any = None, config: ShieldConfig | str | Path | None = None, frames: bool = True
     ) -> None:
-        if not callable(getattr(policy, "predict", None)):
-            raise PolicyError(
-                f"{type(policy).__name__} has no predict(); pass an SB3 model, a BasePolicy, or an "
-                "object with predict(obs, state, episode_start, deterministic)"
-            )
-        self.policy = policy
         if env is None:
             env = policy.get_env() if callable(getattr(policy, "get_env", None)) else None
         if env is None:
@@ -94,6 +90,8 @@ class Shield:
             )
         self._env = env
         self._bases = base_environments(env, "Shield")
+        self.policy = as_policy(policy, env)
+        refuse_misfits(self.policy, env)
         self._frames = frames
         self._doors: list[MetaDoor | InputDoor]
         if the_action_type(self._bases, "Shield") == "ContinuousAction":

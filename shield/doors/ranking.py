@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["order_from_scores", "ranking_of"]
+__all__ = ["normalised", "order_from_scores", "ranking_of"]
 
 
 def ranking_of(policy: Any, obs: Any) -> Any:
@@ -34,6 +34,12 @@ def ranking_of(policy: Any, obs: Any) -> Any:
             probs = getattr(distribution, "probs", None)
             return None if probs is None else probs.cpu().numpy().astype(float)
     return None
+
+
+def normalised(policy: Any, observation: Any) -> Any:
+    """An observation of the environment as a model has learned to see it: by the `VecNormalize` that it carries."""
+    inside = getattr(policy, "get_vec_normalize_env", lambda: None)()
+    return observation if inside is None else inside.normalize_obs(observation)
 
 
 def order_from_scores(scores: Any, proposed: int) -> list[int]:

@@ -7,12 +7,14 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
+import torch
 from policies import Always, Playback, make
 from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from dynamics.scenes.scene import SceneReader
 from shield import Shield, ShieldConfig, ShieldedEnv
+from shield.doors.ranking import normalised, ranking_of
 from shield.errors import ConfigError, PolicyError, SceneError
 
 CONTINUOUS = {"action": {"type": "ContinuousAction"}}
@@ -181,3 +183,72 @@ def test_a_scene_that_cannot_be_read_is_an_error_after_a_while(door, monkeypatch
 def test_patience_is_a_number_of_decisions(patience):
     with pytest.raises(ConfigError, match="whole number of decisions"):
         ShieldConfig(patience=patience)
+
+
+# -- what is handed in as a policy ------------------------------------------------------------------------------
+
+
+class Old:
+    def predict(self, obs):
+        return 3
+
+
+DOORS = [lambda p, env: Shield(p, env=env), lambda p, env: ShieldedEnv(env, policy=p)]
+
+
+@pytest.mark.parametrize("door", DOORS, ids=["policy", "env"])
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        (42, r"int has no predict\(\); pass an SB3 model, a BasePolicy, a torch.nn.Module, a function"),
+        ("ppo.zip", r"str has no predict"),
+        (PPO, r"PPO is a class; pass a model, such as PPO.load\(path\)"),
+        (Old(), r"Old.predict\(obs\) cannot be called as SB3's predict.*Add these arguments"),
+    ],
+    ids=["number", "path", "class", "signature"],
+)
+def test_what_is_no_policy_is_refused(door, policy, message):
+    if policy is PPO:
+        policy = type("PPO", (), {})  # one without a predict of its own
+    with pytest.raises(PolicyError, match=message):
+        door(policy, make())
+
+
+def test_a_model_of_another_environment_is_refused():
+    other = PPO("MlpPolicy", gym.make("CartPole-v1"), n_steps=8, batch_size=8, device="cpu")
+    with pytest.raises(PolicyError, match=r"made for another observation_space.*Box\(.*\(4,\).*\(5, 5\)"):
+        Shield(other, env=make())
+    inputs = PPO("MlpPolicy", make(**CONTINUOUS), n_steps=8, batch_size=8, device="cpu")
+    with pytest.raises(PolicyError, match=r"made for another action_space"):
+        Shield(inputs, env=make())
+
+
+def test_a_function_and_a_network_are_policies():
+    env = make()
+    obs, _ = env.reset(seed=0)
+    shield = Shield(lambda observation: 1, env=env)
+    assert int(shield.predict(obs)[0]) == shield.last_decision.executed
+    torch.manual_seed(0)
+    network = torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(25, 5))
+    scores = network(torch.as_tensor(obs[None])).detach().numpy()
+    shield = Shield(network, env=env)
+    action, _ = shield.predict(obs)
+    assert np.shape(action) == ()
+    assert shield.last_decision.proposed == scores.argmax()
+    np.testing.assert_array_equal(ranking_of(shield.policy, obs), scores)
+    vec = DummyVecEnv([make, make])
+    assert Shield(network, env=vec).predict(vec.reset())[0].shape == (2,)
+    wheel = make(**CONTINUOUS)
+    shield = Shield(torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(25, 2)), env=wheel)
+    action, _ = shield.predict(wheel.reset(seed=0)[0])
+    assert wheel.action_space.contains(action)
+
+
+def test_a_models_own_normalisation_is_applied_before_it_ranks():
+    vec = VecNormalize(DummyVecEnv([make]))
+    model = PPO("MlpPolicy", vec, n_steps=64, batch_size=32, device="cpu", seed=0).learn(64)
+    env = ShieldedEnv(make(), policy=model)
+    obs, _ = env.reset(seed=0)
+    np.testing.assert_allclose(normalised(model, obs), vec.normalize_obs(obs))
+    assert not np.allclose(ranking_of(model, normalised(model, obs)), ranking_of(model, obs))
+    assert normalised(Always(3), obs) is obs

@@ -1,0 +1,134 @@
+"""What is handed in as a policy: models, networks and functions, as objects with SB3's `predict`."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+import numpy as np
+
+from shield.errors import PolicyError
+
+__all__ = ["as_policy", "refuse_misfits"]
+
+_ARGUMENTS = ("state", "episode_start", "deterministic")
+
+
+def as_policy(policy: Any, env: Any) -> Any:
+    """An object with `predict(observation, state, episode_start, deterministic)`.
+
+    Parameters
+    ----------
+    policy : one of these already: an SB3 or sb3-contrib model, a bare `BasePolicy`, any object. A `torch.nn.Module`,
+        which maps a batch of observations, (n, ...), to scores of the actions, or to continuous ones. Or a function of
+        what `predict` is handed, one observation or a batch, that returns the action, or one for each.
+    env : the environment, or the VecEnv, that it is for.
+
+    Raises
+    ------
+    PolicyError
+        If it is none of these, or its `predict` does not take those arguments.
+    """
+    if callable(getattr(policy, "predict", None)):
+        _check_signature(policy)
+        return policy
+    if isinstance(policy, type):
+        raise PolicyError(f"{policy.__name__} is a class; pass a model, such as {policy.__name__}.load(path)")
+    if hasattr(policy, "parameters") and callable(getattr(policy, "forward", None)):
+        if getattr(_single(env, "observation_space"), "shape", None) is None:
+            raise PolicyError(
+                f"{type(policy).__name__} is a network, which takes arrays; the environment's observations are "
+                f"{_single(env, 'observation_space')}. Pass a function of the observation instead"
+            )
+        return _Network(policy, env)
+    if callable(policy):
+        return _Function(policy)
+    raise PolicyError(
+        f"{type(policy).__name__} has no predict(); pass an SB3 model, a BasePolicy, a torch.nn.Module, a function of "
+        "the observation, or an object with predict(obs, state, episode_start, deterministic)"
+    )
+
+
+def refuse_misfits(policy: Any, env: Any) -> None:
+    """Raise where a model was made for other observations or actions than those of the environment.
+
+    Raises
+    ------
+    PolicyError
+        If its spaces have other shapes.
+    """
+    for name in ("observation_space", "action_space"):
+        mine, theirs = getattr(policy, name, None), _single(env, name)
+        if mine is None or theirs is None:
+            continue
+        if type(mine) is not type(theirs) or mine.shape != theirs.shape or _count(mine) != _count(theirs):
+            raise PolicyError(
+                f"the policy was made for another {name}: it has {mine}, the environment {theirs}. Pass one with the "
+                "configuration, and the wrappers, that the policy was trained with"
+            )
+
+
+def _single(env: Any, name: str) -> Any:
+    return getattr(env, f"single_{name}", None) or getattr(env, name, None)
+
+
+def _count(space: Any) -> Any:
+    return getattr(space, "n", None)
+
+
+def _check_signature(policy: Any) -> None:
+    try:
+        signature = inspect.signature(policy.predict)
+    except (TypeError, ValueError):
+        return
+    try:
+        signature.bind(None, **dict.fromkeys(_ARGUMENTS))
+    except TypeError as error:
+        raise PolicyError(
+            f"{type(policy).__name__}.predict{signature} cannot be called as SB3's predict(observation, state=, "
+            f"episode_start=, deterministic=): {error}. Add these arguments, or pass the function itself"
+        ) from None
+
+
+class _Function:
+    """A function of the observation."""
+
+    def __init__(self, function: Any) -> None:
+        self.function = function
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        return np.asarray(self.function(observation)), state
+
+
+class _Network:
+    """A `torch.nn.Module`: scores of discrete actions, of which the best is taken, or continuous actions, clipped."""
+
+    def __init__(self, network: Any, env: Any) -> None:
+        self.network = network
+        self.action_space, self.observation_space = _single(env, "action_space"), _single(env, "observation_space")
+
+    def action_scores(self, observation: Any) -> Any:
+        """The scores of discrete actions, (n, actions); None of continuous ones."""
+        return self._outputs(observation)[0] if hasattr(self.action_space, "n") else None
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        outputs, alone = self._outputs(observation)
+        if hasattr(self.action_space, "n"):
+            actions = outputs.argmax(axis=-1)
+        else:
+            actions = np.clip(outputs, self.action_space.low, self.action_space.high)
+        return (actions[0] if alone else actions), state
+
+    def _outputs(self, observation: Any) -> tuple[np.ndarray[Any, Any], bool]:
+        """What the network makes of a batch, (n, outputs), and whether there was one observation only."""
+        import torch
+
+        batch = np.asarray(observation, np.float32)
+        alone = batch.ndim == len(self.observation_space.shape)
+        with torch.no_grad():
+            outputs = self.network(torch.as_tensor(batch[None] if alone else batch))
+        return outputs.cpu().numpy(), alone

@@ -1,5 +1,5 @@
-# One command each: `make demo`, `make cem-demo`, `make test`, `make test-slow`, `make mutants`, `make lint`,
-# `make bench`, `make clean`.
+# One command each: `make demo`, `make cem-demo`, `make test`, `make test-slow`, `make mutants`, `make compat`,
+# `make lint`, `make bench`, `make clean`.
 # PYTHON is the interpreter (3.11 or newer) that the virtual environment is made from.
 PYTHON ?= python3
 TORCH  ?= torch==2.13.0
@@ -13,7 +13,7 @@ export OMP_NUM_THREADS ?= 1
 export SDL_VIDEODRIVER ?= dummy
 export PYGAME_HIDE_SUPPORT_PROMPT ?= 1
 
-.PHONY: install demo cem-demo test test-slow mutants lint bench clean
+.PHONY: install demo cem-demo test test-slow mutants compat lint bench clean
 
 install: $(STAMP)
 
@@ -44,6 +44,14 @@ test-slow: $(STAMP)
 # Each clause of the certificate switched off: some test has to notice.
 mutants: $(STAMP)
 	$(BIN)/python tests/support/mutation_check.py --jobs $(JOBS)
+
+# The doors and the exact rollouts on the older versions of highway-env that are supported.
+compat: $(STAMP)
+	for version in 1.10.1 1.10.2 1.11; do \
+		$(BIN)/python -m pip install -q --no-deps --upgrade --target $(VENV)/highway-env-$$version highway-env==$$version \
+		&& PYTHONPATH=$(VENV)/highway-env-$$version $(BIN)/pytest -q -n auto tests/shield/test_shielded_env.py \
+		tests/shield/test_policy_door.py tests/shield/test_lot_doors.py tests/dynamics/test_exactness.py \
+		tests/dynamics/test_road.py tests/dynamics/test_scene.py || exit 1; done
 
 bench: $(STAMP)
 	$(BIN)/pytest benchmarks --benchmark-only -m ""

@@ -1,11 +1,23 @@
-"""How to choose inputs over a horizon: the predictive safety filter and the planner."""
+"""How to choose inputs over a horizon: the predictive safety filter and the planners.
 
-from mpc.filter.predictive_filter import PredictiveFilter
-from mpc.filter.problem import FilterProblem, FilterSettings, Occupied, Reference, Side
-from mpc.filter.result import FilterResult, Status
-from mpc.mpc_policy import MPCPolicy
+Nothing is imported before it is used.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from mpc.cem_policy import CEMPolicy
+    from mpc.filter.predictive_filter import PredictiveFilter
+    from mpc.filter.problem import FilterProblem, FilterSettings, Occupied, Reference, Side
+    from mpc.filter.result import FilterResult, Status
+    from mpc.mpc_policy import MPCPolicy
 
 __all__ = [
+    "CEMPolicy",
     "FilterProblem",
     "FilterResult",
     "FilterSettings",
@@ -16,3 +28,14 @@ __all__ = [
     "Side",
     "Status",
 ]
+
+__getattr__, __dir__, _ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "cem_policy": ["CEMPolicy"],
+        "filter.predictive_filter": ["PredictiveFilter"],
+        "filter.problem": ["FilterProblem", "FilterSettings", "Occupied", "Reference", "Side"],
+        "filter.result": ["FilterResult", "Status"],
+        "mpc_policy": ["MPCPolicy"],
+    },
+)

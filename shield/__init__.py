@@ -1,13 +1,21 @@
-"""A runtime safety shield around learned driving policies on highway-env."""
+"""A runtime safety shield around learned driving policies on highway-env.
+
+Nothing is imported before it is used: `import shield` costs next to nothing.
+"""
 
 from __future__ import annotations
 
-from dynamics.traffic.assumptions import Assumptions
-from shield.config import Buffer, ShieldConfig
-from shield.decision import Decision, Reason, Tier
-from shield.doors.env import ShieldedEnv
-from shield.doors.policy import Shield
-from shield.errors import ActionError, ConfigError, PolicyError, SceneError, ShieldError
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from dynamics.traffic.assumptions import Assumptions
+    from shield.config import Buffer, ShieldConfig
+    from shield.decision import Decision, Reason, Tier
+    from shield.doors.env import ShieldedEnv
+    from shield.doors.policy import Shield
+    from shield.errors import ActionError, ConfigError, PolicyError, SceneError, ShieldError
 
 __all__ = [
     "ActionError",
@@ -24,3 +32,14 @@ __all__ = [
     "ShieldedEnv",
     "Tier",
 ]
+
+__getattr__, __dir__, _ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "config": ["Assumptions", "Buffer", "ShieldConfig"],
+        "decision": ["Decision", "Reason", "Tier"],
+        "doors.env": ["ShieldedEnv"],
+        "doors.policy": ["Shield"],
+        "errors": ["ActionError", "ConfigError", "PolicyError", "SceneError", "ShieldError"],
+    },
+)

@@ -11,11 +11,9 @@ import typer
 from rich.console import Console
 
 from evaluation.commands.dynamics import dynamics_app
+from evaluation.learning.algorithms import ALGORITHMS
 from evaluation.learning.recipes import RECIPES
-from evaluation.learning.training import ALGORITHMS, FIRST_EVALUATION_SEED, train, train_recipe
-from evaluation.running.driving_model import MODELS
-from evaluation.running.named_policies import BASELINES
-from evaluation.settings import get_setting
+from evaluation.names import BASELINES, FIRST_EVALUATION_SEED, MODELS, TRAINABLE
 from shield.config import MODES, ShieldConfig
 from shield.errors import ConfigError, ShieldError
 
@@ -51,20 +49,24 @@ class Door(StrEnum):
 def train_command(
     recipe: Annotated[str | None, typer.Option(help=f"Train a reference policy: {', '.join(RECIPES)}.")] = None,
     setting: Annotated[str | None, typer.Option(help="Environment setting to train in, without --recipe.")] = None,
-    algorithm: Annotated[str, typer.Option(help=f"One of {', '.join(ALGORITHMS)}.")] = "ppo",
-    steps: Annotated[int, typer.Option(help="Training steps (decisions).")] = 10_000,
+    algorithm: Annotated[str, typer.Option(help=f"One of {', '.join(TRAINABLE)}.")] = "ppo",
+    steps: Annotated[
+        int | None, typer.Option(help="Training steps (decisions); by default the recipe's, or 10,000.")
+    ] = None,
     seed: Annotated[int, typer.Option(help=f"Training seed, below {FIRST_EVALUATION_SEED}.")] = 0,
     output: Annotated[Path | None, typer.Option(help="The zip file to write; a manifest goes beside it.")] = None,
 ) -> None:
     """Train a policy on one core and save it with a manifest that says how."""
     if (recipe is None) == (setting is None):
         raise ConfigError("give either --recipe or --setting")
+    from evaluation.learning.training import train, train_recipe
+
     if recipe is not None:
-        trained = train_recipe(recipe, output)
+        trained = train_recipe(recipe, output, steps=steps)
     else:
         assert setting is not None
         path = output or Path("runs", "policies", f"{algorithm}-{setting}.zip")
-        trained = train(setting, algorithm, steps, seed, output=path)
+        trained = train(setting, algorithm, 10_000 if steps is None else steps, seed, output=path)
     _out.print(f"wrote {trained.path} ({trained.manifest['training_seconds']} s)")
 
 
@@ -95,7 +97,7 @@ def evaluate(
     jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
     algorithm: Annotated[
         str | None,
-        typer.Option(help=f"Algorithm of a .zip without a manifest: {', '.join(sorted(ALGORITHMS))}."),
+        typer.Option(help=f"Algorithm of a .zip, where the file does not tell: {', '.join(sorted(ALGORITHMS))}."),
     ] = None,
     model: Annotated[
         str,
@@ -218,6 +220,8 @@ def _shields(asked: list[str] | None, setting: str) -> list[str]:
     """The shield modes that were asked for, or those that a setting is driven with otherwise."""
     if asked is not None:
         return _split(asked)
+    from evaluation.settings import get_setting
+
     return ["none", "full"] if get_setting(setting).road else ["none"]
 
 

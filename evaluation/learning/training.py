@@ -16,39 +16,28 @@ from copy import deepcopy
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import gymnasium as gym
 import torch
-from stable_baselines3 import A2C, DQN, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
 
+from evaluation.learning.algorithms import get_algorithm
 from evaluation.learning.normalisation import NORMALISABLE, fold, normalised
 from evaluation.learning.observations import FastObservations
 from evaluation.learning.recipes import get_recipe
+from evaluation.names import FIRST_EVALUATION_SEED, TRAINABLE
 from evaluation.settings import Setting, get_setting
 from evaluation.threads import one_thread
 from shield.errors import ConfigError
 
 __all__ = [
-    "ALGORITHMS",
-    "FIRST_EVALUATION_SEED",
     "TrainedPolicy",
-    "get_algorithm",
     "manifest_path",
     "train",
     "train_recipe",
 ]
-
-FIRST_EVALUATION_SEED = 10_000
-"""Seeds below it are for training and choosing, from it on for evaluation."""
-
-ALGORITHMS: Mapping[str, type[BaseAlgorithm]] = MappingProxyType(
-    {"a2c": A2C, "dqn": DQN, "ppo": PPO, "sac": SAC, "td3": TD3}
-)
-"""The algorithms that `train` knows, by lower-case name."""
 
 _ACTION_SPACES: dict[str, tuple[type[gym.Space[Any]], ...]] = {
     "a2c": (gym.spaces.Discrete, gym.spaces.Box),
@@ -74,14 +63,6 @@ class TrainedPolicy:
     manifest: Mapping[str, Any]
 
 
-def get_algorithm(name: str) -> type[BaseAlgorithm]:
-    """The Stable-Baselines3 class of that name (any case); a `ConfigError` if there is none."""
-    try:
-        return ALGORITHMS[name.lower()]
-    except KeyError:
-        raise ConfigError(f"unknown algorithm {name!r}; have {sorted(ALGORITHMS)}") from None
-
-
 def manifest_path(policy: Path) -> Path:
     """Where the manifest of a policy file lies: beside it, as ``.json``."""
     return policy.with_suffix(".json")
@@ -105,7 +86,7 @@ def train(
 
     Args:
         setting: the environment to train in, by name or as a `Setting`.
-        algorithm: a name in `ALGORITHMS`.
+        algorithm: one of `TRAINABLE`.
         steps: environment steps (decisions). PPO and A2C round up to whole
             rollouts; the manifest has both numbers.
         seed: 0 to 9,999; seeds from `FIRST_EVALUATION_SEED` on belong to evaluation.
@@ -124,6 +105,8 @@ def train(
         The written file and its manifest.
     """
     algorithm = algorithm.lower()
+    if algorithm not in TRAINABLE:
+        raise ConfigError(f"unknown algorithm {algorithm!r}; have {', '.join(TRAINABLE)}")
     algorithm_class = get_algorithm(algorithm)
     setting = get_setting(setting) if isinstance(setting, str) else setting
     parameters = dict(hyperparameters or {})
@@ -182,19 +165,23 @@ def train(
     return TrainedPolicy(path=path, manifest=manifest)
 
 
-def train_recipe(name: str, output: str | Path | None = None, *, progress: bool = True) -> TrainedPolicy:
+def train_recipe(
+    name: str, output: str | Path | None = None, *, steps: int | None = None, progress: bool = True
+) -> TrainedPolicy:
     """Train a reference policy again, by default into ``runs/policies/NAME.zip``.
 
     Args:
         name: a name in `evaluation.learning.recipes.RECIPES`.
         output: the zip file to write instead.
+        steps: training steps instead of the recipe's.
         progress: whether to show a progress bar.
     """
     recipe = get_recipe(name)
+    steps = recipe.steps if steps is None else steps
     return train(
         recipe.setting,
         recipe.algorithm,
-        recipe.steps,
+        steps,
         recipe.seed,
         hyperparameters=recipe.hyperparameters,
         normalise=recipe.normalise,
@@ -202,7 +189,7 @@ def train_recipe(name: str, output: str | Path | None = None, *, progress: bool 
         fast=recipe.fast,
         output=output if output is not None else Path("runs", "policies", f"{name}.zip"),
         progress=progress,
-        command=f"shield train --recipe {name}",
+        command=f"shield train --recipe {name}" + ("" if steps == recipe.steps else f" --steps {steps}"),
     )
 
 

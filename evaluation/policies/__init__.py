@@ -17,7 +17,7 @@ from typing import Any
 import gymnasium as gym
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from evaluation.learning.training import get_algorithm
+from evaluation.learning.algorithms import get_algorithm
 from shield.errors import ConfigError
 
 __all__ = ["list_references", "load_reference", "reference_manifest"]

@@ -15,7 +15,7 @@ import gymnasium as gym
 import numpy as np
 from PIL import Image
 
-from evaluation.learning.training import FIRST_EVALUATION_SEED
+from evaluation.names import FIRST_EVALUATION_SEED
 from evaluation.report.camera import Camera
 from evaluation.report.draw import AREA, GREEN, ORANGE, RED, Shot, draw
 from evaluation.running.named_policies import make_policy, start_episode

@@ -27,6 +27,7 @@ from dynamics.learned.tasks.driving_state import OBSERVATION, RandomDriver, stat
 from dynamics.learned.training.fit import FitConfig, fit
 from dynamics.learned.training.open_loop import OpenLoop, open_loop
 from dynamics.vehicle.actuators import Actuators
+from evaluation.names import MODELS
 from evaluation.settings import Setting, get_setting
 from shield.errors import ConfigError
 
@@ -44,8 +45,6 @@ __all__ = [
     "train_driving",
 ]
 
-MODELS = ("bicycle", "learned")
-"""What the predictive filter can plan with; a folder of models is the third."""
 STAGE = 0.2
 """Duration of a decision of the longer model [s]."""
 BRAKING = -10.0

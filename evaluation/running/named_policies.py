@@ -21,7 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.vehicle.actuators import Actuators
-from evaluation.learning.training import ALGORITHMS, get_algorithm, manifest_path
+from evaluation.learning.algorithms import ALGORITHMS, algorithm_of, load_model
+from evaluation.learning.training import manifest_path
+from evaluation.names import BASELINES
 from evaluation.policies import list_references, load_reference
 from evaluation.running.highway_planner import highway_policy
 from evaluation.running.parking_planner import PARKING_POLICIES, parking_policy
@@ -42,12 +44,6 @@ __all__ = [
 
 _META = {"faster": "FASTER", "slower": "SLOWER", "idle": "IDLE"}
 _INPUTS = {"throttle", "idle"}
-
-BASELINES = (*sorted(_META.keys() | _INPUTS), "random", "mpc", *PARKING_POLICIES)
-"""Names of the policies that need no training: `faster` and `slower` for meta-actions, `throttle` (full throttle, the
-wheel straight) for continuous actions, `idle` and `random` for both; `mpc` drives with continuous actions by itself
-(`mpc.MPCPolicy`, on the simulator's true state); those of `evaluation.running.parking_planner` park, and
-`cem` drives on a highway and in a roundabout with meta-actions as well."""
 
 
 class Policy(Protocol):
@@ -205,9 +201,10 @@ def _load_zip(path: Path, algorithm: str | None) -> Policy:
     manifest = manifest_path(path)
     if algorithm is None and manifest.is_file():
         algorithm = json.loads(manifest.read_text(encoding="utf-8")).get("algorithm")
+    algorithm = algorithm or algorithm_of(path)
     if algorithm is None:
         raise ConfigError(
-            f"{path} does not name its algorithm and has no manifest beside it;"
-            f" give one of {', '.join(sorted(ALGORITHMS))}"
+            f"{path} does not say which algorithm it was trained with; give one with --algorithm:"
+            f" {', '.join(sorted(ALGORITHMS))}"
         )
-    return get_algorithm(algorithm).load(path, device="cpu")
+    return load_model(path, algorithm)

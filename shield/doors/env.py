@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
-from mpc.filter.program.road_step import StageModel
 from shield.config import ShieldConfig
 from shield.decision import Decision
 from shield.doors.adapters import as_policy
@@ -26,6 +25,9 @@ from shield.doors.supervision import Command, Supervision
 from shield.errors import ConfigError, SceneError
 from shield.procedures.decide import Core
 from shield.procedures.warm_up import warm_up
+
+if TYPE_CHECKING:
+    from mpc.filter.program.road_step import StageModel
 
 __all__ = ["ShieldedEnv"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,12 +15,14 @@ from dynamics.scenes.scene import SceneReader
 from dynamics.state import FloatArray, State
 from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.controllers import KP_SPEED
-from mpc.filter.program.road_step import StageModel
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.procedures.decide import Core, Unreadable, read
 from shield.procedures.inputs import Inputs
 from shield.procedures.parking_lot import ParkingLot
+
+if TYPE_CHECKING:
+    from mpc.filter.program.road_step import StageModel
 
 __all__ = ["InputDoor", "refuse_lots"]
 

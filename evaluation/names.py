@@ -1,0 +1,30 @@
+"""Names and numbers that the command line shows before anything that is slow to import is needed."""
+
+from __future__ import annotations
+
+__all__ = ["BASELINES", "FIRST_EVALUATION_SEED", "MODELS", "TRAINABLE"]
+
+FIRST_EVALUATION_SEED = 10_000
+"""Seeds below it are for training and choosing, from it on for evaluation."""
+TRAINABLE = ("a2c", "dqn", "ppo", "sac", "td3")
+"""The algorithms that `shield train` knows."""
+MODELS = ("bicycle", "learned")
+"""What the predictive filter can plan with; a folder of models is the third."""
+BASELINES = (
+    "faster",
+    "idle",
+    "slower",
+    "throttle",
+    "random",
+    "mpc",
+    "cem",
+    "cem-fast",
+    "cem-oracle",
+    "cem-notebook",
+    "cem-mppi",
+    "cem-cautious",
+)
+"""Policies that need no training: `faster` and `slower` for meta-actions, `throttle` (full throttle, the wheel
+straight) for continuous actions, `idle` and `random` for both; `mpc` drives with continuous actions by itself
+(`mpc.MPCPolicy`, on the simulator's true state); the others park (`evaluation.running.parking_planner`), and `cem`
+drives on a highway and in a roundabout with meta-actions as well."""

@@ -19,9 +19,11 @@ alone. Parking has a goal, and its results say how often it was reached.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -30,7 +32,7 @@ import highway_env  # noqa: F401  (registers the environments)
 
 from shield.errors import ConfigError
 
-__all__ = ["SETTINGS", "TRAFFIC", "Setting", "get_setting"]
+__all__ = ["SETTINGS", "TRAFFIC", "Setting", "get_setting", "setting_of"]
 
 TRAFFIC: Mapping[str, str] = MappingProxyType(
     {
@@ -68,8 +70,20 @@ class Setting:
         object.__setattr__(self, "config", MappingProxyType(deepcopy(dict(self.config))))
 
     def make(self, render_mode: str | None = None) -> gym.Env[Any, Any]:
-        """A fresh environment; ``render_mode`` "rgb_array" or "human" if it is to be drawn."""
-        return gym.make(self.env_id, config=deepcopy(dict(self.config)), render_mode=render_mode)
+        """A fresh environment; ``render_mode`` "rgb_array" or "human" if it is to be drawn.
+
+        Raises:
+            ConfigError: if there is no such environment, or it takes no configuration as highway-env's do.
+        """
+        try:
+            return gym.make(self.env_id, config=deepcopy(dict(self.config)), render_mode=render_mode)
+        except (gym.error.Error, ModuleNotFoundError) as error:
+            raise ConfigError(f"there is no environment {self.env_id!r}: {error}") from None
+        except (TypeError, ValueError, KeyError, AttributeError) as error:
+            raise ConfigError(
+                f"{self.env_id} cannot be made with {dict(self.config) or 'its defaults'}: "
+                f"{type(error).__name__}: {error}"
+            ) from error
 
     def override(self, config: Mapping[str, Any], name: str | None = None) -> Setting:
         """The same setting with these keys replaced (whole values: highway-env does not merge).
@@ -232,6 +246,24 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
     }
 )
 """The named settings."""
+
+
+def setting_of(env_id: str, config: Path | None = None) -> Setting:
+    """Any environment as a setting: its Gymnasium id ("module:id" imports a module first), and a TOML file of what
+    differs from its default configuration.
+
+    Raises:
+        ConfigError: if there is no such file, or it is no TOML.
+    """
+    if config is None:
+        return Setting(env_id, env_id)
+    try:
+        keys = tomllib.loads(config.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"there is no environment configuration {config}") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"{config} is no TOML file: {error}") from None
+    return Setting(f"{env_id}+{config.stem}", env_id, keys)
 
 
 def get_setting(name: str) -> Setting:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import sys
 from enum import StrEnum
+from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from tempfile import TemporaryFile
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
+from rich.table import Table
 
 from evaluation.commands.dynamics import dynamics_app
 from evaluation.learning.algorithms import ALGORITHMS
@@ -17,6 +20,9 @@ from evaluation.names import BASELINES, FIRST_EVALUATION_SEED, MODELS, TRAINABLE
 from shield.config import MODES, ShieldConfig
 from shield.errors import ConfigError, ShieldError
 
+if TYPE_CHECKING:
+    from evaluation.settings import Setting
+
 __all__ = ["app", "main"]
 
 EVALUATION_SEED = 100_000
@@ -24,16 +30,32 @@ EVALUATION_SEED = 100_000
 
 DEMO_SETTING, DEMO_POLICY = "highway-fast", "ppo-highway-fast"
 
-_SETTINGS, _POLICIES = [DEMO_SETTING], [DEMO_POLICY]
+_POLICIES = [DEMO_POLICY]
 
 app = typer.Typer(
     help="A runtime safety shield around driving policies on highway-env.",
     no_args_is_help=True,
+    rich_markup_mode=None,
     pretty_exceptions_enable=False,
     add_completion=False,
 )
 app.add_typer(dynamics_app, name="dynamics")
 _out = Console()
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"highway-shield {version('highway-shield')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    _: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """A runtime safety shield around driving policies on highway-env."""
 
 
 class Door(StrEnum):
@@ -72,7 +94,16 @@ def train_command(
 
 @app.command()
 def evaluate(
-    setting: Annotated[list[str], typer.Option(help="Environment setting (repeatable, or a comma list).")] = _SETTINGS,
+    setting: Annotated[
+        list[str] | None,
+        typer.Option(help=f"Named environment (repeatable, or a comma list; see `shield settings`) [{DEMO_SETTING}]."),
+    ] = None,
+    env_id: Annotated[
+        str | None, typer.Option(help="Any environment by its Gymnasium id instead, such as highway-v0 or module:id.")
+    ] = None,
+    env_config: Annotated[
+        Path | None, typer.Option(help="TOML file of what differs from the default configuration of --env-id.")
+    ] = None,
     policy: Annotated[
         list[str],
         typer.Option(help=f"{', '.join(BASELINES)}, a reference policy, or an SB3 .zip (repeatable, or a comma list)."),
@@ -114,6 +145,7 @@ def evaluate(
             " and the comparison, as NAME-summary and NAME-comparison."
         ),
     ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
 ) -> None:
     """Drive episodes and print crash rates, returns, speeds, overrides and latencies.
@@ -128,20 +160,21 @@ def evaluate(
 
     shield_config = None if config is None else ShieldConfig.load(config)
     doors = [each.value for each in Door if each is not Door.ALL] if door is Door.ALL else [door.value]
+    settings = _asked_settings(setting, env_id, env_config)
     if output is not None:
-        _check_output(output)
+        _check_output(output, force)
     parts = [
         run_paired(
-            name,
+            each,
             driver,
-            make_variants(_shields(shield, name), doors, shield_config),
+            make_variants(_shields(shield, each.road), doors, shield_config),
             range(seed, seed + episodes),
             jobs=jobs,
             algorithm=algorithm,
             model=model,
             progress=sys.stderr.isatty(),
         )
-        for name in _split(setting)
+        for each in settings
         for driver in _split(policy)
     ]
     _report(pd.concat(parts, ignore_index=True), output, markdown)
@@ -210,19 +243,43 @@ def figures(
         _out.print(f"wrote {path}")
 
 
+@app.command("settings")
+def settings_command() -> None:
+    """List the named environments."""
+    from evaluation.settings import SETTINGS
+
+    table = Table("setting", "environment", "")
+    for setting in SETTINGS.values():
+        table.add_row(setting.name, setting.env_id, setting.description)
+    _out.print(table)
+
+
 @app.command("config")
 def config_command() -> None:
     """Print the shield's default settings as TOML."""
     typer.echo(ShieldConfig().to_toml(), nl=False)
 
 
-def _shields(asked: list[str] | None, setting: str) -> list[str]:
+def _asked_settings(names: list[str] | None, env_id: str | None, config: Path | None) -> list[Setting]:
+    """The settings of a comparison: named, or an environment of the user's."""
+    from evaluation.settings import get_setting, setting_of
+
+    if env_id is None:
+        if config is not None:
+            raise ConfigError("--env-config goes with --env-id")
+        return [get_setting(name) for name in _split(names or [DEMO_SETTING])]
+    if names is not None:
+        raise ConfigError("give either --setting or --env-id")
+    setting = setting_of(env_id, config)
+    setting.make().close()
+    return [setting]
+
+
+def _shields(asked: list[str] | None, road: bool) -> list[str]:
     """The shield modes that were asked for, or those that a setting is driven with otherwise."""
     if asked is not None:
         return _split(asked)
-    from evaluation.settings import get_setting
-
-    return ["none", "full"] if get_setting(setting).road else ["none"]
+    return ["none", "full"] if road else ["none"]
 
 
 def _split(values: list[str]) -> list[str]:
@@ -231,12 +288,20 @@ def _split(values: list[str]) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def _check_output(path: Path) -> None:
-    """Refuse a file ending before hours of driving, not after."""
+def _check_output(path: Path, force: bool) -> None:
+    """Refuse what cannot be written before hours of driving, not after."""
     from evaluation.report.table import TABLE_ENDINGS
 
     if path.suffix not in TABLE_ENDINGS:
         raise ConfigError(f"--output {path.name!r} must end in {' or '.join(TABLE_ENDINGS)}")
+    if path.exists() and not force:
+        raise ConfigError(f"--output {path} exists already; --force overwrites it")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:
+        raise ConfigError(f"--output {path} cannot be written: {error.strerror}") from None
 
 
 def _report(episodes: object, output: Path | None, markdown: bool) -> None:

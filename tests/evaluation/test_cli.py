@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from evaluation.commands.cli import _split, app, main
 from shield.config import ShieldConfig
+from shield.errors import ConfigError
 
 RUN = CliRunner()
 
@@ -71,3 +72,59 @@ def test_the_module_runs_as_a_program():
     done = subprocess.run([sys.executable, "-m", "evaluation.commands.cli", "config"], capture_output=True, text=True)
     assert done.returncode == 0
     assert 'mode = "full"' in done.stdout
+
+
+def test_any_environment_is_evaluated_by_its_id(tmp_path):
+    (tmp_path / "short.toml").write_text("lanes_count = 3\nduration = 3\n", encoding="utf-8")
+    output = tmp_path / "new" / "x.parquet"
+    arguments = ["--env-id", "highway-v0", "--env-config", str(tmp_path / "short.toml"), "--policy", "faster"]
+    arguments += ["--episodes", "1", "--jobs", "1", "--output", str(output)]
+    assert RUN.invoke(app, ["evaluate", *arguments], catch_exceptions=False).exit_code == 0
+    assert set(pd.read_parquet(output)["setting"]) == {"highway-v0+short"}
+    again = RUN.invoke(app, ["evaluate", *arguments])
+    assert isinstance(again.exception, ConfigError)
+    assert "exists already; --force overwrites it" in str(again.exception)
+    assert RUN.invoke(app, ["evaluate", *arguments, "--force"], catch_exceptions=False).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--env-id", "nothing-v0"], "there is no environment 'nothing-v0'"),
+        (["--env-id", "no_module:nothing-v0"], "there is no environment"),
+        (["--env-id", "CartPole-v1"], "CartPole-v1 cannot be made with its defaults"),
+        (
+            ["--env-id", "highway-v0", "--env-config", "missing.toml"],
+            "there is no environment configuration missing.toml",
+        ),
+        (["--env-id", "highway-v0", "--setting", "highway"], "give either --setting or --env-id"),
+        (["--env-config", "x.toml"], "--env-config goes with --env-id"),
+        (["--output", "/proc/none/x.csv"], "cannot be written"),
+    ],
+)
+def test_what_cannot_be_evaluated_is_said_before_the_first_episode(arguments, message):
+    result = RUN.invoke(app, ["evaluate", "--policy", "faster", "--jobs", "1", *arguments])
+    assert isinstance(result.exception, ConfigError)
+    assert message in str(result.exception)
+
+
+def test_an_environments_configuration_that_is_no_toml_is_named(tmp_path):
+    (tmp_path / "bad.toml").write_text("lanes_count = = 3", encoding="utf-8")
+    result = RUN.invoke(app, ["evaluate", "--env-id", "highway-v0", "--env-config", str(tmp_path / "bad.toml")])
+    assert "is no TOML file" in str(result.exception)
+
+
+def test_the_command_says_its_version_its_settings_and_its_help():
+    assert RUN.invoke(app, ["--version"]).output.startswith("highway-shield ")
+    assert "highway-fast-v0" in RUN.invoke(app, ["settings"]).output
+    assert "[highway-fast]" in RUN.invoke(app, ["evaluate", "--help"]).output
+
+
+def test_help_needs_nothing_that_is_slow_to_import():
+    code = (
+        "import sys; from evaluation.commands.cli import app; app(['--help'], standalone_mode=False);"
+        "import shield, mpc; print([m for m in ('torch', 'numba', 'highway_env', 'gymnasium', 'pandas', 'casadi')"
+        " if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip().endswith("[]"), done.stdout[-200:] + done.stderr[-2000:]

@@ -7,7 +7,7 @@ from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -21,6 +21,8 @@ from shield.config import MODES, ShieldConfig
 from shield.errors import ConfigError, ShieldError
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from evaluation.settings import Setting
 
 __all__ = ["app", "main"]
@@ -146,6 +148,7 @@ def evaluate(
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on where a run with this --output was stopped.")] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
 ) -> None:
     """Drive episodes and print crash rates, returns, speeds, overrides and latencies.
@@ -153,31 +156,51 @@ def evaluate(
     All rows drive the same seeds. Rates in percent with 95 % intervals, speeds in m/s,
     distances and margins in m, latencies in ms per decision.
     """
-    import pandas as pd
-
     from evaluation.running.episodes import run_paired
     from evaluation.running.records import make_variants
+    from evaluation.running.store import Store, provenance
 
     shield_config = None if config is None else ShieldConfig.load(config)
     doors = [each.value for each in Door if each is not Door.ALL] if door is Door.ALL else [door.value]
     settings = _asked_settings(setting, env_id, env_config)
+    if resume and output is None:
+        raise ConfigError("--resume goes with --output")
     if output is not None:
         _check_output(output, force)
-    parts = [
-        run_paired(
-            each,
-            driver,
-            make_variants(_shields(shield, each.road), doors, shield_config),
-            range(seed, seed + episodes),
-            jobs=jobs,
-            algorithm=algorithm,
-            model=model,
-            progress=sys.stderr.isatty(),
-        )
-        for each in settings
-        for driver in _split(policy)
-    ]
-    _report(pd.concat(parts, ignore_index=True), output, markdown)
+    asked = {
+        "settings": {each.name: {"env_id": each.env_id, "config": dict(each.config)} for each in settings},
+        "policies": _split(policy),
+        "shields": shield,
+        "doors": doors,
+        "episodes": episodes,
+        "seed": seed,
+        "algorithm": algorithm,
+        "model": model,
+        "shield": None if shield_config is None else shield_config.to_toml(),
+    }
+    store = Store(output, asked, resume)
+    try:
+        for each in settings:
+            for driver in _split(policy):
+                run_paired(
+                    each,
+                    driver,
+                    make_variants(_shields(shield, each.road), doors, shield_config),
+                    range(seed, seed + episodes),
+                    jobs=jobs,
+                    algorithm=algorithm,
+                    model=model,
+                    progress=True,
+                    store=store,
+                )
+    except KeyboardInterrupt:
+        if store.rows:
+            _report(_in_order(store.rows), None, markdown)
+        kept = "" if output is None else "; --resume goes on from there"
+        Console(stderr=True).print(f"stopped after {len(store.rows)} episodes{kept}", highlight=False)
+        raise typer.Exit(130) from None
+    _report(_in_order(store.rows), output, markdown, provenance(asked))
+    store.finish()
 
 
 @app.command()
@@ -201,7 +224,7 @@ def demo(
         make_variants(["none", "full"], ["env"]),
         range(EVALUATION_SEED, EVALUATION_SEED + episodes),
         jobs=jobs,
-        progress=sys.stderr.isatty(),
+        progress=True,
     )
     _report(frame, output / "episodes.parquet", markdown=False)
     film = film_override(output / "override.gif")
@@ -296,6 +319,8 @@ def _check_output(path: Path, force: bool) -> None:
         raise ConfigError(f"--output {path.name!r} must end in {' or '.join(TABLE_ENDINGS)}")
     if path.exists() and not force:
         raise ConfigError(f"--output {path} exists already; --force overwrites it")
+    if force:
+        path.with_name(path.name + ".episodes").unlink(missing_ok=True)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=path.parent):
@@ -304,14 +329,22 @@ def _check_output(path: Path, force: bool) -> None:
         raise ConfigError(f"--output {path} cannot be written: {error.strerror}") from None
 
 
-def _report(episodes: object, output: Path | None, markdown: bool) -> None:
+def _in_order(rows: list[dict[str, Any]]) -> pd.DataFrame:
+    """Episodes by setting, policy, variant and seed, the first three in the order in which they first came."""
     import pandas as pd
 
+    keys = ["setting", "policy", "door", "mode"]
+    first: dict[tuple[Any, ...], int] = {}
+    for row in rows:
+        first.setdefault(tuple(row[key] for key in keys), len(first))
+    return pd.DataFrame(sorted(rows, key=lambda row: (first[tuple(row[key] for key in keys)], row["seed"])))
+
+
+def _report(episodes: pd.DataFrame, output: Path | None, markdown: bool, made: dict[str, Any] | None = None) -> None:
     from evaluation.measuring.metrics import compare, summarise
     from evaluation.report.table import COMPARISON, SUMMARY, rich_table, write_table
     from evaluation.report.table import markdown as to_markdown
 
-    assert isinstance(episodes, pd.DataFrame)
     summary, comparison = summarise(episodes), compare(episodes)
     tables = [(summary, SUMMARY)] + ([(comparison, COMPARISON)] if len(comparison) else [])
     for frame, columns in tables:
@@ -322,6 +355,8 @@ def _report(episodes: object, output: Path | None, markdown: bool) -> None:
             _out.print(rich_table(part, columns))
     if output is None:
         return
+    for frame in (episodes, summary, comparison):
+        frame.attrs["made"] = made or {}
     paths = [write_table(episodes, output)]
     paths.append(write_table(summary, output.with_stem(f"{output.stem}-summary")))
     if len(comparison):

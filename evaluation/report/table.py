@@ -154,7 +154,10 @@ def markdown(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> str:
 
 
 def write_table(frame: pd.DataFrame, path: str | Path) -> Path:
-    """Write a table as CSV or Parquet, by the ending of the file; lists in a CSV are JSON."""
+    """Write a table as CSV or Parquet, by the ending of the file; lists in a CSV are JSON.
+
+    What the frame says in `attrs["made"]` is kept in a Parquet file, and beside a CSV as NAME.json.
+    """
     path = Path(path)
     _check_ending(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -165,6 +168,8 @@ def write_table(frame: pd.DataFrame, path: str | Path) -> Path:
     if "latencies_ms" in flat:
         flat["latencies_ms"] = [json.dumps(list(values)) for values in flat["latencies_ms"]]
     flat.to_csv(path, index=False)
+    if frame.attrs.get("made"):
+        path.with_suffix(".json").write_text(json.dumps(frame.attrs["made"], indent=2) + "\n", encoding="utf-8")
     return path
 
 

@@ -7,16 +7,21 @@ latencies) are the same whatever the number of jobs.
 from __future__ import annotations
 
 import math
+import os
+import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import gymnasium as gym
 import joblib
 import numpy as np
 import pandas as pd
+from rich.console import Console
 from rich.progress import Progress
 
 from dynamics.roads.path import PathRoad
@@ -25,6 +30,7 @@ from evaluation.measuring.recorder import History, Recorder, Track
 from evaluation.running.driving_model import driving_model
 from evaluation.running.named_policies import Policy, make_policy, policy_label, start_episode
 from evaluation.running.records import EpisodeRecord, Variant
+from evaluation.running.store import Store
 from evaluation.settings import Setting, get_setting
 from evaluation.threads import one_thread
 from shield import Shield, ShieldedEnv
@@ -218,6 +224,7 @@ def run_paired(
     algorithm: str | None = None,
     model: str | None = None,
     progress: bool = False,
+    store: Store | None = None,
 ) -> pd.DataFrame:
     """Drive every variant on the same seeds; one row per episode, by variant and then seed.
 
@@ -227,7 +234,8 @@ def run_paired(
     variants : what to compare.
     seeds : seeds of the episodes.
     jobs : processes; -1 for one per core.
-    progress : whether to show a bar.
+    progress : whether to show a bar; where the output is no terminal, a line now and then.
+    store : where each episode is written as it finishes; what is there is not driven again.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
     variants, seeds = list(variants), list(seeds)
@@ -238,18 +246,39 @@ def run_paired(
     if model not in (None, "bicycle") and policy != "mpc" and not any(v.door == "env" for v in variants):
         raise ConfigError("a model is for mpc and for the shield's door env; none of the two drives here")
     workers = joblib.effective_n_jobs(jobs)
-    size = min(_CHUNK, -(-len(seeds) // workers))
-    chunks = [seeds[i : i + size] for i in range(0, len(seeds), size)]
-    calls = [(setting, policy, variants, chunk, algorithm, model) for chunk in chunks]
     rows: list[dict[str, Any]] = []
-    with Progress(disable=not progress, transient=True) as bar:
-        task = bar.add_task(f"{setting.name}", total=len(seeds) * len(variants))
+    done: set[tuple[str, str, int]] = set()
+    if store is not None:
+        label = _label(setting, policy, model)
+        done = store.done(setting.name, label)
+        rows = [row for row in store.rows if (row["setting"], row["policy"]) == (setting.name, label)]
+    # One episode a call where each is kept as it finishes: the driver is, too.
+    size = 1 if store is not None else min(_CHUNK, -(-len(seeds) // workers))
+    calls = []
+    for variant in variants:
+        left = [seed for seed in seeds if (variant.door, variant.mode, seed) not in done]
+        calls += [(setting, policy, variant, left[i : i + size], algorithm, model) for i in range(0, len(left), size)]
+    console, total, said = Console(stderr=True), len(seeds) * len(variants), 0
+    with Progress(disable=not (progress and console.is_terminal), transient=True, console=console) as bar:
+        task = bar.add_task(f"{setting.name}", total=total, completed=len(rows))
         for part in _results(calls, workers):
             rows += part
+            if store is not None:
+                store.add(part)
             bar.advance(task, len(part))
+            if progress and not console.is_terminal and 10 * len(rows) // total > said:
+                said = 10 * len(rows) // total
+                console.print(f"{setting.name}: {len(rows)} of {total} episodes", highlight=False)
     order = {(v.door, v.mode): i for i, v in enumerate(variants)}
-    rows.sort(key=lambda row: order[row["door"], row["mode"]])  # stable: seeds stay in order
+    place = {seed: i for i, seed in enumerate(seeds)}
+    rows.sort(key=lambda row: (order[row["door"], row["mode"]], place[row["seed"]]))
     return pd.DataFrame(rows)
+
+
+def _label(setting: Setting, policy: str | Policy, model: str | None) -> str:
+    """The name that the episodes of a policy are reported under."""
+    label = policy_label(policy) if isinstance(policy, str) else type(policy).__name__
+    return label if model in (None, "bicycle") else f"{label}-{Path(str(model)).name}"
 
 
 def _results(calls: list[tuple[Any, ...]], workers: int) -> Iterator[list[dict[str, Any]]]:
@@ -259,23 +288,40 @@ def _results(calls: list[tuple[Any, ...]], workers: int) -> Iterator[list[dict[s
     # Workers that were started before the library was asked not to thread would still do so.
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
         pool = joblib.Parallel(n_jobs=workers, return_as="generator")
-        yield from pool(joblib.delayed(_run_chunk)(*call) for call in calls)
+        yield from pool(joblib.delayed(_run_in_worker)(os.getpid(), *call) for call in calls)
+
+
+def _run_in_worker(parent: int, *call: Any) -> list[dict[str, Any]]:
+    _end_with(parent)
+    return _run_chunk(*call)
+
+
+@lru_cache(maxsize=1)
+def _end_with(parent: int) -> None:
+    """A worker whose parent was killed has nobody to work for."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
 
 
 def _run_chunk(
-    setting: Setting,
-    policy: str | Policy,
-    variants: list[Variant],
-    seeds: list[int],
-    algorithm: str | None,
-    model: str | None,
+    setting: Setting, policy: str | Policy, variant: Variant, seeds: list[int], algorithm: str | None, model: str | None
 ) -> list[dict[str, Any]]:
-    rows = []
     with one_thread():
-        for variant in variants:
-            driver = _Driver(setting, policy, variant, algorithm, model)
-            try:
-                rows += [driver.run(seed).row() for seed in seeds]
-            finally:
-                driver.env.close()
-    return rows
+        if len(seeds) == 1 and isinstance(policy, str):
+            return [_kept(setting, policy, variant, algorithm, model).run(seeds[0]).row()]
+        driver = _Driver(setting, policy, variant, algorithm, model)
+        try:
+            return [driver.run(seed).row() for seed in seeds]
+        finally:
+            driver.env.close()
+
+
+@lru_cache(maxsize=4)
+def _kept(setting: Setting, policy: str, variant: Variant, algorithm: str | None, model: str | None) -> _Driver:
+    """A driver that is kept from one episode to the next."""
+    return _Driver(setting, policy, variant, algorithm, model)

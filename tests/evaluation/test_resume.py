@@ -1,0 +1,123 @@
+"""Whatever stops a run, the episodes that were driven are kept, none is lost and none is doubled."""
+
+from __future__ import annotations
+
+import json
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import pandas as pd
+import pytest
+
+from dynamics.errors import ConfigError, DataError
+from evaluation.running.episodes import run_paired
+from evaluation.running.records import make_variants
+from evaluation.running.store import Store
+from evaluation.settings import Setting
+
+EPISODES = 20
+SHORT = Setting("short", "highway-fast-v0", {"duration": 2, "vehicles_count": 5})
+ASKED = {"seed": 5, "policies": ["faster"]}
+
+
+def command(folder, *more):
+    (folder / "short.toml").write_text("duration = 2\nvehicles_count = 5\n", encoding="utf-8")
+    arguments = ["evaluate", "--env-id", "highway-fast-v0", "--env-config", str(folder / "short.toml"), "--jobs", "1"]
+    arguments += ["--policy", "faster", "--episodes", str(EPISODES), "--output", str(folder / "x.parquet"), *more]
+    return [sys.executable, "-m", "evaluation.commands.cli", *arguments]
+
+
+def lines(folder):
+    path = folder / "x.parquet.episodes"
+    return path.read_bytes().count(b"\n") if path.exists() else 0
+
+
+def same(one, two):
+    times = [column for column in one if column.startswith("latenc")]
+    pd.testing.assert_frame_equal(one.drop(columns=times), two.drop(columns=times), check_dtype=False)
+
+
+def test_a_run_that_is_killed_at_ten_moments_ends_as_if_it_had_not_been(tmp_path):
+    whole = tmp_path / "whole"
+    whole.mkdir()
+    subprocess.run(command(whole), check=True, capture_output=True)
+    chance, killed = random.Random(0), 0
+    while killed < 10:
+        run = subprocess.Popen(command(tmp_path, "--resume"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        before = lines(tmp_path)
+        while run.poll() is None and lines(tmp_path) <= before:
+            time.sleep(0.005)
+        time.sleep(chance.uniform(0, 0.15))
+        if run.poll() is not None:
+            break
+        run.kill()
+        run.wait()
+        killed += 1
+    assert killed == 10
+    assert lines(tmp_path) > 10
+    done = subprocess.run(command(tmp_path, "--resume"), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    same(pd.read_parquet(whole / "x.parquet"), pd.read_parquet(tmp_path / "x.parquet"))
+    assert not (tmp_path / "x.parquet.episodes").exists()
+    assert pd.read_parquet(tmp_path / "x.parquet").attrs["made"]["asked"]["episodes"] == EPISODES
+
+
+def test_control_c_prints_what_there_is_and_keeps_it(tmp_path):
+    run = subprocess.Popen(command(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while run.poll() is None and lines(tmp_path) < 4:
+        time.sleep(0.005)
+    run.send_signal(signal.SIGINT)
+    out, err = run.communicate(timeout=60)
+    assert run.returncode == 130, err
+    assert "crashes %" in out
+    assert "--resume goes on from there" in err
+    kept = lines(tmp_path)
+    assert kept >= 4
+    again = subprocess.run(command(tmp_path), capture_output=True, text=True)
+    assert again.returncode == 2
+    assert "--resume goes on with it, --force begins again" in " ".join(again.stderr.split())
+    assert lines(tmp_path) == kept
+
+
+def drive(store, jobs=1):
+    variants = make_variants(["none", "full"], ["env"])
+    return run_paired(SHORT, "faster", variants, range(100, 104), jobs=jobs, store=store)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_is_stored_is_not_driven_again(tmp_path, jobs):
+    path = tmp_path / "x.parquet"
+    store = Store(path, ASKED)
+    frame = drive(store, jobs)
+    file = store.path.read_bytes().splitlines(keepends=True)
+    assert len(file) == 9
+    # The last line was cut off, and one is there twice.
+    store.path.write_bytes(b"".join([*file[:5], file[3], file[5][:20]]))
+    again = Store(path, ASKED, resume=True)
+    assert len(again.rows) == 4
+    same(frame, drive(again))
+    assert len(again.rows) == 8
+    assert {len(json.loads(line)) for line in again.path.read_bytes().splitlines()[1:]} == {len(frame.columns)}
+    same(frame, drive(Store(path, ASKED, resume=True)))
+
+
+def test_episodes_of_another_comparison_are_not_mixed_in(tmp_path):
+    path = tmp_path / "x.parquet"
+    Store(path, ASKED)
+    with pytest.raises(ConfigError, match=r"was stopped; --resume goes on with it, --force begins again"):
+        Store(path, ASKED)
+    with pytest.raises(ConfigError, match=r"another comparison: model, seed differ; --force"):
+        Store(path, {**ASKED, "seed": 6, "model": "learned"}, resume=True)
+    assert Store(path, ASKED, resume=True).rows == []
+    (tmp_path / "x.parquet.episodes").write_bytes(b"nothing\n{}\n")
+    with pytest.raises(DataError, match="is damaged"):
+        Store(path, ASKED, resume=True)
+
+
+def test_a_store_without_a_path_keeps_episodes_in_memory():
+    store = Store(None, ASKED)
+    same(drive(store), pd.DataFrame(store.rows))
+    store.finish()

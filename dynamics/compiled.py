@@ -8,7 +8,9 @@ takes from elsewhere. So kernels may call those of other files, and a copy of th
 
 from __future__ import annotations
 
+import builtins
 from collections.abc import Callable
+from dis import get_instructions
 from hashlib import sha256
 from inspect import getsource, getsourcefile
 from pathlib import Path
@@ -46,6 +48,11 @@ def made_from(kernel: Any) -> str:
 def _digest(function: Callable[..., Any]) -> str:
     file = getsourcefile(function)
     parts = [function.__qualname__, Path(file).read_text(encoding="utf-8") if file else getsource(function)]
+    asked = {each.argval for each in get_instructions(function) if each.opname == "LOAD_GLOBAL"}
+    later = asked - function.__globals__.keys() - vars(builtins).keys()
+    if later - {function.__name__}:
+        # What is not there yet could change without anybody noticing.
+        raise NameError(f"kernel {function.__qualname__} needs {', '.join(sorted(later))}: define that before it")
     for name in function.__code__.co_names:
         value = function.__globals__.get(name)
         if isinstance(value, bool | int | float | str | tuple):

@@ -66,3 +66,12 @@ def test_code_on_the_disk_is_found_again_and_never_stale(tmp_path, file, old, ne
     path = tmp_path / file
     path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
     assert run(tmp_path) == (then, 0)
+
+
+def test_what_a_kernel_needs_has_to_be_there_before_it():
+    with pytest.raises(NameError, match=r"kernel early needs later_on: define that before it"):
+        compiled(early)
+
+
+def early(x):
+    return later_on(x)  # noqa: F821

@@ -104,85 +104,6 @@ def seen(
 
 
 @compiled
-def judged(
-    paths: FloatArray,
-    lanes: IntArray,
-    fails: IntArray,
-    state: FloatArray,
-    size: FloatArray,
-    centers: FloatArray,
-    settings: FloatArray,
-    motion: FloatArray,
-    table: FloatArray,
-    hold: int,
-    owned: BoolArray,
-    visible: IntArray,
-    ignored: BoolArray,
-    rows: FloatArray,
-    states: FloatArray,
-    stretch: FloatArray,
-    marks: IntArray,
-    numbers: FloatArray,
-    brakes: FloatArray,
-    recent: FloatArray,
-    of_others: FloatArray,
-    flags: BoolArray,
-    slipping: FloatArray,
-) -> tuple[FloatArray, IntArray, IntArray]:
-    """What is said against paths.
-
-    Parameters
-    ----------
-    paths, lanes, fails : (n, K, 4), and the lane that each commits to, and stops in, (n,).
-    state, size : of the ego: road state (4,), numbers of its `Footprint` (8,).
-    centers : of the lanes [m]. settings, motion : numbers of `Settings`, and of `Motion`.
-    table : of the road, see `dynamics.vehicle.rollout_kernels`.
-    hold : frames of constant speed, which make a forecast of it, and no bound.
-    owned, visible : which lanes it owns, and for how many frames it has been visible in each, (lanes,).
-    ignored : vehicles to leave out, (m,) bool, or none of them (0,).
-    rows, states, stretch, marks, numbers, brakes, recent, of_others, flags, slipping : of the others, see `seen`; and
-        what a metre driven is of the road, (2, m or 0).
-
-    Returns
-    -------
-    Of each path its margin, the room in the lane that is stopped in, the least separation from each vehicle in reach,
-    and from each that slips in, (2 + q + c, n) [m]; frames before the first separation that is negative, what the
-    margin comes from, and the vehicle, (3, n); and the vehicles in reach, (q,).
-    """
-    n, frames = paths.shape[0], paths.shape[1]
-    x, foot = settings_from(settings), Footprint(*numbers_of(size, 8))
-    bodies = bodies_of(marks, numbers, brakes, recent)
-    others = others_from(bodies, of_others, flags)
-    room = rooms(paths, foot, centers, fails, 0.5 * x.width, x.bent > 0)
-    distance = -np.inf
-    for i in range(n):
-        way = paths[i, frames - 1, 0] - state[0]
-        # A way that is not a number drops nobody.
-        distance = max(distance, way) if way == way else np.inf
-    near, owed = threats(others, (distance, x.perception), lanes, fails, owned, centers, paths, foot)
-    if ignored.shape[0] > 0:
-        kept = ~ignored[near]
-        near, owed = near[kept], owed[:, kept].copy()
-    around = Around(rows, states, stretch, bodies, motion_of(motion), others)
-    separations, reached = np.empty((n, 0)), np.full(n, frames)
-    if near.shape[0] > 0:
-        plans, ground = Plans(paths, lanes, fails), Ground(centers, owned, visible)
-        separations = _separations(plans, state[1], foot, ground, around, near, owed, x, hold, reached)
-    slips = slipping if hold == 0 else slipping[:0]
-    apart, q = _slips(paths, foot, centers, table, ignored, around, slips, x), near.shape[0]
-    margin = margins(separations, apart, room)
-    found, marked = np.empty((2 + q + apart.shape[1], n)), np.empty((3, n), np.intp)
-    for i in range(n):
-        if q == 0 and not np.isfinite(paths[i]).all():
-            margin[i] = np.nan
-        found[0, i], found[1, i] = margin[i], room[i]
-        found[2 : 2 + q, i], found[2 + q :, i] = separations[i], apart[i]
-        marked[0, i] = reached[i]
-        marked[1, i], marked[2, i] = _binding(margin[i], separations[i], near, apart[i], slips)
-    return found, marked, near
-
-
-@compiled
 def _separations(
     plans: Plans,
     r: float,
@@ -272,3 +193,82 @@ def _binding(
     if apart.shape[0] > 0 and apart.min() <= margin:
         return SLIP_IN_BINDS, int(slips[apart.argmin(), 0])
     return (NOTHING_BINDS if margin == np.inf else ROOM_BINDS), -1
+
+
+@compiled
+def judged(
+    paths: FloatArray,
+    lanes: IntArray,
+    fails: IntArray,
+    state: FloatArray,
+    size: FloatArray,
+    centers: FloatArray,
+    settings: FloatArray,
+    motion: FloatArray,
+    table: FloatArray,
+    hold: int,
+    owned: BoolArray,
+    visible: IntArray,
+    ignored: BoolArray,
+    rows: FloatArray,
+    states: FloatArray,
+    stretch: FloatArray,
+    marks: IntArray,
+    numbers: FloatArray,
+    brakes: FloatArray,
+    recent: FloatArray,
+    of_others: FloatArray,
+    flags: BoolArray,
+    slipping: FloatArray,
+) -> tuple[FloatArray, IntArray, IntArray]:
+    """What is said against paths.
+
+    Parameters
+    ----------
+    paths, lanes, fails : (n, K, 4), and the lane that each commits to, and stops in, (n,).
+    state, size : of the ego: road state (4,), numbers of its `Footprint` (8,).
+    centers : of the lanes [m]. settings, motion : numbers of `Settings`, and of `Motion`.
+    table : of the road, see `dynamics.vehicle.rollout_kernels`.
+    hold : frames of constant speed, which make a forecast of it, and no bound.
+    owned, visible : which lanes it owns, and for how many frames it has been visible in each, (lanes,).
+    ignored : vehicles to leave out, (m,) bool, or none of them (0,).
+    rows, states, stretch, marks, numbers, brakes, recent, of_others, flags, slipping : of the others, see `seen`; and
+        what a metre driven is of the road, (2, m or 0).
+
+    Returns
+    -------
+    Of each path its margin, the room in the lane that is stopped in, the least separation from each vehicle in reach,
+    and from each that slips in, (2 + q + c, n) [m]; frames before the first separation that is negative, what the
+    margin comes from, and the vehicle, (3, n); and the vehicles in reach, (q,).
+    """
+    n, frames = paths.shape[0], paths.shape[1]
+    x, foot = settings_from(settings), Footprint(*numbers_of(size, 8))
+    bodies = bodies_of(marks, numbers, brakes, recent)
+    others = others_from(bodies, of_others, flags)
+    room = rooms(paths, foot, centers, fails, 0.5 * x.width, x.bent > 0)
+    distance = -np.inf
+    for i in range(n):
+        way = paths[i, frames - 1, 0] - state[0]
+        # A way that is not a number drops nobody.
+        distance = max(distance, way) if way == way else np.inf
+    near, owed = threats(others, (distance, x.perception), lanes, fails, owned, centers, paths, foot)
+    if ignored.shape[0] > 0:
+        kept = ~ignored[near]
+        near, owed = near[kept], owed[:, kept].copy()
+    around = Around(rows, states, stretch, bodies, motion_of(motion), others)
+    separations, reached = np.empty((n, 0)), np.full(n, frames)
+    if near.shape[0] > 0:
+        plans, ground = Plans(paths, lanes, fails), Ground(centers, owned, visible)
+        separations = _separations(plans, state[1], foot, ground, around, near, owed, x, hold, reached)
+    slips = slipping if hold == 0 else slipping[:0]
+    apart, q = _slips(paths, foot, centers, table, ignored, around, slips, x), near.shape[0]
+    margin = margins(separations, apart, room)
+    found, marked = np.empty((2 + q + apart.shape[1], n)), np.empty((3, n), np.intp)
+    for i in range(n):
+        if q == 0 and not np.isfinite(paths[i]).all():
+            margin[i] = np.nan
+        found[0, i], found[1, i] = margin[i], room[i]
+        found[2 : 2 + q, i], found[2 + q :, i] = separations[i], apart[i]
+        marked[0, i] = reached[i]
+        marked[1, i], marked[2, i] = _binding(margin[i], separations[i], near, apart[i], slips)
+    return found, marked, near

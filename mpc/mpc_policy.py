@@ -191,6 +191,7 @@ class MPCPolicy:
                     dt=scene.dt,
                     substeps=substeps,
                     stages=stages,
+                    free_moves=min(8, stages),
                     acceleration=(low, high),
                     steering=min(abs(x) for x in self.actuators.steering) if self.actuators.lateral else 1e-3,
                     braking=max(-low, 1e-3),

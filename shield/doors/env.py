@@ -25,6 +25,7 @@ from shield.doors.supervision import Command, Supervision
 from shield.errors import ConfigError, SceneError
 from shield.procedures.decide import Core
 from shield.procedures.warm_up import warm_up
+from shield.rules import Rule
 
 if TYPE_CHECKING:
     from mpc.filter.program.road_step import StageModel
@@ -49,6 +50,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         last observation).
     model : what the predictive filter plans with for `ContinuousAction`, such as
         `dynamics.learned.models.casadi_steps.LearnedSteps`; the bicycle by default. All is verified on the bicycle.
+    rule : a rule of one's own (`shield.rules.Rule`), which decides alone, as the modes "distance", "rss" and "ttc" do:
+        nothing is verified then, and no frame supervised. `shield.testing.check_rule` tries it.
 
     Raises
     ------
@@ -79,21 +82,26 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         config: ShieldConfig | str | Path | None = None,
         policy: Any = None,
         model: StageModel | None = None,
+        rule: Rule | None = None,
     ) -> None:
         bases = base_environments(env, "ShieldedEnv")
-        RecordConstructorArgs.__init__(self, _disable_deepcopy=True, config=config, policy=policy, model=model)
+        RecordConstructorArgs.__init__(
+            self, _disable_deepcopy=True, config=config, policy=policy, model=model, rule=rule
+        )
         gym.Wrapper.__init__(self, env)
         self.config = ShieldConfig.of(config)
         self.policy = None if policy is None else as_policy(policy, env)
         self._base: Any = bases[0]
         kind = the_action_type(bases, "ShieldedEnv")
         self._door: MetaDoor | InputDoor
+        if rule is not None and kind == "ContinuousAction":
+            raise ConfigError("a rule judges meta-actions; this environment has ContinuousAction")
         if kind == "ContinuousAction":
             self._door = InputDoor(self._base, self.config, model=model)
         elif model is not None:
             raise ConfigError("a model is for ContinuousAction; with meta-actions leave it out")
         else:
-            self._door = MetaDoor(self._base, self.config)
+            self._door = MetaDoor(self._base, self.config, rule=rule)
         self.core: Core[Any] = self._door.core
         warm_up()
         self._observation: Any = None
@@ -126,7 +134,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self.frame_decisions = []
         self._supervising = 0.0
         deciding = perf_counter() - start
-        if self.config.mode == "full":
+        if self._door.supervising:
             with Supervision(self._base, self._frame):
                 obs, reward, terminated, truncated, info = self.env.step(decision.executed)
         else:

@@ -21,6 +21,7 @@ from shield.procedures.meta_actions import MetaActions
 from shield.procedures.meta_actions_only import MetaActionsOnly
 from shield.procedures.nearest_inputs import NearestInputs
 from shield.procedures.screen import RuleAlone, Wish
+from shield.rules import Rule
 
 __all__ = ["MetaDoor"]
 
@@ -34,6 +35,7 @@ class MetaDoor:
     config : settings.
     frames : whether the frames between two decisions are supervised, with `frame`. Without, a meta-action has to last
         until the next decision, and the shield's look-ahead ends with its horizon.
+    rule : what decides alone, as the modes "distance", "rss" and "ttc" do.
 
     Raises
     ------
@@ -47,13 +49,13 @@ class MetaDoor:
     core : what decides, and remembers. cause : why the scene of the last decision could not be read, "" where it could.
     """
 
-    def __init__(self, base: Any, config: ShieldConfig, frames: bool = True) -> None:
+    def __init__(self, base: Any, config: ShieldConfig, frames: bool = True, rule: Rule | None = None) -> None:
         refuse_lots([base])
         self.config, self.reader, self._base = config, SceneReader(base), base
         self._meta: Any = MetaActions(config) if frames else MetaActionsOnly(config)
         self._frames = Frames(config, NearestInputs(config) if config.repair == "filter" else None)
-        alone = config.mode in ("distance", "rss", "ttc")
-        self.core: Core[Any] = Core(RuleAlone(config) if alone else self._meta)
+        self._alone = rule is not None or config.mode in ("distance", "rss", "ttc")
+        self.core: Core[Any] = Core(RuleAlone(config, rule) if self._alone else self._meta)
         self._passed: tuple[Decision, Target] | None = None
         self.cause = ""
         if base.road is not None and config.mode != "none":
@@ -62,7 +64,7 @@ class MetaDoor:
     @property
     def supervising(self) -> bool:
         """Whether `frame` has a say."""
-        return self.config.mode == "full"
+        return self.config.mode == "full" and not self._alone
 
     def reset(self) -> None:
         """Forget everything about the episode.

@@ -61,11 +61,12 @@ class RuleAlone:
     Parameters
     ----------
     config : its `mode` names the rule.
+    rule : one of the user's own instead.
     """
 
-    def __init__(self, config: ShieldConfig) -> None:
+    def __init__(self, config: ShieldConfig, rule: Rule | None = None) -> None:
         self.config = config
-        self._screen, self._rule = Screen(config), make_rule(config.mode, config)
+        self._screen, self._rule = Screen(config), rule if rule is not None else make_rule(config.mode, config)
 
     def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
         """A proposal that is no action, or a scene that is not finite."""

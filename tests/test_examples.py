@@ -1,0 +1,27 @@
+"""Every example runs as it stands, in an empty folder, and is short."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "examples"
+EXAMPLES = sorted(FOLDER.glob("*.py"))
+SHORT = {"STEPS": "128", "EPISODES": "2", "MPLBACKEND": "agg"}
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=[path.stem for path in EXAMPLES])
+def test_an_example_runs(path, tmp_path):
+    assert len(path.read_text(encoding="utf-8").splitlines()) < 40
+    env = {**os.environ, **SHORT, "PYTHONPATH": str(FOLDER.parent)}
+    done = subprocess.run([sys.executable, str(path)], cwd=tmp_path, env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert done.stdout.strip()
+
+
+def test_there_are_ten():
+    assert len(EXAMPLES) == 10

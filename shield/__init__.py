@@ -11,6 +11,7 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from dynamics.traffic.assumptions import Assumptions
+    from shield.callback import ShieldCallback
     from shield.config import Buffer, ShieldConfig
     from shield.decision import Decision, Reason, Tier
     from shield.doors.env import ShieldedEnv
@@ -27,6 +28,7 @@ __all__ = [
     "Reason",
     "SceneError",
     "Shield",
+    "ShieldCallback",
     "ShieldConfig",
     "ShieldError",
     "ShieldedEnv",
@@ -36,6 +38,7 @@ __all__ = [
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
+        "callback": ["ShieldCallback"],
         "config": ["Assumptions", "Buffer", "ShieldConfig"],
         "decision": ["Decision", "Reason", "Tier"],
         "doors.env": ["ShieldedEnv"],

@@ -246,6 +246,25 @@ def cem_demo_command(
 
 
 @app.command()
+def film(
+    output: Annotated[Path, typer.Argument(help="The .gif to write.")] = Path("runs", "film.gif"),
+    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
+    policy: Annotated[str, typer.Option(help="A policy by name, or an SB3 .zip.")] = DEMO_POLICY,
+    seed: Annotated[
+        int, typer.Option(min=0, help=f"Where the search for an override begins, below {FIRST_EVALUATION_SEED}.")
+    ] = 0,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
+) -> None:
+    """Film a policy behind the shield, around one of its overrides."""
+    from evaluation.report.video import film_override
+
+    if output.exists() and not force:
+        raise ConfigError(f"{output} exists already; --force overwrites it")
+    made = film_override(output, setting, policy, seed)
+    _out.print(f"wrote {made.path} (seed {made.seed}, {made.overrides} decisions overridden)")
+
+
+@app.command()
 def picture(
     output: Annotated[Path, typer.Argument(help="The .png to write.")] = Path("docs", "images", "override.png"),
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from copy import deepcopy
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -20,7 +21,7 @@ from shield.doors.liveness import Liveness
 from shield.doors.meta_door import MetaDoor
 from shield.doors.patience import Patience
 from shield.doors.ranking import order_from_scores, ranking_of
-from shield.doors.report import report
+from shield.doors.report import Statistics, report
 from shield.doors.supervision import Command, Supervision
 from shield.errors import ConfigError
 from shield.procedures.warm_up import warm_up
@@ -108,6 +109,7 @@ class Shield:
         self._alive = [Liveness(base) for base in self._bases]
         self._supervisions: list[Supervision | None] = [None] * n
         self._counted = [0] * n
+        self._statistics = Statistics()
         self.last_decisions: list[Decision] = []
         self.frame_decisions: list[list[Decision]] = [[] for _ in range(n)]
 
@@ -130,6 +132,14 @@ class Shield:
         return report(self.last_decisions[i], self.frame_decisions[i], violations)
 
     @property
+    def statistics(self) -> Statistics:
+        """What has been done since this shield was made, in all environments."""
+        statistics = deepcopy(self._statistics)
+        for i in range(len(self.last_decisions)):
+            statistics.add(self.report(i))
+        return statistics
+
+    @property
     def latency(self) -> float:
         """All the time that the shield took since `predict` was called last, the policy's own excepted [s]."""
         return sum(d.latency for d in chain(self.last_decisions, *self.frame_decisions))
@@ -141,6 +151,7 @@ class Shield:
 
     def reset(self) -> None:
         """Forget everything; done by itself when an environment starts a new episode."""
+        self._statistics = self.statistics
         for i, door in enumerate(self._doors):
             door.reset()
             supervision, self._supervisions[i] = self._supervisions[i], None
@@ -224,6 +235,8 @@ class Shield:
 
     def _decide(self, i: int, proposal: Any, ranking: _Ranking, reason: Reason | None) -> Decision:
         door, base = self._doors[i], self._bases[i]
+        if len(self.last_decisions) > i:
+            self._statistics.add(self.report(i))
         if base.road is not self._roads[i]:
             self._roads[i] = base.road
             door.reset()

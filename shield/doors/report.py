@@ -2,14 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from shield.decision import Decision
 
-__all__ = ["report"]
+__all__ = ["Statistics", "report"]
+
+
+@dataclass(slots=True)
+class Statistics:
+    """What a shield has done so far.
+
+    Attributes
+    ----------
+    decisions, overridden : how many there were, and of how many the action or a frame was replaced.
+    frames_overridden, violations : frames that were replaced, and offences of the traffic.
+    reasons : how often each was the reason.
+    """
+
+    decisions: int = 0
+    overridden: int = 0
+    frames_overridden: int = 0
+    violations: int = 0
+    reasons: Counter[str] = field(default_factory=Counter)
+
+    def add(self, report: Mapping[str, Any]) -> None:
+        """Count one report."""
+        self.decisions += 1
+        self.overridden += report["overridden"]
+        self.frames_overridden += report["frames_overridden"]
+        self.violations += report["violations"]
+        self.reasons[report["reason"]] += 1
 
 
 def report(decision: Decision, frames: Sequence[Decision], violations: int) -> dict[str, Any]:

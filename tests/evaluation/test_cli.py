@@ -3,11 +3,13 @@
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from evaluation import policies
 from evaluation.commands.cli import _split, app, main
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
@@ -128,3 +130,12 @@ def test_help_needs_nothing_that_is_slow_to_import():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.strip().endswith("[]"), done.stdout[-200:] + done.stderr[-2000:]
+
+
+def test_a_film_of_ones_own_model(tmp_path):
+    path = tmp_path / "film.gif"
+    zipped = str(Path(policies.__file__).parent / "ppo-highway-fast.zip")
+    arguments = ["film", str(path), "--policy", zipped]
+    assert RUN.invoke(app, arguments, catch_exceptions=False).exit_code == 0
+    assert path.stat().st_size > 10_000
+    assert "--force overwrites it" in str(RUN.invoke(app, arguments).exception)

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from collections import Counter
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -10,10 +11,11 @@ import pytest
 import torch
 from policies import Always, Playback, make
 from stable_baselines3 import PPO
+from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from dynamics.scenes.scene import SceneReader
-from shield import Shield, ShieldConfig, ShieldedEnv
+from shield import Shield, ShieldCallback, ShieldConfig, ShieldedEnv
 from shield.doors.ranking import normalised, ranking_of
 from shield.errors import ConfigError, PolicyError, SceneError
 
@@ -252,3 +254,39 @@ def test_a_models_own_normalisation_is_applied_before_it_ranks():
     np.testing.assert_allclose(normalised(model, obs), vec.normalize_obs(obs))
     assert not np.allclose(ranking_of(model, normalised(model, obs)), ranking_of(model, obs))
     assert normalised(Always(3), obs) is obs
+
+
+# -- what is counted --------------------------------------------------------------------------------------------
+
+
+def test_a_shield_counts_what_it_has_done():
+    env = make(duration=8)
+    shield, reports = Shield(Always(3), env=env), []
+    for seed in range(2):
+        obs, _ = env.reset(seed=seed)
+        done = False
+        while not done:
+            action, _ = shield.predict(obs)
+            obs, _, terminated, truncated, _ = env.step(int(action))
+            reports.append(shield.report())
+            done = terminated or truncated
+    counted = shield.statistics
+    assert counted.decisions == len(reports)
+    assert counted.overridden == sum(report["overridden"] for report in reports) > 0
+    assert counted.frames_overridden == sum(report["frames_overridden"] for report in reports)
+    assert counted.reasons == Counter(report["reason"] for report in reports)
+    assert shield.statistics == counted
+    shield.reset()
+    assert shield.statistics == counted
+
+
+def test_a_training_run_logs_what_the_shield_does(tmp_path):
+    model = PPO("MlpPolicy", ShieldedEnv(make()), n_steps=32, batch_size=32, device="cpu")
+    model.set_logger(configure(str(tmp_path), ["csv"]))
+    model.learn(64, callback=ShieldCallback())
+    (header, *rows) = (tmp_path / "progress.csv").read_text().splitlines()
+    columns = header.split(",")
+    assert {"shield/overridden", "shield/frames_overridden", "shield/violations", "shield/latency_ms"} <= set(columns)
+    reasons = [i for i, name in enumerate(columns) if name.startswith("shield/reason/")]
+    assert reasons
+    assert all(float(row.split(",")[columns.index("shield/latency_ms")]) > 0 for row in rows)

@@ -1,0 +1,43 @@
+"""What the shield did, in the logs of a training run."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback
+
+__all__ = ["ShieldCallback"]
+
+
+class ShieldCallback(BaseCallback):
+    """Logs what `ShieldedEnv` reports while an SB3 model learns, to TensorBoard where one is set up.
+
+    Means over the decisions between two dumps of the logger: `shield/overridden`, `shield/frames_overridden`,
+    `shield/violations`, `shield/margin` [m] where it is finite, `shield/latency_ms`, and the share of each reason that
+    there was, `shield/reason/...`.
+
+    Examples
+    --------
+    >>> ShieldCallback().verbose
+    0
+    """
+
+    def _on_step(self) -> bool:
+        reports = [info["shield"] for info in self.locals["infos"] if "shield" in info]
+        for report in reports:
+            for name in ("overridden", "frames_overridden", "violations"):
+                self.logger.record_mean(f"shield/{name}", float(report[name]))
+            if np.isfinite(report["margin"]):
+                self.logger.record_mean("shield/margin", report["margin"])
+            self._seen.add(report["reason"])
+            for reason in self._seen:
+                self.logger.record_mean(f"shield/reason/{reason}", float(report["reason"] == reason))
+        # Not every vector environment has the shield on the outside.
+        with suppress(AttributeError):
+            for latency in self.training_env.get_attr("latency"):
+                self.logger.record_mean("shield/latency_ms", 1e3 * latency)
+        return True
+
+    def _init_callback(self) -> None:
+        self._seen: set[str] = set()

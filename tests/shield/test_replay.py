@@ -14,6 +14,7 @@ import pytest
 
 from evaluation.policies import load_reference
 from shield import Shield, ShieldConfig, ShieldedEnv
+from shield.doors.meta_door import MetaDoor
 from shield.procedures.decide import Core, decide
 
 CONTINUOUS = {"action": {"type": "ContinuousAction"}}
@@ -41,7 +42,7 @@ def behind_env(kind, config=None, shield=None, policy=None):
 def behind_policy(kind, config=None):
     env = gym.make(kind, config=config or {})
     policy = Random(env.action_space)
-    return env, Shield(policy, env=env), lambda: Shield(policy, env=env)
+    return env, Shield(policy, env=env, frames=False), lambda: Shield(policy, env=env, frames=False)
 
 
 CASES = {
@@ -86,9 +87,8 @@ def recorded(case, count, monkeypatch):
 
 def procedures(shielded):
     """Those of a door, by name."""
-    if isinstance(shielded, Shield):
-        return {type(core.procedure).__name__: core.procedure for core in shielded._cores}
-    kinds = shielded.core.procedure, shielded._frames
+    doors = shielded._doors if isinstance(shielded, Shield) else [shielded._door]
+    kinds = [door.core.procedure for door in doors] + [door._frames for door in doors if isinstance(door, MetaDoor)]
     return {type(each).__name__: each for each in kinds}
 
 

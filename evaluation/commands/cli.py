@@ -156,6 +156,8 @@ def evaluate(
     All rows drive the same seeds. Rates in percent with 95 % intervals, speeds in m/s,
     distances and margins in m, latencies in ms per decision.
     """
+    import pandas as pd
+
     from evaluation.running.episodes import run_paired
     from evaluation.running.records import make_variants
     from evaluation.running.store import Store, provenance
@@ -180,26 +182,28 @@ def evaluate(
     }
     store = Store(output, asked, resume)
     try:
-        for each in settings:
-            for driver in _split(policy):
-                run_paired(
-                    each,
-                    driver,
-                    make_variants(_shields(shield, each.road), doors, shield_config),
-                    range(seed, seed + episodes),
-                    jobs=jobs,
-                    algorithm=algorithm,
-                    model=model,
-                    progress=True,
-                    store=store,
-                )
+        parts = [
+            run_paired(
+                each,
+                driver,
+                make_variants(_shields(shield, each.road), doors, shield_config),
+                range(seed, seed + episodes),
+                jobs=jobs,
+                algorithm=algorithm,
+                model=model,
+                progress=True,
+                store=store,
+            )
+            for each in settings
+            for driver in _split(policy)
+        ]
     except KeyboardInterrupt:
         if store.rows:
-            _report(_in_order(store.rows), None, markdown)
+            _report(pd.DataFrame(store.rows), None, markdown)
         kept = "" if output is None else "; --resume goes on from there"
         Console(stderr=True).print(f"stopped after {len(store.rows)} episodes{kept}", highlight=False)
         raise typer.Exit(130) from None
-    _report(_in_order(store.rows), output, markdown, provenance(asked))
+    _report(pd.concat(parts, ignore_index=True), output, markdown, provenance(asked))
     store.finish()
 
 
@@ -346,17 +350,6 @@ def _check_output(path: Path, force: bool) -> None:
             pass
     except OSError as error:
         raise ConfigError(f"--output {path} cannot be written: {error.strerror}") from None
-
-
-def _in_order(rows: list[dict[str, Any]]) -> pd.DataFrame:
-    """Episodes by setting, policy, variant and seed, the first three in the order in which they first came."""
-    import pandas as pd
-
-    keys = ["setting", "policy", "door", "mode"]
-    first: dict[tuple[Any, ...], int] = {}
-    for row in rows:
-        first.setdefault(tuple(row[key] for key in keys), len(first))
-    return pd.DataFrame(sorted(rows, key=lambda row: (first[tuple(row[key] for key in keys)], row["seed"])))
 
 
 def _report(episodes: pd.DataFrame, output: Path | None, markdown: bool, made: dict[str, Any] | None = None) -> None:

@@ -87,10 +87,8 @@ class _Driver:
     ) -> None:
         self.setting, self.variant = setting, variant
         self.env: gym.Env[Any, Any] = setting.make()
-        self.label = policy_label(policy) if isinstance(policy, str) else type(policy).__name__
+        self.label = _label(policy, model)
         learned = driving_model(model, self.env)
-        if learned is not None:
-            self.label += f"-{Path(str(model)).name}"
         self.policy: Policy = make_policy(policy, self.env, algorithm, learned) if isinstance(policy, str) else policy
         self.driver: Policy = self.policy
         self.shield: Shield | None = None
@@ -249,7 +247,7 @@ def run_paired(
     rows: list[dict[str, Any]] = []
     done: set[tuple[str, str, int]] = set()
     if store is not None:
-        label = _label(setting, policy, model)
+        label = _label(policy, model)
         done = store.done(setting.name, label)
         rows = [row for row in store.rows if (row["setting"], row["policy"]) == (setting.name, label)]
     # One episode a call where each is kept as it finishes: the driver is, too.
@@ -275,7 +273,7 @@ def run_paired(
     return pd.DataFrame(rows)
 
 
-def _label(setting: Setting, policy: str | Policy, model: str | None) -> str:
+def _label(policy: str | Policy, model: str | None) -> str:
     """The name that the episodes of a policy are reported under."""
     label = policy_label(policy) if isinstance(policy, str) else type(policy).__name__
     return label if model in (None, "bicycle") else f"{label}-{Path(str(model)).name}"

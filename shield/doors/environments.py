@@ -7,7 +7,7 @@ from typing import Any
 
 from shield.errors import ConfigError
 
-__all__ = ["base_environments", "refuse_shielded", "the_action_type"]
+__all__ = ["base_environments", "the_action_type"]
 
 _KINDS = ("DiscreteMetaAction", "ContinuousAction")
 
@@ -33,7 +33,7 @@ def base_environments(env: Any, door: str) -> list[Any]:
                 "the scene; put the shield inside instead: SubprocVecEnv([lambda: ShieldedEnv(gym.make(...))])"
             )
     for one in each:
-        refuse_shielded(one, door)
+        _refuse_shielded(one, door)
     bases = [one.unwrapped for one in each]
     for base in bases:
         if not hasattr(base, "road") or not hasattr(base, "controlled_vehicles"):
@@ -44,7 +44,7 @@ def base_environments(env: Any, door: str) -> list[Any]:
     return bases
 
 
-def refuse_shielded(env: Any, door: str) -> None:
+def _refuse_shielded(env: Any, door: str) -> None:
     """Raise where there is a shield inside already.
 
     Raises

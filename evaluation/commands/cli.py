@@ -42,7 +42,7 @@ app = typer.Typer(
     add_completion=False,
 )
 app.add_typer(dynamics_app, name="dynamics")
-_out = Console()
+_out, _err = Console(), Console(stderr=True, highlight=False)
 
 
 def _version(asked: bool) -> None:
@@ -158,6 +158,7 @@ def evaluate(
     """
     import pandas as pd
 
+    from evaluation.learning.normalised_model import statistics_beside
     from evaluation.running.episodes import run_paired
     from evaluation.running.records import make_variants
     from evaluation.running.store import Store, provenance
@@ -180,6 +181,9 @@ def evaluate(
         "model": model,
         "shield": None if shield_config is None else shield_config.to_toml(),
     }
+    for name in _split(policy):
+        if name.endswith(".zip") and (statistics := statistics_beside(Path(name))):
+            _err.print(f"{name}: observations are normalised by {statistics.name} beside it")
     store = Store(output, asked, resume)
     try:
         parts = [
@@ -201,7 +205,7 @@ def evaluate(
         if store.rows:
             _report(pd.DataFrame(store.rows), None, markdown)
         kept = "" if output is None else "; --resume goes on from there"
-        Console(stderr=True).print(f"stopped after {len(store.rows)} episodes{kept}", highlight=False)
+        _err.print(f"stopped after {len(store.rows)} episodes{kept}")
         raise typer.Exit(130) from None
     _report(pd.concat(parts, ignore_index=True), output, markdown, provenance(asked))
     store.finish()
@@ -276,6 +280,24 @@ def picture(
     from evaluation.report.video import still_of_override
 
     _out.print(f"wrote {still_of_override(output)}")
+
+
+@app.command()
+def plot(
+    episodes: Annotated[Path, typer.Argument(help="What `shield evaluate --output` wrote, .csv or .parquet.")],
+    output: Annotated[
+        Path | None, typer.Option(help="The .png, .svg or .pdf to write; by default beside the episodes, as .png.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
+) -> None:
+    """Plot crash rates, returns, overrides by reason and smallest gaps."""
+    from evaluation.report.plots import plot_episodes
+    from evaluation.report.table import read_episodes
+
+    path = output or episodes.with_suffix(".png")
+    if path.exists() and not force:
+        raise ConfigError(f"{path} exists already; --force overwrites it")
+    _out.print(f"wrote {plot_episodes(read_episodes(episodes), path)}")
 
 
 @app.command()
@@ -381,7 +403,7 @@ def main() -> None:
     try:
         app()
     except ShieldError as error:
-        Console(stderr=True).print(f"Error: {error}", style="red", markup=False, soft_wrap=True)
+        _err.print(f"Error: {error}", style="red", markup=False, soft_wrap=True)
         sys.exit(2)
 
 

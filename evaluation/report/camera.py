@@ -13,6 +13,7 @@ from dynamics.roads.straight import StraightRoad
 from dynamics.state import FloatArray, RoadState, State
 from evaluation.measuring.recorder import read_road
 from evaluation.report.draw import Shot
+from evaluation.report.proposal import action_labels, ego_copy, proposed_path
 from shield import ShieldedEnv
 
 __all__ = ["Camera"]
@@ -61,6 +62,7 @@ class Camera:
     def start(self, keep: bool) -> None:
         """Call before each step; with `keep` its frames are pictured."""
         self._taken, self._keep = [], keep
+        self._ego = ego_copy(self._base)
 
     def _take(self) -> None:
         ego = self._base.vehicle
@@ -90,11 +92,10 @@ class Camera:
     def develop(self) -> list[Shot]:
         """The shots of the last step, with the decisions that were taken in it."""
         env, frames = self._env, self._env.frame_decisions
-        actions: tuple[str, ...] = ()
-        if type(self._base.action_type).__name__ == "DiscreteMetaAction":
-            labels = self._base.action_type.actions
-            actions = tuple(labels[i] for i in sorted(labels))
+        actions = action_labels(self._base.action_type)
         assert env.last_decision is not None
+        proposal = proposed_path(self._base, self._ego, env.last_decision.proposed, self._road)
+        period = max(1, round(1.0 / (self._dt * self._base.config["policy_frequency"])))
         return [
             Shot(
                 **taken,
@@ -104,6 +105,8 @@ class Camera:
                 decision=env.last_decision,
                 frame=frames[i] if i < len(frames) else None,
                 age=i,
+                period=period,
+                proposal=proposal,
             )
             for i, taken in enumerate(self._taken)
         ]

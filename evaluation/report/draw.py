@@ -1,8 +1,10 @@
 """One picture of a decision: highway-env's own drawing, and over it what the shield saw and did.
 
-The ego's verified path is green while the proposal passes, orange where the shield changed it, red
-where a fallback acts. The shaded areas are where the others can be within the next second, the
-later the fainter.
+Until the next decision the ego's path is a solid line: green while the proposal passes, orange where the shield changed
+it, red where a fallback acts. The dotted line after it is the fail-safe in reserve, which is driven only if nothing
+better verifies by then: the time at its end says when it would be there, and by then the others are elsewhere. Dashed
+and yellow is what was proposed instead. The shaded areas are where the others can be within the next second, the later
+the fainter.
 """
 
 from __future__ import annotations
@@ -20,12 +22,12 @@ from dynamics.roads.straight import Road
 from dynamics.state import FloatArray, RoadState, State
 from shield.decision import Decision, Tier
 
-__all__ = ["AREA", "GREEN", "ORANGE", "RED", "Shot", "draw"]
+__all__ = ["AREA", "GREEN", "ORANGE", "PROPOSAL", "RED", "Shot", "draw", "without_decision"]
 
 GREEN, ORANGE, RED = (46, 160, 67), (240, 136, 30), (215, 45, 45)
-AREA = (150, 75, 235)
+AREA, PROPOSAL = (150, 75, 235), (255, 214, 10)
 _INK, _PALE, _PAPER = (30, 34, 40), (110, 116, 125), (250, 250, 248)
-_BAR = 92
+_BAR = 112
 """Height of the caption [px]."""
 _OVERSAMPLING = 2
 _OUTLINES = 0.25
@@ -49,6 +51,8 @@ class Shot:
     actions : label of each action index; none where actions are throttle and steering.
     decision, frame : the decision about the action, and about this frame (None in modes without).
     age : frames since `decision` was made.
+    period : frames from one decision to the next.
+    proposal : road states (period + 1, 4) of what was proposed, from the decision on, or None.
     """
 
     image: NDArray[np.uint8]
@@ -63,6 +67,8 @@ class Shot:
     decision: Decision
     frame: Decision | None
     age: int
+    period: int
+    proposal: FloatArray | None = None
 
     @property
     def acting(self) -> Decision:
@@ -97,6 +103,14 @@ def draw(shot: Shot) -> Image.Image:
     return canvas
 
 
+def without_decision(image: NDArray[np.uint8]) -> Image.Image:
+    """A picture of the same size, of a scene that nothing has been decided about."""
+    height, width, _ = image.shape
+    canvas = Image.new("RGB", (width, height + _BAR), _PAPER)
+    canvas.paste(Image.fromarray(image), (0, 0))
+    return canvas
+
+
 def _pixels(shot: Shot, points: FloatArray) -> list[tuple[float, float]]:
     """Road positions (n, 2) [m] to pixels of the oversampled overlay."""
     states = np.zeros((len(points), 4))
@@ -126,7 +140,7 @@ def _draw_areas(overlay: Image.Image, shot: Shot) -> None:
 
 
 def _draw_plan(overlay: Image.Image, shot: Shot) -> None:
-    """The ego's path as a line, and its footprint every quarter of a second."""
+    """The ego's path, its footprint every quarter of a second until the next decision, and the proposal's."""
     plan, first = (shot.acting.plan, 0) if shot.acting is shot.frame else (None, 0)
     if plan is None:
         plan, first = shot.decision.plan, shot.age
@@ -134,19 +148,44 @@ def _draw_plan(overlay: Image.Image, shot: Shot) -> None:
         return
     plan = plan[first:]
     pen = ImageDraw.Draw(overlay)
+    until = min(max(shot.period - shot.age, 1), len(plan) - 1)
+    for step in range(0, until + 1, max(1, round(_OUTLINES / shot.dt))):
+        _draw_outline(pen, shot, plan[step], (*shot.color, 150))
+    path = _pixels(shot, plan[:, : RoadState.R + 1])
+    if shot.proposal is not None and shot.acting.overridden and shot.age < shot.period:
+        ahead = _pixels(shot, shot.proposal[shot.age :, : RoadState.R + 1])
+        _draw_dashes(pen, ahead, (*PROPOSAL, 255), 3 * _OVERSAMPLING, dash=9 * _OVERSAMPLING)
+        _draw_outline(pen, shot, shot.proposal[-1], (*PROPOSAL, 230))
+    _draw_dashes(pen, path[until:], (*shot.color, 230), 2 * _OVERSAMPLING, dash=3 * _OVERSAMPLING)
+    pen.line(path[: until + 1], fill=(*shot.color, 255), width=3 * _OVERSAMPLING, joint="curve")
+    _draw_outline(pen, shot, plan[-1], (*shot.color, 230))
+    x, y = path[-1]
+    half = shot.size[0] / 2 * shot.scaling * _OVERSAMPLING
+    time = f"{shot.dt * (len(plan) - 1):.1f} s"
+    pen.text((x + half + 8, y), time, font=_font(11 * _OVERSAMPLING), fill=(*_PAPER, 255), anchor="lm")
+
+
+def _draw_outline(pen: ImageDraw.ImageDraw, shot: Shot, state: FloatArray, fill: tuple[int, ...]) -> None:
+    """The ego's footprint at a road state."""
     length, width = shot.size
     box = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * (length / 2, width / 2)
-    for step in range(0, len(plan), max(1, round(_OUTLINES / shot.dt))):
-        heading = plan[step, RoadState.HEADING]
-        turn = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
-        outline = _pixels(shot, box @ turn + plan[step, : RoadState.R + 1])
-        pen.line(outline, fill=(*shot.color, 150), width=_OVERSAMPLING)
-    path = _pixels(shot, plan[:, : RoadState.R + 1])
-    if len(path) > 1:
-        pen.line(path, fill=(*shot.color, 255), width=3 * _OVERSAMPLING, joint="curve")
-    x, y = path[-1]
-    radius = 5 * _OVERSAMPLING
-    pen.ellipse((x - radius, y - radius, x + radius, y + radius), fill=(*shot.color, 255))
+    heading = state[RoadState.HEADING]
+    turn = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
+    pen.line(_pixels(shot, box @ turn + state[: RoadState.R + 1]), fill=fill, width=_OVERSAMPLING)
+
+
+def _draw_dashes(
+    pen: ImageDraw.ImageDraw, path: list[tuple[float, float]], fill: tuple[int, ...], width: int, dash: float
+) -> None:
+    """A line of dashes, as long as the gaps between them."""
+    if len(path) < 2:
+        return
+    points = np.array(path)
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    for start in np.arange(0.0, way[-1], 2 * dash):
+        at = np.linspace(start, min(start + dash, way[-1]), 4)
+        xs, ys = np.interp(at, way, points[:, 0]), np.interp(at, way, points[:, 1])
+        pen.line([(float(x), float(y)) for x, y in zip(xs, ys, strict=True)], fill=fill, width=width)
 
 
 @lru_cache(maxsize=8)
@@ -196,22 +235,29 @@ def _draw_caption(pen: ImageDraw.ImageDraw, shot: Shot, top: int, width: int) ->
     both = shot.decision.overridden and acting.overridden
     reason = shot.decision.reason if both else acting.reason
     pen.text((x, y + 50), f"{reason.value}: {reason.text}", font=_font(14), fill=_INK)
-    _draw_legend(pen, width, y + 50)
+    _draw_legend(pen, width, y + 74)
 
 
 def _draw_legend(pen: ImageDraw.ImageDraw, width: int, y: int) -> None:
-    right = width - 16
-    for text, color in (
-        ("others within 1 s", AREA),
-        ("fallback", RED),
-        ("overridden", ORANGE),
-        ("verified path", GREEN),
+    """From the right: what each colour and line stands for."""
+    right, font = width - 16, _font(12)
+    for text, colors, dash in (
+        ("others within 1 s", (AREA,), 0),
+        ("fail-safe in reserve", (_PALE,), 3),
+        ("proposed", (PROPOSAL,), 7),
+        ("executed: passed, overridden, fallback", (GREEN, ORANGE, RED), 0),
     ):
-        font = _font(12)
         left = right - pen.textlength(text, font=font)
         pen.text((left, y + 2), text, font=font, fill=_PALE)
-        pen.rectangle((left - 18, y + 4, left - 6, y + 14), fill=color)
-        right = round(left - 34)
+        for color in reversed(colors):
+            left -= 18
+            if dash:
+                line = [(left - 8, y + 9.0), (left + 12, y + 9.0)]
+                _draw_dashes(pen, line, color, 3, dash)
+                left -= 8
+            else:
+                pen.rectangle((left, y + 4, left + 12, y + 14), fill=color)
+        right = round(left - 14)
 
 
 def _metres(margin: float) -> str:

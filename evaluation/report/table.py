@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import pyarrow as pa
 from rich.markup import escape
 from rich.table import Table
 
@@ -174,9 +175,24 @@ def write_table(frame: pd.DataFrame, path: str | Path) -> Path:
 
 
 def read_episodes(path: str | Path) -> pd.DataFrame:
-    """Read episodes that `write_table` wrote."""
+    """Read episodes that `write_table` wrote.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file, it cannot be read, or does not end in .csv or .parquet.
+    """
     path = Path(path)
     _check_ending(path)
+    if not path.is_file():
+        raise ConfigError(f"there is no file {path}")
+    try:
+        return _read(path)
+    except (KeyError, ValueError, pa.ArrowInvalid) as error:
+        raise ConfigError(f"{path} is not a table of episodes: {error}") from None
+
+
+def _read(path: Path) -> pd.DataFrame:
     if path.suffix == ".parquet":
         return pd.read_parquet(path)
     frame = pd.read_csv(path, keep_default_na=False, na_values=[""])

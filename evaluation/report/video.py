@@ -15,9 +15,10 @@ import gymnasium as gym
 import numpy as np
 from PIL import Image
 
+from dynamics.state import RoadState
 from evaluation.names import FIRST_EVALUATION_SEED
 from evaluation.report.camera import Camera
-from evaluation.report.draw import AREA, GREEN, ORANGE, RED, Shot, draw
+from evaluation.report.draw import AREA, GREEN, ORANGE, PROPOSAL, RED, Shot, draw
 from evaluation.running.named_policies import make_policy, start_episode
 from evaluation.settings import Setting, get_setting
 from shield import ShieldConfig, ShieldedEnv, Tier
@@ -231,35 +232,41 @@ def film_override(
 
 
 def still_of_override(
-    path: str | Path,
-    setting: str | Setting = FILM_SETTING,
-    policy: str = FILM_POLICY,
-    seed: int = 0,
+    path: str | Path, setting: str | Setting = "highway-fast", policy: str = "faster", seed: int = 5
 ) -> Path:
-    """Write the one frame of `film_override` that shows most: an override among many neighbours."""
+    """Write one picture of an override that leads around what the proposal would have run into.
+
+    Parameters
+    ----------
+    path : the .png to write.
+    setting, policy : what to drive, by name.
+    seed : where the search for an episode begins; below 10,000.
+    """
     path = Path(path)
-    while True:
-        chosen, start = find_override(setting, policy, seed)
-        best = max(record(setting, policy, chosen, first=start, last=start + _decisions(setting)), key=_shows)
-        # In some clips frames were held back but no action replaced, which a still does not show.
-        if _shows(best)[:2] == (True, True):
+    for candidate in range(seed, seed + _SEARCH):
+        best = max(record(setting, policy, candidate), key=_shows)
+        if _shows(best)[0]:
             break
-        seed = chosen + 1
+    else:
+        raise ConfigError(f"no override of {policy} led around anything in {_SEARCH} episodes")
     path.parent.mkdir(parents=True, exist_ok=True)
     draw(best).save(path, optimize=True)
     return path
 
 
-def _shows(shot: Shot) -> tuple[bool, bool, int]:
-    """How much a shot shows: another action than was proposed, areas, and early in the decision."""
-    areas = shot.decision.occupancy
-    return shot.decision.tier is Tier.ALTERNATIVE, areas is not None, -shot.age
+def _shows(shot: Shot) -> tuple[bool, float]:
+    """Whether a shot is of another action just begun, with a path a lane off the proposal's; and how early it is."""
+    decision, apart = shot.decision, 0.0
+    if shot.proposal is not None and decision.plan is not None and len(decision.plan) > shot.period:
+        apart = abs(float((decision.plan[shot.period] - shot.proposal[-1])[RoadState.R]))
+    begun = decision.tier is Tier.ALTERNATIVE and shot.acting is decision and shot.age == 0
+    return begun and decision.occupancy is not None and apart > shot.size[1], -shot.time
 
 
 def _write_gif(path: Path, pictures: Sequence[Image.Image], duration: float) -> None:
     """One palette for the whole film, without dithering: small files that do not flicker."""
     parts = [np.asarray(picture) for picture in pictures[:: len(pictures) // 6 + 1]]
-    signals = np.repeat(np.array([GREEN, ORANGE, RED, AREA], dtype=np.uint8), 4, axis=0)
+    signals = np.repeat(np.array([GREEN, ORANGE, RED, AREA, PROPOSAL], dtype=np.uint8), 4, axis=0)
     width = parts[0].shape[1]
     parts.append(np.tile(signals[:, None, :], (1, width, 1)))
     palette = Image.fromarray(np.concatenate(parts)).quantize(

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from dynamics.vehicle.actuators import Actuators
 from evaluation.learning.algorithms import ALGORITHMS, algorithm_of, load_model
+from evaluation.learning.normalised_model import statistics_beside, with_statistics
 from evaluation.learning.training import manifest_path
 from evaluation.names import BASELINES
 from evaluation.policies import list_references, load_reference
@@ -133,7 +134,8 @@ def make_policy(
 
     Parameters
     ----------
-    name : a name in `BASELINES`, a reference policy, or the path of a zip file.
+    name : a name in `BASELINES`, a reference policy, or the path of a zip file. Where the file of its `VecNormalize`
+        lies beside it, observations are normalised (see `evaluation.learning.normalised_model.statistics_beside`).
     env : the environment that it is to act in.
     algorithm : the SB3 algorithm of a zip file; by default the manifest beside the file says it.
     model : what `mpc` plans with (see `evaluation.running.driving_model`); the others have no use for it.
@@ -207,4 +209,5 @@ def _load_zip(path: Path, algorithm: str | None) -> Policy:
             f"{path} does not say which algorithm it was trained with; give one with --algorithm:"
             f" {', '.join(sorted(ALGORITHMS))}"
         )
-    return load_model(path, algorithm)
+    model, statistics = load_model(path, algorithm), statistics_beside(path)
+    return model if statistics is None else with_statistics(model, statistics)

@@ -20,7 +20,7 @@ from shield.doors.input_door import InputDoor
 from shield.doors.meta_door import MetaDoor
 from shield.doors.patience import Patience
 from shield.doors.ranking import normalised, order_from_scores, ranking_of
-from shield.doors.report import report
+from shield.doors.report import Statistics, report
 from shield.doors.supervision import Command, Supervision
 from shield.errors import ConfigError, SceneError
 from shield.procedures.decide import Core
@@ -64,7 +64,9 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     Notes
     -----
     `info["shield"]` holds `overridden`, `reason`, `tier`, `margin` [m], `frames_overridden` and `violations` (of the
-    assumptions, by the traffic); `latency` is all the time that the shield took in the last step [s].
+    assumptions, by the traffic); `latency` is all the time that the shield took in the last step [s]. With an episode's
+    last step comes `info["shield_episode"]`: `decisions`, how many were `overridden`, `frames_overridden`,
+    `violations`, the smallest `margin` [m], the mean `latency_ms`, and `reasons`, how often each was one.
 
     Examples
     --------
@@ -106,6 +108,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         warm_up()
         self._observation: Any = None
         self._supervising = self.latency = 0.0
+        self._episode = Statistics()
         self._patience = Patience(self.config.patience)
         self.last_decision: Decision | None = None
         self.frame_decisions: list[Decision] = []
@@ -117,6 +120,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if inputs is not isinstance(self._door, InputDoor):
             raise ConfigError("the reset has changed the environment's action type; make a new ShieldedEnv around it")
         self._door.reset()
+        self._episode = Statistics()
         self._observation = obs
         self.last_decision = None
         self.frame_decisions = []
@@ -142,6 +146,9 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._observation = obs
         self.latency = deciding + self._supervising
         info["shield"] = report(decision, self.frame_decisions, self.core.violations - before)
+        self._episode.add(info["shield"], self.latency)
+        if terminated or truncated:
+            info["shield_episode"] = self._episode.summary()
         return obs, float(reward), terminated, truncated, info
 
     def action_masks(self) -> np.ndarray[Any, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from copy import deepcopy
 from dataclasses import replace
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -136,13 +135,16 @@ class Shield:
         """What has been done since this shield was made, in all environments."""
         statistics = deepcopy(self._statistics)
         for i in range(len(self.last_decisions)):
-            statistics.add(self.report(i))
+            statistics.add(self.report(i), self._latency(i))
         return statistics
 
     @property
     def latency(self) -> float:
         """All the time that the shield took since `predict` was called last, the policy's own excepted [s]."""
-        return sum(d.latency for d in chain(self.last_decisions, *self.frame_decisions))
+        return sum(self._latency(i) for i in range(len(self.last_decisions)))
+
+    def _latency(self, i: int) -> float:
+        return sum(d.latency for d in (self.last_decisions[i], *self.frame_decisions[i]))
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name == "policy":
@@ -236,7 +238,7 @@ class Shield:
     def _decide(self, i: int, proposal: Any, ranking: _Ranking, reason: Reason | None) -> Decision:
         door, base = self._doors[i], self._bases[i]
         if len(self.last_decisions) > i:
-            self._statistics.add(self.report(i))
+            self._statistics.add(self.report(i), self._latency(i))
         if base.road is not self._roads[i]:
             self._roads[i] = base.road
             door.reset()

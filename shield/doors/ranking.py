@@ -19,7 +19,8 @@ def ranking_of(policy: Any, obs: Any) -> Any:
     import torch
 
     if hasattr(policy, "action_scores"):
-        return np.asarray(policy.action_scores(obs), dtype=float)
+        scores = policy.action_scores(obs)
+        return None if scores is None else np.asarray(scores, dtype=float)
     net = getattr(policy, "policy", policy)
     if not hasattr(net, "obs_to_tensor") or hasattr(net, "lstm_actor"):
         return None

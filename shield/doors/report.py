@@ -23,6 +23,8 @@ class Statistics:
     decisions, overridden : how many there were, and of how many the action or a frame was replaced.
     frames_overridden, violations : frames that were replaced, and offences of the traffic.
     reasons : how often each was the reason.
+    margin : the smallest that was verified [m].
+    latency : all the time that it took [s].
     """
 
     decisions: int = 0
@@ -30,14 +32,30 @@ class Statistics:
     frames_overridden: int = 0
     violations: int = 0
     reasons: Counter[str] = field(default_factory=Counter)
+    margin: float = float("inf")
+    latency: float = 0.0
 
-    def add(self, report: Mapping[str, Any]) -> None:
-        """Count one report."""
+    def add(self, report: Mapping[str, Any], latency: float) -> None:
+        """Count one report, and the time that the decision and its frames took [s]."""
         self.decisions += 1
         self.overridden += report["overridden"]
         self.frames_overridden += report["frames_overridden"]
         self.violations += report["violations"]
         self.reasons[report["reason"]] += 1
+        self.margin = min(self.margin, report["margin"])
+        self.latency += latency
+
+    def summary(self) -> dict[str, Any]:
+        """As `info["shield_episode"]` has it: the counts, the margin, and the mean latency of a decision [ms]."""
+        return {
+            "decisions": self.decisions,
+            "overridden": self.overridden,
+            "frames_overridden": self.frames_overridden,
+            "violations": self.violations,
+            "margin": self.margin,
+            "latency_ms": 1e3 * self.latency / max(self.decisions, 1),
+            "reasons": dict(self.reasons),
+        }
 
 
 def report(decision: Decision, frames: Sequence[Decision], violations: int) -> dict[str, Any]:

@@ -139,3 +139,35 @@ def test_a_film_of_ones_own_model(tmp_path):
     assert RUN.invoke(app, arguments, catch_exceptions=False).exit_code == 0
     assert path.stat().st_size > 10_000
     assert "--force overwrites it" in str(RUN.invoke(app, arguments).exception)
+
+
+def test_episodes_are_plotted_from_their_file(tmp_path):
+    output, picture = tmp_path / "x.parquet", tmp_path / "plots" / "x.svg"
+    arguments = ["--policy", "faster", "--shield", "none,full", "--episodes", "1", "--jobs", "1"]
+    assert RUN.invoke(app, ["evaluate", *arguments, "--output", str(output)]).exit_code == 0
+    result = RUN.invoke(app, ["plot", str(output), "--output", str(picture)])
+    assert result.exit_code == 0, result.output
+    text = picture.read_text(encoding="utf-8")
+    assert text.count("<!-- no shield -->") == 2, "a label a row, in both rows of panels"
+    assert "<!-- crashed [% of episodes] -->" in text
+    assert RUN.invoke(app, ["plot", str(output)]).exit_code == 0
+    assert output.with_suffix(".png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["missing.parquet"], "there is no file missing.parquet"),
+        (["{table}"], "not a table of episodes: column 'crashed' is missing"),
+        (["{table}", "--output", "{table}"], "already; --force"),
+        (["{table}", "--output", "x.gif"], ".pdf, .png, .svg"),
+    ],
+)
+def test_a_plot_of_something_else_is_refused(tmp_path, arguments, message, monkeypatch, capsys):
+    table = tmp_path / "table.csv"
+    table.write_text("seed,latencies_ms\n1,[]\n", encoding="utf-8")
+    monkeypatch.setattr(sys, "argv", ["shield", "plot", *(text.format(table=table) for text in arguments)])
+    with pytest.raises(SystemExit) as raised:
+        main()
+    assert raised.value.code == 2
+    assert message in capsys.readouterr().err

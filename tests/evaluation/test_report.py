@@ -113,7 +113,7 @@ def test_the_colour_says_which_stage_acted(shots, tier, color):
     decision = Decision(3, 4, Reason.RSS, tier, 0.5, 0.0, plan=shot.decision.plan)
     values = {name: getattr(shot, name) for name in Shot.__slots__}
     picture = draw(Shot(**{**values, "decision": decision, "frame": None}))
-    assert picture.size == (shot.image.shape[1], shot.image.shape[0] + 92)
+    assert picture.size == (shot.image.shape[1], shot.image.shape[0] + 112)
     assert picture.getpixel((5, picture.size[1] - 10)) == color
 
 

@@ -9,6 +9,7 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
 import torch
+from gymnasium.wrappers import RecordEpisodeStatistics
 from policies import Always, Playback, make
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import configure
@@ -278,6 +279,27 @@ def test_a_shield_counts_what_it_has_done():
     assert shield.statistics == counted
     shield.reset()
     assert shield.statistics == counted
+
+
+def test_an_episodes_last_info_sums_it_up():
+    env = RecordEpisodeStatistics(ShieldedEnv(make(duration=8)))
+    for seed in range(2):
+        env.reset(seed=seed)
+        reports, latencies, done = [], [], False
+        while not done:
+            *_, terminated, truncated, info = env.step(3)
+            reports.append(info["shield"])
+            latencies.append(env.get_wrapper_attr("latency"))
+            done = terminated or truncated
+            assert ("shield_episode" in info) == done
+        episode = info["shield_episode"]
+        assert episode["decisions"] == info["episode"]["l"] == len(reports)
+        for name in ("overridden", "frames_overridden", "violations"):
+            assert episode[name] == sum(report[name] for report in reports)
+        assert episode["margin"] == min(report["margin"] for report in reports)
+        assert episode["reasons"] == Counter(report["reason"] for report in reports)
+        assert episode["latency_ms"] == pytest.approx(1e3 * np.mean(latencies))
+        assert episode["overridden"] > 0
 
 
 def test_a_training_run_logs_what_the_shield_does(tmp_path):

@@ -1,0 +1,142 @@
+"""What the shield saw and did, drawn over highway-env's own rendering: for `RecordVideo`, a notebook, or a web page."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import RecordConstructorArgs
+from numpy.typing import NDArray
+from PIL import Image
+
+from dynamics.errors import SceneError
+from dynamics.state import FloatArray
+from evaluation.measuring.recorder import read_road
+from evaluation.report.draw import Shot, draw, without_decision
+from evaluation.report.proposal import action_labels, ego_copy, proposed_path
+from shield import Shield, ShieldedEnv
+from shield.decision import Decision
+from shield.errors import ConfigError
+
+__all__ = ["ShieldOverlay"]
+
+_LEAST_WIDTH = 1000
+"""Pictures are enlarged to this width at least, which the caption needs [px]."""
+
+
+class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """A wrapper whose `render` shows the decision too: proposed, executed and fail-safe paths, reason and margin.
+
+    Between two decisions highway-env hands its frames to a `RecordVideo` that was told to it, and so they have it as
+    well.
+
+    Parameters
+    ----------
+    env : an environment made with `render_mode="rgb_array"`, with a `ShieldedEnv` in or around it.
+    shield : the `Shield` around the policy, where there is that instead of a `ShieldedEnv`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no shield, it does not keep what is drawn (`ShieldConfig(record=True)`), or nothing is rendered.
+    SceneError
+        At the first `render`, if the road is not one of parallel lanes.
+
+    Examples
+    --------
+    >>> import gymnasium as gym, highway_env
+    >>> from shield import ShieldConfig
+    >>> env = gym.make("highway-fast-v0", render_mode="rgb_array")
+    >>> env = ShieldOverlay(ShieldedEnv(env, ShieldConfig(record=True)))
+    >>> obs, _ = env.reset(seed=0)
+    >>> _ = env.step(3)
+    >>> env.render().shape
+    (412, 1200, 3)
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], shield: Shield | None = None) -> None:
+        RecordConstructorArgs.__init__(self, _disable_deepcopy=True, shield=shield)
+        gym.Wrapper.__init__(self, env)
+        self._shield = _inside(env) if shield is None else shield
+        if not self._shield.config.record:
+            raise ConfigError("nothing is kept to be drawn; make the shield with ShieldConfig(record=True)")
+        if env.render_mode != "rgb_array":
+            raise ConfigError(f"have gym.make(..., render_mode='rgb_array'); this is {env.render_mode!r}")
+        self._base = cast(Any, env.unwrapped)
+        self._ego: Any = None
+        self._drawn: Decision | None = None
+        self._proposal: FloatArray | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Reset the environment: no decision has been taken yet."""
+        self._ego = None
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step the environment; where the ego is now, its proposal begins."""
+        self._ego = ego_copy(self._base)
+        return self.env.step(action)
+
+    def render(self) -> Any:
+        """The picture, (height, width, 3) uint8."""
+        image = self.env.render()
+        if not isinstance(image, np.ndarray):
+            return image
+        zoom = -(-_LEAST_WIDTH // image.shape[1])
+        image = _enlarged(image, zoom)
+        shot = self._shot(image, zoom)
+        return np.asarray(without_decision(image) if shot is None else draw(shot), dtype=np.uint8)
+
+    def _shot(self, image: NDArray[np.uint8], zoom: int) -> Shot | None:
+        decision, frames = self._shield.last_decision, _frames(self._shield)
+        if self._ego is None or decision is None:
+            return None
+        base, road = self._base, read_road(self._base.road.network)
+        if road is None:
+            raise SceneError("this road cannot be drawn on; have single roads of parallel lanes, straight or curved")
+        surface, ego, dt = base.viewer.sim_surface, base.vehicle, 1.0 / base.config["simulation_frequency"]
+        if decision is not self._drawn:
+            self._drawn = decision
+            self._proposal = proposed_path(base, self._ego, decision.proposed, road)
+        frame = frames[-1] if frames else None
+        if frame is not None and frame.plan is not None:
+            # The picture is of what has come of the frame.
+            frame = replace(frame, plan=frame.plan[1:])
+        return Shot(
+            image=image,
+            origin=(float(surface.origin[0]), float(surface.origin[1])),
+            scaling=float(surface.scaling) * zoom,
+            road=road,
+            dt=dt,
+            time=base.steps * dt,
+            speed=float(ego.speed),
+            size=(float(ego.LENGTH), float(ego.WIDTH)),
+            actions=action_labels(base.action_type),
+            decision=decision,
+            frame=frame,
+            age=len(frames),
+            period=max(1, round(1.0 / (dt * base.config["policy_frequency"]))),
+            proposal=self._proposal,
+        )
+
+
+def _inside(env: Any) -> ShieldedEnv:
+    """The `ShieldedEnv` among the wrappers of an environment."""
+    layer = env
+    while isinstance(layer, gym.Wrapper):
+        if isinstance(layer, ShieldedEnv):
+            return layer
+        layer = layer.env
+    raise ConfigError("there is no ShieldedEnv inside this environment; around a policy, pass shield=")
+
+
+def _frames(shield: Shield | ShieldedEnv) -> list[Decision]:
+    """The decisions about frames since the last decision."""
+    return shield.frame_decisions if isinstance(shield, ShieldedEnv) else shield.frame_decisions[0]
+
+
+def _enlarged(image: NDArray[np.uint8], zoom: int) -> NDArray[np.uint8]:
+    height, width, _ = image.shape
+    return np.asarray(Image.fromarray(image).resize((zoom * width, zoom * height), Image.Resampling.LANCZOS))

@@ -1,0 +1,110 @@
+"""Pictures of a table of episodes: what the shield saves, what it costs, and why it acts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from evaluation.measuring.metrics import GROUP, summarise
+from shield.errors import ConfigError
+
+__all__ = ["PLOT_ENDINGS", "plot_episodes"]
+
+PLOT_ENDINGS = (".pdf", ".png", ".svg")
+"""File endings that `plot_episodes` writes."""
+
+_MOST_REASONS = 6
+
+
+def plot_episodes(episodes: pd.DataFrame, path: str | Path) -> Path:
+    """Draw a table of episodes, a bar for each policy and shield, in four panels.
+
+    Crash rate [%] with its Wilson interval; return with its bootstrap interval; decisions overridden [%], by reason;
+    and the distribution of the smallest gap between bodies in an episode [m], crashes included.
+
+    Parameters
+    ----------
+    episodes : of `evaluation.running.episodes.run_paired`, or `evaluation.report.table.read_episodes`.
+    path : the file, ending as in `PLOT_ENDINGS`; folders are made.
+
+    Raises
+    ------
+    ConfigError
+        On another ending, or a table that is not of episodes.
+    """
+    import matplotlib.pyplot as plt
+
+    path = Path(path)
+    if path.suffix not in PLOT_ENDINGS:
+        raise ConfigError(f"a plot is written as {', '.join(PLOT_ENDINGS)}, not {path.suffix or 'without an ending'!r}")
+    summary = summarise(episodes)
+    names = _names(summary)
+    figure, axes = plt.subplots(2, 2, figsize=(11, 2.6 + 0.7 * len(names)), layout="constrained", sharey=True)
+    (crashes, returns), (overrides, gaps) = axes
+    _intervals(crashes, summary, "crash_rate", "crashed [% of episodes]", 100.0)
+    _intervals(returns, summary, "return", "return")
+    _reasons(overrides, summary)
+    _gaps(gaps, episodes)
+    for axis in axes.flat:
+        axis.set_yticks(range(len(names)), names)
+        axis.spines[["top", "right"]].set_visible(False)
+    crashes.invert_yaxis()
+    counts = sorted({int(n) for n in summary["episodes"]})
+    figure.suptitle(f"{' / '.join(map(str, counts))} episodes a row; lines are 95 % intervals", fontsize=10)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+    return path
+
+
+def _names(summary: pd.DataFrame) -> list[str]:
+    """A label a row: what differs between the rows, and the shield."""
+    varying = [column for column in GROUP[:2] if summary[column].nunique() > 1]
+    doors = summary.loc[summary["door"] != "none", "door"].nunique() > 1
+    labels = []
+    for row in summary.to_dict("records"):
+        shield = "no shield" if row["door"] == "none" else f"shield {row['mode']}"
+        if doors and row["door"] != "none":
+            shield += f" ({row['door']})"
+        labels.append(", ".join([*(str(row[column]) for column in varying), shield]))
+    return labels
+
+
+def _intervals(axis: Any, summary: pd.DataFrame, key: str, label: str, factor: float = 1.0) -> None:
+    low, middle, high = (factor * summary[f"{key}{end}"].to_numpy(float) for end in ("_low", "", "_high"))
+    places = np.arange(len(summary))
+    axis.barh(places, middle, color="#4c78a8", alpha=0.85)
+    axis.hlines(places, low, high, color="black", linewidth=1.5)
+    for place, value in zip(places, middle, strict=True):
+        axis.annotate(f"{value:.1f}", (value, place), (4, 6), textcoords="offset points", fontsize=8)
+    axis.set_xlabel(label)
+    if factor != 1.0:
+        axis.set_xlim(left=0.0)
+
+
+def _reasons(axis: Any, summary: pd.DataFrame) -> None:
+    columns = [c for c in summary.columns if c.startswith("reason_") and summary[c].sum() > 0]
+    columns.sort(key=lambda c: -summary[c].sum())
+    shares = {c.removeprefix("reason_"): 100 * summary[c].to_numpy(float) for c in columns[:_MOST_REASONS]}
+    if rest := columns[_MOST_REASONS:]:
+        shares["others"] = 100 * summary[rest].sum(axis=1).to_numpy(float)
+    left = np.zeros(len(summary))
+    for name, share in shares.items():
+        axis.barh(np.arange(len(summary)), share, left=left, label=name)
+        left += share
+    axis.set_xlabel("decisions overridden [%]")
+    if shares:
+        axis.legend(fontsize=8, frameon=False)
+
+
+def _gaps(axis: Any, episodes: pd.DataFrame) -> None:
+    groups: Sequence[Any] = [group["min_gap"].to_numpy(float) for _, group in episodes.groupby(GROUP, sort=False)]
+    for place, gap in enumerate(groups):
+        finite = gap[np.isfinite(gap)]
+        if len(finite):
+            axis.boxplot(finite, positions=[place], orientation="horizontal", widths=0.6, sym=".")
+    axis.set_xlabel("smallest gap to another body in an episode [m]")

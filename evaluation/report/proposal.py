@@ -1,0 +1,56 @@
+"""What the ego would have done: the proposal, driven by a copy of it in highway-env's own simulation."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from copy import copy
+from typing import Any
+
+import numpy as np
+
+from dynamics.roads.straight import Road
+from dynamics.state import FloatArray
+
+__all__ = ["action_labels", "ego_copy", "proposed_path"]
+
+
+def ego_copy(base: Any) -> Any:
+    """The ego as it is now, on the same road, but not of it: driving it moves nothing else."""
+    ego = copy(base.vehicle)
+    ego.__dict__.pop("act", None)  # a supervision of the ego would drive the ego
+    ego.position, ego.action = ego.position.copy(), dict(ego.action)
+    return ego
+
+
+def proposed_path(base: Any, ego: Any, action: Any, road: Road) -> FloatArray | None:
+    """Road states of a copied ego under an action, until the next decision, (frames + 1, 4).
+
+    Parameters
+    ----------
+    base : the environment without its wrappers.
+    ego : of `ego_copy`, taken before the decision; it is driven.
+    action : the proposal; None is returned of one that the environment cannot carry out.
+    road : the road that the states refer to.
+    """
+    frequency = base.config["simulation_frequency"]
+    frames = max(1, int(frequency // base.config["policy_frequency"]))
+    kind = base.action_type
+    states = [[*ego.position, ego.heading, ego.speed]]
+    acting = copy(kind)
+    acting.controlled_vehicle = ego
+    with suppress(KeyError, ValueError, TypeError, IndexError, AssertionError):
+        acting.act(action)
+        for _ in range(frames):
+            if hasattr(ego, "target_speed"):
+                ego.act()
+            ego.step(1 / frequency)
+            states.append([*ego.position, ego.heading, ego.speed])
+        return np.asarray(road.to_road(np.array(states)))
+    return None
+
+
+def action_labels(action_type: Any) -> tuple[str, ...]:
+    """The names of meta-actions by index; none of throttle and steering."""
+    if type(action_type).__name__ != "DiscreteMetaAction":
+        return ()
+    return tuple(action_type.actions[i] for i in sorted(action_type.actions))

@@ -1,5 +1,5 @@
 # One command each: `make demo`, `make cem-demo`, `make test`, `make test-slow`, `make mutants`, `make compat`,
-# `make lint`, `make bench`, `make clean`.
+# `make lint`, `make bench`, `make docs`, `make clean`.
 # PYTHON is the interpreter (3.11 or newer) that the virtual environment is made from.
 PYTHON ?= python3
 TORCH  ?= torch==2.13.0
@@ -7,13 +7,14 @@ JOBS   ?= 2
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
+DOCS   := $(VENV)/.installed-docs
 
 # Networks and matrices are small here: more threads only get in each other's way.
 export OMP_NUM_THREADS ?= 1
 export SDL_VIDEODRIVER ?= dummy
 export PYGAME_HIDE_SUPPORT_PROMPT ?= 1
 
-.PHONY: install demo cem-demo test test-slow mutants compat lint bench clean
+.PHONY: install demo cem-demo test test-slow mutants compat lint bench docs clean
 
 install: $(STAMP)
 
@@ -60,8 +61,17 @@ bench: $(STAMP)
 	$(BIN)/python benchmarks/filter_rivals.py
 	$(BIN)/python benchmarks/cem.py
 
+# To site/, which is read without a network: open site/index.html. (The variable silences the theme's notice about its
+# successor.)
+docs: $(DOCS)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+$(DOCS): $(STAMP)
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[docs]"
+	touch $@
+
 clean:
-	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache \
+	rm -rf build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache \
 		.hypothesis .benchmarks .coverage htmlcov
-	find dynamics mpc shield evaluation tests benchmarks -name __pycache__ -type d -prune \
+	find dynamics mpc shield evaluation tests benchmarks docs -name __pycache__ -type d -prune \
 		-exec rm -rf {} + 2>/dev/null || true

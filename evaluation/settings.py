@@ -72,8 +72,10 @@ class Setting:
     def make(self, render_mode: str | None = None) -> gym.Env[Any, Any]:
         """A fresh environment; ``render_mode`` "rgb_array" or "human" if it is to be drawn.
 
-        Raises:
-            ConfigError: if there is no such environment, or it takes no configuration as highway-env's do.
+        Raises
+        ------
+        ConfigError
+            If there is no such environment, or it takes no configuration as highway-env's do.
         """
         try:
             return gym.make(self.env_id, config=deepcopy(dict(self.config)), render_mode=render_mode)
@@ -101,10 +103,11 @@ class Setting:
     ) -> Setting:
         """The same road among other traffic.
 
-        Args:
-            kind: a name in `TRAFFIC`, or the dotted path of a vehicle class.
-            vehicles: how many other vehicles.
-            density: highway-env's ``vehicles_density``, a factor (the default traffic is 1).
+        Parameters
+        ----------
+        kind : a name in `TRAFFIC`, or the dotted path of a vehicle class.
+        vehicles : how many other vehicles.
+        density : highway-env's ``vehicles_density``, a factor (the default traffic is 1).
         """
         config: dict[str, Any] = {}
         label = []
@@ -252,8 +255,10 @@ def setting_of(env_id: str, config: Path | None = None) -> Setting:
     """Any environment as a setting: its Gymnasium id ("module:id" imports a module first), and a TOML file of what
     differs from its default configuration.
 
-    Raises:
-        ConfigError: if there is no such file, or it is no TOML.
+    Raises
+    ------
+    ConfigError
+        If there is no such file, or it is no TOML.
     """
     if config is None:
         return Setting(env_id, env_id)

@@ -84,25 +84,27 @@ def train(
 ) -> TrainedPolicy:
     """Train a policy on one thread of the processor and save it with its manifest.
 
-    Args:
-        setting: the environment to train in, by name or as a `Setting`.
-        algorithm: one of `TRAINABLE`.
-        steps: environment steps (decisions). PPO and A2C round up to whole
-            rollouts; the manifest has both numbers.
-        seed: 0 to 9,999; seeds from `FIRST_EVALUATION_SEED` on belong to evaluation.
-        output: the zip file to write; the suffix is added if it is missing.
-        hyperparameters: keyword arguments of the algorithm; what is not given is
-            Stable-Baselines3's default, with the policy "MlpPolicy".
-        normalise: any of "observations" and "rewards", by their running means and variances, for PPO and A2C. The
-            policy that is saved takes observations as the environment gives them.
-        exploration: standard deviation of each continuous action at the start of training, for PPO and A2C; by
-            default Stable-Baselines3's `log_std_init` for all of them.
-        fast: whether to compute observations at once (see `FastObservations`); they are the same.
-        progress: whether to show a progress bar.
-        command: the shell command that repeats this; by default one that calls this function.
+    Parameters
+    ----------
+    setting : the environment to train in, by name or as a `Setting`.
+    algorithm : one of `TRAINABLE`.
+    steps : environment steps (decisions). PPO and A2C round up to whole
+        rollouts; the manifest has both numbers.
+    seed : 0 to 9,999; seeds from `FIRST_EVALUATION_SEED` on belong to evaluation.
+    output : the zip file to write; the suffix is added if it is missing.
+    hyperparameters : keyword arguments of the algorithm; what is not given is
+        Stable-Baselines3's default, with the policy "MlpPolicy".
+    normalise : any of "observations" and "rewards", by their running means and variances, for PPO and A2C. The
+        policy that is saved takes observations as the environment gives them.
+    exploration : standard deviation of each continuous action at the start of training, for PPO and A2C; by
+        default Stable-Baselines3's `log_std_init` for all of them.
+    fast : whether to compute observations at once (see `FastObservations`); they are the same.
+    progress : whether to show a progress bar.
+    command : the shell command that repeats this; by default one that calls this function.
 
-    Returns:
-        The written file and its manifest.
+    Returns
+    -------
+    The written file and its manifest.
     """
     algorithm = algorithm.lower()
     if algorithm not in TRAINABLE:
@@ -170,11 +172,12 @@ def train_recipe(
 ) -> TrainedPolicy:
     """Train a reference policy again, by default into ``runs/policies/NAME.zip``.
 
-    Args:
-        name: a name in `evaluation.learning.recipes.RECIPES`.
-        output: the zip file to write instead.
-        steps: training steps instead of the recipe's.
-        progress: whether to show a progress bar.
+    Parameters
+    ----------
+    name : a name in `evaluation.learning.recipes.RECIPES`.
+    output : the zip file to write instead.
+    steps : training steps instead of the recipe's.
+    progress : whether to show a progress bar.
     """
     recipe = get_recipe(name)
     steps = recipe.steps if steps is None else steps

@@ -42,9 +42,10 @@ def reference_manifest(name: str) -> dict[str, Any]:
 def load_reference(name: str, env: gym.Env[Any, Any] | None = None) -> BaseAlgorithm:
     """Load a reference policy onto the processor.
 
-    Args:
-        name: a name in `list_references`.
-        env: an environment to attach, whose spaces must be those that the policy was trained in.
+    Parameters
+    ----------
+    name : a name in `list_references`.
+    env : an environment to attach, whose spaces must be those that the policy was trained in.
     """
     algorithm = get_algorithm(reference_manifest(name)["algorithm"])
     with as_file(_HERE / f"{name}.zip") as path:

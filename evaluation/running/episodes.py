@@ -201,7 +201,7 @@ def run_episode(
     seed : seed of the traffic and of the policy.
     algorithm : the SB3 algorithm of a zip file without a manifest.
     model : what `mpc` and the predictive filter of door "env" plan with (see
-    `evaluation.running.driving_model.driving_model`).
+        `evaluation.running.driving_model.driving_model`).
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
     driver = _Driver(setting, policy, variant or Variant(), algorithm, model)

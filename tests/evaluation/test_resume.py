@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -121,3 +122,47 @@ def test_a_store_without_a_path_keeps_episodes_in_memory():
     store = Store(None, ASKED)
     same(drive(store), pd.DataFrame(store.rows))
     store.finish()
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="reads the table of processes where Linux has it")
+def test_workers_end_with_their_parent(tmp_path):
+    arguments = command(tmp_path)
+    arguments[arguments.index("--jobs") + 1] = "2"
+    arguments[arguments.index("--episodes") + 1] = "400"
+    run = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        _wait_for(lambda: lines(tmp_path) >= 4 or run.poll() is not None)
+        workers = _below(run.pid)
+        assert run.poll() is None
+        assert len(workers) >= 2
+    finally:
+        run.kill()
+        run.wait()
+    _wait_for(lambda: not any(Path(f"/proc/{pid}").exists() and not _ended(pid) for pid in workers))
+
+
+def _wait_for(condition, seconds=60.0):
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.1)
+
+
+def _below(pid):
+    """All that a process has started, and what that has started."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return [each for child in children for each in (int(child), *_below(int(child)))]
+
+
+def _ended(pid):
+    """Whether a process is done, though nobody has asked how."""
+    try:
+        return "(zombie)" in Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return True
+
+
+def test_progress_is_said_where_the_output_is_no_terminal(tmp_path):
+    done = subprocess.run(command(tmp_path), capture_output=True, text=True)
+    assert f"12 of {2 * EPISODES} episodes" in done.stderr
+    assert f"{2 * EPISODES} of {2 * EPISODES} episodes" in done.stderr

@@ -273,3 +273,11 @@ def test_the_base_policy_drives_and_mostly_arrives():
     crash_rate, speed = _drive("dqn-abz-base", "abz-idm", range(20))
     assert crash_rate < 0.3
     assert speed >= 20
+
+
+def test_fewer_steps_than_the_recipes_are_those_that_are_trained(tmp_path, monkeypatch):
+    asked = {}
+    monkeypatch.setattr("evaluation.learning.training.train", lambda *args, **kwargs: asked.update(args=args, **kwargs))
+    train_recipe("ppo-highway-fast", tmp_path / "x.zip", steps=77)
+    assert asked["args"][2] == 77
+    assert asked["command"].endswith("--steps 77")

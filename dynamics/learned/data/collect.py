@@ -87,7 +87,8 @@ def collect(
     transitions : how many to record.
     seed : of the generator behind resets and random actions. The same seed gives the same data.
     state : the state (d,) in the model's units, read from an observation (for parking-v0
-    `dynamics.learned.tasks.parking_state.state`). dt : duration of a decision [s].
+        `dynamics.learned.tasks.parking_state.state`).
+    dt : duration of a decision [s].
     episode_steps : cut episodes off after so many decisions; None leaves it to the environment.
     hold : a random action is held for 1 to `hold` decisions.
 

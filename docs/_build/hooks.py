@@ -1,0 +1,94 @@
+"""What mkdocs cannot do by itself: the README as the home page, files outside docs/ as pages, and the API reference.
+
+Links are written for the repository. Here they are turned into links of the site, so that both work.
+"""
+
+from __future__ import annotations
+
+import ast
+import posixpath
+import re
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+from reference import nav_of, overview, pages
+
+_LINK = re.compile(r"(?<=\]\()(?!https?:|mailto:|#)([^)#\s]+)(?=[)#])")
+_REFERENCE = "reference/"
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Put the reference where the navigation has its folder."""
+    reference = nav_of(pages(_root(config)))
+    config.nav = [
+        {title: reference if to == _REFERENCE else to} for item in config.nav or [] for title, to in item.items()
+    ]
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages that are not in docs/."""
+    root = _root(config)
+    readme = (root / "README.md").read_text(encoding="utf-8")
+    made = {"index.md": readme}
+    reference = pages(root)
+    made |= {"reference/index.md": overview(reference)} | {page.uri: page.markdown for page in reference}
+    sources = {root / "examples"} | _linked(readme, root, root)
+    for file in files.documentation_pages():
+        path = root / "docs" / file.src_uri
+        sources |= _linked(path.read_text(encoding="utf-8"), path.parent, root)
+    sources |= {file for path in sources if path.is_dir() for file in path.glob("*.py")}
+    made |= {_source_uri(path, root): _source_page(path, root) for path in sources}
+    for uri, text in made.items():
+        files.append(File.generated(config, uri, content=text))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Turn links between files of the repository into links between pages."""
+    root, uri = _root(config), page.file.src_uri
+    if page.file.generated_by and uri != "index.md":
+        return markdown
+    folder = root if uri == "index.md" else (root / "docs" / uri).parent
+    return _LINK.sub(lambda match: _site_link(match[1], folder, uri, root), markdown)
+
+
+def _root(config: MkDocsConfig) -> Path:
+    return Path(config.config_file_path).resolve().parent
+
+
+def _linked(markdown: str, folder: Path, root: Path) -> set[Path]:
+    """The files and folders outside docs/ that a text of the repository links to."""
+    paths = ((folder / target).resolve() for target in _LINK.findall(markdown))
+    return {path for path in paths if path.exists() and not path.is_relative_to(root / "docs")}
+
+
+def _site_link(target: str, folder: Path, uri: str, root: Path) -> str:
+    path = (folder / target).resolve()
+    if not path.exists():
+        return target
+    docs = root / "docs"
+    to = path.relative_to(docs).as_posix() if path.is_relative_to(docs) else _source_uri(path, root)
+    return posixpath.relpath(to, posixpath.dirname(uri))
+
+
+def _source_uri(path: Path, root: Path) -> str:
+    """Of the page that shows a file or a folder of the repository."""
+    name = path.relative_to(root).as_posix()
+    return f"source/{name}/index.md" if path.is_dir() else f"source/{name}.md"
+
+
+def _source_page(path: Path, root: Path) -> str:
+    name = path.relative_to(root).as_posix()
+    if path.is_file():
+        # What explains a name is found before what uses it.
+        rank = "---\nsearch:\n  boost: 0.5\n---\n\n"
+        return f"{rank}# {name}\n\n````{path.suffix.removeprefix('.')}\n{path.read_text(encoding='utf-8')}````\n"
+    rows = [f"- [{file.name}]({file.name}.md): {_summary(file)}" for file in sorted(path.glob("*.py"))]
+    return "\n".join([f"# {name.capitalize()}", "", *rows, ""])
+
+
+def _summary(file: Path) -> str:
+    return (ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or "").split("\n")[0]

@@ -263,14 +263,24 @@ def run_paired(
             rows += part
             if store is not None:
                 store.add(part)
-            bar.advance(task, len(part))
+            bar.update(task, advance=len(part), description=f"{setting.name} ({_crashes(rows)})")
             if progress and not console.is_terminal and 10 * len(rows) // total > said:
                 said = 10 * len(rows) // total
-                console.print(f"{setting.name}: {len(rows)} of {total} episodes", highlight=False)
+                text = f"{setting.name}: {len(rows)} of {total} episodes ({_crashes(rows)})"
+                console.print(text, highlight=False, soft_wrap=True)
     order = {(v.door, v.mode): i for i, v in enumerate(variants)}
     place = {seed: i for i, seed in enumerate(seeds)}
     rows.sort(key=lambda row: (order[row["door"], row["mode"]], place[row["seed"]]))
     return pd.DataFrame(rows)
+
+
+def _crashes(rows: list[dict[str, Any]]) -> str:
+    """What has been found so far, by what stands between the policy and the environment."""
+    driven: dict[str, list[int]] = {}
+    for row in rows:
+        name = "no shield" if row["door"] == "none" else f"{row['mode']} at {row['door']}"
+        driven.setdefault(name, []).append(bool(row["crashed"]))
+    return ", ".join(f"{name}: {sum(crashed)} of {len(crashed)} crashed" for name, crashed in driven.items())
 
 
 def _label(policy: str | Policy, model: str | None) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -166,3 +167,4 @@ def test_progress_is_said_where_the_output_is_no_terminal(tmp_path):
     done = subprocess.run(command(tmp_path), capture_output=True, text=True)
     assert f"12 of {2 * EPISODES} episodes" in done.stderr
     assert f"{2 * EPISODES} of {2 * EPISODES} episodes" in done.stderr
+    assert re.search(rf"no shield: \d+ of {EPISODES} crashed, full at env: 0 of {EPISODES} crashed", done.stderr)

@@ -27,15 +27,21 @@ numbers_of: Any = to_fixed_tuple
 _MADE_FROM: dict[Any, str] = {}
 
 
-def compiled(function: F) -> F:
-    """The function as machine code, made at its first call."""
+def compiled(function: F, nogil: bool = False) -> F:
+    """The function as machine code, made at its first call.
+
+    Parameters
+    ----------
+    function : of arrays and numbers.
+    nogil : whether other threads go on while it runs; worth its 50 ns where it runs long.
+    """
     made = _digest(function)
     try:
-        kernel: Any = njit(cache=True, error_model="numpy")(function)
+        kernel: Any = njit(cache=True, error_model="numpy", nogil=nogil)(function)
         # What numba compares with what it finds on the disk: by itself the time and size of the kernel's file.
         kernel._cache._cache_file._source_stamp = made
     except (RuntimeError, AttributeError):  # there is no folder to keep it in, or it is kept in another way
-        kernel = njit(error_model="numpy")(function)
+        kernel = njit(error_model="numpy", nogil=nogil)(function)
     _MADE_FROM[kernel] = made
     return cast(F, kernel)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["ActionError", "ConfigError", "DataError", "ModelError", "PolicyError", "SceneError", "ShieldError"]
+__all__ = ["ActionError", "ConfigError", "DataError", "ModelError", "PlatformError", "PolicyError", "SceneError", "ShieldError"]
 
 
 class ShieldError(Exception):
@@ -31,3 +31,7 @@ class ModelError(ShieldError, ValueError):
 
 class PolicyError(ShieldError, TypeError):
     """An object handed in as a policy cannot be used as one."""
+
+
+class PlatformError(ShieldError, RuntimeError):
+    """This machine, or a library on it, is not as something exact needs it."""

@@ -1,0 +1,142 @@
+"""What every body does in a frame: its lane, its wheel, its throttle; highway-env's `Road.act`."""
+
+from __future__ import annotations
+
+import math
+
+from dynamics.compiled import compiled
+from dynamics.simulator.arithmetic import clip, dot2, not_zero, wrap_to_pi
+from dynamics.simulator.layout import (
+    ACC_MAX,
+    ACCELERATION,
+    CHANGES,
+    COMFORT,
+    CRASHED,
+    DELTA,
+    EGO,
+    HEADING,
+    IDM,
+    KIND,
+    LANE,
+    LANE_Y,
+    LENGTH,
+    LINEAR,
+    S_HEADING,
+    S_LATERAL,
+    SPEED,
+    STEERING,
+    TARGET,
+    TARGET_SPEED,
+    Y,
+)
+from dynamics.simulator.loops import apply, apply_two, c_pow
+from dynamics.simulator.neighbours import ahead
+from dynamics.simulator.traffic import acceleration, change_lanes, free_flow, wanted_share
+from dynamics.state import FloatArray, IntArray
+
+__all__ = ["act"]
+
+_KP_A, _KP_HEADING, _KP_LATERAL = 1 / 0.6, 1 / 0.2, 1 / 0.6
+_WHEEL, _TURN = math.pi / 3, math.pi / 4
+"""Largest steering angle, and heading against the lane that is asked for [rad]."""
+_TAN, _ARCTAN, _ARCSIN, _POWER, _C_POW = 0, 1, 2, 5, 6
+
+
+@compiled
+def _free_flow(
+    loops: IntArray, f: FloatArray, g: IntArray, p: FloatArray, lanes: FloatArray, work: FloatArray, vehicles: int
+) -> None:
+    """IDM's acceleration of each vehicle on an empty road, to the first row of `work`."""
+    free, share, delta, power = work[0], work[1], work[2], work[3]
+    for i in range(vehicles):
+        share[i] = wanted_share(f, g, lanes, i) if g[KIND, i] == IDM else 1.0
+        delta[i] = p[DELTA, i]
+    apply_two(loops[_POWER, 0], loops[_POWER, 1], share, delta, power, vehicles)
+    for i in range(vehicles):
+        free[i] = free_flow(p[COMFORT, i], power[i])
+
+
+@compiled
+def _steer(
+    sums: int,
+    loops: IntArray,
+    f: FloatArray,
+    g: IntArray,
+    p: FloatArray,
+    lanes: FloatArray,
+    work: FloatArray,
+    busy: IntArray,
+    vehicles: int,
+) -> None:
+    """Steering towards the middle of the lane that each vehicle is bound for, [rad]; the first row of `work` is kept."""
+    x, y = work[1], work[2]
+    n = 0
+    for i in range(vehicles):
+        kind, lateral = g[KIND, i], f[Y, i] - lanes[g[TARGET, i], LANE_Y]
+        if kind == EGO or (kind == IDM and not g[CRASHED, i]):
+            if lateral == 0.0 and f[HEADING, i] == 0.0:
+                f[STEERING, i] = 0.0
+                continue
+            x[n] = clip(-_KP_LATERAL * lateral / not_zero(f[SPEED, i]), -1.0, 1.0)
+            busy[n] = i
+            n += 1
+        elif kind == LINEAR and not g[CRASHED, i]:
+            speed = not_zero(f[SPEED, i])
+            turn = wrap_to_pi(0.0 - f[HEADING, i]) * p[LENGTH, i] / speed
+            back = -lateral * p[LENGTH, i] / c_pow(loops[_C_POW, 0], speed, 2.0)
+            f[STEERING, i] = clip(dot2(sums, p[S_HEADING, i], turn, p[S_LATERAL, i], back), -_WHEEL, _WHEEL)
+    if n == 0:
+        return
+    apply(loops[_ARCSIN, 0], loops[_ARCSIN, 1], x, y, n)
+    for k in range(n):
+        i = busy[k]
+        rate = _KP_HEADING * wrap_to_pi(0.0 + clip(y[k], -_TURN, _TURN) - f[HEADING, i])
+        x[k] = clip(p[LENGTH, i] / 2 / not_zero(f[SPEED, i]) * rate, -1.0, 1.0)
+    apply(loops[_ARCSIN, 0], loops[_ARCSIN, 1], x, y, n)
+    apply(loops[_TAN, 0], loops[_TAN, 1], y, x, n)
+    for k in range(n):
+        x[k] = 2 * x[k]
+    apply(loops[_ARCTAN, 0], loops[_ARCTAN, 1], x, y, n)
+    for k in range(n):
+        f[STEERING, busy[k]] = clip(y[k], -_WHEEL, _WHEEL)
+
+
+@compiled
+def act(
+    sums: int,
+    loops: IntArray,
+    f: FloatArray,
+    g: IntArray,
+    p: FloatArray,
+    lanes: FloatArray,
+    places: tuple[IntArray, IntArray, IntArray, bool],
+    work: FloatArray,
+    busy: IntArray,
+    vehicles: int,
+) -> None:
+    """Decide lanes, in turn, and then steering and acceleration of all vehicles.
+
+    Parameters
+    ----------
+    places : lanes that each body counts on, bodies by place, places by body, whether any two are level.
+    work, busy : (4, m) and (m,), written.
+    """
+    free = work[0]
+    _free_flow(loops, f, g, p, lanes, work, vehicles)
+    for i in range(vehicles):
+        if (g[KIND, i] == IDM or g[KIND, i] == LINEAR) and not g[CRASHED, i] and g[CHANGES, i]:
+            change_lanes(sums, loops, f, g, p, lanes, places, i, vehicles, free[i])
+    _steer(sums, loops, f, g, p, lanes, work, busy, vehicles)
+    on, order, place, level = places
+    for i in range(vehicles):
+        kind = g[KIND, i]
+        if kind == EGO:
+            f[ACCELERATION, i] = _KP_A * (f[TARGET_SPEED, i] - f[SPEED, i])
+        elif (kind == IDM or kind == LINEAR) and not g[CRASHED, i]:
+            lane, target = g[LANE, i], g[TARGET, i]
+            leader = ahead(f, on, order, place, level, i, lane)
+            wanted = acceleration(sums, loops, f, g, p, lanes, i, i, leader, free[i])
+            if lane != target:
+                leader = ahead(f, on, order, place, level, i, target)
+                wanted = min(wanted, acceleration(sums, loops, f, g, p, lanes, i, i, leader, free[i]))
+            f[ACCELERATION, i] = clip(wanted, -p[ACC_MAX, i], p[ACC_MAX, i])

@@ -1,0 +1,276 @@
+"""Many episodes at once: reset and step as one compiled call over environments."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.compiled import compiled
+from dynamics.simulator.arithmetic import clip
+from dynamics.simulator.collisions import collide
+from dynamics.simulator.control import act
+from dynamics.simulator.layout import (
+    ACCELERATION,
+    COS,
+    CRASHED,
+    EGO,
+    KIND,
+    LANE,
+    LANE_LENGTH,
+    LANE_WIDTH,
+    LANE_Y,
+    SPEED,
+    STEERING,
+    TARGET,
+    TARGET_SPEED,
+    X,
+    Y,
+)
+from dynamics.simulator.motion import move
+from dynamics.simulator.neighbours import mark_lanes, sort
+from dynamics.simulator.observe import kinematics
+from dynamics.simulator.random import seed_row
+from dynamics.simulator.scene import spawn, speed_index
+from dynamics.state import FloatArray, IntArray
+
+__all__ = ["Machine", "Rules", "Seen", "Store", "View", "Work", "Worlds", "reset_all", "step_all"]
+
+_OVERHANG = 5.0
+
+
+class Machine(NamedTuple):
+    """How numpy computes on this machine: `sums_of_numpy`, and the `addresses` of its loops."""
+
+    sums: int
+    products: int
+    loops: IntArray
+
+
+class Worlds(NamedTuple):
+    """The state of all environments (see `layout`); e of them, of m bodies.
+
+    Attributes
+    ----------
+    f, g, p : (e, F, m), (e, G, m) and (e, P, m).
+    order, place : (e, m), bodies by x and the inverse.
+    rows : (e, 6), the generators. clock : (e,), time since the reset [s].
+    """
+
+    f: FloatArray
+    g: IntArray
+    p: FloatArray
+    order: IntArray
+    place: IntArray
+    rows: NDArray[np.uint64]
+    clock: FloatArray
+
+
+class Rules(NamedTuple):
+    """What is the same in all environments.
+
+    Attributes
+    ----------
+    lanes : (n, LANE_COLUMNS).
+    numbers : frames, vehicles, ego's first lane or -1, whether traffic collides, kinds of ego and traffic.
+    times : duration of a frame and of a decision, and of an episode [s].
+    spacings : of ego and traffic, and exp(-lanes / 8).
+    constants : (2, P), of ego and traffic. ranges : (6, 2), of what is drawn for each vehicle.
+    target_speeds : of the ego [m/s]. labels : of each action: 0 left, 1 none, 2 right, 3 faster, 4 slower.
+    reward : weights of collision, right lane, high speed and being on the road; speeds that are mapped to 0 and 1;
+        whether it is normalised, and whether leaving the road ends an episode.
+    """
+
+    lanes: FloatArray
+    numbers: tuple[int, int, int, int, int, int]
+    times: tuple[float, float, float]
+    spacings: tuple[float, float, float]
+    constants: FloatArray
+    ranges: FloatArray
+    target_speeds: FloatArray
+    labels: IntArray
+    reward: tuple[float, float, float, float, float, float, bool, bool]
+
+
+class View(NamedTuple):
+    """What is observed (see `observe.kinematics`)."""
+
+    features: IntArray
+    ranges: FloatArray
+    switches: tuple[bool, bool, bool, bool, bool, bool]
+
+
+class Work(NamedTuple):
+    """Room that is written over."""
+
+    numbers: FloatArray
+    busy: IntArray
+    on: IntArray
+    corners: FloatArray
+    pairs: IntArray
+    seen: FloatArray
+
+
+class Seen(NamedTuple):
+    """What a step returns, an entry for each environment.
+
+    Attributes
+    ----------
+    observations : (e, bodies, features). terminal : the same at the end of an episode, before a reset.
+    reward, terminated, truncated, crashed : (e,). parts : (e, 4), what the reward is made of.
+    """
+
+    observations: NDArray[np.float32]
+    terminal: NDArray[np.float32]
+    reward: FloatArray
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    parts: FloatArray
+
+
+Store = tuple[Worlds, Rules, View, Work, Seen]
+
+
+@compiled
+def _reset(machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int) -> None:
+    numbers = rules.numbers
+    f, g, p, row = worlds.f[e], worlds.g[e], worlds.p[e], worlds.rows[e]
+    constants = rules.constants[0], rules.constants[1]
+    kinds = numbers[4], numbers[5]
+    spawn(
+        row,
+        f,
+        g,
+        p,
+        rules.lanes,
+        numbers[1],
+        kinds,
+        constants,
+        rules.ranges,
+        rules.spacings,
+        rules.target_speeds,
+        numbers[2],
+        numbers[3] != 0,
+    )
+    worlds.clock[e] = 0.0
+    for i in range(f.shape[1]):
+        worlds.order[e, i] = i
+
+
+@compiled
+def _command(rules: Rules, f: FloatArray, g: IntArray, action: FloatArray) -> None:
+    """What an action changes at once: target speed or lane of the ego, or its inputs."""
+    if g[KIND, 0] != EGO:
+        f[ACCELERATION, 0], f[STEERING, 0] = action[0], action[1]
+        return
+    label, speeds, lanes = rules.labels[int(action[0])], rules.target_speeds, rules.lanes
+    if label >= 3:
+        index = speed_index(speeds, f[SPEED, 0]) + (1 if label == 3 else -1)
+        f[TARGET_SPEED, 0] = speeds[min(max(index, 0), len(speeds) - 1)]
+    elif label != 1:
+        lane = min(max(g[TARGET, 0] + label - 1, 0), len(lanes) - 1)
+        near = abs(f[Y, 0] - lanes[lane, LANE_Y]) <= 2 * lanes[lane, LANE_WIDTH]
+        if near and 0.0 <= f[X, 0] < lanes[lane, LANE_LENGTH] + _OVERHANG:
+            g[TARGET, 0] = lane
+
+
+@compiled
+def _frames(machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, frames: int) -> None:
+    """Advance one environment by so many frames."""
+    f, g, p, order, place = worlds.f[e], worlds.g[e], worlds.p[e], worlds.order[e], worlds.place[e]
+    vehicles, dt, lanes = rules.numbers[1], rules.times[0], rules.lanes
+    level = sort(f, order, place)
+    for _ in range(frames):
+        mark_lanes(f, lanes, work.on)
+        places = work.on, order, place, level
+        act(machine.sums, machine.loops, f, g, p, lanes, places, work.numbers, work.busy, vehicles)
+        move(machine.loops, f, g, p, lanes, work.numbers, work.busy, vehicles, dt)
+        level = sort(f, order, place)
+        collide(machine.sums, machine.products, f, g, p, order, work.corners, work.pairs, vehicles, dt)
+
+
+@compiled
+def _judge(rules: Rules, f: FloatArray, g: IntArray, parts: FloatArray) -> tuple[float, bool]:
+    """The reward of a decision, and whether the ego is on the road."""
+    collision, right, fast, on_road, slow_end, fast_end, normalised, _ = rules.reward
+    lanes, lane = rules.lanes, g[TARGET, 0] if g[KIND, 0] == EGO else g[LANE, 0]
+    own = g[LANE, 0]
+    on = abs(f[Y, 0] - lanes[own, LANE_Y]) <= lanes[own, LANE_WIDTH] / 2 + 0 and (
+        -_OVERHANG <= f[X, 0] < lanes[own, LANE_LENGTH] + _OVERHANG
+    )
+    parts[0] = float(g[CRASHED, 0])
+    parts[1] = lane / max(len(lanes) - 1, 1)
+    parts[2] = clip((f[SPEED, 0] * f[COS, 0] - slow_end) / (fast_end - slow_end), 0.0, 1.0)
+    parts[3] = 1.0 if on else 0.0
+    reward = 0 + collision * parts[0]
+    reward += right * parts[1]
+    reward += fast * parts[2]
+    reward += on_road * parts[3]
+    if normalised:
+        reward = (reward - collision) / (fast + right - collision)
+    return reward * parts[3], on
+
+
+@compiled
+def _observe(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, e: int, out: Any) -> None:
+    f, g, p, row = worlds.f[e], worlds.g[e], worlds.p[e], worlds.rows[e]
+    kinematics(
+        machine.sums,
+        row,
+        f,
+        g,
+        p,
+        rules.lanes,
+        view.features,
+        view.ranges,
+        view.switches,
+        work.busy,
+        work.seen,
+        out,
+    )
+
+
+def _reset_all(
+    machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, which: IntArray, seeds: IntArray
+) -> None:
+    """Reset environments; a negative seed goes on with the environment's generator."""
+    for k in range(len(which)):
+        e = which[k]
+        if seeds[k] >= 0:
+            seed_row(worlds.rows[e], seeds[k])
+        _reset(machine, worlds, rules, work, e)
+        _observe(machine, worlds, rules, view, work, e, seen.observations[e])
+
+
+def _step_all(
+    machine: Machine,
+    worlds: Worlds,
+    rules: Rules,
+    view: View,
+    work: Work,
+    seen: Seen,
+    actions: FloatArray,
+    first: int,
+    last: int,
+    again: bool,
+) -> None:
+    """A decision in each of the environments from `first` to `last`; with `again`, those that are over are reset."""
+    for e in range(first, last):
+        f, g = worlds.f[e], worlds.g[e]
+        worlds.clock[e] += rules.times[1]
+        _command(rules, f, g, actions[e])
+        _frames(machine, worlds, rules, work, e, rules.numbers[0])
+        _observe(machine, worlds, rules, view, work, e, seen.observations[e])
+        reward, on = _judge(rules, f, g, seen.parts[e])
+        seen.reward[e] = reward
+        seen.terminated[e] = g[CRASHED, 0] != 0 or (rules.reward[7] and not on)
+        seen.truncated[e] = worlds.clock[e] >= rules.times[2]
+        if again and (seen.terminated[e] or seen.truncated[e]):
+            seen.terminal[e] = seen.observations[e]
+            _reset(machine, worlds, rules, work, e)
+            _observe(machine, worlds, rules, view, work, e, seen.observations[e])
+
+
+reset_all = compiled(_reset_all, nogil=True)
+step_all = compiled(_step_all, nogil=True)

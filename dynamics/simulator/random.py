@@ -1,0 +1,146 @@
+"""numpy's own random numbers in compiled code: the generator that `env.reset(seed=...)` makes, from the same seed.
+
+`SeedSequence` and PCG64 (O'Neill 2014) as numpy has them; the streams of both are kept stable by numpy. A generator is a row
+of six numbers: state (high, low), increment (high, low), whether half of a draw is left, and that half.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.compiled import compiled
+
+__all__ = ["WORDS", "below", "from_generator", "seed_row", "to_generator", "uniform"]
+
+Row = NDArray[np.uint64]
+
+WORDS = 6
+"""Numbers of a generator."""
+
+_U = np.uint64
+_LOW, _32, _16 = _U(0xFFFFFFFF), _U(32), _U(16)
+_ONE, _ZERO, _SIXTYTHREE, _FIFTYEIGHT, _SIXTYFOUR, _ELEVEN = _U(1), _U(0), _U(63), _U(58), _U(64), _U(11)
+_MULTIPLIER_HIGH, _MULTIPLIER_LOW = _U(2549297995355413924), _U(4865540595714422341)
+_INIT_A, _MULT_A, _INIT_B, _MULT_B = _U(0x43B0D7E5), _U(0x931E8875), _U(0x8B51F9DD), _U(0x58F38DED)
+_MIX_L, _MIX_R = _U(0xCA01F9DD), _U(0x4973F715)
+
+
+@compiled
+def _times(a: Any, b: Any) -> tuple[Any, Any]:
+    """The 128 bits of a product of two of 64, as high and low."""
+    a1, a0, b1, b0 = a >> _32, a & _LOW, b >> _32, b & _LOW
+    low, middle, other = a0 * b0, a1 * b0, a0 * b1
+    carry = (low >> _32) + (middle & _LOW) + (other & _LOW)
+    return a1 * b1 + (middle >> _32) + (other >> _32) + (carry >> _32), a * b
+
+
+@compiled
+def _advance(row: Row) -> None:
+    high, low = _times(row[1], _MULTIPLIER_LOW)
+    high += row[0] * _MULTIPLIER_LOW + row[1] * _MULTIPLIER_HIGH
+    total = low + row[3]
+    row[0] = high + row[2] + (_ONE if total < low else _ZERO)
+    row[1] = total
+
+
+@compiled
+def _next_64(row: Row) -> Any:
+    _advance(row)
+    mixed, turn = row[0] ^ row[1], row[0] >> _FIFTYEIGHT
+    return (mixed >> turn) | (mixed << ((_SIXTYFOUR - turn) & _SIXTYTHREE))
+
+
+@compiled
+def _next_32(row: Row) -> Any:
+    if row[4]:
+        row[4] = _ZERO
+        return row[5]
+    drawn = _next_64(row)
+    row[4], row[5] = _ONE, drawn >> _32
+    return drawn & _LOW
+
+
+@compiled
+def uniform(row: Row, low: float, high: float) -> float:
+    """`Generator.uniform(low, high)`."""
+    return low + (high - low) * (float(_next_64(row) >> _ELEVEN) * (1.0 / 9007199254740992.0))
+
+
+@compiled
+def below(row: Row, n: int) -> int:
+    """`Generator.integers(n)`, n at most 2^32 - 1 (Lemire 2019)."""
+    if n <= 1:
+        return 0
+    size = _U(n)
+    product = _next_32(row) * size
+    if (product & _LOW) < size:
+        threshold = (_LOW - (size - _ONE)) % size
+        while (product & _LOW) < threshold:
+            product = _next_32(row) * size
+    return np.int64(product >> _32)
+
+
+@compiled
+def _hashed(value: Any, constant: Any) -> tuple[Any, Any]:
+    value ^= constant
+    constant = (constant * _MULT_A) & _LOW
+    value = (value * constant) & _LOW
+    return value ^ (value >> _16), constant
+
+
+@compiled
+def seed_row(row: Row, seed: int) -> None:
+    """The row of `np.random.default_rng(seed)`, of a seed from 0 to 2^63 - 1."""
+    pool = np.zeros(4, np.uint64)
+    word, constant = _U(seed), _INIT_A
+    for i in range(4):
+        entropy = _ZERO
+        if i == 0:
+            entropy = word & _LOW
+        elif i == 1:
+            entropy = word >> _32
+        pool[i], constant = _hashed(entropy, constant)
+    for source in range(4):
+        for target in range(4):
+            if source != target:
+                value, constant = _hashed(pool[source], constant)
+                mixed = (_MIX_L * pool[target] - _MIX_R * value) & _LOW
+                pool[target] = mixed ^ (mixed >> _16)
+    words, constant = np.zeros(8, np.uint64), _INIT_B
+    for i in range(8):
+        value = pool[i % 4] ^ constant
+        constant = (constant * _MULT_B) & _LOW
+        value = (value * constant) & _LOW
+        words[i] = value ^ (value >> _16)
+    high, low = words[0] | (words[1] << _32), words[2] | (words[3] << _32)
+    to, last = words[4] | (words[5] << _32), words[6] | (words[7] << _32)
+    row[0], row[1] = _ZERO, _ZERO
+    row[2], row[3] = (to << _ONE) | (last >> _SIXTYTHREE), (last << _ONE) | _ONE
+    row[4], row[5] = _ZERO, _ZERO
+    _advance(row)
+    total = row[1] + low
+    row[0] = row[0] + high + (_ONE if total < low else _ZERO)
+    row[1] = total
+    _advance(row)
+
+
+def from_generator(generator: np.random.Generator) -> Row:
+    """The row of a generator over PCG64, (6,) uint64."""
+    state: Any = generator.bit_generator.state
+    inner = state["state"]
+    words = [inner["state"] >> 64, inner["state"], inner["inc"] >> 64, inner["inc"], state["has_uint32"]]
+    return np.array([w & (2**64 - 1) for w in (*words, state["uinteger"])], dtype=np.uint64)
+
+
+def to_generator(row: Row, generator: np.random.Generator) -> None:
+    """Put a row into a generator over PCG64."""
+    words = [int(w) for w in row]
+    generator.bit_generator.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": (words[0] << 64) | words[1], "inc": (words[2] << 64) | words[3]},
+        "has_uint32": words[4],
+        "uinteger": words[5],
+    }

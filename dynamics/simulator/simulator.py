@@ -1,0 +1,157 @@
+"""`Simulator`: highway-env's highway, compiled, many episodes at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.errors import ActionError, ConfigError
+from dynamics.simulator.arithmetic import Sums, sums_of_numpy
+from dynamics.simulator.engine import Machine, Seen, Work, Worlds, reset_all, step_all
+from dynamics.simulator.layout import F, G, P
+from dynamics.simulator.loops import addresses
+from dynamics.simulator.random import WORDS
+from dynamics.simulator.scenario import scenario_of
+from dynamics.state import FloatArray
+
+__all__ = ["Simulator"]
+
+
+class Simulator:
+    """So many copies of `highway-v0` or `highway-fast-v0`, stepped together; the same to the last bit.
+
+    Parameters
+    ----------
+    env_id : the environment.
+    num_envs : how many copies.
+    config : what differs from its default configuration.
+
+    Raises
+    ------
+    ConfigError
+        If the environment needs what the simulator cannot do.
+    PlatformError
+        If numpy's own loops are not where they are known to be.
+
+    Attributes
+    ----------
+    scenario : what is simulated.
+    worlds : the state of all copies, arrays that may be read and written (see `engine.Worlds`, `layout`).
+    seen : what the last call found (see `engine.Seen`).
+    exact : whether this machine's numpy makes sums of products in a way that is known here. Where it does not, states
+        agree to some 1e-12 at first.
+
+    Examples
+    --------
+    >>> simulator = Simulator("highway-fast-v0", 2)
+    >>> observations = simulator.reset([0, 1])
+    >>> observations, reward, terminated, truncated = simulator.step([3, 1])
+    >>> observations.shape, reward.shape
+    ((2, 5, 5), (2,))
+    """
+
+    def __init__(self, env_id: str, num_envs: int = 1, config: Mapping[str, Any] | None = None) -> None:
+        if num_envs < 1:
+            raise ConfigError(f"num_envs must be at least 1, not {num_envs}")
+        self.scenario = scenario_of(env_id, config)
+        self.num_envs, e, m = num_envs, num_envs, self.scenario.bodies
+        sums, products = sums_of_numpy()
+        self.exact = Sums.OTHER not in (sums, products)
+        self.machine = Machine(sums, products, addresses())
+        self.worlds = Worlds(
+            np.zeros((e, F, m)),
+            np.zeros((e, G, m), np.int64),
+            np.zeros((e, P, m)),
+            np.zeros((e, m), np.int64),
+            np.zeros((e, m), np.int64),
+            np.zeros((e, WORDS), np.uint64),
+            np.zeros(e),
+        )
+        rows, features = self.scenario.observation_space.shape
+        self._work = Work(
+            np.zeros((4, m)),
+            np.zeros(m, np.int64),
+            np.zeros(m, np.int64),
+            np.zeros((2, 5, 2)),
+            np.zeros(max(1, m * (m - 1) // 2), np.int64),
+            np.zeros((rows, features)),
+        )
+        self.seen = Seen(
+            np.zeros((e, rows, features), np.float32),
+            np.zeros((e, rows, features), np.float32),
+            np.zeros(e),
+            np.zeros(e, np.bool_),
+            np.zeros(e, np.bool_),
+            np.zeros((e, 4)),
+        )
+        entropy = np.random.SeedSequence().generate_state(e, np.uint64) >> np.uint64(1)
+        self.reset(entropy.astype(np.int64))
+
+    def reset(
+        self, seeds: Sequence[int] | NDArray[Any] | None = None, which: Sequence[int] | None = None
+    ) -> NDArray[np.float32]:
+        """Start new episodes.
+
+        Parameters
+        ----------
+        seeds : one for each environment, as of `env.reset(seed=...)`; None goes on with the generators that there are.
+        which : the environments to reset; all by default.
+
+        Returns
+        -------
+        The observations of all environments, (e, bodies, features) float32; the array is written over by the next
+        call.
+        """
+        chosen = np.arange(self.num_envs) if which is None else np.asarray(which, dtype=np.int64)
+        numbers = np.full(len(chosen), -1) if seeds is None else np.asarray(seeds, dtype=np.int64)
+        if numbers.shape != chosen.shape or (seeds is not None and (numbers < 0).any()):
+            raise ConfigError(f"have a seed of at least 0 for each of {len(chosen)} environments, not {seeds!r}")
+        rules, view = self.scenario.rules, self.scenario.view
+        reset_all(self.machine, self.worlds, rules, view, self._work, self.seen, chosen, numbers)
+        return self.seen.observations
+
+    def step(
+        self, actions: Any, again: bool = False
+    ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+        """One decision in each environment.
+
+        Parameters
+        ----------
+        actions : (e,) meta-actions, or (e, size) throttle and steering.
+        again : whether episodes that end are followed by new ones at once; `seen.terminal` has their last
+            observations then.
+
+        Returns
+        -------
+        Observations (e, bodies, features), rewards (e,), terminated (e,) and truncated (e,): arrays that the next call
+        writes over.
+
+        Raises
+        ------
+        ActionError
+            If there is not an action for each environment, or one is none of the action space.
+        """
+        scenario, seen = self.scenario, self.seen
+        given = self._given(actions)
+        step_all(
+            self.machine, self.worlds, scenario.rules, scenario.view, self._work, seen, given, 0, self.num_envs, again
+        )
+        return seen.observations, seen.reward, seen.terminated, seen.truncated
+
+    def _given(self, actions: Any) -> FloatArray:
+        """Actions as the kernels take them, (e, 2)."""
+        inputs, e = self.scenario.inputs, self.num_envs
+        actions = np.asarray(actions)
+        if inputs is not None:
+            if actions.shape != (e, inputs.size) or not np.isfinite(actions).all():
+                raise ActionError(f"have finite actions of shape {(e, inputs.size)}, not {actions.shape}")
+            return inputs(actions)
+        n = len(self.scenario.rules.labels)
+        if actions.shape != (e,) or not ((actions >= 0) & (actions < n)).all():
+            raise ActionError(f"have {e} meta-actions from 0 to {n - 1}, not {actions!r}")
+        given = np.zeros((e, 2))
+        given[:, 0] = actions
+        return given

@@ -1,0 +1,194 @@
+"""What highway-env's traffic does: IDM, the linear model, and MOBIL.
+
+Treiber, Hennecke and Helbing 2000; Kesting, Treiber and Helbing 2007; the details are those of highway-env's
+`vehicle/behavior.py`. A vehicle judges another's acceleration by its own constants.
+"""
+
+from __future__ import annotations
+
+from dynamics.compiled import compiled
+from dynamics.simulator.arithmetic import clip, dot2, dot3, not_zero
+from dynamics.simulator.layout import (
+    A_GAP,
+    A_LEADER,
+    A_SPEED,
+    COMFORT,
+    CONTINUOUS,
+    COS,
+    DELAY,
+    DELTA,
+    DISTANCE,
+    GAIN,
+    IMPOSED,
+    KIND,
+    LANE,
+    LANE_LENGTH,
+    LANE_LIMIT,
+    LANE_WIDTH,
+    LANE_Y,
+    LINEAR,
+    OBSTACLE,
+    POLITENESS,
+    SIN,
+    SPEED,
+    TARGET,
+    TARGET_SPEED,
+    TIME,
+    TIMER,
+    TWICE_ROOT,
+    X,
+    Y,
+)
+from dynamics.simulator.loops import at_two
+from dynamics.simulator.neighbours import ahead, behind
+from dynamics.state import FloatArray, IntArray
+
+__all__ = ["acceleration", "change_lanes", "desired_gap", "free_flow", "wanted_share"]
+
+_POWER = 5
+_OVERHANG = 5.0
+
+
+@compiled
+def desired_gap(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, leader: int) -> float:
+    """IDM's gap d* of a body behind another [m]; negative where the other pulls away."""
+    v, w = f[SPEED, body], f[SPEED, leader]
+    c, s = f[COS, body], f[SIN, body]
+    closing = dot2(sums, v * c - w * f[COS, leader], c, v * s - w * f[SIN, leader], s)
+    return p[DISTANCE, judge] + v * p[TIME, judge] + v * closing / p[TWICE_ROOT, judge]
+
+
+@compiled
+def wanted_share(f: FloatArray, g: IntArray, lanes: FloatArray, body: int) -> float:
+    """The speed of a body over the speed that it wants, within the limit of its lane."""
+    target = 0.0 if g[KIND, body] == CONTINUOUS else f[TARGET_SPEED, body]
+    return max(f[SPEED, body], 0.0) / abs(not_zero(clip(target, 0.0, lanes[g[LANE, body], LANE_LIMIT])))
+
+
+@compiled
+def free_flow(comfort: float, power: float) -> float:
+    """IDM's acceleration on an empty road [m/s^2], given the share of the wanted speed to the power delta."""
+    return comfort * (1.0 - power)
+
+
+@compiled
+def _with_leader(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, leader: int, free: float) -> float:
+    if leader < 0:
+        return free
+    held = desired_gap(sums, f, p, judge, body, leader) / not_zero(f[X, leader] - f[X, body])
+    return free - p[COMFORT, judge] * (held * held)
+
+
+@compiled
+def _linear(sums: int, f: FloatArray, g: IntArray, p: FloatArray, judge: int, body: int, leader: int) -> float:
+    if body < 0:
+        return dot3(sums, p[A_SPEED, judge], 0.0, p[A_LEADER, judge], 0.0, p[A_GAP, judge], 0.0)
+    v = f[SPEED, body]
+    own = g[KIND, body] == CONTINUOUS or g[KIND, body] == OBSTACLE
+    faster = (v if own else f[TARGET_SPEED, body]) - v
+    closing, room = 0.0, 0.0
+    if leader >= 0:
+        closing = min(f[SPEED, leader] - v, 0.0)
+        room = min(f[X, leader] - f[X, body] - (p[DISTANCE, judge] + max(v, 0.0) * p[TIME, judge]), 0.0)
+    return dot3(sums, p[A_SPEED, judge], faster, p[A_LEADER, judge], closing, p[A_GAP, judge], room)
+
+
+@compiled
+def acceleration(
+    sums: int,
+    loops: IntArray,
+    f: FloatArray,
+    g: IntArray,
+    p: FloatArray,
+    lanes: FloatArray,
+    judge: int,
+    body: int,
+    leader: int,
+    free: float,
+) -> float:
+    """What a body would do behind a leader by the constants of a judge [m/s^2].
+
+    Parameters
+    ----------
+    body, leader : -1 for nobody.
+    free : `free_flow` of the judge itself, where it is the body; else it is found here.
+    """
+    if g[KIND, judge] == LINEAR:
+        return _linear(sums, f, g, p, judge, body, leader)
+    if body < 0 or g[KIND, body] == OBSTACLE:
+        return 0.0
+    if body != judge:
+        share = wanted_share(f, g, lanes, body)
+        free = free_flow(p[COMFORT, judge], at_two(loops[_POWER, 0], loops[_POWER, 1], share, p[DELTA, judge]))
+    return _with_leader(sums, f, p, judge, body, leader, free)
+
+
+@compiled
+def _mobil(
+    sums: int,
+    loops: IntArray,
+    f: FloatArray,
+    g: IntArray,
+    p: FloatArray,
+    lanes: FloatArray,
+    places: tuple[IntArray, IntArray, IntArray, bool],
+    i: int,
+    lane: int,
+    free: float,
+) -> bool:
+    """Whether a vehicle changes to a lane: nobody has to brake hard for it, and it gains."""
+    on, order, place, level = places
+    leader = ahead(f, on, order, place, level, i, lane)
+    follower = behind(f, on, order, place, level, i, lane)
+    imposed = acceleration(sums, loops, f, g, p, lanes, i, follower, i, free)
+    if imposed < -p[IMPOSED, i]:
+        return False
+    old_leader = ahead(f, on, order, place, level, i, g[LANE, i])
+    gain = acceleration(sums, loops, f, g, p, lanes, i, i, leader, free)
+    gain -= acceleration(sums, loops, f, g, p, lanes, i, i, old_leader, free)
+    if p[POLITENESS, i] != 0.0:
+        old_follower = behind(f, on, order, place, level, i, g[LANE, i])
+        others = imposed - acceleration(sums, loops, f, g, p, lanes, i, follower, leader, free)
+        others += acceleration(sums, loops, f, g, p, lanes, i, old_follower, old_leader, free)
+        others -= acceleration(sums, loops, f, g, p, lanes, i, old_follower, i, free)
+        gain += p[POLITENESS, i] * others
+    return not gain < p[GAIN, i]
+
+
+@compiled
+def change_lanes(
+    sums: int,
+    loops: IntArray,
+    f: FloatArray,
+    g: IntArray,
+    p: FloatArray,
+    lanes: FloatArray,
+    places: tuple[IntArray, IntArray, IntArray, bool],
+    i: int,
+    vehicles: int,
+    free: float,
+) -> None:
+    """A vehicle's decision about its lane, in place: those after it see what it has decided."""
+    lane, target = g[LANE, i], g[TARGET, i]
+    if lane != target:
+        for v in range(vehicles):
+            if v == i or g[LANE, v] == target or g[KIND, v] == CONTINUOUS or g[TARGET, v] != target:
+                continue
+            if 0.0 < f[X, v] - f[X, i] < desired_gap(sums, f, p, i, i, v):
+                g[TARGET, i] = lane
+                break
+        return
+    if not p[DELAY, i] < f[TIMER, i]:
+        return
+    f[TIMER, i] = 0.0
+    for side in (-1, 1):
+        candidate = lane + side
+        if candidate < 0 or candidate >= len(lanes):
+            continue
+        away = abs(f[Y, i] - lanes[candidate, LANE_Y])
+        if away > 2 * lanes[candidate, LANE_WIDTH]:
+            continue
+        if not 0.0 <= f[X, i] < lanes[candidate, LANE_LENGTH] + _OVERHANG or abs(f[SPEED, i]) < 1.0:
+            continue
+        if _mobil(sums, loops, f, g, p, lanes, places, i, candidate, free):
+            g[TARGET, i] = candidate

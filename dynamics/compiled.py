@@ -19,7 +19,7 @@ from typing import Any, TypeVar, cast
 from numba import njit
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-__all__ = ["compiled", "made_from", "numbers_of"]
+__all__ = ["compiled", "made_from", "numbers_of", "uncounted"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 numbers_of: Any = to_fixed_tuple
@@ -27,21 +27,28 @@ numbers_of: Any = to_fixed_tuple
 _MADE_FROM: dict[Any, str] = {}
 
 
-def compiled(function: F, nogil: bool = False) -> F:
-    """The function as machine code, made at its first call.
+def compiled(function: F) -> F:
+    """The function as machine code, made at its first call."""
+    return _kernel(function)
 
-    Parameters
-    ----------
-    function : of arrays and numbers.
-    nogil : whether other threads go on while it runs; worth its 50 ns where it runs long.
+
+def uncounted(function: F) -> F:
+    """The same for kernels that make no arrays: nobody counts who holds those that are handed in and on.
+
+    Counting takes some 10 ns an array and call, which is more than the work of a small function of one vehicle. Other
+    threads go on meanwhile.
     """
+    return _kernel(function, _nrt=False, nogil=True)
+
+
+def _kernel(function: F, **options: bool) -> F:
     made = _digest(function)
     try:
-        kernel: Any = njit(cache=True, error_model="numpy", nogil=nogil)(function)
+        kernel: Any = njit(cache=True, error_model="numpy", **options)(function)
         # What numba compares with what it finds on the disk: by itself the time and size of the kernel's file.
         kernel._cache._cache_file._source_stamp = made
     except (RuntimeError, AttributeError):  # there is no folder to keep it in, or it is kept in another way
-        kernel = njit(error_model="numpy", nogil=nogil)(function)
+        kernel = njit(error_model="numpy", **options)(function)
     _MADE_FROM[kernel] = made
     return cast(F, kernel)
 

@@ -15,7 +15,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 from dynamics.state import FloatArray
 
 __all__ = ["Sums", "clip", "dot2", "dot3", "fma", "not_zero", "sums_of_numpy", "wrap_to_pi"]
@@ -40,19 +40,19 @@ def fma(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
     return types.float64(types.float64, types.float64, types.float64), codegen
 
 
-@compiled
+@uncounted
 def dot2(sums: int, a0: float, b0: float, a1: float, b1: float) -> float:
     """`np.dot` of two vectors of two numbers."""
     return fma(a1, b1, a0 * b0) if sums == 1 else a0 * b0 + a1 * b1
 
 
-@compiled
+@uncounted
 def dot3(sums: int, a0: float, b0: float, a1: float, b1: float, a2: float, b2: float) -> float:
     """`np.dot` of two vectors of three numbers."""
     return fma(a2, b2, fma(a1, b1, a0 * b0)) if sums == 1 else a0 * b0 + a1 * b1 + a2 * b2
 
 
-@compiled
+@uncounted
 def not_zero(x: float) -> float:
     """highway-env's `not_zero`: at least a hundredth away from zero."""
     if abs(x) > 1e-2:
@@ -60,19 +60,19 @@ def not_zero(x: float) -> float:
     return 1e-2 if x >= 0 else -1e-2
 
 
-@compiled
+@uncounted
 def wrap_to_pi(x: float) -> float:
     """An angle in [-pi, pi)."""
     return ((x + math.pi) % (2 * math.pi)) - math.pi
 
 
-@compiled
+@uncounted
 def clip(x: float, low: float, high: float) -> float:
     """`np.clip` of a number."""
     return min(max(x, low), high)
 
 
-@compiled
+@uncounted
 def _dots(sums: int, a: FloatArray, b: FloatArray, out: FloatArray) -> None:
     for i in range(len(a)):
         if a.shape[1] == 2:

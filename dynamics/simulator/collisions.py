@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 from dynamics.simulator.arithmetic import dot2
 from dynamics.simulator.layout import (
     CHECKS,
@@ -37,7 +37,7 @@ _SLACK = 1e-6
 """Added to the reach of the search [m]; the check itself is exact."""
 
 
-@compiled
+@uncounted
 def _outline(products: int, f: FloatArray, p: FloatArray, i: int, out: FloatArray) -> None:
     """The corners of a body, the first repeated, (5, 2) [m]."""
     c, s, length, width = f[COS, i], f[SIN, i], p[LENGTH, i] / 2, p[WIDTH, i] / 2
@@ -49,7 +49,7 @@ def _outline(products: int, f: FloatArray, p: FloatArray, i: int, out: FloatArra
     out[4, 0], out[4, 1] = out[0, 0], out[0, 1]
 
 
-@compiled
+@uncounted
 def _span(sums: int, polygon: FloatArray, nx: float, ny: float) -> tuple[float, float]:
     """A polygon's extent along an axis."""
     low = high = dot2(sums, polygon[0, 0], nx, polygon[0, 1], ny)
@@ -59,17 +59,17 @@ def _span(sums: int, polygon: FloatArray, nx: float, ny: float) -> tuple[float, 
     return low, high
 
 
-@compiled
+@uncounted
 def _between(low: float, high: float, other_low: float, other_high: float) -> float:
     return other_low - high if low < other_low else low - other_high
 
 
-@compiled
+@uncounted
 def _mean(polygon: FloatArray, axis: int) -> float:
     return (polygon[0, axis] + polygon[1, axis] + polygon[2, axis] + polygon[3, axis]) / 4
 
 
-@compiled
+@uncounted
 def _intersect(sums: int, corners: FloatArray, ux: float, uy: float) -> tuple[bool, bool, float, float]:
     """Whether two polygons intersect, will after one has moved by u against the other, and the translation apart.
 
@@ -106,7 +106,7 @@ def _intersect(sums: int, corners: FloatArray, ux: float, uy: float) -> tuple[bo
     return touch, will, least * tx, least * ty
 
 
-@compiled
+@uncounted
 def _handle(
     sums: int,
     products: int,
@@ -135,7 +135,7 @@ def _handle(
         g[CRASHED, i] = g[CRASHED, j] = 1
 
 
-@compiled
+@uncounted
 def _near(sums: int, f: FloatArray, p: FloatArray, i: int, j: int, dt: float) -> bool:
     """highway-env's quick check, which counts on the speed of the first alone."""
     dx, dy = f[X, j] - f[X, i], f[Y, j] - f[Y, i]
@@ -143,7 +143,7 @@ def _near(sums: int, f: FloatArray, p: FloatArray, i: int, j: int, dt: float) ->
     return not apart > (p[DIAGONAL, i] + p[DIAGONAL, j]) / 2 + f[SPEED, i] * dt
 
 
-@compiled
+@uncounted
 def collide(
     sums: int,
     products: int,

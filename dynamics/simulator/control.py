@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 from dynamics.simulator.arithmetic import clip, dot2, not_zero, wrap_to_pi
 from dynamics.simulator.layout import (
     ACC_MAX,
@@ -42,7 +42,7 @@ _WHEEL, _TURN = math.pi / 3, math.pi / 4
 _TAN, _ARCTAN, _ARCSIN, _POWER, _C_POW = 0, 1, 2, 5, 6
 
 
-@compiled
+@uncounted
 def _free_flow(
     loops: IntArray, f: FloatArray, g: IntArray, p: FloatArray, lanes: FloatArray, work: FloatArray, vehicles: int
 ) -> None:
@@ -56,7 +56,7 @@ def _free_flow(
         free[i] = free_flow(p[COMFORT, i], power[i])
 
 
-@compiled
+@uncounted
 def _steer(
     sums: int,
     loops: IntArray,
@@ -101,7 +101,7 @@ def _steer(
         f[STEERING, busy[k]] = clip(y[k], -_WHEEL, _WHEEL)
 
 
-@compiled
+@uncounted
 def act(
     sums: int,
     loops: IntArray,

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 from dynamics.simulator.arithmetic import clip
 from dynamics.simulator.collisions import collide
 from dynamics.simulator.control import act
@@ -132,7 +132,7 @@ class Seen(NamedTuple):
 Store = tuple[Worlds, Rules, View, Work, Seen]
 
 
-@compiled
+@uncounted
 def _reset(machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int) -> None:
     numbers = rules.numbers
     f, g, p, row = worlds.f[e], worlds.g[e], worlds.p[e], worlds.rows[e]
@@ -158,7 +158,7 @@ def _reset(machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int) -
         worlds.order[e, i] = i
 
 
-@compiled
+@uncounted
 def _command(rules: Rules, f: FloatArray, g: IntArray, action: FloatArray) -> None:
     """What an action changes at once: target speed or lane of the ego, or its inputs."""
     if g[KIND, 0] != EGO:
@@ -175,7 +175,7 @@ def _command(rules: Rules, f: FloatArray, g: IntArray, action: FloatArray) -> No
             g[TARGET, 0] = lane
 
 
-@compiled
+@uncounted
 def _frames(machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, frames: int) -> None:
     """Advance one environment by so many frames."""
     f, g, p, order, place = worlds.f[e], worlds.g[e], worlds.p[e], worlds.order[e], worlds.place[e]
@@ -190,7 +190,7 @@ def _frames(machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, 
         collide(machine.sums, machine.products, f, g, p, order, work.corners, work.pairs, vehicles, dt)
 
 
-@compiled
+@uncounted
 def _judge(rules: Rules, f: FloatArray, g: IntArray, parts: FloatArray) -> tuple[float, bool]:
     """The reward of a decision, and whether the ego is on the road."""
     collision, right, fast, on_road, slow_end, fast_end, normalised, _ = rules.reward
@@ -212,7 +212,7 @@ def _judge(rules: Rules, f: FloatArray, g: IntArray, parts: FloatArray) -> tuple
     return reward * parts[3], on
 
 
-@compiled
+@uncounted
 def _observe(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, e: int, out: Any) -> None:
     f, g, p, row = worlds.f[e], worlds.g[e], worlds.p[e], worlds.rows[e]
     kinematics(
@@ -267,10 +267,12 @@ def _step_all(
         seen.terminated[e] = g[CRASHED, 0] != 0 or (rules.reward[7] and not on)
         seen.truncated[e] = worlds.clock[e] >= rules.times[2]
         if again and (seen.terminated[e] or seen.truncated[e]):
-            seen.terminal[e] = seen.observations[e]
+            for k in range(seen.observations.shape[1]):
+                for c in range(seen.observations.shape[2]):
+                    seen.terminal[e, k, c] = seen.observations[e, k, c]
             _reset(machine, worlds, rules, work, e)
             _observe(machine, worlds, rules, view, work, e, seen.observations[e])
 
 
-reset_all = compiled(_reset_all, nogil=True)
-step_all = compiled(_step_all, nogil=True)
+reset_all = uncounted(_reset_all)
+step_all = uncounted(_step_all)

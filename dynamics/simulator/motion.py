@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 from dynamics.simulator.arithmetic import wrap_to_pi
 from dynamics.simulator.layout import (
     ACCELERATION,
@@ -36,7 +36,7 @@ __all__ = ["closest_lane", "move"]
 _TAN, _ARCTAN, _COS, _SIN = 0, 1, 3, 4
 
 
-@compiled
+@uncounted
 def closest_lane(lanes: FloatArray, x: float, y: float, heading: float) -> int:
     """The lane nearest in position and heading, the first of equals."""
     best, least, angle = 0, 0.0, abs(wrap_to_pi(heading - 0.0))
@@ -47,7 +47,7 @@ def closest_lane(lanes: FloatArray, x: float, y: float, heading: float) -> int:
     return best
 
 
-@compiled
+@uncounted
 def _turn(
     loops: IntArray,
     f: FloatArray,
@@ -91,7 +91,7 @@ def _turn(
         f[COS, busy[k]], f[SIN, busy[k]] = along[k], across[k]
 
 
-@compiled
+@uncounted
 def move(
     loops: IntArray,
     f: FloatArray,

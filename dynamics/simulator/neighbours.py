@@ -6,7 +6,7 @@ of two behind the earlier; one that is level counts as ahead.
 
 from __future__ import annotations
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 from dynamics.simulator.layout import LANE_LENGTH, LANE_WIDTH, LANE_Y, X, Y
 from dynamics.state import FloatArray, IntArray
 
@@ -17,7 +17,7 @@ _OVERHANG = 5.0
 """`AbstractLane.VEHICLE_LENGTH`: a lane goes on for so long beyond both its ends [m]."""
 
 
-@compiled
+@uncounted
 def sort(f: FloatArray, order: IntArray, place: IntArray) -> bool:
     """Put bodies in order of x, and of their index where x is the same; whether any two are level.
 
@@ -40,7 +40,7 @@ def sort(f: FloatArray, order: IntArray, place: IntArray) -> bool:
     return level
 
 
-@compiled
+@uncounted
 def mark_lanes(f: FloatArray, lanes: FloatArray, on: IntArray) -> None:
     """Which lanes each body counts on, as bits; written to `on`, (m,)."""
     for i in range(len(on)):
@@ -53,7 +53,7 @@ def mark_lanes(f: FloatArray, lanes: FloatArray, on: IntArray) -> None:
         on[i] = bits
 
 
-@compiled
+@uncounted
 def ahead(f: FloatArray, on: IntArray, order: IntArray, place: IntArray, level: bool, body: int, lane: int) -> int:
     """The next body ahead on a lane, or -1."""
     if level:
@@ -68,7 +68,7 @@ def ahead(f: FloatArray, on: IntArray, order: IntArray, place: IntArray, level: 
     return -1
 
 
-@compiled
+@uncounted
 def behind(f: FloatArray, on: IntArray, order: IntArray, place: IntArray, level: bool, body: int, lane: int) -> int:
     """The next body behind on a lane, or -1."""
     if level:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 from dynamics.simulator.arithmetic import clip, dot2, wrap_to_pi
 from dynamics.simulator.layout import COS, HEADING, KIND, LANE, LANE_Y, LENGTH, OBSTACLE, SIN, SPEED, X, Y
 from dynamics.simulator.random import Row, below
@@ -38,7 +38,7 @@ _RELATIVE = 5
 """The features before this one are taken relative to the ego's, but for presence."""
 
 
-@compiled
+@uncounted
 def _feature(f: FloatArray, g: IntArray, lanes: FloatArray, i: int, feature: int) -> float:
     if feature == 0:
         return 1.0
@@ -66,7 +66,7 @@ def _feature(f: FloatArray, g: IntArray, lanes: FloatArray, i: int, feature: int
     return wrap_to_pi(f[HEADING, i] - 0.0)
 
 
-@compiled
+@uncounted
 def _near(
     sums: int,
     f: FloatArray,
@@ -103,7 +103,7 @@ def _near(
     return n
 
 
-@compiled
+@uncounted
 def kinematics(
     sums: int,
     row: Row,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 
 __all__ = ["WORDS", "below", "from_generator", "seed_row", "to_generator", "uniform"]
 
@@ -28,7 +28,7 @@ _INIT_A, _MULT_A, _INIT_B, _MULT_B = _U(0x43B0D7E5), _U(0x931E8875), _U(0x8B51F9
 _MIX_L, _MIX_R = _U(0xCA01F9DD), _U(0x4973F715)
 
 
-@compiled
+@uncounted
 def _times(a: Any, b: Any) -> tuple[Any, Any]:
     """The 128 bits of a product of two of 64, as high and low."""
     a1, a0, b1, b0 = a >> _32, a & _LOW, b >> _32, b & _LOW
@@ -37,7 +37,7 @@ def _times(a: Any, b: Any) -> tuple[Any, Any]:
     return a1 * b1 + (middle >> _32) + (other >> _32) + (carry >> _32), a * b
 
 
-@compiled
+@uncounted
 def _advance(row: Row) -> None:
     high, low = _times(row[1], _MULTIPLIER_LOW)
     high += row[0] * _MULTIPLIER_LOW + row[1] * _MULTIPLIER_HIGH
@@ -46,14 +46,14 @@ def _advance(row: Row) -> None:
     row[1] = total
 
 
-@compiled
+@uncounted
 def _next_64(row: Row) -> Any:
     _advance(row)
     mixed, turn = row[0] ^ row[1], row[0] >> _FIFTYEIGHT
     return (mixed >> turn) | (mixed << ((_SIXTYFOUR - turn) & _SIXTYTHREE))
 
 
-@compiled
+@uncounted
 def _next_32(row: Row) -> Any:
     if row[4]:
         row[4] = _ZERO
@@ -63,13 +63,13 @@ def _next_32(row: Row) -> Any:
     return drawn & _LOW
 
 
-@compiled
+@uncounted
 def uniform(row: Row, low: float, high: float) -> float:
     """`Generator.uniform(low, high)`."""
     return low + (high - low) * (float(_next_64(row) >> _ELEVEN) * (1.0 / 9007199254740992.0))
 
 
-@compiled
+@uncounted
 def below(row: Row, n: int) -> int:
     """`Generator.integers(n)`, n at most 2^32 - 1 (Lemire 2019)."""
     if n <= 1:
@@ -83,7 +83,7 @@ def below(row: Row, n: int) -> int:
     return np.int64(product >> _32)
 
 
-@compiled
+@uncounted
 def _hashed(value: Any, constant: Any) -> tuple[Any, Any]:
     value ^= constant
     constant = (constant * _MULT_A) & _LOW
@@ -91,32 +91,44 @@ def _hashed(value: Any, constant: Any) -> tuple[Any, Any]:
     return value ^ (value >> _16), constant
 
 
-@compiled
+@uncounted
+def _mixed(x: Any, y: Any) -> Any:
+    mixed = (_MIX_L * x - _MIX_R * y) & _LOW
+    return mixed ^ (mixed >> _16)
+
+
+@uncounted
+def _word(entropy: Any, constant: Any) -> tuple[Any, Any]:
+    value = entropy ^ constant
+    constant = (constant * _MULT_B) & _LOW
+    value = (value * constant) & _LOW
+    return value ^ (value >> _16), constant
+
+
+@uncounted
 def seed_row(row: Row, seed: int) -> None:
     """The row of `np.random.default_rng(seed)`, of a seed from 0 to 2^63 - 1."""
-    pool = np.zeros(4, np.uint64)
-    word, constant = _U(seed), _INIT_A
+    constant = _INIT_A
+    # The pool of four words stands in the row itself until it is used up.
+    row[0], row[1], row[2], row[3] = _U(seed) & _LOW, _U(seed) >> _32, _ZERO, _ZERO
     for i in range(4):
-        entropy = _ZERO
-        if i == 0:
-            entropy = word & _LOW
-        elif i == 1:
-            entropy = word >> _32
-        pool[i], constant = _hashed(entropy, constant)
+        row[i], constant = _hashed(row[i], constant)
     for source in range(4):
         for target in range(4):
             if source != target:
-                value, constant = _hashed(pool[source], constant)
-                mixed = (_MIX_L * pool[target] - _MIX_R * value) & _LOW
-                pool[target] = mixed ^ (mixed >> _16)
-    words, constant = np.zeros(8, np.uint64), _INIT_B
-    for i in range(8):
-        value = pool[i % 4] ^ constant
-        constant = (constant * _MULT_B) & _LOW
-        value = (value * constant) & _LOW
-        words[i] = value ^ (value >> _16)
-    high, low = words[0] | (words[1] << _32), words[2] | (words[3] << _32)
-    to, last = words[4] | (words[5] << _32), words[6] | (words[7] << _32)
+                value, constant = _hashed(row[source], constant)
+                row[target] = _mixed(row[target], value)
+    a, b, c, d = row[0], row[1], row[2], row[3]
+    w0, constant = _word(a, _INIT_B)
+    w1, constant = _word(b, constant)
+    w2, constant = _word(c, constant)
+    w3, constant = _word(d, constant)
+    w4, constant = _word(a, constant)
+    w5, constant = _word(b, constant)
+    w6, constant = _word(c, constant)
+    w7, constant = _word(d, constant)
+    high, low = w0 | (w1 << _32), w2 | (w3 << _32)
+    to, last = w4 | (w5 << _32), w6 | (w7 << _32)
     row[0], row[1] = _ZERO, _ZERO
     row[2], row[3] = (to << _ONE) | (last >> _SIXTYTHREE), (last << _ONE) | _ONE
     row[4], row[5] = _ZERO, _ZERO

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 from dynamics.simulator.layout import (
     A_SPEED,
     CHANGES,
@@ -36,7 +36,7 @@ __all__ = ["spawn", "speed_index"]
 _EGO_SPEED = 25.0
 
 
-@compiled
+@uncounted
 def _rint(x: float) -> float:
     """Rounded half to even."""
     whole = math.floor(x)
@@ -46,7 +46,7 @@ def _rint(x: float) -> float:
     return whole + 1.0
 
 
-@compiled
+@uncounted
 def speed_index(target_speeds: FloatArray, speed: float) -> int:
     """The index of the target speed that is nearest, of speeds at equal distances."""
     n = len(target_speeds)
@@ -54,7 +54,7 @@ def speed_index(target_speeds: FloatArray, speed: float) -> int:
     return int(min(max(_rint(x * (n - 1)), 0.0), n - 1.0))
 
 
-@compiled
+@uncounted
 def spawn(
     row: Row,
     f: FloatArray,

@@ -6,7 +6,7 @@ Treiber, Hennecke and Helbing 2000; Kesting, Treiber and Helbing 2007; the detai
 
 from __future__ import annotations
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 from dynamics.simulator.arithmetic import clip, dot2, dot3, not_zero
 from dynamics.simulator.layout import (
     A_GAP,
@@ -49,7 +49,7 @@ _POWER = 5
 _OVERHANG = 5.0
 
 
-@compiled
+@uncounted
 def desired_gap(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, leader: int) -> float:
     """IDM's gap d* of a body behind another [m]; negative where the other pulls away."""
     v, w = f[SPEED, body], f[SPEED, leader]
@@ -58,20 +58,20 @@ def desired_gap(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, 
     return p[DISTANCE, judge] + v * p[TIME, judge] + v * closing / p[TWICE_ROOT, judge]
 
 
-@compiled
+@uncounted
 def wanted_share(f: FloatArray, g: IntArray, lanes: FloatArray, body: int) -> float:
     """The speed of a body over the speed that it wants, within the limit of its lane."""
     target = 0.0 if g[KIND, body] == CONTINUOUS else f[TARGET_SPEED, body]
     return max(f[SPEED, body], 0.0) / abs(not_zero(clip(target, 0.0, lanes[g[LANE, body], LANE_LIMIT])))
 
 
-@compiled
+@uncounted
 def free_flow(comfort: float, power: float) -> float:
     """IDM's acceleration on an empty road [m/s^2], given the share of the wanted speed to the power delta."""
     return comfort * (1.0 - power)
 
 
-@compiled
+@uncounted
 def _with_leader(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, leader: int, free: float) -> float:
     if leader < 0:
         return free
@@ -79,7 +79,7 @@ def _with_leader(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int,
     return free - p[COMFORT, judge] * (held * held)
 
 
-@compiled
+@uncounted
 def _linear(sums: int, f: FloatArray, g: IntArray, p: FloatArray, judge: int, body: int, leader: int) -> float:
     if body < 0:
         return dot3(sums, p[A_SPEED, judge], 0.0, p[A_LEADER, judge], 0.0, p[A_GAP, judge], 0.0)
@@ -93,7 +93,7 @@ def _linear(sums: int, f: FloatArray, g: IntArray, p: FloatArray, judge: int, bo
     return dot3(sums, p[A_SPEED, judge], faster, p[A_LEADER, judge], closing, p[A_GAP, judge], room)
 
 
-@compiled
+@uncounted
 def acceleration(
     sums: int,
     loops: IntArray,
@@ -123,7 +123,7 @@ def acceleration(
     return _with_leader(sums, f, p, judge, body, leader, free)
 
 
-@compiled
+@uncounted
 def _mobil(
     sums: int,
     loops: IntArray,
@@ -155,7 +155,7 @@ def _mobil(
     return not gain < p[GAIN, i]
 
 
-@compiled
+@uncounted
 def change_lanes(
     sums: int,
     loops: IntArray,

@@ -63,7 +63,10 @@ def not_zero(x: float) -> float:
 @uncounted
 def wrap_to_pi(x: float) -> float:
     """An angle in [-pi, pi)."""
-    return ((x + math.pi) % (2 * math.pi)) - math.pi
+    turned = x + math.pi
+    if not 0.0 <= turned < 2 * math.pi:
+        turned %= 2 * math.pi
+    return turned - math.pi
 
 
 @uncounted

@@ -11,6 +11,7 @@ from dynamics.simulator.layout import (
     ACCELERATION,
     CHANGES,
     COMFORT,
+    CONTINUOUS,
     CRASHED,
     DELTA,
     EGO,
@@ -68,7 +69,7 @@ def _steer(
     busy: IntArray,
     vehicles: int,
 ) -> None:
-    """Steering towards the middle of the lane that each vehicle is bound for, [rad]; the first row of `work` is kept."""
+    """Steering towards the middle of the lane that each vehicle is bound for, [rad]"""
     x, y = work[1], work[2]
     n = 0
     for i in range(vehicles):
@@ -121,22 +122,30 @@ def act(
     places : lanes that each body counts on, bodies by place, places by body, whether any two are level.
     work, busy : (4, m) and (m,), written.
     """
-    free = work[0]
+    free, present = work[0], work[1]
     _free_flow(loops, f, g, p, lanes, work, vehicles)
+    on, order, place, level = places
+    changing = 0
+    for i in range(vehicles):
+        if (g[KIND, i] == IDM or g[KIND, i] == LINEAR) and not g[CRASHED, i]:
+            leader = ahead(f, on, order, place, level, i, g[LANE, i])
+            present[i] = acceleration(sums, loops, f, g, p, lanes, i, i, leader, free[i])
+        if g[LANE, i] != g[TARGET, i] and g[KIND, i] != CONTINUOUS:
+            busy[changing] = i
+            changing += 1
     for i in range(vehicles):
         if (g[KIND, i] == IDM or g[KIND, i] == LINEAR) and not g[CRASHED, i] and g[CHANGES, i]:
-            change_lanes(sums, loops, f, g, p, lanes, places, i, vehicles, free[i])
-    _steer(sums, loops, f, g, p, lanes, work, busy, vehicles)
-    on, order, place, level = places
+            changing = change_lanes(
+                sums, loops, f, g, p, lanes, places, i, busy, changing, free[i], present[i]
+            )
     for i in range(vehicles):
         kind = g[KIND, i]
         if kind == EGO:
             f[ACCELERATION, i] = _KP_A * (f[TARGET_SPEED, i] - f[SPEED, i])
         elif (kind == IDM or kind == LINEAR) and not g[CRASHED, i]:
-            lane, target = g[LANE, i], g[TARGET, i]
-            leader = ahead(f, on, order, place, level, i, lane)
-            wanted = acceleration(sums, loops, f, g, p, lanes, i, i, leader, free[i])
-            if lane != target:
+            wanted, target = present[i], g[TARGET, i]
+            if g[LANE, i] != target:
                 leader = ahead(f, on, order, place, level, i, target)
                 wanted = min(wanted, acceleration(sums, loops, f, g, p, lanes, i, i, leader, free[i]))
             f[ACCELERATION, i] = clip(wanted, -p[ACC_MAX, i], p[ACC_MAX, i])
+    _steer(sums, loops, f, g, p, lanes, work, busy, vehicles)

@@ -21,6 +21,7 @@ from dynamics.simulator.layout import (
     LANE_LENGTH,
     LANE_WIDTH,
     LANE_Y,
+    ON,
     SPEED,
     STEERING,
     TARGET,
@@ -29,7 +30,7 @@ from dynamics.simulator.layout import (
     Y,
 )
 from dynamics.simulator.motion import move
-from dynamics.simulator.neighbours import mark_lanes, sort
+from dynamics.simulator.neighbours import sort
 from dynamics.simulator.observe import kinematics
 from dynamics.simulator.random import seed_row
 from dynamics.simulator.scene import spawn, speed_index
@@ -106,7 +107,6 @@ class Work(NamedTuple):
 
     numbers: FloatArray
     busy: IntArray
-    on: IntArray
     corners: FloatArray
     pairs: IntArray
     seen: FloatArray
@@ -182,8 +182,7 @@ def _frames(machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, 
     vehicles, dt, lanes = rules.numbers[1], rules.times[0], rules.lanes
     level = sort(f, order, place)
     for _ in range(frames):
-        mark_lanes(f, lanes, work.on)
-        places = work.on, order, place, level
+        places = g[ON], order, place, level
         act(machine.sums, machine.loops, f, g, p, lanes, places, work.numbers, work.busy, vehicles)
         move(machine.loops, f, g, p, lanes, work.numbers, work.busy, vehicles, dt)
         level = sort(f, order, place)

@@ -43,6 +43,7 @@ __all__ = [
     "MAX_SPEED",
     "MIN_SPEED",
     "OBSTACLE",
+    "ON",
     "POLITENESS",
     "SIN",
     "SPEED",
@@ -66,9 +67,9 @@ X, Y, HEADING, SPEED, COS, SIN, STEERING, ACCELERATION, TARGET_SPEED, TIMER, IMP
 """Rows of `f` [m, rad, m/s, m/s^2, s]. COS and SIN are of the heading; IMPACT is what the next frame moves it by."""
 F = 12
 
-KIND, LANE, TARGET, CRASHED, IMPACTED, CHECKS, CHANGES = range(7)
-"""Rows of `g`. CHECKS: it looks for collisions; CHANGES: it may change lanes."""
-G = 7
+KIND, LANE, TARGET, CRASHED, IMPACTED, CHECKS, CHANGES, ON = range(8)
+"""Rows of `g`. CHECKS: it looks for collisions; CHANGES: it may change lanes; ON: the lanes that others see it on, as bits."""
+G = 8
 
 EGO, CONTINUOUS, IDM, LINEAR, OBSTACLE = range(5)
 """Kinds: an ego with meta-actions or with throttle and steering, traffic, and what stands."""

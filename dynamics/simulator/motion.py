@@ -21,6 +21,7 @@ from dynamics.simulator.layout import (
     LINEAR,
     MAX_SPEED,
     MIN_SPEED,
+    ON,
     SIN,
     SPEED,
     STEERING,
@@ -29,6 +30,7 @@ from dynamics.simulator.layout import (
     Y,
 )
 from dynamics.simulator.loops import apply
+from dynamics.simulator.neighbours import lanes_at
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["closest_lane", "move"]
@@ -85,6 +87,7 @@ def _turn(
         f[SPEED, i] += f[ACCELERATION, i] * dt
         slip[k] = f[HEADING, i]
         g[LANE, i] = closest_lane(lanes, f[X, i], f[Y, i], f[HEADING, i])
+        g[ON, i] = lanes_at(lanes, f[X, i], f[Y, i])
     apply(loops[_COS, 0], loops[_COS, 1], slip, along, n)
     apply(loops[_SIN, 0], loops[_SIN, 1], slip, across, n)
     for k in range(n):
@@ -123,6 +126,8 @@ def move(
         if f[STEERING, i] == 0.0 and f[HEADING, i] == 0.0 and not g[IMPACTED, i]:
             f[X, i] += speed * dt
             f[SPEED, i] += f[ACCELERATION, i] * dt
+            if not 0.0 <= f[X, i] < lanes[0, LANE_LENGTH]:
+                g[ON, i] = lanes_at(lanes, f[X, i], f[Y, i])
         else:
             busy[n] = i
             n += 1

@@ -7,10 +7,10 @@ of two behind the earlier; one that is level counts as ahead.
 from __future__ import annotations
 
 from dynamics.compiled import uncounted
-from dynamics.simulator.layout import LANE_LENGTH, LANE_WIDTH, LANE_Y, X, Y
+from dynamics.simulator.layout import LANE_LENGTH, LANE_WIDTH, LANE_Y, X
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["ahead", "behind", "mark_lanes", "sort"]
+__all__ = ["ahead", "behind", "lanes_at", "sort"]
 
 _MARGIN = 1.0
 _OVERHANG = 5.0
@@ -41,16 +41,15 @@ def sort(f: FloatArray, order: IntArray, place: IntArray) -> bool:
 
 
 @uncounted
-def mark_lanes(f: FloatArray, lanes: FloatArray, on: IntArray) -> None:
-    """Which lanes each body counts on, as bits; written to `on`, (m,)."""
-    for i in range(len(on)):
-        bits, x, y = 0, f[X, i], f[Y, i]
-        for lane in range(len(lanes)):
-            if abs(y - lanes[lane, LANE_Y]) <= lanes[lane, LANE_WIDTH] / 2 + _MARGIN and (
-                -_OVERHANG <= x < lanes[lane, LANE_LENGTH] + _OVERHANG
-            ):
-                bits |= 1 << lane
-        on[i] = bits
+def lanes_at(lanes: FloatArray, x: float, y: float) -> int:
+    """The lanes that a body counts on, as bits."""
+    bits = 0
+    for lane in range(len(lanes)):
+        if abs(y - lanes[lane, LANE_Y]) <= lanes[lane, LANE_WIDTH] / 2 + _MARGIN and (
+            -_OVERHANG <= x < lanes[lane, LANE_LENGTH] + _OVERHANG
+        ):
+            bits |= 1 << lane
+    return bits
 
 
 @uncounted

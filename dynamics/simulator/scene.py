@@ -18,6 +18,7 @@ from dynamics.simulator.layout import (
     LANE_LIMIT,
     LANE_Y,
     LINEAR,
+    ON,
     S_HEADING,
     SPEED,
     TARGET,
@@ -28,6 +29,7 @@ from dynamics.simulator.layout import (
     Y,
 )
 from dynamics.simulator.motion import closest_lane
+from dynamics.simulator.neighbours import lanes_at
 from dynamics.simulator.random import Row, below, uniform
 from dynamics.state import FloatArray, IntArray
 
@@ -100,6 +102,7 @@ def spawn(
         f[X, i], f[Y, i], f[SPEED, i], f[COS, i] = x, lanes[lane, LANE_Y], speed, 1.0
         g[KIND, i] = kinds[which]
         g[LANE, i] = g[TARGET, i] = closest_lane(lanes, x, f[Y, i], 0.0)
+        g[ON, i] = lanes_at(lanes, x, f[Y, i])
         g[CHECKS, i] = 1 if i == 0 or checks else 0
         g[CHANGES, i], g[CRASHED, i] = 1, 0
         f[TARGET_SPEED, i] = speed

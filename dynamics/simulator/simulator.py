@@ -74,7 +74,6 @@ class Simulator:
         self._work = Work(
             np.zeros((4, m)),
             np.zeros(m, np.int64),
-            np.zeros(m, np.int64),
             np.zeros((2, 5, 2)),
             np.zeros(max(1, m * (m - 1) // 2), np.int64),
             np.zeros((rows, features)),

@@ -135,18 +135,23 @@ def _mobil(
     i: int,
     lane: int,
     free: float,
+    present: float,
 ) -> bool:
-    """Whether a vehicle changes to a lane: nobody has to brake hard for it, and it gains."""
+    """Whether a vehicle changes to a lane: nobody has to brake hard for it, and it gains.
+
+    What is cheap is asked first: none of the questions changes anything.
+    """
     on, order, place, level = places
     leader = ahead(f, on, order, place, level, i, lane)
+    gain = acceleration(sums, loops, f, g, p, lanes, i, i, leader, free) - present
+    if p[POLITENESS, i] == 0.0 and gain < p[GAIN, i]:
+        return False
     follower = behind(f, on, order, place, level, i, lane)
     imposed = acceleration(sums, loops, f, g, p, lanes, i, follower, i, free)
     if imposed < -p[IMPOSED, i]:
         return False
-    old_leader = ahead(f, on, order, place, level, i, g[LANE, i])
-    gain = acceleration(sums, loops, f, g, p, lanes, i, i, leader, free)
-    gain -= acceleration(sums, loops, f, g, p, lanes, i, i, old_leader, free)
     if p[POLITENESS, i] != 0.0:
+        old_leader = ahead(f, on, order, place, level, i, g[LANE, i])
         old_follower = behind(f, on, order, place, level, i, g[LANE, i])
         others = imposed - acceleration(sums, loops, f, g, p, lanes, i, follower, leader, free)
         others += acceleration(sums, loops, f, g, p, lanes, i, old_follower, old_leader, free)
@@ -165,21 +170,31 @@ def change_lanes(
     lanes: FloatArray,
     places: tuple[IntArray, IntArray, IntArray, bool],
     i: int,
-    vehicles: int,
+    changers: IntArray,
+    changing: int,
     free: float,
-) -> None:
-    """A vehicle's decision about its lane, in place: those after it see what it has decided."""
+    present: float,
+) -> int:
+    """A vehicle's decision about its lane, in place: those after it see what it has decided.
+
+    Parameters
+    ----------
+    changers, changing : those on the way to another lane, and how many there were; it may become one of them. The number
+        is returned.
+    free, present : its acceleration on an empty road, and where it is [m/s^2].
+    """
     lane, target = g[LANE, i], g[TARGET, i]
     if lane != target:
-        for v in range(vehicles):
-            if v == i or g[LANE, v] == target or g[KIND, v] == CONTINUOUS or g[TARGET, v] != target:
+        for k in range(changing):
+            v = changers[k]
+            if v == i or g[LANE, v] == target or g[TARGET, v] != target:
                 continue
             if 0.0 < f[X, v] - f[X, i] < desired_gap(sums, f, p, i, i, v):
                 g[TARGET, i] = lane
                 break
-        return
+        return changing
     if not p[DELAY, i] < f[TIMER, i]:
-        return
+        return changing
     f[TIMER, i] = 0.0
     for side in (-1, 1):
         candidate = lane + side
@@ -190,5 +205,9 @@ def change_lanes(
             continue
         if not 0.0 <= f[X, i] < lanes[candidate, LANE_LENGTH] + _OVERHANG or abs(f[SPEED, i]) < 1.0:
             continue
-        if _mobil(sums, loops, f, g, p, lanes, places, i, candidate, free):
+        if _mobil(sums, loops, f, g, p, lanes, places, i, candidate, free, present):
             g[TARGET, i] = candidate
+    if g[TARGET, i] != lane:
+        changers[changing] = i
+        changing += 1
+    return changing

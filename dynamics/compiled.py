@@ -19,7 +19,7 @@ from typing import Any, TypeVar, cast
 from numba import njit
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-__all__ = ["compiled", "made_from", "numbers_of", "uncounted"]
+__all__ = ["compiled", "inlined", "made_from", "numbers_of", "uncounted"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 numbers_of: Any = to_fixed_tuple
@@ -39,6 +39,11 @@ def uncounted(function: F) -> F:
     threads go on meanwhile.
     """
     return _kernel(function, _nrt=False, nogil=True)
+
+
+def inlined(function: F) -> F:
+    """The same for what is small and called for every vehicle: it becomes a part of the kernels that call it."""
+    return _kernel(function, _nrt=False, nogil=True, forceinline=True)
 
 
 def _kernel(function: F, **options: bool) -> F:

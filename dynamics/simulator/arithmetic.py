@@ -15,7 +15,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.state import FloatArray
 
 __all__ = ["Sums", "clip", "dot2", "dot3", "fma", "not_zero", "sums_of_numpy", "wrap_to_pi"]
@@ -40,19 +40,19 @@ def fma(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
     return types.float64(types.float64, types.float64, types.float64), codegen
 
 
-@uncounted
+@inlined
 def dot2(sums: int, a0: float, b0: float, a1: float, b1: float) -> float:
     """`np.dot` of two vectors of two numbers."""
     return fma(a1, b1, a0 * b0) if sums == 1 else a0 * b0 + a1 * b1
 
 
-@uncounted
+@inlined
 def dot3(sums: int, a0: float, b0: float, a1: float, b1: float, a2: float, b2: float) -> float:
     """`np.dot` of two vectors of three numbers."""
     return fma(a2, b2, fma(a1, b1, a0 * b0)) if sums == 1 else a0 * b0 + a1 * b1 + a2 * b2
 
 
-@uncounted
+@inlined
 def not_zero(x: float) -> float:
     """highway-env's `not_zero`: at least a hundredth away from zero."""
     if abs(x) > 1e-2:
@@ -60,7 +60,7 @@ def not_zero(x: float) -> float:
     return 1e-2 if x >= 0 else -1e-2
 
 
-@uncounted
+@inlined
 def wrap_to_pi(x: float) -> float:
     """An angle in [-pi, pi)."""
     turned = x + math.pi
@@ -69,7 +69,7 @@ def wrap_to_pi(x: float) -> float:
     return turned - math.pi
 
 
-@uncounted
+@inlined
 def clip(x: float, low: float, high: float) -> float:
     """`np.clip` of a number."""
     return min(max(x, low), high)

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.arithmetic import dot2
 from dynamics.simulator.layout import (
     CHECKS,
@@ -135,7 +135,7 @@ def _handle(
         g[CRASHED, i] = g[CRASHED, j] = 1
 
 
-@uncounted
+@inlined
 def _near(sums: int, f: FloatArray, p: FloatArray, i: int, j: int, dt: float) -> bool:
     """highway-env's quick check, which counts on the speed of the first alone."""
     dx, dy = f[X, j] - f[X, i], f[Y, j] - f[Y, i]

@@ -31,7 +31,6 @@ from dynamics.simulator.layout import (
     Y,
 )
 from dynamics.simulator.loops import apply, apply_two, c_pow
-from dynamics.simulator.neighbours import ahead
 from dynamics.simulator.traffic import acceleration, change_lanes, free_flow, wanted_share
 from dynamics.state import FloatArray, IntArray
 
@@ -110,7 +109,8 @@ def act(
     g: IntArray,
     p: FloatArray,
     lanes: FloatArray,
-    places: tuple[IntArray, IntArray, IntArray, bool],
+    front: IntArray,
+    rear: IntArray,
     work: FloatArray,
     busy: IntArray,
     vehicles: int,
@@ -119,16 +119,15 @@ def act(
 
     Parameters
     ----------
-    places : lanes that each body counts on, bodies by place, places by body, whether any two are level.
+    front, rear : of `neighbours.find`.
     work, busy : (4, m) and (m,), written.
     """
     free, present = work[0], work[1]
     _free_flow(loops, f, g, p, lanes, work, vehicles)
-    on, order, place, level = places
     changing = 0
     for i in range(vehicles):
         if (g[KIND, i] == IDM or g[KIND, i] == LINEAR) and not g[CRASHED, i]:
-            leader = ahead(f, on, order, place, level, i, g[LANE, i])
+            leader = front[g[LANE, i], i]
             present[i] = acceleration(sums, loops, f, g, p, lanes, i, i, leader, free[i])
         if g[LANE, i] != g[TARGET, i] and g[KIND, i] != CONTINUOUS:
             busy[changing] = i
@@ -136,7 +135,7 @@ def act(
     for i in range(vehicles):
         if (g[KIND, i] == IDM or g[KIND, i] == LINEAR) and not g[CRASHED, i] and g[CHANGES, i]:
             changing = change_lanes(
-                sums, loops, f, g, p, lanes, places, i, busy, changing, free[i], present[i]
+                sums, loops, f, g, p, lanes, front, rear, i, busy, changing, free[i], present[i]
             )
     for i in range(vehicles):
         kind = g[KIND, i]
@@ -145,7 +144,7 @@ def act(
         elif (kind == IDM or kind == LINEAR) and not g[CRASHED, i]:
             wanted, target = present[i], g[TARGET, i]
             if g[LANE, i] != target:
-                leader = ahead(f, on, order, place, level, i, target)
+                leader = front[target, i]
                 wanted = min(wanted, acceleration(sums, loops, f, g, p, lanes, i, i, leader, free[i]))
             f[ACCELERATION, i] = clip(wanted, -p[ACC_MAX, i], p[ACC_MAX, i])
     _steer(sums, loops, f, g, p, lanes, work, busy, vehicles)

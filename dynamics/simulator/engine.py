@@ -21,7 +21,6 @@ from dynamics.simulator.layout import (
     LANE_LENGTH,
     LANE_WIDTH,
     LANE_Y,
-    ON,
     SPEED,
     STEERING,
     TARGET,
@@ -30,7 +29,7 @@ from dynamics.simulator.layout import (
     Y,
 )
 from dynamics.simulator.motion import move
-from dynamics.simulator.neighbours import sort
+from dynamics.simulator.neighbours import find, sort
 from dynamics.simulator.observe import kinematics
 from dynamics.simulator.random import seed_row
 from dynamics.simulator.scene import spawn, speed_index
@@ -55,7 +54,7 @@ class Worlds(NamedTuple):
     Attributes
     ----------
     f, g, p : (e, F, m), (e, G, m) and (e, P, m).
-    order, place : (e, m), bodies by x and the inverse.
+    order : (e, m), bodies by x.
     rows : (e, 6), the generators. clock : (e,), time since the reset [s].
     """
 
@@ -63,7 +62,6 @@ class Worlds(NamedTuple):
     g: IntArray
     p: FloatArray
     order: IntArray
-    place: IntArray
     rows: NDArray[np.uint64]
     clock: FloatArray
 
@@ -107,6 +105,8 @@ class Work(NamedTuple):
 
     numbers: FloatArray
     busy: IntArray
+    front: IntArray
+    rear: IntArray
     corners: FloatArray
     pairs: IntArray
     seen: FloatArray
@@ -178,14 +178,14 @@ def _command(rules: Rules, f: FloatArray, g: IntArray, action: FloatArray) -> No
 @uncounted
 def _frames(machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, frames: int) -> None:
     """Advance one environment by so many frames."""
-    f, g, p, order, place = worlds.f[e], worlds.g[e], worlds.p[e], worlds.order[e], worlds.place[e]
+    f, g, p, order = worlds.f[e], worlds.g[e], worlds.p[e], worlds.order[e]
     vehicles, dt, lanes = rules.numbers[1], rules.times[0], rules.lanes
-    level = sort(f, order, place)
+    level = sort(f, order)
     for _ in range(frames):
-        places = g[ON], order, place, level
-        act(machine.sums, machine.loops, f, g, p, lanes, places, work.numbers, work.busy, vehicles)
+        find(f, g, order, level, work.front, work.rear)
+        act(machine.sums, machine.loops, f, g, p, lanes, work.front, work.rear, work.numbers, work.busy, vehicles)
         move(machine.loops, f, g, p, lanes, work.numbers, work.busy, vehicles, dt)
-        level = sort(f, order, place)
+        level = sort(f, order)
         collide(machine.sums, machine.products, f, g, p, order, work.corners, work.pairs, vehicles, dt)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.arithmetic import wrap_to_pi
 from dynamics.simulator.layout import (
     ACCELERATION,
@@ -38,7 +38,7 @@ __all__ = ["closest_lane", "move"]
 _TAN, _ARCTAN, _COS, _SIN = 0, 1, 3, 4
 
 
-@uncounted
+@inlined
 def closest_lane(lanes: FloatArray, x: float, y: float, heading: float) -> int:
     """The lane nearest in position and heading, the first of equals."""
     best, least, angle = 0, 0.0, abs(wrap_to_pi(heading - 0.0))

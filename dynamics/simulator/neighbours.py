@@ -6,11 +6,11 @@ of two behind the earlier; one that is level counts as ahead.
 
 from __future__ import annotations
 
-from dynamics.compiled import uncounted
-from dynamics.simulator.layout import LANE_LENGTH, LANE_WIDTH, LANE_Y, X
+from dynamics.compiled import inlined, uncounted
+from dynamics.simulator.layout import LANE_LENGTH, LANE_WIDTH, LANE_Y, ON, X
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["ahead", "behind", "lanes_at", "sort"]
+__all__ = ["find", "lanes_at", "sort"]
 
 _MARGIN = 1.0
 _OVERHANG = 5.0
@@ -18,12 +18,12 @@ _OVERHANG = 5.0
 
 
 @uncounted
-def sort(f: FloatArray, order: IntArray, place: IntArray) -> bool:
+def sort(f: FloatArray, order: IntArray) -> bool:
     """Put bodies in order of x, and of their index where x is the same; whether any two are level.
 
     Parameters
     ----------
-    order : (m,) bodies by place, nearly in order already; changed. place : (m,) its inverse; written.
+    order : (m,) bodies, nearly in order already; changed.
     """
     level = False
     for k in range(1, len(order)):
@@ -33,14 +33,12 @@ def sort(f: FloatArray, order: IntArray, place: IntArray) -> bool:
             order[j + 1] = order[j]
             j -= 1
         order[j + 1] = body
-    for k in range(len(order)):
-        place[order[k]] = k
-        if k > 0 and f[X, order[k]] == f[X, order[k - 1]]:
+        if j >= 0 and f[X, order[j]] == x:
             level = True
     return level
 
 
-@uncounted
+@inlined
 def lanes_at(lanes: FloatArray, x: float, y: float) -> int:
     """The lanes that a body counts on, as bits."""
     bits = 0
@@ -53,30 +51,41 @@ def lanes_at(lanes: FloatArray, x: float, y: float) -> int:
 
 
 @uncounted
-def ahead(f: FloatArray, on: IntArray, order: IntArray, place: IntArray, level: bool, body: int, lane: int) -> int:
-    """The next body ahead on a lane, or -1."""
-    if level:
-        found, x = -1, f[X, body]
-        for v in range(len(on)):
-            if v != body and (on[v] >> lane) & 1 and x <= f[X, v] and (found < 0 or f[X, v] <= f[X, found]):
-                found = v
-        return found
-    for k in range(place[body] + 1, len(order)):
-        if (on[order[k]] >> lane) & 1:
-            return order[k]
-    return -1
+def _level(f: FloatArray, g: IntArray, front: IntArray, rear: IntArray) -> None:
+    """`find` where some bodies are level: everybody is asked."""
+    for lane in range(len(front)):
+        for i in range(front.shape[1]):
+            ahead, behind, x = -1, -1, f[X, i]
+            for v in range(front.shape[1]):
+                if v == i or not (g[ON, v] >> lane) & 1:
+                    continue
+                if x <= f[X, v] and (ahead < 0 or f[X, v] <= f[X, ahead]):
+                    ahead = v
+                if f[X, v] < x and (behind < 0 or f[X, v] > f[X, behind]):
+                    behind = v
+            front[lane, i], rear[lane, i] = ahead, behind
 
 
 @uncounted
-def behind(f: FloatArray, on: IntArray, order: IntArray, place: IntArray, level: bool, body: int, lane: int) -> int:
-    """The next body behind on a lane, or -1."""
+def find(f: FloatArray, g: IntArray, order: IntArray, level: bool, front: IntArray, rear: IntArray) -> None:
+    """The next body ahead of each body on each lane, and behind; -1 for nobody.
+
+    Parameters
+    ----------
+    order, level : of `sort`. front, rear : (lanes, m), written.
+    """
     if level:
-        found, x = -1, f[X, body]
-        for v in range(len(on)):
-            if v != body and (on[v] >> lane) & 1 and f[X, v] < x and (found < 0 or f[X, v] > f[X, found]):
-                found = v
-        return found
-    for k in range(place[body] - 1, -1, -1):
-        if (on[order[k]] >> lane) & 1:
-            return order[k]
-    return -1
+        _level(f, g, front, rear)
+        return
+    bodies = len(order)
+    for lane in range(len(front)):
+        last = -1
+        for k in range(bodies - 1, -1, -1):
+            body = order[k]
+            front[lane, body] = last
+            last = body if (g[ON, body] >> lane) & 1 else last
+        last = -1
+        for k in range(bodies):
+            body = order[k]
+            rear[lane, body] = last
+            last = body if (g[ON, body] >> lane) & 1 else last

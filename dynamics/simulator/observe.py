@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.arithmetic import clip, dot2, wrap_to_pi
 from dynamics.simulator.layout import COS, HEADING, KIND, LANE, LANE_Y, LENGTH, OBSTACLE, SIN, SPEED, X, Y
 from dynamics.simulator.random import Row, below
@@ -38,7 +38,7 @@ _RELATIVE = 5
 """The features before this one are taken relative to the ego's, but for presence."""
 
 
-@uncounted
+@inlined
 def _feature(f: FloatArray, g: IntArray, lanes: FloatArray, i: int, feature: int) -> float:
     if feature == 0:
         return 1.0

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 
 __all__ = ["WORDS", "below", "from_generator", "seed_row", "to_generator", "uniform"]
 
@@ -28,7 +28,7 @@ _INIT_A, _MULT_A, _INIT_B, _MULT_B = _U(0x43B0D7E5), _U(0x931E8875), _U(0x8B51F9
 _MIX_L, _MIX_R = _U(0xCA01F9DD), _U(0x4973F715)
 
 
-@uncounted
+@inlined
 def _times(a: Any, b: Any) -> tuple[Any, Any]:
     """The 128 bits of a product of two of 64, as high and low."""
     a1, a0, b1, b0 = a >> _32, a & _LOW, b >> _32, b & _LOW
@@ -37,7 +37,7 @@ def _times(a: Any, b: Any) -> tuple[Any, Any]:
     return a1 * b1 + (middle >> _32) + (other >> _32) + (carry >> _32), a * b
 
 
-@uncounted
+@inlined
 def _advance(row: Row) -> None:
     high, low = _times(row[1], _MULTIPLIER_LOW)
     high += row[0] * _MULTIPLIER_LOW + row[1] * _MULTIPLIER_HIGH
@@ -46,14 +46,14 @@ def _advance(row: Row) -> None:
     row[1] = total
 
 
-@uncounted
+@inlined
 def _next_64(row: Row) -> Any:
     _advance(row)
     mixed, turn = row[0] ^ row[1], row[0] >> _FIFTYEIGHT
     return (mixed >> turn) | (mixed << ((_SIXTYFOUR - turn) & _SIXTYTHREE))
 
 
-@uncounted
+@inlined
 def _next_32(row: Row) -> Any:
     if row[4]:
         row[4] = _ZERO
@@ -63,13 +63,13 @@ def _next_32(row: Row) -> Any:
     return drawn & _LOW
 
 
-@uncounted
+@inlined
 def uniform(row: Row, low: float, high: float) -> float:
     """`Generator.uniform(low, high)`."""
     return low + (high - low) * (float(_next_64(row) >> _ELEVEN) * (1.0 / 9007199254740992.0))
 
 
-@uncounted
+@inlined
 def below(row: Row, n: int) -> int:
     """`Generator.integers(n)`, n at most 2^32 - 1 (Lemire 2019)."""
     if n <= 1:

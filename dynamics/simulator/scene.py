@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.layout import (
     A_SPEED,
     CHANGES,
@@ -38,7 +38,7 @@ __all__ = ["spawn", "speed_index"]
 _EGO_SPEED = 25.0
 
 
-@uncounted
+@inlined
 def _rint(x: float) -> float:
     """Rounded half to even."""
     whole = math.floor(x)

@@ -66,7 +66,6 @@ class Simulator:
             np.zeros((e, G, m), np.int64),
             np.zeros((e, P, m)),
             np.zeros((e, m), np.int64),
-            np.zeros((e, m), np.int64),
             np.zeros((e, WORDS), np.uint64),
             np.zeros(e),
         )
@@ -74,6 +73,8 @@ class Simulator:
         self._work = Work(
             np.zeros((4, m)),
             np.zeros(m, np.int64),
+            np.zeros((len(self.scenario.rules.lanes), m), np.int64),
+            np.zeros((len(self.scenario.rules.lanes), m), np.int64),
             np.zeros((2, 5, 2)),
             np.zeros(max(1, m * (m - 1) // 2), np.int64),
             np.zeros((rows, features)),

@@ -6,7 +6,7 @@ Treiber, Hennecke and Helbing 2000; Kesting, Treiber and Helbing 2007; the detai
 
 from __future__ import annotations
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.arithmetic import clip, dot2, dot3, not_zero
 from dynamics.simulator.layout import (
     A_GAP,
@@ -40,7 +40,6 @@ from dynamics.simulator.layout import (
     Y,
 )
 from dynamics.simulator.loops import at_two
-from dynamics.simulator.neighbours import ahead, behind
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["acceleration", "change_lanes", "desired_gap", "free_flow", "wanted_share"]
@@ -49,7 +48,7 @@ _POWER = 5
 _OVERHANG = 5.0
 
 
-@uncounted
+@inlined
 def desired_gap(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, leader: int) -> float:
     """IDM's gap d* of a body behind another [m]; negative where the other pulls away."""
     v, w = f[SPEED, body], f[SPEED, leader]
@@ -58,20 +57,20 @@ def desired_gap(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, 
     return p[DISTANCE, judge] + v * p[TIME, judge] + v * closing / p[TWICE_ROOT, judge]
 
 
-@uncounted
+@inlined
 def wanted_share(f: FloatArray, g: IntArray, lanes: FloatArray, body: int) -> float:
     """The speed of a body over the speed that it wants, within the limit of its lane."""
     target = 0.0 if g[KIND, body] == CONTINUOUS else f[TARGET_SPEED, body]
     return max(f[SPEED, body], 0.0) / abs(not_zero(clip(target, 0.0, lanes[g[LANE, body], LANE_LIMIT])))
 
 
-@uncounted
+@inlined
 def free_flow(comfort: float, power: float) -> float:
     """IDM's acceleration on an empty road [m/s^2], given the share of the wanted speed to the power delta."""
     return comfort * (1.0 - power)
 
 
-@uncounted
+@inlined
 def _with_leader(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, leader: int, free: float) -> float:
     if leader < 0:
         return free
@@ -79,7 +78,7 @@ def _with_leader(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int,
     return free - p[COMFORT, judge] * (held * held)
 
 
-@uncounted
+@inlined
 def _linear(sums: int, f: FloatArray, g: IntArray, p: FloatArray, judge: int, body: int, leader: int) -> float:
     if body < 0:
         return dot3(sums, p[A_SPEED, judge], 0.0, p[A_LEADER, judge], 0.0, p[A_GAP, judge], 0.0)
@@ -93,7 +92,7 @@ def _linear(sums: int, f: FloatArray, g: IntArray, p: FloatArray, judge: int, bo
     return dot3(sums, p[A_SPEED, judge], faster, p[A_LEADER, judge], closing, p[A_GAP, judge], room)
 
 
-@uncounted
+@inlined
 def acceleration(
     sums: int,
     loops: IntArray,
@@ -131,7 +130,8 @@ def _mobil(
     g: IntArray,
     p: FloatArray,
     lanes: FloatArray,
-    places: tuple[IntArray, IntArray, IntArray, bool],
+    front: IntArray,
+    rear: IntArray,
     i: int,
     lane: int,
     free: float,
@@ -141,18 +141,17 @@ def _mobil(
 
     What is cheap is asked first: none of the questions changes anything.
     """
-    on, order, place, level = places
-    leader = ahead(f, on, order, place, level, i, lane)
+    leader = front[lane, i]
     gain = acceleration(sums, loops, f, g, p, lanes, i, i, leader, free) - present
     if p[POLITENESS, i] == 0.0 and gain < p[GAIN, i]:
         return False
-    follower = behind(f, on, order, place, level, i, lane)
+    follower = rear[lane, i]
     imposed = acceleration(sums, loops, f, g, p, lanes, i, follower, i, free)
     if imposed < -p[IMPOSED, i]:
         return False
     if p[POLITENESS, i] != 0.0:
-        old_leader = ahead(f, on, order, place, level, i, g[LANE, i])
-        old_follower = behind(f, on, order, place, level, i, g[LANE, i])
+        old_leader = front[g[LANE, i], i]
+        old_follower = rear[g[LANE, i], i]
         others = imposed - acceleration(sums, loops, f, g, p, lanes, i, follower, leader, free)
         others += acceleration(sums, loops, f, g, p, lanes, i, old_follower, old_leader, free)
         others -= acceleration(sums, loops, f, g, p, lanes, i, old_follower, i, free)
@@ -168,7 +167,8 @@ def change_lanes(
     g: IntArray,
     p: FloatArray,
     lanes: FloatArray,
-    places: tuple[IntArray, IntArray, IntArray, bool],
+    front: IntArray,
+    rear: IntArray,
     i: int,
     changers: IntArray,
     changing: int,
@@ -179,6 +179,7 @@ def change_lanes(
 
     Parameters
     ----------
+    front, rear : of `neighbours.find`.
     changers, changing : those on the way to another lane, and how many there were; it may become one of them. The number
         is returned.
     free, present : its acceleration on an empty road, and where it is [m/s^2].
@@ -205,7 +206,7 @@ def change_lanes(
             continue
         if not 0.0 <= f[X, i] < lanes[candidate, LANE_LENGTH] + _OVERHANG or abs(f[SPEED, i]) < 1.0:
             continue
-        if _mobil(sums, loops, f, g, p, lanes, places, i, candidate, free, present):
+        if _mobil(sums, loops, f, g, p, lanes, front, rear, i, candidate, free, present):
             g[TARGET, i] = candidate
     if g[TARGET, i] != lane:
         changers[changing] = i

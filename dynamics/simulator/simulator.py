@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, cast
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,9 +14,10 @@ from dynamics.errors import ActionError, ConfigError
 from dynamics.simulator.arithmetic import Sums, sums_of_numpy
 from dynamics.simulator.engine import Machine, Seen, Work, Worlds, reset_all, step_all
 from dynamics.simulator.layout import F, G, P
+from dynamics.simulator.live import bodies_of, load, store
 from dynamics.simulator.loops import addresses
 from dynamics.simulator.random import WORDS
-from dynamics.simulator.scenario import scenario_of
+from dynamics.simulator.scenario import Scenario, scenario_of
 from dynamics.state import FloatArray
 
 __all__ = ["Simulator"]
@@ -54,10 +57,48 @@ class Simulator:
     """
 
     def __init__(self, env_id: str, num_envs: int = 1, config: Mapping[str, Any] | None = None) -> None:
+        self._build(scenario_of(env_id, config), num_envs)
+        entropy = np.random.SeedSequence().generate_state(num_envs, np.uint64) >> np.uint64(1)
+        self.reset(entropy.astype(np.int64))
+
+    @classmethod
+    def of(cls, env: gym.Env[Any, Any], num_envs: int = 1) -> Simulator:
+        """Copies of a live environment as it is now, between two decisions, obstacles included.
+
+        Raises
+        ------
+        ConfigError
+            If the environment needs what the simulator cannot do.
+        SceneError
+            If its scene does: another road, strange objects, vehicles that drive in another way.
+        """
+        base = cast(Any, env.unwrapped)
+        if base.spec is None:
+            raise ConfigError("the environment has no id; make it with gym.make")
+        scenario = scenario_of(base.spec.id, base.config)
+        vehicles, obstacles = bodies_of(env)
+        rules = scenario.rules
+        numbers = (rules.numbers[0], len(vehicles), *rules.numbers[2:])
+        bodies = len(vehicles) + len(obstacles)
+        simulator = cls.__new__(cls)
+        simulator._build(replace(scenario, rules=rules._replace(numbers=numbers), bodies=bodies), num_envs)
+        for e in range(num_envs):
+            simulator.load(env, e)
+        return simulator
+
+    def load(self, env: gym.Env[Any, Any], e: int = 0) -> None:
+        """Copy a live environment, between two decisions, into copy `e`; see `live.load`."""
+        load(env, self.scenario, self.worlds, e)
+
+    def store(self, env: gym.Env[Any, Any], e: int = 0) -> None:
+        """Copy copy `e` into a live environment of the same bodies; see `live.store`."""
+        store(env, self.scenario, self.worlds, e)
+
+    def _build(self, scenario: Scenario, num_envs: int) -> None:
         if num_envs < 1:
             raise ConfigError(f"num_envs must be at least 1, not {num_envs}")
-        self.scenario = scenario_of(env_id, config)
-        self.num_envs, e, m = num_envs, num_envs, self.scenario.bodies
+        self.scenario = scenario
+        self.num_envs, e, m = num_envs, num_envs, scenario.bodies
         sums, products = sums_of_numpy()
         self.exact = Sums.OTHER not in (sums, products)
         self.machine = Machine(sums, products, addresses())
@@ -87,8 +128,6 @@ class Simulator:
             np.zeros(e, np.bool_),
             np.zeros((e, 4)),
         )
-        entropy = np.random.SeedSequence().generate_state(e, np.uint64) >> np.uint64(1)
-        self.reset(entropy.astype(np.int64))
 
     def reset(
         self, seeds: Sequence[int] | NDArray[Any] | None = None, which: Sequence[int] | None = None
@@ -110,6 +149,8 @@ class Simulator:
         if numbers.shape != chosen.shape or (seeds is not None and (numbers < 0).any()):
             raise ConfigError(f"have a seed of at least 0 for each of {len(chosen)} environments, not {seeds!r}")
         rules, view = self.scenario.rules, self.scenario.view
+        if self.scenario.bodies != 1 + int(self.scenario.config["vehicles_count"]):
+            raise ConfigError("a reset makes the configured vehicles; the live scene has others: load() it again")
         reset_all(self.machine, self.worlds, rules, view, self._work, self.seen, chosen, numbers)
         return self.seen.observations
 

@@ -1,0 +1,178 @@
+"""A live highway-env in and out of the simulator's arrays."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+from highway_env.road.lane import StraightLane
+from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
+from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Obstacle
+
+from dynamics.errors import ConfigError, SceneError
+from dynamics.simulator.engine import Worlds
+from dynamics.simulator.layout import (
+    A_SPEED,
+    ACCELERATION,
+    CHANGES,
+    CHECKS,
+    CONTINUOUS,
+    COS,
+    CRASHED,
+    DELTA,
+    EGO,
+    HEADING,
+    IMPACT_X,
+    IMPACT_Y,
+    IMPACTED,
+    KIND,
+    LANE,
+    OBSTACLE,
+    ON,
+    S_HEADING,
+    SIN,
+    SPEED,
+    STEERING,
+    TARGET,
+    TARGET_SPEED,
+    TIMER,
+    X,
+    Y,
+)
+from dynamics.simulator.neighbours import lanes_at
+from dynamics.simulator.random import from_generator, to_generator
+from dynamics.simulator.scenario import Scenario, constants_of, kind_of
+from dynamics.state import FloatArray
+
+__all__ = ["bodies_of", "load", "store"]
+
+
+def bodies_of(env: gym.Env[Any, Any]) -> tuple[list[Any], list[Any]]:
+    """The vehicles and the obstacles of a live environment.
+
+    Raises
+    ------
+    SceneError
+        If the first vehicle is not the only ego, or something else stands on the road.
+    """
+    base = cast(Any, env.unwrapped)
+    if base.road is None or len(base.controlled_vehicles) != 1 or base.road.vehicles[0] is not base.vehicle:
+        raise SceneError("have one ego, first of the vehicles on the road; is the environment reset?")
+    strange = [type(o).__name__ for o in base.road.objects if type(o) is not Obstacle]
+    if strange:
+        raise SceneError(f"the simulator knows obstacles, not {', '.join(strange)}")
+    return base.road.vehicles, base.road.objects
+
+
+def load(env: gym.Env[Any, Any], scenario: Scenario, worlds: Worlds, e: int) -> None:
+    """Copy a live environment, between two decisions, into one of the simulator's.
+
+    Raises
+    ------
+    SceneError
+        If it has another road or other bodies than the simulator, or vehicles that drive in another way.
+    """
+    base = cast(Any, env.unwrapped)
+    vehicles, obstacles = bodies_of(env)
+    f, g, p, lanes = worlds.f[e], worlds.g[e], worlds.p[e], scenario.rules.lanes
+    if len(vehicles) != scenario.rules.numbers[1] or len(vehicles) + len(obstacles) != f.shape[1]:
+        raise SceneError(
+            f"have {scenario.rules.numbers[1]} vehicles of {f.shape[1]} bodies, not {len(vehicles)} of "
+            f"{len(vehicles) + len(obstacles)}"
+        )
+    _check_road(base.road.network, lanes)
+    f[:], g[:] = 0.0, 0
+    for i, body in enumerate([*vehicles, *obstacles]):
+        f[[X, Y], i] = body.position
+        f[HEADING, i], f[SPEED, i] = body.heading, body.speed
+        f[COS, i], f[SIN, i] = np.cos(body.heading), np.sin(body.heading)
+        g[LANE, i] = g[TARGET, i] = body.lane_index[2]
+        g[CRASHED, i], g[CHECKS, i] = body.crashed, body.check_collisions
+        g[ON, i] = lanes_at(lanes, f[X, i], f[Y, i])
+        p[:, i] = constants_of(body)
+        g[KIND, i] = OBSTACLE if i >= len(vehicles) else _kind(body, i)
+        if i < len(vehicles):
+            _load_vehicle(body, f, g, i)
+    worlds.order[e] = np.arange(f.shape[1])
+    worlds.rows[e] = from_generator(base.np_random)
+    worlds.clock[e] = base.time
+
+
+def _check_road(network: Any, lanes: FloatArray) -> None:
+    real = network.lanes_list()
+    if (
+        len(real) != len(lanes)
+        or any(type(lane) is not StraightLane or lane.forbidden for lane in real)
+        or any(
+            (*lane.start, *lane.end, lane.width, lane.speed_limit) != (0.0, y, length, y, width, limit)
+            for lane, (y, width, length, limit) in zip(real, lanes, strict=True)
+        )
+    ):
+        raise SceneError(f"the road is not the {len(lanes)} straight lanes of the simulator")
+
+
+def _kind(body: Any, i: int) -> int:
+    if i > 0:
+        try:
+            return kind_of(type(body))
+        except ConfigError as error:
+            raise SceneError(str(error)) from None
+    if type(body) is MDPVehicle:
+        return EGO
+    if type(body) is Vehicle:
+        return CONTINUOUS
+    raise SceneError(f"the ego is a {type(body).__name__}; the simulator knows MDPVehicle and Vehicle")
+
+
+def _load_vehicle(body: Any, f: FloatArray, g: Any, i: int) -> None:
+    f[STEERING, i], f[ACCELERATION, i] = body.action["steering"], body.action["acceleration"]
+    if body.impact is not None:
+        g[IMPACTED, i] = 1
+        f[[IMPACT_X, IMPACT_Y], i] = body.impact
+    if isinstance(body, ControlledVehicle):
+        g[TARGET, i], f[TARGET_SPEED, i] = body.target_lane_index[2], body.target_speed
+    f[TIMER, i], g[CHANGES, i] = getattr(body, "timer", 0.0), getattr(body, "enable_lane_change", True)
+
+
+def store(env: gym.Env[Any, Any], scenario: Scenario, worlds: Worlds, e: int) -> None:
+    """Copy one of the simulator's environments into a live one of the same bodies, the generator included.
+
+    Raises
+    ------
+    SceneError
+        If it has other bodies than the simulator.
+    """
+    base = cast(Any, env.unwrapped)
+    vehicles, obstacles = bodies_of(env)
+    f, g, p = worlds.f[e], worlds.g[e], worlds.p[e]
+    kinds = [*(_kind(body, i) for i, body in enumerate(vehicles)), *([OBSTACLE] * len(obstacles))]
+    if kinds != g[KIND].tolist():
+        raise SceneError("the environment has other vehicles than the simulator")
+    frames = scenario.rules.numbers[0]
+    for i, body in enumerate([*vehicles, *obstacles]):
+        body.position = f[[X, Y], i].copy()
+        body.heading, body.speed = float(f[HEADING, i]), float(f[SPEED, i])
+        body.lane_index = ("0", "1", int(g[LANE, i]))
+        body.lane = base.road.network.get_lane(body.lane_index)
+        body.crashed, body.check_collisions = bool(g[CRASHED, i]), bool(g[CHECKS, i])
+        if i < len(vehicles):
+            _store_vehicle(body, f, g, p, i)
+    to_generator(worlds.rows[e], base.np_random)
+    base.time = float(worlds.clock[e])
+    base.steps = round(base.time * base.config["policy_frequency"]) * frames
+
+
+def _store_vehicle(body: Any, f: FloatArray, g: Any, p: FloatArray, i: int) -> None:
+    body.action = {"steering": float(f[STEERING, i]), "acceleration": float(f[ACCELERATION, i])}
+    body.impact = f[[IMPACT_X, IMPACT_Y], i].copy() if g[IMPACTED, i] else None
+    if isinstance(body, ControlledVehicle):
+        body.target_lane_index, body.target_speed = ("0", "1", int(g[TARGET, i])), float(f[TARGET_SPEED, i])
+    if isinstance(body, MDPVehicle):
+        body.speed_index = body.speed_to_index(body.target_speed)
+    if hasattr(body, "timer"):
+        body.timer, body.enable_lane_change = float(f[TIMER, i]), bool(g[CHANGES, i])
+        body.DELTA = float(p[DELTA, i])
+        if hasattr(body, "ACCELERATION_PARAMETERS"):
+            body.ACCELERATION_PARAMETERS, body.STEERING_PARAMETERS = p[A_SPEED:S_HEADING, i].copy(), p[S_HEADING:, i].copy()

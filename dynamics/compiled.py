@@ -47,13 +47,13 @@ def inlined(function: F) -> F:
 
 
 def _kernel(function: F, **options: bool) -> F:
-    made = _digest(function)
+    made, make = _digest(function), cast(Any, njit)
     try:
-        kernel: Any = njit(cache=True, error_model="numpy", **options)(function)
+        kernel: Any = make(cache=True, error_model="numpy", **options)(function)
         # What numba compares with what it finds on the disk: by itself the time and size of the kernel's file.
         kernel._cache._cache_file._source_stamp = made
     except (RuntimeError, AttributeError):  # there is no folder to keep it in, or it is kept in another way
-        kernel = njit(error_model="numpy", **options)(function)
+        kernel = make(error_model="numpy", **options)(function)
     _MADE_FROM[kernel] = made
     return cast(F, kernel)
 

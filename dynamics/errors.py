@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
-__all__ = ["ActionError", "ConfigError", "DataError", "ModelError", "PlatformError", "PolicyError", "SceneError", "ShieldError"]
+__all__ = [
+    "ActionError",
+    "ConfigError",
+    "DataError",
+    "ModelError",
+    "PlatformError",
+    "PolicyError",
+    "SceneError",
+    "ShieldError",
+]
 
 
 class ShieldError(Exception):

@@ -1,7 +1,7 @@
 """Sums of products as numpy makes them on this machine, and the small functions of highway-env's `utils`.
 
-`np.dot` of short vectors ends in a BLAS kernel, which on most processors fuses the multiplication with the addition. The
-result differs in the last place from two operations. How this machine does it is found out once, by asking.
+`np.dot` of short vectors ends in a BLAS kernel, which on most processors fuses the multiplication with the addition.
+The result differs in the last place from two operations. How this machine does it is found out once, by asking.
 """
 
 from __future__ import annotations
@@ -20,6 +20,9 @@ from dynamics.state import FloatArray
 
 __all__ = ["Sums", "clip", "dot2", "dot3", "fma", "not_zero", "sums_of_numpy", "wrap_to_pi"]
 
+_built_in: Any = intrinsic
+"""What makes LLVM code of a call, for type checkers that do not know the decorator."""
+
 
 class Sums:
     """How a sum of products is made: as separate operations, or fused from left to right."""
@@ -27,7 +30,7 @@ class Sums:
     SEPARATE, FUSED, OTHER = range(3)
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_built_in
 def fma(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
     """a b + c, rounded once."""
 

@@ -1,7 +1,7 @@
 """Who touches whom after a frame, and who will: highway-env's `handle_collisions`.
 
-Every pair is looked at in the order of the indices, so that of several impacts the last counts. Only pairs that are near
-along x are: for all others the quick check of highway-env says no.
+Pairs are looked at in the order of the indices, so that of several impacts the last counts, and only those that are
+near along x: for all others the quick check of highway-env says no.
 """
 
 from __future__ import annotations

@@ -126,22 +126,20 @@ def act(
     _free_flow(loops, f, g, p, lanes, work, vehicles)
     changing = 0
     for i in range(vehicles):
-        if (g[KIND, i] == IDM or g[KIND, i] == LINEAR) and not g[CRASHED, i]:
+        if g[KIND, i] in (IDM, LINEAR) and not g[CRASHED, i]:
             leader = front[g[LANE, i], i]
             present[i] = acceleration(sums, loops, f, g, p, lanes, i, i, leader, free[i])
         if g[LANE, i] != g[TARGET, i] and g[KIND, i] != CONTINUOUS:
             busy[changing] = i
             changing += 1
     for i in range(vehicles):
-        if (g[KIND, i] == IDM or g[KIND, i] == LINEAR) and not g[CRASHED, i] and g[CHANGES, i]:
-            changing = change_lanes(
-                sums, loops, f, g, p, lanes, front, rear, i, busy, changing, free[i], present[i]
-            )
+        if g[KIND, i] in (IDM, LINEAR) and not g[CRASHED, i] and g[CHANGES, i]:
+            changing = change_lanes(sums, loops, f, g, p, lanes, front, rear, i, busy, changing, free[i], present[i])
     for i in range(vehicles):
         kind = g[KIND, i]
         if kind == EGO:
             f[ACCELERATION, i] = _KP_A * (f[TARGET_SPEED, i] - f[SPEED, i])
-        elif (kind == IDM or kind == LINEAR) and not g[CRASHED, i]:
+        elif kind in (IDM, LINEAR) and not g[CRASHED, i]:
             wanted, target = present[i], g[TARGET, i]
             if g[LANE, i] != target:
                 leader = front[target, i]

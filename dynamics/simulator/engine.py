@@ -35,7 +35,7 @@ from dynamics.simulator.random import seed_row
 from dynamics.simulator.scene import spawn, speed_index
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["Machine", "Rules", "Seen", "Store", "View", "Work", "Worlds", "reset_all", "step_all"]
+__all__ = ["Machine", "Rules", "Seen", "View", "Work", "Worlds", "reset_all", "step_all"]
 
 _OVERHANG = 5.0
 
@@ -118,7 +118,9 @@ class Seen(NamedTuple):
     Attributes
     ----------
     observations : (e, bodies, features). terminal : the same at the end of an episode, before a reset.
-    reward, terminated, truncated, crashed : (e,). parts : (e, 4), what the reward is made of.
+    reward, terminated, truncated : (e,).
+    parts : (e, 4), what the reward is made of: crashed, right lane, high speed, on the road.
+    speed : (e,), the ego's [m/s].
     """
 
     observations: NDArray[np.float32]
@@ -127,9 +129,7 @@ class Seen(NamedTuple):
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
     parts: FloatArray
-
-
-Store = tuple[Worlds, Rules, View, Work, Seen]
+    speed: FloatArray
 
 
 @uncounted
@@ -240,6 +240,7 @@ def _reset_all(
             seed_row(worlds.rows[e], seeds[k])
         _reset(machine, worlds, rules, work, e)
         _observe(machine, worlds, rules, view, work, e, seen.observations[e])
+        seen.speed[e], seen.parts[e, 0] = worlds.f[e, SPEED, 0], 0.0
 
 
 def _step_all(
@@ -262,7 +263,7 @@ def _step_all(
         _frames(machine, worlds, rules, work, e, rules.numbers[0])
         _observe(machine, worlds, rules, view, work, e, seen.observations[e])
         reward, on = _judge(rules, f, g, seen.parts[e])
-        seen.reward[e] = reward
+        seen.reward[e], seen.speed[e] = reward, f[SPEED, 0]
         seen.terminated[e] = g[CRASHED, 0] != 0 or (rules.reward[7] and not on)
         seen.truncated[e] = worlds.clock[e] >= rules.times[2]
         if again and (seen.terminated[e] or seen.truncated[e]):

@@ -1,8 +1,8 @@
 """Where everything is in the arrays of the simulator.
 
 A scene of m bodies, of which the first is the ego and the last may be standing obstacles, is a structure of arrays:
-`f` (F, m) float64 of what moves, `g` (G, m) int64 of what is counted, `p` (P, m) float64 of what stays. Lanes are rows of
-`lanes` (n, LANE) float64, straight and along x.
+`f` (F, m) float64 of what moves, `g` (G, m) int64 of what is counted, `p` (P, m) float64 of what stays. Lanes are rows
+of `lanes` (n, LANE_COLUMNS) float64, straight and along x.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ X, Y, HEADING, SPEED, COS, SIN, STEERING, ACCELERATION, TARGET_SPEED, TIMER, IMP
 F = 12
 
 KIND, LANE, TARGET, CRASHED, IMPACTED, CHECKS, CHANGES, ON = range(8)
-"""Rows of `g`. CHECKS: it looks for collisions; CHANGES: it may change lanes; ON: the lanes that others see it on, as bits."""
+"""Rows of `g`. CHECKS: it looks for collisions; CHANGES: it may change lanes; ON: lanes that others see it on, bits."""
 G = 8
 
 EGO, CONTINUOUS, IDM, LINEAR, OBSTACLE = range(5)
@@ -96,7 +96,7 @@ EGO, CONTINUOUS, IDM, LINEAR, OBSTACLE = range(5)
     S_HEADING,
     S_LATERAL,
 ) = range(20)
-"""Rows of `p`: the constants of highway-env's vehicle classes. TWICE_ROOT is 2 sqrt(a b); A and S are the linear model's."""
+"""Rows of `p`: constants of highway-env's vehicles. TWICE_ROOT is 2 sqrt(a b); A and S are the linear model's."""
 P = 20
 
 LANE_Y, LANE_WIDTH, LANE_LENGTH, LANE_LIMIT = range(4)

@@ -175,4 +175,5 @@ def _store_vehicle(body: Any, f: FloatArray, g: Any, p: FloatArray, i: int) -> N
         body.timer, body.enable_lane_change = float(f[TIMER, i]), bool(g[CHANGES, i])
         body.DELTA = float(p[DELTA, i])
         if hasattr(body, "ACCELERATION_PARAMETERS"):
-            body.ACCELERATION_PARAMETERS, body.STEERING_PARAMETERS = p[A_SPEED:S_HEADING, i].copy(), p[S_HEADING:, i].copy()
+            body.ACCELERATION_PARAMETERS = p[A_SPEED:S_HEADING, i].copy()
+            body.STEERING_PARAMETERS = p[S_HEADING:, i].copy()

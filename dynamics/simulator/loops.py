@@ -1,9 +1,9 @@
 """numpy's own loops, called from compiled code by their address.
 
-On processors with AVX-512 numpy computes tangents, arcs and powers with vector code that may differ from the C library's in
-the last place. highway-env calls numpy, so what is to be identical to it, bit for bit, has to call the same code: the inner
-loops that numpy's ufuncs hold (`PyUFuncObject.functions`). Their addresses differ from process to process; they
-go into the kernels as numbers, which leaves the machine code good for the next process.
+On processors with AVX-512 numpy computes tangents, arcs and powers with vector code that may differ from the C
+library's in the last place. highway-env calls numpy, so what is to be identical to it, bit for bit, has to call the
+same code: the inner loops that numpy's ufuncs hold (`PyUFuncObject.functions`). Their addresses differ from process to
+process; they go into the kernels as numbers, which leaves the machine code good for the next process.
 """
 
 from __future__ import annotations
@@ -22,10 +22,13 @@ from dynamics.errors import PlatformError
 
 __all__ = ["LOOPS", "Loop", "addresses", "apply", "apply_two", "at", "at_two", "c_pow"]
 
+_built_in: Any = intrinsic
+"""What makes LLVM code of a call, for type checkers that do not know the decorator."""
+
 _HEAD = 2 * ctypes.sizeof(ctypes.c_void_p)
 _FUNCTIONS, _DATA = _HEAD + 16, _HEAD + 24
 _NTYPES, _TYPES = _HEAD + 32, _HEAD + 48
-"""Offsets in `PyUFuncObject`: after the head nin, nout, nargs and identity; after the tables ntypes, then name and types."""
+"""Offsets in `PyUFuncObject`: after the head nin, nout, nargs, identity; after the tables ntypes, then name, types."""
 _DOUBLE = np.dtype(np.float64).num
 
 
@@ -83,7 +86,7 @@ def _call(context: Any, builder: Any, loop: Any, data: Any, pointers: list[Any],
     builder.call(function, [args, dimensions, strides, builder.inttoptr(data, byte)])
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_built_in
 def at(typingctx: Any, loop: Any, data: Any, x: Any) -> Any:
     """`ufunc(x)` of one number, given a row of `addresses`."""
 
@@ -97,7 +100,7 @@ def at(typingctx: Any, loop: Any, data: Any, x: Any) -> Any:
     return types.float64(types.int64, types.int64, types.float64), codegen
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_built_in
 def at_two(typingctx: Any, loop: Any, data: Any, x: Any, y: Any) -> Any:
     """`ufunc(x, y)` of two numbers."""
 
@@ -111,7 +114,7 @@ def at_two(typingctx: Any, loop: Any, data: Any, x: Any, y: Any) -> Any:
     return types.float64(types.int64, types.int64, types.float64, types.float64), codegen
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_built_in
 def c_pow(typingctx: Any, address: Any, x: Any, y: Any) -> Any:
     """The C library's `pow(x, y)`, which LLVM may not replace by a product."""
 
@@ -127,7 +130,7 @@ def _pointer(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     return context.make_array(kind)(context, builder, value).data
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_built_in
 def apply(typingctx: Any, loop: Any, data: Any, x: Any, out: Any, n: Any) -> Any:
     """`ufunc(x[:n], out=out[:n])` of contiguous arrays."""
 
@@ -140,7 +143,7 @@ def apply(typingctx: Any, loop: Any, data: Any, x: Any, out: Any, n: Any) -> Any
     return types.void(types.int64, types.int64, x, out, types.int64), codegen
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_built_in
 def apply_two(typingctx: Any, loop: Any, data: Any, x: Any, y: Any, out: Any, n: Any) -> Any:
     """`ufunc(x[:n], y[:n], out=out[:n])` of contiguous arrays."""
 

@@ -115,7 +115,7 @@ def move(
     n = 0
     for i in range(vehicles):
         kind, speed = g[KIND, i], f[SPEED, i]
-        if kind == IDM or kind == LINEAR:
+        if kind in (IDM, LINEAR):
             f[TIMER, i] += dt
         if g[CRASHED, i]:
             f[STEERING, i], f[ACCELERATION, i] = 0.0, -1.0 * speed

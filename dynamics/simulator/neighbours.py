@@ -1,7 +1,7 @@
 """Who is next ahead and behind on a lane, as highway-env's `neighbour_vehicles` has it.
 
-A body counts on every lane whose edges it is less than a metre beyond. Of two that are equally far ahead the later counts,
-of two behind the earlier; one that is level counts as ahead.
+A body counts on every lane whose edges it is less than a metre beyond. Of two that are equally far ahead the later
+counts, of two behind the earlier; one that is level counts as ahead.
 """
 
 from __future__ import annotations

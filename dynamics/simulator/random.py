@@ -1,7 +1,7 @@
 """numpy's own random numbers in compiled code: the generator that `env.reset(seed=...)` makes, from the same seed.
 
-`SeedSequence` and PCG64 (O'Neill 2014) as numpy has them; the streams of both are kept stable by numpy. A generator is a row
-of six numbers: state (high, low), increment (high, low), whether half of a draw is left, and that half.
+`SeedSequence` and PCG64 (O'Neill 2014) as numpy has them; the streams of both are kept stable by numpy. A generator is
+a row of six numbers: state (high, low), increment (high, low), whether half of a draw is left, and that half.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def uniform(row: Row, low: float, high: float) -> float:
 
 
 @inlined
-def below(row: Row, n: int) -> int:
+def below(row: Row, n: int) -> Any:
     """`Generator.integers(n)`, n at most 2^32 - 1 (Lemire 2019)."""
     if n <= 1:
         return 0

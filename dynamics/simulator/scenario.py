@@ -23,10 +23,13 @@ from dynamics.simulator.layout import CONTINUOUS, EGO, IDM, LANE_COLUMNS, LINEAR
 from dynamics.simulator.observe import FEATURES
 from dynamics.state import FloatArray
 
-__all__ = ["ACTIONS", "Inputs", "Scenario", "constants_of", "kind_of", "scenario_of"]
+__all__ = ["ACTIONS", "REWARDS", "Inputs", "Scenario", "constants_of", "kind_of", "scenario_of"]
 
 ACTIONS = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
 """The labels of meta-actions, by the number that the kernels know them by."""
+
+REWARDS = ("collision_reward", "right_lane_reward", "high_speed_reward", "on_road_reward")
+"""What the reward is made of, in the order of `engine.Seen.parts`."""
 
 _METHODS = (
     "act",
@@ -172,10 +175,11 @@ def _class_of(env_id: str) -> type[HighwayEnv]:
     except gym.error.Error as error:
         raise ConfigError(f"there is no environment {env_id!r}: {error}") from None
     entry: Any = spec.entry_point
-    kind = gym.envs.registration.load_env_creator(entry) if isinstance(entry, str) else entry
+    kind: Any = gym.envs.registration.load_env_creator(entry) if isinstance(entry, str) else entry
     if kind not in (HighwayEnv, HighwayEnvFast):
         raise ConfigError(f"the compiled simulator runs highway-v0 and highway-fast-v0, not {env_id}")
-    return kind
+    found: type[HighwayEnv] = kind
+    return found
 
 
 def _refused(config: Mapping[str, Any]) -> list[str]:
@@ -258,7 +262,7 @@ def constants_of(vehicle: Any) -> FloatArray:
     return numbers
 
 
-def _ranges(vehicle: type) -> FloatArray:
+def _ranges(vehicle: Any) -> FloatArray:
     """What is drawn for each vehicle of a class, (_DRAWN, 2)."""
     ranges = np.zeros((_DRAWN, 2))
     ranges[0] = getattr(vehicle, "DELTA_RANGE", (0.0, 0.0))

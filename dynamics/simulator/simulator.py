@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any, cast
 
 import gymnasium as gym
@@ -31,6 +33,7 @@ class Simulator:
     env_id : the environment.
     num_envs : how many copies.
     config : what differs from its default configuration.
+    threads : how many of them share the environments of a step; worth it from some 64 environments a thread on.
 
     Raises
     ------
@@ -56,8 +59,10 @@ class Simulator:
     ((2, 5, 5), (2,))
     """
 
-    def __init__(self, env_id: str, num_envs: int = 1, config: Mapping[str, Any] | None = None) -> None:
-        self._build(scenario_of(env_id, config), num_envs)
+    def __init__(
+        self, env_id: str, num_envs: int = 1, config: Mapping[str, Any] | None = None, threads: int = 1
+    ) -> None:
+        self._build(scenario_of(env_id, config), num_envs, threads)
         entropy = np.random.SeedSequence().generate_state(num_envs, np.uint64) >> np.uint64(1)
         self.reset(entropy.astype(np.int64))
 
@@ -94,9 +99,9 @@ class Simulator:
         """Copy copy `e` into a live environment of the same bodies; see `live.store`."""
         store(env, self.scenario, self.worlds, e)
 
-    def _build(self, scenario: Scenario, num_envs: int) -> None:
-        if num_envs < 1:
-            raise ConfigError(f"num_envs must be at least 1, not {num_envs}")
+    def _build(self, scenario: Scenario, num_envs: int, threads: int = 1) -> None:
+        if num_envs < 1 or threads < 1:
+            raise ConfigError(f"num_envs and threads must be at least 1, not {num_envs} and {threads}")
         self.scenario = scenario
         self.num_envs, e, m = num_envs, num_envs, scenario.bodies
         sums, products = sums_of_numpy()
@@ -111,15 +116,10 @@ class Simulator:
             np.zeros(e),
         )
         rows, features = self.scenario.observation_space.shape
-        self._work = Work(
-            np.zeros((4, m)),
-            np.zeros(m, np.int64),
-            np.zeros((len(self.scenario.rules.lanes), m), np.int64),
-            np.zeros((len(self.scenario.rules.lanes), m), np.int64),
-            np.zeros((2, 5, 2)),
-            np.zeros(max(1, m * (m - 1) // 2), np.int64),
-            np.zeros((rows, features)),
-        )
+        lanes = len(scenario.rules.lanes)
+        bounds = np.linspace(0, e, min(threads, e) + 1).round().astype(int).tolist()
+        self._parts = [(first, last, _work(m, lanes, rows, features)) for first, last in pairwise(bounds)]
+        self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
         self.seen = Seen(
             np.zeros((e, rows, features), np.float32),
             np.zeros((e, rows, features), np.float32),
@@ -127,6 +127,7 @@ class Simulator:
             np.zeros(e, np.bool_),
             np.zeros(e, np.bool_),
             np.zeros((e, 4)),
+            np.zeros(e),
         )
 
     def reset(
@@ -151,7 +152,7 @@ class Simulator:
         rules, view = self.scenario.rules, self.scenario.view
         if self.scenario.bodies != 1 + int(self.scenario.config["vehicles_count"]):
             raise ConfigError("a reset makes the configured vehicles; the live scene has others: load() it again")
-        reset_all(self.machine, self.worlds, rules, view, self._work, self.seen, chosen, numbers)
+        reset_all(self.machine, self.worlds, rules, view, self._parts[0][2], self.seen, chosen, numbers)
         return self.seen.observations
 
     def step(
@@ -177,9 +178,15 @@ class Simulator:
         """
         scenario, seen = self.scenario, self.seen
         given = self._given(actions)
-        step_all(
-            self.machine, self.worlds, scenario.rules, scenario.view, self._work, seen, given, 0, self.num_envs, again
-        )
+
+        def part(bounds: tuple[int, int, Work]) -> None:
+            first, last, work = bounds
+            step_all(self.machine, self.worlds, scenario.rules, scenario.view, work, seen, given, first, last, again)
+
+        if self._pool is None:
+            part(self._parts[0])
+        else:
+            list(self._pool.map(part, self._parts))
         return seen.observations, seen.reward, seen.terminated, seen.truncated
 
     def _given(self, actions: Any) -> FloatArray:
@@ -196,3 +203,16 @@ class Simulator:
         given = np.zeros((e, 2))
         given[:, 0] = actions
         return given
+
+
+def _work(bodies: int, lanes: int, rows: int, features: int) -> Work:
+    """Room for the kernels of one thread."""
+    return Work(
+        np.zeros((4, bodies)),
+        np.zeros(bodies, np.int64),
+        np.zeros((lanes, bodies), np.int64),
+        np.zeros((lanes, bodies), np.int64),
+        np.zeros((2, 5, 2)),
+        np.zeros(max(1, bodies * (bodies - 1) // 2), np.int64),
+        np.zeros((rows, features)),
+    )

@@ -180,8 +180,8 @@ def change_lanes(
     Parameters
     ----------
     front, rear : of `neighbours.find`.
-    changers, changing : those on the way to another lane, and how many there were; it may become one of them. The number
-        is returned.
+    changers, changing : those on the way to another lane, and how many there were; it may become one of them. Their
+        number is returned.
     free, present : its acceleration on an empty road, and where it is [m/s^2].
     """
     lane, target = g[LANE, i], g[TARGET, i]

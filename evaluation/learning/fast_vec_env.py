@@ -1,0 +1,138 @@
+"""`FastHighwayVecEnv`: the compiled highway for Stable-Baselines3."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecEnv
+
+from dynamics.simulator.scenario import REWARDS
+from dynamics.simulator.simulator import Simulator
+from shield.errors import ConfigError
+
+__all__ = ["FastHighwayVecEnv"]
+
+_DIGITS = 6
+"""`Monitor` rounds returns and times to so many."""
+
+
+class FastHighwayVecEnv(VecEnv):
+    """So many highways in one VecEnv: what `make_vec_env(env_id, num_envs)` makes, a thousand times as fast.
+
+    Observations, rewards, ends of episodes and infos are those of `DummyVecEnv` around highway-env in `Monitor`s, bit
+    for bit, so that a model learns the same: `terminal_observation`, `TimeLimit.truncated` and `episode` with their
+    last step, and highway-env's `speed`, `crashed`, `action` and `rewards`.
+
+    Parameters
+    ----------
+    num_envs, env_id, config, threads : as of `dynamics.simulator.simulator.Simulator`.
+
+    Raises
+    ------
+    ConfigError
+        If the environment needs what the simulator cannot do; take highway-env itself then.
+
+    Examples
+    --------
+    >>> from stable_baselines3 import PPO
+    >>> world = FastHighwayVecEnv(4, "highway-fast-v0")
+    >>> model = PPO("MlpPolicy", world, n_steps=16, batch_size=32, device="cpu").learn(64)
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 4,
+        env_id: str = "highway-fast-v0",
+        config: Mapping[str, Any] | None = None,
+        threads: int = 1,
+    ) -> None:
+        self.simulator = Simulator(env_id, num_envs, config, threads)
+        scenario = self.simulator.scenario
+        self.env_id, self.config, self.spec = env_id, dict(scenario.config), gym.spec(env_id)
+        self.render_mode = None
+        self._actions: Any = None
+        self._returns = np.zeros(num_envs)
+        self._lengths = np.zeros(num_envs, np.int64)
+        self._start = time.time()
+        super().__init__(num_envs, scenario.observation_space, scenario.action_space)
+
+    def reset(self) -> Any:
+        """Start all episodes, with the seeds of `seed()` the first time."""
+        seeds = self._seeds
+        if all(seed is None for seed in seeds):
+            observations = self.simulator.reset()
+        else:
+            observations = self.simulator.reset([int(seed or 0) for seed in seeds])
+        self._reset_seeds()
+        self._reset_options()
+        self._returns[:], self._lengths[:] = 0.0, 0
+        return observations.copy()
+
+    def step_async(self, actions: Any) -> None:
+        """Take the actions of the next step."""
+        self._actions = np.asarray(actions)
+
+    def step_wait(self) -> Any:
+        """Step all environments; those that are over are reset."""
+        observations, reward, terminated, truncated = self.simulator.step(self._actions, again=True)
+        done = terminated | truncated
+        self._returns += reward
+        self._lengths += 1
+        infos = self._infos(terminated, done)
+        self._returns[done], self._lengths[done] = 0.0, 0
+        return observations.copy(), reward.astype(np.float32), done, infos
+
+    def _infos(self, terminated: Any, done: Any) -> list[dict[str, Any]]:
+        seen, actions = self.simulator.seen, self._actions
+        speeds, parts = seen.speed.tolist(), seen.parts.tolist()
+        infos: list[dict[str, Any]] = [
+            {
+                "speed": speeds[i],
+                "crashed": parts[i][0] != 0,
+                "action": actions[i],
+                "rewards": dict(zip(REWARDS, parts[i], strict=True)),
+                "TimeLimit.truncated": False,
+            }
+            for i in range(self.num_envs)
+        ]
+        elapsed = round(time.time() - self._start, _DIGITS)
+        for i in np.flatnonzero(done):
+            infos[i]["TimeLimit.truncated"] = not terminated[i]
+            infos[i]["terminal_observation"] = seen.terminal[i].copy()
+            total = round(float(self._returns[i]), _DIGITS)
+            infos[i]["episode"] = {"r": total, "l": int(self._lengths[i]), "t": elapsed}
+        return infos
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """`config`, `spec`, `render_mode`, `action_space`, `observation_space` of each environment."""
+        if attr_name not in ("config", "spec", "render_mode", "action_space", "observation_space"):
+            raise ConfigError(
+                f"a compiled highway has no {attr_name!r}; have config, spec, render_mode, action_space, "
+                "observation_space, or .simulator.worlds, the state of all of them"
+            )
+        return [getattr(self, attr_name) for _ in self._indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refused: the environments are made at once, from one configuration."""
+        raise ConfigError(f"{attr_name!r} cannot be set on a compiled highway; make another one with config=")
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Refused: there are no environment objects behind it."""
+        raise ConfigError(
+            f"a compiled highway has no method {method_name!r}; a live one: simulator.store(gym.make({self.env_id!r}))"
+        )
+
+    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Any = None) -> list[bool]:
+        """Whether episodes are reported as by this wrapper; they are as by `Monitor`."""
+        return [issubclass(Monitor, wrapper_class) for _ in self._indices(indices)]
+
+    def _indices(self, indices: Any) -> Iterable[int]:
+        return self._get_indices(indices)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-__all__ = ["BASELINES", "FIRST_EVALUATION_SEED", "MODELS", "TRAINABLE"]
+__all__ = ["BASELINES", "FIRST_EVALUATION_SEED", "MODELS", "SIMULATORS", "TRAINABLE"]
 
 FIRST_EVALUATION_SEED = 10_000
 """Seeds below it are for training and choosing, from it on for evaluation."""
 TRAINABLE = ("a2c", "dqn", "ppo", "sac", "td3")
 """The algorithms that `shield train` knows."""
+SIMULATORS = ("auto", "compiled", "highway-env")
+"""What episodes are driven in: highway-env's own code, its compiled copy, or that one where it serves."""
 MODELS = ("bicycle", "learned")
 """What the predictive filter can plan with; a folder of models is the third."""
 BASELINES = (

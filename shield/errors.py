@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from dynamics.errors import ActionError, ConfigError, PolicyError, SceneError, ShieldError
+from dynamics.errors import ActionError, ConfigError, PlatformError, PolicyError, SceneError, ShieldError
 
-__all__ = ["ActionError", "ConfigError", "PolicyError", "SceneError", "ShieldError"]
+__all__ = ["ActionError", "ConfigError", "PlatformError", "PolicyError", "SceneError", "ShieldError"]

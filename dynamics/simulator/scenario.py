@@ -317,10 +317,9 @@ def _rules(kind: type[HighwayEnv], config: Mapping[str, Any]) -> tuple[Rules, In
             bool(config["offroad_terminal"]),
         ),
     )
-    space: gym.Space[Any] = gym.spaces.Discrete(len(labels))
-    if inputs is not None:
-        space = gym.spaces.Box(-1.0, 1.0, (inputs.size,), np.float32)
-    return rules, inputs, space
+    if inputs is None:
+        return rules, None, gym.spaces.Discrete(len(labels))
+    return rules, inputs, gym.spaces.Box(-1.0, 1.0, (inputs.size,), np.float32)
 
 
 def _actions(action: Mapping[str, Any]) -> tuple[Inputs | None, Any, FloatArray]:

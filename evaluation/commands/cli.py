@@ -16,7 +16,7 @@ from rich.table import Table
 from evaluation.commands.dynamics import dynamics_app
 from evaluation.learning.algorithms import ALGORITHMS
 from evaluation.learning.recipes import RECIPES
-from evaluation.names import BASELINES, FIRST_EVALUATION_SEED, MODELS, TRAINABLE
+from evaluation.names import BASELINES, FIRST_EVALUATION_SEED, MODELS, SIMULATORS, TRAINABLE
 from shield.config import MODES, ShieldConfig
 from shield.errors import ConfigError, ShieldError
 
@@ -79,6 +79,10 @@ def train_command(
     ] = None,
     seed: Annotated[int, typer.Option(help=f"Training seed, below {FIRST_EVALUATION_SEED}.")] = 0,
     output: Annotated[Path | None, typer.Option(help="The zip file to write; a manifest goes beside it.")] = None,
+    simulator: Annotated[
+        str,
+        typer.Option(help=f"One of {', '.join(SIMULATORS)}; the compiled highway teaches the same, bit for bit."),
+    ] = SIMULATORS[0],
 ) -> None:
     """Train a policy on one core and save it with a manifest that says how."""
     if (recipe is None) == (setting is None):
@@ -86,12 +90,14 @@ def train_command(
     from evaluation.learning.training import train, train_recipe
 
     if recipe is not None:
-        trained = train_recipe(recipe, output, steps=steps)
+        trained = train_recipe(recipe, output, steps=steps, simulator=simulator)
     else:
         assert setting is not None
         path = output or Path("runs", "policies", f"{algorithm}-{setting}.zip")
-        trained = train(setting, algorithm, 10_000 if steps is None else steps, seed, output=path)
-    _out.print(f"wrote {trained.path} ({trained.manifest['training_seconds']} s)")
+        decisions = 10_000 if steps is None else steps
+        trained = train(setting, algorithm, decisions, seed, output=path, simulator=simulator)
+    told = f"{trained.manifest['training_seconds']} s in {trained.manifest['simulator']}"
+    _out.print(f"wrote {trained.path} ({told})")
 
 
 @app.command()

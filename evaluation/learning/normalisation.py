@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -11,7 +11,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor
-from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
 from shield.errors import ConfigError
 
@@ -24,7 +24,7 @@ _VARIANCE = 1e-3
 """Added to every variance: an entry that hardly varies in training must not swamp the others once it does."""
 
 
-def normalised(env: gym.Env[Any, Any], what: Collection[str], gamma: float) -> VecNormalize:
+def normalised(env: gym.Env[Any, Any] | VecEnv, what: Collection[str], gamma: float) -> VecNormalize:
     """The environment with running normalisation.
 
     Parameters
@@ -33,8 +33,9 @@ def normalised(env: gym.Env[Any, Any], what: Collection[str], gamma: float) -> V
     what : any of `NORMALISABLE`.
     gamma : the discount with which rewards are summed up, whose variance they are divided by.
     """
+    world = env if isinstance(env, VecEnv) else DummyVecEnv([cast(Any, lambda: env)])
     return VecNormalize(
-        DummyVecEnv([lambda: env]),
+        world,
         norm_obs="observations" in what,
         norm_reward="rewards" in what,
         clip_obs=float("inf"),  # unclipped normalisation is linear, so that `fold` is exact

@@ -22,15 +22,16 @@ import gymnasium as gym
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecEnv
 
 from evaluation.learning.algorithms import get_algorithm
 from evaluation.learning.normalisation import NORMALISABLE, fold, normalised
 from evaluation.learning.observations import FastObservations
 from evaluation.learning.recipes import get_recipe
-from evaluation.names import FIRST_EVALUATION_SEED, TRAINABLE
+from evaluation.names import FIRST_EVALUATION_SEED, SIMULATORS, TRAINABLE
 from evaluation.settings import Setting, get_setting
 from evaluation.threads import one_thread
-from shield.errors import ConfigError
+from shield.errors import ConfigError, PlatformError
 
 __all__ = [
     "TrainedPolicy",
@@ -79,6 +80,7 @@ def train(
     normalise: Collection[str] = (),
     exploration: Sequence[float] = (),
     fast: bool = False,
+    simulator: str = "auto",
     progress: bool = True,
     command: str | None = None,
 ) -> TrainedPolicy:
@@ -99,6 +101,8 @@ def train(
     exploration : standard deviation of each continuous action at the start of training, for PPO and A2C; by
         default Stable-Baselines3's `log_std_init` for all of them.
     fast : whether to compute observations at once (see `FastObservations`); they are the same.
+    simulator : one of `SIMULATORS`. In the compiled copy of highway-env's highway the model becomes the same, bit for
+        bit; "auto" takes it where it serves. The manifest says which it was.
     progress : whether to show a progress bar.
     command : the shell command that repeats this; by default one that calls this function.
 
@@ -119,8 +123,7 @@ def train(
             f"{algorithm} cannot normalise {', '.join(normalise)}; {' and '.join(_ON_POLICY)} can normalise"
             f" {' and '.join(NORMALISABLE)}"
         )
-    made = setting.make()
-    env = Monitor(FastObservations(made) if fast else made)
+    driven_in, env = _world(setting, simulator, fast)
     try:
         accepted = _ACTION_SPACES[algorithm]
         if not isinstance(env.action_space, accepted):
@@ -147,6 +150,8 @@ def train(
 
     options: dict[str, Any] = {"normalise": list(normalise), "exploration": list(exploration), "fast": fast}
     options = {name: value for name, value in options.items() if value}
+    if simulator != "auto":
+        options["simulator"] = simulator
     manifest = {
         "command": command or _call(setting, algorithm, steps, seed, parameters, path, options),
         "algorithm": algorithm,
@@ -160,6 +165,7 @@ def train(
         "seed": seed,
         "hyperparameters": parameters,
         **options,
+        "simulator": driven_in,
         "training_seconds": round(seconds, 1),
         "versions": {"python": platform.python_version(), **{p: version(p) for p in _PACKAGES}},
     }
@@ -168,7 +174,12 @@ def train(
 
 
 def train_recipe(
-    name: str, output: str | Path | None = None, *, steps: int | None = None, progress: bool = True
+    name: str,
+    output: str | Path | None = None,
+    *,
+    steps: int | None = None,
+    simulator: str = "auto",
+    progress: bool = True,
 ) -> TrainedPolicy:
     """Train a reference policy again, by default into ``runs/policies/NAME.zip``.
 
@@ -177,6 +188,7 @@ def train_recipe(
     name : a name in `evaluation.learning.recipes.RECIPES`.
     output : the zip file to write instead.
     steps : training steps instead of the recipe's.
+    simulator : as of `train`.
     progress : whether to show a progress bar.
     """
     recipe = get_recipe(name)
@@ -190,10 +202,30 @@ def train_recipe(
         normalise=recipe.normalise,
         exploration=recipe.exploration,
         fast=recipe.fast,
+        simulator=simulator,
         output=output if output is not None else Path("runs", "policies", f"{name}.zip"),
         progress=progress,
         command=f"shield train --recipe {name}" + ("" if steps == recipe.steps else f" --steps {steps}"),
     )
+
+
+def _world(setting: Setting, simulator: str, fast: bool) -> tuple[str, gym.Env[Any, Any] | VecEnv]:
+    """The environment to train in, and the name of what simulates it."""
+    if simulator not in SIMULATORS:
+        raise ConfigError(f"unknown simulator {simulator!r}; have {', '.join(SIMULATORS)}")
+    if simulator != "highway-env":
+        from evaluation.learning.fast_vec_env import FastHighwayVecEnv
+
+        try:
+            world = FastHighwayVecEnv(1, setting.env_id, setting.config)
+        except (ConfigError, PlatformError):
+            if simulator == "compiled":
+                raise
+        else:
+            if simulator == "compiled" or world.simulator.exact:
+                return "compiled", world
+    made = setting.make()
+    return "highway-env", Monitor(FastObservations(made) if fast else made)
 
 
 def _check(steps: int, seed: int, output: str | Path) -> Path:

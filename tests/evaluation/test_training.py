@@ -113,9 +113,8 @@ def test_options_are_in_the_manifest_and_its_command_repeats_the_training(tmp_pa
 def test_fast_observations_train_the_same_policy(tmp_path):
     weights = []
     for fast in (False, True):
-        path = train(
-            CONTINUOUS, "ppo", 64, 3, output=tmp_path / str(fast), hyperparameters=ROLLOUT, fast=fast, progress=False
-        ).path
+        options = {"hyperparameters": ROLLOUT, "fast": fast, "simulator": "highway-env", "progress": False}
+        path = train(CONTINUOUS, "ppo", 64, 3, output=tmp_path / str(fast), **options).path
         weights.append(PPO.load(path, device="cpu").policy.state_dict())
     for key, value in weights[0].items():
         torch.testing.assert_close(value, weights[1][key], atol=1e-4, rtol=1e-3)

@@ -202,8 +202,12 @@ class SceneReader:
         ego = env.vehicle
         if ego is None:
             raise SceneError("the environment has no ego vehicle; call reset() first")
-        others = [_row(v) for v in env.road.vehicles if v is not ego]
-        others += [_row(o) for o in env.road.objects if o.solid]
+        rows = getattr(env, "rows", None)
+        if rows is None:
+            others = [_row(v) for v in env.road.vehicles if v is not ego]
+            others += [_row(o) for o in env.road.objects if o.solid]
+            flat = np.fromiter(chain.from_iterable((_row(ego), *others)), float)
+            rows = flat.reshape(-1, len(Vehicle))
         config = env.config
         control = EgoControl(
             target=Target(
@@ -214,8 +218,8 @@ class SceneReader:
             actions=self.actions,
         )
         return Scene(
-            ego=np.array(_row(ego), dtype=float),
-            others=np.fromiter(chain.from_iterable(others), float).reshape(-1, len(Vehicle)),
+            ego=rows[0],
+            others=rows[1:],
             road=self._road,
             control=control,
             dt=1 / config["simulation_frequency"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,15 +17,18 @@ from dynamics.simulator.layout import (
     COS,
     CRASHED,
     EGO,
+    HEADING,
     KIND,
     LANE,
     LANE_LENGTH,
     LANE_WIDTH,
     LANE_Y,
+    LENGTH,
     SPEED,
     STEERING,
     TARGET,
     TARGET_SPEED,
+    WIDTH,
     X,
     Y,
 )
@@ -35,7 +39,20 @@ from dynamics.simulator.random import seed_row
 from dynamics.simulator.scene import spawn, speed_index
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["Machine", "Rules", "Seen", "View", "Work", "Worlds", "reset_all", "step_all"]
+__all__ = [
+    "Machine",
+    "Rules",
+    "Seen",
+    "View",
+    "Work",
+    "Worlds",
+    "begin",
+    "finish",
+    "frame",
+    "look",
+    "reset_all",
+    "step_all",
+]
 
 _OVERHANG = 5.0
 
@@ -176,17 +193,30 @@ def _command(rules: Rules, f: FloatArray, g: IntArray, action: FloatArray) -> No
 
 
 @uncounted
-def _frames(machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, frames: int) -> None:
-    """Advance one environment by so many frames."""
+def _frame(
+    machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, level: bool, throttle: float, wheel: float
+) -> bool:
+    """Advance one environment by a frame; `level` is of `sort`, before and after."""
     f, g, p, order = worlds.f[e], worlds.g[e], worlds.p[e], worlds.order[e]
     vehicles, dt, lanes = rules.numbers[1], rules.times[0], rules.lanes
+    find(f, g, order, level, work.front, work.rear)
+    act(machine.sums, machine.loops, f, g, p, lanes, work.front, work.rear, work.numbers, work.busy, vehicles)
+    if not math.isnan(throttle):
+        f[ACCELERATION, 0] = throttle
+    if not math.isnan(wheel):
+        f[STEERING, 0] = wheel
+    move(machine.loops, f, g, p, lanes, work.numbers, work.busy, vehicles, dt)
     level = sort(f, order)
-    for _ in range(frames):
-        find(f, g, order, level, work.front, work.rear)
-        act(machine.sums, machine.loops, f, g, p, lanes, work.front, work.rear, work.numbers, work.busy, vehicles)
-        move(machine.loops, f, g, p, lanes, work.numbers, work.busy, vehicles, dt)
-        level = sort(f, order)
-        collide(machine.sums, machine.products, f, g, p, order, work.corners, work.pairs, vehicles, dt)
+    collide(machine.sums, machine.products, f, g, p, order, work.corners, work.pairs, vehicles, dt)
+    return level
+
+
+@uncounted
+def _on_road(lanes: FloatArray, lane: int, x: float, y: float) -> bool:
+    """Whether a place is on a lane."""
+    return abs(y - lanes[lane, LANE_Y]) <= lanes[lane, LANE_WIDTH] / 2 + 0 and (
+        -_OVERHANG <= x < lanes[lane, LANE_LENGTH] + _OVERHANG
+    )
 
 
 @uncounted
@@ -194,10 +224,7 @@ def _judge(rules: Rules, f: FloatArray, g: IntArray, parts: FloatArray) -> tuple
     """The reward of a decision, and whether the ego is on the road."""
     collision, right, fast, on_road, slow_end, fast_end, normalised, _ = rules.reward
     lanes, lane = rules.lanes, g[TARGET, 0] if g[KIND, 0] == EGO else g[LANE, 0]
-    own = g[LANE, 0]
-    on = abs(f[Y, 0] - lanes[own, LANE_Y]) <= lanes[own, LANE_WIDTH] / 2 + 0 and (
-        -_OVERHANG <= f[X, 0] < lanes[own, LANE_LENGTH] + _OVERHANG
-    )
+    on = _on_road(lanes, g[LANE, 0], f[X, 0], f[Y, 0])
     parts[0] = float(g[CRASHED, 0])
     parts[1] = lane / max(len(lanes) - 1, 1)
     parts[2] = clip((f[SPEED, 0] * f[COS, 0] - slow_end) / (fast_end - slow_end), 0.0, 1.0)
@@ -230,6 +257,55 @@ def _observe(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: W
     )
 
 
+@uncounted
+def _finish(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
+    """What a decision has led to: observation, reward, and whether the episode is over."""
+    f, g = worlds.f[e], worlds.g[e]
+    _observe(machine, worlds, rules, view, work, e, seen.observations[e])
+    reward, on = _judge(rules, f, g, seen.parts[e])
+    seen.reward[e], seen.speed[e] = reward, f[SPEED, 0]
+    seen.terminated[e] = g[CRASHED, 0] != 0 or (rules.reward[7] and not on)
+    seen.truncated[e] = worlds.clock[e] >= rules.times[2]
+
+
+@uncounted
+def begin(worlds: Worlds, rules: Rules, e: int, action: FloatArray) -> None:
+    """Begin a decision in one environment: what its action changes at once."""
+    worlds.clock[e] += rules.times[1]
+    _command(rules, worlds.f[e], worlds.g[e], action)
+
+
+@uncounted
+def look(worlds: Worlds, rules: Rules, e: int, rows: FloatArray) -> bool:
+    """The bodies of one environment as rows, (m, 7), see `frame`; whether the ego is on the road."""
+    f, g, p, lanes = worlds.f[e], worlds.g[e], worlds.p[e], rules.lanes
+    for i in range(f.shape[1]):
+        rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3] = f[X, i], f[Y, i], f[HEADING, i], f[SPEED, i]
+        rows[i, 4], rows[i, 5], rows[i, 6] = p[LENGTH, i], p[WIDTH, i], float(g[CRASHED, i])
+    return _on_road(lanes, g[LANE, 0], f[X, 0], f[Y, 0])
+
+
+@uncounted
+def frame(
+    machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, throttle: float, wheel: float, rows: FloatArray
+) -> bool:
+    """One frame of one environment; whether the ego is on the road afterwards.
+
+    Parameters
+    ----------
+    throttle, wheel : what the ego gets instead of what its own controllers ask for [m/s^2, rad]; NaN for theirs.
+    rows : (m, 7), written: x, y [m], heading [rad], speed [m/s], length, width [m], crashed, of each body.
+    """
+    _frame(machine, worlds, rules, work, e, sort(worlds.f[e], worlds.order[e]), throttle, wheel)
+    return look(worlds, rules, e, rows)
+
+
+@uncounted
+def finish(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
+    """End a decision in one environment; see `Seen`."""
+    _finish(machine, worlds, rules, view, work, seen, e)
+
+
 def _reset_all(
     machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, which: IntArray, seeds: IntArray
 ) -> None:
@@ -260,12 +336,10 @@ def _step_all(
         f, g = worlds.f[e], worlds.g[e]
         worlds.clock[e] += rules.times[1]
         _command(rules, f, g, actions[e])
-        _frames(machine, worlds, rules, work, e, rules.numbers[0])
-        _observe(machine, worlds, rules, view, work, e, seen.observations[e])
-        reward, on = _judge(rules, f, g, seen.parts[e])
-        seen.reward[e], seen.speed[e] = reward, f[SPEED, 0]
-        seen.terminated[e] = g[CRASHED, 0] != 0 or (rules.reward[7] and not on)
-        seen.truncated[e] = worlds.clock[e] >= rules.times[2]
+        level = sort(f, worlds.order[e])
+        for _ in range(rules.numbers[0]):
+            level = _frame(machine, worlds, rules, work, e, level, math.nan, math.nan)
+        _finish(machine, worlds, rules, view, work, seen, e)
         if again and (seen.terminated[e] or seen.truncated[e]):
             for k in range(seen.observations.shape[1]):
                 for c in range(seen.observations.shape[2]):

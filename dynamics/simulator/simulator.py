@@ -14,7 +14,18 @@ from numpy.typing import NDArray
 
 from dynamics.errors import ActionError, ConfigError
 from dynamics.simulator.arithmetic import Sums, sums_of_numpy
-from dynamics.simulator.engine import Machine, Seen, Work, Worlds, reset_all, step_all
+from dynamics.simulator.engine import (
+    Machine,
+    Seen,
+    Work,
+    Worlds,
+    begin,
+    finish,
+    frame,
+    look,
+    reset_all,
+    step_all,
+)
 from dynamics.simulator.layout import F, G, P
 from dynamics.simulator.live import bodies_of, load, store
 from dynamics.simulator.loops import addresses
@@ -188,6 +199,25 @@ class Simulator:
         else:
             list(self._pool.map(part, self._parts))
         return seen.observations, seen.reward, seen.terminated, seen.truncated
+
+    def begin(self, action: Any) -> None:
+        """Begin a decision in the only copy; `frame` and `finish` go on with it."""
+        begin(self.worlds, self.scenario.rules, 0, self._given(np.asarray(action)[None])[0])
+
+    def frame(self, rows: FloatArray, throttle: float = np.nan, wheel: float = np.nan) -> bool:
+        """One frame of the only copy; see `engine.frame`."""
+        work = self._parts[0][2]
+        return bool(frame(self.machine, self.worlds, self.scenario.rules, work, 0, throttle, wheel, rows))
+
+    def look(self, rows: FloatArray) -> bool:
+        """The bodies of the only copy as rows; see `engine.look`."""
+        return bool(look(self.worlds, self.scenario.rules, 0, rows))
+
+    def finish(self) -> Seen:
+        """End the decision that `begin` began: what it has led to."""
+        scenario, work = self.scenario, self._parts[0][2]
+        finish(self.machine, self.worlds, scenario.rules, scenario.view, work, self.seen, 0)
+        return self.seen
 
     def _given(self, actions: Any) -> FloatArray:
         """Actions as the kernels take them, (e, 2)."""

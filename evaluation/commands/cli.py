@@ -156,6 +156,13 @@ def evaluate(
     force: Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where a run with this --output was stopped.")] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
+    simulator: Annotated[
+        str,
+        typer.Option(
+            help=f"One of {', '.join(SIMULATORS)}. The compiled highway is the same, bit for bit;"
+            " auto takes it where it serves."
+        ),
+    ] = SIMULATORS[0],
 ) -> None:
     """Drive episodes and print crash rates, returns, speeds, overrides and latencies.
 
@@ -186,6 +193,7 @@ def evaluate(
         "algorithm": algorithm,
         "model": model,
         "shield": None if shield_config is None else shield_config.to_toml(),
+        "simulator": simulator,
     }
     for name in _split(policy):
         if name.endswith(".zip") and (statistics := statistics_beside(Path(name))):
@@ -201,6 +209,7 @@ def evaluate(
                 jobs=jobs,
                 algorithm=algorithm,
                 model=model,
+                simulator=simulator,
                 progress=True,
                 store=store,
             )

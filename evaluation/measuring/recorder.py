@@ -18,10 +18,15 @@ from dynamics.errors import SceneError
 from dynamics.roads.network import read_network
 from dynamics.roads.path import PathRoad
 from dynamics.roads.straight import Road, StraightRoad
+from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.state import FloatArray, wrap_to_pi
 from evaluation.measuring.rectangles import separation
 
 __all__ = ["History", "Recorder", "Track", "read_road"]
+
+
+_MEASURED = 32
+"""Pairs of bodies that are measured at first, the nearest by their circles."""
 
 
 class Track(IntEnum):
@@ -88,7 +93,17 @@ class History:
             return float("inf")
         if self.crash_frame is not None:
             return 0.0
-        return float(self._clearance(slice(None)).min())
+        world = self._world()[..., : Track.CRASHED]
+        ego, others = np.broadcast_arrays(world[:, :1], world[:, 1:])
+        middles = np.hypot(*np.moveaxis(others[..., :2] - ego[..., :2], -1, 0))
+        across = [0.5 * np.hypot(box[..., Track.LENGTH], box[..., Track.WIDTH]) for box in (ego, others)]
+        # Nobody is nearer than its circle: only those that may be the nearest are measured.
+        least = (middles - across[0] - across[1]).ravel()
+        near = np.argsort(least)[:_MEASURED]
+        ego, others = ego.reshape(-1, Track.CRASHED), others.reshape(-1, Track.CRASHED)
+        gap = float(separation(ego[near], others[near]).min())
+        rest = np.flatnonzero(least < gap)
+        return min(gap, float(separation(ego[rest], others[rest]).min(initial=np.inf)))
 
     def _clearance(self, frames: Any) -> FloatArray:
         world = self._world()[frames]
@@ -115,7 +130,7 @@ class History:
 
 
 class Recorder:
-    """Records one episode of a highway-env environment, whatever its road and its actions.
+    """Records one episode of a highway-env environment, whatever its road and its actions, or of a compiled one.
 
     Parameters
     ----------
@@ -124,15 +139,19 @@ class Recorder:
 
     def __init__(self, env: Any) -> None:
         base = env.unwrapped
-        road = base.road
-        self._map = read_road(road.network)
+        self._map = read_road(base.road.network)
         self._dt = 1.0 / base.config["simulation_frequency"]
+        self._lot = isinstance(base, ParkingEnv)
+        if isinstance(base, CompiledHighwayEnv):
+            # It keeps its frames itself.
+            self._rows: list[Any] = base.frames
+            self._off_road: list[bool] = base.off_road
+            return
+        road = base.road
         others = [vehicle for vehicle in road.vehicles if vehicle is not base.vehicle]
         # Landmarks, such as the spot that is to be reached, are nothing to collide with.
         self._vehicles = [base.vehicle, *others, *(thing for thing in road.objects if thing.solid)]
-        self._lot = isinstance(base, ParkingEnv)
-        self._rows: list[list[tuple[float, ...]]] = []
-        self._off_road: list[bool] = []
+        self._rows, self._off_road = [], []
         inner = road.step
 
         def step(dt: float) -> None:

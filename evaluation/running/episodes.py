@@ -17,7 +17,6 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
-import gymnasium as gym
 import joblib
 import numpy as np
 import pandas as pd
@@ -30,6 +29,7 @@ from evaluation.measuring.recorder import History, Recorder, Track
 from evaluation.running.driving_model import driving_model
 from evaluation.running.named_policies import Policy, make_policy, policy_label, start_episode
 from evaluation.running.records import EpisodeRecord, Variant
+from evaluation.running.simulators import environment
 from evaluation.running.store import Store
 from evaluation.settings import Setting, get_setting
 from evaluation.threads import one_thread
@@ -83,10 +83,16 @@ class _Driver:
     """One variant, ready to drive episode after episode in the same environment."""
 
     def __init__(
-        self, setting: Setting, policy: str | Policy, variant: Variant, algorithm: str | None, model: str | None
+        self,
+        setting: Setting,
+        policy: str | Policy,
+        variant: Variant,
+        algorithm: str | None,
+        model: str | None,
+        simulator: str,
     ) -> None:
         self.setting, self.variant = setting, variant
-        self.env: gym.Env[Any, Any] = setting.make()
+        self.simulator, self.env = environment(setting, policy, variant, model, simulator)
         self.label = _label(policy, model)
         learned = driving_model(model, self.env)
         self.policy: Policy = make_policy(policy, self.env, algorithm, learned) if isinstance(policy, str) else policy
@@ -138,6 +144,7 @@ class _Driver:
             min_margin=tally.min_margin,
             min_gap=history.min_gap(),
             latencies=tuple(tally.latencies) if self.variant.door != "none" else (),
+            simulator=self.simulator,
             **_arrival(info, history),
         )
 
@@ -191,6 +198,7 @@ def run_episode(
     seed: int = 100_000,
     algorithm: str | None = None,
     model: str | None = None,
+    simulator: str = "auto",
 ) -> EpisodeRecord:
     """Drive one episode.
 
@@ -202,9 +210,10 @@ def run_episode(
     algorithm : the SB3 algorithm of a zip file without a manifest.
     model : what `mpc` and the predictive filter of door "env" plan with (see
         `evaluation.running.driving_model.driving_model`).
+    simulator : one of `SIMULATORS` (see `evaluation.running.simulators.environment`).
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
-    driver = _Driver(setting, policy, variant or Variant(), algorithm, model)
+    driver = _Driver(setting, policy, variant or Variant(), algorithm, model, simulator)
     try:
         with one_thread():
             return driver.run(seed)
@@ -221,6 +230,7 @@ def run_paired(
     jobs: int = 1,
     algorithm: str | None = None,
     model: str | None = None,
+    simulator: str = "auto",
     progress: bool = False,
     store: Store | None = None,
 ) -> pd.DataFrame:
@@ -228,7 +238,7 @@ def run_paired(
 
     Parameters
     ----------
-    setting, policy, algorithm, model : as in `run_episode`.
+    setting, policy, algorithm, model, simulator : as in `run_episode`.
     variants : what to compare.
     seeds : seeds of the episodes.
     jobs : processes; -1 for one per core.
@@ -255,7 +265,10 @@ def run_paired(
     calls = []
     for variant in variants:
         left = [seed for seed in seeds if (variant.door, variant.mode, seed) not in done]
-        calls += [(setting, policy, variant, left[i : i + size], algorithm, model) for i in range(0, len(left), size)]
+        calls += [
+            (setting, policy, variant, left[i : i + size], algorithm, model, simulator)
+            for i in range(0, len(left), size)
+        ]
     console, total, said = Console(stderr=True), len(seeds) * len(variants), 0
     with Progress(disable=not (progress and console.is_terminal), transient=True, console=console) as bar:
         task = bar.add_task(f"{setting.name}", total=total, completed=len(rows))
@@ -317,12 +330,18 @@ def _end_with(parent: int) -> None:
 
 
 def _run_chunk(
-    setting: Setting, policy: str | Policy, variant: Variant, seeds: list[int], algorithm: str | None, model: str | None
+    setting: Setting,
+    policy: str | Policy,
+    variant: Variant,
+    seeds: list[int],
+    algorithm: str | None,
+    model: str | None,
+    simulator: str,
 ) -> list[dict[str, Any]]:
     with one_thread():
         if len(seeds) == 1 and isinstance(policy, str):
-            return [_kept(setting, policy, variant, algorithm, model).run(seeds[0]).row()]
-        driver = _Driver(setting, policy, variant, algorithm, model)
+            return [_kept(setting, policy, variant, algorithm, model, simulator).run(seeds[0]).row()]
+        driver = _Driver(setting, policy, variant, algorithm, model, simulator)
         try:
             return [driver.run(seed).row() for seed in seeds]
         finally:
@@ -330,6 +349,8 @@ def _run_chunk(
 
 
 @lru_cache(maxsize=4)
-def _kept(setting: Setting, policy: str, variant: Variant, algorithm: str | None, model: str | None) -> _Driver:
+def _kept(
+    setting: Setting, policy: str, variant: Variant, algorithm: str | None, model: str | None, simulator: str
+) -> _Driver:
     """A driver that is kept from one episode to the next."""
-    return _Driver(setting, policy, variant, algorithm, model)
+    return _Driver(setting, policy, variant, algorithm, model, simulator)

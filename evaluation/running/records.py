@@ -89,6 +89,7 @@ class EpisodeRecord:
     latencies : time that the shield took at each decision [ms] (column "latencies_ms").
     success : whether the goal was reached; None where there is none.
     arrival_speed : the ego's speed then [m/s]; NaN where it was not.
+    simulator : "highway-env", or "compiled", its copy.
     """
 
     setting: str
@@ -119,6 +120,7 @@ class EpisodeRecord:
     latencies: tuple[float, ...] = field(repr=False)
     success: bool | None = None
     arrival_speed: float = float("nan")
+    simulator: str = "highway-env"
 
     def row(self) -> dict[str, Any]:
         """The record as flat columns of a table."""

@@ -44,7 +44,6 @@ class Pair:
     ----------
     env_id, config : as of `gym.make`.
     num_envs : how many there are.
-    frames : whether the velocities that follow from the cached cosines are compared as well.
     """
 
     def __init__(self, env_id: str, config: Mapping[str, Any] | None = None, num_envs: int = 1) -> None:
@@ -77,8 +76,9 @@ class Pair:
         observations = self.simulator.reset(seeds)
         for e, env in enumerate(self.envs):
             observation, _ = env.reset(seed=None if seeds is None else int(seeds[e]))
+            self._compare_bodies(e)
             self._same(e, None, "observation", observation, observations[e])
-        self.compare_states()
+            self._compare_rest(e)
 
     def step(self, actions: Sequence[Any], again: bool = False) -> list[bool]:
         """A decision of both, compared; whether episodes are over. With `again` they have new ones then."""
@@ -88,17 +88,17 @@ class Pair:
         for e, (env, action) in enumerate(zip(self.envs, actions, strict=True)):
             observation, real_reward, end, late, info = env.step(action)
             over.append(bool(end or late))
-            last = observation
             if again and over[e]:
-                self._same(e, None, "terminal observation", last, self.simulator.seen.terminal[e])
+                self._same(e, None, "terminal observation", observation, self.simulator.seen.terminal[e])
                 observation, _ = env.reset()
+            self._compare_bodies(e)
             self._same(e, None, "terminated", bool(end), bool(terminated[e]))
             self._same(e, None, "truncated", bool(late), bool(truncated[e]))
-            self._same(e, None, "reward", float(real_reward), float(reward[e]))
             parts = np.array([float(part) for part in info["rewards"].values()])
             self._same(e, None, "parts of the reward", parts, self.simulator.seen.parts[e])
+            self._same(e, None, "reward", float(real_reward), float(reward[e]))
             self._same(e, None, "observation", observation, observations[e])
-        self.compare_states()
+            self._compare_rest(e)
         return over
 
     def drive(
@@ -118,24 +118,39 @@ class Pair:
 
     def compare_states(self) -> None:
         """Compare every body, the clock and the generator of every environment."""
-        worlds = self.simulator.worlds
-        for e, env in enumerate(self.envs):
-            base: Any = env.unwrapped
-            bodies = [*base.road.vehicles, *base.road.objects]
-            self._same(e, None, "number of bodies", len(bodies), worlds.f.shape[2])
-            for i, body in enumerate(bodies):
-                for name, real, mine in _fields(body, worlds.f[e, :, i], worlds.g[e, :, i]):
-                    self._same(e, i, name, real, mine)
-            self._same(e, None, "time", float(base.time), float(worlds.clock[e]))
-            self._same(e, None, "generator", from_generator(base.np_random), worlds.rows[e])
+        for e in range(len(self.envs)):
+            self._compare_bodies(e)
+            self._compare_rest(e)
+
+    def _compare_bodies(self, e: int) -> None:
+        base: Any = self.envs[e].unwrapped
+        f, g = self.simulator.worlds.f[e], self.simulator.worlds.g[e]
+        bodies = [*base.road.vehicles, *base.road.objects]
+        self._same(e, None, "number of bodies", len(bodies), f.shape[1])
+        for i, body in enumerate(bodies):
+            for name, real, mine in _fields(body, f[:, i], g[:, i]):
+                self._same(e, i, name, real, mine)
+
+    def _compare_rest(self, e: int) -> None:
+        base: Any = self.envs[e].unwrapped
+        self._same(e, None, "time", float(base.time), float(self.simulator.worlds.clock[e]))
+        self._same(e, None, "generator", from_generator(base.np_random), self.simulator.worlds.rows[e])
 
     def _same(self, e: int, body: int | None, name: str, real: Any, mine: Any) -> None:
-        if not same_numbers(real, mine, self.simulator.exact):
-            who = "" if body is None else f"body {body}, "
-            raise AssertionError(
-                f"seed {self.seeds[e]}, copy {e}, decision {self.decision}, {who}{name}: highway-env has "
-                f"{_shown(real)}, the simulator {_shown(mine)}; {self.name}"
-            )
+        exact = self.simulator.exact
+        if same_numbers(real, mine, exact):
+            return
+        real, mine = np.asarray(real), np.asarray(mine)
+        if real.shape != mine.shape:
+            found = f"highway-env has shape {real.shape}, the simulator {mine.shape}"
+        else:
+            at = next(at for at in np.ndindex(real.shape) if not same_numbers(real[at], mine[at], exact))
+            name += str(list(at)) if at else ""
+            found = f"highway-env has {_shown(real[at])}, the simulator {_shown(mine[at])}"
+        who = "" if body is None else f"vehicle {body}, "
+        raise AssertionError(
+            f"seed {self.seeds[e]}, copy {e}, decision {self.decision}, {who}{name}: {found}; {self.name}"
+        )
 
 
 def _fields(body: Any, f: Any, g: Any) -> Iterator[tuple[str, Any, Any]]:
@@ -164,10 +179,5 @@ def _fields(body: Any, f: Any, g: Any) -> Iterator[tuple[str, Any, Any]]:
 
 
 def _shown(value: Any) -> str:
-    value = np.asarray(value)
-    if value.ndim == 0:
-        number = value.item()
-        return f"{number!r} ({number.hex()})" if isinstance(number, float) else repr(number)
-    if value.dtype.kind != "f":
-        return str(value.tolist())
-    return str([[float(v).hex() for v in row] if np.ndim(row) else float(row).hex() for row in value])
+    number = np.asarray(value).item()
+    return f"{number!r} ({number.hex()})" if isinstance(number, float) else repr(number)

@@ -1,0 +1,64 @@
+"""What episodes are driven in: highway-env, or its compiled copy where that serves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+
+from dynamics.simulator.env import CompiledHighwayEnv
+from evaluation.names import SIMULATORS
+from evaluation.policies import list_references
+from evaluation.running.records import Variant
+from evaluation.settings import Setting
+from shield.errors import ConfigError, PlatformError
+
+__all__ = ["environment"]
+
+_BLIND = ("faster", "idle", "slower", "throttle", "random")
+"""Baselines that look at nothing but the observation, as models do; the others read highway-env's own objects."""
+
+
+def environment(
+    setting: Setting, policy: Any, variant: Variant, model: str | None, simulator: str
+) -> tuple[str, gym.Env[Any, Any]]:
+    """The environment of a setting, and the name of what simulates it.
+
+    Parameters
+    ----------
+    setting, policy, variant, model : what is to be driven (see `evaluation.running.episodes.run_episode`).
+    simulator : one of `SIMULATORS`; "auto" for the compiled copy where it serves, which is the same bit for bit.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such simulator, or the compiled one is asked for and cannot do it.
+    PlatformError
+        If it is asked for, and numpy's own loops cannot be had here.
+    """
+    if simulator not in SIMULATORS:
+        raise ConfigError(f"unknown simulator {simulator!r}; have {', '.join(SIMULATORS)}")
+    if simulator != "highway-env":
+        try:
+            _check(policy, variant, model)
+            env = CompiledHighwayEnv(setting.env_id, setting.config)
+        except (ConfigError, PlatformError):
+            if simulator == "compiled":
+                raise
+        else:
+            if simulator == "compiled" or env.simulator.exact:
+                return "compiled", env
+    return "highway-env", setting.make()
+
+
+def _check(policy: Any, variant: Variant, model: str | None) -> None:
+    """Raise where something reads more of highway-env than there is of it in the compiled copy."""
+    if variant.door not in ("none", "env"):
+        raise ConfigError(f"door {variant.door!r} stands around highway-env; the compiled highway has none and env")
+    if model not in (None, "bicycle"):
+        raise ConfigError(f"the model {model!r} is read from highway-env; the compiled highway has the bicycle")
+    if not isinstance(policy, str) or not (policy in _BLIND or policy in list_references() or policy.endswith(".zip")):
+        raise ConfigError(
+            f"{policy if isinstance(policy, str) else type(policy).__name__} may read highway-env's objects; in the "
+            f"compiled highway drive {', '.join(_BLIND)}, reference policies and SB3 .zip files"
+        )

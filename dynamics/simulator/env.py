@@ -76,6 +76,7 @@ class CompiledHighwayEnv(gym.Env[Any, Any]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode; a seed gives the traffic that it gives in highway-env."""
+        super().reset(seed=seed)
         observations = self.simulator.reset(None if seed is None else [seed])
         self.road = SimpleNamespace(network=self._network)
         self.controlled_vehicles = [_Ego(self)]

@@ -1,0 +1,44 @@
+"""Episodes are the same whatever simulates them, and the record says what did."""
+
+import pandas as pd
+import pytest
+
+from evaluation.running.episodes import run_episode, run_paired
+from evaluation.running.records import Variant, make_variants
+from evaluation.settings import Setting, get_setting
+from shield.config import ShieldConfig
+from shield.errors import ConfigError
+
+SEEDS = (0, 9, 26)
+SHORT = Setting("short", "highway-fast-v0", {"duration": 15})
+
+
+@pytest.mark.parametrize("policy", ["random", "ppo-highway-fast"])
+def test_rows_are_the_same_in_both(policy):
+    tables = []
+    for simulator in ("highway-env", "compiled"):
+        table = run_paired(SHORT, policy, make_variants(["none", "full"], ["env"]), SEEDS, simulator=simulator)
+        assert set(table.pop("simulator")) == {simulator}
+        tables.append(table.drop(columns="latencies_ms"))
+    pd.testing.assert_frame_equal(*tables, check_exact=True)
+    assert tables[0]["crashed"].any(), "nothing to tell apart happens on these seeds"
+
+
+@pytest.mark.parametrize(
+    ("setting", "policy", "variant"),
+    [
+        (SHORT, "faster", Variant("policy", ShieldConfig())),
+        (get_setting("parking"), "random", Variant()),
+        (Setting("mpc", "highway-fast-v0", {"duration": 1, "action": {"type": "ContinuousAction"}}), "mpc", Variant()),
+    ],
+    ids=["door", "road", "policy"],
+)
+def test_what_it_does_not_serve_is_driven_in_highway_env(setting, policy, variant):
+    assert run_episode(setting, policy, variant, seed=1).simulator == "highway-env"
+    with pytest.raises(ConfigError, match="compiled"):
+        run_episode(setting, policy, variant, seed=1, simulator="compiled")
+
+
+def test_an_unknown_simulator_is_answered_with_the_valid_ones():
+    with pytest.raises(ConfigError, match=r"unknown simulator 'fast'; have auto, compiled, highway-env"):
+        run_episode(SHORT, "faster", simulator="fast")

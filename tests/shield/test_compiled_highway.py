@@ -1,0 +1,88 @@
+"""The shield decides in the compiled highway as it does in highway-env: the same actions, margins and records, to the
+bit."""
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from dynamics.simulator.env import CompiledHighwayEnv
+from shield import ShieldConfig, ShieldedEnv
+
+TRAFFIC = "highway_env.vehicle.behavior."
+AGGRESSIVE = {"vehicles_count": 12, "duration": 6, "other_vehicles_type": TRAFFIC + "AggressiveVehicle"}
+CONTINUOUS = {"action": {"type": "ContinuousAction"}, "policy_frequency": 5, "duration": 6}
+
+
+def faster(rng):
+    return 3
+
+
+def anything(rng):
+    return int(rng.integers(5))
+
+
+def inputs(rng):
+    return rng.uniform(-1, 1, 2).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "config", "choose", "settings"),
+    [
+        ("highway-fast-v0", {"duration": 12}, faster, {}),
+        ("highway-fast-v0", {"duration": 12}, anything, {}),
+        ("highway-fast-v0", {"duration": 12}, anything, {"mode": "rss"}),
+        ("highway-fast-v0", {"duration": 10}, faster, {"repair": "filter"}),
+        ("highway-v0", AGGRESSIVE, anything, {}),
+        ("highway-fast-v0", CONTINUOUS, inputs, {}),
+    ],
+)
+def test_every_step_is_the_same(env_id, config, choose, settings):
+    shield = ShieldConfig(**settings)
+    theirs = ShieldedEnv(gym.make(env_id, config=config), shield)
+    mine = ShieldedEnv(CompiledHighwayEnv(env_id, config), shield)
+    overridden = 0
+    for seed in range(2):
+        rng, done = np.random.default_rng(seed), False
+        assert np.array_equal(theirs.reset(seed=seed)[0], mine.reset(seed=seed)[0])
+        while not done:
+            action = choose(rng)
+            *one, info = theirs.step(action)
+            *two, known = mine.step(action)
+            assert np.array_equal(one[0], two[0])
+            assert one[1:] == two[1:]
+            assert info["shield"] == known["shield"]
+            assert np.array_equal(theirs.last_decision.executed, mine.last_decision.executed)
+            for a, b in zip(theirs.frame_decisions, mine.frame_decisions, strict=True):
+                assert (a.reason, a.tier, a.margin, a.clause, a.vehicle) == (
+                    b.reason,
+                    b.tier,
+                    b.margin,
+                    b.clause,
+                    b.vehicle,
+                )
+                assert np.array_equal(a.executed, b.executed)
+            overridden += info["shield"]["overridden"]
+            done = one[2] or one[3]
+    assert overridden > 0
+
+
+def test_bare_it_is_highway_env():
+    theirs, mine = gym.make("highway-fast-v0"), CompiledHighwayEnv("highway-fast-v0")
+    assert mine.observation_space == theirs.observation_space
+    assert mine.action_space == theirs.action_space
+    theirs.reset(seed=3)
+    mine.reset(seed=3)
+    for seed in (None, 4):
+        assert np.array_equal(theirs.reset(seed=seed)[0], mine.reset(seed=seed)[0])
+        for action in (3, 0, 2, 4, 1):
+            *one, info = theirs.step(action)
+            *two, known = mine.step(action)
+            assert np.array_equal(one[0], two[0])
+            assert one[1:] == two[1:]
+            assert info == known
+
+
+def test_gymnasium_accepts_it():
+    check_env(CompiledHighwayEnv("highway-fast-v0"), skip_render_check=True)

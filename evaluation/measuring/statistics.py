@@ -20,6 +20,7 @@ __all__ = [
     "Interval",
     "McNemar",
     "bootstrap_mean",
+    "clopper_pearson",
     "mcnemar",
     "paired_difference",
     "paired_rate_difference",
@@ -67,6 +68,25 @@ class McNemar:
     only_second: int
     p_value: float
     n: int
+
+
+def clopper_pearson(count: int, n: int, confidence: float = CONFIDENCE) -> Interval:
+    """The exact two-sided interval of a rate (Clopper and Pearson 1934), for rates near 0 that a claim rests on.
+
+    With a count of 0 its upper end is that of the one-sided interval of the same confidence, 1 - (1 - c)^(1/n).
+
+    Examples
+    --------
+    >>> round(clopper_pearson(0, 1000).high, 5)
+    0.00299
+    """
+    if not 0 <= count <= n or n < 1:
+        raise ConfigError(f"a rate needs 0 <= count <= n and n >= 1, got {count} of {n}")
+    alpha = 1.0 - confidence
+    tail = alpha if count == 0 else alpha / 2
+    low = 0.0 if count == 0 else float(stats.beta.ppf(alpha / 2, count, n - count + 1))
+    high = 1.0 if count == n else float(stats.beta.ppf(1.0 - tail, count + 1, n - count))
+    return Interval(count / n, low, high, n)
 
 
 def wilson(successes: int, n: int, confidence: float = CONFIDENCE) -> Interval:

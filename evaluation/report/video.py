@@ -28,6 +28,7 @@ __all__ = [
     "FILM_POLICY",
     "FILM_SETTING",
     "Film",
+    "film_end",
     "film_override",
     "find_override",
     "record",
@@ -74,11 +75,12 @@ _TRACK = {"screen_width": 1000, "screen_height": 500, "scaling": 9.0, "centering
 """Pictures: a strip along a straight road, and what is around the ego on a track."""
 
 
-def _filmed(setting: Setting) -> Setting:
-    """The setting as it is filmed: large pictures, and a high simulation frequency."""
+def _filmed(setting: Setting, smooth: bool = True) -> Setting:
+    """The setting as it is filmed: large pictures, and a high simulation frequency, which makes it another episode."""
+    frequency = {"simulation_frequency": max(_FREQUENCY, setting.config.get("simulation_frequency", 0))}
     return setting.override(
         {
-            "simulation_frequency": max(_FREQUENCY, setting.config.get("simulation_frequency", 0)),
+            **(frequency if smooth else {}),
             **(_TRACK if "racetrack" in setting.env_id else _ROAD),
             "offscreen_rendering": True,
         }
@@ -93,6 +95,7 @@ def record(
     first: int = 0,
     last: int | None = None,
     config: ShieldConfig | None = None,
+    smooth: bool = True,
 ) -> list[Shot]:
     """Drive a shielded episode and keep a shot of each simulation frame.
 
@@ -102,10 +105,11 @@ def record(
     seed : seed of the episode.
     first, last : decisions to keep, from `first` up to but not including `last`.
     config : the shield's settings.
+    smooth : whether to drive at a simulation frequency that is good to look at, rather than at the setting's.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
     config = (config or ShieldConfig()).replace(record=True)
-    with _shielded(_filmed(setting), policy, seed, config, "rgb_array") as (env, decide):
+    with _shielded(_filmed(setting, smooth), policy, seed, config, "rgb_array") as (env, decide):
         camera = Camera(env)
         shots: list[Shot] = []
         step, done = 0, False
@@ -229,6 +233,28 @@ def film_override(
     _write_gif(path, [draw(shot) for shot in shots], 1000 * shots[0].dt)
     overrides = len({id(s.decision) for s in shots if s.decision.overridden})
     return Film(path, chosen, overrides, len(shots))
+
+
+def film_end(
+    path: str | Path, setting: str | Setting, policy: str, seed: int, config: ShieldConfig | None = None
+) -> Film:
+    """Write the last seconds of an episode as a GIF, whatever happens in it, at the frequency that it is driven at.
+
+    Parameters
+    ----------
+    path : the file to write, ending in .gif.
+    setting, policy, seed : what to drive.
+    config : the shield's settings.
+    """
+    path = Path(path)
+    if path.suffix != ".gif":
+        raise ConfigError(f"a film is written as .gif, not {path.suffix or 'without an ending'!r}")
+    shots = record(setting, policy, seed, config=config, smooth=False)
+    shots = shots[-round(_CLIP / shots[0].dt) :]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _write_gif(path, [draw(shot) for shot in shots], 1000 * shots[0].dt)
+    overrides = len({id(s.decision) for s in shots if s.decision.overridden})
+    return Film(path, seed, overrides, len(shots))
 
 
 def still_of_override(

@@ -1,0 +1,193 @@
+"""Very many shielded episodes: driven in parts that are kept as they finish, and the bound that they give."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import joblib
+import pandas as pd
+
+from evaluation.measuring.statistics import bootstrap_mean, clopper_pearson
+from evaluation.running.episodes import run_paired
+from evaluation.running.records import Variant
+from evaluation.running.store import provenance
+from evaluation.settings import Setting
+from shield.config import ShieldConfig
+from shield.decision import Tier
+from shield.errors import ConfigError
+
+__all__ = ["Asked", "certify", "page"]
+
+_PART = 250
+"""Episodes of a part: what is lost at most when a run is killed, for each of its processes."""
+_COLUMNS = (
+    "setting",
+    "policy",
+    "mode",
+    "seed",
+    "crashed",
+    "off_road",
+    "attribution",
+    "return",
+    "steps",
+    "mean_speed",
+    "overridden",
+    "frames",
+    "frames_overridden",
+    "violations",
+    "min_margin",
+    "min_gap",
+    "simulator",
+)
+_FALLBACKS = [f"tier_{tier.value}" for tier in Tier if tier.fallback]
+_SHOWN = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What is driven.
+
+    Attributes
+    ----------
+    setting, policy : the environment, and the policy by name or as the path of a zip file.
+    episodes, seed : how many, and the seed of the first.
+    config : the shield's settings.
+    simulator : one of `SIMULATORS`.
+    """
+
+    setting: Setting
+    policy: str
+    episodes: int
+    seed: int
+    config: ShieldConfig
+    simulator: str = "auto"
+
+    def told(self) -> dict[str, Any]:
+        """As plain values: what tells one run from another, whatever its length."""
+        return {
+            "setting": {"env_id": self.setting.env_id, "config": dict(self.setting.config)},
+            "policy": self.policy,
+            "seed": self.seed,
+            "shield": self.config.to_toml(),
+            "simulator": self.simulator,
+        }
+
+    def parts(self) -> list[tuple[int, int]]:
+        """Seed of the first episode of each part, and how many it has."""
+        last = self.seed + self.episodes
+        return [(first, min(_PART, last - first)) for first in range(self.seed, last, _PART)]
+
+
+def certify(asked: Asked, folder: str | Path, jobs: int = 1, progress: Any = None) -> pd.DataFrame:
+    """Drive the episodes that are not in the folder yet, and put all together.
+
+    Parameters
+    ----------
+    folder : where the parts are kept, a Parquet file each. A run with more episodes goes on from one with fewer.
+    jobs : processes; -1 for one per core.
+    progress : called with the table of each part as it finishes.
+
+    Returns
+    -------
+    A row for each episode, by seed: setting, policy, mode, seed, crashed, off_road, attribution, return, steps,
+    mean_speed [m/s], overridden, frames, frames_overridden, violations, min_margin and min_gap [m], simulator, and
+    `fallbacks`, the decisions in which a fallback acted.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds the parts of another run, or cannot be written.
+    """
+    if asked.episodes < 1:
+        raise ConfigError(f"have at least one episode, not {asked.episodes}")
+    folder = Path(folder)
+    _claim(folder, asked)
+    left = [part for part in asked.parts() if not _kept(folder, *part)]
+    for frame in _driven(asked, folder, left, joblib.effective_n_jobs(jobs)):
+        if progress is not None:
+            progress(frame)
+    frames = [pd.read_parquet(_path(folder, *part)) for part in asked.parts()]
+    return pd.concat(frames, ignore_index=True)
+
+
+def _claim(folder: Path, asked: Asked) -> None:
+    """Note in the folder what is driven, and refuse one that holds something else."""
+    note, told = folder / "asked.json", json.loads(json.dumps(asked.told()))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if note.exists():
+            before = json.loads(note.read_text(encoding="utf-8"))["asked"]
+            if before != told:
+                differ = ", ".join(sorted(key for key in told if before.get(key) != told[key]))
+                raise ConfigError(f"{folder} holds episodes of another run: it differs in {differ}; take a new folder")
+            return
+        note.write_text(json.dumps(provenance(told), indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{folder} cannot be written: {error.strerror}") from None
+
+
+def _path(folder: Path, first: int, count: int) -> Path:
+    return folder / f"{first}-{first + count - 1}.parquet"
+
+
+def _kept(folder: Path, first: int, count: int) -> bool:
+    return _path(folder, first, count).is_file()
+
+
+def _driven(asked: Asked, folder: Path, parts: list[tuple[int, int]], workers: int) -> Iterator[pd.DataFrame]:
+    if workers == 1:
+        yield from (_drive(asked, folder, *part) for part in parts)
+        return
+    with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
+        pool = joblib.Parallel(n_jobs=workers, return_as="generator_unordered")
+        yield from pool(joblib.delayed(_drive)(asked, folder, *part) for part in parts)
+
+
+def _drive(asked: Asked, folder: Path, first: int, count: int) -> pd.DataFrame:
+    """One part, written whole or not at all."""
+    variant = Variant("env", asked.config)
+    seeds = range(first, first + count)
+    table = run_paired(asked.setting, asked.policy, [variant], seeds, simulator=asked.simulator)
+    frame = table[list(_COLUMNS)].assign(fallbacks=table[_FALLBACKS].sum(axis=1))
+    path = _path(folder, first, count)
+    partial = path.with_suffix(f".{os.getpid()}.partial")
+    frame.to_parquet(partial, index=False)
+    partial.replace(path)
+    return frame
+
+
+def page(episodes: pd.DataFrame) -> str:
+    """What the episodes show, in Markdown: the bound, the distribution of clearances, and the seeds to look at."""
+    n, crashes = len(episodes), int(episodes["crashed"].sum())
+    bound, mean = clopper_pearson(crashes, n), bootstrap_mean(episodes["return"].to_numpy()[:100_000])
+    gaps = episodes["min_gap"].astype(float)
+    decisions, first = int(episodes["steps"].sum()), episodes.iloc[0]
+    facts = {
+        "episodes": f"{n:,} ({decisions:,} decisions, {int(episodes['frames'].sum()):,} frames), "
+        f"seeds {episodes['seed'].min()} to {episodes['seed'].max()}, simulated by "
+        + " and ".join(sorted(set(episodes["simulator"]))),
+        "crashes": f"{crashes}; rate {bound.estimate:.2g}, 95 % Clopper-Pearson [{bound.low:.2g}, {bound.high:.2g}]",
+        "return": f"{mean.estimate:.2f} [{mean.low:.2f}, {mean.high:.2f}]",
+        "speed": f"{episodes['mean_speed'].mean():.1f} m/s",
+        "decisions overridden": f"{100 * episodes['overridden'].sum() / decisions:.1f} %",
+        "smallest clearance of bodies": f"{gaps.min():.3f} m (seed {episodes.loc[gaps.idxmin(), 'seed']}); "
+        f"a thousandth of the episodes below {gaps.quantile(0.001):.2f} m",
+        "smallest margin": f"{episodes['min_margin'].min():.3f} m",
+        "violations of the assumptions": f"{int(episodes['violations'].sum())} "
+        f"in {int((episodes['violations'] > 0).sum())} episodes",
+        "decisions with a fallback": f"{int(episodes['fallbacks'].sum())} "
+        f"in {int((episodes['fallbacks'] > 0).sum())} episodes",
+    }
+    title = f"# {first['policy']} on {first['setting']}, shield {first['mode']}"
+    table = pd.DataFrame({"": list(facts), "found": list(facts.values())}).to_markdown(index=False)
+    odd = episodes[(episodes["crashed"]) | (episodes["violations"] > 0) | (episodes["fallbacks"] > 0)]
+    columns = ["seed", "crashed", "attribution", "min_gap", "min_margin", "violations", "fallbacks"]
+    rows = odd.sort_values(["crashed", "min_gap"], ascending=[False, True])[columns].head(_SHOWN)
+    seeds = "None." if rows.empty else rows.to_markdown(index=False, floatfmt=".3f")
+    more = f"\n\nThe first {_SHOWN} of {len(odd)}." if len(odd) > _SHOWN else ""
+    return f"{title}\n\n{table}\n\n## Episodes to look at\n\n`shield replay` drives each again.\n\n{seeds}{more}\n"

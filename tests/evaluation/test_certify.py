@@ -1,0 +1,118 @@
+"""Very many episodes are kept in parts, go on where they stopped, and give an exact bound."""
+
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+from typer.testing import CliRunner
+
+from evaluation.commands.cli import app, main
+from evaluation.measuring.statistics import clopper_pearson
+from evaluation.running import certify as certifying
+from evaluation.running.certify import Asked, certify, page
+from evaluation.running.episodes import run_episode
+from evaluation.running.records import Variant
+from evaluation.settings import Setting
+from shield.config import ShieldConfig
+from shield.errors import ConfigError
+
+SHORT = Setting("short", "highway-fast-v0", {"duration": 3, "vehicles_count": 6})
+
+
+@pytest.fixture(autouse=True)
+def _small_parts(monkeypatch):
+    monkeypatch.setattr(certifying, "_PART", 3)
+
+
+def asked(episodes=7, **changes):
+    return Asked(
+        **{"setting": SHORT, "policy": "faster", "episodes": episodes, "seed": 50, "config": ShieldConfig(), **changes}
+    )
+
+
+def test_a_run_goes_on_where_it_stopped_and_drives_nothing_twice(tmp_path):
+    def stop(part):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        certify(asked(), tmp_path, progress=stop)
+    (tmp_path / "53-55.123.partial").write_bytes(b"cut off")
+    driven = []
+    whole = certify(asked(), tmp_path, progress=driven.append)
+    assert [part["seed"].tolist() for part in driven] == [[53, 54, 55], [56]]
+    assert whole["seed"].tolist() == list(range(50, 57))
+    driven.clear()
+    pd.testing.assert_frame_equal(certify(asked(), tmp_path, progress=driven.append), whole)
+    assert not driven
+    longer = certify(asked(9), tmp_path, progress=driven.append)
+    assert longer["seed"].tolist() == list(range(50, 59))
+
+
+def test_an_episode_is_the_one_of_highway_env(tmp_path):
+    found = certify(asked(3), tmp_path)
+    assert set(found["simulator"]) == {"compiled"}
+    record = run_episode(SHORT, "faster", Variant("env"), 51, simulator="highway-env")
+    row = found.set_index("seed").loc[51]
+    assert row["return"] == record.return_
+    assert row["min_gap"] == record.min_gap
+    assert row["min_margin"] == record.min_margin
+
+
+def test_a_folder_of_another_run_is_refused(tmp_path):
+    certify(asked(1), tmp_path)
+    for change in ({"policy": "idle"}, {"seed": 51}, {"config": ShieldConfig(braking=6.0)}):
+        with pytest.raises(ConfigError, match="another run: it differs in"):
+            certify(asked(1, **change), tmp_path)
+    with pytest.raises(ConfigError, match="at least one"):
+        certify(asked(0), tmp_path)
+    with pytest.raises(ConfigError, match="cannot be written"):
+        certify(asked(1), "/proc/nowhere")
+
+
+def test_the_page_names_what_was_found(tmp_path):
+    found = certify(asked(5), tmp_path)
+    text = page(found)
+    assert "5 (15 decisions, 75 frames), seeds 50 to 54, simulated by compiled" in text
+    assert "0; rate 0, 95 % Clopper-Pearson [0, 0.45]" in text
+    assert "None." in text
+    found.loc[2, ["crashed", "violations", "min_gap"]] = [True, 3, 0.0]
+    text = page(found)
+    assert "1; rate 0.2" in text
+    assert "3 in 1 episodes" in text
+    assert "|     52 | True" in text
+
+
+@pytest.mark.parametrize(("count", "n"), [(0, 10), (0, 10**6), (3, 50), (50, 50)])
+def test_the_bound_is_the_exact_one(count, n):
+    bound = clopper_pearson(count, n)
+    if count:
+        exact = stats.binomtest(count, n).proportion_ci(0.95, method="exact")
+        assert (bound.low, bound.high) == pytest.approx((exact.low, exact.high))
+    else:
+        assert bound.high == pytest.approx(1 - 0.05 ** (1 / n), rel=1e-9)
+    rng = np.random.default_rng(0)
+    if 0 < count < n:
+        # The bound's own promise: at its upper end so few are seen in at most one of forty samples.
+        assert np.mean(rng.binomial(n, bound.high, 20_000) <= count) == pytest.approx(0.025, abs=0.01)
+
+
+def test_the_command_writes_the_table_and_the_page_and_replays(tmp_path):
+    run = CliRunner()
+    arguments = ["certify", str(tmp_path), "--episodes", "2", "--seed", "60", "--jobs", "1"]
+    result = run.invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "certificate.md").read_text(encoding="utf-8") in result.stdout
+    assert pd.read_parquet(tmp_path / "episodes.parquet")["seed"].tolist() == [60, 61]
+    film = tmp_path / "end.gif"
+    result = run.invoke(app, ["replay", "60", "--film", str(film)])
+    assert result.exit_code == 0, result.output
+    assert film.stat().st_size > 10_000
+
+
+def test_mistakes_are_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["shield", "certify", str(tmp_path), "--policy", "mpc", "--simulator", "compiled"])
+    with pytest.raises(SystemExit):
+        main()
+    assert "mpc may read highway-env's objects" in capsys.readouterr().err

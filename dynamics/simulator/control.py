@@ -53,7 +53,8 @@ def _free_flow(
         delta[i] = p[DELTA, i]
     apply_two(loops[_POWER, 0], loops[_POWER, 1], share, delta, power, vehicles)
     for i in range(vehicles):
-        free[i] = free_flow(p[COMFORT, i], power[i])
+        # A square is a product in numpy, where the exponent is one number.
+        free[i] = free_flow(p[COMFORT, i], share[i] * share[i] if delta[i] == 2.0 else power[i])
 
 
 @uncounted

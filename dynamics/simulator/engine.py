@@ -234,7 +234,7 @@ def _judge(rules: Rules, f: FloatArray, g: IntArray, parts: FloatArray) -> tuple
     reward += fast * parts[2]
     reward += on_road * parts[3]
     if normalised:
-        reward = (reward - collision) / (fast + right - collision)
+        reward = 0.0 + (reward - collision) / (fast + right - collision)
     return reward * parts[3], on
 
 

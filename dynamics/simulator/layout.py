@@ -47,6 +47,7 @@ __all__ = [
     "POLITENESS",
     "SIN",
     "SPEED",
+    "STALE",
     "STEERING",
     "S_HEADING",
     "S_LATERAL",
@@ -67,9 +68,10 @@ X, Y, HEADING, SPEED, COS, SIN, STEERING, ACCELERATION, TARGET_SPEED, TIMER, IMP
 """Rows of `f` [m, rad, m/s, m/s^2, s]. COS and SIN are of the heading; IMPACT is what the next frame moves it by."""
 F = 12
 
-KIND, LANE, TARGET, CRASHED, IMPACTED, CHECKS, CHANGES, ON = range(8)
-"""Rows of `g`. CHECKS: it looks for collisions; CHANGES: it may change lanes; ON: lanes that others see it on, bits."""
-G = 8
+KIND, LANE, TARGET, CRASHED, IMPACTED, CHECKS, CHANGES, ON, STALE = range(9)
+"""Rows of `g`. CHECKS: it looks for collisions; CHANGES: it may change lanes; ON: lanes that others see it on, bits;
+STALE: it may be in another lane than LANE, which a frame finds out."""
+G = 9
 
 EGO, CONTINUOUS, IDM, LINEAR, OBSTACLE = range(5)
 """Kinds: an ego with meta-actions or with throttle and steering, traffic, and what stands."""

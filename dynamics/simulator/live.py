@@ -13,6 +13,7 @@ from highway_env.vehicle.objects import Obstacle
 
 from dynamics.errors import ConfigError, SceneError
 from dynamics.simulator.engine import Worlds
+from dynamics.simulator.kinds import CONSTANTS, constants_of, kind_of
 from dynamics.simulator.layout import (
     A_SPEED,
     ACCELERATION,
@@ -22,6 +23,7 @@ from dynamics.simulator.layout import (
     COS,
     CRASHED,
     DELTA,
+    DIAGONAL,
     EGO,
     HEADING,
     IMPACT_X,
@@ -29,11 +31,14 @@ from dynamics.simulator.layout import (
     IMPACTED,
     KIND,
     LANE,
+    MAX_SPEED,
+    MIN_SPEED,
     OBSTACLE,
     ON,
     S_HEADING,
     SIN,
     SPEED,
+    STALE,
     STEERING,
     TARGET,
     TARGET_SPEED,
@@ -43,7 +48,7 @@ from dynamics.simulator.layout import (
 )
 from dynamics.simulator.neighbours import lanes_at
 from dynamics.simulator.random import from_generator, to_generator
-from dynamics.simulator.scenario import Scenario, constants_of, kind_of
+from dynamics.simulator.scenario import Scenario
 from dynamics.state import FloatArray
 
 __all__ = ["bodies_of", "load", "store"]
@@ -76,6 +81,7 @@ def load(env: gym.Env[Any, Any], scenario: Scenario, worlds: Worlds, e: int) -> 
     """
     base = cast(Any, env.unwrapped)
     vehicles, obstacles = bodies_of(env)
+    _check_clock(base, scenario)
     f, g, p, lanes = worlds.f[e], worlds.g[e], worlds.p[e], scenario.rules.lanes
     if len(vehicles) != scenario.rules.numbers[1] or len(vehicles) + len(obstacles) != f.shape[1]:
         raise SceneError(
@@ -85,19 +91,56 @@ def load(env: gym.Env[Any, Any], scenario: Scenario, worlds: Worlds, e: int) -> 
     _check_road(base.road.network, lanes)
     f[:], g[:] = 0.0, 0
     for i, body in enumerate([*vehicles, *obstacles]):
+        _check_body(body, i, scenario)
         f[[X, Y], i] = body.position
         f[HEADING, i], f[SPEED, i] = body.heading, body.speed
         f[COS, i], f[SIN, i] = np.cos(body.heading), np.sin(body.heading)
         g[LANE, i] = g[TARGET, i] = body.lane_index[2]
-        g[CRASHED, i], g[CHECKS, i] = body.crashed, body.check_collisions
+        g[CRASHED, i], g[CHECKS, i], g[STALE, i] = body.crashed, body.check_collisions, 1
         g[ON, i] = lanes_at(lanes, f[X, i], f[Y, i])
         p[:, i] = constants_of(body)
+        p[DIAGONAL, i] = body.diagonal
         g[KIND, i] = OBSTACLE if i >= len(vehicles) else _kind(body, i)
         if i < len(vehicles):
             _load_vehicle(body, f, g, i)
+    if g[KIND, 0] != scenario.rules.numbers[4]:
+        raise SceneError("the ego takes meta-actions in one of the two, and throttle and steering in the other")
+    if not np.isfinite(f).all():
+        raise SceneError("a position, heading, speed, target, timer or action of the scene is not finite")
+    if g[KIND, 0] == CONTINUOUS:
+        # highway-env gives the ego its range of speeds with its first action.
+        p[[MAX_SPEED, MIN_SPEED], 0] = scenario.rules.constants[0][[MAX_SPEED, MIN_SPEED]]
     worlds.order[e] = np.arange(f.shape[1])
     worlds.rows[e] = from_generator(base.np_random)
     worlds.clock[e] = base.time
+
+
+def _check_clock(base: Any, scenario: Scenario) -> None:
+    """Raise where decisions, frames or observations are others than the simulator's."""
+    frames, config = scenario.rules.numbers[0], base.config
+    times = 1 / config["simulation_frequency"], 1 / config["policy_frequency"], float(config["duration"])
+    if times != scenario.rules.times or base.steps % frames:
+        raise SceneError("the environment has other frequencies than the simulator, or is amid a decision")
+    if base.observation_space.shape != scenario.observation_space.shape:
+        raise SceneError("the environment's observations are not those of its configuration; reset it first")
+    if not isinstance(base.np_random.bit_generator, np.random.PCG64):
+        raise SceneError(f"the environment draws from {type(base.np_random.bit_generator).__name__}, not from PCG64")
+
+
+def _check_body(body: Any, i: int, scenario: Scenario) -> None:
+    """Raise where a body has something of its own that the simulator does not know."""
+    name = f"body {i} ({type(body).__name__})"
+    if not (body.solid and body.collidable):
+        raise SceneError(f"{name} is not solid or not collidable")
+    if getattr(body, "route", None):
+        raise SceneError(f"{name} follows a route")
+    own = {each for each in vars(body) if hasattr(type(body), each)} - CONSTANTS - {"act"}
+    if i > 0 and "act" in vars(body):
+        own.add("act")
+    if own:
+        raise SceneError(f"{name} has a {', '.join(sorted(own))} of its own")
+    if isinstance(body, MDPVehicle) and not np.array_equal(body.target_speeds, scenario.rules.target_speeds):
+        raise SceneError(f"{name} has other target speeds than the simulator's")
 
 
 def _check_road(network: Any, lanes: FloatArray) -> None:

@@ -24,6 +24,7 @@ from dynamics.simulator.layout import (
     ON,
     SIN,
     SPEED,
+    STALE,
     STEERING,
     TIMER,
     X,
@@ -86,7 +87,7 @@ def _turn(
         f[HEADING, i] += speed * course[k] / (p[LENGTH, i] / 2) * dt
         f[SPEED, i] += f[ACCELERATION, i] * dt
         slip[k] = f[HEADING, i]
-        g[LANE, i] = closest_lane(lanes, f[X, i], f[Y, i], f[HEADING, i])
+        g[LANE, i], g[STALE, i] = closest_lane(lanes, f[X, i], f[Y, i], f[HEADING, i]), 0
         g[ON, i] = lanes_at(lanes, f[X, i], f[Y, i])
     apply(loops[_COS, 0], loops[_COS, 1], slip, along, n)
     apply(loops[_SIN, 0], loops[_SIN, 1], slip, across, n)
@@ -123,10 +124,11 @@ def move(
             f[ACCELERATION, i] = min(f[ACCELERATION, i], 1.0 * (p[MAX_SPEED, i] - speed))
         elif speed < p[MIN_SPEED, i]:
             f[ACCELERATION, i] = max(f[ACCELERATION, i], 1.0 * (p[MIN_SPEED, i] - speed))
-        if f[STEERING, i] == 0.0 and f[HEADING, i] == 0.0 and not g[IMPACTED, i]:
+        if f[STEERING, i] == 0.0 and f[HEADING, i] == 0.0 and not g[IMPACTED, i] and not g[STALE, i]:
+            before = f[X, i]
             f[X, i] += speed * dt
             f[SPEED, i] += f[ACCELERATION, i] * dt
-            if not 0.0 <= f[X, i] < lanes[0, LANE_LENGTH]:
+            if not (0.0 <= before < lanes[0, LANE_LENGTH] and 0.0 <= f[X, i] < lanes[0, LANE_LENGTH]):
                 g[ON, i] = lanes_at(lanes, f[X, i], f[Y, i])
         else:
             busy[n] = i

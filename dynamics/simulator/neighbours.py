@@ -30,6 +30,7 @@ def sort(f: FloatArray, order: IntArray) -> bool:
         body = order[k]
         x, j = f[X, body], k - 1
         while j >= 0 and (f[X, order[j]] > x or (f[X, order[j]] == x and order[j] > body)):
+            level = level or f[X, order[j]] == x
             order[j + 1] = order[j]
             j -= 1
         order[j + 1] = body

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.arithmetic import clip, dot2, wrap_to_pi
 from dynamics.simulator.layout import COS, HEADING, KIND, LANE, LANE_Y, LENGTH, OBSTACLE, SIN, SPEED, X, Y
-from dynamics.simulator.random import Row, below
+from dynamics.simulator.random import Row, interval
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["FEATURES", "kinematics"]
@@ -42,7 +42,7 @@ _RELATIVE = 5
 def _feature(f: FloatArray, g: IntArray, lanes: FloatArray, i: int, feature: int) -> float:
     if feature == 0:
         return 1.0
-    if feature == 1 or feature == 10:
+    if feature == 1:
         return f[X, i]
     if feature == 2:
         return f[Y, i]
@@ -59,6 +59,8 @@ def _feature(f: FloatArray, g: IntArray, lanes: FloatArray, i: int, feature: int
         return 0.0
     if standing:
         return math.nan
+    if feature == 10:
+        return f[X, i]
     if feature == 5:
         return f[HEADING, i]
     if feature == 11:
@@ -145,7 +147,7 @@ def kinematics(
             seen[k, c] = value
     if shuffled:
         for k in range(bodies - 2, 0, -1):
-            j = below(row, k + 1)
+            j = interval(row, k)
             if j != k:
                 for c in range(len(features)):
                     seen[1 + k, c], seen[1 + j, c] = seen[1 + j, c], seen[1 + k, c]

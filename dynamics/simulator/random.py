@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dynamics.compiled import inlined, uncounted
 
-__all__ = ["WORDS", "below", "from_generator", "seed_row", "to_generator", "uniform"]
+__all__ = ["WORDS", "below", "from_generator", "interval", "seed_row", "to_generator", "uniform"]
 
 Row = NDArray[np.uint64]
 
@@ -81,6 +81,18 @@ def below(row: Row, n: int) -> Any:
         while (product & _LOW) < threshold:
             product = _next_32(row) * size
     return np.int64(product >> _32)
+
+
+@inlined
+def interval(row: Row, last: int) -> Any:
+    """What `Generator.shuffle` draws: a number from 0 to `last`, at most 2^32 - 1, by masks and refusals."""
+    mask = _U(last)
+    for shift in range(5):
+        mask |= mask >> _U(1 << shift)
+    drawn = _next_32(row) & mask
+    while drawn > _U(last):
+        drawn = _next_32(row) & mask
+    return np.int64(drawn)
 
 
 @uncounted

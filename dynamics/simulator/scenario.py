@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,79 +13,24 @@ from highway_env import utils
 from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction
 from highway_env.envs.highway_env import HighwayEnv, HighwayEnvFast
 from highway_env.road.lane import AbstractLane
-from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from dynamics.errors import ConfigError
 from dynamics.simulator.engine import Rules, View
-from dynamics.simulator.layout import CONTINUOUS, EGO, IDM, LANE_COLUMNS, LINEAR, P
+from dynamics.simulator.kinds import constants_of, kind_of, ranges_of
+from dynamics.simulator.layout import CONTINUOUS, EGO, LANE_COLUMNS
 from dynamics.simulator.observe import FEATURES
+from dynamics.simulator.refusals import refusals
 from dynamics.state import FloatArray
 
-__all__ = ["ACTIONS", "REWARDS", "Inputs", "Scenario", "constants_of", "kind_of", "scenario_of"]
+__all__ = ["ACTIONS", "REWARDS", "Inputs", "Scenario", "scenario_of"]
 
 ACTIONS = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
 """The labels of meta-actions, by the number that the kernels know them by."""
 
 REWARDS = ("collision_reward", "right_lane_reward", "high_speed_reward", "on_road_reward")
 """What the reward is made of, in the order of `engine.Seen.parts`."""
-
-_METHODS = (
-    "act",
-    "step",
-    "acceleration",
-    "desired_gap",
-    "change_lane_policy",
-    "mobil",
-    "steering_control",
-    "randomize_behavior",
-    "follow_road",
-    "clip_actions",
-    "on_state_update",
-    "handle_collisions",
-)
-_DRAWN = 6
-"""Numbers that may be drawn for each vehicle: IDM's exponent, and the linear model's five."""
-_IGNORED = frozenset(
-    {
-        "screen_width",
-        "screen_height",
-        "centering_position",
-        "scaling",
-        "show_trajectories",
-        "render_agent",
-        "offscreen_rendering",
-        "real_time_rendering",
-        "neighbour_vehicles_connected_lanes",
-        "lane_change_reward",
-    }
-)
-"""Keys that change nothing here: pictures, what a road that ends nowhere cannot show, a reward that is never read."""
-_READ = frozenset(
-    {
-        "observation",
-        "action",
-        "simulation_frequency",
-        "policy_frequency",
-        "other_vehicles_type",
-        "lanes_count",
-        "vehicles_count",
-        "controlled_vehicles",
-        "initial_lane_id",
-        "duration",
-        "ego_spacing",
-        "vehicles_density",
-        "collision_reward",
-        "right_lane_reward",
-        "high_speed_reward",
-        "on_road_reward",
-        "reward_speed_range",
-        "normalize_reward",
-        "offroad_terminal",
-        "manual_control",
-    }
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,10 +99,10 @@ def scenario_of(env_id: str, config: Mapping[str, Any] | None = None) -> Scenari
     ConfigError
         If it needs what the compiled simulator cannot do; the message lists all of it.
     """
-    kind = _class_of(env_id)
+    kind, registered = _class_of(env_id)
     whole = kind.default_config()
-    whole.update(config or {})
-    refused = [*_refused(whole), *_refused_observation(whole["observation"]), *_refused_action(whole["action"])]
+    whole.update(registered if config is None else config)
+    refused = refusals(whole)
     if refused:
         raise ConfigError(
             f"the compiled simulator cannot run {env_id} with {'; '.join(refused)}. It runs highway-v0 and "
@@ -169,7 +114,8 @@ def scenario_of(env_id: str, config: Mapping[str, Any] | None = None) -> Scenari
     return Scenario(env_id, whole, rules, view, inputs, observation_space, action_space, rules.numbers[1])
 
 
-def _class_of(env_id: str) -> type[HighwayEnv]:
+def _class_of(env_id: str) -> tuple[type[HighwayEnv], Mapping[str, Any]]:
+    """The class behind an id, and the configuration that it is registered with."""
     try:
         spec = gym.spec(env_id)
     except gym.error.Error as error:
@@ -178,98 +124,11 @@ def _class_of(env_id: str) -> type[HighwayEnv]:
     kind: Any = gym.envs.registration.load_env_creator(entry) if isinstance(entry, str) else entry
     if kind not in (HighwayEnv, HighwayEnvFast):
         raise ConfigError(f"the compiled simulator runs highway-v0 and highway-fast-v0, not {env_id}")
+    others = sorted(spec.kwargs.keys() - {"config", "render_mode"})
+    if others or spec.max_episode_steps is not None or spec.additional_wrappers:
+        raise ConfigError(f"{env_id} is registered with {', '.join(others) or 'wrappers'}; take highway-env itself")
     found: type[HighwayEnv] = kind
-    return found
-
-
-def _refused(config: Mapping[str, Any]) -> list[str]:
-    refused = [f"{key}={config[key]!r}" for key in sorted(config.keys() - _READ - _IGNORED)]
-    if config["controlled_vehicles"] != 1:
-        refused.append(f"controlled_vehicles={config['controlled_vehicles']}")
-    if config["manual_control"]:
-        refused.append("manual_control")
-    if not 1 <= config["lanes_count"] <= 62:
-        refused.append(f"lanes_count={config['lanes_count']}")
-    if config["simulation_frequency"] < config["policy_frequency"]:
-        refused.append("fewer frames than decisions")
-    try:
-        kind_of(utils.class_from_path(config["other_vehicles_type"]))
-    except (ConfigError, AttributeError, ImportError, ValueError):
-        refused.append(f"other_vehicles_type={config['other_vehicles_type']}")
-    return refused
-
-
-def _refused_observation(observation: Mapping[str, Any]) -> list[str]:
-    if observation["type"] != "Kinematics":
-        return [f"observation {observation['type']}"]
-    unknown = set(observation.get("features") or ()) - set(FEATURES)
-    return [f"features {sorted(unknown)}"] if unknown else []
-
-
-def _refused_action(action: Mapping[str, Any]) -> list[str]:
-    if action["type"] not in ("DiscreteMetaAction", "ContinuousAction"):
-        return [f"action {action['type']}"]
-    if action.get("dynamical"):
-        return ["dynamical actions"]
-    speeds = action.get("target_speeds")
-    return ["fewer than two target_speeds"] if speeds is not None and len(speeds) < 2 else []
-
-
-def kind_of(vehicle: type) -> int:
-    """How vehicles of a class drive: `IDM` or `LINEAR`. Its constants may be its own, its methods may not.
-
-    Raises
-    ------
-    ConfigError
-        If it drives in another way.
-    """
-    for kind, base in ((LINEAR, LinearVehicle), (IDM, IDMVehicle)):
-        if issubclass(vehicle, base) and all(_same(vehicle, base, name) for name in _METHODS):
-            return kind
-    raise ConfigError(f"{vehicle.__name__} does not drive as IDMVehicle or LinearVehicle do")
-
-
-def _same(vehicle: type, base: type, name: str) -> bool:
-    mine: Callable[..., Any] = getattr(vehicle, name)
-    return mine is getattr(base, name)
-
-
-def constants_of(vehicle: Any) -> FloatArray:
-    """What stays of a vehicle, or of a class of them, (P,); 0 for what it has not (see `layout`)."""
-    numbers = np.zeros(P)
-    root = 2 * np.sqrt(-getattr(vehicle, "COMFORT_ACC_MAX", 0.0) * getattr(vehicle, "COMFORT_ACC_MIN", 0.0))
-    names: tuple[Any, ...] = (
-        "LENGTH",
-        "WIDTH",
-        np.sqrt(vehicle.LENGTH**2 + vehicle.WIDTH**2),
-        "MAX_SPEED",
-        "MIN_SPEED",
-        "ACC_MAX",
-        "COMFORT_ACC_MAX",
-        root,
-        "DISTANCE_WANTED",
-        "TIME_WANTED",
-        "DELTA",
-        "POLITENESS",
-        "LANE_CHANGE_MIN_ACC_GAIN",
-        "LANE_CHANGE_MAX_BRAKING_IMPOSED",
-        "LANE_CHANGE_DELAY",
-    )
-    for k, name in enumerate(names):
-        numbers[k] = getattr(vehicle, name, 0.0) if isinstance(name, str) else name
-    numbers[len(names) : len(names) + 3] = getattr(vehicle, "ACCELERATION_PARAMETERS", 0.0)
-    numbers[len(names) + 3 :] = getattr(vehicle, "STEERING_PARAMETERS", 0.0)
-    return numbers
-
-
-def _ranges(vehicle: Any) -> FloatArray:
-    """What is drawn for each vehicle of a class, (_DRAWN, 2)."""
-    ranges = np.zeros((_DRAWN, 2))
-    ranges[0] = getattr(vehicle, "DELTA_RANGE", (0.0, 0.0))
-    if issubclass(vehicle, LinearVehicle):
-        ranges[1:4] = np.transpose(vehicle.ACCELERATION_RANGE)
-        ranges[4:6] = np.transpose(vehicle.STEERING_RANGE)
-    return ranges
+    return found, spec.kwargs.get("config") or {}
 
 
 def lanes_of(count: int) -> FloatArray:
@@ -296,14 +155,14 @@ def _rules(kind: type[HighwayEnv], config: Mapping[str, Any]) -> tuple[Rules, In
         numbers=(
             frames,
             1 + int(config["vehicles_count"]),
-            -1 if first is None else int(first),
+            -1 if first is None else int(first) % n,
             int(kind is not HighwayEnvFast),
             *kinds,
         ),
         times=(1 / config["simulation_frequency"], 1 / config["policy_frequency"], float(config["duration"])),
         spacings=(float(config["ego_spacing"]), 1 / config["vehicles_density"], float(np.exp(-5 / 40 * n))),
         constants=np.array([ego, constants_of(traffic)]),
-        ranges=_ranges(traffic),
+        ranges=ranges_of(traffic),
         target_speeds=speeds,
         labels=labels,
         reward=(

@@ -11,6 +11,7 @@ from dynamics.simulator.layout import (
     CHECKS,
     COS,
     CRASHED,
+    DELAY,
     DELTA,
     EGO,
     KIND,
@@ -110,7 +111,7 @@ def spawn(
             if kinds[0] == EGO:
                 f[TARGET_SPEED, i] = target_speeds[speed_index(target_speeds, speed)]
             continue
-        f[TIMER, i] = ((x + f[Y, i]) * math.pi) % 1.0
+        f[TIMER, i] = ((x + f[Y, i]) * math.pi) % p[DELAY, i]
         if kinds[1] == LINEAR:
             for k in range(3):
                 share = uniform(row, 0.0, 1.0)

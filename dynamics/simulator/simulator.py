@@ -102,12 +102,24 @@ class Simulator:
             simulator.load(env, e)
         return simulator
 
+    def _check_configured(self) -> None:
+        """Raise where a reset would make other bodies than there are."""
+        vehicles = 1 + int(self.scenario.config["vehicles_count"])
+        if not self.scenario.bodies == self.scenario.rules.numbers[1] == vehicles:
+            raise ConfigError("a reset makes the configured vehicles; the live scene has others: load() it again")
+
+    def _check_copy(self, e: int) -> None:
+        if not 0 <= e < self.num_envs:
+            raise ConfigError(f"there are environments 0 to {self.num_envs - 1}, not {e}")
+
     def load(self, env: gym.Env[Any, Any], e: int = 0) -> None:
         """Copy a live environment, between two decisions, into copy `e`; see `live.load`."""
+        self._check_copy(e)
         load(env, self.scenario, self.worlds, e)
 
     def store(self, env: gym.Env[Any, Any], e: int = 0) -> None:
         """Copy copy `e` into a live environment of the same bodies; see `live.store`."""
+        self._check_copy(e)
         store(env, self.scenario, self.worlds, e)
 
     def _build(self, scenario: Scenario, num_envs: int, threads: int = 1) -> None:
@@ -157,12 +169,18 @@ class Simulator:
         call.
         """
         chosen = np.arange(self.num_envs) if which is None else np.asarray(which, dtype=np.int64)
-        numbers = np.full(len(chosen), -1) if seeds is None else np.asarray(seeds, dtype=np.int64)
-        if numbers.shape != chosen.shape or (seeds is not None and (numbers < 0).any()):
-            raise ConfigError(f"have a seed of at least 0 for each of {len(chosen)} environments, not {seeds!r}")
+        if chosen.ndim != 1 or ((chosen < 0) | (chosen >= self.num_envs)).any():
+            raise ConfigError(f"there are environments 0 to {self.num_envs - 1}, not {which!r}")
+        numbers = np.full(len(chosen), -1)
+        if seeds is not None:
+            given = list(seeds)
+            if len(given) != len(chosen) or not all(isinstance(s, int | np.integer) and 0 <= s < 2**63 for s in given):
+                raise ConfigError(
+                    f"have a seed from 0 to 2^63 - 1 for each of {len(chosen)} environments, not {seeds!r}"
+                )
+            numbers = np.array(given, dtype=np.int64)
         rules, view = self.scenario.rules, self.scenario.view
-        if self.scenario.bodies != 1 + int(self.scenario.config["vehicles_count"]):
-            raise ConfigError("a reset makes the configured vehicles; the live scene has others: load() it again")
+        self._check_configured()
         reset_all(self.machine, self.worlds, rules, view, self._parts[0][2], self.seen, chosen, numbers)
         return self.seen.observations
 
@@ -189,6 +207,8 @@ class Simulator:
         """
         scenario, seen = self.scenario, self.seen
         given = self._given(actions)
+        if again:
+            self._check_configured()
 
         def part(bounds: tuple[int, int, Work]) -> None:
             first, last, work = bounds
@@ -198,6 +218,15 @@ class Simulator:
             part(self._parts[0])
         else:
             list(self._pool.map(part, self._parts))
+        return seen.observations, seen.reward, seen.terminated, seen.truncated
+
+    def step_first(
+        self, actions: Any, count: int
+    ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+        """`step` of the first `count` environments only; what it returns of the others is what was there before."""
+        scenario, seen, work = self.scenario, self.seen, self._parts[0][2]
+        given = self._given(actions)
+        step_all(self.machine, self.worlds, scenario.rules, scenario.view, work, seen, given, 0, count, False)
         return seen.observations, seen.reward, seen.terminated, seen.truncated
 
     def begin(self, action: Any) -> None:

@@ -118,7 +118,10 @@ def acceleration(
         return 0.0
     if body != judge:
         share = wanted_share(f, g, lanes, body)
-        free = free_flow(p[COMFORT, judge], at_two(loops[_POWER, 0], loops[_POWER, 1], share, p[DELTA, judge]))
+        power = share * share
+        if p[DELTA, judge] != 2.0:
+            power = at_two(loops[_POWER, 0], loops[_POWER, 1], share, p[DELTA, judge])
+        free = free_flow(p[COMFORT, judge], power)
     return _with_leader(sums, f, p, judge, body, leader, free)
 
 

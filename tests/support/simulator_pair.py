@@ -63,7 +63,8 @@ class Pair:
     """
 
     def __init__(self, env_id: str, config: Mapping[str, Any] | None = None, num_envs: int = 1) -> None:
-        self.envs = [gym.make(env_id, config=dict(config or {})) for _ in range(num_envs)]
+        given = {} if config is None else {"config": dict(config)}
+        self.envs = [gym.make(env_id, **given) for _ in range(num_envs)]
         self.simulator = Simulator(env_id, num_envs, config)
         self._start(f"{env_id} {dict(config or {})}")
 

@@ -1,0 +1,97 @@
+"""The vehicle classes that the simulator knows, and what they may have of their own."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from highway_env.vehicle.behavior import AggressiveVehicle, DefensiveVehicle, IDMVehicle, LinearVehicle
+
+from dynamics.errors import ConfigError
+from dynamics.simulator.layout import IDM, LINEAR, P
+from dynamics.state import FloatArray
+
+__all__ = ["CONSTANTS", "constants_of", "kind_of", "ranges_of"]
+
+_NUMBERS = (
+    "LENGTH",
+    "WIDTH",
+    "MAX_SPEED",
+    "MIN_SPEED",
+    "ACC_MAX",
+    "COMFORT_ACC_MAX",
+    "COMFORT_ACC_MIN",
+    "DISTANCE_WANTED",
+    "TIME_WANTED",
+    "DELTA",
+    "POLITENESS",
+    "LANE_CHANGE_MIN_ACC_GAIN",
+    "LANE_CHANGE_MAX_BRAKING_IMPOSED",
+    "LANE_CHANGE_DELAY",
+    "ACCELERATION_PARAMETERS",
+    "STEERING_PARAMETERS",
+)
+CONSTANTS = frozenset(
+    {*_NUMBERS, "DELTA_RANGE", "ACCELERATION_RANGE", "STEERING_RANGE", "DEFAULT_INITIAL_SPEEDS", "HISTORY_SIZE"}
+)
+"""What a vehicle, or a class of them, may have of its own."""
+_DRAWN = 6
+"""Numbers that may be drawn for each vehicle: IDM's exponent, and the linear model's five."""
+_STOCK = (IDMVehicle, LinearVehicle, AggressiveVehicle, DefensiveVehicle)
+
+
+def kind_of(vehicle: Any) -> int:
+    """How vehicles of a class drive: `IDM` or `LINEAR`. It may have constants of its own, and nothing else.
+
+    Raises
+    ------
+    ConfigError
+        If it drives in another way.
+    """
+    own: set[str] = set()
+    for each in vehicle.__mro__ if isinstance(vehicle, type) else ():
+        if each in _STOCK:
+            if own:
+                raise ConfigError(f"{vehicle.__name__} has {', '.join(sorted(own))} of its own")
+            return LINEAR if issubclass(each, LinearVehicle) else IDM
+        own |= {name for name in vars(each) if not name.startswith(("__", "_abc_")) and name not in CONSTANTS}
+        own |= {name for name in vars(each) if name in ("__init__", "__new__", "__getattr__", "__getattribute__")}
+    raise ConfigError(f"{getattr(vehicle, '__name__', vehicle)} does not drive as IDMVehicle or LinearVehicle do")
+
+
+def constants_of(vehicle: Any) -> FloatArray:
+    """What stays of a vehicle, or of a class of them, (P,); 0 for what it has not (see `layout`)."""
+    numbers = np.zeros(P)
+    root = 2 * np.sqrt(-getattr(vehicle, "COMFORT_ACC_MAX", 0.0) * getattr(vehicle, "COMFORT_ACC_MIN", 0.0))
+    names: tuple[Any, ...] = (
+        "LENGTH",
+        "WIDTH",
+        np.sqrt(vehicle.LENGTH**2 + vehicle.WIDTH**2),
+        "MAX_SPEED",
+        "MIN_SPEED",
+        "ACC_MAX",
+        "COMFORT_ACC_MAX",
+        root,
+        "DISTANCE_WANTED",
+        "TIME_WANTED",
+        "DELTA",
+        "POLITENESS",
+        "LANE_CHANGE_MIN_ACC_GAIN",
+        "LANE_CHANGE_MAX_BRAKING_IMPOSED",
+        "LANE_CHANGE_DELAY",
+    )
+    for k, name in enumerate(names):
+        numbers[k] = getattr(vehicle, name, 0.0) if isinstance(name, str) else name
+    numbers[len(names) : len(names) + 3] = getattr(vehicle, "ACCELERATION_PARAMETERS", 0.0)
+    numbers[len(names) + 3 :] = getattr(vehicle, "STEERING_PARAMETERS", 0.0)
+    return numbers
+
+
+def ranges_of(vehicle: Any) -> FloatArray:
+    """What is drawn for each vehicle of a class, (_DRAWN, 2)."""
+    ranges = np.zeros((_DRAWN, 2))
+    ranges[0] = getattr(vehicle, "DELTA_RANGE", (0.0, 0.0))
+    if issubclass(vehicle, LinearVehicle):
+        ranges[1:4] = np.transpose(vehicle.ACCELERATION_RANGE)
+        ranges[4:6] = np.transpose(vehicle.STEERING_RANGE)
+    return ranges

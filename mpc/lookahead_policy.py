@@ -1,0 +1,138 @@
+"""`LookaheadPolicy`: drives by knowing what will happen, an upper bound on what driving well is worth.
+
+On a straight highway nothing is random after the reset, so the compiled copy of highway-env, started from the
+simulator's true state, tells the future exactly: that of every vehicle, whatever the ego does. The policy searches it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+
+from dynamics.errors import ConfigError
+from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.simulator.layout import HEADING, SPEED, TARGET, TARGET_SPEED, X, Y
+from dynamics.simulator.simulator import Simulator
+from dynamics.state import FloatArray
+
+__all__ = ["LookaheadPolicy"]
+
+_CRASH = -100.0
+"""What it adds to a value that the episode ends in a crash."""
+_KEY = (X, Y, HEADING, SPEED, TARGET_SPEED)
+
+
+class LookaheadPolicy:
+    """Beam search over meta-actions in the exact future; reads the simulator's true state.
+
+    Parameters
+    ----------
+    env : `highway-v0` or `highway-fast-v0` with `DiscreteMetaAction`: highway-env's own, or a `CompiledHighwayEnv`.
+    depth : decisions that are looked ahead.
+    beam : futures that are followed from each decision to the next, at most.
+
+    Raises
+    ------
+    ConfigError
+        If the compiled highway cannot run the environment, or its actions are not meta-actions.
+
+    Examples
+    --------
+    >>> env = CompiledHighwayEnv("highway-fast-v0")
+    >>> obs, _ = env.reset(seed=0)
+    >>> action, _ = LookaheadPolicy(env, depth=3, beam=4).predict(obs)
+    >>> int(action)
+    3
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], depth: int = 6, beam: int = 16) -> None:
+        if depth < 1 or beam < 1:
+            raise ConfigError(f"depth and beam must be at least 1, not {depth} and {beam}")
+        self._env, self.depth, self.beam = env, depth, beam
+        self._simulator: Simulator | None = None
+        base = cast(Any, env.unwrapped)
+        if type(base.action_type).__name__ != "DiscreteMetaAction":
+            raise ConfigError(
+                f"look-ahead chooses meta-actions; this environment has {type(base.action_type).__name__}"
+            )
+        self._actions = int(base.action_space.n)
+        if isinstance(base, CompiledHighwayEnv):
+            self._pool(base.simulator.scenario.env_id, base.config)
+        else:
+            self._pool(base.spec.id, base.config)
+
+    def _pool(self, env_id: str, config: Any) -> None:
+        self._live = Simulator(env_id, 1, config)
+        self._parents = Simulator(env_id, self.beam, config)
+        self._children = Simulator(env_id, self.beam * self._actions, config)
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        """The first action of the best future that was found; the observation is not looked at."""
+        return np.asarray(int(self.action_scores(observation).argmax())), state
+
+    def action_scores(self, observation: Any) -> FloatArray:
+        """What the best future that was found is worth after each action, (actions,): its rewards, and what a crash
+        costs."""
+        start = self._start()
+        parents, children, n = self._parents, self._children, 1
+        _copy(start, parents, [0], [0])
+        values, first = np.zeros(1), np.full(1, -1)
+        best = np.full(self._actions, -np.inf)
+        for level in range(self.depth):
+            # Every future goes on with every action.
+            source = np.repeat(np.arange(n), self._actions)
+            tried = np.tile(np.arange(self._actions), n)
+            _copy(parents, children, source, np.arange(len(source)))
+            given = np.zeros(children.num_envs, np.int64)
+            given[: len(tried)] = tried
+            _, reward, terminated, truncated = children.step_first(given, len(tried))
+            worth = values[source] + reward[: len(tried)]
+            crashed, over = terminated[: len(tried)].copy(), (terminated | truncated)[: len(tried)]
+            worth[crashed] += _CRASH + level
+            begun = tried if level == 0 else first[source]
+            last = level == self.depth - 1
+            for i in np.flatnonzero(over | last):
+                best[begun[i]] = max(best[begun[i]], worth[i])
+            going = np.flatnonzero(~over)
+            if last or not len(going):
+                break
+            kept = self._kept(going, worth, begun)
+            _copy(children, parents, kept, np.arange(len(kept)))
+            values, first, n = worth[kept], begun[kept], len(kept)
+        return best
+
+    def _kept(self, going: Any, worth: FloatArray, begun: Any) -> Any:
+        """The futures that are followed, each once: the best of every kind in turn."""
+        worlds = self._children.worlds
+        order = going[np.argsort(-worth[going], kind="stable")]
+        keys = np.concatenate(
+            [worlds.f[order][:, _KEY, 0], worlds.g[order][:, [TARGET], 0], begun[order][:, None]], axis=1
+        )
+        _, unique = np.unique(keys, axis=0, return_index=True)
+        order = order[np.sort(unique)]
+        # Of those that are bound for one lane at one speed after one first action, the others wait for their turn.
+        groups = np.stack([begun[order], worlds.g[order, TARGET, 0], worlds.f[order, TARGET_SPEED, 0]], axis=1)
+        _, group = np.unique(groups, axis=0, return_inverse=True)
+        turn = np.zeros(len(order), np.int64)
+        for each in range(group.max() + 1):
+            members = np.flatnonzero(group == each)
+            turn[members] = np.arange(len(members))
+        return order[np.argsort(turn, kind="stable")][: self.beam]
+
+    def _start(self) -> Simulator:
+        """The simulator's true state now."""
+        base = cast(Any, self._env.unwrapped)
+        if isinstance(base, CompiledHighwayEnv):
+            return base.simulator
+        self._live.load(base)
+        return self._live
+
+
+def _copy(source: Simulator, target: Simulator, rows: Any, to: Any) -> None:
+    """Copy environments of one simulator into those of another."""
+    for a, b in zip(source.worlds, target.worlds, strict=True):
+        b[to] = a[rows]

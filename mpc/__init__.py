@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from mpc.filter.predictive_filter import PredictiveFilter
     from mpc.filter.problem import FilterProblem, FilterSettings, Occupied, Reference, Side
     from mpc.filter.result import FilterResult, Status
+    from mpc.lookahead_policy import LookaheadPolicy
     from mpc.mpc_policy import MPCPolicy
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "FilterProblem",
     "FilterResult",
     "FilterSettings",
+    "LookaheadPolicy",
     "MPCPolicy",
     "Occupied",
     "PredictiveFilter",
@@ -36,6 +38,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
         "filter.predictive_filter": ["PredictiveFilter"],
         "filter.problem": ["FilterProblem", "FilterSettings", "Occupied", "Reference", "Side"],
         "filter.result": ["FilterResult", "Status"],
+        "lookahead_policy": ["LookaheadPolicy"],
         "mpc_policy": ["MPCPolicy"],
     },
 )

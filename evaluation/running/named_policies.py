@@ -31,6 +31,7 @@ from evaluation.running.parking_planner import PARKING_POLICIES, parking_policy
 from evaluation.running.roundabout_planner import roundabout_policy
 from mpc import MPCPolicy
 from mpc.filter.program.road_step import StageModel
+from mpc.lookahead_policy import LookaheadPolicy
 from shield.errors import ConfigError
 
 __all__ = [
@@ -149,6 +150,8 @@ def make_policy(
         return ConstantPolicy(_constant(name, env))
     if name == "random":
         return RandomPolicy(env.action_space)
+    if name == "lookahead":
+        return LookaheadPolicy(env)
     if name == "mpc":
         return MPCPolicy(env, model=model)
     if name == "cem" and type(env.unwrapped.action_type).__name__ == "DiscreteMetaAction":  # type: ignore[attr-defined]

@@ -15,8 +15,9 @@ from shield.errors import ConfigError, PlatformError
 
 __all__ = ["environment"]
 
-_BLIND = ("faster", "idle", "slower", "throttle", "random")
-"""Baselines that look at nothing but the observation, as models do; the others read highway-env's own objects."""
+_READY = ("faster", "idle", "slower", "throttle", "random", "lookahead")
+"""Baselines that look at nothing but the observation, as models do, or know the compiled copy; the others read
+highway-env's own objects."""
 
 
 def environment(
@@ -57,8 +58,8 @@ def _check(policy: Any, variant: Variant, model: str | None) -> None:
         raise ConfigError(f"door {variant.door!r} stands around highway-env; the compiled highway has none and env")
     if model not in (None, "bicycle"):
         raise ConfigError(f"the model {model!r} is read from highway-env; the compiled highway has the bicycle")
-    if not isinstance(policy, str) or not (policy in _BLIND or policy in list_references() or policy.endswith(".zip")):
+    if not isinstance(policy, str) or not (policy in _READY or policy in list_references() or policy.endswith(".zip")):
         raise ConfigError(
             f"{policy if isinstance(policy, str) else type(policy).__name__} may read highway-env's objects; in the "
-            f"compiled highway drive {', '.join(_BLIND)}, reference policies and SB3 .zip files"
+            f"compiled highway drive {', '.join(_READY)}, reference policies and SB3 .zip files"
         )

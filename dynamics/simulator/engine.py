@@ -12,6 +12,7 @@ from dynamics.compiled import uncounted
 from dynamics.simulator.arithmetic import clip
 from dynamics.simulator.collisions import collide
 from dynamics.simulator.control import act
+from dynamics.simulator.grid import occupancy_grid
 from dynamics.simulator.layout import (
     ACCELERATION,
     COS,
@@ -110,11 +111,13 @@ class Rules(NamedTuple):
 
 
 class View(NamedTuple):
-    """What is observed (see `observe.kinematics`)."""
+    """What is observed: see `grid.occupancy_grid`, and `observe.kinematics` for one without a grid, (0, 3)."""
 
     features: IntArray
     ranges: FloatArray
     switches: tuple[bool, bool, bool, bool, bool, bool]
+    places: FloatArray
+    grid: FloatArray
 
 
 class Work(NamedTuple):
@@ -241,6 +244,21 @@ def _judge(rules: Rules, f: FloatArray, g: IntArray, parts: FloatArray) -> tuple
 @uncounted
 def _observe(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, e: int, out: Any) -> None:
     f, g, p, row = worlds.f[e], worlds.g[e], worlds.p[e], worlds.rows[e]
+    if len(view.grid) > 0:
+        occupancy_grid(
+            f,
+            g,
+            rules.lanes,
+            rules.numbers[1],
+            view.features,
+            view.ranges,
+            view.places,
+            view.grid,
+            view.switches[2],
+            work.seen,
+            out,
+        )
+        return
     kinematics(
         machine.sums,
         row,

@@ -13,7 +13,7 @@ from dynamics.simulator.layout import COS, HEADING, KIND, LANE, LANE_Y, LENGTH, 
 from dynamics.simulator.random import Row, interval
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["FEATURES", "kinematics"]
+__all__ = ["FEATURES", "feature_of", "kinematics"]
 
 FEATURES = (
     "presence",
@@ -39,7 +39,8 @@ _RELATIVE = 5
 
 
 @inlined
-def _feature(f: FloatArray, g: IntArray, lanes: FloatArray, i: int, feature: int) -> float:
+def feature_of(f: FloatArray, g: IntArray, lanes: FloatArray, i: int, feature: int) -> float:
+    """A feature of a body, by its index in `FEATURES`."""
     if feature == 0:
         return 1.0
     if feature == 1:
@@ -137,9 +138,9 @@ def kinematics(
                 seen[k, c] = 0.0
                 continue
             i, feature = (0, features[c]) if k == 0 else (near[k - 1], features[c])
-            value = _feature(f, g, lanes, i, feature)
+            value = feature_of(f, g, lanes, i, feature)
             if k > 0 and not absolute and 1 <= feature < _RELATIVE:
-                value -= _feature(f, g, lanes, 0, feature)
+                value -= feature_of(f, g, lanes, 0, feature)
             if normalised and not math.isnan(ranges[c, 0]):
                 value = -1 + (value - ranges[c, 0]) * 2 / (ranges[c, 1] - ranges[c, 0])
                 if clipped:

@@ -10,6 +10,7 @@ import numpy as np
 from highway_env import utils
 
 from dynamics.errors import ConfigError
+from dynamics.simulator.grid import LAYERS
 from dynamics.simulator.kinds import kind_of
 from dynamics.simulator.observe import FEATURES
 
@@ -102,11 +103,15 @@ def _scene(config: Mapping[str, Any]) -> list[str]:
 def _observation(config: Mapping[str, Any]) -> list[str]:
     observation = config["observation"]
     kind = observation.get("type") if isinstance(observation, Mapping) else None
-    if kind != "Kinematics":
+    if kind not in ("Kinematics", "OccupancyGrid"):
         return [f"observation {kind}"]
     refused, features = [], observation.get("features") or ()
-    if isinstance(features, str) or len(set(features)) != len(features) or set(features) - set(FEATURES):
+    known = {*FEATURES, *(LAYERS if kind == "OccupancyGrid" else ())}
+    if isinstance(features, str) or len(set(features)) != len(features) or set(features) - known:
         refused.append(f"features {features}")
+    if kind == "OccupancyGrid":
+        odd = [key for key in ("absolute", "align_to_vehicle_axes", "as_image") if observation.get(key)]
+        return [*refused, *(f"a grid that is {key}" for key in odd)]
     if observation.get("order", "sorted") not in ("sorted", "shuffled"):
         refused.append(f"observations in order {observation['order']!r}")
     if not _number(observation.get("vehicles_count", 5), 2, whole=True):

@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 from highway_env import utils
 from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction
+from highway_env.envs.common.observation import KinematicObservation, OccupancyGridObservation
 from highway_env.envs.highway_env import HighwayEnv, HighwayEnvFast
 from highway_env.road.lane import AbstractLane
 from highway_env.vehicle.controller import MDPVehicle
@@ -18,6 +19,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from dynamics.errors import ConfigError
 from dynamics.simulator.engine import Rules, View
+from dynamics.simulator.grid import LAYERS
 from dynamics.simulator.kinds import constants_of, kind_of, ranges_of
 from dynamics.simulator.layout import CONTINUOUS, EGO, LANE_COLUMNS
 from dynamics.simulator.observe import FEATURES
@@ -200,12 +202,20 @@ def _actions(action: Mapping[str, Any]) -> tuple[Inputs | None, Any, FloatArray]
 
 def _view(config: Mapping[str, Any]) -> tuple[View, gym.spaces.Box]:
     asked, n = config["observation"], config["lanes_count"]
-    features = list(asked.get("features") or ("presence", "x", "y", "vx", "vy"))
+    is_grid = asked["type"] == "OccupancyGrid"
+    default = OccupancyGridObservation.FEATURES if is_grid else KinematicObservation.FEATURES
+    features = list(asked.get("features") or default)
     ranges = asked.get("features_range")
     if not ranges:
         far, fast, side = 5.0 * Vehicle.MAX_SPEED, 2 * Vehicle.MAX_SPEED, AbstractLane.DEFAULT_WIDTH * n
-        ranges = {"x": [-far, far], "y": [-side, side], "vx": [-fast, fast], "vy": [-fast, fast]}
-    table = np.array([ranges.get(name, (math.nan, math.nan)) for name in features], dtype=np.float64)
+        ranges = {"vx": [-fast, fast], "vy": [-fast, fast]}
+        if not is_grid:
+            ranges |= {"x": [-far, far], "y": [-side, side]}
+    nothing = (math.nan, math.nan)
+    table, places = (
+        np.array([ranges.get(name, nothing)[:2] for name in names], dtype=np.float64)
+        for names in (features, ("x", "y"))
+    )
     switches = (
         bool(asked.get("absolute", False)),
         bool(asked.get("normalize", True)),
@@ -214,6 +224,14 @@ def _view(config: Mapping[str, Any]) -> tuple[View, gym.spaces.Box]:
         asked.get("order", "sorted") == "shuffled",
         bool(asked.get("include_obstacles", True)),
     )
-    rows = int(asked.get("vehicles_count", 5))
-    view = View(np.array([FEATURES.index(name) for name in features], dtype=np.int64), table, switches)
-    return view, gym.spaces.Box(-np.inf, np.inf, (rows, len(features)), np.float32)
+    cells = np.zeros((0, 3))
+    shape: tuple[int, ...] = (int(asked.get("vehicles_count", 5)), len(features))
+    if is_grid:
+        size = np.array(asked.get("grid_size") or OccupancyGridObservation.GRID_SIZE)
+        step = np.array(asked.get("grid_step") or OccupancyGridObservation.GRID_STEP)
+        counts = np.floor((size[:, 1] - size[:, 0]) / step)
+        cells = np.stack([size[:, 0], step, counts], axis=1).astype(np.float64)
+        shape = (len(features), *counts.astype(int).tolist())
+    names = (*FEATURES, *LAYERS)
+    view = View(np.array([names.index(name) for name in features], dtype=np.int64), table, switches, places, cells)
+    return view, gym.spaces.Box(-np.inf, np.inf, shape, np.float32)

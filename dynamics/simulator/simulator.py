@@ -138,12 +138,13 @@ class Simulator:
             np.zeros((e, WORDS), np.uint64),
             np.zeros(e),
         )
-        rows, features = self.scenario.observation_space.shape
+        shape = scenario.observation_space.shape
+        rows, features = shape[0], int(np.prod(shape[1:]))
         lanes = len(scenario.rules.lanes)
         bounds = np.linspace(0, e, min(threads, e) + 1).round().astype(int).tolist()
         self._parts = [(first, last, _work(m, lanes, rows, features)) for first, last in pairwise(bounds)]
         self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
-        self.seen = Seen(
+        flat = Seen(
             np.zeros((e, rows, features), np.float32),
             np.zeros((e, rows, features), np.float32),
             np.zeros(e),
@@ -152,6 +153,9 @@ class Simulator:
             np.zeros((e, 4)),
             np.zeros(e),
         )
+        self._flat = flat
+        shown = flat.observations.reshape(e, *shape), flat.terminal.reshape(e, *shape)
+        self.seen = flat._replace(observations=shown[0], terminal=shown[1])
 
     def reset(
         self, seeds: Sequence[int] | NDArray[Any] | None = None, which: Sequence[int] | None = None
@@ -181,7 +185,7 @@ class Simulator:
             numbers = np.array(given, dtype=np.int64)
         rules, view = self.scenario.rules, self.scenario.view
         self._check_configured()
-        reset_all(self.machine, self.worlds, rules, view, self._parts[0][2], self.seen, chosen, numbers)
+        reset_all(self.machine, self.worlds, rules, view, self._parts[0][2], self._flat, chosen, numbers)
         return self.seen.observations
 
     def step(
@@ -212,7 +216,9 @@ class Simulator:
 
         def part(bounds: tuple[int, int, Work]) -> None:
             first, last, work = bounds
-            step_all(self.machine, self.worlds, scenario.rules, scenario.view, work, seen, given, first, last, again)
+            step_all(
+                self.machine, self.worlds, scenario.rules, scenario.view, work, self._flat, given, first, last, again
+            )
 
         if self._pool is None:
             part(self._parts[0])
@@ -226,7 +232,7 @@ class Simulator:
         """`step` of the first `count` environments only; what it returns of the others is what was there before."""
         scenario, seen, work = self.scenario, self.seen, self._parts[0][2]
         given = self._given(actions)
-        step_all(self.machine, self.worlds, scenario.rules, scenario.view, work, seen, given, 0, count, False)
+        step_all(self.machine, self.worlds, scenario.rules, scenario.view, work, self._flat, given, 0, count, False)
         return seen.observations, seen.reward, seen.terminated, seen.truncated
 
     def begin(self, action: Any) -> None:
@@ -245,7 +251,7 @@ class Simulator:
     def finish(self) -> Seen:
         """End the decision that `begin` began: what it has led to."""
         scenario, work = self.scenario, self._parts[0][2]
-        finish(self.machine, self.worlds, scenario.rules, scenario.view, work, self.seen, 0)
+        finish(self.machine, self.worlds, scenario.rules, scenario.view, work, self._flat, 0)
         return self.seen
 
     def _given(self, actions: Any) -> FloatArray:

@@ -201,6 +201,24 @@ def test_observations_of_every_kind_are_the_same(observation):
     drive({"observation": {"type": "Kinematics", **observation}}, decisions=8)
 
 
+@pytest.mark.parametrize(
+    "observation",
+    [
+        {},
+        {"features": ["presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "lat_off", "on_road"]},
+        {"grid_size": [[-40, 60], [-12, 12]], "grid_step": [3, 3]},
+        {
+            "features": ["vx", "on_road"],
+            "features_range": {"vx": [-9, 9], "x": [-99, 99], "y": [-70, 90]},
+            "clip": False,
+        },
+        {"grid_size": [[-18, 18], [-18, 18]], "grid_step": [0.7, 1.3]},
+    ],
+)
+def test_grids_of_every_kind_are_the_same(observation):
+    drive({"observation": {"type": "OccupancyGrid", **observation}}, decisions=10)
+
+
 @pytest.mark.parametrize("rows", [2, 3, 5, 17])
 def test_a_shuffled_order_is_drawn_in_the_same_way(rows):
     drive({"observation": {"type": "Kinematics", "order": "shuffled", "vehicles_count": rows}}, seeds=(0, 1, 2, 3))
@@ -443,7 +461,10 @@ def test_traffic_that_drives_in_its_own_way_is_refused_or_the_same(kind, monkeyp
         {"observation": {"type": "Kinematics", "order": "none"}},
         {"observation": {"type": "Kinematics", "features": ["x", "x"]}},
         {"observation": {"type": "Kinematics", "features": ["x", "colour"]}},
-        {"observation": {"type": "OccupancyGrid"}},
+        {"observation": {"type": "OccupancyGrid", "as_image": True}},
+        {"observation": {"type": "OccupancyGrid", "align_to_vehicle_axes": True}},
+        {"observation": {"type": "OccupancyGrid", "absolute": True}},
+        {"observation": {"type": "OccupancyGrid", "features": ["on_road", "colour"]}},
         {"observation": {"vehicles_count": 5}},
         {"action": {}},
         {"action": {"type": "DiscreteAction"}},

@@ -286,7 +286,22 @@ def _random_action(rng: np.random.Generator) -> dict[str, Any]:
     return action
 
 
+def _random_grid(rng: np.random.Generator) -> dict[str, Any]:
+    names = ["presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "long_off", "lat_off", "ang_off", "on_road"]
+    grid: dict[str, Any] = {"type": "OccupancyGrid", "clip": bool(rng.integers(2))}
+    grid["features"] = [str(name) for name in rng.permutation(names)[: rng.integers(1, len(names) + 1)]]
+    half = rng.uniform(6, 60, size=2)
+    grid["grid_size"] = [[-float(half[0]), float(half[0])], [-float(half[1]), float(half[1])]]
+    grid["grid_step"] = rng.uniform(0.5, 6, size=2).tolist()
+    if rng.integers(2):
+        reach = rng.uniform(5, 200, size=3)
+        grid["features_range"] = {name: [-float(r), float(r)] for name, r in zip(("x", "y", "vx"), reach, strict=True)}
+    return grid
+
+
 def _random_observation(rng: np.random.Generator) -> dict[str, Any]:
+    if rng.random() < 0.15:
+        return _random_grid(rng)
     observation: dict[str, Any] = {"type": "Kinematics", "order": str(rng.choice(["sorted", "sorted", "shuffled"]))}
     if rng.random() < 0.7:
         observation["features"] = [

@@ -48,10 +48,18 @@ def addresses() -> np.ndarray[Any, Any]:
     Raises
     ------
     PlatformError
-        If this numpy keeps them elsewhere.
+        If this numpy keeps them elsewhere, or there is no C library to be found.
     """
-    power = ctypes.cast(ctypes.CDLL(ctypes.util.find_library("m")).pow, ctypes.c_void_p).value or 0
-    return np.array([*(_loop(ufunc) for ufunc in LOOPS), (power, 0)], dtype=np.int64)
+    return np.array([*(_loop(ufunc) for ufunc in LOOPS), (_c_pow(), 0)], dtype=np.int64)
+
+
+def _c_pow() -> int:
+    """The address of the C library's pow."""
+    try:
+        library = ctypes.CDLL(ctypes.util.find_library("m") or ctypes.util.find_library("c"))
+        return ctypes.cast(library.pow, ctypes.c_void_p).value or 0
+    except (OSError, AttributeError, TypeError) as error:
+        raise PlatformError(f"the C library's pow cannot be found: {error}") from None
 
 
 def _loop(ufunc: np.ufunc) -> tuple[int, int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import Any
 
 import gymnasium as gym
@@ -17,7 +18,7 @@ from highway_env.road.lane import AbstractLane
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from dynamics.errors import ConfigError
+from dynamics.errors import ConfigError, PlatformError
 from dynamics.simulator.engine import Rules, View
 from dynamics.simulator.grid import LAYERS
 from dynamics.simulator.kinds import constants_of, kind_of, ranges_of
@@ -30,6 +31,9 @@ __all__ = ["ACTIONS", "REWARDS", "Inputs", "Scenario", "scenario_of"]
 
 ACTIONS = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
 """The labels of meta-actions, by the number that the kernels know them by."""
+
+COPIED = "1.12"
+"""The version of highway-env: traffic of the versions before it drives in other ways."""
 
 REWARDS = ("collision_reward", "right_lane_reward", "high_speed_reward", "on_road_reward")
 """What the reward is made of, in the order of `engine.Seen.parts`."""
@@ -100,7 +104,12 @@ def scenario_of(env_id: str, config: Mapping[str, Any] | None = None) -> Scenari
     ------
     ConfigError
         If it needs what the compiled simulator cannot do; the message lists all of it.
+    PlatformError
+        If another version of highway-env is installed than the one that it is a copy of.
     """
+    installed = version("highway-env")
+    if not installed.startswith(f"{COPIED}."):
+        raise PlatformError(f"the compiled highway is a copy of highway-env {COPIED}; {installed} is installed")
     kind, registered = _class_of(env_id)
     whole = kind.default_config()
     whole.update(registered if config is None else config)

@@ -82,6 +82,10 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     def render(self) -> Any:
         """The picture, (height, width, 3) uint8."""
         image = self.env.render()
+        if not self._base.viewer.enabled:
+            # highway-env draws nothing under SDL's dummy driver otherwise.
+            self._base.viewer.enabled = True
+            image = self.env.render()
         if not isinstance(image, np.ndarray):
             return image
         zoom = -(-_LEAST_WIDTH // image.shape[1])

@@ -29,6 +29,8 @@ def command(folder, *more):
     (folder / "short.toml").write_text("duration = 2\nvehicles_count = 5\n", encoding="utf-8")
     arguments = ["evaluate", "--env-id", "highway-fast-v0", "--env-config", str(folder / "short.toml"), "--jobs", "1"]
     arguments += ["--policy", "faster", "--episodes", str(EPISODES), "--output", str(folder / "x.parquet"), *more]
+    # In its compiled copy a run would be over before it is killed.
+    arguments += ["--simulator", "highway-env"]
     return [sys.executable, "-m", "evaluation.commands.cli", *arguments]
 
 

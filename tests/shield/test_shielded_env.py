@@ -145,7 +145,8 @@ def record(env, policy, seed, steps=30):
     rows = [env.reset(seed=seed)[0]]
     for i in range(steps):
         obs, reward, terminated, truncated, info = env.step(policy(i))
-        shield = info.pop("shield", {})
+        episode = {name: value for name, value in info.pop("shield_episode", {}).items() if name != "latency_ms"}
+        shield = {**info.pop("shield", {}), "episode": episode}
         ego = env.unwrapped.vehicle
         others = [(*v.position, v.heading, v.speed, v.crashed) for v in env.unwrapped.road.vehicles]
         rows.append((obs, reward, terminated, truncated, info, shield, ego.target_speed, others))

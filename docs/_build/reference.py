@@ -26,6 +26,19 @@ INTERNAL = frozenset(
         "mpc.filter.program",
         "mpc.filter.solvers",
         "dynamics.compiled",
+        "dynamics.simulator.arithmetic",
+        "dynamics.simulator.collisions",
+        "dynamics.simulator.control",
+        "dynamics.simulator.grid",
+        "dynamics.simulator.kinds",
+        "dynamics.simulator.loops",
+        "dynamics.simulator.motion",
+        "dynamics.simulator.neighbours",
+        "dynamics.simulator.observe",
+        "dynamics.simulator.random",
+        "dynamics.simulator.refusals",
+        "dynamics.simulator.scene",
+        "dynamics.simulator.traffic",
         "dynamics.traffic.occupancy_kernels",
         "dynamics.vehicle.rollout_kernels",
         "evaluation.commands",
@@ -171,7 +184,7 @@ def _markdown(root: Path, package: Module, inner: dict[str, Module]) -> str:
 
 
 def _section(module: Module) -> str:
-    members = "".join(f"\n        - {name}" for name in module.shown)
+    members = "".join(f'\n        - "{name}"' for name in module.shown)
     return f"::: {module.name}\n    options:\n      members:{members}"
 
 

@@ -39,7 +39,7 @@ def documented(root: Path) -> set[str]:
     for page in reference.pages(root):
         for block in re.findall(r"^::: .*(?:\n .*)*", page.markdown, re.MULTILINE):
             name = block.split()[1]
-            names |= {f"{name}.{member}" for member in re.findall(r"- (\w+)", block)} or {name}
+            names |= {f"{name}.{member}" for member in re.findall(r"- \"(\w+)\"", block)} or {name}
     return names
 
 

@@ -70,7 +70,10 @@ def test_a_run_that_is_killed_at_ten_moments_ends_as_if_it_had_not_been(tmp_path
 
 
 def test_control_c_prints_what_there_is_and_keeps_it(tmp_path):
-    run = subprocess.Popen(command(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # So many that a busy machine is not through before it is interrupted.
+    asked = command(tmp_path)
+    asked[asked.index("--episodes") + 1] = "400"
+    run = subprocess.Popen(asked, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while run.poll() is None and lines(tmp_path) < 4:
         time.sleep(0.005)
     run.send_signal(signal.SIGINT)
@@ -80,7 +83,7 @@ def test_control_c_prints_what_there_is_and_keeps_it(tmp_path):
     assert "--resume goes on from there" in err
     kept = lines(tmp_path)
     assert kept >= 4
-    again = subprocess.run(command(tmp_path), capture_output=True, text=True)
+    again = subprocess.run(asked, capture_output=True, text=True)
     assert again.returncode == 2
     assert "--resume goes on with it, --force begins again" in " ".join(again.stderr.split())
     assert lines(tmp_path) == kept

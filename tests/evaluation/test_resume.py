@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
@@ -73,7 +74,9 @@ def test_control_c_prints_what_there_is_and_keeps_it(tmp_path):
     # So many that a busy machine is not through before it is interrupted.
     asked = command(tmp_path)
     asked[asked.index("--episodes") + 1] = "400"
-    run = subprocess.Popen(asked, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # What a shell starts in the background ignores the signal, and so would what it starts.
+    heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    run = subprocess.Popen(asked, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed)
     while run.poll() is None and lines(tmp_path) < 4:
         time.sleep(0.005)
     run.send_signal(signal.SIGINT)

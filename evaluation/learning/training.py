@@ -28,10 +28,11 @@ from evaluation.learning.algorithms import get_algorithm
 from evaluation.learning.normalisation import NORMALISABLE, fold, normalised
 from evaluation.learning.observations import FastObservations
 from evaluation.learning.recipes import get_recipe
-from evaluation.names import FIRST_EVALUATION_SEED, SIMULATORS, TRAINABLE
+from evaluation.names import FIRST_EVALUATION_SEED, TRAINABLE
 from evaluation.settings import Setting, get_setting
+from evaluation.simulators import compiled_where_it_serves
 from evaluation.threads import one_thread
-from shield.errors import ConfigError, PlatformError
+from shield.errors import ConfigError
 
 __all__ = [
     "TrainedPolicy",
@@ -211,19 +212,16 @@ def train_recipe(
 
 def _world(setting: Setting, simulator: str, fast: bool) -> tuple[str, gym.Env[Any, Any] | VecEnv]:
     """The environment to train in, and the name of what simulates it."""
-    if simulator not in SIMULATORS:
-        raise ConfigError(f"unknown simulator {simulator!r}; have {', '.join(SIMULATORS)}")
-    if simulator != "highway-env":
+
+    def compiled() -> tuple[VecEnv, bool]:
         from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 
-        try:
-            world = FastHighwayVecEnv(1, setting.env_id, setting.config)
-        except (ConfigError, PlatformError):
-            if simulator == "compiled":
-                raise
-        else:
-            if simulator == "compiled" or world.simulator.exact:
-                return "compiled", world
+        world = FastHighwayVecEnv(1, setting.env_id, setting.config)
+        return world, world.simulator.exact
+
+    world = compiled_where_it_serves(simulator, compiled)
+    if world is not None:
+        return "compiled", world
     made = setting.make()
     return "highway-env", Monitor(FastObservations(made) if fast else made)
 

@@ -7,11 +7,11 @@ from typing import Any
 import gymnasium as gym
 
 from dynamics.simulator.env import CompiledHighwayEnv
-from evaluation.names import SIMULATORS
 from evaluation.policies import list_references
 from evaluation.running.records import Variant
 from evaluation.settings import Setting
-from shield.errors import ConfigError, PlatformError
+from evaluation.simulators import compiled_where_it_serves
+from shield.errors import ConfigError
 
 __all__ = ["environment"]
 
@@ -37,19 +37,14 @@ def environment(
     PlatformError
         If it is asked for, and numpy's own loops cannot be had here.
     """
-    if simulator not in SIMULATORS:
-        raise ConfigError(f"unknown simulator {simulator!r}; have {', '.join(SIMULATORS)}")
-    if simulator != "highway-env":
-        try:
-            _check(policy, variant, model)
-            env = CompiledHighwayEnv(setting.env_id, setting.config)
-        except (ConfigError, PlatformError):
-            if simulator == "compiled":
-                raise
-        else:
-            if simulator == "compiled" or env.simulator.exact:
-                return "compiled", env
-    return "highway-env", setting.make()
+
+    def compiled() -> tuple[CompiledHighwayEnv, bool]:
+        _check(policy, variant, model)
+        env = CompiledHighwayEnv(setting.env_id, setting.config)
+        return env, env.simulator.exact
+
+    env = compiled_where_it_serves(simulator, compiled)
+    return ("highway-env", setting.make()) if env is None else ("compiled", env)
 
 
 def _check(policy: Any, variant: Variant, model: str | None) -> None:

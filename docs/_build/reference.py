@@ -31,6 +31,7 @@ INTERNAL = frozenset(
         "dynamics.simulator.control",
         "dynamics.simulator.grid",
         "dynamics.simulator.kinds",
+        "dynamics.simulator.lanes",
         "dynamics.simulator.loops",
         "dynamics.simulator.motion",
         "dynamics.simulator.neighbours",

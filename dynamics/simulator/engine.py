@@ -13,6 +13,7 @@ from dynamics.simulator.arithmetic import clip
 from dynamics.simulator.collisions import collide
 from dynamics.simulator.control import act
 from dynamics.simulator.grid import occupancy_grid
+from dynamics.simulator.lanes import on_lane, reachable
 from dynamics.simulator.layout import (
     ACCELERATION,
     COS,
@@ -21,9 +22,6 @@ from dynamics.simulator.layout import (
     HEADING,
     KIND,
     LANE,
-    LANE_LENGTH,
-    LANE_WIDTH,
-    LANE_Y,
     LENGTH,
     SPEED,
     STEERING,
@@ -54,8 +52,6 @@ __all__ = [
     "reset_all",
     "step_all",
 ]
-
-_OVERHANG = 5.0
 
 
 class Machine(NamedTuple):
@@ -153,7 +149,7 @@ class Seen(NamedTuple):
 
 
 @uncounted
-def _reset(machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int) -> None:
+def _reset(worlds: Worlds, rules: Rules, e: int) -> None:
     numbers = rules.numbers
     f, g, p, row = worlds.f[e], worlds.g[e], worlds.p[e], worlds.rows[e]
     constants = rules.constants[0], rules.constants[1]
@@ -190,8 +186,7 @@ def _command(rules: Rules, f: FloatArray, g: IntArray, action: FloatArray) -> No
         f[TARGET_SPEED, 0] = speeds[min(max(index, 0), len(speeds) - 1)]
     elif label != 1:
         lane = min(max(g[TARGET, 0] + label - 1, 0), len(lanes) - 1)
-        near = abs(f[Y, 0] - lanes[lane, LANE_Y]) <= 2 * lanes[lane, LANE_WIDTH]
-        if near and 0.0 <= f[X, 0] < lanes[lane, LANE_LENGTH] + _OVERHANG:
+        if reachable(lanes, lane, f[X, 0], f[Y, 0]):
             g[TARGET, 0] = lane
 
 
@@ -215,19 +210,11 @@ def _frame(
 
 
 @uncounted
-def _on_road(lanes: FloatArray, lane: int, x: float, y: float) -> bool:
-    """Whether a place is on a lane."""
-    return abs(y - lanes[lane, LANE_Y]) <= lanes[lane, LANE_WIDTH] / 2 + 0 and (
-        -_OVERHANG <= x < lanes[lane, LANE_LENGTH] + _OVERHANG
-    )
-
-
-@uncounted
 def _judge(rules: Rules, f: FloatArray, g: IntArray, parts: FloatArray) -> tuple[float, bool]:
     """The reward of a decision, and whether the ego is on the road."""
     collision, right, fast, on_road, slow_end, fast_end, normalised, _ = rules.reward
     lanes, lane = rules.lanes, g[TARGET, 0] if g[KIND, 0] == EGO else g[LANE, 0]
-    on = _on_road(lanes, g[LANE, 0], f[X, 0], f[Y, 0])
+    on = on_lane(lanes, g[LANE, 0], f[X, 0], f[Y, 0], 0.0)
     parts[0] = float(g[CRASHED, 0])
     parts[1] = lane / max(len(lanes) - 1, 1)
     parts[2] = clip((f[SPEED, 0] * f[COS, 0] - slow_end) / (fast_end - slow_end), 0.0, 1.0)
@@ -276,8 +263,8 @@ def _observe(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: W
 
 
 @uncounted
-def _finish(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
-    """What a decision has led to: observation, reward, and whether the episode is over."""
+def finish(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
+    """End a decision in one environment: observation, reward, and whether the episode is over; see `Seen`."""
     f, g = worlds.f[e], worlds.g[e]
     _observe(machine, worlds, rules, view, work, e, seen.observations[e])
     reward, on = _judge(rules, f, g, seen.parts[e])
@@ -300,7 +287,7 @@ def look(worlds: Worlds, rules: Rules, e: int, rows: FloatArray) -> bool:
     for i in range(f.shape[1]):
         rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3] = f[X, i], f[Y, i], f[HEADING, i], f[SPEED, i]
         rows[i, 4], rows[i, 5], rows[i, 6] = p[LENGTH, i], p[WIDTH, i], float(g[CRASHED, i])
-    return _on_road(lanes, g[LANE, 0], f[X, 0], f[Y, 0])
+    return on_lane(lanes, g[LANE, 0], f[X, 0], f[Y, 0], 0.0)
 
 
 @uncounted
@@ -319,12 +306,7 @@ def frame(
 
 
 @uncounted
-def finish(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
-    """End a decision in one environment; see `Seen`."""
-    _finish(machine, worlds, rules, view, work, seen, e)
-
-
-def _reset_all(
+def reset_all(
     machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, which: IntArray, seeds: IntArray
 ) -> None:
     """Reset environments; a negative seed goes on with the environment's generator."""
@@ -332,12 +314,13 @@ def _reset_all(
         e = which[k]
         if seeds[k] >= 0:
             seed_row(worlds.rows[e], seeds[k])
-        _reset(machine, worlds, rules, work, e)
+        _reset(worlds, rules, e)
         _observe(machine, worlds, rules, view, work, e, seen.observations[e])
         seen.speed[e], seen.parts[e, 0] = worlds.f[e, SPEED, 0], 0.0
 
 
-def _step_all(
+@uncounted
+def step_all(
     machine: Machine,
     worlds: Worlds,
     rules: Rules,
@@ -351,20 +334,14 @@ def _step_all(
 ) -> None:
     """A decision in each of the environments from `first` to `last`; with `again`, those that are over are reset."""
     for e in range(first, last):
-        f, g = worlds.f[e], worlds.g[e]
-        worlds.clock[e] += rules.times[1]
-        _command(rules, f, g, actions[e])
-        level = sort(f, worlds.order[e])
+        begin(worlds, rules, e, actions[e])
+        level = sort(worlds.f[e], worlds.order[e])
         for _ in range(rules.numbers[0]):
             level = _frame(machine, worlds, rules, work, e, level, math.nan, math.nan)
-        _finish(machine, worlds, rules, view, work, seen, e)
+        finish(machine, worlds, rules, view, work, seen, e)
         if again and (seen.terminated[e] or seen.truncated[e]):
             for k in range(seen.observations.shape[1]):
                 for c in range(seen.observations.shape[2]):
                     seen.terminal[e, k, c] = seen.observations[e, k, c]
-            _reset(machine, worlds, rules, work, e)
+            _reset(worlds, rules, e)
             _observe(machine, worlds, rules, view, work, e, seen.observations[e])
-
-
-reset_all = uncounted(_reset_all)
-step_all = uncounted(_step_all)

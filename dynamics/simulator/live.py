@@ -14,6 +14,7 @@ from highway_env.vehicle.objects import Obstacle
 from dynamics.errors import ConfigError, SceneError
 from dynamics.simulator.engine import Worlds
 from dynamics.simulator.kinds import CONSTANTS, constants_of, kind_of
+from dynamics.simulator.lanes import lanes_at
 from dynamics.simulator.layout import (
     A_SPEED,
     ACCELERATION,
@@ -46,7 +47,6 @@ from dynamics.simulator.layout import (
     X,
     Y,
 )
-from dynamics.simulator.neighbours import lanes_at
 from dynamics.simulator.random import from_generator, to_generator
 from dynamics.simulator.scenario import Scenario
 from dynamics.state import FloatArray

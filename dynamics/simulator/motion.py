@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dynamics.compiled import inlined, uncounted
-from dynamics.simulator.arithmetic import wrap_to_pi
+from dynamics.compiled import uncounted
+from dynamics.simulator.lanes import closest_lane, lanes_at
 from dynamics.simulator.layout import (
     ACCELERATION,
     COS,
@@ -16,7 +16,6 @@ from dynamics.simulator.layout import (
     KIND,
     LANE,
     LANE_LENGTH,
-    LANE_Y,
     LENGTH,
     LINEAR,
     MAX_SPEED,
@@ -31,23 +30,11 @@ from dynamics.simulator.layout import (
     Y,
 )
 from dynamics.simulator.loops import apply
-from dynamics.simulator.neighbours import lanes_at
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["closest_lane", "move"]
+__all__ = ["move"]
 
 _TAN, _ARCTAN, _COS, _SIN = 0, 1, 3, 4
-
-
-@inlined
-def closest_lane(lanes: FloatArray, x: float, y: float, heading: float) -> int:
-    """The lane nearest in position and heading, the first of equals."""
-    best, least, angle = 0, 0.0, abs(wrap_to_pi(heading - 0.0))
-    for lane in range(len(lanes)):
-        away = abs(y - lanes[lane, LANE_Y]) + max(x - lanes[lane, LANE_LENGTH], 0.0) + max(0.0 - x, 0.0) + 1.0 * angle
-        if lane == 0 or away < least:
-            best, least = lane, away
-    return best
 
 
 @uncounted

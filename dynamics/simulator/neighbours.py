@@ -6,15 +6,11 @@ counts, of two behind the earlier; one that is level counts as ahead.
 
 from __future__ import annotations
 
-from dynamics.compiled import inlined, uncounted
-from dynamics.simulator.layout import LANE_LENGTH, LANE_WIDTH, LANE_Y, ON, X
+from dynamics.compiled import uncounted
+from dynamics.simulator.layout import ON, X
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["find", "lanes_at", "sort"]
-
-_MARGIN = 1.0
-_OVERHANG = 5.0
-"""`AbstractLane.VEHICLE_LENGTH`: a lane goes on for so long beyond both its ends [m]."""
+__all__ = ["find", "sort"]
 
 
 @uncounted
@@ -37,18 +33,6 @@ def sort(f: FloatArray, order: IntArray) -> bool:
         if j >= 0 and f[X, order[j]] == x:
             level = True
     return level
-
-
-@inlined
-def lanes_at(lanes: FloatArray, x: float, y: float) -> int:
-    """The lanes that a body counts on, as bits."""
-    bits = 0
-    for lane in range(len(lanes)):
-        if abs(y - lanes[lane, LANE_Y]) <= lanes[lane, LANE_WIDTH] / 2 + _MARGIN and (
-            -_OVERHANG <= x < lanes[lane, LANE_LENGTH] + _OVERHANG
-        ):
-            bits |= 1 << lane
-    return bits
 
 
 @uncounted

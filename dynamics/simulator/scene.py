@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from dynamics.compiled import inlined, uncounted
+from dynamics.simulator.lanes import closest_lane, lanes_at
 from dynamics.simulator.layout import (
     A_SPEED,
     CHANGES,
@@ -29,8 +30,6 @@ from dynamics.simulator.layout import (
     X,
     Y,
 )
-from dynamics.simulator.motion import closest_lane
-from dynamics.simulator.neighbours import lanes_at
 from dynamics.simulator.random import Row, below, uniform
 from dynamics.state import FloatArray, IntArray
 

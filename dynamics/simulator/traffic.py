@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.arithmetic import clip, dot2, dot3, not_zero
+from dynamics.simulator.lanes import reachable
 from dynamics.simulator.layout import (
     A_GAP,
     A_LEADER,
@@ -22,10 +23,7 @@ from dynamics.simulator.layout import (
     IMPOSED,
     KIND,
     LANE,
-    LANE_LENGTH,
     LANE_LIMIT,
-    LANE_WIDTH,
-    LANE_Y,
     LINEAR,
     OBSTACLE,
     POLITENESS,
@@ -45,7 +43,6 @@ from dynamics.state import FloatArray, IntArray
 __all__ = ["acceleration", "change_lanes", "desired_gap", "free_flow", "wanted_share"]
 
 _POWER = 5
-_OVERHANG = 5.0
 
 
 @inlined
@@ -204,10 +201,7 @@ def change_lanes(
         candidate = lane + side
         if candidate < 0 or candidate >= len(lanes):
             continue
-        away = abs(f[Y, i] - lanes[candidate, LANE_Y])
-        if away > 2 * lanes[candidate, LANE_WIDTH]:
-            continue
-        if not 0.0 <= f[X, i] < lanes[candidate, LANE_LENGTH] + _OVERHANG or abs(f[SPEED, i]) < 1.0:
+        if not reachable(lanes, candidate, f[X, i], f[Y, i]) or abs(f[SPEED, i]) < 1.0:
             continue
         if _mobil(sums, loops, f, g, p, lanes, front, rear, i, candidate, free, present):
             g[TARGET, i] = candidate

@@ -12,10 +12,11 @@ from typing import Protocol
 import numpy as np
 
 from dynamics.scenes.scene import Scene, Target
-from dynamics.state import BoolArray, FloatArray, RoadState, State, Vehicle
+from dynamics.state import FloatArray
 from shield.config import ShieldConfig
 from shield.decision import Reason
 from shield.errors import ConfigError
+from shield.rule_kernels import alongside, breaks_rss, lateral_gap, longitudinal_gap, time_is_short
 
 __all__ = [
     "BufferRule",
@@ -58,28 +59,8 @@ def rss_gap(
     vehicle that brakes harder comes nearest while both still move, when their speeds are equal; then the distance
     to that moment is asked for as well.
     """
-    v_r, v_f = np.maximum(rear_speed, 0.0), np.maximum(front_speed, 0.0)
-    after = v_r + response_time * acceleration
-    gap = (
-        v_r * response_time
-        + 0.5 * acceleration * response_time**2
-        + after**2 / (2 * rear_braking)
-        - v_f**2 / (2 * front_braking)
-    )
-    if rear_braking > front_braking:
-        front_after = v_f - front_braking * response_time
-        closing = after - front_after
-        meet = closing / (rear_braking - front_braking)
-        moving = (closing > 0) & (after - rear_braking * meet >= 0) & (front_after > 0)
-        travelled = v_f * response_time - 0.5 * front_braking * response_time**2
-        nearest = (
-            v_r * response_time
-            + 0.5 * acceleration * response_time**2
-            - travelled
-            + closing**2 / (2 * (rear_braking - front_braking))
-        )
-        gap = np.where(moving, np.maximum(gap, nearest), gap)
-    return np.maximum(gap, 0.0)
+    gap: FloatArray = _longitudinal(rear_speed, front_speed, response_time, acceleration, rear_braking, front_braking)
+    return gap
 
 
 def rss_lateral_gap(
@@ -94,24 +75,16 @@ def rss_lateral_gap(
 
     Source: Shalev-Shwartz, Shammah, Shashua 2017, definition 6 (mu is `margin`).
     """
-    rho = response_time
-    v1, v2 = left_speed + rho * acceleration, right_speed - rho * acceleration
-    toward = 0.5 * (left_speed + v1) * rho + np.sign(v1) * v1**2 / (2 * braking)
-    away = 0.5 * (right_speed + v2) * rho + np.sign(v2) * v2**2 / (2 * braking)
-    return margin + np.maximum(toward - away, 0.0)
+    gap: FloatArray = _lateral(left_speed, right_speed, response_time, acceleration, braking, margin)
+    return gap
 
 
-def _gaps(scene: Scene) -> FloatArray:
-    """Bumper distance to each other vehicle along the road, negative where they overlap (n,) [m]."""
-    ds = scene.others_road[:, RoadState.S] - scene.ego_road[RoadState.S]
-    return np.abs(ds) - 0.5 * (scene.others[:, Vehicle.LENGTH] + scene.ego[Vehicle.LENGTH])
+_longitudinal, _lateral = np.vectorize(longitudinal_gap, [float]), np.vectorize(lateral_gap, [float])
 
 
-def _in_lane(scene: Scene, lane: int) -> BoolArray:
-    """Which others touch a lane (n,)."""
-    half = 0.5 * (scene.road.width + scene.others[:, Vehicle.WIDTH])
-    offset = scene.others_road[:, RoadState.R] - scene.road.centers[lane]
-    return np.abs(offset) < half - 0.5
+def _kinematics(scene: Scene) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """What the kernels look at: the ego and the others, as rows and on the road, and the lanes."""
+    return scene.ego, scene.ego_road, scene.others, scene.others_road, scene.road.centers
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,12 +103,7 @@ class BufferRule:
 
     def objects(self, scene: Scene, target: Target) -> bool:
         """Whether `target` enters a lane that somebody alongside is in."""
-        here = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
-        if target.lane == here or scene.others.shape[0] == 0:
-            return False
-        offset = scene.others_road[:, RoadState.R] - scene.road.centers[target.lane]
-        beside = (np.abs(offset) < 1.0) & (_gaps(scene) < self.longitudinal)
-        return bool(beside.any())
+        return alongside(*_kinematics(scene), target.lane, self.longitudinal)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,39 +140,10 @@ class RssRule:
 
     def objects(self, scene: Scene, target: Target) -> bool:
         """Whether a gap that RSS asks of the ego would be broken."""
-        if scene.others.shape[0] == 0:
-            return False
         c, a = self.config, self.config.assumptions
-        gaps = _gaps(scene)
-        ahead = scene.others_road[:, RoadState.S] >= scene.ego_road[RoadState.S]
-        v, others_v = scene.ego[State.SPEED], scene.others[:, Vehicle.SPEED]
-        here = _in_lane(scene, target.lane)
-        speed = np.full_like(others_v, max(v, target.speed) if target.speed > v else v)
-        front = rss_gap(speed, others_v, c.response_time, 0.0, c.braking, a.braking)
-        breaks = here & ahead & (gaps < front)
-        now = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
-        if target.lane != now:
-            rear = rss_gap(
-                others_v,
-                np.full_like(others_v, v),
-                a.reaction_time,
-                a.acceleration,
-                a.follower_braking,
-                c.braking,
-            )
-            breaks |= here & ~ahead & (gaps < rear)
-            breaks |= self._lateral(scene, target, gaps)
-        return bool(breaks.any())
-
-    def _lateral(self, scene: Scene, target: Target, gaps: FloatArray) -> BoolArray:
-        """Vehicles alongside, on the side that the ego moves to, nearer than the lateral gap."""
-        side = np.sign(scene.road.centers[target.lane] - scene.ego_road[RoadState.R])
-        dr = side * (scene.others_road[:, RoadState.R] - scene.ego_road[RoadState.R])
-        flank = dr - 0.5 * (scene.others[:, Vehicle.WIDTH] + scene.ego[Vehicle.WIDTH])
-        own = side * scene.ego[State.SPEED] * np.sin(scene.ego_road[RoadState.HEADING])
-        other = side * scene.others[:, Vehicle.SPEED] * np.sin(scene.others_road[:, RoadState.HEADING])
-        need = rss_lateral_gap(np.full_like(other, own), other, self.config.response_time, 1.0, 2.0, 0.3)
-        return (gaps < 0) & (dr > 0) & (flank < need)
+        aim = float(scene.road.width), target.lane, float(target.speed)
+        braking, response = (c.braking, a.braking, a.follower_braking), (c.response_time, a.reaction_time)
+        return breaks_rss(*_kinematics(scene), *aim, braking, response, a.acceleration)
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,20 +160,8 @@ class TtcRule:
 
     def objects(self, scene: Scene, target: Target) -> bool:
         """Whether the time to collision in the target's lane is below the threshold."""
-        if scene.others.shape[0] == 0:
-            return False
-        here = _in_lane(scene, target.lane)
-        gaps = _gaps(scene)
-        ahead = scene.others_road[:, RoadState.S] >= scene.ego_road[RoadState.S]
-        v = max(float(scene.ego[State.SPEED]), target.speed)
-        others_v = scene.others[:, Vehicle.SPEED]
-        now = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
-        closing = np.where(ahead, v - others_v, others_v - scene.ego[State.SPEED])
-        if target.lane == now:
-            here &= ahead
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            ttc = np.where(closing > 0, np.maximum(gaps, 0.0) / closing, np.inf)
-        return bool((here & ((ttc < self.threshold) | (gaps < 0))).any())
+        aim = float(scene.road.width), target.lane, float(target.speed)
+        return time_is_short(*_kinematics(scene), *aim, self.threshold)
 
 
 def make_rule(name: str, config: ShieldConfig) -> Rule:

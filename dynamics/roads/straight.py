@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 from dynamics.errors import SceneError
 from dynamics.roads.gaps import Gaps
 from dynamics.state import FloatArray, RoadState, State
@@ -76,7 +76,7 @@ class Road(Protocol):
         ...
 
 
-@compiled
+@uncounted
 def _to_road(states: Any, x: float, y: float, cos: float, sin: float, heading: float, out: Any) -> None:
     for i in range(states.shape[0]):
         dx, dy = states[i, _X] - x, states[i, _Y] - y
@@ -84,7 +84,7 @@ def _to_road(states: Any, x: float, y: float, cos: float, sin: float, heading: f
         out[i, _PSI], out[i, _V] = states[i, _HEADING] - heading, states[i, _SPEED]
 
 
-@compiled
+@uncounted
 def nearest(centers: Any, r: float) -> int:
     """Index of the centre that is nearest to r, the first of two."""
     best = 0

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 from dynamics.errors import ActionError, SceneError
 from dynamics.roads.network import read_network
 from dynamics.roads.straight import Road, StraightRoad
@@ -126,7 +126,7 @@ class Scene:
         return now
 
 
-@compiled
+@uncounted
 def _finite(ego: Any, others: Any) -> bool:
     for value in ego:
         if not math.isfinite(value):

@@ -45,11 +45,14 @@ __all__ = [
     "View",
     "Work",
     "Worlds",
+    "advance",
     "begin",
     "finish",
     "frame",
     "look",
     "reset_all",
+    "restart",
+    "show",
     "step_all",
 ]
 
@@ -149,7 +152,8 @@ class Seen(NamedTuple):
 
 
 @uncounted
-def _reset(worlds: Worlds, rules: Rules, e: int) -> None:
+def restart(worlds: Worlds, rules: Rules, e: int) -> None:
+    """Draw a new scene in one environment."""
     numbers = rules.numbers
     f, g, p, row = worlds.f[e], worlds.g[e], worlds.p[e], worlds.rows[e]
     constants = rules.constants[0], rules.constants[1]
@@ -191,7 +195,7 @@ def _command(rules: Rules, f: FloatArray, g: IntArray, action: FloatArray) -> No
 
 
 @uncounted
-def _frame(
+def advance(
     machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, level: bool, throttle: float, wheel: float
 ) -> bool:
     """Advance one environment by a frame; `level` is of `sort`, before and after."""
@@ -229,7 +233,8 @@ def _judge(rules: Rules, f: FloatArray, g: IntArray, parts: FloatArray) -> tuple
 
 
 @uncounted
-def _observe(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, e: int, out: Any) -> None:
+def show(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, e: int, out: Any) -> None:
+    """Fill in the observation of one environment, `out` (rows, features)."""
     f, g, p, row = worlds.f[e], worlds.g[e], worlds.p[e], worlds.rows[e]
     if len(view.grid) > 0:
         occupancy_grid(
@@ -266,7 +271,7 @@ def _observe(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: W
 def finish(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
     """End a decision in one environment: observation, reward, and whether the episode is over; see `Seen`."""
     f, g = worlds.f[e], worlds.g[e]
-    _observe(machine, worlds, rules, view, work, e, seen.observations[e])
+    show(machine, worlds, rules, view, work, e, seen.observations[e])
     reward, on = _judge(rules, f, g, seen.parts[e])
     seen.reward[e], seen.speed[e] = reward, f[SPEED, 0]
     seen.terminated[e] = g[CRASHED, 0] != 0 or (rules.reward[7] and not on)
@@ -301,7 +306,7 @@ def frame(
     throttle, wheel : what the ego gets instead of what its own controllers ask for [m/s^2, rad]; NaN for theirs.
     rows : (m, 7), written: x, y [m], heading [rad], speed [m/s], length, width [m], crashed, of each body.
     """
-    _frame(machine, worlds, rules, work, e, sort(worlds.f[e], worlds.order[e]), throttle, wheel)
+    advance(machine, worlds, rules, work, e, sort(worlds.f[e], worlds.order[e]), throttle, wheel)
     return look(worlds, rules, e, rows)
 
 
@@ -314,8 +319,8 @@ def reset_all(
         e = which[k]
         if seeds[k] >= 0:
             seed_row(worlds.rows[e], seeds[k])
-        _reset(worlds, rules, e)
-        _observe(machine, worlds, rules, view, work, e, seen.observations[e])
+        restart(worlds, rules, e)
+        show(machine, worlds, rules, view, work, e, seen.observations[e])
         seen.speed[e], seen.parts[e, 0] = worlds.f[e, SPEED, 0], 0.0
 
 
@@ -337,11 +342,11 @@ def step_all(
         begin(worlds, rules, e, actions[e])
         level = sort(worlds.f[e], worlds.order[e])
         for _ in range(rules.numbers[0]):
-            level = _frame(machine, worlds, rules, work, e, level, math.nan, math.nan)
+            level = advance(machine, worlds, rules, work, e, level, math.nan, math.nan)
         finish(machine, worlds, rules, view, work, seen, e)
         if again and (seen.terminated[e] or seen.truncated[e]):
             for k in range(seen.observations.shape[1]):
                 for c in range(seen.observations.shape[2]):
                     seen.terminal[e, k, c] = seen.observations[e, k, c]
-            _reset(worlds, rules, e)
-            _observe(machine, worlds, rules, view, work, e, seen.observations[e])
+            restart(worlds, rules, e)
+            show(machine, worlds, rules, view, work, e, seen.observations[e])

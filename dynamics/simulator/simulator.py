@@ -57,7 +57,7 @@ class Simulator:
     ----------
     scenario : what is simulated.
     worlds : the state of all copies, arrays that may be read and written (see `engine.Worlds`, `layout`).
-    seen : what the last call found (see `engine.Seen`).
+    seen : what the last call found (see `engine.Seen`). flat : the same, with a grid's features in one axis.
     exact : whether this machine's numpy makes sums of products in a way that is known here. Where it does not, states
         agree to some 1e-12 at first.
 
@@ -140,9 +140,8 @@ class Simulator:
         )
         shape = scenario.observation_space.shape
         rows, features = shape[0], int(np.prod(shape[1:]))
-        lanes = len(scenario.rules.lanes)
         bounds = np.linspace(0, e, min(threads, e) + 1).round().astype(int).tolist()
-        self._parts = [(first, last, _work(m, lanes, rows, features)) for first, last in pairwise(bounds)]
+        self._parts = [(first, last, self.new_work()) for first, last in pairwise(bounds)]
         self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
         flat = Seen(
             np.zeros((e, rows, features), np.float32),
@@ -153,9 +152,14 @@ class Simulator:
             np.zeros((e, 4)),
             np.zeros(e),
         )
-        self._flat = flat
+        self.flat = flat
         shown = flat.observations.reshape(e, *shape), flat.terminal.reshape(e, *shape)
         self.seen = flat._replace(observations=shown[0], terminal=shown[1])
+
+    def new_work(self) -> Work:
+        """Room for the kernels of one more thread."""
+        shape, scenario = self.scenario.observation_space.shape, self.scenario
+        return _work(scenario.bodies, len(scenario.rules.lanes), shape[0], int(np.prod(shape[1:])))
 
     def reset(
         self, seeds: Sequence[int] | NDArray[Any] | None = None, which: Sequence[int] | None = None
@@ -185,7 +189,7 @@ class Simulator:
             numbers = np.array(given, dtype=np.int64)
         rules, view = self.scenario.rules, self.scenario.view
         self._check_configured()
-        reset_all(self.machine, self.worlds, rules, view, self._parts[0][2], self._flat, chosen, numbers)
+        reset_all(self.machine, self.worlds, rules, view, self._parts[0][2], self.flat, chosen, numbers)
         return self.seen.observations
 
     def step(
@@ -217,7 +221,7 @@ class Simulator:
         def part(bounds: tuple[int, int, Work]) -> None:
             first, last, work = bounds
             step_all(
-                self.machine, self.worlds, scenario.rules, scenario.view, work, self._flat, given, first, last, again
+                self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, given, first, last, again
             )
 
         if self._pool is None:
@@ -232,7 +236,7 @@ class Simulator:
         """`step` of the first `count` environments only; what it returns of the others is what was there before."""
         scenario, seen, work = self.scenario, self.seen, self._parts[0][2]
         given = self._given(actions)
-        step_all(self.machine, self.worlds, scenario.rules, scenario.view, work, self._flat, given, 0, count, False)
+        step_all(self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, given, 0, count, False)
         return seen.observations, seen.reward, seen.terminated, seen.truncated
 
     def begin(self, action: Any) -> None:
@@ -251,7 +255,7 @@ class Simulator:
     def finish(self) -> Seen:
         """End the decision that `begin` began: what it has led to."""
         scenario, work = self.scenario, self._parts[0][2]
-        finish(self.machine, self.worlds, scenario.rules, scenario.view, work, self._flat, 0)
+        finish(self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, 0)
         return self.seen
 
     def _given(self, actions: Any) -> FloatArray:

@@ -17,10 +17,10 @@ import math
 
 import numpy as np
 
-from dynamics.compiled import compiled
+from dynamics.compiled import inlined, uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray
 
-__all__ = ["COMFORT", "GAP", "IMPOSED", "TIME", "TWICE_ROOT", "desired_gap", "gains"]
+__all__ = ["COMFORT", "GAP", "IMPOSED", "TIME", "TWICE_ROOT", "desired_gap", "gain_of", "gains"]
 
 GAP, TIME, TWICE_ROOT = 10.0, 1.5, 2.0 * math.sqrt(15.0)
 """IDM's d0 [m], T [s] and 2 sqrt(a b) [m/s^2]."""
@@ -32,19 +32,69 @@ _LEAST_GAIN = 0.2
 """Acceleration that a lane change has to gain [m/s^2]."""
 
 
-@compiled
+@inlined
 def desired_gap(v: float, closing: float) -> float:
     """IDM's desired gap d* at speed v, closing in on the vehicle ahead [m]; negative where it pulls away."""
     return GAP + TIME * v + v * closing / TWICE_ROOT
 
 
-@compiled
+@inlined
 def _held_up(v: float, closing: float, gap: float) -> float:
     """d* / d of a vehicle behind another."""
     return desired_gap(v, closing) / max(gap, 1e-2)
 
 
-@compiled
+@inlined
+def _pays(v: float, now: float, gap: float, speed: float, back: float, behind: float, slack: float) -> bool:
+    """MOBIL's answer: `now` is (d* / d)^2 of the old leader, the new one is at `gap` and `speed`, the new follower at
+    `back` and `behind`."""
+    gain = COMFORT * (now - _held_up(v, v - speed, gap) ** 2)
+    imposed = _held_up(behind, behind - v, back)
+    return gain >= _LEAST_GAIN - slack and imposed <= IMPOSED + slack
+
+
+@uncounted
+def gain_of(
+    j: int,
+    states: FloatArray,
+    lane: IntArray,
+    low: FloatArray,
+    high: FloatArray,
+    centers: FloatArray,
+    sight: float,
+    slack: float,
+    out: BoolArray,
+) -> None:
+    """Whether vehicle `j` would gain by a change into the lane below its own in r, and above, `out` (2,); see
+    `gains`."""
+    s, v, own = states[j, 0], states[j, 3], centers[lane[j]]
+    now = 0.0
+    # Of the lanes below and above: distance and speed of the next ahead, and of the next behind.
+    gap0, gap1, back0, back1 = np.inf, np.inf, np.inf, np.inf
+    speed0, speed1, behind0, behind1 = 0.0, 0.0, 0.0, 0.0
+    below, above = lane[j] > 0, lane[j] + 1 < centers.shape[0]
+    low0, high1 = centers[lane[j] - 1] if below else np.nan, centers[lane[j] + 1] if above else np.nan
+    for i in range(states.shape[0]):
+        if i == j:
+            continue
+        ahead, r = states[i, 0] - s, states[i, 1]
+        if ahead >= 0 and (abs(r - own) <= sight or low[i] < own < high[i]):
+            now = max(now, _held_up(v, v - states[i, 3], ahead) ** 2)
+        if abs(r - low0) <= sight:
+            if 0 <= ahead < gap0:
+                gap0, speed0 = ahead, states[i, 3]
+            elif -back0 < ahead < 0:
+                back0, behind0 = -ahead, states[i, 3]
+        if abs(r - high1) <= sight:
+            if 0 <= ahead < gap1:
+                gap1, speed1 = ahead, states[i, 3]
+            elif -back1 < ahead < 0:
+                back1, behind1 = -ahead, states[i, 3]
+    out[0] = below and _pays(v, now, gap0, speed0, back0, behind0, slack)
+    out[1] = above and _pays(v, now, gap1, speed1, back1, behind1, slack)
+
+
+@uncounted
 def gains(
     states: FloatArray,
     lane: IntArray,
@@ -53,8 +103,9 @@ def gains(
     centers: FloatArray,
     sight: float,
     slack: float,
-) -> BoolArray:
-    """Whether each vehicle would gain by a change into the lane below its own in r, and above, (m, 2) bool.
+    out: BoolArray,
+) -> None:
+    """Whether each vehicle would gain by a change into the lane below its own in r, and above, `out` (m, 2).
 
     Parameters
     ----------
@@ -63,30 +114,5 @@ def gains(
     sight : how near to a lane's centre a vehicle counts as being in it [m].
     slack : what the gain may lack [m/s^2]; and, as a share of the distance, what the new follower may.
     """
-    m = states.shape[0]
-    out = np.zeros((m, 2), np.bool_)
-    for j in range(m):
-        s, v = states[j, 0], states[j, 3]
-        # Of the lanes below [0] and above [2]: distance and speed of the next ahead, and of the next behind.
-        gaps, speeds, backs, behind = np.full(3, np.inf), np.zeros(3), np.full(3, np.inf), np.zeros(3)
-        now, own = 0.0, centers[lane[j]]
-        for i in range(m):
-            ahead = states[i, 0] - s
-            if i != j and ahead >= 0 and (abs(states[i, 1] - own) <= sight or low[i] < own < high[i]):
-                now = max(now, _held_up(v, v - states[i, 3], ahead) ** 2)
-            for k in (0, 2):
-                to = lane[j] + k - 1
-                if i == j or to < 0 or to >= centers.shape[0] or not abs(states[i, 1] - centers[to]) <= sight:
-                    continue
-                if 0 <= ahead < gaps[k]:
-                    gaps[k], speeds[k] = ahead, states[i, 3]
-                elif -backs[k] < ahead < 0:
-                    backs[k], behind[k] = -ahead, states[i, 3]
-        for k in (0, 2):
-            to = lane[j] + k - 1
-            if to < 0 or to >= centers.shape[0]:
-                continue
-            gain = COMFORT * (now - _held_up(v, v - speeds[k], gaps[k]) ** 2)
-            imposed = _held_up(behind[k], behind[k] - v, backs[k])
-            out[j, k // 2] = gain >= _LEAST_GAIN - slack and imposed <= IMPOSED + slack
-    return out
+    for j in range(states.shape[0]):
+        gain_of(j, states, lane, low, high, centers, sight, slack, out[j])

@@ -28,15 +28,15 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 from dynamics.roads.straight import Road
 from dynamics.state import FloatArray, IntArray, RoadState, Vehicle
 from dynamics.traffic.assumptions import Assumptions
-from dynamics.traffic.occupancy_kernels import Lanes, floors, fronts, rears, spend, strips
+from dynamics.traffic.occupancy_kernels import Lanes, floors, front_of, fronts, rears, spend, strips
 from dynamics.traffic.reaction import brakings
 from dynamics.traffic.tables import Bodies, Motion, Tables, bodies_of, motion_of
 
-__all__ = ["Occupancy", "Surroundings", "constant_velocity"]
+__all__ = ["Occupancy", "Surroundings", "constant_velocity", "horizons", "look", "motion_settings", "room_for"]
 
 
 _STRAIGHT, _NO_GROWTH = np.zeros((2, 0)), np.zeros((0, 2))
@@ -84,7 +84,7 @@ class Occupancy:
 
 
 @lru_cache(maxsize=16)
-def _settings(a: Assumptions, dt: float) -> tuple[Motion, FloatArray]:
+def motion_settings(a: Assumptions, dt: float) -> tuple[Motion, FloatArray]:
     """The bounds on the motion; and their numbers, with `lean` and `waver`."""
     motion = Motion(
         a.braking,
@@ -108,22 +108,20 @@ def _settings(a: Assumptions, dt: float) -> tuple[Motion, FloatArray]:
     return motion, np.array([*motion, a.lean, a.waver], dtype=float)
 
 
-@compiled
-def _rearmost_last(states: FloatArray) -> IntArray:
-    """The vehicles from the first along the road to the last, (m,); those whose place is not known come last."""
-    m = states.shape[0]
-    order = np.empty(m, np.intp)
-    for i in range(m):
+@uncounted
+def _rearmost_last(states: FloatArray, order: IntArray) -> None:
+    """The vehicles from the first along the road to the last, `order` (m,); those whose place is not known come
+    last."""
+    for i in range(states.shape[0]):
         k = i
         while k > 0 and not states[order[k - 1], 0] >= states[i, 0] and states[i, 0] == states[i, 0]:
             order[k] = order[k - 1]
             k -= 1
         order[k] = i
-    return order
 
 
-@compiled
-def _look(
+@uncounted
+def look(
     others: FloatArray,
     states: FloatArray,
     growth: FloatArray,
@@ -140,25 +138,38 @@ def _look(
     numbers: FloatArray,
     brakes: FloatArray,
     recent: FloatArray,
+    order: IntArray,
+    ways: FloatArray,
 ) -> None:
     """Fill in the tables of `Surroundings` from what it is made of.
 
-    `states0`, `numbers0` and `recent0` are of the frame before, of no vehicles without one; for the rest see `strips`,
-    `spend`, `brakings` and `floors`.
+    `states0`, `numbers0` and `recent0` are of the frame before, of no vehicles without one; `order` (m,) and `ways`
+    (`room_for`) are room that is written over; for the rest see `strips`, `spend`, `brakings` and `floors`.
     """
-    motion, bodies = motion_of(settings), bodies_of(marks, numbers, brakes, recent)
+    motion, bodies, m = motion_of(settings), bodies_of(marks, numbers, brakes, recent), states.shape[0]
     strips(others, states, growth, Lanes(centers, width, settings[17], settings[18], motion.dt), bodies)
-    bodies.swing[:] = np.maximum(others[:, _LENGTH] / _CAR, 1.0)
-    bodies.budget[:], bodies.action[:] = bodies.swing * motion.loss, bodies.swing * motion.action
-    if states0.shape[0] == states.shape[0]:
+    for i in range(m):
+        swing = max(others[i, _LENGTH] / _CAR, 1.0)
+        bodies.swing[i], bodies.budget[i], bodies.action[i] = swing, swing * motion.loss, swing * motion.action
+    if states0.shape[0] == m:
         before = bodies_of(marks, numbers0, brakes, recent0)
         spend(states0, before, states, stretch, motion, lap, bodies)
-    order = _rearmost_last(states)
-    brakings(others, states, stretch, motion, lap, ego, order, bodies)
+    else:
+        for i in range(m):
+            for k in range(recent.shape[1]):
+                recent[i, k] = 0.0
+    _rearmost_last(states, order)
+    brakings(others, states, stretch, motion, lap, ego, order, bodies, ways)
     floors(others, states, stretch, motion, order, bodies)
-    nose, rows = np.empty((states.shape[0], 2)), np.arange(states.shape[0])
-    fronts(rows, states, stretch, motion, bodies, 0, nose)
-    bodies.noses[:] = nose.T
+    for i in range(m):
+        nose = ways[0, 0]
+        front_of(i, states, stretch, motion, bodies, 0, 2, nose)
+        bodies.noses[0, i], bodies.noses[1, i] = nose[0], nose[1]
+
+
+def room_for(m: int, frames: int) -> tuple[int, int, int]:
+    """Shape of the room in which `look` works, for m vehicles and so many coming frames."""
+    return 7, max(m, 6), max(frames, m, 2)
 
 
 class Surroundings:
@@ -195,9 +206,9 @@ class Surroundings:
     ) -> None:
         others, states = np.ascontiguousarray(others, float), np.ascontiguousarray(states, float)
         self.others, self.states, self.assumptions, self.dt = others, states, assumptions, float(dt)
-        self.motion, self.settings = _settings(assumptions, self.dt)
+        self.motion, self.settings = motion_settings(assumptions, self.dt)
         self.lap = float(getattr(road, "length", 0.0)) if getattr(road, "closed", False) else 0.0
-        self.tables = Tables.empty(len(states), *_frames(self.dt))
+        self.tables = Tables.empty(len(states), *horizons(self.dt))
         centers, width, growth, self.stretch = road.centers, float(road.width), _NO_GROWTH, _STRAIGHT
         if road.bends is not None and len(states):
             growth, bends = np.array([road.bends.growth(*size) for size in others[:, _SIZE]]), road.bends
@@ -210,7 +221,8 @@ class Surroundings:
             last = (before.states, before.tables.numbers, before.tables.recent)
         scene = (others, states, growth, self.stretch, centers, width, self.settings, self.lap, float(ego))
         marks, numbers, brakes, recent = self.tables
-        _look(*scene, *last, marks, numbers, brakes, recent)
+        room = np.empty(room_for(len(states), brakes.shape[1]))
+        look(*scene, *last, marks, numbers, brakes, recent, np.empty(len(states), np.intp), room)
 
     @cached_property
     def bodies(self) -> Bodies:
@@ -266,6 +278,6 @@ class Surroundings:
 
 
 @lru_cache(maxsize=16)
-def _frames(dt: float) -> tuple[int, int]:
+def horizons(dt: float) -> tuple[int, int]:
     """For how many coming frames it is looked at how hard each may brake, and how many there are in a second."""
     return int(np.ceil(_REACTING / dt)), max(int(np.ceil(1 / dt - 1e-9)), 1)

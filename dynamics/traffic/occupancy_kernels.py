@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import compiled
+from dynamics.compiled import inlined, uncounted
 from dynamics.state import FloatArray, IntArray, Vehicle
 from dynamics.traffic.tables import Bodies, Motion
 
-__all__ = ["Lanes", "apart", "floors", "fronts", "rears", "spend", "strips"]
+__all__ = ["Lanes", "apart", "floors", "front_of", "fronts", "rear_of", "rears", "spend", "strips"]
 
 _SPEED, _LENGTH, _WIDTH, _CRASHED = int(Vehicle.SPEED), int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
 _ENDLESS = 1e6
@@ -35,7 +35,7 @@ class Lanes(NamedTuple):
     dt: float
 
 
-@compiled
+@uncounted
 def strips(others: FloatArray, states: FloatArray, growth: FloatArray, lanes: Lanes, bodies: Bodies) -> None:
     """Fill in lane, first, last, low, high and reach from vehicle rows (m, 7), road states (m, 4) and what a bend adds
     to each body along and across, (m, 2) [m], or no rows on a straight road; NaN for a vehicle whose row is."""
@@ -81,7 +81,7 @@ def strips(others: FloatArray, states: FloatArray, growth: FloatArray, lanes: La
         reach[i] = 0.5 * math.hypot(length, width) + along
 
 
-@compiled
+@uncounted
 def spend(
     states0: FloatArray,
     bodies0: Bodies,
@@ -115,7 +115,7 @@ def spend(
             actions[i] = min(actions[i], swing * motion.burst - within)
 
 
-@compiled
+@inlined
 def _lost(budget: float, action: float, slow: float, time: float, motion: Motion) -> float:
     """What a vehicle can have lost by turning after `time` [s], at no less than `slow` [m/s], [m]."""
     budget = max(budget, 0.0) + motion.loss_back * time
@@ -123,7 +123,7 @@ def _lost(budget: float, action: float, slow: float, time: float, motion: Motion
     return min(budget, action / max(slow, motion.slow))
 
 
-@compiled
+@inlined
 def apart(first: IntArray, last: IntArray, low: FloatArray, high: FloatArray, i: int, j: int) -> bool:
     """Whether two vehicles are in different lanes, by arrays of `Bodies`: in a loop it is slow to get these out."""
     if first[i] > last[i] or first[j] > last[j]:
@@ -132,13 +132,13 @@ def apart(first: IntArray, last: IntArray, low: FloatArray, high: FloatArray, i:
     return first[j] > last[i] or last[j] < first[i]
 
 
-@compiled
+@inlined
 def _rate(brakes: FloatArray, i: int, k: int, motion: Motion) -> float:
     """How hard a vehicle may brake at the coming frame k [m/s^2]."""
     return brakes[i, k] if k < brakes.shape[1] else motion.braking
 
 
-@compiled
+@uncounted
 def _braking_way(i: int, v: float, wrecked: bool, brakes: FloatArray, motion: Motion) -> tuple[float, float]:
     """The way that a vehicle counts on before it stands, braking from now on [m], and for how long it does [s]."""
     way, time, wreck, least = 0.0, 0.0, 1.0, min(v, motion.min_speed)
@@ -156,7 +156,7 @@ def _braking_way(i: int, v: float, wrecked: bool, brakes: FloatArray, motion: Mo
         speed, k = speed - _rate(brakes, i, k, motion) * motion.dt, k + 1
 
 
-@compiled
+@uncounted
 def floors(
     others: FloatArray, states: FloatArray, stretch: FloatArray, motion: Motion, order: IntArray, bodies: Bodies
 ) -> None:
@@ -181,7 +181,64 @@ def floors(
         floor[i] = least
 
 
-@compiled
+@inlined
+def rear_of(
+    j: int,
+    others: FloatArray,
+    states: FloatArray,
+    stretch: FloatArray,
+    motion: Motion,
+    bodies: Bodies,
+    hold: int,
+    frames: int,
+    out: FloatArray,
+) -> None:
+    """Least s of the body of vehicle `j` after 1..`frames` frames, `out` (frames or more,) [m].
+
+    `stretch` (2, m) has the least and greatest metres of s in a metre driven; no columns on a straight road. `hold`
+    frames at constant speed are expected before the worst case starts; then the result is a forecast and no bound.
+    """
+    dt, brakes, recent = motion.dt, bodies.brakes, bodies.recent
+    budget, action, swing, reach = bodies.budget[j], bodies.action[j], bodies.swing[j], bodies.reach[j]
+    v, wrecked, wreck = states[j, 3], others[j, _CRASHED] > 0, 1.0
+    least_speed, start, floor = min(v, motion.min_speed), states[j, 0] - reach, bodies.floor[j]
+    way, time, back, lost = 0.0, 0.0, 0.0, 0.0
+    burst, second, speed = 0.0, recent.shape[1], v
+    for k in range(frames):
+        # What turning may take of a second that ends with this frame, and of those after it.
+        if k % second == 0:
+            burst += swing * motion.burst
+            for i in range(second - 1):
+                burst -= recent[j, i]
+        else:
+            burst += recent[j, second - 1 - k % second]
+        slow = max(speed, least_speed)
+        if k >= hold:
+            speed -= _rate(brakes, j, k - hold, motion) * dt
+        if wrecked:
+            # highway-env: a crashed vehicle brakes at -1 * speed per second.
+            slow = min(slow, v * wreck)
+            wreck *= 1 - dt
+        if hold > 0:
+            way += max(slow, 0.0) * dt
+            along = way
+        else:
+            if slow >= motion.slow:
+                way, time = way + slow * dt, time + dt
+                lost = min(_lost(budget, action, slow, time, motion), max(burst, 0.0) / slow)
+            else:
+                lost, back = _lost(budget, action, 0.0, time, motion), back + max(motion.reversing, -v) * dt
+            along = max(way - lost, 0.0)
+        if stretch.shape[1] > 0:
+            along = min(along * stretch[0, j], along * stretch[1, j])
+        rear = start + along
+        # Once it stands it may reverse, as far as to its floor.
+        if hold == 0 and rear > floor - reach:
+            rear = max(rear - back, floor - reach)
+        out[k] = rear
+
+
+@uncounted
 def rears(
     rows: IntArray,
     others: FloatArray,
@@ -192,77 +249,44 @@ def rears(
     hold: int,
     out: FloatArray,
 ) -> None:
-    """Least s of the bodies of vehicles `rows` (n,) after each frame, `out` (n, K) [m]; the last frame stands for all
-    that follow it.
-
-    `stretch` (2, m) has the least and greatest metres of s in a metre driven; no columns on a straight road. `hold`
-    frames at constant speed are expected before the worst case starts; then the result is a forecast and no bound.
-    """
-    frames, dt, brakes, recent = out.shape[1], motion.dt, bodies.brakes, bodies.recent
-    budgets, actions, swings, reaches, floors = (
-        bodies.budget,
-        bodies.action,
-        bodies.swing,
-        bodies.reach,
-        bodies.floor,
-    )
+    """`rear_of` vehicles `rows` (n,) after each frame, `out` (n, K) [m]; the last frame stands for all that follow
+    it."""
+    frames = out.shape[1]
     for n in range(rows.shape[0]):
         j = rows[n]
-        budget, action, swing, reach = budgets[j], actions[j], swings[j], reaches[j]
-        v, wrecked, wreck = states[j, 3], others[j, _CRASHED] > 0, 1.0
-        least_speed, start, floor = min(v, motion.min_speed), states[j, 0] - reach, floors[j]
-        way, time, back, lost = 0.0, 0.0, 0.0, 0.0
-        burst, second, speed = 0.0, recent.shape[1], v
-        for k in range(frames):
-            # What turning may take of a second that ends with this frame, and of those after it.
-            if k % second == 0:
-                burst += swing * motion.burst
-                for i in range(second - 1):
-                    burst -= recent[j, i]
-            else:
-                burst += recent[j, second - 1 - k % second]
-            slow = max(speed, least_speed)
-            if k >= hold:
-                speed -= _rate(brakes, j, k - hold, motion) * dt
-            if wrecked:
-                # highway-env: a crashed vehicle brakes at -1 * speed per second.
-                slow = min(slow, v * wreck)
-                wreck *= 1 - dt
-            if hold > 0:
-                way += max(slow, 0.0) * dt
-                along = way
-            else:
-                if slow >= motion.slow:
-                    way, time = way + slow * dt, time + dt
-                    lost = min(_lost(budget, action, slow, time, motion), max(burst, 0.0) / slow)
-                else:
-                    lost, back = _lost(budget, action, 0.0, time, motion), back + max(motion.reversing, -v) * dt
-                along = max(way - lost, 0.0)
-            if stretch.shape[1] > 0:
-                along = min(along * stretch[0, j], along * stretch[1, j])
-            rear = start + along
-            # Once it stands it may reverse, as far as to its floor.
-            if hold == 0 and rear > floor - reach:
-                rear = max(rear - back, floor - reach)
-            out[n, k] = rear
+        rear_of(j, others, states, stretch, motion, bodies, hold, frames, out[n])
         if hold == 0 and frames > 0:
-            out[n, frames - 1] = min(out[n, frames - 1], floor - reach)
+            out[n, frames - 1] = min(out[n, frames - 1], bodies.floor[j] - bodies.reach[j])
 
 
-@compiled
+@inlined
+def front_of(
+    j: int,
+    states: FloatArray,
+    stretch: FloatArray,
+    motion: Motion,
+    bodies: Bodies,
+    hold: int,
+    frames: int,
+    out: FloatArray,
+) -> None:
+    """Greatest s of the body of vehicle `j` after 1..`frames` frames, `out` (frames or more,) [m]; `stretch` and `hold`
+    as in `rear_of`."""
+    dt, start = motion.dt, states[j, 0] + bodies.reach[j]
+    v, way = states[j, 3], 0.0
+    top, most = max(v, motion.max_speed), stretch[1, j] if stretch.shape[1] > 0 else 1.0
+    for k in range(frames):
+        # One that reverses may turn, and then gets back by less than its speed.
+        way += max(v, 0.0) * dt * most
+        out[k] = start + way
+        if k >= hold:
+            v = min(v + min(motion.acceleration, motion.power / max(v, 1e-3)) * dt, top)
+
+
+@uncounted
 def fronts(
     rows: IntArray, states: FloatArray, stretch: FloatArray, motion: Motion, bodies: Bodies, hold: int, out: FloatArray
 ) -> None:
-    """Greatest s of the bodies of vehicles `rows` (n,) after each frame, `out` (n, K) [m]; `stretch` and `hold` as in
-    `rears`."""
-    dt, reach = motion.dt, bodies.reach
+    """`front_of` vehicles `rows` (n,) after each frame, `out` (n, K) [m]."""
     for n in range(rows.shape[0]):
-        j = rows[n]
-        v, way = states[j, 3], 0.0
-        top, most = max(v, motion.max_speed), stretch[1, j] if stretch.shape[1] > 0 else 1.0
-        for k in range(out.shape[1]):
-            # One that reverses may turn, and then gets back by less than its speed.
-            way += max(v, 0.0) * dt * most
-            out[n, k] = states[j, 0] + reach[j] + way
-            if k >= hold:
-                v = min(v + min(motion.acceleration, motion.power / max(v, 1e-3)) * dt, top)
+        front_of(rows[n], states, stretch, motion, bodies, hold, out.shape[1], out[n])

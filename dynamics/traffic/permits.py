@@ -32,13 +32,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import compiled, numbers_of
+from dynamics.compiled import numbers_of, uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.traffic.tables import bodies_of
 
-__all__ = ["Ego", "Motions", "Rule", "footprint", "gap_between", "permits"]
+__all__ = ["Ego", "Motions", "Rule", "footprint", "gap_between", "judge_motions", "limits_of", "permits"]
 
 _LENGTH, _WIDTH, _CRASHED = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
 _SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH, _BRAKING = 1, 2, 4, 8, 16, 32, 64
@@ -104,7 +104,7 @@ class _Limits(NamedTuple):
     frames: float
 
 
-@compiled
+@uncounted
 def gap_between(ego: Ego, along: float, across: float, rows: FloatArray, i: int, dt: float) -> float:
     """Greatest gap along the directions of the sides of two rectangles [m], see `dynamics.scenes.rectangles`, while
     both move for `dt` along their headings [s]: the ego with half extents `along`, `across` [m], and vehicle `i` of
@@ -123,8 +123,8 @@ def gap_between(ego: Ego, along: float, across: float, rows: FloatArray, i: int,
     return max(max(mine, beside), max(theirs, by))
 
 
-@compiled
-def _judge(
+@uncounted
+def judge_motions(
     rows0: FloatArray,
     states0: FloatArray,
     marks0: IntArray,
@@ -144,6 +144,8 @@ def _judge(
     broken: IntArray,
     grown: IntArray,
 ) -> None:
+    """`permits`, filled in: vehicle rows, road states and `Tables` of the scene before and of this one, the numbers of
+    the limits, `row`, and the result, `broken` and `grown` (m,)."""
     limits = _Limits(*numbers_of(row, 9))
     bodies0, bodies = bodies_of(marks0, numbers0, brakes0, recent0), bodies_of(marks, numbers, brakes, recent)
     frames = int(limits.frames)
@@ -206,7 +208,8 @@ def _judge(
 
 
 @lru_cache(maxsize=16)
-def _limits(a: Assumptions, period: float, lap: float, frames: int) -> FloatArray:
+def limits_of(a: Assumptions, period: float, lap: float, frames: int) -> FloatArray:
+    """The numbers that `judge_motions` judges by, (9,)."""
     limits = _Limits(
         a.braking + _TOLERANCE,
         a.acceleration + _TOLERANCE,
@@ -253,9 +256,9 @@ def permits(before: Surroundings, after: Surroundings, period: float, behind: Bo
     >>> Rule(int(permits(first, at(2.0, 19.0, first), 0.1, nobody, ego).broken[0]))
     <Rule.SPEED: 1>
     """
-    limits = _limits(before.assumptions, float(period), after.lap, max(round(period / before.dt), 1))
+    limits = limits_of(before.assumptions, float(period), after.lap, max(round(period / before.dt), 1))
     m = len(after.states)
     found = Motions(np.zeros(m, np.intp), np.zeros(m, np.intp))
     old, new = (before.others, before.states, *before.tables), (after.others, after.states, *after.tables)
-    _judge(*old, *new, after.stretch, behind, ego, limits, *found)
+    judge_motions(*old, *new, after.stretch, behind, ego, limits, *found)
     return found

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import compiled
+from dynamics.compiled import inlined, uncounted
 from dynamics.state import FloatArray, IntArray, Vehicle
 from dynamics.traffic.mobil import COMFORT, IMPOSED, desired_gap
 from dynamics.traffic.occupancy_kernels import apart
@@ -37,18 +37,7 @@ _LANE, _TOWARDS = 5.0, 14.0
 """Two that are further apart across the road than this [m] have to come nearer first, at this speed at most [m/s]."""
 
 
-@compiled
-def _fastest(v: float, most: float, motion: Motion, speeds: FloatArray, ways: FloatArray) -> None:
-    """Greatest speed at each of the coming frames, `speeds` (K,) [m/s], and how far that has led by then along the
-    road, `ways` (K,) [m], at `most` metres of it in a metre driven."""
-    way, top = 0.0, max(v, motion.max_speed)
-    for k in range(speeds.shape[0]):
-        speeds[k], ways[k] = v, way * most
-        way += v * motion.dt
-        v = min(v + min(motion.acceleration, motion.power / max(v, 1e-3)) * motion.dt, top)
-
-
-@compiled
+@uncounted
 def _slowest(
     v: float,
     backwards: float,
@@ -70,13 +59,12 @@ def _slowest(
         v = max(min(v - brakes[k] * dt, v * (1 - dt) if wrecked else v), backwards)
 
 
-@compiled
+@inlined
 def _asked(d: float, fast: float, slow: float, motion: Motion) -> float:
     """Braking at speed `fast` for what is at distance d ahead, and at speed `slow` [m/s^2]."""
-    if not d > 1.0:
-        return motion.braking
-    wanted = desired_gap(fast, max(fast - slow, 0.0))
-    return min(_SCALE * COMFORT * (wanted / d) ** 2 + _SLACK, motion.braking)
+    share = desired_gap(fast, max(fast - slow, 0.0)) / d
+    rate = min(_SCALE * COMFORT * (share * share) + _SLACK, motion.braking)
+    return rate if d > 1.0 else motion.braking
 
 
 class _Extremes(NamedTuple):
@@ -91,30 +79,78 @@ class _Extremes(NamedTuple):
     slowest_way: FloatArray
 
 
-@compiled
+@inlined
 def _press(
-    i: int, j: int, ahead: float, near: float, first: int, x: _Extremes, motion: Motion, brakes: FloatArray, end: int
+    i: int,
+    j: int,
+    ahead: float,
+    near: float,
+    first: int,
+    x: _Extremes,
+    motion: Motion,
+    brakes: FloatArray,
+    end: int,
+    rates: FloatArray,
 ) -> int:
     """Raise `brakes` (K,) of vehicle i to what vehicle j may ask for that is `ahead` of it, and no nearer than `near`
     [m]: at once where `first` is negative, and else from the frame at which it may move in, no sooner than `first`.
+    `rates` (K,) are written over.
 
     Returns how many frames there are before i may brake as hard as can be, `end` at most.
     """
-    entered, back = first < 0, motion.loss_back * motion.dt
-    for k in range(end):
-        if not entered and k >= first:
+    back, begin = motion.loss_back * motion.dt, 0
+    if first >= 0:
+        begin = end
+        for k in range(first, end):
             far, v = ahead + x.fast_way[j, k] - x.slowest_way[i, k], x.slowest[i, k]
-            entered = far > 0 and desired_gap(v, v - x.fast[j, k]) <= (IMPOSED + _MORE) * far
-        if entered:
-            d = near + x.slow_way[j, k] - x.fast_way[i, k] - back * k
-            rate = _asked(d, x.fast[i, k], x.slow[j, k], motion)
-            brakes[k] = max(brakes[k], rate)
-            if rate >= motion.braking:
-                return k + 1
+            if far > 0 and desired_gap(v, v - x.fast[j, k]) <= (IMPOSED + _MORE) * far:
+                begin = k
+                break
+    slow_way, fast_way, fast, slow = x.slow_way[j], x.fast_way[i], x.fast[i], x.slow[j]
+    for k in range(begin, end):
+        rates[k] = _asked(near + slow_way[k] - fast_way[k] - back * k, fast[k], slow[k], motion)
+    for k in range(begin, end):
+        brakes[k] = max(brakes[k], rates[k])
+        if rates[k] >= motion.braking:
+            return k + 1
     return end
 
 
-@compiled
+@uncounted
+def _extremes(
+    others: FloatArray, states: FloatArray, stretch: FloatArray, motion: Motion, frames: int, ways: FloatArray
+) -> None:
+    """Fill in `_Extremes` for so many frames, the first six of `ways` (see `brakings`), where everybody may brake as
+    hard as can be at once.
+
+    It goes frame by frame over all vehicles: none of them waits for what comes of another's last frame.
+    """
+    m, dt, curved = states.shape[0], motion.dt, stretch.shape[1] > 0
+    fast, slow, slowest = ways[6, 0, :m], ways[6, 1, :m], ways[6, 2, :m]
+    fast_way, slow_way, slowest_way = ways[6, 3, :m], ways[6, 4, :m], ways[6, 5, :m]
+    for i in range(m):
+        fast[i] = slow[i] = slowest[i] = max(states[i, 3], 0.0)
+        fast_way[i] = slow_way[i] = slowest_way[i] = 0.0
+    for k in range(frames):
+        for i in range(m):
+            least, most = (stretch[0, i], stretch[1, i]) if curved else (1.0, 1.0)
+            ways[0, i, k], ways[1, i, k] = fast[i], fast_way[i] * most
+            ways[2, i, k], ways[3, i, k] = slow[i], min(slow_way[i] * least, slow_way[i] * most)
+            ways[4, i, k], ways[5, i, k] = slowest[i], min(slowest_way[i] * least, slowest_way[i] * most)
+        for i in range(m):
+            v, top = fast[i], max(states[i, 3], motion.max_speed)
+            fast_way[i] += v * dt
+            fast[i] = min(v + min(motion.acceleration, motion.power / max(v, 1e-3)) * dt, top)
+            v = slowest[i]
+            slowest_way[i] += v * dt
+            slowest[i] = max(v - motion.braking * dt, 0.0)
+            v, wrecked = slow[i], others[i, _CRASHED] > 0
+            slow_way[i] += v * dt
+            backwards = min(states[i, 3], 0.0 if wrecked else -motion.reversing)
+            slow[i] = max(min(v - motion.braking * dt, v * (1 - dt) if wrecked else v), backwards)
+
+
+@uncounted
 def brakings(
     others: FloatArray,
     states: FloatArray,
@@ -124,6 +160,7 @@ def brakings(
     ego: float,
     order: IntArray,
     bodies: Bodies,
+    ways: FloatArray,
 ) -> None:
     """Fill in `brakes` from vehicle rows (m, 7), road states (m, 4), and the least and greatest metres of s in a metre
     driven, (2, m), or no columns on a straight road.
@@ -133,21 +170,23 @@ def brakings(
     lap : length of a closed road, 0 of an open one [m].
     ego : where the ego is along the road [m]; whoever is behind it may have it to brake for. NaN without one.
     order : the vehicles from the first along the road to the last, (m,).
+    ways : room that is written over, (7, at least m and 6, at least K and m).
     """
     m, frames, last = states.shape[0], bodies.brakes.shape[1], bodies.brakes.shape[1] - 1
-    bodies.brakes[:], curved = motion.braking, stretch.shape[1] > 0
+    curved = stretch.shape[1] > 0
+    for i in range(m):
+        for k in range(frames):
+            bodies.brakes[i, k] = motion.braking
     if not motion.calm < motion.braking:
         return
     low, high, starts, ends = bodies.low, bodies.high, bodies.first, bodies.last
-    all_brakes, budget, ways = bodies.brakes, bodies.budget, np.empty((6, m, frames))
+    all_brakes, budget = bodies.brakes, bodies.budget
     x = _Extremes(ways[0], ways[1], ways[2], ways[3], ways[4], ways[5])
-    for i in range(m):
-        v, wrecked, least = states[i, 3], others[i, _CRASHED] > 0, stretch[0, i] if curved else 1.0
-        most, brakes = stretch[1, i] if curved else 1.0, all_brakes[i]
-        _fastest(max(v, 0.0), most, motion, x.fast[i], x.fast_way[i])
-        _slowest(max(v, 0.0), 0.0, brakes, False, least, most, motion, x.slowest[i], x.slowest_way[i])
-        backwards = min(v, 0.0 if wrecked else -motion.reversing)
-        _slowest(v, backwards, brakes, wrecked, least, most, motion, x.slow[i], x.slow_way[i])
+    _extremes(others, states, stretch, motion, frames, ways)
+    furthest = 0.0
+    for j in range(m):
+        way = x.fast_way[j, last]
+        furthest = max(furthest, way) if way == way else np.inf
     for n in range(m):
         i, end = order[n], frames
         behind, brakes = ego - states[i, 0], all_brakes[i]
@@ -155,13 +194,16 @@ def brakings(
             behind -= lap * np.rint(behind / lap)
         if behind > 0 or others[i, _CRASHED] > 0:
             continue
-        brakes[:] = motion.calm
+        for k in range(frames):
+            brakes[k] = motion.calm
         # The nearest first: what may make it brake as hard as can be leaves less to be looked at in the others.
         for other in range(m):
             j = order[n - 1 - other] if other < n else order[other]
             ahead = states[j, 0] - states[i, 0]
             if lap > 0:
                 ahead -= lap * np.rint(ahead / lap)
+            if other >= n and lap == 0 and ahead + furthest - x.slowest_way[i, last] <= 0:
+                break  # nor does anybody get ahead who is further behind
             if i == j or not abs(ahead) <= _FAR:
                 continue
             if ahead <= 0 and ahead + x.fast_way[j, last] - x.slowest_way[i, last] <= 0:
@@ -174,9 +216,12 @@ def brakings(
             first = -1
             if apart(starts, ends, low, high, i, j):
                 first = max(int((abs(states[j, 1] - states[i, 1]) - _LANE) / (_TOWARDS * motion.dt)), 0)
-            if first >= 0 or ahead >= 0:
-                end = _press(i, j, ahead, near, first, x, motion, brakes, end)
-        brakes[end:] = motion.braking
+            if first < end and (first >= 0 or ahead >= 0):
+                end = _press(i, j, ahead, near, first, x, motion, brakes, end, ways[6, 0])
+                if end == 1 and brakes[0] >= motion.braking:
+                    break
+        for k in range(end, frames):
+            brakes[k] = motion.braking
         # Those behind count on it.
         v, least, most = states[i, 3], stretch[0, i] if curved else 1.0, stretch[1, i] if curved else 1.0
         _slowest(v, min(v, -motion.reversing), brakes, False, least, most, motion, x.slow[i], x.slow_way[i])

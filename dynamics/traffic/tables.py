@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import compiled, numbers_of
+from dynamics.compiled import inlined, numbers_of
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["Bodies", "Motion", "Tables", "bodies_of", "motion_of"]
@@ -89,7 +89,7 @@ class Tables(NamedTuple):
         return cls(np.empty((3, m), np.intp), np.empty((9, m)), np.empty((m, coming)), np.zeros((m, past)))
 
 
-@compiled
+@inlined
 def bodies_of(marks: IntArray, numbers: FloatArray, brakes: FloatArray, recent: FloatArray) -> Bodies:
     """The rows of `Tables` by their names."""
     lane, first, last = marks[0], marks[1], marks[2]
@@ -98,7 +98,7 @@ def bodies_of(marks: IntArray, numbers: FloatArray, brakes: FloatArray, recent: 
     return Bodies(lane, first, last, low, high, reach, budget, action, swing, brakes, recent, floor, noses)
 
 
-@compiled
+@inlined
 def motion_of(row: FloatArray) -> Motion:
     """The numbers of a `Motion`, (17,), by their names."""
     return Motion(*numbers_of(row, 17))

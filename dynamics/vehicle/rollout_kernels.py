@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.compiled import compiled
+from dynamics.compiled import inlined, uncounted
 from dynamics.roads.arcs import STRAIGHT
 from dynamics.roads.path import CurvatureProfile, PathRoad
 from dynamics.state import FloatArray, IntArray
@@ -27,7 +27,9 @@ __all__ = [
     "roll_brakes",
     "roll_commands",
     "roll_inputs",
+    "roll_stop",
     "roll_stops",
+    "roll_target",
     "roll_targets",
     "slip_at",
     "table_of",
@@ -63,7 +65,7 @@ def _table(profile: CurvatureProfile) -> FloatArray:
     return np.stack([breaks[:-1], before, k, after, starts, ends, np.full(k.size, breaks[-1]), k * 0 + profile.closed])
 
 
-@compiled
+@inlined
 def _piece(table: FloatArray, s: float) -> tuple[int, float]:
     """The piece of the path at arc length s, and s on the first lap."""
     within = s - table[6, 0] * math.floor(s / table[6, 0]) if table[7, 0] > 0 else s
@@ -77,14 +79,14 @@ def _piece(table: FloatArray, s: float) -> tuple[int, float]:
     return low, within
 
 
-@compiled
+@inlined
 def _project(x: float, y: float, k: float) -> tuple[float, float]:
     rest, bent = 1 - k * y, k * x
     s = math.atan2(bent, rest) / k if abs(k) >= STRAIGHT else x
     return s, (2 * y - k * (x * x + y * y)) / (1 + math.sqrt(rest * rest + bent * bent))
 
 
-@compiled
+@uncounted
 def _step(
     s: float, r: float, psi: float, v: float, a: float, slip: float, table: FloatArray, dt: float
 ) -> tuple[float, float, float, float]:
@@ -116,7 +118,7 @@ def _step(
     return s + joint + along, across, heading - turn - next_k * along, speed
 
 
-@compiled
+@uncounted
 def slip_at(s: float, r: float, psi: float, v: float, goal: float, table: FloatArray, dt: float) -> float:
     """Sine of the slip angle that leads a road state to lateral position `goal` [m].
 
@@ -133,11 +135,12 @@ def slip_at(s: float, r: float, psi: float, v: float, goal: float, table: FloatA
         bend = min(max(LENGTH / 2 * kappa, -_MOST_BEND), _MOST_BEND)
         heading = heading + min(max(kappa * v * (dt / 2), -_MOST_BEND), _MOST_BEND) - math.asin(bend)
     angle = heading - psi
-    angle = angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))
+    if abs(angle) > 3.0:  # within, nothing changes: one division less
+        angle = angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))
     return min(max((LENGTH / 2 * KP_HEADING) * angle / v + bend, -MAX_SLIP), MAX_SLIP)
 
 
-@compiled
+@uncounted
 def roll_commands(start: FloatArray, commands: FloatArray, table: FloatArray, dt: float, paths: FloatArray) -> None:
     """States (n, 4) and commands (n, frames, 3) to the states after each frame, `paths` (n, frames, 4)."""
     for i in range(start.shape[0]):
@@ -149,7 +152,49 @@ def roll_commands(start: FloatArray, commands: FloatArray, table: FloatArray, dt
             paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
 
 
-@compiled
+@uncounted
+def roll_target(start: FloatArray, goal: float, speed: float, table: FloatArray, dt: float, path: FloatArray) -> None:
+    """A state (4,) that tracks a lateral position [m] and a speed [m/s], to the states after each frame, `path`
+    (frames, 4)."""
+    s, r, psi, v = start[0], start[1], start[2], start[3]
+    for f in range(path.shape[0]):
+        a = max(max(KP_SPEED * (speed - v), -NO_LIMIT), max(v, 0.0) * (-1 / dt))
+        slip = slip_at(s, r, psi, v, goal, table, dt)
+        s, r, psi, v = _step(s, r, psi, v, a, slip, table, dt)
+        path[f, 0], path[f, 1], path[f, 2], path[f, 3] = s, r, psi, v
+
+
+@uncounted
+def roll_stop(
+    start: FloatArray,
+    goal: float,
+    last_goal: float,
+    speed: float,
+    commit: int,
+    braking: float,
+    table: FloatArray,
+    dt: float,
+    path: FloatArray,
+    begin: int,
+    end: int,
+) -> None:
+    """A state (4,) that tracks a line [m] and a speed [m/s] for `commit` frames, and then brakes to a stop on the way
+    to another line, to the states after each frame, `path` (frames, 4): those from `begin` to `end`, the ones before
+    being there already."""
+    if begin == 0:
+        s, r, psi, v = start[0], start[1], start[2], start[3]
+    else:
+        s, r, psi, v = path[begin - 1, 0], path[begin - 1, 1], path[begin - 1, 2], path[begin - 1, 3]
+    for f in range(begin, end):
+        to, a = goal, KP_SPEED * (speed - v)
+        if f >= commit:
+            to, a = last_goal, -braking
+        slip = slip_at(s, r, psi, v, to, table, dt)
+        s, r, psi, v = _step(s, r, psi, v, max(a, max(v, 0.0) * (-1 / dt)), slip, table, dt)
+        path[f, 0], path[f, 1], path[f, 2], path[f, 3] = s, r, psi, v
+
+
+@uncounted
 def roll_targets(
     start: FloatArray,
     centers: FloatArray,
@@ -162,21 +207,14 @@ def roll_targets(
     dt: float,
     paths: FloatArray,
 ) -> None:
-    """A state (4,) that tracks the middles of lanes (n,) of those at `centers`, and speeds (n,), for `commit` frames,
-    and then brakes to a stop on the way to those of lanes `fails`, to the states after each frame, `paths`
-    (n, frames, 4)."""
+    """`roll_stop` with the middles of lanes (n,) of those at `centers`, speeds (n,), and the middles of lanes `fails`,
+    to `paths` (n, frames, 4)."""
     for i in range(paths.shape[0]):
-        s, r, psi, v = start[0], start[1], start[2], start[3]
-        for f in range(paths.shape[1]):
-            goal, a = centers[lanes[i]], KP_SPEED * (speeds[i] - v)
-            if f >= commit:
-                goal, a = centers[fails[i]], -braking
-            slip = slip_at(s, r, psi, v, goal, table, dt)
-            s, r, psi, v = _step(s, r, psi, v, max(a, max(v, 0.0) * (-1 / dt)), slip, table, dt)
-            paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
+        goals = centers[lanes[i]], centers[fails[i]]
+        roll_stop(start, goals[0], goals[1], speeds[i], commit, braking, table, dt, paths[i], 0, paths.shape[1])
 
 
-@compiled
+@uncounted
 def roll_brakes(
     began: FloatArray, goals: FloatArray, braking: float, table: FloatArray, dt: float, paths: FloatArray
 ) -> None:
@@ -185,7 +223,9 @@ def roll_brakes(
     each, first = paths.shape[0] // began.shape[0], began.shape[1]
     for i in range(paths.shape[0]):
         of = i // each
-        paths[i, :first] = began[of]
+        for f in range(first):
+            for c in range(4):
+                paths[i, f, c] = began[of, f, c]
         s, r, psi, v = (
             began[of, first - 1, 0],
             began[of, first - 1, 1],
@@ -199,7 +239,7 @@ def roll_brakes(
             paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
 
 
-@compiled
+@uncounted
 def roll_inputs(start: FloatArray, inputs: FloatArray, table: FloatArray, dt: float, paths: FloatArray) -> None:
     """States (n, 4) and inputs (n, frames, 2) to the states after each frame, `paths` (n, frames, 4)."""
     for i in range(start.shape[0]):
@@ -211,7 +251,7 @@ def roll_inputs(start: FloatArray, inputs: FloatArray, table: FloatArray, dt: fl
             paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
 
 
-@compiled
+@uncounted
 def roll_stops(
     start: FloatArray, stops: FloatArray, hold: int, table: FloatArray, dt: float, paths: FloatArray
 ) -> None:

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 from dynamics.scenes.scene import Scene
 from dynamics.state import BoolArray, FloatArray, Vehicle
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.traffic.permits import Ego, Rule, permits
 
-__all__ = ["Stillness", "Watch"]
+__all__ = ["Stillness", "Watch", "stayed"]
 
 
 _DISTANCE = int(Rule.DISTANCE)
@@ -31,8 +31,8 @@ Separations = Callable[[], FloatArray]
 """How far the ego's fail-safe stays from where each vehicle can be now, (m,) [m]; negative where it does not."""
 
 
-@compiled
-def _stayed(owed: Any, behind: Any, held: Any, broken: Any, grown: Any, owing: Any) -> tuple[bool, bool]:
+@uncounted
+def stayed(owed: Any, behind: Any, held: Any, broken: Any, grown: Any, owing: Any) -> tuple[bool, bool]:
     """Fill in who owes the ego its distance now, `owing`, and add to `grown` who has not stayed behind: who owed it,
     and has come beside it in its own lane. Returns whether anybody has broken a rule, and taken more room."""
     some, more = False, False
@@ -115,7 +115,7 @@ class Watch:
             ego = ego._replace(crashed=True)
         broken, grown = permits(before, around, period, self.owing, ego)
         owing = np.empty(len(broken), dtype=bool)
-        some, more = _stayed(self.owing, behind, held, broken, grown, owing)
+        some, more = stayed(self.owing, behind, held, broken, grown, owing)
         if more:
             # Who takes more room than before has to leave it to the ego's fail-safe.
             broken |= np.where(fail_safe() < 0, grown, 0)

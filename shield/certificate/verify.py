@@ -45,7 +45,7 @@ from shield.certificate.clauses.together import (
 )
 from shield.config import Buffer, ShieldConfig
 
-__all__ = ["NOTHING", "ROUNDING", "Binding", "Clearance", "Surveyor", "least_bad"]
+__all__ = ["NOTHING", "ROUNDING", "Binding", "Clearance", "Surveyor", "footprint_of", "least_bad"]
 
 
 ROUNDING = 1e-6
@@ -159,7 +159,7 @@ class Surveyor:
             ego = float(state[RoadState.S])
             around = Surroundings(scene.others, scene.others_road, road, a, scene.dt, None, ego)
         self.around = around
-        self.size, self._size = _footprint(
+        self.size, self._size = footprint_of(
             float(scene.ego[Vehicle.LENGTH]), float(scene.ego[Vehicle.WIDTH]), config.buffer, road.bends
         )
         bent, perception = road.bends is not None, float(config.perception_range)
@@ -190,6 +190,7 @@ class Surveyor:
             numbers,
             flags,
             slipping,
+            np.empty((m, 2), np.bool_),
         )
         self._slipping, self.behind, self.held, self.comes = slipping[:count], flags[0], flags[1], flags[2 + lanes :]
 
@@ -217,7 +218,8 @@ class Surveyor:
         Dropping the rest cannot change any verdict: nobody ahead comes to a place further back than its least one.
         Without `followers`, those behind are left out altogether.
         """
-        return in_reach(self.others, (distance, float(self.config.perception_range)), followers)
+        rows = np.empty(len(self.scene.others), np.intp)
+        return rows[: in_reach(self.others, (distance, float(self.config.perception_range)), followers, rows)]
 
     def clearance(self, paths: FloatArray, lanes: Any, fails: Any, hold: int = 0) -> Clearance:
         """Margin of each path against the worst case of the others.
@@ -268,7 +270,7 @@ class Surveyor:
 
 
 @lru_cache(maxsize=64)
-def _footprint(length: float, width: float, buffer: Buffer, bends: Any) -> tuple[Footprint, FloatArray]:
+def footprint_of(length: float, width: float, buffer: Buffer, bends: Any) -> tuple[Footprint, FloatArray]:
     """The ego's footprint, and its numbers: on a bend, its buffered footprint and its body need more than a straight
     road's rectangle."""
     growth, bare = (0.0, 0.0), (0.0, 0.0)

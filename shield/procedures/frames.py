@@ -21,12 +21,25 @@ from shield.config import ShieldConfig
 from shield.decision import Reason, Tier
 from shield.procedures.decide import Plan, Tried, Unreadable
 
-__all__ = ["FrameCommand", "Frames", "HoldBack", "Repair", "fail_lanes", "first_verified"]
+__all__ = [
+    "ACCELERATIONS",
+    "GREATEST",
+    "LANE_PENALTY",
+    "FrameCommand",
+    "Frames",
+    "HoldBack",
+    "Repair",
+    "fail_lanes",
+    "first_verified",
+]
 
-_ACCELERATIONS = 32
+
+ACCELERATIONS = 32
 """Grid points between full braking and the committed acceleration, when a frame is held back."""
-_LANE_PENALTY = 2.0
+LANE_PENALTY = 2.0
 """What it costs to leave the committed lane, in acceleration [m/s^2]."""
+GREATEST = 5.0
+"""Greatest acceleration that is tried when a frame is held back [m/s^2]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +74,7 @@ class HoldBack:
         speeds = v + accelerations / KP_SPEED
         candidates = brake_candidates(scene, steer, speeds, fails, 1, now.config.braking)
         paths, result = now.judge(candidates)
-        cost = np.where(candidates.lanes == target.lane, 0.0, _LANE_PENALTY)
+        cost = np.where(candidates.lanes == target.lane, 0.0, LANE_PENALTY)
         score = np.where(result.margin >= 0, accelerations - cost, -np.inf)
         i = int(score.argmax())
         if not np.isfinite(score[i]):
@@ -152,7 +165,7 @@ def _evasions(now: Instant, target: Target) -> tuple[Brakes, FloatArray]:
 
 def _accelerations(now: Instant, target: Target) -> FloatArray:
     wish, braking = KP_SPEED * (target.speed - float(now.scene.ego[State.SPEED])), now.config.braking
-    return np.linspace(-braking, max(min(wish, 5.0), -braking), _ACCELERATIONS)
+    return np.linspace(-braking, max(min(wish, GREATEST), -braking), ACCELERATIONS)
 
 
 def fail_lanes(now: Instant, lane: int) -> list[int]:

@@ -28,9 +28,9 @@ from shield.procedures.frames import HoldBack, fail_lanes, first_verified
 from shield.procedures.screen import Screen, Wish, slower
 from shield.repair.order import default_order, resolve
 
-__all__ = ["MetaActions"]
+__all__ = ["CAPS", "MetaActions"]
 
-_CAPS = (-4.0, -2.0, 0.0, 5.0)
+CAPS = (-4.0, -2.0, 0.0, 5.0)
 """Speed changes at which a lane change is tried when it does not verify as it is [m/s]."""
 
 
@@ -174,7 +174,7 @@ class MetaActions:
                 continue
             speeds = {targets[a].speed}
             if labels[a].startswith("LANE"):
-                speeds |= {min(targets[a].speed, v + cap) for cap in _CAPS}
+                speeds |= {min(targets[a].speed, v + cap) for cap in CAPS}
             owner += [a] * len(speeds)
             tried += [Target(targets[a].lane, speed) for speed in sorted(speeds)]
         if not tried:

@@ -9,30 +9,32 @@ import numpy as np
 from dynamics.scenes.scene import Scene, Target
 from dynamics.state import RoadState
 
-__all__ = ["Order", "default_order", "lane_progress", "resolve"]
+__all__ = ["CLEAR", "GAIN", "IN_LANE", "OUTLOOK", "Order", "default_order", "lane_progress", "resolve"]
 
 Order = Sequence[int] | Callable[[], Sequence[int] | None] | None
 """Alternatives in order of preference, or a function that is asked only when an override is due."""
 
-_OUTLOOK = 3.0
+IN_LANE = 0.625
+"""Distance from a lane's centre within which a vehicle counts as in it, in widths of a lane."""
+OUTLOOK = 3.0
 """Weight of a leader's relative speed against its distance [s]."""
-_CLEAR = 1000.0
+CLEAR = 1000.0
 """Progress of a lane with nobody ahead [m]."""
-_GAIN = 5.0
+GAIN = 5.0
 """Least progress by which another lane must be better than the ego's before it is preferred [m]."""
 
 
 def lane_progress(scene: Scene, lane: int) -> float:
     """How much room a lane offers: distance to the first vehicle ahead plus 3 s of its relative speed [m]."""
     states, ego = scene.others_road, scene.ego_road
-    ahead = (np.abs(states[:, RoadState.R] - scene.road.centers[lane]) < 0.625 * scene.road.width) & (
+    ahead = (np.abs(states[:, RoadState.R] - scene.road.centers[lane]) < IN_LANE * scene.road.width) & (
         states[:, RoadState.S] > ego[RoadState.S]
     )
     if not ahead.any():
-        return _CLEAR
+        return CLEAR
     room = states[ahead, RoadState.S] - ego[RoadState.S]
     j = int(room.argmin())
-    return float(room[j] + _OUTLOOK * (states[ahead, RoadState.SPEED][j] - ego[RoadState.SPEED]))
+    return float(room[j] + OUTLOOK * (states[ahead, RoadState.SPEED][j] - ego[RoadState.SPEED]))
 
 
 def default_order(scene: Scene, proposed: int, targets: list[Target]) -> list[int]:
@@ -52,7 +54,7 @@ def default_order(scene: Scene, proposed: int, targets: list[Target]) -> list[in
         if targets[a].lane == scene.control.target.lane:
             continue
         gain = lane_progress(scene, targets[a].lane) - here
-        (moves if gain > _GAIN else rest).append((-gain, a))
+        (moves if gain > GAIN else rest).append((-gain, a))
     longitudinal = [labels.index(x) for x in ("FASTER", "IDLE", "SLOWER") if x in labels]
     return [a for _, a in sorted(moves)] + [a for a in longitudinal if a != proposed] + [a for _, a in sorted(rest)]
 

@@ -6,9 +6,16 @@ import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
 from dynamics.scenes.scene import SceneReader
-from dynamics.traffic.mobil import gains
+from dynamics.traffic import mobil
 
 SIGHT = 3.0
+
+
+def gains(states, *args):
+    """Who gains by a change to either side, (m, 2) bool."""
+    out = np.empty((len(states), 2), dtype=bool)
+    mobil.gains(states, *args, out)
+    return out
 
 
 def lanes_wanted(env):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from shield.certificate.clauses.duties import lanes_held
 from shield.certificate.clauses.edge import lanes_touched, verdicts
-from shield.certificate.clauses.entering import newcomers, sides_taken, still_coming
+from shield.certificate.clauses.entering import entrants, sides_taken
 from shield.certificate.clauses.footprint import Footprint
 from shield.certificate.clauses.others import Others
 from shield.certificate.clauses.plans import Plans
@@ -56,7 +56,9 @@ def traffic(rng, n, m, frames):
 
 def separations_of(paths, t):
     out, reached = np.empty((len(paths), len(t["rear"]))), np.empty(len(paths), dtype=np.intp)
-    least_separations(paths, SIZE, Extents(**t), DUTY, out, reached)
+    frames = paths.shape[1]
+    room = np.empty((8, frames)), np.empty(frames)
+    least_separations(paths, SIZE, Extents(**t), DUTY, out, reached, *room)
     return out, reached
 
 
@@ -180,9 +182,17 @@ def others_at(lanes, ahead, across=0.0, r=None, gains=True):
     where = CENTERS[lanes] if r is None else np.asarray(r, float)
     sides = where - 1.25, where + 1.25
     bodies = ahead, ahead, zero + 7, nobody, *sides, lanes, where, zero + across
-    others = Others(*bodies, nobody, nowhere, nowhere)
-    beside, may, turning = newcomers(others, np.full((m, 2), gains), CENTERS, 4.0)
-    return others._replace(beside=beside, comes=may), turning
+    others = Others(*bodies, nobody, nowhere, nowhere.copy())
+    return entering(others, np.full((m, 2), gains))
+
+
+def entering(others, gains, before=None, visible=(0, 0, 0), stored=-1):
+    """The same with those filled in who may enter which lane, after those of the scene before."""
+    before = np.zeros((0, 0), dtype=bool) if before is None else before
+    beside, comes = np.zeros_like(others.beside), np.zeros_like(others.comes)
+    others = others._replace(beside=beside, comes=comes)
+    entrants(others, gains, CENTERS, 4.0, before, np.array(visible), stored, 3, 30)
+    return others
 
 
 def sides(path, lane, fail, others, r=0.0):
@@ -197,14 +207,14 @@ def sides(path, lane, fail, others, r=0.0):
 def test_until_the_ego_is_in_sight_in_a_lane_those_beside_it_may_enter_it_too():
     path = np.zeros((1, 9, 4))
     path[0, :, 1] = np.linspace(0.3, 4.0, 9)
-    others, _ = others_at([2, 2, 0, 1], [20.0, -20.0, 20.0, 30.0])
+    others = others_at([2, 2, 0, 1], [20.0, -20.0, 20.0, 30.0])
     for fail in (0, 1):
         low, high, home = sides(path, 1, fail, others)
         np.testing.assert_allclose(low[:3], [1.85, 1.85, -1.25])
         np.testing.assert_allclose(high[:3], [9.25, 9.25, 6.15])
         assert list(home[:2]) == [1, 1]
         np.testing.assert_allclose((low[3], high[3]), ((2.75, 5.25) if fail == 1 else (-2.15, 5.25)))
-    others, _ = others_at([2, 2, 0, 1], [20.0, -20.0, 20.0, 30.0], gains=False)
+    others = others_at([2, 2, 0, 1], [20.0, -20.0, 20.0, 30.0], gains=False)
     np.testing.assert_allclose(sides(path, 1, 1, others)[0], [6.75, 6.75, -1.25, 2.75])
 
 
@@ -219,13 +229,11 @@ def test_until_the_ego_is_in_sight_in_a_lane_those_beside_it_may_enter_it_too():
 def test_once_it_is_only_who_was_on_the_way_may_still_come(across, r, visible, comes):
     path = np.zeros((1, 9, 4))
     path[0, :, 1] = 4.0
-    others, turning = others_at([2], [10.0], across, [r])
-    seen = np.array([0, visible, 0])
-    still = still_coming(others.beside, others.comes, turning, others.comes, seen, 1, 3, 30)
-    low, _, _ = sides(path, 1, 1, others._replace(comes=still), r=4.0)
+    first, gains = others_at([2], [10.0], across, [r]), np.ones((1, 2), dtype=bool)
+    seen = [0, visible, 0]
+    low, _, _ = sides(path, 1, 1, entering(first, gains, first.comes, seen, 1), r=4.0)
     assert (low[0] < 2.0) == comes
-    nobody = np.zeros_like(still)
-    assert not still_coming(others.beside, others.comes, turning, nobody, seen, 1, 3, 30)[1].any()
+    assert not entering(first, gains, np.zeros_like(first.comes), seen, 1).comes[1].any()
 
 
 @given(seeds)
@@ -264,7 +272,9 @@ def test_margins_are_those_of_whole_arrays(seed, n, m, slipping):
     separations, slips, room = with_holes(rng, n, m), with_holes(rng, n, slipping), with_holes(rng, n)
     inside = np.where(room >= 0, np.inf, room)[:, None]
     least = np.hstack([separations, slips, inside]).min(axis=1)
-    np.testing.assert_array_equal(margins(separations, slips, room), least)
+    got = np.empty(n)
+    margins(separations, slips, room, got)
+    np.testing.assert_array_equal(got, least)
     edges, allowed, paths = with_holes(rng, n, 2), rng.random(n) < 0.7, rng.normal(size=(n, 3, 4))
     lacks = np.where(edges.min(axis=1) >= 0, np.inf, edges.min(axis=1))
     may = allowed & (paths[:, 1, 3] >= -1e-9)
@@ -274,7 +284,7 @@ def test_margins_are_those_of_whole_arrays(seed, n, m, slipping):
 
 
 def test_a_vehicle_that_is_nowhere_stays_so():
-    others, _ = others_at([1], [np.nan], r=[np.nan])
+    others = others_at([1], [np.nan], r=[np.nan])
     low, high, _ = sides(drives(np.random.default_rng(0), 1, 5), 1, 1, others)
     assert np.isnan(low).all()
     assert np.isnan(high).all()

@@ -7,16 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import compiled
+from dynamics.compiled import compiled, uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
 from dynamics.traffic.mobil import gains
 from dynamics.traffic.permits import Ego, gap_between
 from dynamics.traffic.tables import Bodies
-from shield.certificate.clauses.entering import newcomers, still_coming
+from shield.certificate.clauses.entering import entrants
 from shield.certificate.clauses.footprint import Footprint, reach_across, reach_along
 from shield.certificate.clauses.others import TOUCH, Others
 
-__all__ = ["Sight", "Standing", "in_reach", "lanes_held", "others_of", "threats"]
+__all__ = ["Sight", "Standing", "hold_lanes", "in_reach", "lanes_held", "others_of", "threats"]
 
 _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
 _LONG = 10**6
@@ -41,9 +41,9 @@ class Sight(NamedTuple):
     width: float
 
 
-@compiled
-def in_reach(others: Others, limits: tuple[float, float], followers: bool) -> IntArray:
-    """Rows of the vehicles that can come into reach of the ego, in order.
+@uncounted
+def in_reach(others: Others, limits: tuple[float, float], followers: bool, rows: IntArray) -> int:
+    """How many vehicles can come into reach of the ego; the first of `rows` (v,) are theirs, in order.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def in_reach(others: Others, limits: tuple[float, float], followers: bool) -> In
     """
     distance, perception = limits[0], limits[1]
     least, size, ahead, behind = others.least, others.size, others.ahead, others.behind
-    rows, count = np.empty(ahead.shape[0], np.intp), 0
+    count = 0
     for j in range(ahead.shape[0]):
         # Written so that a distance that is not a number drops nobody.
         if least[j] - size[j] > distance or not abs(ahead[j]) <= perception:
@@ -63,10 +63,10 @@ def in_reach(others: Others, limits: tuple[float, float], followers: bool) -> In
             continue
         rows[count] = j
         count += 1
-    return rows[:count]
+    return count
 
 
-@compiled
+@uncounted
 def _comes_back(paths: FloatArray, i: int, size: Footprint, low: float, high: float) -> bool:
     """Whether a path leaves the strip from `low` to `high` [m] with its buffer, and is in it again later: nobody keeps
     a place free that the ego has left."""
@@ -88,7 +88,7 @@ def _comes_back(paths: FloatArray, i: int, size: Footprint, low: float, high: fl
     return False
 
 
-@compiled
+@uncounted
 def threats(
     others: Others,
     limits: tuple[float, float],
@@ -98,9 +98,11 @@ def threats(
     centers: FloatArray,
     paths: FloatArray,
     size: Footprint,
-) -> tuple[IntArray, BoolArray]:
-    """Rows of those in reach who do not owe the ego their distance on every path, (m,); and who of them owes it on
-    which path, (n, m) bool.
+    rows: IntArray,
+    owed: BoolArray,
+) -> int:
+    """How many of those in reach do not owe the ego their distance on every path. The first of `rows` (v,) are theirs,
+    and in `owed` (n, v) it says who of them owes it on which path.
 
     Whoever is behind the ego with its buffer, in a lane that it owns, owes it the distance, but for a path that enters
     a lane that the ego does not own and that this vehicle touches, and for one that leaves its strip and comes back.
@@ -112,10 +114,9 @@ def threats(
     centers : of the lanes [m]. paths, size : (n, K, 4), and as in `least_separations`.
     """
     n, low, high, behind, held = lanes.shape[0], others.low, others.high, others.behind, others.held
-    rows = in_reach(others, limits, True)
-    owed, count = np.empty((n, rows.shape[0]), np.bool_), 0
-    for j in rows:
-        kept = False
+    reached, count = in_reach(others, limits, True, rows), 0
+    for place in range(reached):
+        j, kept = rows[place], False
         for i in range(n):
             entered = False
             for lane in (lanes[i], fails[i]):
@@ -128,7 +129,48 @@ def threats(
         if kept:
             rows[count] = j
             count += 1
-    return rows[:count], owed[:, :count].copy()
+    return count
+
+
+@uncounted
+def hold_lanes(
+    r: float,
+    centers: FloatArray,
+    frames: int,
+    sight: float,
+    touch: float,
+    stored: int,
+    first: bool,
+    visible: IntArray,
+    owned: BoolArray,
+    coming: BoolArray,
+) -> None:
+    """The visibility clock, the lanes owned, and who could enter which before, one scene later, in their place.
+
+    Parameters
+    ----------
+    r : lateral position of the ego [m]. centers : of the lanes [m].
+    frames : since the scene before. sight, touch : how near to a lane's centre the ego is visible in it, and touches
+        it [m].
+    stored : the lane in which the stored fail-safe stops, or -1.
+    first : whether this is the first scene; whoever is there when it all begins has seen the ego for long.
+    visible : frames for which the ego has been visible in each lane, (lanes,).
+    owned : which it owns, (lanes,): from when it touches one with a verified plan to stop there, until it has left it.
+    coming : who could enter which lane, (lanes, m), or of no lanes. Anybody may come into a lane that the ego has got
+        out of sight in.
+    """
+    here = 0
+    for j in range(centers.shape[0]):
+        if abs(r - centers[j]) < abs(r - centers[here]):
+            here = j
+    for j in range(centers.shape[0]):
+        offset, last = abs(r - centers[j]), visible[j]
+        visible[j] = (_LONG if first else last) + frames if offset <= sight else 0
+        had = j == here if first else owned[j]
+        owned[j] = (had or j == stored) and offset < touch
+        if not first and coming.shape[0] > 0 and last > 0 and visible[j] == 0:
+            for i in range(coming.shape[1]):
+                coming[j, i] = True
 
 
 @compiled
@@ -143,38 +185,17 @@ def lanes_held(
     owned: BoolArray,
     coming: BoolArray,
 ) -> tuple[IntArray, BoolArray, BoolArray]:
-    """The visibility clock, the lanes owned, and who could enter which before, one scene later.
-
-    Parameters
-    ----------
-    r : lateral position of the ego [m]. centers : of the lanes [m].
-    frames : since the scene before. sight, touch : how near to a lane's centre the ego is visible in it, and touches
-        it [m].
-    stored : the lane in which the stored fail-safe stops, or -1.
-    visible, owned : of the scene before, (lanes,); both are empty in the first, and whoever is there when it all begins
-        has seen the ego for long.
-    coming : who could enter which lane in the scene before, (lanes, m) bool; of any other shape without one.
-
-    Returns
-    -------
-    Frames for which the ego has been visible in each lane, (lanes,); whether it owns it, (lanes,) bool: from when it
-    touches it with a verified plan to stop there, until it has left it; and `coming`, where anybody may come into a
-    lane that the ego has got out of sight in.
-    """
+    """`hold_lanes` with new arrays; `visible` and `owned` of the scene before are empty in the first, and `coming` may
+    be of any other shape without one."""
     n, first = centers.shape[0], visible.shape[0] != centers.shape[0]
     seen, own, comes = np.zeros(n, np.intp), np.zeros(n, np.bool_), coming.copy()
-    here = 0
-    for j in range(n):
-        if abs(r - centers[j]) < abs(r - centers[here]):
-            here = j
-    for j in range(n):
-        offset = abs(r - centers[j])
-        if offset <= sight:
-            seen[j] = (_LONG if first else visible[j]) + frames
-        had = owned[j] if not first and owned.shape[0] > 0 else j == here
-        own[j] = (had or j == stored) and offset < touch
-        if not first and comes.shape[0] == n and visible[j] > 0 and seen[j] == 0:
-            comes[j, :] = True
+    if not first:
+        seen[:] = visible
+        if owned.shape[0] == n:
+            own[:] = owned
+        else:
+            own[np.argmin(np.abs(centers - r))] = True
+    hold_lanes(r, centers, frames, sight, touch, stored, first, seen, own, comes if comes.shape[0] == n else comes[:0])
     return seen, own, comes
 
 
@@ -191,19 +212,20 @@ class Standing(NamedTuple):
     stored: int
 
 
-@compiled
+@uncounted
 def others_of(
     rows: FloatArray,
     states: FloatArray,
     bodies: Bodies,
     ego: Standing,
-    followers: FloatArray,
+    followers: BoolArray,
     before: BoolArray,
     sight: Sight,
     centers: FloatArray,
     others: Others,
+    tempted: BoolArray,
 ) -> None:
-    """Fill in the vehicles as a judgement of paths sees them, `others`.
+    """Fill in the vehicles as a judgement of paths sees them, `others`; `tempted` (m, 2) is written over.
 
     Parameters
     ----------
@@ -238,8 +260,5 @@ def others_of(
         rs[j], across[j] = states[j, 1], states[j, 3] * sin
     if not sight.blind:
         return
-    tempted = gains(states, bodies.lane, bodies.low, bodies.high, centers, sight.distance, sight.slack)
-    beside, may, turning = newcomers(others, tempted, centers, sight.width)
-    last = before if before.shape == may.shape else may
-    others.beside[:] = beside
-    others.comes[:] = still_coming(beside, may, turning, last, ego.visible, ego.stored, sight.reaction, sight.settled)
+    gains(states, bodies.lane, bodies.low, bodies.high, centers, sight.distance, sight.slack, tempted)
+    entrants(others, tempted, centers, sight.width, before, ego.visible, ego.stored, sight.reaction, sight.settled)

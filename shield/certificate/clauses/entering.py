@@ -6,89 +6,71 @@ import math
 
 import numpy as np
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.vehicle.controllers import KP_HEADING, KP_LATERAL
 from shield.certificate.clauses.others import Others
 from shield.certificate.clauses.plans import Plans
 
-__all__ = ["newcomers", "sides_taken", "still_coming"]
+__all__ = ["entrants", "sides_taken"]
 
 _TURNING = 0.25
 """Speed across the road, beyond that of one that settles in its lane, from which a vehicle counts as changing [m/s]."""
 
 
-@compiled
-def newcomers(
-    others: Others, gains: BoolArray, centers: FloatArray, width: float
-) -> tuple[BoolArray, BoolArray, BoolArray]:
-    """Which lanes each vehicle's strip is beside; which of them it may enter, for it gains by it or is on its way; and
-    which it is on its way to; each (lanes, v) bool.
-
-    On its way is one that is faster across than one that settles in the middle of its own lane, the lag of its heading
-    included.
-
-    Parameters
-    ----------
-    others : the vehicles, (v,). gains : see `dynamics.traffic.mobil.gains`, (v, 2) bool.
-    centers, width : of the lanes [m].
-    """
-    low, high, lane, r, across = others.low, others.high, others.lane, others.r, others.across
-    n, v = centers.shape[0], lane.shape[0]
-    beside = np.zeros((n, v), np.bool_)
-    may, turning = np.zeros((n, v), np.bool_), np.zeros((n, v), np.bool_)
-    for k in range(n):
-        for j in range(v):
-            # Beside the lane: the next strip begins where this one ends.
-            apart = max(low[j] - centers[k], centers[k] - high[j])
-            if not 0 < apart < width or not abs(centers[lane[j]] - centers[k]) < 1.5 * width:
-                continue
-            beside[k, j] = True
-            above = centers[k] > high[j]
-            sign = 1.0 if above else -1.0
-            toward, left = sign * across[j], sign * (centers[lane[j]] - r[j])
-            turning[k, j] = toward > KP_LATERAL * (left + toward / KP_HEADING) + _TURNING
-            may[k, j] = turning[k, j] or gains[j, 1 if above else 0]
-    return beside, may, turning
-
-
-@compiled
-def still_coming(
-    beside: BoolArray,
-    may: BoolArray,
-    turning: BoolArray,
+@uncounted
+def entrants(
+    others: Others,
+    gains: BoolArray,
+    centers: FloatArray,
+    width: float,
     before: BoolArray,
     visible: IntArray,
     stored: int,
     sight: int,
     settled: int,
-) -> BoolArray:
-    """Who may enter which lane although the ego has a plan to stop there, or is in sight there, (lanes, v) bool.
+) -> None:
+    """Fill in which lanes each vehicle's strip is beside, `others.beside`, and who may enter which, `others.comes`.
 
-    Whoever may enter when that begins may do so until `sight` frames after the ego has come into sight; those who were
-    on their way by then, until it has been seen for `settled` frames. Nobody joins them.
+    Whoever gains by it may enter a lane, and who is on the way there: that is one who is faster across than one that
+    settles in the middle of its own lane, the lag of its heading included. Where the ego has a plan to stop there, or
+    is in sight there, whoever may enter when that begins may do so until `sight` frames after the ego has come into
+    sight; those who were on their way by then, until it has been seen for `settled` frames. Nobody joins them.
 
     Parameters
     ----------
-    beside, may, turning : see `newcomers`. before : the answer of the scene before, (lanes, v).
+    others : the vehicles, (v,). gains : see `dynamics.traffic.mobil.gains`, (v, 2) bool.
+    centers, width : of the lanes [m].
+    before : `others.comes` of the scene before, (lanes, v); of another shape without one.
     visible : frames for which the ego has been visible in each lane, (lanes,).
     stored : the lane in which the stored fail-safe stops, or -1.
     """
-    out = np.zeros(may.shape, np.bool_)
-    for k in range(may.shape[0]):
-        for j in range(may.shape[1]):
+    low, high, lane, r, across = others.low, others.high, others.lane, others.r, others.across
+    besides, comes, n, v = others.beside, others.comes, centers.shape[0], others.lane.shape[0]
+    known = before.shape[0] == n and before.shape[1] == v
+    for k in range(n):
+        for j in range(v):
+            # Beside the lane: the next strip begins where this one ends.
+            apart = max(low[j] - centers[k], centers[k] - high[j])
+            beside = 0 < apart < width and abs(centers[lane[j]] - centers[k]) < 1.5 * width
+            may, turning = False, False
+            if beside:
+                above = centers[k] > high[j]
+                sign = 1.0 if above else -1.0
+                toward, left = sign * across[j], sign * (centers[lane[j]] - r[j])
+                turning = toward > KP_LATERAL * (left + toward / KP_HEADING) + _TURNING
+                may = turning or gains[j, 1 if above else 0]
+            last = before[k, j] if known else may
             if visible[k] >= settled:
-                out[k, j] = False
+                may = False
             elif visible[k] > sight:
-                out[k, j] = before[k, j] and turning[k, j]
+                may = last and turning
             elif visible[k] > 0 or k == stored:
-                out[k, j] = before[k, j] and beside[k, j]
-            else:
-                out[k, j] = may[k, j]
-    return out
+                may = last and beside
+            besides[k, j], comes[k, j] = beside, may
 
 
-@compiled
+@uncounted
 def sides_taken(
     plans: Plans,
     rows: IntArray,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from dynamics.compiled import compiled
+from dynamics.compiled import inlined
 
 __all__ = ["Footprint", "reach_across", "reach_along"]
 
@@ -27,13 +27,13 @@ class Footprint(NamedTuple):
     bare_across: float = 0.0
 
 
-@compiled
+@inlined
 def reach_along(size: Footprint, psi: float) -> float:
     """Half of what the footprint with its buffer covers along the road at heading psi [m]."""
     return size.along * abs(math.cos(psi)) + size.across * abs(math.sin(psi)) + size.growth_along
 
 
-@compiled
+@inlined
 def reach_across(size: Footprint, psi: float) -> float:
     """The same across the road [m]."""
     return size.along * abs(math.sin(psi)) + size.across * abs(math.cos(psi)) + size.growth_across

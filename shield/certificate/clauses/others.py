@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import compiled
+from dynamics.compiled import inlined
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.tables import Bodies
 
@@ -46,7 +46,7 @@ def empty_others(m: int, lanes: int) -> tuple[FloatArray, BoolArray]:
     return np.empty((5, m)), np.zeros((2 + 2 * lanes, m), np.bool_)
 
 
-@compiled
+@inlined
 def others_from(bodies: Bodies, numbers: FloatArray, flags: BoolArray) -> Others:
     """The rows of both arrays by their names."""
     ahead, least, size, r, across = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]

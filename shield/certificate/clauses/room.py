@@ -6,20 +6,26 @@ import math
 
 import numpy as np
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 from dynamics.state import FloatArray, IntArray
 from shield.certificate.clauses.footprint import Footprint
 
 __all__ = ["margins", "rooms"]
 
 
-@compiled
+@uncounted
 def rooms(
-    paths: FloatArray, size: Footprint, centers: FloatArray, fails: IntArray, side: float, bent: bool
-) -> FloatArray:
-    """What is left beside the ego with its buffer in the lane that each path stops in, (n,) [m]; negative where it
-    reaches out. `size` as in `least_separations`."""
-    out, last = np.empty(paths.shape[0]), paths.shape[1] - 1
+    paths: FloatArray,
+    size: Footprint,
+    centers: FloatArray,
+    fails: IntArray,
+    side: float,
+    bent: bool,
+    out: FloatArray,
+) -> None:
+    """What is left beside the ego with its buffer in the lane that each path stops in, `out` (n,) [m]; negative where
+    it reaches out. `size` as in `least_separations`."""
+    last = paths.shape[1] - 1
     for i in range(paths.shape[0]):
         r, psi = paths[i, last, 1], paths[i, last, 2]
         sin, cos = abs(math.sin(psi)), abs(math.cos(psi))
@@ -30,18 +36,17 @@ def rooms(
             else size.along * sin + size.across * cos
         )
         out[i] = side - abs(r - centers[fails[i]]) - half
-    return out
 
 
-@compiled
-def margins(separations: FloatArray, slipping: FloatArray, room: FloatArray) -> FloatArray:
-    """The least separation of each path, and what it lacks of room where it does, (n,) [m]; NaN where anything is.
+@uncounted
+def margins(separations: FloatArray, slipping: FloatArray, room: FloatArray, out: FloatArray) -> None:
+    """The least separation of each path, and what it lacks of room where it does, `out` (n,) [m]; NaN where anything
+    is.
 
     Parameters
     ----------
     separations, slipping : from vehicles in reach (n, m), and from those that may slip in (n, q) [m]. room : (n,) [m].
     """
-    out = np.empty(room.shape[0])
     for i in range(room.shape[0]):
         least, known = np.inf, not math.isnan(room[i])
         if room[i] < 0:
@@ -53,4 +58,3 @@ def margins(separations: FloatArray, slipping: FloatArray, room: FloatArray) -> 
             known = known and not math.isnan(slipping[i, j])
             least = min(least, slipping[i, j])
         out[i] = least if known else np.nan
-    return out

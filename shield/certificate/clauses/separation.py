@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import compiled
+from dynamics.compiled import uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.certificate.clauses.footprint import Footprint
 
@@ -32,7 +32,7 @@ class Duty(NamedTuple):
     dt: float
 
 
-@compiled
+@uncounted
 def _extents(paths: FloatArray, i: int, size: Footprint, dt: float, coming: bool, bounds: FloatArray) -> bool:
     """Where the ego's rectangle is in each frame: s and r from `bounds[0]`, `[2]` to `bounds[1]`, `[3]` with the
     buffer; and, with `coming`, its body one frame later at constant velocity, `bounds[4:8]`. False if not finite."""
@@ -53,7 +53,7 @@ def _extents(paths: FloatArray, i: int, size: Footprint, dt: float, coming: bool
     return True
 
 
-@compiled
+@uncounted
 def coming_frame(
     state: FloatArray,
     size: Footprint,
@@ -95,7 +95,7 @@ def coming_frame(
     return apart if apart < 0 else np.inf
 
 
-@compiled
+@uncounted
 def _front(
     paths: FloatArray, i: int, center: float, at_once: int, follower: FloatArray, duty: Duty, front: FloatArray
 ) -> None:
@@ -145,9 +145,16 @@ class Extents(NamedTuple):
     followers: FloatArray
 
 
-@compiled
+@uncounted
 def least_separations(
-    paths: FloatArray, size: Footprint, others: Extents, duty: Duty, separations: FloatArray, reached: IntArray
+    paths: FloatArray,
+    size: Footprint,
+    others: Extents,
+    duty: Duty,
+    separations: FloatArray,
+    reached: IntArray,
+    bounds: FloatArray,
+    front: FloatArray,
 ) -> None:
     """The least separation of each path from each vehicle, and the first frame in which one is negative.
 
@@ -157,6 +164,7 @@ def least_separations(
     separations : (n, m) [m], result; +inf for who owes it, NaN for a path or a vehicle that is not finite (`rear` adds
         up: its last frame tells).
     reached : frames before the first violation, (n,), result.
+    bounds, front : room that is written over, (8, K) and (K,).
     """
     low, high, rear, lengths, noses = others.low, others.high, others.rear, others.lengths, others.noses
     owed, follows, centers, at_once, followers = (
@@ -167,7 +175,7 @@ def least_separations(
         others.followers,
     )
     n, frames, m = paths.shape[0], paths.shape[1], rear.shape[0]
-    bounds, front, dt = np.empty((8, frames)), np.empty(frames), duty.dt
+    dt = duty.dt
     for i in range(n):
         coming = False
         for k in range(frames):
@@ -177,7 +185,9 @@ def least_separations(
                 break
         reached[i] = frames
         if not _extents(paths, i, size, dt, coming, bounds):
-            separations[i, :], reached[i] = np.nan, 0
+            reached[i] = 0
+            for j in range(m):
+                separations[i, j] = np.nan
             continue
         lowest, highest = np.inf, -np.inf
         for k in range(frames):

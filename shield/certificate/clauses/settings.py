@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import compiled, numbers_of
+from dynamics.compiled import inlined, numbers_of
 from dynamics.state import FloatArray
 from dynamics.traffic.assumptions import Assumptions
 from shield.certificate.clauses.duties import Sight
@@ -77,19 +77,19 @@ def _frames(time: float, dt: float) -> int:
     return int(np.ceil(time / dt - 1e-9))
 
 
-@compiled
+@inlined
 def settings_from(row: FloatArray) -> Settings:
     """The numbers by their names."""
     return Settings(*numbers_of(row, 16))
 
 
-@compiled
+@inlined
 def duty_of(x: Settings, hold: int) -> Duty:
     """What a vehicle behind owes, `hold` frames of constant speed being expected before."""
     return Duty(x.seen, int(x.reaction), x.acceleration, x.braking, x.max_speed, x.power, hold, x.dt)
 
 
-@compiled
+@inlined
 def sight_of(x: Settings) -> Sight:
     """What decides about who sees whom."""
     return Sight(x.seen, x.gains, int(x.reaction), int(x.settled), x.blind > 0, x.width)

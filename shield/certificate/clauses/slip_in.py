@@ -21,14 +21,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import compiled
+from dynamics.compiled import inlined, uncounted
 from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.mobil import COMFORT, IMPOSED, TIME, TWICE_ROOT, desired_gap
 from dynamics.traffic.tables import Bodies
-from dynamics.vehicle.rollout_kernels import NO_LIMIT, roll_commands
+from dynamics.vehicle.rollout_kernels import roll_target
 from shield.certificate.clauses.footprint import Footprint
 
-__all__ = ["Slips", "anybody", "least_separations_of_slips", "may_slip", "slips_of", "sweeps"]
+__all__ = ["LASTS", "Slips", "anybody", "least_separations_of_slips", "may_slip", "slips_of", "sweeps"]
 
 _SLACK, _HARDLY = 3.0, 0.5
 """What d* may differ by when the lane change starts [m]; and where it is the ego's own, whose plan is known."""
@@ -40,7 +40,7 @@ _BRAKES = 1.0
 """Such a vehicle, and its leader, are taken to have braked for so long at most by then [s]."""
 _NEAR = 60.0
 """Vehicles further away along the road are not looked at [m]."""
-_LASTS = 1.0
+LASTS = 1.0
 """Within this time such a vehicle has reached the other lane [s]."""
 _CENTRED = 0.2
 """An ego nearer than this to its lane's centre keeps its lane: the one that moves in owes it the room [m]."""
@@ -60,7 +60,7 @@ class Slips(NamedTuple):
     braking: float
 
 
-@compiled
+@uncounted
 def may_slip(
     others: FloatArray,
     states: FloatArray,
@@ -106,47 +106,56 @@ def may_slip(
     return count
 
 
-@compiled
+@uncounted
 def slips_of(
-    found: FloatArray, states: FloatArray, bodies: Bodies, centers: FloatArray, gain: float, braking: float
-) -> tuple[IntArray, Slips]:
-    """Rows of those that `may_slip` has found, (n, 4), and what is known of them."""
-    n = found.shape[0]
-    rows, numbers, ratios = np.empty(n, np.intp), np.empty((4, n)), np.empty((2, n))
-    for k in range(n):
+    found: FloatArray,
+    states: FloatArray,
+    bodies: Bodies,
+    centers: FloatArray,
+    gain: float,
+    braking: float,
+    rows: IntArray,
+    numbers: FloatArray,
+    ratios: FloatArray,
+) -> Slips:
+    """What is known of those that `may_slip` has found, (n, 4); their `rows` (n,), and room for `numbers` (4, n) and
+    `ratios` (2, n), are filled in."""
+    for k in range(found.shape[0]):
         j = rows[k] = int(found[k, 0])
         numbers[0, k], numbers[1, k] = states[j, 0], states[j, 3]
         numbers[2, k], numbers[3, k] = centers[int(found[k, 1])], bodies.reach[j]
         ratios[0, k], ratios[1, k] = found[k, 2], found[k, 3]
-    return rows, Slips(numbers[0], numbers[1], numbers[2], ratios, numbers[3], gain, braking)
+    return Slips(numbers[0], numbers[1], numbers[2], ratios, numbers[3], gain, braking)
 
 
-@compiled
+@uncounted
 def sweeps(
-    rows: IntArray, slips: Slips, others: FloatArray, states: FloatArray, bodies: Bodies, table: FloatArray, dt: float
-) -> FloatArray:
-    """Where each body is across the road after 1..T frames of its lane change, from the strip that it is in, (n, T, 2)
-    [m]: `rows` of vehicle rows (m, 7) and road states (m, 4), on the road of a `table` of
-    `dynamics.vehicle.rollout_kernels`."""
-    n, frames = rows.shape[0], math.ceil(_LASTS / dt)
-    starts, commands, paths = np.empty((n, 4)), np.empty((n, frames, 3)), np.empty((n, frames, 4))
-    for k in range(n):
-        starts[k] = states[rows[k]]
-        commands[k, :, 0], commands[k, :, 1], commands[k, :, 2] = slips.goals[k], slips.speeds[k], NO_LIMIT
-    roll_commands(starts, commands, table, dt, paths)
-    out = np.empty((n, frames, 2))
-    for k in range(n):
+    rows: IntArray,
+    slips: Slips,
+    others: FloatArray,
+    states: FloatArray,
+    bodies: Bodies,
+    table: FloatArray,
+    dt: float,
+    paths: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Where each body is across the road after 1..T frames of its lane change, from the strip that it is in, `out`
+    (n, T, 2) [m]: `rows` (n,) of vehicle rows (m, 7) and road states (m, 4), on the road of a `table` of
+    `dynamics.vehicle.rollout_kernels`; `paths` (n, T, 4) are written over."""
+    frames = out.shape[1]
+    for k in range(rows.shape[0]):
         j = rows[k]
+        roll_target(states[j], slips.goals[k], slips.speeds[k], table, dt, paths[k])
         low, high, length, width = bodies.low[j], bodies.high[j], others[j, 4], others[j, 5]
         for f in range(frames):
             r, sin, cos = paths[k, f, 1], abs(math.sin(paths[k, f, 2])), abs(math.cos(paths[k, f, 2]))
             half = 0.5 * (length * sin + width * cos)
             low, high = min(low, r - half), max(high, r + half)
             out[k, f, 0], out[k, f, 1] = low, high
-    return out
 
 
-@compiled
+@uncounted
 def _begins(
     s: float, r: float, u: float, k: int, j: int, slips: Slips, sight: float, dt: float
 ) -> tuple[bool, bool, bool]:
@@ -167,7 +176,7 @@ def _begins(
     return may, seen and min(wanted, desired_gap(slow, slow - u)) <= at_once and wanted >= -at_once, True
 
 
-@compiled
+@inlined
 def _offset(r: float, centers: FloatArray) -> float:
     """Distance from the nearest lane's centre [m]."""
     offset = np.inf
@@ -176,7 +185,7 @@ def _offset(r: float, centers: FloatArray) -> float:
     return offset
 
 
-@compiled
+@uncounted
 def anybody(paths: FloatArray, slips: Slips, centers: FloatArray, sight: float, dt: float) -> bool:
     """Whether anybody may slip in where that counts (`least_separations_of_slips`); or a path is not finite."""
     for i in range(paths.shape[0]):
@@ -193,7 +202,7 @@ def anybody(paths: FloatArray, slips: Slips, centers: FloatArray, sight: float, 
     return False
 
 
-@compiled
+@uncounted
 def least_separations_of_slips(
     paths: FloatArray,
     size: Footprint,

@@ -5,13 +5,14 @@ They are handed arrays and nothing else, which get their names inside; `dynamics
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import compiled, numbers_of
+from dynamics.compiled import compiled, inlined, numbers_of, uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray
-from dynamics.traffic.occupancy_kernels import fronts, rears
+from dynamics.traffic.occupancy_kernels import front_of, rear_of
 from dynamics.traffic.permits import Ego
 from dynamics.traffic.tables import Bodies, Motion, bodies_of, motion_of
 from shield.certificate.clauses.duties import Standing, others_of, threats
@@ -22,9 +23,28 @@ from shield.certificate.clauses.plans import Plans
 from shield.certificate.clauses.room import margins, rooms
 from shield.certificate.clauses.separation import Extents, least_separations
 from shield.certificate.clauses.settings import Settings, duty_of, settings_from, sight_of
-from shield.certificate.clauses.slip_in import anybody, least_separations_of_slips, may_slip, slips_of, sweeps
+from shield.certificate.clauses.slip_in import (
+    LASTS,
+    anybody,
+    least_separations_of_slips,
+    may_slip,
+    slips_of,
+    sweeps,
+)
 
-__all__ = ["NOTHING_BINDS", "ROOM_BINDS", "SEPARATION_BINDS", "SLIP_IN_BINDS", "judged", "seen"]
+__all__ = [
+    "NOTHING_BINDS",
+    "ROOM_BINDS",
+    "SEPARATION_BINDS",
+    "SLIP_IN_BINDS",
+    "Around",
+    "Desk",
+    "Ground",
+    "judge",
+    "judged",
+    "new_desk",
+    "seen",
+]
 
 NOTHING_BINDS, SEPARATION_BINDS, SLIP_IN_BINDS, ROOM_BINDS = 0, 1, 2, 3
 """What a margin comes from."""
@@ -50,7 +70,72 @@ class Around(NamedTuple):
     others: Others
 
 
+_AHEAD = 3
+"""Frames that are computed beyond those that are asked for: the next path may be a little longer."""
+
+
+class Desk(NamedTuple):
+    """Room for the judgement of one path of up to K frames among m vehicles, and what is known from the last one in the
+    same scene.
+
+    Attributes
+    ----------
+    near : the vehicles in reach, (m,), of which there are `found` (1,). floats, ints, bools : of each, (10, m),
+        (3, 2 m) and (2, m).
+    rears : least s of each vehicle (by row), (2, m, K) [m], as a bound and as a forecast; `done` (2, m): of how many
+        frames, 0 in a new scene. rear : of those in reach, (m, K).
+    bounds : of the ego, (9, K). reached : (1,). room, margin : (1,) [m].
+    slips, ways, sweep, turns, apart : of those that may slip in, (6, 2 m), (2, 2 m, K), (2 m, T, 2), (2 m, T, 4) and
+        (1, 2 m). swept : for how many frames these are known, (1,); 0 in a new scene.
+    """
+
+    near: IntArray
+    found: IntArray
+    floats: FloatArray
+    ints: IntArray
+    bools: BoolArray
+    rears: FloatArray
+    done: IntArray
+    rear: FloatArray
+    bounds: FloatArray
+    reached: IntArray
+    room: FloatArray
+    margin: FloatArray
+    slips: FloatArray
+    ways: FloatArray
+    sweep: FloatArray
+    turns: FloatArray
+    apart: FloatArray
+    swept: IntArray
+
+
 @compiled
+def new_desk(m: int, frames: int, dt: float) -> Desk:
+    """An empty one."""
+    last = math.ceil(LASTS / dt)
+    return Desk(
+        np.empty(m, np.intp),
+        np.zeros(1, np.intp),
+        np.empty((10, m)),
+        np.empty((3, 2 * m), np.intp),
+        np.empty((2, m), np.bool_),
+        np.empty((2, m, frames)),
+        np.zeros((2, m), np.intp),
+        np.empty((m, frames)),
+        np.empty((9, frames)),
+        np.empty(1, np.intp),
+        np.empty(1),
+        np.empty(1),
+        np.empty((6, 2 * m)),
+        np.empty((2, 2 * m, frames)),
+        np.empty((2 * m, last, 2)),
+        np.empty((2 * m, last, 4)),
+        np.empty((1, 2 * m)),
+        np.zeros(1, np.intp),
+    )
+
+
+@uncounted
 def seen(
     rows: FloatArray,
     states: FloatArray,
@@ -66,11 +151,12 @@ def seen(
     owned: BoolArray,
     visible: IntArray,
     stored: int,
-    followers: FloatArray,
+    followers: BoolArray,
     before: BoolArray,
     of_others: FloatArray,
     flags: BoolArray,
     slipping: FloatArray,
+    tempted: BoolArray,
 ) -> int:
     """Take in a scene: fill in what is to be known of the others before any path is judged.
 
@@ -83,6 +169,7 @@ def seen(
     followers, before : see `others_of`.
     of_others, flags : of `Others`, see `empty_others`; result.
     slipping : (2 m, 4), rows of those that `may_slip` finds; result.
+    tempted : room that is written over, (m, 2).
 
     Returns
     -------
@@ -97,60 +184,78 @@ def seen(
     world = Ego(vehicle[0], vehicle[1], vehicle[2], vehicle[3], foot.along, foot.across, body[0], body[1], False)
     others = others_from(bodies, of_others, flags)
     ego = Standing(state, foot, world, owned, visible, stored)
-    others_of(rows, states, bodies, ego, followers, before, sight_of(x), centers, others)
+    others_of(rows, states, bodies, ego, followers, before, sight_of(x), centers, others, tempted)
     if not x.slip_in > 0:
         return 0
     return may_slip(rows, states, bodies, state, foot.length, centers, x.seen, x.hardest, slipping)
 
 
-@compiled
+@inlined
+def _rears(
+    desk: Desk, count: int, frames: int, around: Around, hold: int, rows: IntArray, out: FloatArray, last: bool
+) -> None:
+    """Least s of the first `count` of vehicles `rows`, to `out` (count, K): from what the desk has of them already, and
+    else computed; with `last`, the last frame stands for all that follow it."""
+    bodies, kind = around.bodies, 0 if hold == 0 else 1
+    for n in range(count):
+        j = rows[n]
+        if desk.done[kind, j] < frames:
+            enough = min(frames + _AHEAD, desk.rears.shape[2])
+            rear_of(
+                j, around.rows, around.states, around.stretch, around.motion, bodies, hold, enough, desk.rears[kind, j]
+            )
+            desk.done[kind, j] = enough
+        for k in range(frames):
+            out[n, k] = desk.rears[kind, j, k]
+        if last and hold == 0:
+            out[n, frames - 1] = min(out[n, frames - 1], bodies.floor[j] - bodies.reach[j])
+
+
+@inlined
 def _separations(
-    plans: Plans,
+    plan: Plans,
     r: float,
     foot: Footprint,
     ground: Ground,
     around: Around,
-    near: IntArray,
-    owed: BoolArray,
+    q: int,
     x: Settings,
     hold: int,
-    reached: IntArray,
-) -> FloatArray:
-    """The least separation of each path from each vehicle `near` (q,) that does not owe it, `owed` (n, q), (n, q) [m];
-    `r` is where the ego is across the road."""
-    n, frames, q = plans.paths.shape[0], plans.paths.shape[1], near.shape[0]
-    others, centers, duty, bound = around.others, ground.centers, duty_of(x, hold), x.blind > 0 and hold == 0
-    low, high = np.empty((n if bound else 1, q)), np.empty((n if bound else 1, q))
-    home = np.empty(low.shape, np.intp)
-    if bound:
+    desk: Desk,
+) -> int:
+    """The least separation of a path from each of the `q` vehicles on the desk that does not owe it; `r` is where the
+    ego is across the road. Returns the frames before the first that is negative."""
+    frames, near, visible = plan.paths.shape[1], desk.near, ground.visible
+    others, centers, duty = around.others, ground.centers, duty_of(x, hold)
+    low, high, home = desk.floats[0:1, :q], desk.floats[1:2, :q], desk.ints[0:1, :q]
+    if x.blind > 0 and hold == 0:
         settings = (r, x.seen, x.width, x.lean)
-        sides_taken(plans, near, others, centers, settings, low, high, home)
+        sides_taken(plan, near[:q], others, centers, settings, low, high, home)
     else:
-        low[0], high[0], home[0] = others.low[near], others.high[near], others.lane[near]
-    rear = np.empty((q, frames))
-    rears(near, around.rows, around.states, around.stretch, around.motion, around.bodies, hold, rear)
-    goals, at_once, visible = np.empty(home.shape), np.full(home.shape, -1), ground.visible
-    for i in range(home.shape[0]):
         for j in range(q):
-            goals[i, j] = centers[home[i, j]]
-            already = visible[home[i, j]]
-            if already > 0:
-                at_once[i, j] = max(duty.reaction + 1 - already, 0)
-    followers, lengths, noses = np.ones((3, q)), np.empty(q), np.empty((2, q))
+            low[0, j], high[0, j], home[0, j] = others.low[near[j]], others.high[near[j]], others.lane[near[j]]
+    _rears(desk, q, frames, around, hold, near, desk.rear, True)
+    goals, at_once, follows = desk.floats[2:3, :q], desk.ints[1:2, :q], desk.bools[1, :q]
+    lengths, noses, followers = desk.floats[3, :q], desk.floats[4:6, :q], desk.floats[6:9, :q]
     reach, ends, states, stretch = around.bodies.reach, around.bodies.noses, around.states, around.stretch
     for j in range(q):
         k = near[j]
+        goals[0, j], at_once[0, j] = centers[home[0, j]], -1
+        already = visible[home[0, j]]
+        if already > 0:
+            at_once[0, j] = max(duty.reaction + 1 - already, 0)
         lengths[j], noses[0, j], noses[1, j] = reach[k], ends[0, k], ends[1, k]
         followers[0, j], followers[1, j] = states[k, 3], states[k, 0] + lengths[j]
-        if stretch.shape[1] > 0:
-            followers[2, j] = stretch[1, k]
-    separations, behind = np.empty((n, q)), others.behind[near]
-    extents = Extents(low, high, rear, lengths, noses, owed, behind, goals, at_once, followers)
-    least_separations(plans.paths, foot, extents, duty, separations, reached)
-    return separations
+        followers[2, j] = stretch[1, k] if stretch.shape[1] > 0 else 1.0
+        follows[j] = others.behind[k]
+    rear, owed = desk.rear[:q, :frames], desk.bools[0:1, :q]
+    extents = Extents(low, high, rear, lengths, noses, owed, follows, goals, at_once, followers)
+    found, bounds = desk.floats[9:10, :q], desk.bounds[:8, :frames]
+    least_separations(plan.paths, foot, extents, duty, found, desk.reached, bounds, desk.bounds[8, :frames])
+    return desk.reached[0]
 
 
-@compiled
+@inlined
 def _slips(
     paths: FloatArray,
     foot: Footprint,
@@ -160,39 +265,152 @@ def _slips(
     around: Around,
     found: FloatArray,
     x: Settings,
-) -> FloatArray:
-    """The least separation of each path from each of those `found` that may slip in, (n, c) [m]; +inf where it does
+    desk: Desk,
+) -> None:
+    """The least separation of a path from each of those `found` that may slip in, on the desk [m]; +inf where it does
     not."""
-    n, frames, c = paths.shape[0], paths.shape[1], found.shape[0]
-    out = np.full((n, c), np.inf)
+    frames, c, out = paths.shape[1], found.shape[0], desk.apart
+    for k in range(c):
+        out[0, k] = np.inf
     if c == 0:
-        return out
-    rows, slips = slips_of(found, around.states, around.bodies, centers, x.acceleration, x.hardest)
+        return
+    rows, numbers = desk.ints[2, :c], desk.slips
+    bodies, states = around.bodies, around.states
+    slips = slips_of(found, states, bodies, centers, x.acceleration, x.hardest, rows, numbers[:4, :c], numbers[4:6, :c])
     if not anybody(paths, slips, centers, x.seen, x.dt):
-        return out
-    # The last frame of `rears` stands for all that follow it; none of those asked for is that.
-    rear, front = np.empty((c, frames + 1)), np.empty((c, frames + 1))
-    rears(rows, around.rows, around.states, around.stretch, around.motion, around.bodies, 0, rear)
-    fronts(rows, around.states, around.stretch, around.motion, around.bodies, 0, front)
-    sweep = sweeps(rows, slips, around.rows, around.states, around.bodies, table, x.dt)
+        return
+    # None of the frames that are asked for is the one that stands for all that follow.
+    rear, front, sweep = desk.ways[0, :c], desk.ways[1, :c], desk.sweep[:c]
+    if desk.swept[0] < frames:
+        enough = min(frames + _AHEAD, desk.ways.shape[2])
+        _rears(desk, c, enough, around, 0, rows, rear, False)
+        for k in range(c):
+            front_of(rows[k], states, around.stretch, around.motion, bodies, 0, enough, front[k])
+        sweeps(rows, slips, around.rows, states, bodies, table, x.dt, desk.turns[:c], sweep)
+        desk.swept[0] = enough
     least_separations_of_slips(paths, foot, slips, rear, front, sweep, centers, x.seen, x.dt, out)
     if ignored.shape[0] > 0:
         for k in range(c):
             if ignored[rows[k]]:
-                out[:, k] = np.inf
-    return out
+                out[0, k] = np.inf
 
 
-@compiled
-def _binding(
-    margin: float, separations: FloatArray, near: IntArray, apart: FloatArray, slips: FloatArray
-) -> tuple[int, int]:
+@inlined
+def _binding(margin: float, q: int, c: int, slips: FloatArray, desk: Desk) -> tuple[int, int]:
     """What a margin comes from, and which vehicle."""
-    if separations.shape[0] > 0 and separations.min() <= margin:
-        return SEPARATION_BINDS, near[separations.argmin()]
-    if apart.shape[0] > 0 and apart.min() <= margin:
-        return SLIP_IN_BINDS, int(slips[apart.argmin(), 0])
+    least, at = np.inf, -1
+    for j in range(q):
+        if at < 0 or desk.floats[9, j] < least:
+            least, at = desk.floats[9, j], j
+    if at >= 0 and least <= margin:
+        return SEPARATION_BINDS, desk.near[at]
+    least, at = np.inf, -1
+    for k in range(c):
+        if at < 0 or desk.apart[0, k] < least:
+            least, at = desk.apart[0, k], k
+    if at >= 0 and least <= margin:
+        return SLIP_IN_BINDS, int(slips[at, 0])
     return (NOTHING_BINDS if margin == np.inf else ROOM_BINDS), -1
+
+
+@inlined
+def judge(
+    path: FloatArray,
+    lane: IntArray,
+    fail: IntArray,
+    state: FloatArray,
+    foot: Footprint,
+    x: Settings,
+    table: FloatArray,
+    hold: int,
+    ground: Ground,
+    ignored: BoolArray,
+    around: Around,
+    slipping: FloatArray,
+    desk: Desk,
+) -> tuple[float, int, int, int]:
+    """What is said against one path, (1, K, 4), that commits to `lane` (1,) and stops in `fail` (1,).
+
+    Returns its margin [m], frames before the first separation that is negative, what the margin comes from, and the
+    vehicle. The desk has who is in reach, `near`, the separation from each, `floats[9]`, from each that slips in,
+    `apart`, and the room, `room`.
+    """
+    frames, others = path.shape[1], around.others
+    rooms(path, foot, ground.centers, fail, 0.5 * x.width, x.bent > 0, desk.room)
+    way = path[0, frames - 1, 0] - state[0]
+    # A way that is not a number drops nobody.
+    reach = (way if way == way else np.inf, x.perception)
+    q = threats(others, reach, lane, fail, ground.owned, ground.centers, path, foot, desk.near, desk.bools[0:1])
+    if ignored.shape[0] > 0:
+        kept = 0
+        for j in range(q):
+            if not ignored[desk.near[j]]:
+                desk.near[kept], desk.bools[0, kept] = desk.near[j], desk.bools[0, j]
+                kept += 1
+        q = kept
+    reached = frames
+    if q > 0:
+        reached = _separations(Plans(path, lane, fail), state[1], foot, ground, around, q, x, hold, desk)
+    c = slipping.shape[0] if hold == 0 else 0
+    _slips(path, foot, ground.centers, table, ignored, around, slipping[:c], x, desk)
+    margins(desk.floats[9:10, :q], desk.apart[:, :c], desk.room, desk.margin)
+    margin = desk.margin[0]
+    if q == 0:
+        for k in range(frames):
+            if not math.isfinite(path[0, k, 0] + path[0, k, 1] + path[0, k, 2] + path[0, k, 3]):
+                margin = np.nan
+    clause, vehicle = _binding(margin, q, c, slipping, desk)
+    desk.found[0] = q
+    return margin, reached, clause, vehicle
+
+
+@uncounted
+def _judge_each(
+    paths: FloatArray,
+    lanes: IntArray,
+    fails: IntArray,
+    state: FloatArray,
+    size: FloatArray,
+    centers: FloatArray,
+    settings: FloatArray,
+    motion: FloatArray,
+    table: FloatArray,
+    hold: int,
+    owned: BoolArray,
+    visible: IntArray,
+    ignored: BoolArray,
+    rows: FloatArray,
+    states: FloatArray,
+    stretch: FloatArray,
+    marks: IntArray,
+    numbers: FloatArray,
+    brakes: FloatArray,
+    recent: FloatArray,
+    of_others: FloatArray,
+    flags: BoolArray,
+    slipping: FloatArray,
+    desk: Desk,
+    found: FloatArray,
+    marked: IntArray,
+    near: BoolArray,
+) -> None:
+    """`judged`, filled in: `found` (2 + m + c, n), `marked` (3, n), and who is in reach of any, `near` (m,)."""
+    m, x, foot = states.shape[0], settings_from(settings), Footprint(*numbers_of(size, 8))
+    bodies = bodies_of(marks, numbers, brakes, recent)
+    around = Around(rows, states, stretch, bodies, motion_of(motion), others_from(bodies, of_others, flags))
+    ground = Ground(centers, owned, visible)
+    for i in range(paths.shape[0]):
+        one, lane, fail = paths[i : i + 1], lanes[i : i + 1], fails[i : i + 1]
+        margin, reached, clause, vehicle = judge(
+            one, lane, fail, state, foot, x, table, hold, ground, ignored, around, slipping, desk
+        )
+        found[0, i], found[1, i] = margin, desk.room[0]
+        marked[0, i], marked[1, i], marked[2, i] = reached, clause, vehicle
+        for j in range(desk.found[0]):
+            near[desk.near[j]] = True
+            found[2 + desk.near[j], i] = desk.floats[9, j]
+        for k in range(found.shape[0] - 2 - m):
+            found[2 + m + k, i] = desk.apart[0, k]
 
 
 @compiled
@@ -221,7 +439,7 @@ def judged(
     flags: BoolArray,
     slipping: FloatArray,
 ) -> tuple[FloatArray, IntArray, IntArray]:
-    """What is said against paths.
+    """What is said against paths, of each as if it were alone.
 
     Parameters
     ----------
@@ -237,38 +455,17 @@ def judged(
 
     Returns
     -------
-    Of each path its margin, the room in the lane that is stopped in, the least separation from each vehicle in reach,
-    and from each that slips in, (2 + q + c, n) [m]; frames before the first separation that is negative, what the
-    margin comes from, and the vehicle, (3, n); and the vehicles in reach, (q,).
+    Of each path its margin, the room in the lane that is stopped in, the least separation from each vehicle in reach of
+    any, and from each that slips in, (2 + q + c, n) [m]; frames before the first separation that is negative, what the
+    margin comes from, and the vehicle, (3, n); and the vehicles in reach of any, (q,).
     """
-    n, frames = paths.shape[0], paths.shape[1]
-    x, foot = settings_from(settings), Footprint(*numbers_of(size, 8))
-    bodies = bodies_of(marks, numbers, brakes, recent)
-    others = others_from(bodies, of_others, flags)
-    room = rooms(paths, foot, centers, fails, 0.5 * x.width, x.bent > 0)
-    distance = -np.inf
-    for i in range(n):
-        way = paths[i, frames - 1, 0] - state[0]
-        # A way that is not a number drops nobody.
-        distance = max(distance, way) if way == way else np.inf
-    near, owed = threats(others, (distance, x.perception), lanes, fails, owned, centers, paths, foot)
-    if ignored.shape[0] > 0:
-        kept = ~ignored[near]
-        near, owed = near[kept], owed[:, kept].copy()
-    around = Around(rows, states, stretch, bodies, motion_of(motion), others)
-    separations, reached = np.empty((n, 0)), np.full(n, frames)
-    if near.shape[0] > 0:
-        plans, ground = Plans(paths, lanes, fails), Ground(centers, owned, visible)
-        separations = _separations(plans, state[1], foot, ground, around, near, owed, x, hold, reached)
-    slips = slipping if hold == 0 else slipping[:0]
-    apart, q = _slips(paths, foot, centers, table, ignored, around, slips, x), near.shape[0]
-    margin = margins(separations, apart, room)
-    found, marked = np.empty((2 + q + apart.shape[1], n)), np.empty((3, n), np.intp)
-    for i in range(n):
-        if q == 0 and not np.isfinite(paths[i]).all():
-            margin[i] = np.nan
-        found[0, i], found[1, i] = margin[i], room[i]
-        found[2 : 2 + q, i], found[2 + q :, i] = separations[i], apart[i]
-        marked[0, i] = reached[i]
-        marked[1, i], marked[2, i] = _binding(margin[i], separations[i], near, apart[i], slips)
-    return found, marked, near
+    n, frames, m = paths.shape[0], paths.shape[1], states.shape[0]
+    c = slipping.shape[0] if hold == 0 else 0
+    desk, near = new_desk(m, frames, settings[15]), np.zeros(m, np.bool_)
+    found, marked = np.full((2 + m + c, n), np.inf), np.empty((3, n), np.intp)
+    scene = (state, size, centers, settings, motion, table, hold, owned, visible, ignored)
+    others = (rows, states, stretch, marks, numbers, brakes, recent, of_others, flags, slipping)
+    _judge_each(paths, lanes, fails, *scene, *others, desk, found, marked, near)
+    kept = np.ones(2 + m + c, np.bool_)
+    kept[2 : 2 + m] = near
+    return found[kept], marked, np.flatnonzero(near)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mutants.kinds import EDGE, GAPS, ROOM, RULES, SEPARATION, SLIPS, TOGETHER, VERIFY, off
+from mutants.kinds import EDGE, GAPS, ROOM, RULE_KERNELS, SEPARATION, SLIPS, TOGETHER, VERIFY, off
 
 __all__ = ["CLEARANCE"]
 
@@ -50,8 +50,8 @@ CLEARANCE = (
     off(
         "slip-in off",
         TOGETHER,
-        "    slips = slipping if hold == 0",
-        "    slips = slipping if hold < 0",
+        "    c = slipping.shape[0] if hold == 0 else 0\n    _slips",
+        "    c = slipping.shape[0] if hold < 0 else 0\n    _slips",
         "slip",
     ),
     off(
@@ -78,9 +78,9 @@ CLEARANCE = (
     off("later coming frames off", SEPARATION, "if later < 0:", "if later < -1e9:", "coming[1]"),
     off(
         "buffer rule off",
-        RULES,
-        "        return bool(beside.any())",
-        "        return False",
+        RULE_KERNELS,
+        "        if beside and _gap",
+        "        if False and _gap",
         "tests/shield/test_rules.py",
     ),
     off("buffer along off", VERIFY, "0.5 * length + buffer.longitudinal,", "0.5 * length,", "buffer"),

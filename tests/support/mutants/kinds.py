@@ -39,7 +39,8 @@ MONITOR, MEMORY = "shield/certificate/monitor.py", "shield/certificate/memory.py
 MOBIL = "dynamics/traffic/mobil.py"
 DECIDE, FRAMES = "shield/procedures/decide.py", "shield/procedures/frames.py"
 INPUTS, LOT = "shield/procedures/inputs.py", "shield/procedures/parking_lot.py"
-SEARCH, RULES, MANOEUVRES = "shield/repair/nearest_input.py", "shield/rules.py", "shield/certificate/manoeuvres.py"
+SEARCH, RULE_KERNELS = "shield/repair/nearest_input.py", "shield/rule_kernels.py"
+MANOEUVRES = "shield/certificate/manoeuvres.py"
 BODIES, REACTION = "dynamics/traffic/occupancy_kernels.py", "dynamics/traffic/reaction.py"
 PERMITS, GAPS, ROLLOUTS = "dynamics/traffic/permits.py", "dynamics/roads/gaps.py", "dynamics/vehicle/rollout_kernels.py"
 

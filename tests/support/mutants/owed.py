@@ -17,21 +17,21 @@ OWED = (
     off(
         "nobody enters but who is on the way",
         ENTERING,
-        "may[k, j] = turning[k, j] or gains[j, 1 if above else 0]",
-        "may[k, j] = turning[k, j]",
+        "may = turning or gains[j, 1 if above else 0]",
+        "may = turning",
         "blind",
     ),
     off(
         "nobody enters but who gains by it",
         ENTERING,
-        "may[k, j] = turning[k, j] or gains[j, 1 if above else 0]",
-        "may[k, j] = gains[j, 1 if above else 0]",
+        "may = turning or gains[j, 1 if above else 0]",
+        "may = gains[j, 1 if above else 0]",
         "loses",
     ),
     off(
         "seen at once by one that is turning in", ENTERING, "if visible[k] >= settled:", "if visible[k] > 0:", "turning"
     ),
-    off("who turns in gives way", ENTERING, "before[k, j] and turning[k, j]", "False", "turning"),
+    off("who turns in gives way", ENTERING, "may = last and turning", "may = False", "turning"),
     off(
         "begun before it could see the ego",
         ENTERING,
@@ -98,8 +98,8 @@ OWED = (
     off(
         "nobody joins where the ego has got out of sight",
         DUTIES,
-        "            comes[j, :] = True",
-        "            pass",
+        "                coming[j, i] = True",
+        "                pass",
         "anybody",
     ),
     off("who enters need not gain by it", MOBIL, "gain >= _LEAST_GAIN - slack and imposed", "imposed", TESTS_OF_MOBIL),
@@ -124,8 +124,8 @@ OWED = (
     off(
         "seen for long already",
         TOGETHER,
-        "np.full(home.shape, -1)",
-        "np.full(home.shape, 0)",
+        "at_once[0, j] = centers[home[0, j]], -1",
+        "at_once[0, j] = centers[home[0, j]], 0",
         "follower[idm-15-20-1.5]",
         "follower[rss-25-20-1.5]",
     ),

@@ -63,8 +63,8 @@ PLACES = (
     off(
         "fail-safe assumed to brake harder",
         ROLLOUTS,
-        "goal, a = centers[fails[i]], -braking",
-        "goal, a = centers[fails[i]], -1.2 * braking",
+        "to, a = last_goal, -braking",
+        "to, a = last_goal, -1.2 * braking",
         "leader",
     ),
     off(

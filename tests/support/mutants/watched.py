@@ -99,15 +99,15 @@ WATCHED = (
     off(
         "nobody ahead asks for braking",
         REACTION,
-        "            brakes[k] = max(brakes[k], rate)",
-        "            brakes[k] = motion.calm",
+        "        brakes[k] = max(brakes[k], rates[k])",
+        "        brakes[k] = motion.calm",
         TESTS_OF_REACTION,
     ),
     off(
         "nobody moves in ahead",
         REACTION,
-        "        if not entered and k >= first:",
-        "        if False:",
+        "        for k in range(first, end):",
+        "        for k in range(first, first):",
         TESTS_OF_REACTION,
     ),
     off(

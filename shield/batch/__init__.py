@@ -1,0 +1,1 @@
+"""The shield of many environments at once, compiled: memory, scene and procedure are arrays."""

@@ -1,0 +1,378 @@
+"""What the shields of many environments know, as arrays: the memory, the law, and the room to work in.
+
+It is what `shield.certificate.memory.Memory`, `shield.config.ShieldConfig` and the objects of one decision are for one
+environment, without the objects.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dynamics.compiled import inlined, numbers_of
+from dynamics.roads.straight import StraightRoad
+from dynamics.simulator.scenario import Scenario
+from dynamics.state import BoolArray, FloatArray, IntArray
+from dynamics.traffic.occupancy import horizons, motion_settings, room_for
+from dynamics.traffic.permits import Rule, limits_of
+from dynamics.traffic.tables import bodies_of, motion_of
+from dynamics.vehicle.bicycle import MAX_SPEED
+from dynamics.vehicle.controllers import KP_SPEED
+from dynamics.vehicle.rollout_kernels import table_of
+from shield.certificate.clauses.footprint import Footprint
+from shield.certificate.clauses.others import Others, others_from
+from shield.certificate.clauses.settings import Settings, settings_from, settings_of
+from shield.certificate.clauses.together import Around, Desk, Ground, new_desk
+from shield.config import ShieldConfig
+
+__all__ = [
+    "NOBODY",
+    "Law",
+    "Numbers",
+    "Plans",
+    "Records",
+    "Room",
+    "Scene",
+    "Shields",
+    "empty_records",
+    "empty_shields",
+    "law_of",
+    "new_room",
+    "scene_of",
+]
+
+NOBODY = -1
+"""Stands for no vehicle, no lane, no frame."""
+_ROWS, _STATES = 7, 4
+_RULES = len(Rule)
+
+
+class Shields(NamedTuple):
+    """What is remembered in e environments of m other bodies and so many lanes.
+
+    What is seen of the others is kept twice, of the scene seen last and of the one before: `now` (e,) says which half
+    is which.
+
+    Attributes
+    ----------
+    frame : the frame that was seen last, (e,); `NOBODY` before the first. stored : the lane in which the stored
+        fail-safe stops, (e,). clock : frames since the reset, (e,).
+    ego, state : vehicle row (e, 7) and road state (e, 4). rows, states : of the others, (e, 2, m, 7), (e, 2, m, 4).
+    marks, numbers, brakes, recent : of their `Tables`, (e, 2, ...). of_others, flags : of `Others`, (e, 5, m) and
+        (e, 2, 2 + 2 lanes, m). slipping, slips : who may slip in, (e, 2 m, 4), and how many, (e,).
+    visible, owned : the lanes, see `hold_lanes`, (e, lanes).
+    owing, breaking, offenders : see `Watch`, (e, m). crashed : whether the ego had, (e,).
+    offences : of the assumptions, (e,), and by rule, (e, rules).
+    """
+
+    frame: IntArray
+    stored: IntArray
+    clock: IntArray
+    now: IntArray
+    ego: FloatArray
+    state: FloatArray
+    rows: FloatArray
+    states: FloatArray
+    marks: IntArray
+    numbers: FloatArray
+    brakes: FloatArray
+    recent: FloatArray
+    of_others: FloatArray
+    flags: BoolArray
+    slipping: FloatArray
+    slips: IntArray
+    visible: IntArray
+    owned: BoolArray
+    owing: BoolArray
+    breaking: BoolArray
+    offenders: BoolArray
+    crashed: BoolArray
+    offences: IntArray
+    by_rule: IntArray
+
+
+class Numbers(NamedTuple):
+    """Scalars of the law.
+
+    `braking` of the fail-safe [m/s^2]; `dt` [s]; `period`: frames in a decision; `decay`: what is left of a difference
+    of speed after that; `width` of a lane, `length` of the road, `touch`: how near a body comes to a lane's centre
+    before the ego touches it, `longitudinal`, `lateral`: of the buffer [m]; `response`, `ttc` [s], `slower`,
+    `idle`, `faster`: index of the action, or `NOBODY`. `none` and `one` are 0 and 1: a kernel is compiled anew for each
+    constant that it is called with.
+    """
+
+    braking: float
+    dt: float
+    period: int
+    decay: float
+    width: float
+    length: float
+    longitudinal: float
+    lateral: float
+    leader_braking: float
+    follower_braking: float
+    follower_acceleration: float
+    response: float
+    reaction: float
+    ttc: float
+    slower: int
+    idle: int
+    faster: int
+    none: int = 0
+    one: int = 1
+
+
+class Law(NamedTuple):
+    """What is the same for all.
+
+    Attributes
+    ----------
+    centers : of the lanes, (lanes,) [m]. size, settings, motion, limits : numbers of `Footprint`, `Settings`, `Motion`
+        (with `lean` and `waver`), and of the limits of `permits`.
+    table, stretch, growth : of a straight road, none.
+    target_speeds, labels : of the meta-actions, see `dynamics.simulator.engine.Rules`.
+    numbers : the scalars.
+    """
+
+    centers: FloatArray
+    size: FloatArray
+    settings: FloatArray
+    motion: FloatArray
+    limits: FloatArray
+    table: FloatArray
+    stretch: FloatArray
+    growth: FloatArray
+    target_speeds: FloatArray
+    labels: IntArray
+    numbers: Numbers
+
+
+class Plans(NamedTuple):
+    """Candidates, and what has been found of each, (n,)."""
+
+    lanes: IntArray
+    fails: IntArray
+    speeds: FloatArray
+    accelerations: FloatArray
+    margins: FloatArray
+    lawful: FloatArray
+    clear: IntArray
+    clauses: IntArray
+    vehicles: IntArray
+
+
+class Room(NamedTuple):
+    """What one thread writes over: the `desk`, a `path` (1, K, 4), candidates, `ways` (`room_for`), and rows of others.
+
+    `suspect` (2,): who was in the way of the last candidate in this scene, and the frame.
+    """
+
+    desk: Desk
+    path: FloatArray
+    plans: Plans
+    ways: FloatArray
+    order: IntArray
+    flags: BoolArray
+    tempted: BoolArray
+    marks: IntArray
+    numbers: FloatArray
+    nobody: BoolArray
+    grid: FloatArray
+    suspect: IntArray
+
+
+class Records(NamedTuple):
+    """What was decided: of the decision (e,), and of each of its F frames (e, F).
+
+    `tiers`, `reasons` and `clauses` are indices of `TIERS`, `REASONS` and `CLAUSES` in `shield.batch.vocabulary`.
+    """
+
+    proposed: IntArray
+    executed: IntArray
+    reason: IntArray
+    tier: IntArray
+    margin: FloatArray
+    clause: IntArray
+    vehicle: IntArray
+    violations: IntArray
+    reasons: IntArray
+    tiers: IntArray
+    margins: FloatArray
+    clauses: IntArray
+    vehicles: IntArray
+    lanes: IntArray
+    accelerations: FloatArray
+
+
+class Scene(NamedTuple):
+    """One scene as a judgement of paths sees it."""
+
+    ego: FloatArray
+    state: FloatArray
+    around: Around
+    ground: Ground
+    slipping: FloatArray
+    foot: Footprint
+    settings: Settings
+
+
+@inlined
+def scene_of(shields: Shields, law: Law, e: int) -> Scene:
+    """The scene that was seen last in one environment."""
+    now = shields.now[e]
+    marks, numbers, brakes = shields.marks[e, now], shields.numbers[e, now], shields.brakes[e, now]
+    bodies = bodies_of(marks, numbers, brakes, shields.recent[e, now])
+    others: Others = others_from(bodies, shields.of_others[e], shields.flags[e, now])
+    rows, states = shields.rows[e, now], shields.states[e, now]
+    around = Around(rows, states, law.stretch, bodies, motion_of(law.motion), others)
+    ground = Ground(law.centers, shields.owned[e], shields.visible[e])
+    slipping = shields.slipping[e, : shields.slips[e]]
+    foot, settings = Footprint(*numbers_of(law.size, 8)), settings_from(law.settings)
+    return Scene(shields.ego[e], shields.state[e], around, ground, slipping, foot, settings)
+
+
+def empty_shields(e: int, m: int, law: Law) -> Shields:
+    """Of e environments before their first scene."""
+    lanes, (coming, past) = len(law.centers), horizons(law.numbers.dt)
+    index, number, flag = np.intp, np.float64, np.bool_
+
+    def new(kind: Any, *shape: int) -> Any:
+        return np.zeros((e, *shape), kind)
+
+    return Shields(
+        frame=new(index) + NOBODY,
+        stored=new(index) + NOBODY,
+        clock=new(index),
+        now=new(index),
+        ego=new(number, _ROWS),
+        state=new(number, _STATES),
+        rows=new(number, 2, m, _ROWS),
+        states=new(number, 2, m, _STATES),
+        marks=new(index, 2, 3, m),
+        numbers=new(number, 2, 9, m),
+        brakes=new(number, 2, m, coming),
+        recent=new(number, 2, m, past),
+        of_others=new(number, 5, m),
+        flags=new(flag, 2, 2 + 2 * lanes, m),
+        slipping=new(number, 2 * m, 4),
+        slips=new(index),
+        visible=new(index, lanes),
+        owned=new(flag, lanes),
+        owing=new(flag, m),
+        breaking=new(flag, m),
+        offenders=new(flag, m),
+        crashed=new(flag),
+        offences=new(index),
+        by_rule=new(index, _RULES),
+    )
+
+
+def law_of(config: ShieldConfig, scenario: Scenario, road: StraightRoad, length: float, width: float) -> Law:
+    """The law of a configuration, for meta-actions on a straight road.
+
+    Parameters
+    ----------
+    length, width : of the ego [m].
+    """
+    from shield.certificate.verify import footprint_of
+
+    rules, a = scenario.rules, config.assumptions
+    labels = rules.labels.tolist()
+    dt, period = 1 / scenario.config["simulation_frequency"], rules.numbers[0]
+    numbers = Numbers(
+        braking=config.braking,
+        dt=dt,
+        period=period,
+        decay=(1 - KP_SPEED * dt) ** period,
+        width=float(road.width),
+        length=float(road.length),
+        longitudinal=config.buffer.longitudinal,
+        lateral=config.buffer.lateral,
+        leader_braking=a.braking,
+        follower_braking=a.follower_braking,
+        follower_acceleration=a.acceleration,
+        response=config.response_time,
+        reaction=a.reaction_time,
+        ttc=config.time_to_collision,
+        slower=labels.index(4 if 4 in labels else 1),
+        idle=labels.index(1) if 1 in labels else NOBODY,
+        faster=labels.index(3) if 3 in labels else NOBODY,
+    )
+    return Law(
+        centers=road.centers,
+        size=footprint_of(length, width, config.buffer, None)[1],
+        settings=settings_of(a, float(road.width), float(config.perception_range), False, dt),
+        motion=motion_settings(a, dt)[1],
+        limits=limits_of(a, dt, 0.0, 1),
+        table=table_of(road),
+        stretch=np.zeros((2, 0)),
+        growth=np.zeros((0, 2)),
+        target_speeds=rules.target_speeds,
+        labels=rules.labels,
+        numbers=numbers,
+    )
+
+
+def new_room(m: int, law: Law, candidates: int) -> Room:
+    """Room for one thread, for m other bodies and so many candidates at a time."""
+    numbers, lanes = law.numbers, len(law.centers)
+    fastest = max(MAX_SPEED, float(law.target_speeds.max(initial=0.0))) + 10.0
+    frames = numbers.period + math.ceil(fastest / (numbers.braking * numbers.dt)) + 2
+    coming, _ = horizons(numbers.dt)
+    n, index = candidates, np.intp
+    plans = Plans(
+        np.zeros(n, index),
+        np.zeros(n, index),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n, index),
+        np.zeros(n, index),
+        np.zeros(n, index),
+    )
+    return Room(
+        desk=new_desk(m, frames, numbers.dt),
+        path=np.zeros((1, frames, 4)),
+        plans=plans,
+        ways=np.zeros(room_for(m, coming)),
+        order=np.zeros(m, index),
+        flags=np.zeros((2, m), np.bool_),
+        tempted=np.zeros((m, 2), np.bool_),
+        marks=np.zeros((6, max(lanes, len(law.labels), m)), index),
+        numbers=np.zeros((2, max(len(law.labels), 1))),
+        nobody=np.zeros(0, np.bool_),
+        grid=np.zeros((3, candidates)),
+        suspect=np.full(2, NOBODY),
+    )
+
+
+def empty_records(e: int, frames: int) -> Records:
+    """For e environments, and so many frames of a decision."""
+    index = np.intp
+
+    def one() -> IntArray:
+        return np.zeros(e, index)
+
+    def each() -> IntArray:
+        return np.zeros((e, frames), index)
+
+    return Records(
+        one(),
+        one(),
+        one(),
+        one(),
+        np.zeros(e),
+        one(),
+        one(),
+        one(),
+        each(),
+        each(),
+        np.zeros((e, frames)),
+        each(),
+        each(),
+        each(),
+        np.zeros((e, frames)),
+    )

@@ -1,0 +1,315 @@
+"""One decision of one of many environments: what `shield.procedures.meta_actions.MetaActions` decides."""
+
+from __future__ import annotations
+
+import math
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.roads.straight import nearest
+from dynamics.simulator.engine import Worlds
+from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
+from dynamics.simulator.scene import speed_index
+from dynamics.state import FloatArray, IntArray
+from shield.batch.arrays import NOBODY, Law, Records, Room, Shields, scene_of
+from shield.batch.observing import observe
+from shield.batch.repairing import fail_lanes, hold_back
+from shield.batch.supervising import forgive
+from shield.batch.verifying import frames_of, verify
+from shield.batch.vocabulary import REASONS, TIERS
+from shield.certificate.clauses.together import NOTHING_BINDS
+from shield.decision import Reason, Tier
+from shield.procedures.meta_actions import CAPS
+from shield.repair.order import CLEAR, GAIN, IN_LANE, OUTLOOK
+from shield.rule_kernels import alongside, breaks_rss, time_is_short
+
+__all__ = ["decide", "target_of"]
+
+_LEFT, _RIGHT, _FASTER = 0, 2, 3
+_PASSED, _GOVERNED, _ALTERNATIVE = TIERS.index(Tier.PASSED), TIERS.index(Tier.GOVERNED), TIERS.index(Tier.ALTERNATIVE)
+_STORED, _EMERGENCY = TIERS.index(Tier.STORED_PLAN), TIERS.index(Tier.EMERGENCY)
+_NONE, _BUFFER, _UNVERIFIED = (REASONS.index(x) for x in (Reason.NONE, Reason.BUFFER, Reason.UNVERIFIED))
+_RSS, _TTC, _NO_PLAN = (REASONS.index(x) for x in (Reason.RSS, Reason.TTC, Reason.NO_SAFE_PLAN))
+_BAD_SCENE, _BAD_ACTION = REASONS.index(Reason.BAD_SCENE), REASONS.index(Reason.BAD_ACTION)
+
+
+@inlined
+def target_of(worlds: Worlds, law: Law, e: int, action: int) -> tuple[int, float]:
+    """The lane and the speed that the ego's controllers track after an action; see `Scene.target_of`."""
+    label, lane, speed = law.labels[action], worlds.g[e, TARGET, 0], worlds.f[e, TARGET_SPEED, 0]
+    if label >= _FASTER:
+        speeds = law.target_speeds
+        index = speed_index(speeds, worlds.f[e, SPEED, 0]) + (1 if label == _FASTER else -1)
+        return lane, speeds[min(max(index, 0), len(speeds) - 1)]
+    if label in (_LEFT, _RIGHT):
+        to = min(max(lane + label - 1, 0), law.centers.shape[0] - 1)
+        s, r = worlds.f[e, 0, 0], worlds.f[e, 1, 0]
+        near = abs(r - law.centers[to]) <= 2 * law.numbers.width
+        return (to if near and 0.0 <= s < law.numbers.length + 5.0 else lane), speed
+    return lane, speed
+
+
+@inlined
+def _objects(shields: Shields, law: Law, e: int, lane: int) -> bool:
+    now = shields.now[e]
+    rows, states = shields.rows[e, now], shields.states[e, now]
+    return alongside(shields.ego[e], shields.state[e], rows, states, law.centers, lane, law.numbers.longitudinal)
+
+
+@uncounted
+def _why(shields: Shields, law: Law, e: int, lane: int, speed: float) -> int:
+    """The reason to record for a target that did not verify."""
+    now, x = shields.now[e], law.numbers
+    rows, states, ego, state = shields.rows[e, now], shields.states[e, now], shields.ego[e], shields.state[e]
+    braking = (x.braking, x.leader_braking, x.follower_braking)
+    response, more = (x.response, x.reaction), x.follower_acceleration
+    if breaks_rss(ego, state, rows, states, law.centers, x.width, lane, speed, braking, response, more):
+        return _RSS
+    if time_is_short(ego, state, rows, states, law.centers, x.width, lane, speed, x.ttc):
+        return _TTC
+    return _UNVERIFIED
+
+
+@uncounted
+def _progress(shields: Shields, law: Law, e: int, lane: int) -> float:
+    """See `shield.repair.order.lane_progress`."""
+    states, state, room, faster = shields.states[e, shields.now[e]], shields.state[e], math.inf, 0.0
+    for i in range(states.shape[0]):
+        ahead = states[i, 0] - state[0]
+        beside = abs(states[i, 1] - law.centers[lane]) < IN_LANE * law.numbers.width
+        if beside and states[i, 0] > state[0] and ahead < room:
+            room, faster = ahead, states[i, 3] - state[3]
+    return CLEAR if room == math.inf else room + OUTLOOK * faster
+
+
+@uncounted
+def _default_order(shields: Shields, law: Law, worlds: Worlds, e: int, proposed: int, room: Room, out: IntArray) -> int:
+    """See `shield.repair.order.default_order`; how many there are."""
+    labels, numbers, targets = law.labels, law.numbers, room.marks[5]
+    here = _progress(shields, law, e, nearest(law.centers, shields.state[e, 1]))
+    gains, count = room.numbers[1], 0
+    for better in (True, False):
+        first = count
+        for a in range(labels.shape[0]):
+            if a == proposed or labels[a] not in (_LEFT, _RIGHT) or targets[a] == worlds.g[e, TARGET, 0]:
+                continue
+            gain = _progress(shields, law, e, targets[a]) - here
+            if (gain > GAIN) != better:
+                continue
+            place = count
+            while place > first and gains[place - 1] < gain:
+                out[place], gains[place] = out[place - 1], gains[place - 1]
+                place -= 1
+            out[place], gains[place] = a, gain
+            count += 1
+        if better:
+            for a in (numbers.faster, numbers.idle, numbers.slower):
+                if a not in (NOBODY, proposed) and (a != numbers.slower or labels[a] == 4):
+                    out[count] = a
+                    count += 1
+    return count
+
+
+@uncounted
+def _best(
+    shields: Shields,
+    law: Law,
+    e: int,
+    lane: int,
+    speed: float,
+    frames: int,
+    lasting: int,
+    room: Room,
+    found: FloatArray,
+) -> bool:
+    """Whether a target verifies, in the first lane to stop in that does: its margin, that lane, the clause and the
+    vehicle, to `found` (4,). With `lasting` frames, those that are expected to need holding back within the decision
+    period do not."""
+    plans, fails, scene = room.plans, room.marks[2], scene_of(shields, law, e)
+    n, x = fail_lanes(shields, law, e, lane, fails), law.numbers
+    for i in range(n):
+        plans.lanes[0], plans.fails[0], plans.speeds[0] = lane, fails[i], speed
+        if verify(scene, law, x.one, x.one, frames, x.none, room.nobody, x.one, room) == NOBODY:
+            continue
+        found[0], found[1], found[2], found[3] = plans.margins[0], fails[i], plans.clauses[0], plans.vehicles[0]
+        if lasting > 0:
+            if verify(scene, law, x.one, x.period, lasting, x.period, room.nobody, x.one, room) == NOBODY:
+                continue
+            if plans.margins[0] < found[0]:
+                found[0], found[2], found[3] = plans.margins[0], plans.clauses[0], plans.vehicles[0]
+        return True
+    return False
+
+
+@uncounted
+def _speeds(law: Law, v: float, label: int, speed: float, out: FloatArray) -> int:
+    """The speeds at which a target is tried, ascending: of a lane change, also held back by the frames."""
+    out[0], n = speed, 1
+    if label in (_LEFT, _RIGHT):
+        for cap in CAPS:
+            one, place = min(speed, v + cap), 0
+            while place < n and out[place] < one:
+                place += 1
+            if place < n and out[place] == one:
+                continue
+            for k in range(n, place, -1):
+                out[k] = out[k - 1]
+            out[place] = one
+            n += 1
+    return n
+
+
+@uncounted
+def _first_action(
+    shields: Shields, law: Law, e: int, actions: IntArray, count: int, forecast: int, room: Room, found: FloatArray
+) -> int:
+    """The first of some actions that verifies, at the speed with the largest margin; else -1. `found` as in `_best`."""
+    v, most, tried, wanted = shields.ego[e, 3], -math.inf, room.grid[1], room.numbers[0]
+    for k in range(count):
+        a = actions[k]
+        if _objects(shields, law, e, room.marks[5, a]):
+            continue
+        n = _speeds(law, v, law.labels[a], wanted[a], tried)
+        most = max(most, tried[n - 1])
+    if most == -math.inf:
+        return NOBODY
+    frames = frames_of(law, v, most, law.numbers.one)
+    lasting = frames_of(law, v, most, law.numbers.period) if forecast > 0 else 0
+    one = room.grid[2, :4]
+    for k in range(count):
+        a = actions[k]
+        lane, best = room.marks[5, a], False
+        if _objects(shields, law, e, lane):
+            continue
+        n = _speeds(law, v, law.labels[a], wanted[a], tried)
+        for i in range(n):
+            if _best(shields, law, e, lane, tried[i], frames, lasting, room, one) and (not best or one[0] > found[0]):
+                best = True
+                for c in range(4):
+                    found[c] = one[c]
+        if best:
+            return a
+    return NOBODY
+
+
+@inlined
+def _keep(shields: Shields, records: Records, e: int, tier: int, reason: int, executed: int, found: FloatArray) -> None:
+    """A plan that verifies."""
+    records.tier[e], records.reason[e], records.executed[e] = tier, reason, executed
+    records.margin[e], records.clause[e], records.vehicle[e] = found[0], int(found[2]), int(found[3])
+    shields.stored[e] = int(found[1])
+    forgive(shields, e)
+
+
+@inlined
+def _give_up(shields: Shields, law: Law, records: Records, e: int, reason: int) -> None:
+    """Slow down, and leave it to the frames to play the stored plan on."""
+    records.tier[e] = _EMERGENCY if shields.stored[e] == NOBODY else _STORED
+    records.reason[e], records.executed[e] = reason, law.numbers.slower
+    records.margin[e], records.clause[e], records.vehicle[e] = math.nan, NOTHING_BINDS, NOBODY
+
+
+@uncounted
+def _alternatives(
+    shields: Shields,
+    law: Law,
+    worlds: Worlds,
+    e: int,
+    proposed: int,
+    order: IntArray,
+    changes: bool,
+    room: Room,
+    out: IntArray,
+) -> int:
+    """What is tried in the proposal's place, filled in: the policy's order, or the documented one without one."""
+    lanes, wanted, ordered, n, kept = room.marks[5], room.numbers[0], room.marks[3], 0, 0
+    if order.shape[0] > 0 and order[0] >= 0:
+        while n < order.shape[0] and order[n] >= 0:
+            ordered[n] = order[n]
+            n += 1
+    else:
+        n = _default_order(shields, law, worlds, e, proposed, room, ordered)
+        # What can be held back comes before what slows down on purpose.
+        for k in range(n):
+            label = law.labels[ordered[k]]
+            if label == 4 or (not changes and label in (1, _FASTER)):
+                n = k
+                break
+    for k in range(n):
+        a = ordered[k]
+        # An action that sets the same target would be the same action under another name.
+        if a != proposed and (lanes[a] != lanes[proposed] or wanted[a] != wanted[proposed]):
+            out[kept] = a
+            kept += 1
+    return kept
+
+
+@uncounted
+def decide(
+    shields: Shields, law: Law, worlds: Worlds, e: int, proposed: int, order: IntArray, room: Room, records: Records
+) -> None:
+    """Decide about one meta-action, to `records`.
+
+    Parameters
+    ----------
+    proposed : its index; anything else is no action.
+    order : the policy's order of preference over the others, up to the first negative one; with nothing in it the
+        documented one.
+    """
+    labels, numbers, wanted = law.labels, law.numbers, room.numbers[0]
+    lanes, actions, found = room.marks[5], room.marks[4], room.grid[2, 4:8]
+    count = labels.shape[0]
+    records.proposed[e] = proposed
+    if not 0 <= proposed < count:
+        _give_up(shields, law, records, e, _BAD_ACTION)
+        return
+    if not observe(shields, law, worlds, e, room):
+        _give_up(shields, law, records, e, _BAD_SCENE)
+        return
+    for a in range(count):
+        lanes[a], wanted[a] = target_of(worlds, law, e, a)
+    lane, speed, v = lanes[proposed], wanted[proposed], shields.ego[e, 3]
+    changes, reason = lane != nearest(law.centers, shields.state[e, 1]), _BUFFER
+    if not _objects(shields, law, e, lane):
+        # A longitudinal proposal can be held back by the frames; a lane change should be able to end well.
+        lasting = frames_of(law, v, speed, numbers.period) if changes else 0
+        if _best(shields, law, e, lane, speed, frames_of(law, v, speed, numbers.one), lasting, room, found):
+            _keep(shields, records, e, _PASSED, _NONE, proposed, found)
+            return
+        reason = _why(shields, law, e, lane, speed)
+    if changes:
+        # A lane change that only its speed stands in the way of.
+        actions[0] = proposed
+        if _first_action(shields, law, e, actions, numbers.one, numbers.one, room, found) != NOBODY:
+            _keep(shields, records, e, _GOVERNED, reason, proposed, found)
+            return
+    n = _alternatives(shields, law, worlds, e, proposed, order, changes, room, actions)
+    executed = _first_action(shields, law, e, actions, n, numbers.one, room, found)
+    if executed != NOBODY:
+        _keep(shields, records, e, _ALTERNATIVE, reason, executed, found)
+        return
+    # An override that has no policy order behind it holds the proposal back rather than drop it.
+    for executed in (
+        NOBODY if changes else proposed,
+        numbers.idle,
+        numbers.slower if labels[numbers.slower] == 4 else -1,
+    ):
+        if executed == NOBODY:
+            continue
+        held = hold_back(shields, law, e, lanes[executed], wanted[executed], room)
+        if held != NOBODY:
+            plans = room.plans
+            found[0], found[1] = plans.margins[held], plans.fails[held]
+            found[2], found[3] = plans.clauses[held], plans.vehicles[held]
+            _keep(shields, records, e, _GOVERNED, reason, executed, found)
+            return
+    # Whatever is left, whether or not it is expected to last: the certificate needs one frame only.
+    n = 0
+    for a in range(count):
+        if a != proposed:
+            actions[n] = a
+            n += 1
+    executed = _first_action(shields, law, e, actions, n, numbers.none, room, found)
+    if executed != NOBODY:
+        _keep(shields, records, e, _ALTERNATIVE, reason, executed, found)
+        return
+    _give_up(shields, law, records, e, _NO_PLAN)

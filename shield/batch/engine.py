@@ -1,0 +1,103 @@
+"""Shielded decisions of many environments as one compiled call."""
+
+from __future__ import annotations
+
+import math
+
+from dynamics.compiled import uncounted
+from dynamics.simulator.engine import (
+    Machine,
+    Rules,
+    Seen,
+    View,
+    Work,
+    Worlds,
+    advance,
+    begin,
+    finish,
+    look,
+    restart,
+    show,
+)
+from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
+from dynamics.simulator.neighbours import sort
+from dynamics.state import BoolArray, FloatArray, IntArray
+from shield.batch.arrays import Law, Records, Room, Shields
+from shield.batch.deciding import decide, target_of
+from shield.batch.observing import forget
+from shield.batch.supervising import supervise
+from shield.batch.vocabulary import TIERS
+from shield.decision import Tier
+
+__all__ = ["step_all_shielded"]
+
+_PASSED = TIERS.index(Tier.PASSED)
+_NO_TARGET = -1, 0.0
+
+
+@uncounted
+def step_all_shielded(
+    machine: Machine,
+    worlds: Worlds,
+    rules: Rules,
+    view: View,
+    work: Work,
+    seen: Seen,
+    shields: Shields,
+    law: Law,
+    room: Room,
+    records: Records,
+    actions: IntArray,
+    orders: IntArray,
+    given: FloatArray,
+    rows: FloatArray,
+    off_road: BoolArray,
+    first: int,
+    last: int,
+    again: bool,
+    frequency: float,
+) -> None:
+    """A shielded decision in each of the environments from `first` to `last`; with `again`, those that are over are
+    reset.
+
+    Parameters
+    ----------
+    actions, orders : proposed in each, (e,), and the order of the others, see `decide`, (e, actions or 0).
+    given : room for an action, (2,).
+    rows, off_road : the bodies after each frame (e, F, m, 7), and whether the ego is off the road then, (e, F);
+        results.
+    frequency : frames a second.
+    """
+    for e in range(first, last):
+        before, proposed = shields.offences[e], actions[e]
+        decide(shields, law, worlds, e, proposed, orders[e], room, records)
+        lane, speed = _NO_TARGET
+        if records.tier[e] == _PASSED:
+            lane, speed = target_of(worlds, law, e, proposed)
+        given[0], given[1] = records.executed[e], 0.0
+        begin(worlds, rules, e, given)
+        level = sort(worlds.f[e], worlds.order[e])
+        for k in range(rules.numbers[0]):
+            throttle = math.nan
+            if k == 0 and lane == worlds.g[e, TARGET, 0] and speed == worlds.f[e, TARGET_SPEED, 0]:
+                # The decision has just verified this very frame, with this very target.
+                records.tiers[e, 0], records.reasons[e, 0], records.margins[e, 0] = _PASSED, 0, records.margin[e]
+                records.clauses[e, 0], records.vehicles[e, 0] = records.clause[e], records.vehicle[e]
+                records.lanes[e, 0], records.accelerations[e, 0] = lane, 0.0
+            else:
+                supervise(shields, law, worlds, e, k, room, records)
+                if records.tiers[e, k] != _PASSED:
+                    worlds.g[e, TARGET, 0] = records.lanes[e, k]
+                    throttle = max(records.accelerations[e, k], -max(worlds.f[e, SPEED, 0], 0.0) * frequency)
+            level = advance(machine, worlds, rules, work, e, level, throttle, math.nan)
+            shields.clock[e] += 1
+            off_road[e, k] = not look(worlds, rules, e, rows[e, k])
+        finish(machine, worlds, rules, view, work, seen, e)
+        records.violations[e] = shields.offences[e] - before
+        if again and (seen.terminated[e] or seen.truncated[e]):
+            for k in range(seen.observations.shape[1]):
+                for c in range(seen.observations.shape[2]):
+                    seen.terminal[e, k, c] = seen.observations[e, k, c]
+            restart(worlds, rules, e)
+            forget(shields, e)
+            show(machine, worlds, rules, view, work, e, seen.observations[e])

@@ -1,0 +1,196 @@
+"""Taking in a scene: what `shield.certificate.memory.observe` and `Watch.next` do, for one of many environments."""
+
+from __future__ import annotations
+
+import math
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.roads.straight import nearest
+from dynamics.simulator.engine import Worlds
+from dynamics.simulator.layout import CRASHED, HEADING, LENGTH, SPEED, TARGET_SPEED, WIDTH, X, Y
+from dynamics.state import FloatArray
+from dynamics.traffic.occupancy import look
+from dynamics.traffic.permits import Ego, Rule, judge_motions
+from dynamics.vehicle.controllers import KP_SPEED
+from shield.batch.arrays import NOBODY, Law, Room, Shields, scene_of
+from shield.batch.verifying import frames_of, verify
+from shield.certificate.clauses.duties import hold_lanes
+from shield.certificate.clauses.others import TOUCH
+from shield.certificate.clauses.together import seen
+from shield.certificate.monitor import stayed
+
+__all__ = ["forget", "observe", "stop_in"]
+
+_RULES = len(Rule)
+
+
+@inlined
+def _row(worlds: Worlds, e: int, i: int, row: FloatArray, state: FloatArray) -> bool:
+    """A body as a vehicle row and, on a straight road along x, as a road state; whether all of it is finite."""
+    f, p = worlds.f[e], worlds.p[e]
+    row[0], row[1], row[2], row[3] = f[X, i], f[Y, i], f[HEADING, i], f[SPEED, i]
+    row[4], row[5], row[6] = p[LENGTH, i], p[WIDTH, i], float(worlds.g[e, CRASHED, i])
+    state[0], state[1], state[2], state[3] = f[X, i], f[Y, i], f[HEADING, i], f[SPEED, i]
+    return math.isfinite(f[X, i] + f[Y, i] + f[HEADING, i] + f[SPEED, i] + p[LENGTH, i] + p[WIDTH, i])
+
+
+@uncounted
+def forget(shields: Shields, e: int) -> None:
+    """Begin a new episode."""
+    shields.frame[e] = shields.stored[e] = NOBODY
+    shields.clock[e] = shields.offences[e] = 0
+    shields.crashed[e] = False
+    for k in range(_RULES):
+        shields.by_rule[e, k] = 0
+
+
+@uncounted
+def stop_in(shields: Shields, law: Law, e: int, lane: int, room: Room) -> int:
+    """Candidate 0: braking to a stop in a lane from now on; and for how many frames."""
+    plans, numbers, v = room.plans, law.numbers, shields.state[e, 3]
+    plans.lanes[0], plans.fails[0], plans.speeds[0] = lane, lane, v - numbers.braking / KP_SPEED
+    return frames_of(law, v, plans.speeds[0], numbers.one)
+
+
+@uncounted
+def observe(shields: Shields, law: Law, worlds: Worlds, e: int, room: Room) -> bool:
+    """Take in the scene of one environment, once a frame; False where it is not finite, and nothing is taken in."""
+    if shields.frame[e] == shields.clock[e]:
+        return True
+    old = shields.now[e]
+    new, first = 1 - old, shields.frame[e] == NOBODY
+    rows, states, ego, state = shields.rows[e, new], shields.states[e, new], shields.ego[e], shields.state[e]
+    m, lanes, numbers, centers = rows.shape[0], law.centers.shape[0], law.numbers, law.centers
+    finite = math.isfinite(worlds.f[e, TARGET_SPEED, 0]) and _row(worlds, e, 0, ego, state)
+    for i in range(m):
+        finite = _row(worlds, e, i + 1, rows[i], states[i]) and finite
+    if not finite:
+        return False
+    known = 0 if first else m
+    marks, tables, brakes, recent = (
+        shields.marks[e, new],
+        shields.numbers[e, new],
+        shields.brakes[e, new],
+        shields.recent[e, new],
+    )
+    rows0, states0, tables0, recent0 = (
+        shields.rows[e, old],
+        shields.states[e, old],
+        shields.numbers[e, old],
+        shields.recent[e, old],
+    )
+    # What the ego holds of the lanes, and who could enter which.
+    coming = shields.flags[e, old, 2 + lanes : 2 + lanes if first else 2 + 2 * lanes]
+    touch = TOUCH + 0.5 * ego[5] + 0.5 * ego[4] * abs(math.sin(state[2]))
+    visible, owned, stored = shields.visible[e], shields.owned[e], shields.stored[e]
+    hold_lanes(state[1], centers, 1, law.settings[0], touch, stored, first, visible, owned, coming)
+    look(
+        rows,
+        states,
+        law.growth,
+        law.stretch,
+        centers,
+        numbers.width,
+        law.motion,
+        0.0,
+        state[0],
+        states0[:known],
+        tables0,
+        recent0,
+        marks,
+        tables,
+        brakes,
+        recent,
+        room.order,
+        room.ways,
+    )
+    flags = shields.flags[e, new]
+    shields.slips[e] = seen(
+        rows,
+        states,
+        marks,
+        tables,
+        brakes,
+        recent,
+        ego,
+        state,
+        law.size,
+        centers,
+        law.settings,
+        owned,
+        visible,
+        stored,
+        shields.owing[e, :known],
+        coming,
+        shields.of_others[e],
+        flags,
+        shields.slipping[e],
+        room.tempted,
+    )
+    shields.now[e], shields.frame[e] = new, shields.clock[e]
+    room.desk.swept[0], room.suspect[0] = 0, NOBODY
+    for j in range(m):
+        room.desk.done[0, j] = room.desk.done[1, j] = 0
+    crashed = ego[6] > 0
+    if first:
+        for i in range(m):
+            shields.owing[e, i] = flags[0, i] and flags[1, i]
+            shields.breaking[e, i] = shields.offenders[e, i] = False
+        shields.crashed[e] = crashed
+        return True
+    along, across = 0.5 * ego[4], 0.5 * ego[5]
+    world = Ego(
+        ego[0],
+        ego[1],
+        ego[2],
+        ego[3],
+        along + numbers.longitudinal,
+        across + numbers.lateral,
+        along,
+        across,
+        crashed and not shields.crashed[e],
+    )
+    broken, grown, owing = room.marks[0, :m], room.marks[1, :m], room.flags[0]
+    judge_motions(
+        rows0,
+        states0,
+        shields.marks[e, old],
+        tables0,
+        shields.brakes[e, old],
+        recent0,
+        rows,
+        states,
+        marks,
+        tables,
+        brakes,
+        recent,
+        law.stretch,
+        shields.owing[e],
+        world,
+        law.limits,
+        broken,
+        grown,
+    )
+    some, more = stayed(shields.owing[e], flags[0], flags[1], broken, grown, owing)
+    if more:
+        # Who takes more room than before has to leave it to the ego's fail-safe.
+        frames = stop_in(shields, law, e, nearest(centers, state[1]) if stored == NOBODY else stored, room)
+        scene, one, none = scene_of(shields, law, e), numbers.one, numbers.none
+        verify(scene, law, one, one, frames, none, room.nobody, none, room)
+        for n in range(room.desk.found[0]):
+            j = room.desk.near[n]
+            if room.desk.floats[9, n] < 0:
+                broken[j] |= grown[j]
+                some = some or broken[j] != 0
+    for i in range(m):
+        shields.owing[e, i] = owing[i]
+        if some and broken[i] != 0:
+            if not shields.breaking[e, i]:
+                shields.offences[e] += 1
+                for k in range(_RULES):
+                    if broken[i] & (1 << k):
+                        shields.by_rule[e, k] += 1
+            shields.offenders[e, i] = True
+        shields.breaking[e, i] = broken[i] != 0
+    shields.crashed[e] = crashed
+    return True

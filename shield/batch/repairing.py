@@ -1,0 +1,133 @@
+"""What takes the place of a frame that does not verify: `HoldBack` and the evasions of `shield.procedures.frames`."""
+
+from __future__ import annotations
+
+import math
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.roads.straight import nearest
+from dynamics.state import IntArray
+from dynamics.vehicle.controllers import KP_SPEED
+from shield.batch.arrays import NOBODY, Law, Room, Shields, scene_of
+from shield.batch.verifying import frames_of, verify
+from shield.procedures.frames import ACCELERATIONS, GREATEST, LANE_PENALTY
+
+__all__ = ["evade", "fail_lanes", "hold_back"]
+
+
+@inlined
+def _grid(law: Law, v: float, speed: float, room: Room) -> None:
+    """Accelerations from full braking to that of the target, as of `np.linspace` [m/s^2]."""
+    low = -law.numbers.braking
+    high = max(min(KP_SPEED * (speed - v), GREATEST), low)
+    step = (high - low) / (ACCELERATIONS - 1)
+    for i in range(ACCELERATIONS):
+        room.grid[0, i] = i * step + low if step != 0 else i / (ACCELERATIONS - 1) * (high - low) + low
+    room.grid[0, ACCELERATIONS - 1] = high
+
+
+@uncounted
+def fail_lanes(shields: Shields, law: Law, e: int, lane: int, out: IntArray) -> int:
+    """`shield.procedures.frames.fail_lanes`, filled in; and how many they are."""
+    here, stored = nearest(law.centers, shields.state[e, 1]), shields.stored[e]
+    if stored == NOBODY or abs(stored - here) > 1:
+        stored = here
+    out[0], n = lane, 1
+    if here != lane:
+        out[n] = here
+        n += 1
+    if stored not in (lane, here):
+        out[n] = stored
+        n += 1
+    return n
+
+
+@uncounted
+def hold_back(shields: Shields, law: Law, e: int, lane: int, speed: float, room: Room) -> int:
+    """The candidate with the greatest acceleration that verifies, committed lane first, or -1."""
+    lanes, plans, grid = room.marks[2], room.plans, room.grid
+    count, scene = fail_lanes(shields, law, e, lane, lanes), scene_of(shields, law, e)
+    v = scene.ego[3]
+    _grid(law, v, speed, room)
+    most = -math.inf
+    for i in range(ACCELERATIONS):
+        grid[1, i] = v + grid[0, i] / KP_SPEED
+        most = max(most, grid[1, i])
+    frames = frames_of(law, v, most, law.numbers.one)
+    # From the best score to the worst; of equals, by the lane that is stopped in, and then the one that is steered to.
+    nexts, tied, at = room.marks[3], room.marks[4], 0
+    for k in range(count):
+        nexts[k] = ACCELERATIONS - 1
+    while True:
+        best, n = -math.inf, 0
+        for k in range(count):
+            if nexts[k] >= 0:
+                best = max(best, grid[0, nexts[k]] - (0.0 if lanes[k] == lane else LANE_PENALTY))
+        if best == -math.inf:
+            x = law.numbers
+            return verify(scene, law, at, x.one, frames, x.none, room.nobody, x.one, room)
+        for k in range(count):
+            if nexts[k] >= 0 and grid[0, nexts[k]] - (0.0 if lanes[k] == lane else LANE_PENALTY) == best:
+                tied[n] = k
+                n += 1
+        for fail in range(count):
+            for t in range(n):
+                k = tied[t]
+                plans.lanes[at], plans.fails[at] = lanes[k], lanes[fail]
+                plans.accelerations[at], plans.speeds[at] = grid[0, nexts[k]], grid[1, nexts[k]]
+                at += 1
+        for t in range(n):
+            nexts[tied[t]] -= 1
+
+
+@uncounted
+def _least_bad(room: Room, n: int, lawful: bool) -> int:
+    """Of those that clear who has broken no rule (with `lawful`), or all: what stays clear longest, then has the
+    largest margin, the last of equals."""
+    plans, best = room.plans, NOBODY
+    for i in range(n):
+        if lawful and not plans.lawful[i] >= 0:
+            continue
+        margin = -math.inf if math.isnan(plans.margins[i]) else plans.margins[i]
+        if best == NOBODY:
+            best = i
+            continue
+        held = -math.inf if math.isnan(plans.margins[best]) else plans.margins[best]
+        if plans.clear[i] > plans.clear[best] or (plans.clear[i] == plans.clear[best] and margin >= held):
+            best = i
+    return best
+
+
+@uncounted
+def evade(shields: Shields, law: Law, e: int, speed: float, violated: bool, room: Room) -> int:
+    """The candidate that clears everybody longest among those that clear who has broken no rule; see `lawful` of it."""
+    scene, plans, lanes, x = scene_of(shields, law, e), room.plans, room.marks[2], law.numbers
+    here, stored, n = nearest(law.centers, scene.state[1]), shields.stored[e], 0
+    for lane in (here, here - 1, here + 1):
+        if 0 <= lane < law.centers.shape[0]:
+            lanes[n] = lane
+            n += 1
+    if stored != NOBODY and stored not in (here, here - 1, here + 1):
+        lanes[n] = stored
+        n += 1
+    v, most = scene.ego[3], -math.inf
+    _grid(law, v, speed, room)
+    at = 0
+    for k in range(n):
+        for i in range(ACCELERATIONS):
+            plans.lanes[at] = plans.fails[at] = lanes[k]
+            plans.accelerations[at], plans.speeds[at] = room.grid[0, i], v + room.grid[0, i] / KP_SPEED
+            most = max(most, plans.speeds[at])
+            at += 1
+    frames = frames_of(law, v, most, law.numbers.one)
+    if violated:
+        verify(scene, law, at, x.one, frames, x.none, shields.offenders[e], x.none, room)
+        for i in range(at):
+            plans.lawful[i] = plans.margins[i]
+    verify(scene, law, at, x.one, frames, x.none, room.nobody, x.none, room)
+    keeps = False
+    for i in range(at):
+        if not violated:
+            plans.lawful[i] = plans.margins[i]
+        keeps = keeps or plans.lawful[i] >= 0
+    return _least_bad(room, at, keeps)

@@ -1,0 +1,118 @@
+"""One frame of one of many environments: what `shield.procedures.frames.Frames` decides."""
+
+from __future__ import annotations
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.simulator.engine import Worlds
+from dynamics.simulator.layout import TARGET, TARGET_SPEED
+from shield.batch.arrays import NOBODY, Law, Records, Room, Shields, scene_of
+from shield.batch.observing import observe, stop_in
+from shield.batch.repairing import evade, fail_lanes, hold_back
+from shield.batch.verifying import frames_of, verify
+from shield.batch.vocabulary import REASONS, TIERS
+from shield.certificate.clauses.together import NOTHING_BINDS
+from shield.certificate.verify import ROUNDING
+from shield.decision import Reason, Tier
+
+__all__ = ["forgive", "supervise", "violated"]
+
+_PASSED, _GOVERNED, _STORED = TIERS.index(Tier.PASSED), TIERS.index(Tier.GOVERNED), TIERS.index(Tier.STORED_PLAN)
+_EVADED, _LARGEST, _EMERGENCY = (
+    TIERS.index(Tier.EVADED),
+    TIERS.index(Tier.LARGEST_MARGIN),
+    TIERS.index(Tier.EMERGENCY),
+)
+_NONE, _UNVERIFIED = REASONS.index(Reason.NONE), REASONS.index(Reason.UNVERIFIED)
+_NO_PLAN, _BAD_SCENE = REASONS.index(Reason.NO_SAFE_PLAN), REASONS.index(Reason.BAD_SCENE)
+
+
+@uncounted
+def violated(shields: Shields, e: int) -> bool:
+    """Whether anybody who has broken a rule may still be in the way."""
+    some = False
+    for i in range(shields.offenders.shape[1]):
+        some = some or shields.offenders[e, i]
+    return some
+
+
+@uncounted
+def forgive(shields: Shields, e: int) -> None:
+    """A plan clears everybody again."""
+    for i in range(shields.offenders.shape[1]):
+        shields.offenders[e, i] = False
+
+
+@inlined
+def _keep(records: Records, e: int, k: int, tier: int, reason: int, lane: int, acceleration: float) -> None:
+    records.tiers[e, k], records.reasons[e, k] = tier, reason
+    records.lanes[e, k], records.accelerations[e, k] = lane, acceleration
+    records.margins[e, k], records.clauses[e, k], records.vehicles[e, k] = float("nan"), NOTHING_BINDS, NOBODY
+
+
+@inlined
+def _note(records: Records, e: int, k: int, room: Room, i: int) -> None:
+    plans = room.plans
+    records.margins[e, k], records.clauses[e, k], records.vehicles[e, k] = (
+        plans.margins[i],
+        plans.clauses[i],
+        plans.vehicles[i],
+    )
+
+
+@uncounted
+def _fall_back(shields: Shields, law: Law, e: int, k: int, speed: float, room: Room, records: Records) -> None:
+    """The stored plan is kept as long as it clears those who have broken no rule; among what clears them, what clears
+    the others longest is taken."""
+    offended, stored, plans, braking = violated(shields, e), shields.stored[e], room.plans, law.numbers.braking
+    if stored != NOBODY:
+        frames, scene = stop_in(shields, law, e, stored, room), scene_of(shields, law, e)
+        x = law.numbers
+        verify(scene, law, x.one, x.one, frames, x.none, shields.offenders[e], x.none, room)
+        margin, clause, vehicle = plans.margins[0], plans.clauses[0], plans.vehicles[0]
+        if margin >= -ROUNDING or not offended:
+            if offended:
+                found = evade(shields, law, e, speed, offended, room)
+                if plans.lawful[found] >= 0:
+                    _keep(records, e, k, _EVADED, _NO_PLAN, plans.lanes[found], plans.accelerations[found])
+                    _note(records, e, k, room, found)
+                    shields.stored[e] = plans.fails[found]
+                    return
+            _keep(records, e, k, _STORED, _NO_PLAN, stored, -braking)
+            records.margins[e, k], records.clauses[e, k], records.vehicles[e, k] = margin, clause, vehicle
+            return
+    found = evade(shields, law, e, speed, offended, room)
+    _keep(records, e, k, _LARGEST, _NO_PLAN, plans.lanes[found], plans.accelerations[found])
+    _note(records, e, k, room, found)
+    shields.stored[e] = NOBODY
+
+
+@uncounted
+def supervise(shields: Shields, law: Law, worlds: Worlds, e: int, k: int, room: Room, records: Records) -> None:
+    """Decide about frame `k` of a decision, to `records`: where its tier is not `PASSED`, a lane and an acceleration
+    take the place of what the ego's controllers ask for."""
+    lane, speed, braking = worlds.g[e, TARGET, 0], worlds.f[e, TARGET_SPEED, 0], law.numbers.braking
+    if not observe(shields, law, worlds, e, room):
+        stop = lane if shields.stored[e] == NOBODY else shields.stored[e]
+        _keep(records, e, k, _EMERGENCY, _BAD_SCENE, stop, -braking)
+        return
+    plans, fails, v = room.plans, room.marks[2], shields.ego[e, 3]
+    n, scene = fail_lanes(shields, law, e, lane, fails), scene_of(shields, law, e)
+    for i in range(n):
+        plans.lanes[i], plans.fails[i], plans.speeds[i] = lane, fails[i], speed
+    x = law.numbers
+    frames = frames_of(law, v, speed, x.one)
+    found = verify(scene, law, n, x.one, frames, x.none, room.nobody, x.one, room)
+    if found != NOBODY:
+        _keep(records, e, k, _PASSED, _NONE, lane, 0.0)
+        _note(records, e, k, room, found)
+        shields.stored[e] = plans.fails[found]
+        forgive(shields, e)
+        return
+    found = hold_back(shields, law, e, lane, speed, room)
+    if found != NOBODY:
+        _keep(records, e, k, _GOVERNED, _UNVERIFIED, plans.lanes[found], plans.accelerations[found])
+        _note(records, e, k, room, found)
+        shields.stored[e] = plans.fails[found]
+        forgive(shields, e)
+        return
+    _fall_back(shields, law, e, k, speed, room, records)

@@ -18,6 +18,7 @@ BASELINES = (
     "slower",
     "throttle",
     "random",
+    "weaving",
     "lookahead",
     "mpc",
     "cem",
@@ -28,7 +29,7 @@ BASELINES = (
     "cem-cautious",
 )
 """Policies that need no training: `faster` and `slower` for meta-actions, `throttle` (full throttle, the wheel
-straight) for continuous actions, `idle` and `random` for both; `lookahead` knows the
-future (`mpc.lookahead_policy`, on the simulator's true state); `mpc` drives with continuous actions by itself
+straight) for continuous actions, `idle` and `random` for both; `weaving` changes lanes to and fro; `lookahead` knows
+the future (`mpc.lookahead_policy`, on the simulator's true state); `mpc` drives with continuous actions by itself
 (`mpc.MPCPolicy`, on the simulator's true state); the others park (`evaluation.running.parking_planner`), and `cem`
 drives on a highway and in a roundabout with meta-actions as well."""

@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -14,18 +15,20 @@ import pandas as pd
 
 from evaluation.measuring.statistics import bootstrap_mean, clopper_pearson
 from evaluation.running.episodes import run_paired
+from evaluation.running.many import Many
 from evaluation.running.records import Variant
 from evaluation.running.store import provenance
 from evaluation.settings import Setting
+from evaluation.simulators import compiled_where_it_serves
 from shield.config import ShieldConfig
 from shield.decision import Tier
 from shield.errors import ConfigError
 
 __all__ = ["Asked", "certify", "page"]
 
-_PART = 250
+_PART = 1_000
 """Episodes of a part: what is lost at most when a run is killed, for each of its processes."""
-_COLUMNS = (
+COLUMNS = (
     "setting",
     "policy",
     "mode",
@@ -44,7 +47,7 @@ _COLUMNS = (
     "min_gap",
     "simulator",
 )
-_FALLBACKS = [f"tier_{tier.value}" for tier in Tier if tier.fallback]
+FALLBACKS = [f"tier_{tier.value}" for tier in Tier if tier.fallback]
 _SHOWN = 20
 
 
@@ -148,12 +151,31 @@ def _driven(asked: Asked, folder: Path, parts: list[tuple[int, int]], workers: i
         yield from pool(joblib.delayed(_drive)(asked, folder, *part) for part in parts)
 
 
+@lru_cache(maxsize=1)
+def _side_by_side(asked: Asked) -> Many | None:
+    """What drives many episodes at once, where that can be done."""
+
+    def compiled() -> tuple[Many, bool]:
+        many = Many(asked.setting, asked.policy, asked.config)
+        return many, many.exact
+
+    try:
+        return compiled_where_it_serves(asked.simulator, compiled)
+    except ConfigError:
+        return None  # one at a time it may be had, or says what is missing
+
+
 def _drive(asked: Asked, folder: Path, first: int, count: int) -> pd.DataFrame:
     """One part, written whole or not at all."""
-    variant = Variant("env", asked.config)
     seeds = range(first, first + count)
-    table = run_paired(asked.setting, asked.policy, [variant], seeds, simulator=asked.simulator)
-    frame = table[list(_COLUMNS)].assign(fallbacks=table[_FALLBACKS].sum(axis=1))
+    many = _side_by_side(asked)
+    if many is not None:
+        frame = many.run(seeds)
+    else:
+        table = run_paired(
+            asked.setting, asked.policy, [Variant("env", asked.config)], seeds, simulator=asked.simulator
+        )
+        frame = table[list(COLUMNS)].assign(fallbacks=table[FALLBACKS].sum(axis=1))
     path = _path(folder, first, count)
     partial = path.with_suffix(f".{os.getpid()}.partial")
     frame.to_parquet(partial, index=False)

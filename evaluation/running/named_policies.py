@@ -12,7 +12,7 @@ All have the `predict` signature of Stable-Baselines3:
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -39,6 +39,7 @@ __all__ = [
     "ConstantPolicy",
     "Policy",
     "RandomPolicy",
+    "WeavingPolicy",
     "make_policy",
     "policy_label",
     "start_episode",
@@ -46,6 +47,7 @@ __all__ = [
 
 _META = {"faster": "FASTER", "slower": "SLOWER", "idle": "IDLE"}
 _INPUTS = {"throttle", "idle"}
+_WEAVING = ("LANE_LEFT", "FASTER", "LANE_RIGHT", "FASTER")
 
 
 class Policy(Protocol):
@@ -83,6 +85,10 @@ class ConstantPolicy:
         """The one action; nothing else is looked at."""
         return np.array(self.action), state
 
+    def plan(self, seed: int, steps: int) -> NDArray[np.intp]:
+        """The actions of the first `steps` decisions of an episode."""
+        return np.full(steps, self.action)
+
 
 class RandomPolicy:
     """Uniform random actions from a generator of its own, reproducible per episode.
@@ -116,10 +122,48 @@ class RandomPolicy:
             return self._generator.uniform(space.low, space.high).astype(space.dtype), state
         raise ConfigError(f"random actions need a Discrete or a Box action space, not {space}")
 
+    def plan(self, seed: int, steps: int) -> NDArray[np.intp]:
+        """The actions of the first `steps` decisions of an episode, of a Discrete action space."""
+        space = self._space
+        assert isinstance(space, gym.spaces.Discrete)
+        return space.start + np.random.default_rng(seed).integers(space.n, size=steps)
+
+
+class WeavingPolicy:
+    """LANE_LEFT, FASTER, LANE_RIGHT, FASTER, and again: as fast as can be from lane to lane, whoever is there.
+
+    Parameters
+    ----------
+    actions : these four by their index.
+    """
+
+    def __init__(self, actions: Sequence[int]) -> None:
+        self.actions = np.asarray(actions, np.intp)
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Start an episode with the first of them."""
+        self._step = 0
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """The next of them."""
+        self._step += 1
+        return np.asarray(self.actions[(self._step - 1) % len(self.actions)]), state
+
+    def plan(self, seed: int, steps: int) -> NDArray[np.intp]:
+        """The actions of the first `steps` decisions of an episode."""
+        return np.resize(self.actions, steps)
+
 
 def start_episode(policy: Policy, seed: int) -> None:
-    """Tell a policy that an episode with this seed begins; only `RandomPolicy` listens."""
-    if isinstance(policy, RandomPolicy):
+    """Tell a policy that an episode with this seed begins; `RandomPolicy` and `WeavingPolicy` listen."""
+    if isinstance(policy, RandomPolicy | WeavingPolicy):
         policy.reset(seed)
 
 
@@ -150,6 +194,8 @@ def make_policy(
         return ConstantPolicy(_constant(name, env))
     if name == "random":
         return RandomPolicy(env.action_space)
+    if name == "weaving":
+        return WeavingPolicy([_meta_action(label, env) for label in _WEAVING])
     if name == "lookahead":
         return LookaheadPolicy(env)
     if name == "mpc":
@@ -179,10 +225,15 @@ def _constant(name: str, env: gym.Env[Any, Any]) -> int | NDArray[np.float32]:
         )
     if name not in _META:
         raise ConfigError(f"{name!r} needs ContinuousAction; this environment takes {label}; have {_list(_META)}")
-    indexes: dict[str, int] = kind.actions_indexes
-    if _META[name] not in indexes:
-        raise ConfigError(f"this environment has no action {_META[name]}; have {sorted(indexes)}")
-    return int(indexes[_META[name]])
+    return _meta_action(_META[name], env)
+
+
+def _meta_action(label: str, env: gym.Env[Any, Any]) -> int:
+    """The index of a meta-action in an environment."""
+    indexes: dict[str, int] = getattr(env.unwrapped.action_type, "actions_indexes", {})  # type: ignore[attr-defined]
+    if label not in indexes:
+        raise ConfigError(f"this environment has no action {label}; have {sorted(indexes)}")
+    return int(indexes[label])
 
 
 def _inputs(name: str, actuators: Actuators) -> NDArray[np.float32]:

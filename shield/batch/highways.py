@@ -13,6 +13,7 @@ from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
 
 from dynamics.roads.straight import StraightRoad
+from dynamics.simulator.engine import look
 from dynamics.simulator.layout import LENGTH, WIDTH
 from dynamics.simulator.simulator import Simulator
 from dynamics.state import FloatArray, IntArray
@@ -97,6 +98,10 @@ class ShieldedHighways:
         for e in range(self.num_envs) if which is None else which:
             forget(self.shields, e)
         return observations
+
+    def look(self, e: int, rows: FloatArray) -> bool:
+        """The bodies of one environment as rows (m, 7); whether the ego is on the road."""
+        return bool(look(self.simulator.worlds, self.simulator.scenario.rules, e, rows))
 
     def step(
         self, actions: Any, orders: IntArray | None = None, again: bool = False

@@ -1,0 +1,141 @@
+"""What episodes of the compiled highway add up to, decision by decision, many at once."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.state import BoolArray, FloatArray, IntArray
+from shield.batch.arrays import Records
+from shield.batch.vocabulary import TIERS
+from shield.decision import Tier
+
+__all__ = ["Tallies", "begin_tally", "distance", "empty_tallies", "tally"]
+
+_PASSED = TIERS.index(Tier.PASSED)
+_FALLBACKS = np.array([tier.fallback for tier in TIERS])
+
+
+class Tallies(NamedTuple):
+    """Of the episode of each environment so far, (e,); the names are those of `EpisodeRecord`.
+
+    `speeds` adds up the ego's speed over `counted` frames, up to a crash [m/s]; `fallbacks` counts the decisions in
+    which a fallback acted.
+    """
+
+    total: FloatArray
+    steps: IntArray
+    speeds: FloatArray
+    counted: IntArray
+    overridden: IntArray
+    frames: IntArray
+    frames_overridden: IntArray
+    violations: IntArray
+    min_margin: FloatArray
+    min_gap: FloatArray
+    crashed: BoolArray
+    off_road: BoolArray
+    fallbacks: IntArray
+
+
+def empty_tallies(e: int) -> Tallies:
+    """For e environments."""
+    kinds: list[Any] = [float, int, float, int, int, int, int, int, float, float, bool, bool, int]
+    return Tallies(*(np.zeros(e, kind) for kind in kinds))
+
+
+@inlined
+def _to_corners(a: FloatArray, b: FloatArray) -> float:
+    """The least distance between rectangle `b` and a corner of `a` [m]."""
+    cos_a, sin_a, cos_b, sin_b = math.cos(a[2]), math.sin(a[2]), math.cos(b[2]), math.sin(b[2])
+    least = np.inf
+    for i in (-0.5, 0.5):
+        for j in (-0.5, 0.5):
+            along, across = i * a[4], j * a[5]
+            x, y = a[0] + cos_a * along - sin_a * across - b[0], a[1] + sin_a * along + cos_a * across - b[1]
+            dx = max(abs(cos_b * x + sin_b * y) - 0.5 * b[4], 0.0)
+            dy = max(abs(cos_b * y - sin_b * x) - 0.5 * b[5], 0.0)
+            least = min(least, math.hypot(dx, dy))
+    return least
+
+
+@uncounted
+def distance(a: FloatArray, b: FloatArray) -> float:
+    """Distance between two vehicle rows (7,) [m], 0 where they overlap: two rectangles that are apart are nearest at a
+    corner of one of them."""
+    x, y = a[0] - b[0], a[1] - b[1]
+    cos, sin = math.cos(a[2] - b[2]), math.sin(a[2] - b[2])
+    c, s = abs(cos), abs(sin)
+    gap = -np.inf
+    for one, other in ((a, b), (b, a)):
+        ux, uy = math.cos(one[2]), math.sin(one[2])
+        gap = max(gap, abs(x * ux + y * uy) - 0.5 * (one[4] + other[4] * c + other[5] * s))
+        gap = max(gap, abs(y * ux - x * uy) - 0.5 * (one[5] + other[4] * s + other[5] * c))
+    return 0.0 if gap <= 0 else min(_to_corners(a, b), _to_corners(b, a))
+
+
+@uncounted
+def _see(rows: FloatArray, off_road: bool, tallies: Tallies, e: int) -> None:
+    """One frame: bodies (m, 7), the ego first."""
+    tallies.off_road[e] = tallies.off_road[e] or off_road
+    if tallies.crashed[e]:
+        return
+    ego = rows[0]
+    tallies.speeds[e] += ego[3]
+    tallies.counted[e] += 1
+    if ego[6] > 0:
+        tallies.crashed[e], tallies.min_gap[e] = True, 0.0
+        return
+    for i in range(1, rows.shape[0]):
+        # Nobody is nearer than its circle.
+        reach = 0.5 * (math.hypot(ego[4], ego[5]) + math.hypot(rows[i, 4], rows[i, 5]))
+        if math.hypot(rows[i, 0] - ego[0], rows[i, 1] - ego[1]) - reach < tallies.min_gap[e]:
+            tallies.min_gap[e] = min(tallies.min_gap[e], distance(ego, rows[i]))
+
+
+@uncounted
+def begin_tally(tallies: Tallies, e: int, rows: FloatArray, off_road: bool) -> None:
+    """Begin an episode, in the scene that it was reset to."""
+    tallies.total[e] = tallies.speeds[e] = 0.0
+    tallies.steps[e] = tallies.counted[e] = tallies.overridden[e] = tallies.frames[e] = 0
+    tallies.frames_overridden[e] = tallies.violations[e] = tallies.fallbacks[e] = 0
+    tallies.min_margin[e], tallies.min_gap[e] = np.nan, np.inf
+    tallies.crashed[e] = tallies.off_road[e] = False
+    _see(rows, off_road, tallies, e)
+
+
+@uncounted
+def tally(
+    tallies: Tallies, records: Records, rows: FloatArray, off_road: BoolArray, reward: FloatArray, going: BoolArray
+) -> None:
+    """Add one decision of each environment that is `going` on, (e,).
+
+    Parameters
+    ----------
+    records, rows, off_road : see `ShieldedHighways`. reward : (e,).
+    """
+    for e in range(rows.shape[0]):
+        if not going[e]:
+            continue
+        tallies.total[e] += reward[e]
+        tallies.steps[e] += 1
+        tallies.violations[e] += records.violations[e]
+        held, fell = 0, _FALLBACKS[records.tier[e]]
+        margin = tallies.min_margin[e]
+        if math.isfinite(records.margin[e]) and not margin <= records.margin[e]:
+            margin = records.margin[e]
+        for k in range(rows.shape[1]):
+            if records.tiers[e, k] != _PASSED:
+                held += 1
+                fell = fell or _FALLBACKS[records.tiers[e, k]]
+            if math.isfinite(records.margins[e, k]) and not margin <= records.margins[e, k]:
+                margin = records.margins[e, k]
+            _see(rows[e, k], off_road[e, k], tallies, e)
+        tallies.min_margin[e] = margin
+        tallies.frames[e] += rows.shape[1]
+        tallies.frames_overridden[e] += held
+        tallies.overridden[e] += records.tier[e] != _PASSED or held > 0
+        tallies.fallbacks[e] += fell

@@ -1,0 +1,181 @@
+"""Very many shielded episodes, side by side: the rows that `run_paired` gives, a hundred times as fast."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.state import IntArray
+from evaluation.measuring.tally import begin_tally, empty_tallies, tally
+from evaluation.policies import list_references
+from evaluation.running.episodes import run_episode
+from evaluation.running.named_policies import ConstantPolicy, RandomPolicy, WeavingPolicy, make_policy, policy_label
+from evaluation.running.records import Variant
+from evaluation.settings import Setting
+from evaluation.threads import one_thread
+from shield.batch.highways import ShieldedHighways
+from shield.config import ShieldConfig
+from shield.doors.ranking import normalised, order_from_scores, ranking_of
+from shield.errors import ConfigError
+
+__all__ = ["Many"]
+
+_ENVS = 64
+_NAMED = ("faster", "idle", "slower", "random", "weaving")
+"""Baselines that look at nothing."""
+
+
+class _Drivers(Protocol):
+    """One policy in every environment."""
+
+    def begin(self, e: int, seed: int) -> None:
+        """An episode begins in environment `e`."""
+
+    def act(self, observations: NDArray[np.float32], steps: IntArray) -> tuple[IntArray, IntArray | None]:
+        """The action of each (e,), and the order of preference over the others, or None; `steps` (e,) is how many
+        decisions each episode has had."""
+
+
+class _Blind:
+    """Policies whose actions are known when the episode begins, (steps,)."""
+
+    def __init__(self, policy: ConstantPolicy | RandomPolicy | WeavingPolicy, envs: int, steps: int) -> None:
+        self._policy, self._actions = policy, np.zeros((envs, steps), np.intp)
+
+    def begin(self, e: int, seed: int) -> None:
+        """Draw all of them."""
+        self._actions[e] = self._policy.plan(seed, self._actions.shape[1])
+
+    def act(self, observations: NDArray[np.float32], steps: IntArray) -> tuple[IntArray, IntArray | None]:
+        """The next of each."""
+        return self._actions[np.arange(len(steps)), steps], None
+
+
+class _Model:
+    """An SB3 model, asked about all observations at once."""
+
+    def __init__(self, model: Any) -> None:
+        self._model = model
+
+    def begin(self, e: int, seed: int) -> None:
+        """It is the same in every episode."""
+
+    def act(self, observations: NDArray[np.float32], steps: IntArray) -> tuple[IntArray, IntArray | None]:
+        """Its actions, and its order of preference by their scores."""
+        actions = np.asarray(self._model.predict(observations, deterministic=True)[0])
+        scores = ranking_of(self._model, normalised(self._model, observations))
+        if scores is None:
+            return actions, None
+        return actions, np.array([[*order_from_scores(s, a), -1] for s, a in zip(scores, actions, strict=True)])
+
+
+class Many:
+    """The shielded episodes of one setting and policy.
+
+    Parameters
+    ----------
+    setting, policy : the environment, and the policy by name or as the path of a zip file.
+    config : the shield's settings.
+    envs : environments side by side.
+
+    Raises
+    ------
+    ConfigError
+        If they cannot be driven side by side: another environment than the highway, other settings of the shield than
+        are compiled, or a policy that reads more than its observation.
+    """
+
+    def __init__(self, setting: Setting, policy: str, config: ShieldConfig, envs: int = _ENVS) -> None:
+        known = policy in _NAMED or policy in list_references() or policy.endswith(".zip")
+        if not known:
+            raise ConfigError(
+                f"{policy!r} does not drive side by side; have {', '.join(_NAMED)}, references and zip files"
+            )
+        self._highways = ShieldedHighways(setting.env_id, envs, setting.config, config)
+        self._setting, self._policy, self._config = setting, policy, config
+        scenario = self._highways.simulator.scenario
+        steps = int(np.ceil(scenario.rules.times[2] / scenario.rules.times[1])) + 1
+        made = make_policy(policy, CompiledHighwayEnv(setting.env_id, setting.config))
+        blind = isinstance(made, ConstantPolicy | RandomPolicy | WeavingPolicy)
+        self._drivers: _Drivers = _Blind(made, envs, steps) if blind else _Model(made)  # type: ignore[arg-type]
+        if not blind and getattr(getattr(made, "policy", None), "lstm_actor", None) is not None:
+            raise ConfigError(f"{policy!r} is recurrent; it drives one environment at a time")
+
+    @property
+    def exact(self) -> bool:
+        """Whether this machine's numpy sums as is known here (see `Simulator.exact`)."""
+        return self._highways.simulator.exact
+
+    def run(self, seeds: Sequence[int]) -> pd.DataFrame:
+        """A row for each seed, in order: the columns of `run_paired` that say what happened, and `fallbacks`, the
+        decisions in which a fallback acted."""
+        with one_thread():
+            return self._run(list(seeds))
+
+    def _run(self, seeds: list[int]) -> pd.DataFrame:
+        highways, e = self._highways, self._highways.num_envs
+        seen, tallies = highways.simulator.seen, empty_tallies(e)
+        rows: list[dict[str, Any] | None] = [None] * len(seeds)
+        place, going, left = np.full(e, -1), np.zeros(e, np.bool_), 0
+        scene = np.empty((highways.rows.shape[2], highways.rows.shape[3]))
+        steps = np.zeros(e, np.intp)
+
+        def begin(i: int) -> bool:
+            nonlocal left
+            if left == len(seeds):
+                going[i] = False
+                return False
+            place[i], going[i], steps[i] = left, True, 0
+            highways.reset([seeds[left]], [i])
+            on_road = highways.look(i, scene)
+            begin_tally(tallies, i, scene, not on_road)
+            self._drivers.begin(i, seeds[left])
+            left += 1
+            return True
+
+        for i in range(e):
+            if not begin(i):
+                highways.reset([0], [i])
+        while going.any():
+            actions, orders = self._drivers.act(seen.observations, steps)
+            highways.step(actions, orders)
+            tally(tallies, highways.records, highways.rows, highways.off_road, seen.reward, going)
+            steps += going
+            for i in np.flatnonzero((seen.terminated | seen.truncated) & going).tolist():
+                rows[place[i]] = self._row(seeds[place[i]], tallies, i)
+                if not begin(i):
+                    highways.reset([0], [i])
+            steps[~going] = 0
+        return pd.DataFrame(rows)
+
+    def _row(self, seed: int, tallies: Any, i: int) -> dict[str, Any]:
+        crashed, attribution = bool(tallies.crashed[i]), "none"
+        if crashed:
+            # Rare enough to be driven again, one frame at a time.
+            variant = Variant("env", self._config)
+            attribution = run_episode(self._setting, self._policy, variant, seed, simulator="compiled").attribution
+        return {
+            "setting": self._setting.name,
+            "policy": policy_label(self._policy),
+            "mode": self._config.mode,
+            "seed": seed,
+            "crashed": crashed,
+            "off_road": bool(tallies.off_road[i]),
+            "attribution": attribution,
+            "return": float(tallies.total[i]),
+            "steps": int(tallies.steps[i]),
+            "mean_speed": float(tallies.speeds[i] / tallies.counted[i]),
+            "overridden": int(tallies.overridden[i]),
+            "frames": int(tallies.frames[i]),
+            "frames_overridden": int(tallies.frames_overridden[i]),
+            "violations": int(tallies.violations[i]),
+            "min_margin": float(tallies.min_margin[i]),
+            "min_gap": float(tallies.min_gap[i]),
+            "simulator": "compiled",
+            "fallbacks": int(tallies.fallbacks[i]),
+        }

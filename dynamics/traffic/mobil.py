@@ -63,16 +63,17 @@ def gain_of(
     centers: FloatArray,
     sight: float,
     slack: float,
+    asked: BoolArray,
     out: BoolArray,
 ) -> None:
-    """Whether vehicle `j` would gain by a change into the lane below its own in r, and above, `out` (2,); see
-    `gains`."""
+    """Whether vehicle `j` would gain by a change into the lane below its own in r, and above, `out` (2,), where that is
+    `asked` (2,); see `gains`."""
     s, v, own = states[j, 0], states[j, 3], centers[lane[j]]
     now = 0.0
     # Of the lanes below and above: distance and speed of the next ahead, and of the next behind.
     gap0, gap1, back0, back1 = np.inf, np.inf, np.inf, np.inf
     speed0, speed1, behind0, behind1 = 0.0, 0.0, 0.0, 0.0
-    below, above = lane[j] > 0, lane[j] + 1 < centers.shape[0]
+    below, above = asked[0] and lane[j] > 0, asked[1] and lane[j] + 1 < centers.shape[0]
     low0, high1 = centers[lane[j] - 1] if below else np.nan, centers[lane[j] + 1] if above else np.nan
     for i in range(states.shape[0]):
         if i == j:
@@ -103,9 +104,11 @@ def gains(
     centers: FloatArray,
     sight: float,
     slack: float,
+    asked: BoolArray,
     out: BoolArray,
 ) -> None:
-    """Whether each vehicle would gain by a change into the lane below its own in r, and above, `out` (m, 2).
+    """Whether each vehicle would gain by a change into the lane below its own in r, and above, `out` (m, 2), where that
+    is `asked` (m, 2): False elsewhere.
 
     Parameters
     ----------
@@ -115,4 +118,6 @@ def gains(
     slack : what the gain may lack [m/s^2]; and, as a share of the distance, what the new follower may.
     """
     for j in range(states.shape[0]):
-        gain_of(j, states, lane, low, high, centers, sight, slack, out[j])
+        out[j, 0] = out[j, 1] = False
+        if asked[j, 0] or asked[j, 1]:
+            gain_of(j, states, lane, low, high, centers, sight, slack, asked[j], out[j])

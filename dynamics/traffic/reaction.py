@@ -20,7 +20,7 @@ import numpy as np
 
 from dynamics.compiled import inlined, uncounted
 from dynamics.state import FloatArray, IntArray, Vehicle
-from dynamics.traffic.mobil import COMFORT, IMPOSED, desired_gap
+from dynamics.traffic.mobil import COMFORT, GAP, IMPOSED, TIME, TWICE_ROOT, desired_gap
 from dynamics.traffic.occupancy_kernels import apart
 from dynamics.traffic.tables import Bodies, Motion
 
@@ -33,6 +33,8 @@ _SCALE, _SLACK = 1.1, 0.5
 """How much harder than IDM one may brake: as a share of it, and in addition [m/s^2]."""
 _MORE = 0.2
 """By how much MOBIL's bound on what a lane change imposes may be exceeded, as a multiple of the distance."""
+_PER_TWICE_ROOT, _PER_SCALE, _ROUNDING = 1 / TWICE_ROOT, 1 / (_SCALE * COMFORT), 1e-9
+"""Reciprocals, and more than what comes of taking them for divisors, relatively."""
 _LANE, _TOWARDS = 5.0, 14.0
 """Two that are further apart across the road than this [m] have to come nearer first, at this speed at most [m/s]."""
 
@@ -65,6 +67,30 @@ def _asked(d: float, fast: float, slow: float, motion: Motion) -> float:
     share = desired_gap(fast, max(fast - slow, 0.0)) / d
     rate = min(_SCALE * COMFORT * (share * share) + _SLACK, motion.braking)
     return rate if d > 1.0 else motion.braking
+
+
+@inlined
+def _asks(d: float, fast: float, slow: float, motion: Motion) -> bool:
+    """Whether `_asked` is more than `Motion.calm`: without a division, but where rounding could tell."""
+    if d > 1.0:
+        wanted = GAP + TIME * fast + fast * max(fast - slow, 0.0) * _PER_TWICE_ROOT
+        square, limit = wanted * wanted, (motion.calm - _SLACK) * _PER_SCALE * (d * d)
+        if square < limit * (1 - _ROUNDING):
+            return False
+        if square > limit * (1 + _ROUNDING):
+            return motion.braking > motion.calm
+    return _asked(d, fast, slow, motion) > motion.calm
+
+
+@inlined
+def _lets_in(v: float, closing: float, far: float) -> bool:
+    """Whether MOBIL lets one in that is `far` ahead [m] of another at speed v, which closes in on it: likewise."""
+    most, term = (IMPOSED + _MORE) * far, v * closing * _PER_TWICE_ROOT
+    over = GAP + TIME * v + term - most
+    band = _ROUNDING * (GAP + TIME * abs(v) + abs(term) + abs(most))
+    if over > band or over < -band:
+        return over < 0
+    return desired_gap(v, closing) <= most
 
 
 class _Extremes(NamedTuple):
@@ -103,7 +129,7 @@ def _press(
         begin = end
         for k in range(first, end):
             far, v = ahead + x.fast_way[j, k] - x.slowest_way[i, k], x.slowest[i, k]
-            if far > 0 and desired_gap(v, v - x.fast[j, k]) <= (IMPOSED + _MORE) * far:
+            if far > 0 and _lets_in(v, v - x.fast[j, k], far):
                 begin = k
                 break
     slow_way, fast_way, fast, slow = x.slow_way[j], x.fast_way[i], x.fast[i], x.slow[j]
@@ -211,7 +237,7 @@ def brakings(
             # The distance is least at one of its ends: it falls ever faster. What is wanted grows.
             near = ahead - max(budget[j], 0.0)
             d = near + x.slow_way[j, last] - x.fast_way[i, last] - motion.loss_back * motion.dt * last
-            if not _asked(min(near, d), x.fast[i, last], x.slow[j, last], motion) > motion.calm:
+            if not _asks(min(near, d), x.fast[i, last], x.slow[j, last], motion):
                 continue  # nor does it ask for anything
             first = -1
             if apart(starts, ends, low, high, i, j):

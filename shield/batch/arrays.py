@@ -340,7 +340,7 @@ def new_room(m: int, law: Law, candidates: int) -> Room:
         ways=np.zeros(room_for(m, coming)),
         order=np.zeros(m, index),
         flags=np.zeros((2, m), np.bool_),
-        tempted=np.zeros((m, 2), np.bool_),
+        tempted=np.zeros((m, 4), np.bool_),
         marks=np.zeros((6, max(lanes, len(law.labels), m)), index),
         numbers=np.zeros((2, max(len(law.labels), 1))),
         nobody=np.zeros(0, np.bool_),

@@ -190,7 +190,7 @@ class Surveyor:
             numbers,
             flags,
             slipping,
-            np.empty((m, 2), np.bool_),
+            np.empty((m, 4), np.bool_),
         )
         self._slipping, self.behind, self.held, self.comes = slipping[:count], flags[0], flags[1], flags[2 + lanes :]
 

@@ -14,7 +14,7 @@ SIGHT = 3.0
 def gains(states, *args):
     """Who gains by a change to either side, (m, 2) bool."""
     out = np.empty((len(states), 2), dtype=bool)
-    mobil.gains(states, *args, out)
+    mobil.gains(states, *args, np.ones_like(out), out)
     return out
 
 

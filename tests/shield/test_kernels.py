@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from shield.certificate.clauses.duties import lanes_held
 from shield.certificate.clauses.edge import lanes_touched, verdicts
-from shield.certificate.clauses.entering import entrants, sides_taken
+from shield.certificate.clauses.entering import entrants, neighbours, sides_taken
 from shield.certificate.clauses.footprint import Footprint
 from shield.certificate.clauses.others import Others
 from shield.certificate.clauses.plans import Plans
@@ -191,7 +191,9 @@ def entering(others, gains, before=None, visible=(0, 0, 0), stored=-1):
     before = np.zeros((0, 0), dtype=bool) if before is None else before
     beside, comes = np.zeros_like(others.beside), np.zeros_like(others.comes)
     others = others._replace(beside=beside, comes=comes)
-    entrants(others, gains, CENTERS, 4.0, before, np.array(visible), stored, 3, 30)
+    asked = np.empty_like(gains)
+    neighbours(others, CENTERS, 4.0, before, np.array(visible), stored, asked)
+    entrants(others, gains & asked, CENTERS, before, np.array(visible), stored, 3, 30)
     return others
 
 

@@ -12,7 +12,7 @@ from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
 from dynamics.traffic.mobil import gains
 from dynamics.traffic.permits import Ego, gap_between
 from dynamics.traffic.tables import Bodies
-from shield.certificate.clauses.entering import entrants
+from shield.certificate.clauses.entering import entrants, neighbours
 from shield.certificate.clauses.footprint import Footprint, reach_across, reach_along
 from shield.certificate.clauses.others import TOUCH, Others
 
@@ -223,9 +223,9 @@ def others_of(
     sight: Sight,
     centers: FloatArray,
     others: Others,
-    tempted: BoolArray,
+    room: BoolArray,
 ) -> None:
-    """Fill in the vehicles as a judgement of paths sees them, `others`; `tempted` (m, 2) is written over.
+    """Fill in the vehicles as a judgement of paths sees them, `others`; `room` (m, 4) is written over.
 
     Parameters
     ----------
@@ -260,5 +260,7 @@ def others_of(
         rs[j], across[j] = states[j, 1], states[j, 3] * sin
     if not sight.blind:
         return
-    gains(states, bodies.lane, bodies.low, bodies.high, centers, sight.distance, sight.slack, tempted)
-    entrants(others, tempted, centers, sight.width, before, ego.visible, ego.stored, sight.reaction, sight.settled)
+    asked, tempted = room[:, :2], room[:, 2:]
+    neighbours(others, centers, sight.width, before, ego.visible, ego.stored, asked)
+    gains(states, bodies.lane, bodies.low, bodies.high, centers, sight.distance, sight.slack, asked, tempted)
+    entrants(others, tempted, centers, before, ego.visible, ego.stored, sight.reaction, sight.settled)

@@ -12,10 +12,36 @@ from dynamics.vehicle.controllers import KP_HEADING, KP_LATERAL
 from shield.certificate.clauses.others import Others
 from shield.certificate.clauses.plans import Plans
 
-__all__ = ["entrants", "sides_taken"]
+__all__ = ["entrants", "neighbours", "sides_taken"]
 
 _TURNING = 0.25
 """Speed across the road, beyond that of one that settles in its lane, from which a vehicle counts as changing [m/s]."""
+
+
+@uncounted
+def neighbours(
+    others: Others,
+    centers: FloatArray,
+    width: float,
+    before: BoolArray,
+    visible: IntArray,
+    stored: int,
+    asked: BoolArray,
+) -> None:
+    """Fill in which lanes each vehicle's strip is beside, `others.beside`, and whether it matters if it gains by a
+    change into the lane below its own, and above, `asked` (v, 2); the rest as in `entrants`."""
+    low, high, lane, besides = others.low, others.high, others.lane, others.beside
+    n, v = centers.shape[0], others.lane.shape[0]
+    known = before.shape[0] == n and before.shape[1] == v
+    for j in range(v):
+        asked[j, 0] = asked[j, 1] = False
+        for k in range(n):
+            # Beside the lane: the next strip begins where this one ends.
+            apart = max(low[j] - centers[k], centers[k] - high[j])
+            beside = 0 < apart < width and abs(centers[lane[j]] - centers[k]) < 1.5 * width
+            besides[k, j] = beside
+            if beside and not (known and (visible[k] > 0 or k == stored)):
+                asked[j, 1 if centers[k] > high[j] else 0] = True
 
 
 @uncounted
@@ -23,14 +49,13 @@ def entrants(
     others: Others,
     gains: BoolArray,
     centers: FloatArray,
-    width: float,
     before: BoolArray,
     visible: IntArray,
     stored: int,
     sight: int,
     settled: int,
 ) -> None:
-    """Fill in which lanes each vehicle's strip is beside, `others.beside`, and who may enter which, `others.comes`.
+    """Fill in who may enter which lane, `others.comes`, of those whose strips are beside it, `others.beside`.
 
     Whoever gains by it may enter a lane, and who is on the way there: that is one who is faster across than one that
     settles in the middle of its own lane, the lag of its heading included. Where the ego has a plan to stop there, or
@@ -39,21 +64,18 @@ def entrants(
 
     Parameters
     ----------
-    others : the vehicles, (v,). gains : see `dynamics.traffic.mobil.gains`, (v, 2) bool.
-    centers, width : of the lanes [m].
+    others : the vehicles, (v,). gains : see `dynamics.traffic.mobil.gains`, (v, 2) bool; where `neighbours` asks.
+    centers : of the lanes [m].
     before : `others.comes` of the scene before, (lanes, v); of another shape without one.
     visible : frames for which the ego has been visible in each lane, (lanes,).
     stored : the lane in which the stored fail-safe stops, or -1.
     """
-    low, high, lane, r, across = others.low, others.high, others.lane, others.r, others.across
+    high, lane, r, across = others.high, others.lane, others.r, others.across
     besides, comes, n, v = others.beside, others.comes, centers.shape[0], others.lane.shape[0]
     known = before.shape[0] == n and before.shape[1] == v
     for k in range(n):
         for j in range(v):
-            # Beside the lane: the next strip begins where this one ends.
-            apart = max(low[j] - centers[k], centers[k] - high[j])
-            beside = 0 < apart < width and abs(centers[lane[j]] - centers[k]) < 1.5 * width
-            may, turning = False, False
+            beside, may, turning = besides[k, j], False, False
             if beside:
                 above = centers[k] > high[j]
                 sign = 1.0 if above else -1.0
@@ -67,7 +89,7 @@ def entrants(
                 may = last and turning
             elif visible[k] > 0 or k == stored:
                 may = last and beside
-            besides[k, j], comes[k, j] = beside, may
+            comes[k, j] = may
 
 
 @uncounted

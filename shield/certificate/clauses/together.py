@@ -169,7 +169,7 @@ def seen(
     followers, before : see `others_of`.
     of_others, flags : of `Others`, see `empty_others`; result.
     slipping : (2 m, 4), rows of those that `may_slip` finds; result.
-    tempted : room that is written over, (m, 2).
+    tempted : room that is written over, (m, 4).
 
     Returns
     -------

@@ -47,7 +47,7 @@ from dynamics.simulator.layout import (
     X,
     Y,
 )
-from dynamics.simulator.random import from_generator, to_generator
+from dynamics.simulator.random import WORDS, from_generator, to_generator
 from dynamics.simulator.scenario import Scenario
 from dynamics.state import FloatArray
 
@@ -111,7 +111,7 @@ def load(env: gym.Env[Any, Any], scenario: Scenario, worlds: Worlds, e: int) -> 
         # highway-env gives the ego its range of speeds with its first action.
         p[[MAX_SPEED, MIN_SPEED], 0] = scenario.rules.constants[0][[MAX_SPEED, MIN_SPEED]]
     worlds.order[e] = np.arange(f.shape[1])
-    worlds.rows[e] = from_generator(base.np_random)
+    worlds.rows[e, :WORDS] = from_generator(base.np_random)
     worlds.clock[e] = base.time
 
 

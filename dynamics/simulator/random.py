@@ -2,6 +2,9 @@
 
 `SeedSequence` and PCG64 (O'Neill 2014) as numpy has them; the streams of both are kept stable by numpy. A generator is
 a row of six numbers: state (high, low), increment (high, low), whether half of a draw is left, and that half.
+
+A longer row has a *tape* behind that: the place on it from which the next draw is read, 0 for none, and the draws
+themselves, which take the place of the generator's. So a scene is made from numbers that somebody has chosen.
 """
 
 from __future__ import annotations
@@ -13,12 +16,14 @@ from numpy.typing import NDArray
 
 from dynamics.compiled import inlined, uncounted
 
-__all__ = ["WORDS", "below", "from_generator", "interval", "seed_row", "to_generator", "uniform"]
+__all__ = ["TAPE", "WORDS", "below", "from_generator", "interval", "seed_row", "to_generator", "uniform"]
 
 Row = NDArray[np.uint64]
 
 WORDS = 6
 """Numbers of a generator."""
+TAPE = WORDS + 1
+"""Where the tape begins in a longer row."""
 
 _U = np.uint64
 _LOW, _32, _16 = _U(0xFFFFFFFF), _U(32), _U(16)
@@ -64,16 +69,37 @@ def _next_32(row: Row) -> Any:
 
 
 @inlined
+def _taped(row: Row) -> bool:
+    """Whether the next draw is on the tape."""
+    return len(row) > WORDS and bool(row[WORDS] > _ZERO) and bool(WORDS + np.int64(row[WORDS]) < len(row))
+
+
+@inlined
+def _share(word: Any) -> float:
+    """A word as a number from 0 to 1, as of `Generator.random`."""
+    return float(word >> _ELEVEN) * (1.0 / 9007199254740992.0)
+
+
+@inlined
+def _next_taped(row: Row) -> float:
+    place = WORDS + np.int64(row[WORDS])
+    row[WORDS] += _ONE
+    return _share(row[place])
+
+
+@inlined
 def uniform(row: Row, low: float, high: float) -> float:
-    """`Generator.uniform(low, high)`."""
-    return low + (high - low) * (float(_next_64(row) >> _ELEVEN) * (1.0 / 9007199254740992.0))
+    """`Generator.uniform(low, high)`; or from the tape."""
+    return low + (high - low) * (_next_taped(row) if _taped(row) else _share(_next_64(row)))
 
 
 @inlined
 def below(row: Row, n: int) -> Any:
-    """`Generator.integers(n)`, n at most 2^32 - 1 (Lemire 2019)."""
+    """`Generator.integers(n)`, n at most 2^32 - 1 (Lemire 2019); or from the tape."""
     if n <= 1:
         return 0
+    if _taped(row):
+        return np.int64(_next_taped(row) * n)
     size = _U(n)
     product = _next_32(row) * size
     if (product & _LOW) < size:
@@ -121,6 +147,8 @@ def _word(entropy: Any, constant: Any) -> tuple[Any, Any]:
 def seed_row(row: Row, seed: int) -> None:
     """The row of `np.random.default_rng(seed)`, of a seed from 0 to 2^63 - 1."""
     constant = _INIT_A
+    if len(row) > WORDS:
+        row[WORDS] = _ZERO
     # The pool of four words stands in the row itself until it is used up.
     row[0], row[1], row[2], row[3] = _U(seed) & _LOW, _U(seed) >> _32, _ZERO, _ZERO
     for i in range(4):

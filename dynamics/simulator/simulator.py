@@ -26,10 +26,10 @@ from dynamics.simulator.engine import (
     reset_all,
     step_all,
 )
-from dynamics.simulator.layout import F, G, P
+from dynamics.simulator.layout import LINEAR, F, G, P
 from dynamics.simulator.live import bodies_of, load, store
 from dynamics.simulator.loops import addresses
-from dynamics.simulator.random import WORDS
+from dynamics.simulator.random import TAPE, WORDS
 from dynamics.simulator.scenario import Scenario, scenario_of
 from dynamics.state import FloatArray
 
@@ -45,6 +45,7 @@ class Simulator:
     num_envs : how many copies.
     config : what differs from its default configuration.
     threads : how many of them share the environments of a step; worth it from some 64 environments a thread on.
+    tape : whether `reset_to` is there: scenes from numbers that somebody has chosen.
 
     Raises
     ------
@@ -71,9 +72,14 @@ class Simulator:
     """
 
     def __init__(
-        self, env_id: str, num_envs: int = 1, config: Mapping[str, Any] | None = None, threads: int = 1
+        self,
+        env_id: str,
+        num_envs: int = 1,
+        config: Mapping[str, Any] | None = None,
+        threads: int = 1,
+        tape: bool = False,
     ) -> None:
-        self._build(scenario_of(env_id, config), num_envs, threads)
+        self._build(scenario_of(env_id, config), num_envs, threads, tape)
         entropy = np.random.SeedSequence().generate_state(num_envs, np.uint64) >> np.uint64(1)
         self.reset(entropy.astype(np.int64))
 
@@ -122,7 +128,7 @@ class Simulator:
         self._check_copy(e)
         store(env, self.scenario, self.worlds, e)
 
-    def _build(self, scenario: Scenario, num_envs: int, threads: int = 1) -> None:
+    def _build(self, scenario: Scenario, num_envs: int, threads: int = 1, tape: bool = False) -> None:
         if num_envs < 1 or threads < 1:
             raise ConfigError(f"num_envs and threads must be at least 1, not {num_envs} and {threads}")
         self.scenario = scenario
@@ -135,7 +141,7 @@ class Simulator:
             np.zeros((e, G, m), np.int64),
             np.zeros((e, P, m)),
             np.zeros((e, m), np.int64),
-            np.zeros((e, WORDS), np.uint64),
+            np.zeros((e, TAPE + self.draws if tape else WORDS), np.uint64),
             np.zeros(e),
         )
         shape = scenario.observation_space.shape
@@ -155,6 +161,37 @@ class Simulator:
         self.flat = flat
         shown = flat.observations.reshape(e, *shape), flat.terminal.reshape(e, *shape)
         self.seen = flat._replace(observations=shown[0], terminal=shown[1])
+
+    @property
+    def draws(self) -> int:
+        """How many numbers a scene is made from: the ego's lane and place, and each vehicle's lane, speed, place and
+        habits."""
+        _, vehicles, first_lane, _, _, kind = self.scenario.rules.numbers
+        lane = int(len(self.scenario.rules.lanes) > 1)
+        return 1 + lane * (first_lane < 0) + (vehicles - 1) * (lane + (8 if kind == LINEAR else 3))
+
+    def reset_to(self, shares: FloatArray, which: Sequence[int]) -> NDArray[np.float32]:
+        """Start episodes in scenes of one's own choice.
+
+        Parameters
+        ----------
+        shares : for each scene the numbers that it is made from, (len(which), `draws`), each from 0 to 1, as evenly
+            distributed as those of a generator if the scenes are to be.
+        which : the environments.
+
+        Returns
+        -------
+        As of `reset`.
+        """
+        shares = np.asarray(shares, float)
+        if self.worlds.rows.shape[1] <= WORDS:
+            raise ConfigError("scenes of one's own choice need Simulator(..., tape=True)")
+        if shares.shape != (len(which), self.draws) or not ((shares >= 0) & (shares < 1)).all():
+            raise ConfigError(f"have numbers from 0 to 1 of shape {(len(which), self.draws)}, not {shares.shape}")
+        chosen = np.asarray(which, np.int64)
+        self.worlds.rows[chosen, WORDS] = 1
+        self.worlds.rows[chosen, TAPE:] = np.ldexp(shares, 53).astype(np.uint64) << np.uint64(11)
+        return self.reset(which=which)
 
     def new_work(self) -> Work:
         """Room for the kernels of one more thread."""

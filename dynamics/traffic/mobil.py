@@ -28,6 +28,8 @@ IMPOSED = 1.3
 """Multiple of the distance that d* of a new follower may be: it would brake at no more than 2 m/s^2."""
 COMFORT = 3.0
 """IDM's a0 [m/s^2]."""
+_LEAVES = 1.0
+"""Who is out of a lane after so long as it is going now does not count there any more [s]."""
 _LEAST_GAIN = 0.2
 """Acceleration that a lane change has to gain [m/s^2]."""
 
@@ -81,12 +83,14 @@ def gain_of(
         ahead, r = states[i, 0] - s, states[i, 1]
         if ahead >= 0 and (abs(r - own) <= sight or low[i] < own < high[i]):
             now = max(now, _held_up(v, v - states[i, 3], ahead) ** 2)
-        if abs(r - low0) <= sight:
+        # One that is leaving a lane is nobody's leader there by the time that somebody enters it.
+        later = r + _LEAVES * states[i, 3] * math.sin(states[i, 2])
+        if abs(r - low0) <= sight and abs(later - low0) <= sight:
             if 0 <= ahead < gap0:
                 gap0, speed0 = ahead, states[i, 3]
             elif -back0 < ahead < 0:
                 back0, behind0 = -ahead, states[i, 3]
-        if abs(r - high1) <= sight:
+        if abs(r - high1) <= sight and abs(later - high1) <= sight:
             if 0 <= ahead < gap1:
                 gap1, speed1 = ahead, states[i, 3]
             elif -back1 < ahead < 0:

@@ -15,7 +15,7 @@ from shield.decision import Tier
 
 __all__ = ["Tallies", "begin_tally", "distance", "empty_tallies", "tally"]
 
-_PASSED = TIERS.index(Tier.PASSED)
+_PASSED, _OFF = TIERS.index(Tier.PASSED), TIERS.index(Tier.OFF)
 _FALLBACKS = np.array([tier.fallback for tier in TIERS])
 
 
@@ -128,7 +128,7 @@ def tally(
         if math.isfinite(records.margin[e]) and not margin <= records.margin[e]:
             margin = records.margin[e]
         for k in range(rows.shape[1]):
-            if records.tiers[e, k] != _PASSED:
+            if records.tiers[e, k] not in (_PASSED, _OFF):
                 held += 1
                 fell = fell or _FALLBACKS[records.tiers[e, k]]
             if math.isfinite(records.margins[e, k]) and not margin <= records.margins[e, k]:
@@ -137,5 +137,5 @@ def tally(
         tallies.min_margin[e] = margin
         tallies.frames[e] += rows.shape[1]
         tallies.frames_overridden[e] += held
-        tallies.overridden[e] += records.tier[e] != _PASSED or held > 0
+        tallies.overridden[e] += records.tier[e] not in (_PASSED, _OFF) or held > 0
         tallies.fallbacks[e] += fell

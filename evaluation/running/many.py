@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -10,8 +10,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dynamics.simulator.env import CompiledHighwayEnv
-from dynamics.state import IntArray
-from evaluation.measuring.tally import begin_tally, empty_tallies, tally
+from dynamics.state import FloatArray, IntArray
+from evaluation.measuring.tally import Tallies, begin_tally, empty_tallies, tally
 from evaluation.policies import list_references
 from evaluation.running.episodes import run_episode
 from evaluation.running.named_policies import ConstantPolicy, RandomPolicy, WeavingPolicy, make_policy, policy_label
@@ -56,6 +56,20 @@ class _Blind:
         return self._actions[np.arange(len(steps)), steps], None
 
 
+class _Planned:
+    """Actions that somebody has chosen, (e, steps)."""
+
+    def __init__(self, actions: IntArray) -> None:
+        self._actions = actions
+
+    def begin(self, e: int, seed: int) -> None:
+        """They are there."""
+
+    def act(self, observations: NDArray[np.float32], steps: IntArray) -> tuple[IntArray, IntArray | None]:
+        """The next of each."""
+        return self._actions[np.arange(len(steps)), np.minimum(steps, self._actions.shape[1] - 1)], None
+
+
 class _Model:
     """An SB3 model, asked about all observations at once."""
 
@@ -81,7 +95,7 @@ class Many:
     ----------
     setting, policy : the environment, and the policy by name or as the path of a zip file.
     config : the shield's settings.
-    envs : environments side by side.
+    envs : environments side by side. chosen : whether scenes are chosen, with `run_chosen`.
 
     Raises
     ------
@@ -90,16 +104,19 @@ class Many:
         are compiled, or a policy that reads more than its observation.
     """
 
-    def __init__(self, setting: Setting, policy: str, config: ShieldConfig, envs: int = _ENVS) -> None:
+    def __init__(
+        self, setting: Setting, policy: str, config: ShieldConfig, envs: int = _ENVS, chosen: bool = False
+    ) -> None:
         known = policy in _NAMED or policy in list_references() or policy.endswith(".zip")
         if not known:
             raise ConfigError(
                 f"{policy!r} does not drive side by side; have {', '.join(_NAMED)}, references and zip files"
             )
-        self._highways = ShieldedHighways(setting.env_id, envs, setting.config, config)
+        self._highways = ShieldedHighways(setting.env_id, envs, setting.config, config, tape=chosen)
         self._setting, self._policy, self._config = setting, policy, config
         scenario = self._highways.simulator.scenario
         steps = int(np.ceil(scenario.rules.times[2] / scenario.rules.times[1])) + 1
+        self.steps = steps
         made = make_policy(policy, CompiledHighwayEnv(setting.env_id, setting.config))
         blind = isinstance(made, ConstantPolicy | RandomPolicy | WeavingPolicy)
         self._drivers: _Drivers = _Blind(made, envs, steps) if blind else _Model(made)  # type: ignore[arg-type]
@@ -114,46 +131,98 @@ class Many:
     def run(self, seeds: Sequence[int]) -> pd.DataFrame:
         """A row for each seed, in order: the columns of `run_paired` that say what happened, and `fallbacks`, the
         decisions in which a fallback acted."""
-        with one_thread():
-            return self._run(list(seeds))
+        rows: list[dict[str, Any]] = [{}] * len(seeds)
 
-    def _run(self, seeds: list[int]) -> pd.DataFrame:
+        def begin(i: int, k: int) -> None:
+            self._highways.reset([seeds[k]], [i])
+            self._drivers.begin(i, seeds[k])
+
+        def end(i: int, k: int, tallies: Tallies) -> None:
+            rows[k] = self._row(seeds[k], tallies, i)
+
+        self._drive(len(seeds), begin, end)
+        return pd.DataFrame(rows)
+
+    @property
+    def actions(self) -> int:
+        """How many meta-actions there are."""
+        return len(self._highways.law.labels)
+
+    @property
+    def draws(self) -> int:
+        """How many numbers a scene is made from (see `Simulator.draws`)."""
+        return self._highways.simulator.draws
+
+    def run_chosen(self, shares: FloatArray, actions: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Episodes in scenes of one's own choice.
+
+        Parameters
+        ----------
+        shares : the numbers that each is made from, (n, `draws`), see `Simulator.reset_to`.
+        actions : what is proposed in each, (n, steps); by default the policy says it, as in an episode with seed 0.
+
+        Returns
+        -------
+        The smallest clearance of each [m], 0 in a crash, (n,), and its return (n,).
+        """
+        gaps, returns = np.empty(len(shares)), np.empty(len(shares))
+
+        def begin(i: int, k: int) -> None:
+            self._highways.reset_to(shares[k : k + 1], [i])
+            if actions is None:
+                self._drivers.begin(i, 0)
+            else:
+                planned[i] = actions[k]
+
+        def end(i: int, k: int, tallies: Tallies) -> None:
+            gaps[k], returns[k] = tallies.min_gap[i], tallies.total[i]
+
+        drivers = self._drivers
+        planned = np.zeros((self._highways.num_envs, 1 if actions is None else actions.shape[1]), np.intp)
+        if actions is not None:
+            self._drivers = _Planned(planned)
+        try:
+            self._drive(len(shares), begin, end)
+        finally:
+            self._drivers = drivers
+        return gaps, returns
+
+    def _drive(self, count: int, begin: Callable[[int, int], None], end: Callable[[int, int, Tallies], None]) -> None:
+        """Drive so many episodes: `begin` starts one in an environment, `end` takes what it has added up to."""
         highways, e = self._highways, self._highways.num_envs
         seen, tallies = highways.simulator.seen, empty_tallies(e)
-        rows: list[dict[str, Any] | None] = [None] * len(seeds)
         place, going, left = np.full(e, -1), np.zeros(e, np.bool_), 0
         scene = np.empty((highways.rows.shape[2], highways.rows.shape[3]))
         steps = np.zeros(e, np.intp)
 
-        def begin(i: int) -> bool:
+        def follow(i: int) -> None:
             nonlocal left
-            if left == len(seeds):
-                going[i] = False
-                return False
-            place[i], going[i], steps[i] = left, True, 0
-            highways.reset([seeds[left]], [i])
+            steps[i], going[i] = 0, left < count
+            if not going[i]:
+                highways.reset([0], [i])
+                return
+            place[i] = left
+            begin(i, left)
             on_road = highways.look(i, scene)
             begin_tally(tallies, i, scene, not on_road)
-            self._drivers.begin(i, seeds[left])
             left += 1
-            return True
 
-        for i in range(e):
-            if not begin(i):
-                highways.reset([0], [i])
-        while going.any():
-            actions, orders = self._drivers.act(seen.observations, steps)
-            highways.step(actions, orders)
-            tally(tallies, highways.records, highways.rows, highways.off_road, seen.reward, going)
-            steps += going
-            for i in np.flatnonzero((seen.terminated | seen.truncated) & going).tolist():
-                rows[place[i]] = self._row(seeds[place[i]], tallies, i)
-                if not begin(i):
+        with one_thread():
+            for i in range(e):
+                follow(i)
+            while going.any():
+                actions, orders = self._drivers.act(seen.observations, steps)
+                highways.step(actions, orders)
+                tally(tallies, highways.records, highways.rows, highways.off_road, seen.reward, going)
+                steps += going
+                over = seen.terminated | seen.truncated
+                for i in np.flatnonzero(over & going).tolist():
+                    end(i, int(place[i]), tallies)
+                    follow(i)
+                for i in np.flatnonzero(over & ~going).tolist():
                     highways.reset([0], [i])
-            steps[~going] = 0
-        return pd.DataFrame(rows)
 
-    def _row(self, seed: int, tallies: Any, i: int) -> dict[str, Any]:
+    def _row(self, seed: int, tallies: Tallies, i: int) -> dict[str, Any]:
         crashed, attribution = bool(tallies.crashed[i]), "none"
         if crashed:
             # Rare enough to be driven again, one frame at a time.

@@ -97,10 +97,9 @@ class Numbers(NamedTuple):
     """Scalars of the law.
 
     `braking` of the fail-safe [m/s^2]; `dt` [s]; `period`: frames in a decision; `decay`: what is left of a difference
-    of speed after that; `width` of a lane, `length` of the road, `touch`: how near a body comes to a lane's centre
-    before the ego touches it, `longitudinal`, `lateral`: of the buffer [m]; `response`, `ttc` [s], `slower`,
-    `idle`, `faster`: index of the action, or `NOBODY`. `none` and `one` are 0 and 1: a kernel is compiled anew for each
-    constant that it is called with.
+    of speed after that; `width` of a lane, `length` of the road, `longitudinal`, `lateral`: of the buffer [m];
+    `response`, `ttc` [s]; `slower`, `idle`, `faster`: index of the action, or `NOBODY`; `off`: whether nothing is
+    filtered. `none` and `one` are 0 and 1: a kernel is compiled anew for each constant that it is called with.
     """
 
     braking: float
@@ -120,6 +119,7 @@ class Numbers(NamedTuple):
     slower: int
     idle: int
     faster: int
+    off: bool
     none: int = 0
     one: int = 1
 
@@ -299,6 +299,7 @@ def law_of(config: ShieldConfig, scenario: Scenario, road: StraightRoad, length:
         slower=labels.index(4 if 4 in labels else 1),
         idle=labels.index(1) if 1 in labels else NOBODY,
         faster=labels.index(3) if 3 in labels else NOBODY,
+        off=config.mode == "none",
     )
     return Law(
         centers=road.centers,

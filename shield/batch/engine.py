@@ -31,8 +31,19 @@ from shield.decision import Tier
 
 __all__ = ["step_all_shielded"]
 
-_PASSED = TIERS.index(Tier.PASSED)
+_PASSED, _OFF = TIERS.index(Tier.PASSED), TIERS.index(Tier.OFF)
 _NO_TARGET = -1, 0.0
+
+
+@uncounted
+def _pass(records: Records, e: int, proposed: int) -> None:
+    """Without a shield, what is proposed is executed."""
+    records.proposed[e] = records.executed[e] = proposed
+    records.tier[e], records.reason[e], records.margin[e] = _OFF, 0, math.nan
+    records.clause[e], records.vehicle[e] = 0, -1
+    for k in range(records.tiers.shape[1]):
+        records.reasons[e, k], records.margins[e, k] = 0, math.nan
+        records.clauses[e, k], records.vehicles[e, k] = 0, -1
 
 
 @uncounted
@@ -69,8 +80,11 @@ def step_all_shielded(
     frequency : frames a second.
     """
     for e in range(first, last):
-        before, proposed = shields.offences[e], actions[e]
-        decide(shields, law, worlds, e, proposed, orders[e], room, records)
+        before, proposed, off = shields.offences[e], actions[e], law.numbers.off
+        if off:
+            _pass(records, e, proposed)
+        else:
+            decide(shields, law, worlds, e, proposed, orders[e], room, records)
         lane, speed = _NO_TARGET
         if records.tier[e] == _PASSED:
             lane, speed = target_of(worlds, law, e, proposed)
@@ -79,7 +93,9 @@ def step_all_shielded(
         level = sort(worlds.f[e], worlds.order[e])
         for k in range(rules.numbers[0]):
             throttle = math.nan
-            if k == 0 and lane == worlds.g[e, TARGET, 0] and speed == worlds.f[e, TARGET_SPEED, 0]:
+            if off:
+                records.tiers[e, k] = _OFF
+            elif k == 0 and lane == worlds.g[e, TARGET, 0] and speed == worlds.f[e, TARGET_SPEED, 0]:
                 # The decision has just verified this very frame, with this very target.
                 records.tiers[e, 0], records.reasons[e, 0], records.margins[e, 0] = _PASSED, 0, records.margin[e]
                 records.clauses[e, 0], records.vehicles[e, 0] = records.clause[e], records.vehicle[e]

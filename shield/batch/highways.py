@@ -35,8 +35,9 @@ class ShieldedHighways:
 
     Parameters
     ----------
-    env_id, num_envs, config, threads : as of `Simulator`.
-    shield : settings, or the path of a TOML file with them; of mode "full", with repair "hold" and without `record`.
+    env_id, num_envs, config, threads, tape : as of `Simulator`.
+    shield : settings, or the path of a TOML file with them; of mode "full", with repair "hold" and without `record`, or
+        of mode "none".
 
     Raises
     ------
@@ -66,10 +67,11 @@ class ShieldedHighways:
         config: Mapping[str, Any] | None = None,
         shield: ShieldConfig | str | Path | None = None,
         threads: int = 1,
+        tape: bool = False,
     ) -> None:
         self.config = ShieldConfig.of(shield)
         _check(self.config)
-        self.simulator = Simulator(env_id, num_envs, config)
+        self.simulator = Simulator(env_id, num_envs, config, tape=tape)
         scenario, worlds = self.simulator.scenario, self.simulator.worlds
         if scenario.inputs is not None:
             raise ConfigError("many shields at once filter meta-actions; this environment has ContinuousAction")
@@ -99,6 +101,13 @@ class ShieldedHighways:
             forget(self.shields, e)
         return observations
 
+    def reset_to(self, shares: FloatArray, which: Sequence[int]) -> NDArray[np.float32]:
+        """Start episodes in scenes of one's own choice; see `Simulator.reset_to`."""
+        observations = self.simulator.reset_to(shares, which)
+        for e in which:
+            forget(self.shields, e)
+        return observations
+
     def look(self, e: int, rows: FloatArray) -> bool:
         """The bodies of one environment as rows (m, 7); whether the ego is on the road."""
         return bool(look(self.simulator.worlds, self.simulator.scenario.rules, e, rows))
@@ -123,6 +132,8 @@ class ShieldedHighways:
         if proposed.shape != (self.num_envs,) or proposed.dtype.kind not in "iu":
             raise ConfigError(f"have a meta-action for each of {self.num_envs} environments, not {actions!r}")
         given = np.ascontiguousarray(proposed, np.intp)
+        if self.config.mode == "none" and not ((given >= 0) & (given < len(self.law.labels))).all():
+            raise ConfigError(f"have meta-actions from 0 to {len(self.law.labels) - 1}, not {actions!r}")
         ranked = self._no_orders if orders is None else np.ascontiguousarray(orders, np.intp)
         if ranked.ndim != 2 or len(ranked) != self.num_envs or (ranked.size and ranked.max() >= len(self.law.labels)):
             raise ConfigError(f"have orders of shape ({self.num_envs}, k) of the actions, not {ranked.shape}")
@@ -163,6 +174,8 @@ class ShieldedHighways:
 
 def _check(config: ShieldConfig) -> None:
     """Raise where a setting is not compiled."""
+    if config.mode == "none":
+        return
     wanted = {"mode": "full", "repair": "hold", "record": False}
     other = [name for name, value in wanted.items() if getattr(config, name) != value]
     if other:

@@ -1,0 +1,195 @@
+"""The search for the worst episode: over the scenes that a reset can make, and over what a policy can propose.
+
+On a straight highway nothing is drawn after the reset, so an episode is a function of the numbers that its scene is
+made from, and of the actions. Both are searched at once by subset simulation, for the smallest true clearance.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtr
+
+from dynamics.simulator.simulator import Simulator
+from dynamics.state import FloatArray, IntArray
+from evaluation.measuring.recorder import Recorder
+from evaluation.rare.subset import Subset, subset_simulation
+from evaluation.running.many import Many
+from evaluation.running.named_policies import make_policy, start_episode
+from evaluation.settings import Setting
+from shield import ShieldedEnv
+from shield.config import ShieldConfig
+from shield.errors import ConfigError
+
+__all__ = ["ANY", "Find", "Searched", "clearance_below", "falsify", "replay"]
+
+ANY = "any"
+"""The policy that may propose anything: its actions are searched too."""
+_MOST = float(np.nextafter(1.0, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Find:
+    """One episode, to be driven again.
+
+    Attributes
+    ----------
+    env_id, config : the environment. shield : the shield's settings, TOML.
+    shares : the numbers that its scene is made from (see `Simulator.reset_to`).
+    policy : that proposes; of `ANY`, `actions` are what it proposes.
+    clearance : the smallest to anybody [m], 0 in a crash.
+    """
+
+    env_id: str
+    config: dict[str, Any]
+    shield: str
+    policy: str
+    shares: tuple[float, ...]
+    actions: tuple[int, ...]
+    clearance: float
+
+    def save(self, path: str | Path) -> None:
+        """Write a JSON file."""
+        Path(path).write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Find:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        ConfigError
+            If it is not such a file.
+        """
+        try:
+            data = json.loads(Path(path).read_text(encoding="utf-8"))
+            return cls(**{**data, "shares": tuple(data["shares"]), "actions": tuple(data["actions"])})
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise ConfigError(f"{path} is no find of `shield falsify`: {error}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """What a search has found.
+
+    Attributes
+    ----------
+    find : the worst episode. episodes : how many were driven. median : of the clearances in the first of them, which
+        were drawn as a reset draws them [m]. crashed : how many of the last level crashed.
+    """
+
+    find: Find
+    episodes: int
+    median: float
+    crashed: int
+
+
+class _Episodes:
+    """Points of a standard normal as episodes."""
+
+    def __init__(self, setting: Setting, policy: str, config: ShieldConfig) -> None:
+        self._free = policy == ANY
+        self._many = Many(setting, "idle" if self._free else policy, config, chosen=True)
+        self.scene, self.steps, self.labels = self._many.draws, self._many.steps, self._many.actions
+        self.dimensions = self.scene + (self.steps if self._free else 0)
+
+    def of(self, points: FloatArray) -> tuple[FloatArray, IntArray | None]:
+        """The numbers that the scenes are made from (n, draws), and the actions (n, steps)."""
+        shares = np.minimum(ndtr(points), _MOST)
+        actions = (shares[:, self.scene :] * self.labels).astype(np.intp) if self._free else None
+        return shares[:, : self.scene], actions
+
+    def clearance(self, points: FloatArray) -> FloatArray:
+        """The smallest clearance of each, (n,) [m]."""
+        return self._many.run_chosen(*self.of(points))[0]
+
+
+def clearance_below(
+    setting: Setting,
+    policy: str,
+    config: ShieldConfig,
+    clearance: float = 0.0,
+    samples: int = 2_000,
+    seed: int = 0,
+    share: float = 0.1,
+) -> Subset:
+    """The probability that somebody comes as near as `clearance` [m] in an episode; 0 is a crash.
+
+    Parameters
+    ----------
+    setting, policy : the environment, and the policy by name or as the path of a zip file.
+    config : the shield's settings; of mode "none" without a shield.
+    samples, seed, share : see `subset_simulation`.
+    """
+    episodes = _Episodes(setting, policy, config)
+    return subset_simulation(
+        lambda points: episodes.clearance(points) - clearance, episodes.dimensions, samples, share, seed
+    )
+
+
+def falsify(
+    setting: Setting,
+    policy: str,
+    config: ShieldConfig,
+    episodes: int = 5_000,
+    seed: int = 0,
+    samples: int = 500,
+) -> Searched:
+    """Search for the episode with the smallest true clearance.
+
+    Parameters
+    ----------
+    setting, config : as in `clearance_below`. policy : likewise, or `ANY`.
+    episodes : to drive, about. samples : of each level.
+    """
+    if episodes < samples:
+        raise ConfigError(f"have at least {samples} episodes, a level's, not {episodes}")
+    searched, first = _Episodes(setting, policy, config), []
+
+    def clearance(points: FloatArray) -> FloatArray:
+        found = searched.clearance(points)
+        first.append(float(np.median(found)))
+        return found
+
+    most = episodes - samples + 1
+    result = subset_simulation(clearance, searched.dimensions, samples, 0.1, seed, most=most)
+    shares, actions = searched.of(result.points[:1])
+    find = Find(
+        env_id=setting.env_id,
+        config=dict(setting.config),
+        shield=config.to_toml(),
+        policy=policy,
+        shares=tuple(shares[0].tolist()),
+        actions=() if actions is None else tuple(actions[0].tolist()),
+        clearance=float(result.performance[0]),
+    )
+    return Searched(find, result.evaluations, first[0], int((result.performance <= 0).sum()))
+
+
+def replay(find: Find) -> Find:
+    """Drive a find again in highway-env itself; its clearance is what is found there."""
+    setting, shield = Setting("find", find.env_id, find.config), ShieldConfig.from_toml(find.shield)
+    simulator = Simulator(find.env_id, 1, find.config, tape=True)
+    simulator.reset_to(np.array(find.shares)[None], [0])
+    env = setting.make()
+    policy = None if find.policy == ANY else make_policy(find.policy, env)
+    shielded = env if shield.mode == "none" else ShieldedEnv(env, shield, policy=policy)
+    shielded.reset(seed=0)
+    if policy is not None:
+        start_episode(policy, 0)
+    simulator.store(env)
+    base: Any = env.unwrapped
+    obs, recorder, done, step = base.observation_type.observe(), Recorder(env), False, 0
+    while not done:
+        if policy is None:
+            action = find.actions[min(step, len(find.actions) - 1)]
+        else:
+            action = int(np.asarray(policy.predict(obs, deterministic=True)[0]).item())
+        obs, _, terminated, truncated, _ = shielded.step(action)
+        done, step = bool(terminated or truncated), step + 1
+    env.close()
+    return replace(find, clearance=recorder.history().min_gap())

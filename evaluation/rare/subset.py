@@ -1,0 +1,160 @@
+r"""Subset simulation: the probability of a rare event, as a product of probabilities that are not small.
+
+Notation
+--------
+x ~ N(0, I) of d numbers, a performance g(x), and the event F = {g <= 0}. With levels b_1 > b_2 > ... > b_K = 0,
+
+    P(F) = P(g <= b_1) * prod_k P(g <= b_k | g <= b_{k-1})
+
+Each level is the p0-quantile of the samples of the one before, and each conditional probability is estimated from
+Markov chains that start at those samples. A move proposes x' = sqrt(1 - s^2) x + s xi, xi ~ N(0, I), which leaves
+N(0, I) as it is, and is taken where g(x') <= b; s adapts until 44 % are taken.
+
+Sources: Au and Beck 2001 (subset simulation); Papaioannou, Betz, Zwirglmaier and Straub 2015 (conditional sampling and
+how s adapts); Cotter, Roberts, Stuart and White 2013 (the move).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynamics.errors import ConfigError
+from dynamics.state import BoolArray, FloatArray
+
+__all__ = ["Level", "Subset", "subset_simulation"]
+
+Performance = Callable[[FloatArray], FloatArray]
+"""g of points (n, d), (n,): the event is where it is not positive."""
+
+_ACCEPTED, _FIRST_STEP = 0.44, 0.6
+"""Share of moves that are to be taken, and the first s."""
+_MOST_LEVELS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """One level.
+
+    Attributes
+    ----------
+    bound : b, 0 at the last. probability : of the samples of the level before that are within.
+    accepted : share of the moves that led here which were taken; NaN of the first.
+    """
+
+    bound: float
+    probability: float
+    accepted: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Subset:
+    """What was found.
+
+    Attributes
+    ----------
+    probability : the estimate. variation : its coefficient of variation, with the correlation within chains, but not
+        that between levels: a lower bound.
+    evaluations : of the performance. levels : in order.
+    points, performance : the samples of the last level, (n, d) and (n,), the worst first.
+    """
+
+    probability: float
+    variation: float
+    evaluations: int
+    levels: tuple[Level, ...]
+    points: FloatArray
+    performance: FloatArray
+
+
+def subset_simulation(
+    performance: Performance,
+    dimensions: int,
+    samples: int = 1000,
+    share: float = 0.1,
+    seed: int = 0,
+    most: int | None = None,
+) -> Subset:
+    """Estimate P(g <= 0) for a standard normal of so many dimensions.
+
+    Parameters
+    ----------
+    performance : g.
+    samples : of each level. share : p0; `samples` times it has to be a whole number, and so has its reciprocal.
+    seed : of what is drawn.
+    most : evaluations after which no further level is begun; then the estimate is 0 if the event was not met.
+
+    Raises
+    ------
+    ConfigError
+        If the numbers do not fit.
+
+    Examples
+    --------
+    >>> found = subset_simulation(lambda x: 4.0 - x[:, 0], 3, seed=1)  # P = 3.17e-5
+    >>> 1e-5 < found.probability < 1e-4
+    True
+    """
+    chains, length = round(samples * share), round(1 / share)
+    if chains < 2 or chains * length != samples:
+        raise ConfigError(f"{samples} samples cannot be chains of {1 / share:g} each; have such as 1000 with 0.1")
+    rng = np.random.default_rng(seed)
+    points = rng.standard_normal((samples, dimensions))
+    g = _asked(performance, points)
+    evaluations, probability, variance, step = samples, 1.0, 0.0, _FIRST_STEP
+    levels: list[Level] = []
+    taken = np.nan
+    of_chains = np.arange(samples)[None]  # of the first level: each is a chain of one
+    while True:
+        order = np.argsort(g, kind="stable")
+        points, g = points[order], g[order]
+        of_chains = np.argsort(order)[of_chains]
+        bound = 0.5 * (g[chains - 1] + g[chains])
+        last = bound <= 0 or len(levels) == _MOST_LEVELS or (most is not None and evaluations >= most)
+        inside = g <= (0.0 if last else bound)
+        within = float(inside.mean())
+        levels.append(Level(0.0 if last else float(bound), within, float(taken)))
+        probability *= within
+        variance += _variance(inside[of_chains], within)
+        if last:
+            return Subset(probability, float(np.sqrt(variance)), evaluations, tuple(levels), points, g)
+        # Of the samples within, as many as are needed: the chains start at the event's own distribution.
+        x, at = points[:chains].copy(), g[:chains].copy()
+        runs_x, runs_g, moved = [x.copy()], [at.copy()], 0
+        for _ in range(length - 1):
+            proposed = np.sqrt(1 - step**2) * x + step * rng.standard_normal(x.shape)
+            found = _asked(performance, proposed)
+            good = found <= bound
+            x[good], at[good] = proposed[good], found[good]
+            runs_x.append(x.copy())
+            runs_g.append(at.copy())
+            moved += int(good.sum())
+            step = float(np.clip(step * np.exp(good.mean() - _ACCEPTED), 1e-3, 1.0))
+        evaluations += chains * (length - 1)
+        taken = moved / (chains * (length - 1))
+        points, g = np.concatenate(runs_x), np.concatenate(runs_g)
+        of_chains = np.arange(samples).reshape(length, chains)
+
+
+def _asked(performance: Performance, points: FloatArray) -> FloatArray:
+    g = np.asarray(performance(points), float)
+    if g.shape != (len(points),) or np.isnan(g).any():
+        raise ConfigError(f"a performance has a number for each of {len(points)} points, not shape {g.shape} or NaN")
+    return g
+
+
+def _variance(inside: BoolArray, within: float) -> float:
+    """Squared coefficient of variation of a conditional probability, from indicators along chains, (length, chains).
+
+    Source: Au and Beck 2001, equations 22 to 26.
+    """
+    length, chains = inside.shape
+    if within in (0.0, 1.0):
+        return 0.0
+    centred, correlation = inside - within, 0.0
+    for lag in range(1, length):
+        covariance = float((centred[:-lag] * centred[lag:]).sum()) / ((length - lag) * chains)
+        correlation += 2 * (1 - lag / length) * covariance / (within * (1 - within))
+    return (1 - within) / (within * length * chains) * (1 + max(correlation, 0.0))

@@ -65,13 +65,16 @@ def gain_of(
     centers: FloatArray,
     sight: float,
     slack: float,
+    ego: FloatArray,
     asked: BoolArray,
     out: BoolArray,
 ) -> None:
     """Whether vehicle `j` would gain by a change into the lane below its own in r, and above, `out` (2,), where that is
     `asked` (2,); see `gains`."""
     s, v, own = states[j, 0], states[j, 3], centers[lane[j]]
-    now = 0.0
+    now, ahead = 0.0, ego[0] - s
+    if ahead >= 0 and (abs(ego[1] - own) <= sight or low[j] < ego[1] < high[j]):
+        now = _held_up(v, v - ego[3], ahead) ** 2
     # Of the lanes below and above: distance and speed of the next ahead, and of the next behind.
     gap0, gap1, back0, back1 = np.inf, np.inf, np.inf, np.inf
     speed0, speed1, behind0, behind1 = 0.0, 0.0, 0.0, 0.0
@@ -108,6 +111,7 @@ def gains(
     centers: FloatArray,
     sight: float,
     slack: float,
+    ego: FloatArray,
     asked: BoolArray,
     out: BoolArray,
 ) -> None:
@@ -120,8 +124,10 @@ def gains(
     low, high : edges of the lanes that each touches, (m,) [m]: whoever touches a vehicle's own may be its leader soon.
     sight : how near to a lane's centre a vehicle counts as being in it [m].
     slack : what the gain may lack [m/s^2]; and, as a share of the distance, what the new follower may.
+    ego : road state of one more, (4,), that holds others up and is in nobody's way where they want to go: they do not
+        see it there.
     """
     for j in range(states.shape[0]):
         out[j, 0] = out[j, 1] = False
         if asked[j, 0] or asked[j, 1]:
-            gain_of(j, states, lane, low, high, centers, sight, slack, asked[j], out[j])
+            gain_of(j, states, lane, low, high, centers, sight, slack, ego, asked[j], out[j])

@@ -129,7 +129,8 @@ def _press(
         begin = end
         for k in range(first, end):
             far, v = ahead + x.fast_way[j, k] - x.slowest_way[i, k], x.slowest[i, k]
-            if far > 0 and _lets_in(v, v - x.fast[j, k], far):
+            # One from beyond the next lane looks out for those who are in that lane now, and not for who enters it too.
+            if far > 0 and (first > 0 or _lets_in(v, v - x.fast[j, k], far)):
                 begin = k
                 break
     slow_way, fast_way, fast, slow = x.slow_way[j], x.fast_way[i], x.fast[i], x.slow[j]

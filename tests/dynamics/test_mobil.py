@@ -11,10 +11,11 @@ from dynamics.traffic import mobil
 SIGHT = 3.0
 
 
-def gains(states, *args):
+def gains(states, *args, ego=None):
     """Who gains by a change to either side, (m, 2) bool."""
     out = np.empty((len(states), 2), dtype=bool)
-    mobil.gains(states, *args, np.ones_like(out), out)
+    nobody = np.array([-np.inf, 0.0, 0.0, 0.0]) if ego is None else ego
+    mobil.gains(states, *args, nobody, np.ones_like(out), out)
     return out
 
 
@@ -71,4 +72,24 @@ def test_who_is_about_to_be_held_up_gains_too():
     straight, turning = np.array([2.75, 6.75]), np.array([2.75, 2.75])
     high = np.array([5.25, 9.25])
     assert not gains(states, lane, straight, high, centers, SIGHT, 0.0)[0].any()
-    assert gains(states, lane, turning, high, centers, SIGHT, 0.0)[0].tolist() == [True, False]
+    # To either side: that one is on the way out of the lane above, too.
+    assert gains(states, lane, turning, high, centers, SIGHT, 0.0)[0].tolist() == [True, True]
+
+
+def test_who_is_leaving_a_lane_is_nobodys_leader_there():
+    """A slow one on its way out: by the time that somebody else enters, it is gone."""
+    lane, centers = np.array([2, 0, 2]), np.array([0.0, 4.0, 8.0])
+    states = np.array([[0.0, 8.0, 0.0, 18.0], [60.0, 1.07, -0.2, 14.5], [60.0, 8.0, 0.0, 16.0]])
+    edges = states[:, 1] - 1.25, states[:, 1] + 1.25
+    assert gains(states, lane, *edges, centers, SIGHT, 0.0)[0, 0]
+    states[1, 2] = 0.2  # it comes in instead
+    assert not gains(states, lane, *edges, centers, SIGHT, 0.0)[0, 0]
+
+
+def test_an_ego_ahead_is_a_reason_to_leave_the_lane():
+    lane, centers = np.array([1]), np.array([0.0, 4.0, 8.0])
+    states, ego = np.array([[0.0, 4.0, 0.0, 16.0]]), np.array([16.0, 3.6, 0.05, 20.0])
+    edges = states[:, 1] - 1.25, states[:, 1] + 1.25
+    assert not gains(states, lane, *edges, centers, SIGHT, 0.0).any()
+    assert gains(states, lane, *edges, centers, SIGHT, 0.0, ego=ego).all()
+    assert not gains(states, lane, *edges, centers, SIGHT, 0.0, ego=ego * [-1, 1, 1, 1]).any()

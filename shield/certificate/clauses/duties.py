@@ -105,7 +105,8 @@ def threats(
     and in `owed` (n, v) it says who of them owes it on which path.
 
     Whoever is behind the ego with its buffer, in a lane that it owns, owes it the distance, but for a path that enters
-    a lane that the ego does not own and that this vehicle touches, and for one that leaves its strip and comes back.
+    a lane that the ego does not own and that this vehicle touches or may enter too, and for one that leaves its strip
+    and comes back.
 
     Parameters
     ----------
@@ -121,7 +122,8 @@ def threats(
             entered = False
             for lane in (lanes[i], fails[i]):
                 if not owned[lane]:
-                    entered = entered or (low[j] < centers[lane] + TOUCH and high[j] > centers[lane] - TOUCH)
+                    touches = low[j] < centers[lane] + TOUCH and high[j] > centers[lane] - TOUCH
+                    entered = entered or touches or others.comes[lane, j]
             owed[i, count] = behind[j] and held[j] and not entered
             if owed[i, count] and _comes_back(paths, i, size, low[j], high[j]):
                 owed[i, count] = False
@@ -259,8 +261,11 @@ def others_of(
         near[j] = reach[j] + size.along + size.growth_along + 2.0
         rs[j], across[j] = states[j, 1], states[j, 3] * sin
     if not sight.blind:
+        for k in range(centers.shape[0]):
+            for j in range(states.shape[0]):
+                others.beside[k, j] = others.comes[k, j] = False
         return
     asked, tempted = room[:, :2], room[:, 2:]
     neighbours(others, centers, sight.width, before, ego.visible, ego.stored, asked)
-    gains(states, bodies.lane, bodies.low, bodies.high, centers, sight.distance, sight.slack, asked, tempted)
+    gains(states, bodies.lane, bodies.low, bodies.high, centers, sight.distance, sight.slack, state, asked, tempted)
     entrants(others, tempted, centers, before, ego.visible, ego.stored, sight.reaction, sight.settled)

@@ -13,7 +13,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from evaluation.commands.certifying import add_certifying
 from evaluation.commands.dynamics import dynamics_app
+from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING
 from evaluation.learning.algorithms import ALGORITHMS
 from evaluation.learning.recipes import RECIPES
 from evaluation.names import BASELINES, FIRST_EVALUATION_SEED, MODELS, SIMULATORS, TRAINABLE
@@ -29,8 +31,6 @@ __all__ = ["app", "main"]
 
 EVALUATION_SEED = 100_000
 """Seed of the first evaluation episode, unless another is asked for."""
-
-DEMO_SETTING, DEMO_POLICY = "highway-fast", "ppo-highway-fast"
 
 _POLICIES = [DEMO_POLICY]
 
@@ -226,71 +226,7 @@ def evaluate(
     store.finish()
 
 
-@app.command("certify")
-def certify_command(
-    output: Annotated[Path, typer.Argument(help="Folder for the episodes; a run that was stopped goes on there.")],
-    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
-    policy: Annotated[str, typer.Option(help="A policy by name, or an SB3 .zip.")] = "faster",
-    episodes: Annotated[int, typer.Option(min=1, help="How many, all shielded.")] = 10_000,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first; the others follow.")] = 1_000_000,
-    jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
-    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
-    simulator: Annotated[str, typer.Option(help=f"One of {', '.join(SIMULATORS)}.")] = SIMULATORS[0],
-) -> None:
-    """Drive very many shielded episodes, and write what they bound.
-
-    Parts of 250 episodes are kept as they finish: the same command goes on where it was
-    stopped, and one with more --episodes from there. Writes episodes.parquet and
-    certificate.md: crashes with their seeds, a Clopper-Pearson bound on their rate, the
-    smallest clearance, offences of the traffic, fallbacks.
-    """
-    from rich.progress import Progress
-
-    from evaluation.report.table import write_table
-    from evaluation.running.certify import Asked, certify, page
-    from evaluation.settings import get_setting
-
-    shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)
-    asked = Asked(get_setting(setting), policy, episodes, seed, shield_config, simulator)
-    with Progress(console=_err, disable=not _err.is_terminal, transient=True) as bar:
-        task = bar.add_task(f"{policy} on {setting}", total=len(asked.parts()))
-
-        def told(part: pd.DataFrame) -> None:
-            bar.advance(task)
-            if not _err.is_terminal or part["crashed"].any():
-                _err.print(f"seeds {part['seed'].min()} to {part['seed'].max()}: {part['crashed'].sum()} crashed")
-
-        found = certify(asked, output, jobs, told)
-    write_table(found, output / "episodes.parquet")
-    text = page(found)
-    (output / "certificate.md").write_text(text, encoding="utf-8")
-    typer.echo(text)
-
-
-@app.command()
-def replay(
-    seed: Annotated[int, typer.Argument(min=0, help="Seed of the episode.")],
-    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
-    policy: Annotated[str, typer.Option(help="A policy by name, or an SB3 .zip.")] = "faster",
-    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
-    film: Annotated[Path | None, typer.Option(help="Write a .gif of how it ends.")] = None,
-) -> None:
-    """Drive one shielded episode in highway-env itself, and say what happens."""
-    from evaluation.report.video import film_end
-    from evaluation.running.episodes import run_episode
-    from evaluation.running.records import Variant
-
-    shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)
-    record = run_episode(setting, policy, Variant("env", shield_config), seed, simulator="highway-env")
-    table = Table("", f"seed {seed}", show_header=True)
-    for name in ("crashed", "attribution", "return_", "steps", "overridden", "violations", "min_margin", "min_gap"):
-        table.add_row(name.rstrip("_").replace("_", " "), str(getattr(record, name)))
-    fallbacks = {tier: count for tier, count in record.tiers.items() if count}
-    table.add_row("decisions by tier", ", ".join(f"{tier} {count}" for tier, count in fallbacks.items()))
-    _out.print(table)
-    if film is not None:
-        made = film_end(film, setting, policy, seed, shield_config)
-        _out.print(f"wrote {made.path} ({made.frames} frames)")
+add_certifying(app)
 
 
 @app.command()

@@ -1,0 +1,171 @@
+"""The commands about what hardly ever happens: certify, replay, falsify, rare."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from evaluation.commands.names import DEMO_SETTING
+from evaluation.names import SIMULATORS
+from shield.config import ShieldConfig
+from shield.errors import ConfigError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["add_certifying"]
+
+_out, _err = Console(), Console(stderr=True, highlight=False)
+
+
+def certify_command(
+    output: Annotated[Path, typer.Argument(help="Folder for the episodes; a run that was stopped goes on there.")],
+    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
+    policy: Annotated[str, typer.Option(help="A policy by name, or an SB3 .zip.")] = "faster",
+    episodes: Annotated[int, typer.Option(min=1, help="How many, all shielded.")] = 10_000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first; the others follow.")] = 1_000_000,
+    jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
+    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
+    simulator: Annotated[str, typer.Option(help=f"One of {', '.join(SIMULATORS)}.")] = SIMULATORS[0],
+) -> None:
+    """Drive very many shielded episodes, and write what they bound.
+
+    Parts of 250 episodes are kept as they finish: the same command goes on where it was
+    stopped, and one with more --episodes from there. Writes episodes.parquet and
+    certificate.md: crashes with their seeds, a Clopper-Pearson bound on their rate, the
+    smallest clearance, offences of the traffic, fallbacks.
+    """
+    from rich.progress import Progress
+
+    from evaluation.report.table import write_table
+    from evaluation.running.certify import Asked, certify, page
+    from evaluation.settings import get_setting
+
+    shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)
+    asked = Asked(get_setting(setting), policy, episodes, seed, shield_config, simulator)
+    with Progress(console=_err, disable=not _err.is_terminal, transient=True) as bar:
+        task = bar.add_task(f"{policy} on {setting}", total=len(asked.parts()))
+
+        def told(part: pd.DataFrame) -> None:
+            bar.advance(task)
+            if not _err.is_terminal or part["crashed"].any():
+                _err.print(f"seeds {part['seed'].min()} to {part['seed'].max()}: {part['crashed'].sum()} crashed")
+
+        found = certify(asked, output, jobs, told)
+    write_table(found, output / "episodes.parquet")
+    text = page(found)
+    (output / "certificate.md").write_text(text, encoding="utf-8")
+    typer.echo(text)
+
+
+def replay_command(
+    seed: Annotated[int | None, typer.Argument(min=0, help="Seed of the episode.")] = None,
+    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
+    policy: Annotated[str, typer.Option(help="A policy by name, or an SB3 .zip.")] = "faster",
+    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
+    film: Annotated[Path | None, typer.Option(help="Write a .gif of how it ends.")] = None,
+    find: Annotated[Path | None, typer.Option(help="A find of `shield falsify`, in a seed's place.")] = None,
+) -> None:
+    """Drive one shielded episode in highway-env itself, and say what happens."""
+    if (seed is None) == (find is None):
+        raise ConfigError("have either the seed of an episode, or --find with the file of one")
+    if find is not None:
+        _replay_find(find)
+        return
+    assert seed is not None
+    from evaluation.report.video import film_end
+    from evaluation.running.episodes import run_episode
+    from evaluation.running.records import Variant
+
+    shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)
+    record = run_episode(setting, policy, Variant("env", shield_config), seed, simulator="highway-env")
+    table = Table("", f"seed {seed}", show_header=True)
+    for name in ("crashed", "attribution", "return_", "steps", "overridden", "violations", "min_margin", "min_gap"):
+        table.add_row(name.rstrip("_").replace("_", " "), str(getattr(record, name)))
+    fallbacks = {tier: count for tier, count in record.tiers.items() if count}
+    table.add_row("decisions by tier", ", ".join(f"{tier} {count}" for tier, count in fallbacks.items()))
+    _out.print(table)
+    if film is not None:
+        made = film_end(film, setting, policy, seed, shield_config)
+        _out.print(f"wrote {made.path} ({made.frames} frames)")
+
+
+def _replay_find(path: Path) -> None:
+    from evaluation.rare.falsify import Find, replay
+
+    found = Find.load(path)
+    again = replay(found)
+    table = Table("", "searched", "highway-env")
+    table.add_row("smallest clearance [m]", f"{found.clearance:.3f}", f"{again.clearance:.3f}")
+    _out.print(table)
+
+
+def falsify_command(
+    output: Annotated[Path, typer.Argument(help="JSON file for the worst episode; `shield replay --find` drives it.")],
+    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
+    policy: Annotated[
+        str, typer.Option(help="A policy by name, an SB3 .zip, or `any`: its actions are searched too.")
+    ] = "any",
+    episodes: Annotated[int, typer.Option(min=500, help="How many to drive, about.")] = 5_000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
+    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
+) -> None:
+    """Search scenes and actions for the shielded episode that comes nearest to a crash.
+
+    Subset simulation over the numbers that a reset draws, and over the policy's actions.
+    """
+    from evaluation.rare.falsify import falsify
+    from evaluation.settings import get_setting
+
+    shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)
+    found = falsify(get_setting(setting), policy, shield_config, episodes, seed)
+    found.find.save(output)
+    table = Table("", f"{found.episodes} episodes")
+    table.add_row("median clearance as drawn [m]", f"{found.median:.3f}")
+    table.add_row("smallest clearance found [m]", f"{found.find.clearance:.3f}")
+    table.add_row("crashes in the last level", str(found.crashed))
+    _out.print(table)
+    _out.print(f"wrote {output}")
+
+
+def rare_command(
+    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
+    policy: Annotated[str, typer.Option(help="A policy by name, an SB3 .zip, or `any`.")] = "faster",
+    clearance: Annotated[float, typer.Option(min=0.0, help="How near is too near [m]; 0 is a crash.")] = 0.0,
+    samples: Annotated[int, typer.Option(min=100, help="Episodes of a level.")] = 2_000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the estimate.")] = 0,
+    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
+) -> None:
+    """Estimate how often somebody comes too near, by subset simulation.
+
+    An event that happens once in 10,000 episodes takes some 8,000 of them; counting takes
+    250,000 for the same error.
+    """
+    import numpy as np
+
+    from evaluation.rare.falsify import clearance_below
+    from evaluation.settings import get_setting
+
+    shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)
+    found = clearance_below(get_setting(setting), policy, shield_config, clearance, samples, seed)
+    table = Table("level", "clearance [m]", "probability", "moves taken")
+    for k, level in enumerate(found.levels):
+        moves = "" if np.isnan(level.accepted) else f"{level.accepted:.0%}"
+        table.add_row(str(k + 1), f"{level.bound + clearance:.3f}", f"{level.probability:.3f}", moves)
+    _out.print(table)
+    _out.print(
+        f"probability {found.probability:.2e} (coefficient of variation at least {found.variation:.0%}) "
+        f"from {found.evaluations} episodes"
+    )
+
+
+def add_certifying(app: typer.Typer) -> None:
+    """Give the application these commands."""
+    app.command("certify")(certify_command)
+    app.command("replay")(replay_command)
+    app.command("falsify")(falsify_command)
+    app.command("rare")(rare_command)

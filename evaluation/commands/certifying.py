@@ -135,27 +135,26 @@ def falsify_command(
 def rare_command(
     setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
     policy: Annotated[str, typer.Option(help="A policy by name, an SB3 .zip, or `any`.")] = "faster",
-    clearance: Annotated[float, typer.Option(min=0.0, help="How near is too near [m]; 0 is a crash.")] = 0.0,
     samples: Annotated[int, typer.Option(min=100, help="Episodes of a level.")] = 2_000,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the estimate.")] = 0,
     config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
 ) -> None:
-    """Estimate how often somebody comes too near, by subset simulation.
+    """Estimate how often an episode ends in a crash, by subset simulation.
 
     An event that happens once in 10,000 episodes takes some 8,000 of them; counting takes
     250,000 for the same error.
     """
     import numpy as np
 
-    from evaluation.rare.falsify import clearance_below
+    from evaluation.rare.falsify import crash_probability
     from evaluation.settings import get_setting
 
     shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)
-    found = clearance_below(get_setting(setting), policy, shield_config, clearance, samples, seed)
-    table = Table("level", "clearance [m]", "probability", "moves taken")
+    found = crash_probability(get_setting(setting), policy, shield_config, samples, seed)
+    table = Table("level", "time to collision [s]", "probability", "moves taken")
     for k, level in enumerate(found.levels):
         moves = "" if np.isnan(level.accepted) else f"{level.accepted:.0%}"
-        table.add_row(str(k + 1), f"{level.bound + clearance:.3f}", f"{level.probability:.3f}", moves)
+        table.add_row(str(k + 1), f"{level.bound:.3f}", f"{level.probability:.3f}", moves)
     _out.print(table)
     _out.print(
         f"probability {found.probability:.2e} (coefficient of variation at least {found.variation:.0%}) "

@@ -13,7 +13,10 @@ from shield.batch.arrays import Records
 from shield.batch.vocabulary import TIERS
 from shield.decision import Tier
 
-__all__ = ["Tallies", "begin_tally", "distance", "empty_tallies", "tally"]
+__all__ = ["HORIZON", "Tallies", "begin_tally", "distance", "empty_tallies", "tally", "time_to_collision"]
+
+HORIZON = 10.0
+"""Collisions later than this do not count [s]."""
 
 _PASSED, _OFF = TIERS.index(Tier.PASSED), TIERS.index(Tier.OFF)
 _FALLBACKS = np.array([tier.fallback for tier in TIERS])
@@ -22,7 +25,8 @@ _FALLBACKS = np.array([tier.fallback for tier in TIERS])
 class Tallies(NamedTuple):
     """Of the episode of each environment so far, (e,); the names are those of `EpisodeRecord`.
 
-    `speeds` adds up the ego's speed over `counted` frames, up to a crash [m/s]; `fallbacks` counts the decisions in
+    `min_ttc` is the least time to a collision at constant velocities, at most `HORIZON`, and 0 in a crash [s]; `speeds`
+    adds up the ego's speed over `counted` frames, up to a crash [m/s]; `fallbacks` counts the decisions in
     which a fallback acted.
     """
 
@@ -36,6 +40,7 @@ class Tallies(NamedTuple):
     violations: IntArray
     min_margin: FloatArray
     min_gap: FloatArray
+    min_ttc: FloatArray
     crashed: BoolArray
     off_road: BoolArray
     fallbacks: IntArray
@@ -43,7 +48,7 @@ class Tallies(NamedTuple):
 
 def empty_tallies(e: int) -> Tallies:
     """For e environments."""
-    kinds: list[Any] = [float, int, float, int, int, int, int, int, float, float, bool, bool, int]
+    kinds: list[Any] = [float, int, float, int, int, int, int, int, float, float, float, bool, bool, int]
     return Tallies(*(np.zeros(e, kind) for kind in kinds))
 
 
@@ -77,6 +82,33 @@ def distance(a: FloatArray, b: FloatArray) -> float:
     return 0.0 if gap <= 0 else min(_to_corners(a, b), _to_corners(b, a))
 
 
+@inlined
+def _while_near(offset: float, speed: float, half: float) -> tuple[float, float]:
+    """From when to when two intervals overlap whose middles are `offset` apart, which changes at `speed`."""
+    if abs(speed) < 1e-9:
+        return (-np.inf, np.inf) if abs(offset) < half else (np.inf, -np.inf)
+    a, b = (-half - offset) / speed, (half - offset) / speed
+    return (a, b) if a < b else (b, a)
+
+
+@uncounted
+def time_to_collision(a: FloatArray, b: FloatArray) -> float:
+    """Time until two vehicle rows (7,) overlap at constant velocities, each as the upright rectangle around it, at most
+    `HORIZON` [s]."""
+    least, most = 0.0, HORIZON
+    for axis in range(2):
+        half, speed = 0.0, 0.0
+        for row, sign in ((a, -1.0), (b, 1.0)):
+            along, across = math.cos(row[2]), math.sin(row[2])
+            if axis == 1:
+                along, across = across, along
+            half += 0.5 * (row[4] * abs(along) + row[5] * abs(across))
+            speed += sign * row[3] * along
+        begin, end = _while_near(b[axis] - a[axis], speed, half)
+        least, most = max(least, begin), min(most, end)
+    return least if least < most else HORIZON
+
+
 @uncounted
 def _see(rows: FloatArray, off_road: bool, tallies: Tallies, e: int) -> None:
     """One frame: bodies (m, 7), the ego first."""
@@ -87,13 +119,14 @@ def _see(rows: FloatArray, off_road: bool, tallies: Tallies, e: int) -> None:
     tallies.speeds[e] += ego[3]
     tallies.counted[e] += 1
     if ego[6] > 0:
-        tallies.crashed[e], tallies.min_gap[e] = True, 0.0
+        tallies.crashed[e], tallies.min_gap[e], tallies.min_ttc[e] = True, 0.0, 0.0
         return
     for i in range(1, rows.shape[0]):
         # Nobody is nearer than its circle.
         reach = 0.5 * (math.hypot(ego[4], ego[5]) + math.hypot(rows[i, 4], rows[i, 5]))
         if math.hypot(rows[i, 0] - ego[0], rows[i, 1] - ego[1]) - reach < tallies.min_gap[e]:
             tallies.min_gap[e] = min(tallies.min_gap[e], distance(ego, rows[i]))
+        tallies.min_ttc[e] = min(tallies.min_ttc[e], time_to_collision(ego, rows[i]))
 
 
 @uncounted
@@ -102,7 +135,7 @@ def begin_tally(tallies: Tallies, e: int, rows: FloatArray, off_road: bool) -> N
     tallies.total[e] = tallies.speeds[e] = 0.0
     tallies.steps[e] = tallies.counted[e] = tallies.overridden[e] = tallies.frames[e] = 0
     tallies.frames_overridden[e] = tallies.violations[e] = tallies.fallbacks[e] = 0
-    tallies.min_margin[e], tallies.min_gap[e] = np.nan, np.inf
+    tallies.min_margin[e], tallies.min_gap[e], tallies.min_ttc[e] = np.nan, np.inf, HORIZON
     tallies.crashed[e] = tallies.off_road[e] = False
     _see(rows, off_road, tallies, e)
 

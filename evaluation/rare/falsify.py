@@ -25,7 +25,7 @@ from shield import ShieldedEnv
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
 
-__all__ = ["ANY", "Find", "Searched", "clearance_below", "falsify", "replay"]
+__all__ = ["ANY", "Find", "Searched", "crash_probability", "falsify", "replay"]
 
 ANY = "any"
 """The policy that may propose anything: its actions are searched too."""
@@ -103,32 +103,32 @@ class _Episodes:
         actions = (shares[:, self.scene :] * self.labels).astype(np.intp) if self._free else None
         return shares[:, : self.scene], actions
 
-    def clearance(self, points: FloatArray) -> FloatArray:
-        """The smallest clearance of each, (n,) [m]."""
-        return self._many.run_chosen(*self.of(points))[0]
+    def drive(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The smallest clearance of each (n,) [m], and the least time to a collision (n,) [s]."""
+        return self._many.run_chosen(*self.of(points))
 
 
-def clearance_below(
+def crash_probability(
     setting: Setting,
     policy: str,
     config: ShieldConfig,
-    clearance: float = 0.0,
     samples: int = 2_000,
     seed: int = 0,
     share: float = 0.1,
 ) -> Subset:
-    """The probability that somebody comes as near as `clearance` [m] in an episode; 0 is a crash.
+    """The probability that an episode ends in a crash.
+
+    What leads there is the least time to a collision at constant velocities: two that pass one another side by side are
+    near, and in no danger.
 
     Parameters
     ----------
-    setting, policy : the environment, and the policy by name or as the path of a zip file.
+    setting, policy : the environment, and the policy by name or as the path of a zip file; or `ANY`.
     config : the shield's settings; of mode "none" without a shield.
     samples, seed, share : see `subset_simulation`.
     """
     episodes = _Episodes(setting, policy, config)
-    return subset_simulation(
-        lambda points: episodes.clearance(points) - clearance, episodes.dimensions, samples, share, seed
-    )
+    return subset_simulation(lambda points: episodes.drive(points)[1], episodes.dimensions, samples, share, seed)
 
 
 def falsify(
@@ -143,7 +143,7 @@ def falsify(
 
     Parameters
     ----------
-    setting, config : as in `clearance_below`. policy : likewise, or `ANY`.
+    setting, config : as in `crash_probability`. policy : likewise, or `ANY`.
     episodes : to drive, about. samples : of each level.
     """
     if episodes < samples:
@@ -151,7 +151,7 @@ def falsify(
     searched, first = _Episodes(setting, policy, config), []
 
     def clearance(points: FloatArray) -> FloatArray:
-        found = searched.clearance(points)
+        found = searched.drive(points)[0]
         first.append(float(np.median(found)))
         return found
 

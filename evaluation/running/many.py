@@ -26,6 +26,8 @@ from shield.errors import ConfigError
 __all__ = ["Many"]
 
 _ENVS = 64
+_SOON = 1e-3
+"""The least time to a collision that has not happened [s]."""
 _NAMED = ("faster", "idle", "slower", "random", "weaving")
 """Baselines that look at nothing."""
 
@@ -163,9 +165,10 @@ class Many:
 
         Returns
         -------
-        The smallest clearance of each [m], 0 in a crash, (n,), and its return (n,).
+        The smallest clearance of each (n,) [m], and the least time to a collision at constant velocities (n,) [s]: both 0
+        in a crash, and positive elsewhere.
         """
-        gaps, returns = np.empty(len(shares)), np.empty(len(shares))
+        gaps, times = np.empty(len(shares)), np.empty(len(shares))
 
         def begin(i: int, k: int) -> None:
             self._highways.reset_to(shares[k : k + 1], [i])
@@ -175,7 +178,8 @@ class Many:
                 planned[i] = actions[k]
 
         def end(i: int, k: int, tallies: Tallies) -> None:
-            gaps[k], returns[k] = tallies.min_gap[i], tallies.total[i]
+            gaps[k] = tallies.min_gap[i]
+            times[k] = 0.0 if tallies.crashed[i] else max(tallies.min_ttc[i], _SOON)
 
         drivers = self._drivers
         planned = np.zeros((self._highways.num_envs, 1 if actions is None else actions.shape[1]), np.intp)
@@ -185,7 +189,7 @@ class Many:
             self._drive(len(shares), begin, end)
         finally:
             self._drivers = drivers
-        return gaps, returns
+        return gaps, times
 
     def _drive(self, count: int, begin: Callable[[int, int], None], end: Callable[[int, int, Tallies], None]) -> None:
         """Drive so many episodes: `begin` starts one in an environment, `end` takes what it has added up to."""

@@ -1,0 +1,159 @@
+"""Subset simulation against probabilities that are known, and finds that are driven again in highway-env itself."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+from typer.testing import CliRunner
+
+from dynamics.simulator.simulator import Simulator
+from dynamics.traffic.assumptions import Assumptions
+from evaluation.commands.cli import app
+from evaluation.rare.falsify import ANY, Find, crash_probability, falsify, replay
+from evaluation.rare.subset import subset_simulation
+from evaluation.running.many import Many
+from evaluation.settings import Setting, get_setting
+from shield import ConfigError, ShieldConfig
+
+FAST = get_setting("highway-fast")
+BARE = ShieldConfig(mode="none")
+
+
+def side(beta):
+    """The half-space whose probability is that of a standard normal beyond beta."""
+    return lambda x: beta - x.sum(axis=1) / np.sqrt(x.shape[1])
+
+
+@pytest.mark.parametrize(("beta", "spread"), [(2.0, 0.15), (3.719, 0.3), (4.5, 0.4)])
+def test_it_is_right_on_the_average(beta, spread):
+    found = [subset_simulation(side(beta), 50, 2000, seed=seed) for seed in range(40)]
+    estimates, truth = np.array([x.probability for x in found]), norm.sf(beta)
+    error = estimates.std() / truth
+    assert error < spread
+    assert abs(estimates.mean() / truth - 1) < 3 * error / np.sqrt(len(found)) + 0.02
+    # What it says of its own error is a lower bound of that, and not far from it.
+    assert 0.6 < np.mean([x.variation for x in found]) / error < 1.3
+
+
+def test_two_ways_to_fail_are_both_found():
+    truth = norm.sf(3.5) * 2
+    found = [subset_simulation(lambda x: 3.5 - np.abs(x[:, 0]), 10, 2000, seed=seed).probability for seed in range(30)]
+    assert np.mean(found) == pytest.approx(truth, rel=0.2)
+
+
+def test_the_levels_lead_there():
+    found = subset_simulation(side(4.0), 20, 1000, seed=3)
+    bounds = [level.bound for level in found.levels]
+    assert bounds == sorted(bounds, reverse=True)
+    assert bounds[-1] == 0
+    assert found.evaluations == 1000 + 900 * (len(bounds) - 1)
+    assert found.probability == pytest.approx(np.prod([level.probability for level in found.levels]))
+    assert found.performance[0] == found.performance.min()
+    assert np.allclose(side(4.0)(found.points), found.performance)
+
+
+def test_a_common_event_is_counted():
+    found = subset_simulation(lambda x: x[:, 0], 2, 1000, seed=0)
+    assert len(found.levels) == 1
+    assert found.probability == pytest.approx(0.5, abs=0.06)
+
+
+def test_what_never_happens_has_no_probability():
+    found = subset_simulation(lambda x: 1.0 + np.abs(x[:, 0]), 2, 100, seed=0, most=500)
+    assert found.probability == 0.0
+    assert found.performance[0] < 1.01
+
+
+@pytest.mark.parametrize(
+    ("samples", "share", "performance"),
+    [(1001, 0.1, side(2)), (10, 0.1, side(2)), (100, 0.1, lambda x: x), (100, 0.1, lambda x: x[:, 0] * np.nan)],
+)
+def test_numbers_that_do_not_fit_are_refused(samples, share, performance):
+    with pytest.raises(ConfigError):
+        subset_simulation(performance, 3, samples, share)
+
+
+def test_scenes_of_ones_own_choice():
+    """The shares that a generator would have drawn give the scene that it gives."""
+    drawn, chosen = Simulator("highway-fast-v0", 1), Simulator("highway-fast-v0", 1, tape=True)
+    rng, m = np.random.default_rng(0), drawn.scenario.bodies
+    assert chosen.draws == 2 + 4 * (m - 1)
+    shares = rng.random(chosen.draws)
+    chosen.reset_to(shares[None], [0])
+    f, g = chosen.worlds.f[0], chosen.worlds.g[0]
+    assert g[1, 0] == int(shares[0] * 3)  # the ego's lane, of three
+    assert np.array_equal(g[1, 1:], (shares[2::4] * 3).astype(int))
+    np.testing.assert_allclose(f[3, 1:], 30 * (0.7 + 0.1 * shares[3::4]))
+    assert np.all(np.diff(f[0]) > 0)
+    # The tape is at its end; the next seed has nothing to do with it.
+    chosen.reset([5])
+    drawn.reset([5])
+    assert np.array_equal(chosen.worlds.f, drawn.worlds.f)
+
+
+def test_chosen_scenes_are_distributed_as_drawn_ones():
+    setting = Setting("short", "highway-fast-v0", {"vehicles_count": 8, "duration": 8})
+    many, n = Many(setting, "idle", BARE, chosen=True), 3000
+    gaps, times = many.run_chosen(np.random.default_rng(1).random((n, many.draws)))
+    rate, drawn = (gaps == 0).mean(), many.run(range(n))["crashed"].mean()
+    assert abs(rate - drawn) < 4 * np.sqrt(rate * (1 - rate) * 2 / n)
+    assert ((times == 0) == (gaps == 0)).all()
+
+
+def test_the_rate_of_a_bare_policy_is_inside_the_interval():
+    """Some 24 % of the bundled PPO's episodes end in a crash, by plain counting."""
+    counted = Many(FAST, "ppo-highway-fast", BARE).run(range(600))["crashed"].mean()
+    found = crash_probability(FAST, "ppo-highway-fast", BARE, samples=400, seed=1)
+    assert abs(found.probability - counted) < 3 * np.hypot(found.probability * found.variation, 0.018)
+
+
+@pytest.mark.parametrize(
+    "weak",
+    [
+        {"blind_merge": False, "slip_in": False},
+        pytest.param({"visible_distance": 6.0}, marks=pytest.mark.slow),
+        pytest.param({"min_speed": 20.0}, marks=pytest.mark.slow),
+        pytest.param({"settle_time": 0.0, "reaction_time": 0.0}, marks=pytest.mark.slow),
+    ],
+)
+def test_a_weak_assumption_is_found_out(weak, tmp_path):
+    found = falsify(FAST, ANY, ShieldConfig(assumptions=Assumptions(**weak)), episodes=5_000, seed=1)
+    assert found.find.clearance == 0.0
+    assert found.median > 1.5
+    found.find.save(tmp_path / "find.json")
+    again = Find.load(tmp_path / "find.json")
+    assert again == found.find
+    assert replay(again).clearance == 0.0
+
+
+def test_a_policy_by_name_is_searched_and_replayed():
+    found = falsify(FAST, "faster", ShieldConfig(), episodes=500, samples=500)
+    assert 0 < found.find.clearance < found.median
+    assert replay(found.find).clearance == pytest.approx(found.find.clearance, abs=1e-9)
+
+
+def test_the_commands(tmp_path):
+    run, find = CliRunner(), tmp_path / "find.json"
+    result = run.invoke(app, ["falsify", str(find), "--policy", "weaving", "--episodes", "500"])
+    assert result.exit_code == 0, result.output
+    assert len(json.loads(find.read_text())["shares"]) > 10
+    result = run.invoke(app, ["replay", "--find", str(find)])
+    assert result.exit_code == 0, result.output
+    assert "smallest clearance" in result.output
+    bare = tmp_path / "bare.toml"
+    BARE.save(bare)
+    result = run.invoke(app, ["rare", "--policy", "slower", "--samples", "100", "--config", str(bare)])
+    assert result.exit_code == 0, result.output
+    assert "probability" in result.output
+
+
+def test_what_is_no_find_is_refused(tmp_path):
+    path = tmp_path / "find.json"
+    path.write_text("{}")
+    with pytest.raises(ConfigError, match="no find"):
+        Find.load(path)
+    with pytest.raises(ConfigError, match="at least 500"):
+        falsify(FAST, ANY, ShieldConfig(), episodes=100)

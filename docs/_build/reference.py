@@ -19,10 +19,12 @@ PACKAGES = ("shield", "mpc", "dynamics", "evaluation")
 
 INTERNAL = frozenset(
     {
+        "shield.batch",
         "shield.certificate",
         "shield.doors",
         "shield.procedures",
         "shield.repair",
+        "shield.rule_kernels",
         "mpc.filter.program",
         "mpc.filter.solvers",
         "dynamics.compiled",

@@ -51,7 +51,7 @@ class FastHighwayVecEnv(VecEnv):
         config: Mapping[str, Any] | None = None,
         threads: int = 1,
     ) -> None:
-        self.simulator = Simulator(env_id, num_envs, config, threads)
+        self.simulator = self._made(num_envs, env_id, config, threads)
         scenario = self.simulator.scenario
         self.env_id, self.config, self.spec = env_id, dict(scenario.config), gym.spec(env_id)
         self.render_mode = None
@@ -61,13 +61,25 @@ class FastHighwayVecEnv(VecEnv):
         self._start = time.time()
         super().__init__(num_envs, scenario.observation_space, scenario.action_space)
 
+    def _made(self, num_envs: int, env_id: str, config: Mapping[str, Any] | None, threads: int) -> Simulator:
+        """What simulates the environments."""
+        return Simulator(env_id, num_envs, config, threads)
+
+    def _begin(self, seeds: list[int] | None) -> Any:
+        """Start all episodes; the observations."""
+        return self.simulator.reset(seeds)
+
+    def _stepped(self) -> Any:
+        """One step of all, in which those that are over are reset: observations, rewards, terminated, truncated."""
+        return self.simulator.step(self._actions, again=True)
+
     def reset(self) -> Any:
         """Start all episodes, with the seeds of `seed()` the first time."""
         seeds = self._seeds
         if all(seed is None for seed in seeds):
-            observations = self.simulator.reset()
+            observations = self._begin(None)
         else:
-            observations = self.simulator.reset([int(seed or 0) for seed in seeds])
+            observations = self._begin([int(seed or 0) for seed in seeds])
         self._reset_seeds()
         self._reset_options()
         self._returns[:], self._lengths[:] = 0.0, 0
@@ -79,7 +91,7 @@ class FastHighwayVecEnv(VecEnv):
 
     def step_wait(self) -> Any:
         """Step all environments; those that are over are reset."""
-        observations, reward, terminated, truncated = self.simulator.step(self._actions, again=True)
+        observations, reward, terminated, truncated = self._stepped()
         done = terminated | truncated
         self._returns += reward
         self._lengths += 1

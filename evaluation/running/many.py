@@ -165,8 +165,8 @@ class Many:
 
         Returns
         -------
-        The smallest clearance of each (n,) [m], and the least time to a collision at constant velocities (n,) [s]: both 0
-        in a crash, and positive elsewhere.
+        The smallest clearance of each (n,) [m], and the least time to a collision at constant velocities (n,) [s]: both
+        0 in a crash, and positive elsewhere.
         """
         gaps, times = np.empty(len(shares)), np.empty(len(shares))
 

@@ -63,6 +63,14 @@ def test_one_in_another_lane_asks_for_something_once_it_may_come_in() -> None:
     assert brakes((0.0, 0.0, 20.0), (-60.0, 4.0, 20.0))[0].sum() == pytest.approx(alone)
 
 
+def test_one_from_two_lanes_over_does_not_look_out_for_who_enters_the_lane_between() -> None:
+    next_to = brakes((0.0, 0.0, 20.0), (12.0, 4.0, 20.0))[0]
+    assert (next_to[:6] == IDM.calm_braking).all()  # too near for MOBIL to let it in
+    beyond = brakes((0.0, 0.0, 20.0), (12.0, 8.0, 20.0))[0]
+    assert beyond[1] == IDM.calm_braking  # it has to come nearer first
+    assert beyond[2] == IDM.braking
+
+
 def test_who_may_brake_as_hard_as_can_be() -> None:
     assert (brakes((0.0, 0.0, 20.0), ego=1.0) == IDM.braking).all()  # it may have the ego to brake for
     assert (brakes((0.0, 0.0, 20.0), ego=-1.0) == IDM.calm_braking).all()

@@ -4,6 +4,7 @@
 """
 
 from mutants.accepted import ACCEPTED
+from mutants.batched import BATCHED
 from mutants.clearance import CLEARANCE
 from mutants.kinds import Edit, Mutant
 from mutants.owed import OWED
@@ -12,4 +13,4 @@ from mutants.watched import WATCHED
 
 __all__ = ["MUTANTS", "Edit", "Mutant"]
 
-MUTANTS = (*ACCEPTED, *CLEARANCE, *OWED, *PLACES, *WATCHED)
+MUTANTS = (*ACCEPTED, *BATCHED, *CLEARANCE, *OWED, *PLACES, *WATCHED)

@@ -111,6 +111,13 @@ WATCHED = (
         TESTS_OF_REACTION,
     ),
     off(
+        "one from two lanes over looks out for everybody",
+        REACTION,
+        "first > 0 or _lets_in",
+        "_lets_in",
+        TESTS_OF_REACTION,
+    ),
+    off(
         "the ego is braked for by nobody",
         REACTION,
         "if behind > 0 or others[i, _CRASHED] > 0:",

@@ -1,0 +1,92 @@
+"""What subset simulation is worth, and what is found out of assumptions that are too weak.
+
+    python benchmarks/rare_events.py [known | bare | weak]
+
+`known`: a half-space of probability 1e-4, sixty times. `bare`: the crashes of a policy that always slows down, without
+a shield, against plain counting. `weak`: the smallest clearance that is found in some 5,000 episodes where the shield
+is told too little of the others.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+from scipy.stats import norm
+
+from dynamics.traffic.assumptions import Assumptions
+from evaluation.rare.falsify import ANY, crash_probability, falsify
+from evaluation.rare.subset import subset_simulation
+from evaluation.running.many import Many
+from evaluation.settings import Setting, get_setting
+from shield import ShieldConfig
+from shield.config import Buffer
+
+BETA = 3.719
+BARE = ShieldConfig(mode="none")
+SHORT = Setting(
+    "short", "highway-fast-v0", {"vehicles_count": 6, "duration": 6, "lanes_count": 3, "vehicles_density": 0.85}
+)
+WEAK = {
+    "the default": ShieldConfig(),
+    "nobody drives below 20 m/s": ShieldConfig(assumptions=Assumptions(min_speed=20.0)),
+    "seen from 6 m off": ShieldConfig(assumptions=Assumptions(visible_distance=6.0)),
+    "nobody enters blindly": ShieldConfig(assumptions=Assumptions(blind_merge=False)),
+    "nobody settles or reacts late": ShieldConfig(assumptions=Assumptions(settle_time=0.0, reaction_time=0.0)),
+    "nobody slips in": ShieldConfig(assumptions=Assumptions(slip_in=False)),
+    "braking 2": ShieldConfig(assumptions=Assumptions(braking=2.0, calm_braking=2.0)),
+    "no buffer": ShieldConfig(buffer=Buffer(0.0, 0.0)),
+    "turning costs nothing": ShieldConfig(
+        assumptions=Assumptions(turning_loss=0.0, turning_action=0.0, turning_burst=0.0)
+    ),
+    "calm braking 0.5": ShieldConfig(assumptions=Assumptions(calm_braking=0.5)),
+    "acceleration 1": ShieldConfig(assumptions=Assumptions(acceleration=1.0)),
+    "lean 1": ShieldConfig(assumptions=Assumptions(lean=1.0)),
+    "followers brake at 20": ShieldConfig(assumptions=Assumptions(follower_braking=20.0, reaction_time=0.0)),
+}
+
+
+def spread(estimates: list[float], truth: float, evaluations: float) -> None:
+    found = np.array(estimates)
+    error = found.std() / truth
+    counting = (1 - truth) / (truth * error**2)
+    print(
+        f"truth {truth:.3g}: mean of {len(found)} {found.mean():.3g}, relative error of one {error:.0%} from "
+        f"{evaluations:,.0f} evaluations; counting takes {counting:,.0f}, {counting / evaluations:.1f} times as many"
+    )
+
+
+def known() -> None:
+    runs = [subset_simulation(lambda x: BETA - x.sum(axis=1) / 10, 100, 2000, seed=seed) for seed in range(60)]
+    spread([x.probability for x in runs], float(norm.sf(BETA)), float(np.mean([x.evaluations for x in runs])))
+
+
+def bare() -> None:
+    counted = Many(SHORT, "slower", BARE).run(range(400_000))["crashed"]
+    print(f"{counted.sum()} of {len(counted)} crash")
+    runs = [crash_probability(SHORT, "slower", BARE, 4000, seed) for seed in range(16)]
+    evaluations = float(np.mean([x.evaluations for x in runs]))
+    spread([x.probability for x in runs], float(counted.mean()), evaluations)
+
+
+def weak() -> None:
+    for name, config in WEAK.items():
+        found = falsify(get_setting("highway-fast"), ANY, config, 5000, seed=1)
+        print(
+            f"{name:32s} {found.find.clearance:.3f} m, as drawn {found.median:.2f} m, {found.episodes} episodes, "
+            f"{found.crashed} crashes",
+            flush=True,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("part", nargs="?", choices=("known", "bare", "weak"))
+    part = parser.parse_args().part
+    for name, run in (("known", known), ("bare", bare), ("weak", weak)):
+        if part in (None, name):
+            run()
+
+
+if __name__ == "__main__":
+    main()

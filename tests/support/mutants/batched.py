@@ -1,0 +1,47 @@
+"""Many shields at once: what they would overlook if a line were missing."""
+
+from __future__ import annotations
+
+from mutants.kinds import BATCH, off
+
+__all__ = ["BATCHED"]
+
+_TESTS = "tests/shield/test_batch.py"
+
+BATCHED = (
+    off(
+        "a suspect from another scene",
+        f"{BATCH}/observing.py",
+        "room.desk.swept[0], room.suspect[0] = 0, NOBODY",
+        "room.desk.swept[0] = 0",
+        _TESTS,
+    ),
+    off(
+        "whoever is near is in the way",
+        f"{BATCH}/verifying.py",
+        "return beside and rear - (s + reach_along(foot, state[2])) < 0",
+        "return beside",
+        _TESTS,
+    ),
+    off(
+        "bounds from another scene",
+        f"{BATCH}/observing.py",
+        "room.desk.done[0, j] = room.desk.done[1, j] = 0",
+        "pass",
+        _TESTS,
+    ),
+    off(
+        "offenders are never forgiven",
+        f"{BATCH}/supervising.py",
+        "        shields.offenders[e, i] = False",
+        "        pass",
+        _TESTS,
+    ),
+    off(
+        "a frame counts as verified by the decision whatever is tracked",
+        f"{BATCH}/engine.py",
+        "elif k == 0 and lane == worlds.g[e, TARGET, 0]",
+        "elif k == 0 and lane >= 0",
+        _TESTS,
+    ),
+)

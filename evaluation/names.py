@@ -20,6 +20,7 @@ BASELINES = (
     "random",
     "weaving",
     "lookahead",
+    "lookahead-shielded",
     "mpc",
     "cem",
     "cem-fast",
@@ -30,6 +31,7 @@ BASELINES = (
 )
 """Policies that need no training: `faster` and `slower` for meta-actions, `throttle` (full throttle, the wheel
 straight) for continuous actions, `idle` and `random` for both; `weaving` changes lanes to and fro; `lookahead` knows
-the future (`mpc.lookahead_policy`, on the simulator's true state); `mpc` drives with continuous actions by itself
+the future (`mpc.lookahead_policy`, on the simulator's true state), and `lookahead-shielded` that behind the shield
+(`shield.batch.lookahead`); `mpc` drives with continuous actions by itself
 (`mpc.MPCPolicy`, on the simulator's true state); the others park (`evaluation.running.parking_planner`), and `cem`
 drives on a highway and in a roundabout with meta-actions as well."""

@@ -65,8 +65,22 @@ class LookaheadPolicy:
 
     def _pool(self, env_id: str, config: Any) -> None:
         self._live = Simulator(env_id, 1, config)
-        self._parents = Simulator(env_id, self.beam, config)
-        self._children = Simulator(env_id, self.beam * self._actions, config)
+        self._parents: Any = self._futures(env_id, self.beam, config)
+        self._children: Any = self._futures(env_id, self.beam * self._actions, config)
+
+    def _futures(self, env_id: str, count: int, config: Any) -> Any:
+        """So many futures: what has `worlds`, `num_envs` and `step_first` of a `Simulator`."""
+        return Simulator(env_id, count, config)
+
+    def _copy(self, source: Any, target: Any, rows: Any, to: Any) -> None:
+        """Copy some futures into others."""
+        for a, b in zip(source.worlds, target.worlds, strict=True):
+            b[to] = a[rows]
+
+    def _begin(self, start: Simulator, parents: Any) -> None:
+        """Put the state now into the first future."""
+        for a, b in zip(start.worlds, parents.worlds, strict=True):
+            b[0] = a[0]
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
@@ -79,14 +93,14 @@ class LookaheadPolicy:
         costs."""
         start = self._start()
         parents, children, n = self._parents, self._children, 1
-        _copy(start, parents, [0], [0])
+        self._begin(start, parents)
         values, first = np.zeros(1), np.full(1, -1)
         best = np.full(self._actions, -np.inf)
         for level in range(self.depth):
             # Every future goes on with every action.
             source = np.repeat(np.arange(n), self._actions)
             tried = np.tile(np.arange(self._actions), n)
-            _copy(parents, children, source, np.arange(len(source)))
+            self._copy(parents, children, source, np.arange(len(source)))
             given = np.zeros(children.num_envs, np.int64)
             given[: len(tried)] = tried
             _, reward, terminated, truncated = children.step_first(given, len(tried))
@@ -101,7 +115,7 @@ class LookaheadPolicy:
             if last or not len(going):
                 break
             kept = self._kept(going, worth, begun)
-            _copy(children, parents, kept, np.arange(len(kept)))
+            self._copy(children, parents, kept, np.arange(len(kept)))
             values, first, n = worth[kept], begun[kept], len(kept)
         return best
 
@@ -130,9 +144,3 @@ class LookaheadPolicy:
             return base.simulator
         self._live.load(base)
         return self._live
-
-
-def _copy(source: Simulator, target: Simulator, rows: Any, to: Any) -> None:
-    """Copy environments of one simulator into those of another."""
-    for a, b in zip(source.worlds, target.worlds, strict=True):
-        b[to] = a[rows]

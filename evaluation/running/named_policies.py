@@ -32,6 +32,7 @@ from evaluation.running.roundabout_planner import roundabout_policy
 from mpc import MPCPolicy
 from mpc.filter.program.road_step import StageModel
 from mpc.lookahead_policy import LookaheadPolicy
+from shield.batch.lookahead import ShieldedLookaheadPolicy
 from shield.errors import ConfigError
 
 __all__ = [
@@ -198,6 +199,8 @@ def make_policy(
         return WeavingPolicy([_meta_action(label, env) for label in _WEAVING])
     if name == "lookahead":
         return LookaheadPolicy(env)
+    if name == "lookahead-shielded":
+        return ShieldedLookaheadPolicy(env)
     if name == "mpc":
         return MPCPolicy(env, model=model)
     if name == "cem" and type(env.unwrapped.action_type).__name__ == "DiscreteMetaAction":  # type: ignore[attr-defined]

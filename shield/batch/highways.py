@@ -13,7 +13,7 @@ from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
 
 from dynamics.roads.straight import StraightRoad
-from dynamics.simulator.engine import look
+from dynamics.simulator.engine import Worlds, look
 from dynamics.simulator.layout import LENGTH, WIDTH
 from dynamics.simulator.simulator import Simulator
 from dynamics.state import FloatArray, IntArray
@@ -112,6 +112,17 @@ class ShieldedHighways:
         """The bodies of one environment as rows (m, 7); whether the ego is on the road."""
         return bool(look(self.simulator.worlds, self.simulator.scenario.rules, e, rows))
 
+    @property
+    def worlds(self) -> Worlds:
+        """The state of the traffic (see `dynamics.simulator.engine.Worlds`)."""
+        return self.simulator.worlds
+
+    def step_first(
+        self, actions: Any, count: int
+    ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+        """`step` of the first `count` environments only; what it returns of the others is what was there before."""
+        return self._step(actions, None, False, count)
+
     def step(
         self, actions: Any, orders: IntArray | None = None, again: bool = False
     ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
@@ -128,6 +139,11 @@ class ShieldedHighways:
         -------
         As of `Simulator.step`; `records` have what was decided.
         """
+        return self._step(actions, orders, again, self.num_envs)
+
+    def _step(
+        self, actions: Any, orders: IntArray | None, again: bool, count: int
+    ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         proposed = np.asarray(actions)
         if proposed.shape != (self.num_envs,) or proposed.dtype.kind not in "iu":
             raise ConfigError(f"have a meta-action for each of {self.num_envs} environments, not {actions!r}")
@@ -158,8 +174,8 @@ class ShieldedHighways:
                 action,
                 self.rows,
                 self.off_road,
-                first,
-                last,
+                min(first, count),
+                min(last, count),
                 again,
                 self._frequency,
             )

@@ -10,7 +10,8 @@ from dynamics.simulator.engine import Worlds
 from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.simulator.scene import speed_index
 from dynamics.state import FloatArray, IntArray
-from shield.batch.arrays import NOBODY, Law, Records, Room, Shields, scene_of
+from shield.batch.arrays import Records, Room, Shields, scene_of
+from shield.batch.law import NOBODY, Law
 from shield.batch.observing import observe
 from shield.batch.repairing import fail_lanes, hold_back
 from shield.batch.supervising import forgive

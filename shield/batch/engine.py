@@ -22,8 +22,9 @@ from dynamics.simulator.engine import (
 from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.simulator.neighbours import sort
 from dynamics.state import BoolArray, FloatArray, IntArray
-from shield.batch.arrays import Law, Records, Room, Shields
+from shield.batch.arrays import Records, Room, Shields
 from shield.batch.deciding import decide, target_of
+from shield.batch.law import Law
 from shield.batch.observing import forget
 from shield.batch.supervising import supervise
 from shield.batch.vocabulary import TIERS

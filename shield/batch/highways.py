@@ -17,8 +17,9 @@ from dynamics.simulator.engine import Worlds, look
 from dynamics.simulator.layout import LENGTH, WIDTH
 from dynamics.simulator.simulator import Simulator
 from dynamics.state import FloatArray, IntArray
-from shield.batch.arrays import Law, Room, empty_records, empty_shields, law_of, new_room
+from shield.batch.arrays import Room, empty_records, empty_shields, new_room
 from shield.batch.engine import step_all_shielded
+from shield.batch.law import Law, law_of
 from shield.batch.observing import forget
 from shield.config import ShieldConfig
 from shield.errors import ConfigError

@@ -12,11 +12,12 @@ from dynamics.state import FloatArray
 from dynamics.traffic.occupancy import look
 from dynamics.traffic.permits import Ego, Rule, judge_motions
 from dynamics.vehicle.controllers import KP_SPEED
-from shield.batch.arrays import NOBODY, Law, Room, Shields, scene_of
+from shield.batch.arrays import Room, Shields, scene_of
+from shield.batch.law import NOBODY, Law
 from shield.batch.verifying import frames_of, verify
 from shield.certificate.clauses.duties import hold_lanes
 from shield.certificate.clauses.others import TOUCH
-from shield.certificate.clauses.together import seen
+from shield.certificate.clauses.scene import seen
 from shield.certificate.monitor import stayed
 
 __all__ = ["forget", "observe", "stop_in"]

@@ -8,7 +8,8 @@ from dynamics.compiled import inlined, uncounted
 from dynamics.roads.straight import nearest
 from dynamics.state import IntArray
 from dynamics.vehicle.controllers import KP_SPEED
-from shield.batch.arrays import NOBODY, Law, Room, Shields, scene_of
+from shield.batch.arrays import Room, Shields, scene_of
+from shield.batch.law import NOBODY, Law
 from shield.batch.verifying import frames_of, verify
 from shield.procedures.frames import ACCELERATIONS, GREATEST, LANE_PENALTY
 

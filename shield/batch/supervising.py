@@ -5,7 +5,8 @@ from __future__ import annotations
 from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.engine import Worlds
 from dynamics.simulator.layout import TARGET, TARGET_SPEED
-from shield.batch.arrays import NOBODY, Law, Records, Room, Shields, scene_of
+from shield.batch.arrays import Records, Room, Shields, scene_of
+from shield.batch.law import NOBODY, Law
 from shield.batch.observing import observe, stop_in
 from shield.batch.repairing import evade, fail_lanes, hold_back
 from shield.batch.verifying import frames_of, verify

@@ -8,7 +8,8 @@ from dynamics.compiled import uncounted
 from dynamics.state import BoolArray, FloatArray
 from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.rollout_kernels import roll_stop
-from shield.batch.arrays import NOBODY, Law, Room, Scene
+from shield.batch.arrays import Room, Scene
+from shield.batch.law import NOBODY, Law
 from shield.certificate.clauses.footprint import reach_across, reach_along
 from shield.certificate.clauses.together import SEPARATION_BINDS, judge
 

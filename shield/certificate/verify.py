@@ -34,6 +34,7 @@ from dynamics.vehicle.rollout_kernels import table_of
 from shield.certificate.clauses.duties import in_reach
 from shield.certificate.clauses.footprint import Footprint
 from shield.certificate.clauses.others import Others, empty_others, others_from
+from shield.certificate.clauses.scene import seen
 from shield.certificate.clauses.settings import settings_of
 from shield.certificate.clauses.together import (
     NOTHING_BINDS,
@@ -41,7 +42,6 @@ from shield.certificate.clauses.together import (
     SEPARATION_BINDS,
     SLIP_IN_BINDS,
     judged,
-    seen,
 )
 from shield.config import Buffer, ShieldConfig
 

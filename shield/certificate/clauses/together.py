@@ -1,33 +1,30 @@
-"""All that is said against paths, in two compiled calls: one for a scene, and one for paths in it.
+"""All that is said against paths, in one compiled call.
 
-They are handed arrays and nothing else, which get their names inside; `dynamics.traffic.tables` says why.
+It is handed arrays and nothing else, which get their names inside; `dynamics.traffic.tables` says why.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from dynamics.compiled import compiled, inlined, numbers_of, uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.occupancy_kernels import front_of, rear_of
-from dynamics.traffic.permits import Ego
-from dynamics.traffic.tables import Bodies, Motion, bodies_of, motion_of
-from shield.certificate.clauses.duties import Standing, others_of, threats
+from dynamics.traffic.tables import bodies_of, motion_of
+from shield.certificate.clauses.desk import Around, Desk, Ground, new_desk
+from shield.certificate.clauses.duties import threats
 from shield.certificate.clauses.entering import sides_taken
 from shield.certificate.clauses.footprint import Footprint
-from shield.certificate.clauses.others import Others, others_from
+from shield.certificate.clauses.others import others_from
 from shield.certificate.clauses.plans import Plans
 from shield.certificate.clauses.room import margins, rooms
 from shield.certificate.clauses.separation import Extents, least_separations
-from shield.certificate.clauses.settings import Settings, duty_of, settings_from, sight_of
+from shield.certificate.clauses.settings import Settings, duty_of, settings_from
 from shield.certificate.clauses.slip_in import (
-    LASTS,
     anybody,
     least_separations_of_slips,
-    may_slip,
     slips_of,
     sweeps,
 )
@@ -37,157 +34,16 @@ __all__ = [
     "ROOM_BINDS",
     "SEPARATION_BINDS",
     "SLIP_IN_BINDS",
-    "Around",
-    "Desk",
-    "Ground",
     "judge",
     "judged",
-    "new_desk",
-    "seen",
 ]
 
 NOTHING_BINDS, SEPARATION_BINDS, SLIP_IN_BINDS, ROOM_BINDS = 0, 1, 2, 3
 """What a margin comes from."""
 
 
-class Ground(NamedTuple):
-    """Centres of the lanes [m], which of them the ego owns, and for how many frames it has been visible in each."""
-
-    centers: FloatArray
-    owned: BoolArray
-    visible: IntArray
-
-
-class Around(NamedTuple):
-    """The others of a scene: `rows` (m, 7), `states` (m, 4), what a metre driven is of the road, `stretch` (2, m or 0),
-    `bodies`, `motion` and `others`."""
-
-    rows: FloatArray
-    states: FloatArray
-    stretch: FloatArray
-    bodies: Bodies
-    motion: Motion
-    others: Others
-
-
 _AHEAD = 3
 """Frames that are computed beyond those that are asked for: the next path may be a little longer."""
-
-
-class Desk(NamedTuple):
-    """Room for the judgement of one path of up to K frames among m vehicles, and what is known from the last one in the
-    same scene.
-
-    Attributes
-    ----------
-    near : the vehicles in reach, (m,), of which there are `found` (1,). floats, ints, bools : of each, (10, m),
-        (3, 2 m) and (2, m).
-    rears : least s of each vehicle (by row), (2, m, K) [m], as a bound and as a forecast; `done` (2, m): of how many
-        frames, 0 in a new scene. rear : of those in reach, (m, K).
-    bounds : of the ego, (9, K). reached : (1,). room, margin : (1,) [m].
-    slips, ways, sweep, turns, apart : of those that may slip in, (6, 2 m), (2, 2 m, K), (2 m, T, 2), (2 m, T, 4) and
-        (1, 2 m). swept : for how many frames these are known, (1,); 0 in a new scene.
-    """
-
-    near: IntArray
-    found: IntArray
-    floats: FloatArray
-    ints: IntArray
-    bools: BoolArray
-    rears: FloatArray
-    done: IntArray
-    rear: FloatArray
-    bounds: FloatArray
-    reached: IntArray
-    room: FloatArray
-    margin: FloatArray
-    slips: FloatArray
-    ways: FloatArray
-    sweep: FloatArray
-    turns: FloatArray
-    apart: FloatArray
-    swept: IntArray
-
-
-@compiled
-def new_desk(m: int, frames: int, dt: float) -> Desk:
-    """An empty one."""
-    last = math.ceil(LASTS / dt)
-    return Desk(
-        np.empty(m, np.intp),
-        np.zeros(1, np.intp),
-        np.empty((10, m)),
-        np.empty((3, 2 * m), np.intp),
-        np.empty((2, m), np.bool_),
-        np.empty((2, m, frames)),
-        np.zeros((2, m), np.intp),
-        np.empty((m, frames)),
-        np.empty((9, frames)),
-        np.empty(1, np.intp),
-        np.empty(1),
-        np.empty(1),
-        np.empty((6, 2 * m)),
-        np.empty((2, 2 * m, frames)),
-        np.empty((2 * m, last, 2)),
-        np.empty((2 * m, last, 4)),
-        np.empty((1, 2 * m)),
-        np.zeros(1, np.intp),
-    )
-
-
-@uncounted
-def seen(
-    rows: FloatArray,
-    states: FloatArray,
-    marks: IntArray,
-    numbers: FloatArray,
-    brakes: FloatArray,
-    recent: FloatArray,
-    vehicle: FloatArray,
-    state: FloatArray,
-    size: FloatArray,
-    centers: FloatArray,
-    settings: FloatArray,
-    owned: BoolArray,
-    visible: IntArray,
-    stored: int,
-    followers: BoolArray,
-    before: BoolArray,
-    of_others: FloatArray,
-    flags: BoolArray,
-    slipping: FloatArray,
-    tempted: BoolArray,
-) -> int:
-    """Take in a scene: fill in what is to be known of the others before any path is judged.
-
-    Parameters
-    ----------
-    rows, states : vehicle rows (m, 7), and road states (m, 4). marks, numbers, brakes, recent : their `Tables`.
-    vehicle, state, size : of the ego: vehicle row (7,), road state (4,), numbers of its `Footprint` (8,).
-    centers, settings : of the lanes [m]; numbers of `Settings`.
-    owned, visible, stored : see `Standing`.
-    followers, before : see `others_of`.
-    of_others, flags : of `Others`, see `empty_others`; result.
-    slipping : (2 m, 4), rows of those that `may_slip` finds; result.
-    tempted : room that is written over, (m, 4).
-
-    Returns
-    -------
-    How many may slip in.
-    """
-    x, bodies, foot = (
-        settings_from(settings),
-        bodies_of(marks, numbers, brakes, recent),
-        Footprint(*numbers_of(size, 8)),
-    )
-    body = 0.5 * foot.length, 0.5 * foot.width
-    world = Ego(vehicle[0], vehicle[1], vehicle[2], vehicle[3], foot.along, foot.across, body[0], body[1], False)
-    others = others_from(bodies, of_others, flags)
-    ego = Standing(state, foot, world, owned, visible, stored)
-    others_of(rows, states, bodies, ego, followers, before, sight_of(x), centers, others, tempted)
-    if not x.slip_in > 0:
-        return 0
-    return may_slip(rows, states, bodies, state, foot.length, centers, x.seen, x.hardest, slipping)
 
 
 @inlined

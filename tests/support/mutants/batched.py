@@ -37,11 +37,4 @@ BATCHED = (
         "        pass",
         _TESTS,
     ),
-    off(
-        "a frame counts as verified by the decision whatever is tracked",
-        f"{BATCH}/engine.py",
-        "elif k == 0 and lane == worlds.g[e, TARGET, 0]",
-        "elif k == 0 and lane >= 0",
-        _TESTS,
-    ),
 )

@@ -188,7 +188,8 @@ class Duties:
 
 def duties() -> Duties:
     """The ego changes from lane 1 to lane 2 of four."""
-    behind, leader, alongside = (-24.0, 4.0, 0.0, 27.0), (42.0, 4.0, 0.0, 22.0), (3.0, 0.0, 0.0, 25.0)
+    # Beside one in the lane that the ego goes to, it gains nothing by going there too.
+    behind, leader, alongside = (-47.0, 4.0, 0.0, 27.0), (42.0, 4.0, 0.0, 22.0), (3.0, 0.0, 0.0, 25.0)
     entered, ahead = (-44.0, 8.0, 0.0, 24.0), (55.0, 8.0, 0.0, 20.0)
     held_up, slow = (10.0, 12.0, 0.0, 24.0), (32.0, 12.0, 0.0, 16.0)
     others = (behind, leader, alongside, entered, ahead, held_up, slow)

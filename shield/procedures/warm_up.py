@@ -17,6 +17,7 @@ from shield.procedures.frames import Frames
 from shield.procedures.inputs import Inputs
 from shield.procedures.meta_actions import MetaActions
 from shield.procedures.screen import Wish
+from shield.rules import RssRule, TtcRule
 
 __all__ = ["warm_up"]
 
@@ -41,6 +42,8 @@ def warm_up() -> None:
             _, memory = decide(memory, scene, Wish(2, scene.control.actions), meta)
             _, memory = decide(memory, scene, Target(1, 40.0), frames)
             decide(memory, scene, np.array([5.0, 0.3]), inputs)
+            for rule in (RssRule(config), TtcRule(config.time_to_collision)):
+                rule.objects(scene, Target(2, 30.0))
             # What the predictive filter asks.
             survey = inputs.observe(memory, scene)[0].survey
             survey.around.occupancy(2)

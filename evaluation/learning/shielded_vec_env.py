@@ -47,6 +47,7 @@ class ShieldedVecEnv(FastHighwayVecEnv):
     Examples
     --------
     >>> world = ShieldedVecEnv(4, "highway-fast-v0")
+    >>> _ = world.seed(0)
     >>> observations = world.reset()
     >>> observations, rewards, dones, infos = world.step([3, 3, 3, 3])
     >>> infos[0]["shield"]["reason"]

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.arithmetic import clip
 from dynamics.simulator.collisions import collide
 from dynamics.simulator.control import act
@@ -48,12 +48,12 @@ __all__ = [
     "advance",
     "begin",
     "finish",
+    "follow",
     "frame",
     "look",
     "reset_all",
-    "restart",
-    "show",
     "step_all",
+    "write_row",
 ]
 
 
@@ -152,7 +152,7 @@ class Seen(NamedTuple):
 
 
 @uncounted
-def restart(worlds: Worlds, rules: Rules, e: int) -> None:
+def _restart(worlds: Worlds, rules: Rules, e: int) -> None:
     """Draw a new scene in one environment."""
     numbers = rules.numbers
     f, g, p, row = worlds.f[e], worlds.g[e], worlds.p[e], worlds.rows[e]
@@ -233,7 +233,7 @@ def _judge(rules: Rules, f: FloatArray, g: IntArray, parts: FloatArray) -> tuple
 
 
 @uncounted
-def show(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, e: int, out: Any) -> None:
+def _show(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, e: int, out: Any) -> None:
     """Fill in the observation of one environment, `out` (rows, features)."""
     f, g, p, row = worlds.f[e], worlds.g[e], worlds.p[e], worlds.rows[e]
     if len(view.grid) > 0:
@@ -271,11 +271,21 @@ def show(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work,
 def finish(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
     """End a decision in one environment: observation, reward, and whether the episode is over; see `Seen`."""
     f, g = worlds.f[e], worlds.g[e]
-    show(machine, worlds, rules, view, work, e, seen.observations[e])
+    _show(machine, worlds, rules, view, work, e, seen.observations[e])
     reward, on = _judge(rules, f, g, seen.parts[e])
     seen.reward[e], seen.speed[e] = reward, f[SPEED, 0]
     seen.terminated[e] = g[CRASHED, 0] != 0 or (rules.reward[7] and not on)
     seen.truncated[e] = worlds.clock[e] >= rules.times[2]
+
+
+@uncounted
+def follow(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
+    """Begin the next episode in one environment; `seen.terminal` keeps what was last seen of this one."""
+    for k in range(seen.observations.shape[1]):
+        for c in range(seen.observations.shape[2]):
+            seen.terminal[e, k, c] = seen.observations[e, k, c]
+    _restart(worlds, rules, e)
+    _show(machine, worlds, rules, view, work, e, seen.observations[e])
 
 
 @uncounted
@@ -285,13 +295,19 @@ def begin(worlds: Worlds, rules: Rules, e: int, action: FloatArray) -> None:
     _command(rules, worlds.f[e], worlds.g[e], action)
 
 
+@inlined
+def write_row(f: FloatArray, g: IntArray, p: FloatArray, i: int, row: FloatArray) -> None:
+    """A body as a row, (7,): x, y [m], heading [rad], speed [m/s], length, width [m], crashed."""
+    row[0], row[1], row[2], row[3] = f[X, i], f[Y, i], f[HEADING, i], f[SPEED, i]
+    row[4], row[5], row[6] = p[LENGTH, i], p[WIDTH, i], float(g[CRASHED, i])
+
+
 @uncounted
 def look(worlds: Worlds, rules: Rules, e: int, rows: FloatArray) -> bool:
     """The bodies of one environment as rows, (m, 7), see `frame`; whether the ego is on the road."""
     f, g, p, lanes = worlds.f[e], worlds.g[e], worlds.p[e], rules.lanes
     for i in range(f.shape[1]):
-        rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3] = f[X, i], f[Y, i], f[HEADING, i], f[SPEED, i]
-        rows[i, 4], rows[i, 5], rows[i, 6] = p[LENGTH, i], p[WIDTH, i], float(g[CRASHED, i])
+        write_row(f, g, p, i, rows[i])
     return on_lane(lanes, g[LANE, 0], f[X, 0], f[Y, 0], 0.0)
 
 
@@ -319,8 +335,8 @@ def reset_all(
         e = which[k]
         if seeds[k] >= 0:
             seed_row(worlds.rows[e], seeds[k])
-        restart(worlds, rules, e)
-        show(machine, worlds, rules, view, work, e, seen.observations[e])
+        _restart(worlds, rules, e)
+        _show(machine, worlds, rules, view, work, e, seen.observations[e])
         seen.speed[e], seen.parts[e, 0] = worlds.f[e, SPEED, 0], 0.0
 
 
@@ -345,8 +361,4 @@ def step_all(
             level = advance(machine, worlds, rules, work, e, level, math.nan, math.nan)
         finish(machine, worlds, rules, view, work, seen, e)
         if again and (seen.terminated[e] or seen.truncated[e]):
-            for k in range(seen.observations.shape[1]):
-                for c in range(seen.observations.shape[2]):
-                    seen.terminal[e, k, c] = seen.observations[e, k, c]
-            restart(worlds, rules, e)
-            show(machine, worlds, rules, view, work, e, seen.observations[e])
+            follow(machine, worlds, rules, view, work, seen, e)

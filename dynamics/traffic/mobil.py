@@ -55,6 +55,17 @@ def _pays(v: float, now: float, gap: float, speed: float, back: float, behind: f
     return gain >= _LEAST_GAIN - slack and imposed <= IMPOSED + slack
 
 
+@inlined
+def _stays(states: FloatArray, i: int, center: float, sight: float) -> bool:
+    """Whether a vehicle counts in a lane: one that is leaving it is nobody's leader there by the time that somebody
+    enters it."""
+    r = states[i, 1]
+    if not abs(r - center) <= sight:
+        return False
+    later = r + _LEAVES * states[i, 3] * math.sin(states[i, 2])
+    return abs(later - center) <= sight
+
+
 @uncounted
 def gain_of(
     j: int,
@@ -86,14 +97,12 @@ def gain_of(
         ahead, r = states[i, 0] - s, states[i, 1]
         if ahead >= 0 and (abs(r - own) <= sight or low[i] < own < high[i]):
             now = max(now, _held_up(v, v - states[i, 3], ahead) ** 2)
-        # One that is leaving a lane is nobody's leader there by the time that somebody enters it.
-        later = r + _LEAVES * states[i, 3] * math.sin(states[i, 2])
-        if abs(r - low0) <= sight and abs(later - low0) <= sight:
+        if _stays(states, i, low0, sight):
             if 0 <= ahead < gap0:
                 gap0, speed0 = ahead, states[i, 3]
             elif -back0 < ahead < 0:
                 back0, behind0 = -ahead, states[i, 3]
-        if abs(r - high1) <= sight and abs(later - high1) <= sight:
+        if _stays(states, i, high1, sight):
             if 0 <= ahead < gap1:
                 gap1, speed1 = ahead, states[i, 3]
             elif -back1 < ahead < 0:

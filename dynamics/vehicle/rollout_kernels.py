@@ -29,7 +29,6 @@ __all__ = [
     "roll_inputs",
     "roll_stop",
     "roll_stops",
-    "roll_target",
     "roll_targets",
     "slip_at",
     "table_of",
@@ -150,18 +149,6 @@ def roll_commands(start: FloatArray, commands: FloatArray, table: FloatArray, dt
             slip = slip_at(s, r, psi, v, commands[i, f, 0], table, dt)
             s, r, psi, v = _step(s, r, psi, v, a, slip, table, dt)
             paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
-
-
-@uncounted
-def roll_target(start: FloatArray, goal: float, speed: float, table: FloatArray, dt: float, path: FloatArray) -> None:
-    """A state (4,) that tracks a lateral position [m] and a speed [m/s], to the states after each frame, `path`
-    (frames, 4)."""
-    s, r, psi, v = start[0], start[1], start[2], start[3]
-    for f in range(path.shape[0]):
-        a = max(max(KP_SPEED * (speed - v), -NO_LIMIT), max(v, 0.0) * (-1 / dt))
-        slip = slip_at(s, r, psi, v, goal, table, dt)
-        s, r, psi, v = _step(s, r, psi, v, a, slip, table, dt)
-        path[f, 0], path[f, 1], path[f, 2], path[f, 3] = s, r, psi, v
 
 
 @uncounted

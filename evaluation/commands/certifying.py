@@ -34,7 +34,7 @@ def certify_command(
 ) -> None:
     """Drive very many shielded episodes, and write what they bound.
 
-    Parts of 250 episodes are kept as they finish: the same command goes on where it was
+    Parts of 1,000 episodes are kept as they finish: the same command goes on where it was
     stopped, and one with more --episodes from there. Writes episodes.parquet and
     certificate.md: crashes with their seeds, a Clopper-Pearson bound on their rate, the
     smallest clearance, offences of the traffic, fallbacks.

@@ -10,16 +10,12 @@ import numpy as np
 from dynamics.compiled import inlined, uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.batch.arrays import Records
-from shield.batch.vocabulary import TIERS
-from shield.decision import Tier
+from shield.batch.vocabulary import FALLBACKS, OVERRIDES
 
 __all__ = ["HORIZON", "Tallies", "begin_tally", "distance", "empty_tallies", "tally", "time_to_collision"]
 
 HORIZON = 10.0
 """Collisions later than this do not count [s]."""
-
-_PASSED, _OFF = TIERS.index(Tier.PASSED), TIERS.index(Tier.OFF)
-_FALLBACKS = np.array([tier.fallback for tier in TIERS])
 
 
 class Tallies(NamedTuple):
@@ -156,19 +152,19 @@ def tally(
         tallies.total[e] += reward[e]
         tallies.steps[e] += 1
         tallies.violations[e] += records.violations[e]
-        held, fell = 0, _FALLBACKS[records.tier[e]]
+        held, fell = 0, FALLBACKS[records.tier[e]]
         margin = tallies.min_margin[e]
         if math.isfinite(records.margin[e]) and not margin <= records.margin[e]:
             margin = records.margin[e]
         for k in range(rows.shape[1]):
-            if records.tiers[e, k] not in (_PASSED, _OFF):
+            if OVERRIDES[records.tiers[e, k]]:
                 held += 1
-                fell = fell or _FALLBACKS[records.tiers[e, k]]
+                fell = fell or FALLBACKS[records.tiers[e, k]]
             if math.isfinite(records.margins[e, k]) and not margin <= records.margins[e, k]:
                 margin = records.margins[e, k]
             _see(rows[e, k], off_road[e, k], tallies, e)
         tallies.min_margin[e] = margin
         tallies.frames[e] += rows.shape[1]
         tallies.frames_overridden[e] += held
-        tallies.overridden[e] += records.tier[e] not in (_PASSED, _OFF) or held > 0
+        tallies.overridden[e] += OVERRIDES[records.tier[e]] or held > 0
         tallies.fallbacks[e] += fell

@@ -7,7 +7,7 @@ import math
 from dynamics.compiled import inlined, uncounted
 from dynamics.roads.straight import nearest
 from dynamics.simulator.engine import Worlds
-from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
+from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED, X, Y
 from dynamics.simulator.scene import speed_index
 from dynamics.state import FloatArray, IntArray
 from shield.batch.arrays import Records, Room, Shields, scene_of
@@ -43,7 +43,7 @@ def target_of(worlds: Worlds, law: Law, e: int, action: int) -> tuple[int, float
         return lane, speeds[min(max(index, 0), len(speeds) - 1)]
     if label in (_LEFT, _RIGHT):
         to = min(max(lane + label - 1, 0), law.centers.shape[0] - 1)
-        s, r = worlds.f[e, 0, 0], worlds.f[e, 1, 0]
+        s, r = worlds.f[e, X, 0], worlds.f[e, Y, 0]
         near = abs(r - law.centers[to]) <= 2 * law.numbers.width
         return (to if near and 0.0 <= s < law.numbers.length + 5.0 else lane), speed
     return lane, speed

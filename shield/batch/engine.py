@@ -15,9 +15,8 @@ from dynamics.simulator.engine import (
     advance,
     begin,
     finish,
+    follow,
     look,
-    restart,
-    show,
 )
 from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.simulator.neighbours import sort
@@ -112,9 +111,5 @@ def step_all_shielded(
         finish(machine, worlds, rules, view, work, seen, e)
         records.violations[e] = shields.offences[e] - before
         if again and (seen.terminated[e] or seen.truncated[e]):
-            for k in range(seen.observations.shape[1]):
-                for c in range(seen.observations.shape[2]):
-                    seen.terminal[e, k, c] = seen.observations[e, k, c]
-            restart(worlds, rules, e)
+            follow(machine, worlds, rules, view, work, seen, e)
             forget(shields, e)
-            show(machine, worlds, rules, view, work, e, seen.observations[e])

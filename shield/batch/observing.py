@@ -6,8 +6,8 @@ import math
 
 from dynamics.compiled import inlined, uncounted
 from dynamics.roads.straight import nearest
-from dynamics.simulator.engine import Worlds
-from dynamics.simulator.layout import CRASHED, HEADING, LENGTH, SPEED, TARGET_SPEED, WIDTH, X, Y
+from dynamics.simulator.engine import Worlds, write_row
+from dynamics.simulator.layout import TARGET_SPEED
 from dynamics.state import FloatArray
 from dynamics.traffic.occupancy import look
 from dynamics.traffic.permits import Ego, Rule, judge_motions
@@ -28,11 +28,9 @@ _RULES = len(Rule)
 @inlined
 def _row(worlds: Worlds, e: int, i: int, row: FloatArray, state: FloatArray) -> bool:
     """A body as a vehicle row and, on a straight road along x, as a road state; whether all of it is finite."""
-    f, p = worlds.f[e], worlds.p[e]
-    row[0], row[1], row[2], row[3] = f[X, i], f[Y, i], f[HEADING, i], f[SPEED, i]
-    row[4], row[5], row[6] = p[LENGTH, i], p[WIDTH, i], float(worlds.g[e, CRASHED, i])
-    state[0], state[1], state[2], state[3] = f[X, i], f[Y, i], f[HEADING, i], f[SPEED, i]
-    return math.isfinite(f[X, i] + f[Y, i] + f[HEADING, i] + f[SPEED, i] + p[LENGTH, i] + p[WIDTH, i])
+    write_row(worlds.f[e], worlds.g[e], worlds.p[e], i, row)
+    state[0], state[1], state[2], state[3] = row[0], row[1], row[2], row[3]
+    return math.isfinite(row[0] + row[1] + row[2] + row[3] + row[4] + row[5])
 
 
 @uncounted

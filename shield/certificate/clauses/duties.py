@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dynamics.compiled import compiled, uncounted
+from dynamics.roads.straight import nearest
 from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
 from dynamics.traffic.mobil import gains
 from dynamics.traffic.permits import Ego, gap_between
@@ -161,10 +162,7 @@ def hold_lanes(
     coming : who could enter which lane, (lanes, m), or of no lanes. Anybody may come into a lane that the ego has got
         out of sight in.
     """
-    here = 0
-    for j in range(centers.shape[0]):
-        if abs(r - centers[j]) < abs(r - centers[here]):
-            here = j
+    here = nearest(centers, r)
     for j in range(centers.shape[0]):
         offset, last = abs(r - centers[j]), visible[j]
         visible[j] = (_LONG if first else last) + frames if offset <= sight else 0
@@ -196,7 +194,7 @@ def lanes_held(
         if owned.shape[0] == n:
             own[:] = owned
         else:
-            own[np.argmin(np.abs(centers - r))] = True
+            own[nearest(centers, r)] = True
     hold_lanes(r, centers, frames, sight, touch, stored, first, seen, own, comes if comes.shape[0] == n else comes[:0])
     return seen, own, comes
 

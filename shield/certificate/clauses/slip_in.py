@@ -25,7 +25,7 @@ from dynamics.compiled import inlined, uncounted
 from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.mobil import COMFORT, IMPOSED, TIME, TWICE_ROOT, desired_gap
 from dynamics.traffic.tables import Bodies
-from dynamics.vehicle.rollout_kernels import roll_target
+from dynamics.vehicle.rollout_kernels import roll_stop
 from shield.certificate.clauses.footprint import Footprint
 
 __all__ = ["LASTS", "Slips", "anybody", "least_separations_of_slips", "may_slip", "slips_of", "sweeps"]
@@ -146,7 +146,8 @@ def sweeps(
     frames = out.shape[1]
     for k in range(rows.shape[0]):
         j = rows[k]
-        roll_target(states[j], slips.goals[k], slips.speeds[k], table, dt, paths[k])
+        goal = slips.goals[k]
+        roll_stop(states[j], goal, goal, slips.speeds[k], frames, 0.0, table, dt, paths[k], 0, frames)
         low, high, length, width = bodies.low[j], bodies.high[j], others[j, 4], others[j, 5]
         for f in range(frames):
             r, sin, cos = paths[k, f, 1], abs(math.sin(paths[k, f, 2])), abs(math.cos(paths[k, f, 2]))

@@ -103,7 +103,7 @@ OWED = (
         "anybody",
     ),
     off("who enters need not gain by it", MOBIL, "gain >= _LEAST_GAIN - slack and imposed", "imposed", TESTS_OF_MOBIL),
-    off("who leaves a lane leads there", MOBIL, " and abs(later - low0) <= sight", "", TESTS_OF_MOBIL),
+    off("who leaves a lane leads there", MOBIL, "return abs(later - center) <= sight", "return True", TESTS_OF_MOBIL),
     off(
         "the ego holds nobody up",
         MOBIL,

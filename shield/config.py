@@ -13,10 +13,12 @@ import tomli_w
 from dynamics.traffic.assumptions import Assumptions
 from shield.errors import ConfigError
 
-__all__ = ["MODES", "Buffer", "ShieldConfig"]
+__all__ = ["MODES", "PROFILES", "Buffer", "ShieldConfig"]
 
 MODES = ("none", "distance", "rss", "ttc", "full")
 """Valid `ShieldConfig.mode`: no shield, one rule alone, or the whole procedure."""
+PROFILES = ("default", "meta-actions", "exact")
+"""Names of `ShieldConfig.profile`."""
 REPAIRS = ("hold", "filter")
 """Valid `ShieldConfig.repair`: hold the meta-action back, or take the nearest inputs."""
 
@@ -57,7 +59,8 @@ class ShieldConfig:
     distance : threshold D of the fixed-distance rule [m].
     time_to_collision : threshold of the TTC rule [s].
     response_time : the ego's response time in the RSS rule used alone [s].
-    horizon : how far `Shield`, which has meta-actions only, looks ahead when the ego cannot stop [s].
+    horizon : how far `Shield` with meta-actions alone (`frames=False`) looks ahead [s]: where the ego cannot stop, or
+        the traffic is simulated.
     repair : what `ShieldedEnv` does between two decisions with a meta-action that has become unsafe: "hold" gives it
         the greatest acceleration that verifies, "filter" the nearest inputs (the predictive filter).
     norm : what a throttle and a wheel angle on a road are nearest in to those proposed: shares of the actuators'
@@ -114,6 +117,22 @@ class ShieldConfig:
         """The defaults of `Shield`, whose meta-actions cannot stop the ego: moderate assumptions."""
         return cls(assumptions=Assumptions.moderate())
 
+    @classmethod
+    def exact(cls) -> ShieldConfig:
+        """Verification by simulation, for `Shield(policy, env, ShieldConfig.exact(), frames=False)`: 20 s ahead.
+
+        Within a shorter horizon an ego that cannot stop is boxed in before it is seen. What is simulated needs little
+        of a buffer.
+        """
+        return cls(assumptions=Assumptions.exact(), buffer=Buffer(0.5, 0.3), horizon=20.0)
+
+    @classmethod
+    def profile(cls, name: str) -> ShieldConfig:
+        """Settings by name: "default", "meta-actions" or "exact"."""
+        if name not in PROFILES:
+            raise ConfigError(f"unknown settings {name!r}; valid are {', '.join(map(repr, PROFILES))}")
+        return cls() if name == "default" else cls.for_meta_actions() if name == "meta-actions" else cls.exact()
+
     def replace(self, **changes: Any) -> ShieldConfig:
         """A copy with some settings changed."""
         return replace(self, **changes)
@@ -126,7 +145,7 @@ class ShieldConfig:
     def from_toml(cls, text: str) -> ShieldConfig:
         """Read what `to_toml` wrote; tables and keys may be left out.
 
-        `assumptions` may be a table or the name of a profile ("idm", "moderate", "rss").
+        `assumptions` may be a table or the name of a profile ("idm", "moderate", "rss", "exact").
 
         Raises
         ------

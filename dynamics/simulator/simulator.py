@@ -132,18 +132,11 @@ class Simulator:
         if num_envs < 1 or threads < 1:
             raise ConfigError(f"num_envs and threads must be at least 1, not {num_envs} and {threads}")
         self.scenario = scenario
-        self.num_envs, e, m = num_envs, num_envs, scenario.bodies
+        self.num_envs, e = num_envs, num_envs
         sums, products = sums_of_numpy()
         self.exact = Sums.OTHER not in (sums, products)
         self.machine = Machine(sums, products, addresses())
-        self.worlds = Worlds(
-            np.zeros((e, F, m)),
-            np.zeros((e, G, m), np.int64),
-            np.zeros((e, P, m)),
-            np.zeros((e, m), np.int64),
-            np.zeros((e, TAPE + self.draws if tape else WORDS), np.uint64),
-            np.zeros(e),
-        )
+        self.worlds = self.new_worlds(e, TAPE + self.draws if tape else WORDS)
         shape = scenario.observation_space.shape
         rows, features = shape[0], int(np.prod(shape[1:]))
         bounds = np.linspace(0, e, min(threads, e) + 1).round().astype(int).tolist()
@@ -192,6 +185,18 @@ class Simulator:
         self.worlds.rows[chosen, WORDS] = 1
         self.worlds.rows[chosen, TAPE:] = np.ldexp(shares, 53).astype(np.uint64) << np.uint64(11)
         return self.reset(which=which)
+
+    def new_worlds(self, count: int, words: int = WORDS) -> Worlds:
+        """Room for so many more environments of the same bodies."""
+        m = self.scenario.bodies
+        return Worlds(
+            np.zeros((count, F, m)),
+            np.zeros((count, G, m), np.int64),
+            np.zeros((count, P, m)),
+            np.zeros((count, m), np.int64),
+            np.zeros((count, words), np.uint64),
+            np.zeros(count),
+        )
 
     def new_work(self) -> Work:
         """Room for the kernels of one more thread."""

@@ -52,6 +52,7 @@ class Assumptions:
     slip_in : whether a vehicle alongside may change into the ego's lane behind an ego that pulls away from it, or
         before one that it pulls away from, as MOBIL does once IDM's desired gap has vanished
         (`shield.certificate.clauses.slip_in`).
+    simulated : whether the others are highway-env's own and are simulated, so that nothing above is asked; see `exact`.
     """
 
     braking: float = 6.0
@@ -78,11 +79,12 @@ class Assumptions:
     settle_time: float = 2.0
     blind_merge: bool = True
     slip_in: bool = True
+    simulated: bool = False
 
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            if f.name in ("blind_merge", "slip_in"):
+            if f.name in ("blind_merge", "slip_in", "simulated"):
                 if not isinstance(value, bool):
                     raise ConfigError(f"Assumptions.{f.name} must be true or false, got {value!r}")
             elif isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
@@ -117,9 +119,18 @@ class Assumptions:
         return cls(braking=3.0)
 
     @classmethod
+    def exact(cls) -> Assumptions:
+        """The others do what highway-env's traffic does, to the bit: verification is by simulation of it.
+
+        What it promises carries over to no other traffic, and it is refused where the traffic is not of a class that
+        is known. See `shield.exact`.
+        """
+        return cls(simulated=True)
+
+    @classmethod
     def profile(cls, name: str) -> Assumptions:
-        """A profile by name: "idm", "moderate" or "rss"."""
-        profiles = {"idm": cls.idm, "moderate": cls.moderate, "rss": cls.rss}
+        """A profile by name: "idm", "moderate", "rss" or "exact"."""
+        profiles = {"idm": cls.idm, "moderate": cls.moderate, "rss": cls.rss, "exact": cls.exact}
         if name not in profiles:
             raise ConfigError(f"unknown assumptions {name!r}; valid are {', '.join(map(repr, profiles))}")
         return profiles[name]()

@@ -79,10 +79,10 @@ def replay_command(
     assert seed is not None
     from evaluation.report.video import film_end
     from evaluation.running.episodes import run_episode
-    from evaluation.running.records import Variant
+    from evaluation.running.records import variant_for
 
     shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)
-    record = run_episode(setting, policy, Variant("env", shield_config), seed, simulator="highway-env")
+    record = run_episode(setting, policy, variant_for(shield_config), seed, simulator="highway-env")
     table = Table("", f"seed {seed}", show_header=True)
     for name in ("crashed", "attribution", "return_", "steps", "overridden", "violations", "min_margin", "min_gap"):
         table.add_row(name.rstrip("_").replace("_", " "), str(getattr(record, name)))

@@ -19,7 +19,7 @@ from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING
 from evaluation.learning.algorithms import ALGORITHMS
 from evaluation.learning.recipes import RECIPES
 from evaluation.names import BASELINES, FIRST_EVALUATION_SEED, MODELS, SIMULATORS, TRAINABLE
-from shield.config import MODES, ShieldConfig
+from shield.config import MODES, PROFILES, ShieldConfig
 from shield.errors import ConfigError, ShieldError
 
 if TYPE_CHECKING:
@@ -341,9 +341,12 @@ def settings_command() -> None:
 
 
 @app.command("config")
-def config_command() -> None:
-    """Print the shield's default settings as TOML."""
-    typer.echo(ShieldConfig().to_toml(), nl=False)
+def config_command(
+    profile: Annotated[str, typer.Option(help=f"One of {', '.join(PROFILES)}.")] = "default",
+) -> None:
+    """Print the shield's settings as TOML: the default ones, those for meta-actions alone, or
+    those that simulate the traffic."""
+    typer.echo(ShieldConfig.profile(profile).to_toml(), nl=False)
 
 
 def _asked_settings(names: list[str] | None, env_id: str | None, config: Path | None) -> list[Setting]:

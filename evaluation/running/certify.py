@@ -16,7 +16,7 @@ import pandas as pd
 from evaluation.measuring.statistics import bootstrap_mean, clopper_pearson
 from evaluation.running.episodes import run_paired
 from evaluation.running.many import Many
-from evaluation.running.records import Variant
+from evaluation.running.records import variant_for
 from evaluation.running.store import provenance
 from evaluation.settings import Setting
 from evaluation.simulators import compiled_where_it_serves
@@ -172,9 +172,7 @@ def _drive(asked: Asked, folder: Path, first: int, count: int) -> pd.DataFrame:
     if many is not None:
         frame = many.run(seeds)
     else:
-        table = run_paired(
-            asked.setting, asked.policy, [Variant("env", asked.config)], seeds, simulator=asked.simulator
-        )
+        table = run_paired(asked.setting, asked.policy, [variant_for(asked.config)], seeds, simulator=asked.simulator)
         frame = table[list(COLUMNS)].assign(fallbacks=table[FALLBACKS].sum(axis=1))
     path = _path(folder, first, count)
     partial = path.with_suffix(f".{os.getpid()}.partial")

@@ -15,13 +15,15 @@ from evaluation.measuring.tally import Tallies, begin_tally, empty_tallies, tall
 from evaluation.policies import list_references
 from evaluation.running.episodes import run_episode
 from evaluation.running.named_policies import ConstantPolicy, RandomPolicy, WeavingPolicy, make_policy, policy_label
-from evaluation.running.records import Variant
+from evaluation.running.records import variant_for
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
+from shield.batch.filtered import FilteredHighways
 from shield.batch.highways import ShieldedHighways
 from shield.config import ShieldConfig
 from shield.doors.ranking import normalised, order_from_scores, ranking_of
 from shield.errors import ConfigError
+from shield.exact.highways import ExactHighways
 
 __all__ = ["Many"]
 
@@ -114,7 +116,8 @@ class Many:
             raise ConfigError(
                 f"{policy!r} does not drive side by side; have {', '.join(_NAMED)}, references and zip files"
             )
-        self._highways = ShieldedHighways(setting.env_id, envs, setting.config, config, tape=chosen)
+        filtered = ExactHighways if config.assumptions.simulated else ShieldedHighways
+        self._highways: FilteredHighways = filtered(setting.env_id, envs, setting.config, config, tape=chosen)
         self._setting, self._policy, self._config = setting, policy, config
         scenario = self._highways.simulator.scenario
         steps = int(np.ceil(scenario.rules.times[2] / scenario.rules.times[1])) + 1
@@ -148,7 +151,7 @@ class Many:
     @property
     def actions(self) -> int:
         """How many meta-actions there are."""
-        return len(self._highways.law.labels)
+        return self._highways.actions
 
     @property
     def draws(self) -> int:
@@ -230,7 +233,7 @@ class Many:
         crashed, attribution = bool(tallies.crashed[i]), "none"
         if crashed:
             # Rare enough to be driven again, one frame at a time.
-            variant = Variant("env", self._config)
+            variant = variant_for(self._config)
             attribution = run_episode(self._setting, self._policy, variant, seed, simulator="compiled").attribution
         return {
             "setting": self._setting.name,

@@ -10,7 +10,7 @@ from shield.config import ShieldConfig
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError
 
-__all__ = ["DOORS", "EpisodeRecord", "Variant", "make_variants"]
+__all__ = ["DOORS", "EpisodeRecord", "Variant", "make_variants", "variant_for"]
 
 DOORS = ("none", "env", "policy", "actions")
 """No shield; `ShieldedEnv`; `Shield`; `Shield` with actions alone, `frames=False`."""
@@ -37,6 +37,12 @@ class Variant:
     def mode(self) -> str:
         """The shield's mode, "none" without a shield."""
         return "none" if self.door == "none" else self.config.mode
+
+
+def variant_for(config: ShieldConfig) -> Variant:
+    """The shield that a configuration is made for: `ShieldedEnv`, or `Shield` with actions alone where the traffic is
+    simulated."""
+    return Variant("actions" if config.assumptions.simulated else "env", config)
 
 
 def make_variants(modes: Sequence[str], doors: Sequence[str], config: ShieldConfig | None = None) -> list[Variant]:

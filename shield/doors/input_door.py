@@ -17,6 +17,7 @@ from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.controllers import KP_SPEED
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
+from shield.exact.refusals import refuse_simulated
 from shield.procedures.decide import Core, Unreadable, read
 from shield.procedures.inputs import Inputs
 from shield.procedures.parking_lot import ParkingLot
@@ -50,6 +51,7 @@ class InputDoor:
     """
 
     def __init__(self, base: Any, config: ShieldConfig, agent: bool = False, model: StageModel | None = None) -> None:
+        refuse_simulated(config)
         self._base = base
         self.actuators = Actuators.of(base.action_type)
         self._period = int(base.config["simulation_frequency"] // base.config["policy_frequency"])
@@ -100,6 +102,11 @@ class InputDoor:
         # A scene that cannot be read is for the first decision to fail closed on.
         with suppress(SceneError):
             procedure.prepare(self._reader.read())
+
+    @property
+    def violations(self) -> int:
+        """How often the traffic has broken the assumptions."""
+        return self.core.violations
 
     @property
     def supervising(self) -> bool:

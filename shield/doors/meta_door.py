@@ -15,6 +15,7 @@ from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
 from shield.doors.input_door import refuse_lots
 from shield.doors.supervision import Command
+from shield.exact.refusals import refuse_simulated
 from shield.procedures.decide import Core, Unreadable, read
 from shield.procedures.frames import Frames
 from shield.procedures.meta_actions import MetaActions
@@ -51,6 +52,7 @@ class MetaDoor:
 
     def __init__(self, base: Any, config: ShieldConfig, frames: bool = True, rule: Rule | None = None) -> None:
         refuse_lots([base])
+        refuse_simulated(config)
         self.config, self.reader, self._base = config, SceneReader(base), base
         self._meta: Any = MetaActions(config) if frames else MetaActionsOnly(config)
         self._frames = Frames(config, NearestInputs(config) if config.repair == "filter" else None)
@@ -60,6 +62,11 @@ class MetaDoor:
         self.cause = ""
         if base.road is not None and config.mode != "none":
             self.reader.check()
+
+    @property
+    def violations(self) -> int:
+        """How often the traffic has broken the assumptions."""
+        return self.core.violations
 
     @property
     def supervising(self) -> bool:

@@ -23,6 +23,7 @@ from shield.doors.ranking import order_from_scores, ranking_of
 from shield.doors.report import Statistics, report
 from shield.doors.supervision import Command, Supervision
 from shield.errors import ConfigError
+from shield.exact.door import ExactDoor
 from shield.procedures.warm_up import warm_up
 
 __all__ = ["Shield"]
@@ -46,7 +47,8 @@ class Shield:
     config : settings, or the path of a TOML file; `ShieldConfig()` by default. Without `frames`, meta-actions have
         `ShieldConfig.for_meta_actions()`.
     frames : whether the frames between two decisions are supervised. Without, `Shield` is a pure filter of actions: it
-        touches nothing but what `predict` returns, and has to look seconds ahead with what it assumes.
+        touches nothing but what `predict` returns, and has to look seconds ahead with what it assumes. With
+        `ShieldConfig.exact()` it simulates the traffic instead.
 
     Raises
     ------
@@ -93,13 +95,16 @@ class Shield:
         self.policy = as_policy(policy, env)
         refuse_misfits(self.policy, env)
         self._frames = frames
-        self._doors: list[MetaDoor | InputDoor]
+        self._doors: list[MetaDoor | InputDoor | ExactDoor]
         if the_action_type(self._bases, "Shield") == "ContinuousAction":
             self.config = ShieldConfig.of(config)
             self._doors = [InputDoor(base, self.config, agent=not frames) for base in self._bases]
         else:
             self.config = ShieldConfig.of(config, ShieldConfig() if frames else ShieldConfig.for_meta_actions())
-            self._doors = [MetaDoor(base, self.config, frames) for base in self._bases]
+            exact = self.config.assumptions.simulated and not frames and self.config.mode != "none"
+            self._doors = [
+                ExactDoor(base, self.config) if exact else MetaDoor(base, self.config, frames) for base in self._bases
+            ]
         self._inputs = isinstance(self._doors[0], InputDoor)
         warm_up()
         n = len(self._bases)
@@ -127,7 +132,7 @@ class Shield:
         """
         if not self.last_decisions:
             raise ConfigError("report() is about the last decision; call predict() first")
-        violations = self._doors[i].core.violations - self._counted[i]
+        violations = self._doors[i].violations - self._counted[i]
         return report(self.last_decisions[i], self.frame_decisions[i], violations)
 
     @property
@@ -242,7 +247,7 @@ class Shield:
         if base.road is not self._roads[i]:
             self._roads[i] = base.road
             door.reset()
-        self._counted[i], self.frame_decisions[i] = door.core.violations, []
+        self._counted[i], self.frame_decisions[i] = door.violations, []
         wanted: Any = None
         if not self._inputs:
             proposed = action_index(proposal)
@@ -256,7 +261,9 @@ class Shield:
         return decision
 
     def _frame(self, i: int) -> Command:
-        command, decision = self._doors[i].frame()
+        door = self._doors[i]
+        assert not isinstance(door, ExactDoor)
+        command, decision = door.frame()
         self.frame_decisions[i].append(decision)
         return command
 

@@ -1,0 +1,155 @@
+"""What all batches of filtered highways have in common: the traffic, the episodes, and the records."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.simulator.engine import Worlds, look
+from dynamics.simulator.simulator import Simulator
+from dynamics.state import FloatArray, IntArray
+from shield.batch.arrays import empty_records
+from shield.config import ShieldConfig
+from shield.errors import ConfigError
+
+__all__ = ["FilteredHighways"]
+
+_ROWS = 7
+
+
+class FilteredHighways(ABC):
+    """So many compiled highways with meta-actions, each behind a filter of them.
+
+    Parameters
+    ----------
+    env_id, num_envs, config, threads, tape : as of `Simulator`.
+    shield : settings.
+
+    Raises
+    ------
+    ConfigError
+        If the environment's actions are none, or as of `Simulator`.
+
+    Attributes
+    ----------
+    simulator : the traffic.
+    records : the last decisions, and their frames (`shield.batch.arrays.Records`).
+    rows, off_road : the bodies after each frame of the last decision, (e, F, m, 7), see `CompiledHighwayEnv.frames`;
+        and whether the ego was off the road then, (e, F).
+    """
+
+    def __init__(
+        self,
+        env_id: str,
+        num_envs: int,
+        config: Mapping[str, Any] | None,
+        shield: ShieldConfig | str | Path | None,
+        threads: int,
+        tape: bool,
+    ) -> None:
+        self.config, self.num_envs = ShieldConfig.of(shield), num_envs
+        self.simulator = Simulator(env_id, num_envs, config, tape=tape)
+        scenario = self.simulator.scenario
+        if scenario.inputs is not None:
+            raise ConfigError("many shields at once filter meta-actions; this environment has ContinuousAction")
+        frames = scenario.rules.numbers[0]
+        self.records = empty_records(num_envs, frames)
+        self.rows = np.zeros((num_envs, frames, scenario.bodies, _ROWS))
+        self.off_road = np.zeros((num_envs, frames), np.bool_)
+        self._no_orders = np.zeros((num_envs, 0), np.intp)
+        bounds = np.linspace(0, num_envs, min(threads, num_envs) + 1).round().astype(int).tolist()
+        self._slices: list[tuple[int, int]] = list(pairwise(bounds))
+        self._pool = ThreadPoolExecutor(len(self._slices)) if len(self._slices) > 1 else None
+
+    @abstractmethod
+    def _forget(self, e: int) -> None:
+        """An episode begins in one environment."""
+
+    @abstractmethod
+    def _decide(self, part: int, first: int, last: int, actions: IntArray, orders: IntArray, again: bool) -> None:
+        """A decision in each of the environments from `first` to `last`, which are those of thread `part`."""
+
+    def reset(
+        self, seeds: Sequence[int] | NDArray[Any] | None = None, which: Sequence[int] | None = None
+    ) -> NDArray[np.float32]:
+        """Start new episodes; see `Simulator.reset`."""
+        observations = self.simulator.reset(seeds, which)
+        for e in range(self.num_envs) if which is None else which:
+            self._forget(e)
+        return observations
+
+    def reset_to(self, shares: FloatArray, which: Sequence[int]) -> NDArray[np.float32]:
+        """Start episodes in scenes of one's own choice; see `Simulator.reset_to`."""
+        observations = self.simulator.reset_to(shares, which)
+        for e in which:
+            self._forget(e)
+        return observations
+
+    def look(self, e: int, rows: FloatArray) -> bool:
+        """The bodies of one environment as rows (m, 7); whether the ego is on the road."""
+        return bool(look(self.simulator.worlds, self.simulator.scenario.rules, e, rows))
+
+    @property
+    def worlds(self) -> Worlds:
+        """The state of the traffic (see `dynamics.simulator.engine.Worlds`)."""
+        return self.simulator.worlds
+
+    @property
+    def actions(self) -> int:
+        """How many meta-actions there are."""
+        return len(self.simulator.scenario.rules.labels)
+
+    def step_first(
+        self, actions: Any, count: int
+    ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+        """`step` of the first `count` environments only; what it returns of the others is what was there before."""
+        return self._step(actions, None, False, count)
+
+    def step(
+        self, actions: Any, orders: IntArray | None = None, again: bool = False
+    ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+        """One shielded decision in each environment.
+
+        Parameters
+        ----------
+        actions : meta-actions, (e,). What is none of them is replaced by the fallback, as of a policy that fails.
+        orders : the policy's order of preference over the others in each, (e, k), which ends with the first negative
+            one; where there is none, or the first is negative, the documented order.
+        again : as of `Simulator.step`.
+
+        Returns
+        -------
+        As of `Simulator.step`; `records` have what was decided.
+        """
+        return self._step(actions, orders, again, self.num_envs)
+
+    def _step(
+        self, actions: Any, orders: IntArray | None, again: bool, count: int
+    ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+        proposed = np.asarray(actions)
+        if proposed.shape != (self.num_envs,) or proposed.dtype.kind not in "iu":
+            raise ConfigError(f"have a meta-action for each of {self.num_envs} environments, not {actions!r}")
+        given = np.ascontiguousarray(proposed, np.intp)
+        if self.config.mode == "none" and not ((given >= 0) & (given < self.actions)).all():
+            raise ConfigError(f"have meta-actions from 0 to {self.actions - 1}, not {actions!r}")
+        ranked = self._no_orders if orders is None else np.ascontiguousarray(orders, np.intp)
+        if ranked.ndim != 2 or len(ranked) != self.num_envs or (ranked.size and ranked.max() >= self.actions):
+            raise ConfigError(f"have orders of shape ({self.num_envs}, k) of the actions, not {ranked.shape}")
+
+        def part(k: int) -> None:
+            first, last = self._slices[k]
+            self._decide(k, min(first, count), min(last, count), given, ranked, again)
+
+        if self._pool is None:
+            part(0)
+        else:
+            list(self._pool.map(part, range(len(self._slices))))
+        shown = self.simulator.seen
+        return shown.observations, shown.reward, shown.terminated, shown.truncated

@@ -1,0 +1,1 @@
+"""The shield that knows what the traffic will do: verification by simulation."""

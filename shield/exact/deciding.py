@@ -1,0 +1,142 @@
+"""One decision by simulation: which action is taken, and why."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from dynamics.compiled import uncounted
+from dynamics.simulator.engine import Worlds
+from dynamics.simulator.layout import TARGET_SPEED
+from dynamics.state import IntArray
+from shield.batch.arrays import Records
+from shield.batch.vocabulary import REASONS, TIERS
+from shield.decision import Reason, Tier
+from shield.exact.closest import best_plan, closest_plan, wished_speed
+from shield.exact.room import Search
+from shield.exact.search import enter, same_outcome, survives
+
+__all__ = ["Plans", "decide", "empty_plans", "passes", "replace"]
+
+_NONE, _UNVERIFIED, _NO_SAFE_PLAN, _BAD_ACTION = (
+    REASONS.index(r) for r in (Reason.NONE, Reason.UNVERIFIED, Reason.NO_SAFE_PLAN, Reason.BAD_ACTION)
+)
+_PASSED, _ALTERNATIVE, _STORED, _LARGEST, _EMERGENCY = (
+    TIERS.index(t) for t in (Tier.PASSED, Tier.ALTERNATIVE, Tier.STORED_PLAN, Tier.LARGEST_MARGIN, Tier.EMERGENCY)
+)
+_ANYTHING = -1e9
+"""Stands for a clearance that does not matter, as long as there is no crash [m]."""
+_ANY = -1
+
+
+class Plans(NamedTuple):
+    """What is remembered of each environment: the actions that were verified, (e, depth), from the present on, and how
+    many there are, (e,)."""
+
+    actions: IntArray
+    length: IntArray
+
+
+def empty_plans(e: int, depth: int) -> Plans:
+    """Of environments before their first decision."""
+    return Plans(np.zeros((e, depth), np.intp), np.zeros(e, np.intp))
+
+
+@uncounted
+def _execute(records: Records, plans: Plans, e: int, plan: IntArray, length: int, tier: int, reason: int) -> None:
+    """Take the first action of a plan, and remember the others."""
+    records.executed[e], records.tier[e], records.reason[e] = plan[0], tier, reason
+    for k in range(1, length):
+        plans.actions[e, k - 1] = plan[k]
+    plans.length[e] = max(length - 1, 0)
+
+
+@uncounted
+def _verify(search: Search, action: int, stored: IntArray, length: int) -> float:
+    """The smallest clearance beyond the buffer of a sequence that begins with an action, into `search.plan` [m]: -inf
+    where none is found that keeps the buffer for all decisions."""
+    clear, margin, exhausted = survives(search, action, stored, length, 0.0)
+    if clear == search.bounds.depth:
+        return margin
+    return best_plan(search, action, _ANY, search.bounds.depth, 0.0, 0.0) if exhausted else -np.inf
+
+
+@uncounted
+def _longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]:
+    """The sequence without a crash that lasts longest, and of those that last the one that is most clear, into
+    `search.plan`: how many decisions it lasts, and its smallest clearance beyond the buffer [m]."""
+    margin = best_plan(search, _ANY, _ANY, search.bounds.depth, 0.0, _ANYTHING)
+    if margin >= _ANYTHING:
+        return search.bounds.depth, margin
+    best, longest = search.order[0], 0
+    for k in range(search.order.shape[0]):
+        clear, _, _ = survives(search, search.order[k], stored, length, _ANYTHING)
+        if clear > longest:
+            best, longest = search.order[k], clear
+    search.plan[0] = best
+    longest, margin, _ = survives(search, best, stored, length, _ANYTHING)
+    return longest, margin
+
+
+@uncounted
+def passes(search: Search, plans: Plans, records: Records, worlds: Worlds, e: int, proposed: int) -> bool:
+    """Whether a proposal is executed as it is, or is no action at all, so that a stored plan or slowing down takes its
+    place; into `records`."""
+    stored, length = plans.actions[e], plans.length[e]
+    records.proposed[e], records.clause[e], records.vehicle[e], records.margin[e] = proposed, 0, -1, math.nan
+    if not 0 <= proposed < search.order.shape[0]:
+        tier = _STORED if length > 0 else _EMERGENCY
+        _execute(records, plans, e, stored if length > 0 else search.order, length, tier, _BAD_ACTION)
+        return True
+    enter(search, worlds, e)
+    margin = _verify(search, proposed, stored, length)
+    if margin < 0:
+        return False
+    records.margin[e] = margin
+    _execute(records, plans, e, search.plan, search.bounds.depth, _PASSED, _NONE)
+    return True
+
+
+@uncounted
+def replace(
+    search: Search, plans: Plans, records: Records, worlds: Worlds, e: int, proposed: int, order: IntArray
+) -> None:
+    """What takes the place of a proposal that does not pass, into `records`; see `decide`."""
+    n, stored, length, margin = search.order.shape[0], plans.actions[e], plans.length[e], -np.inf
+    ranked = order.shape[0] > 0 and order[0] >= 0
+    if not ranked:
+        margin = closest_plan(search, proposed, wished_speed(search, worlds.f[e, TARGET_SPEED, 0], proposed))
+    for k in range(n):
+        if margin >= 0 or (ranked and (k >= order.shape[0] or order[k] < 0)):
+            break
+        action = order[k] if ranked else search.order[k]
+        if action != proposed and not same_outcome(search, action, proposed):
+            margin = _verify(search, action, stored, length)
+    if margin >= 0:
+        records.margin[e] = margin
+        _execute(records, plans, e, search.plan, search.bounds.depth, _ALTERNATIVE, _UNVERIFIED)
+        return
+    longest, margin = _longest(search, stored, length)
+    records.margin[e] = margin if margin > -np.inf else math.nan
+    _execute(records, plans, e, search.plan, longest, _LARGEST, _NO_SAFE_PLAN)
+
+
+@uncounted
+def decide(
+    search: Search, plans: Plans, records: Records, worlds: Worlds, e: int, proposed: int, order: IntArray
+) -> None:
+    """Decide about one proposal, into `records`.
+
+    It passes where some sequence that begins with it keeps the buffer for all decisions. Otherwise the first of the
+    others that does is taken, in the policy's order where there is one; without an order, the one that comes closest to
+    where the proposal leads (`closest_plan`). Where nothing keeps the buffer, what goes without a crash longest.
+
+    Parameters
+    ----------
+    proposed : the action; out of range, a stored plan or slowing down takes its place. order : the policy's order of
+        preference over the others, which ends with the first negative one; may be empty.
+    """
+    if not passes(search, plans, records, worlds, e, proposed):
+        replace(search, plans, records, worlds, e, proposed, order)

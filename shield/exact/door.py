@@ -1,0 +1,150 @@
+"""The door for meta-actions that are verified by simulation: what `Shield` runs with `Assumptions.exact()`."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from dynamics.errors import SceneError
+from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.simulator.layout import HEADING, SPEED, X, Y
+from dynamics.simulator.scenario import scenario_of
+from dynamics.simulator.simulator import Simulator
+from dynamics.state import FloatArray
+from shield.batch.arrays import empty_records
+from shield.batch.vocabulary import REASONS, TIERS
+from shield.config import ShieldConfig
+from shield.decision import Decision, Reason, Tier
+from shield.doors.discrete_action import action_index
+from shield.errors import ConfigError
+from shield.exact.deciding import Plans, empty_plans, passes, replace
+from shield.exact.refusals import check
+from shield.exact.room import Search, new_search
+from shield.exact.search import enter, leap
+from shield.procedures.screen import slower
+from shield.repair.order import resolve
+
+__all__ = ["ExactDoor"]
+
+_log = logging.getLogger(__name__)
+_STATE = [X, Y, HEADING, SPEED]
+_SAME = 1e-6
+"""A vehicle has done what was foretold of it within this [m, rad, m/s]; where numpy's own sums cannot be had they
+differ by some 1e-12."""
+
+
+class ExactDoor:
+    """Filters the meta-actions of one straight highway with traffic of known classes.
+
+    Parameters
+    ----------
+    base : the environment, unwrapped: highway-env's own, or a `CompiledHighwayEnv`.
+    config : settings with `Assumptions.exact()`.
+
+    Raises
+    ------
+    ConfigError
+        If the simulator cannot run the environment, or the settings are for another kind of verification.
+
+    Attributes
+    ----------
+    violations : vehicles that have done something else than what was foretold, counted at each decision.
+    cause : why the scene of the last decision could not be read, "" where it could.
+    """
+
+    supervising = False
+
+    def __init__(self, base: Any, config: ShieldConfig) -> None:
+        check(config)
+        self.config, self._base = config, base
+        if not isinstance(base, CompiledHighwayEnv):
+            if base.spec is None:
+                raise ConfigError("the environment has no id; make it with gym.make")
+            scenario_of(base.spec.id, base.config)
+        self.violations, self.cause = 0, ""
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything about the episode."""
+        self._live: Simulator | None = None
+        self._search: Search | None = None
+        self._plans: Plans = empty_plans(1, 1)
+        self._foretold: FloatArray | None = None
+
+    def decide(self, action: Any, order: Callable[[], list[int] | None] | None = None) -> Decision:
+        """Filter one meta-action; `order` gives the policy's order of preference over the others."""
+        start, proposed, self.cause = perf_counter(), action_index(action), ""
+        shown = action if proposed < 0 else proposed
+        reason: Reason | None = None
+        try:
+            simulator = self._now()
+        except (SceneError, ConfigError) as error:
+            reason, self.cause = Reason.BAD_SCENE, str(error)
+        except Exception as error:
+            _log.exception("the scene could not be read; the last resort acts")
+            reason, self.cause = Reason.STAGE_FAILED, f"{type(error).__name__}: {error}"
+        if reason is not None:
+            return self._blind(shown, reason, start)
+        search, records = self._search, empty_records(1, 1)
+        assert search is not None
+        self._compare(simulator)
+        if not passes(search, self._plans, records, simulator.worlds, 0, proposed):
+            # The policy is asked for its order only where something takes the proposal's place.
+            wanted = resolve(order) or []
+            ranked = np.array([*(a for a in wanted if a != proposed), -1], np.intp)
+            replace(search, self._plans, records, simulator.worlds, 0, proposed, ranked)
+        executed = int(records.executed[0])
+        enter(search, simulator.worlds, 0)
+        leap(search, 0, 1, executed, 0.0, -math.inf)
+        self._foretold = search.futures.f[1][_STATE].copy()
+        return Decision(
+            shown,
+            executed,
+            REASONS[records.reason[0]],
+            TIERS[records.tier[0]],
+            float(records.margin[0]),
+            perf_counter() - start,
+        )
+
+    def _now(self) -> Simulator:
+        """The traffic as it is."""
+        base = self._base
+        if isinstance(base, CompiledHighwayEnv):
+            simulator = base.simulator
+        elif self._live is None:
+            simulator = self._live = Simulator.of(base)
+        else:
+            simulator = self._live
+            simulator.load(base)
+        if self._search is None:
+            self._search = new_search(simulator, self.config)
+            self._plans = empty_plans(1, self._search.bounds.depth)
+        return simulator
+
+    def _compare(self, simulator: Simulator) -> None:
+        """Count the vehicles that have done something else than was foretold, as long as the ego has not."""
+        foretold, now = self._foretold, simulator.worlds.f[0][_STATE]
+        if foretold is None or foretold.shape != now.shape:
+            return
+        other = ~(np.abs(now - foretold) <= _SAME).all(axis=0)
+        if other.any():
+            self._plans.length[0] = 0
+        if not other[0]:
+            self.violations += int(other.sum())
+
+    def _blind(self, shown: Any, reason: Reason, start: float) -> Decision:
+        """Play the stored plan on, or slow down."""
+        self._foretold = None
+        length = int(self._plans.length[0])
+        if length > 0:
+            executed, tier = int(self._plans.actions[0, 0]), Tier.STORED_PLAN
+            self._plans.actions[0, :-1] = self._plans.actions[0, 1:]
+            self._plans.length[0] = length - 1
+        else:
+            executed, tier = slower(list(self._base.action_type.actions_indexes)), Tier.EMERGENCY
+        return Decision(shown, executed, reason, tier, math.nan, perf_counter() - start)

@@ -1,0 +1,83 @@
+"""`ExactHighways`: many compiled highways, each with its meta-actions verified by simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from dynamics.state import IntArray
+from shield.batch.filtered import FilteredHighways
+from shield.config import ShieldConfig
+from shield.exact.deciding import empty_plans
+from shield.exact.engine import step_all_exact
+from shield.exact.refusals import check
+from shield.exact.room import new_search
+
+__all__ = ["ExactHighways"]
+
+
+class ExactHighways(FilteredHighways):
+    """So many copies of `highway-v0` or `highway-fast-v0` with meta-actions, each behind what `Shield` with
+    `ShieldConfig.exact()` and `frames=False` is around one of them: the same decisions.
+
+    Parameters
+    ----------
+    env_id, num_envs, config, threads, tape : as of `Simulator`.
+    shield : settings with `Assumptions.exact()`, or the path of a TOML file with them; `ShieldConfig.exact()` by
+        default.
+
+    Raises
+    ------
+    ConfigError
+        If the simulator cannot run the environment, its actions are not meta-actions, or the settings are others.
+
+    Attributes
+    ----------
+    simulator, records, rows, off_road : as of `FilteredHighways`.
+    plans : what is remembered (`shield.exact.deciding.Plans`).
+
+    Examples
+    --------
+    >>> highways = ExactHighways("highway-fast-v0", 2)
+    >>> observations = highways.reset([0, 1])
+    >>> observations, reward, terminated, truncated = highways.step([3, 3])
+    >>> highways.records.executed
+    array([3, 3])
+    """
+
+    def __init__(
+        self,
+        env_id: str = "highway-fast-v0",
+        num_envs: int = 1,
+        config: Mapping[str, Any] | None = None,
+        shield: ShieldConfig | str | Path | None = None,
+        threads: int = 1,
+        tape: bool = False,
+    ) -> None:
+        settings = ShieldConfig.of(shield, ShieldConfig.exact())
+        check(settings)
+        super().__init__(env_id, num_envs, config, settings, threads, tape)
+        self._searches = [new_search(self.simulator, settings) for _ in self._slices]
+        self.plans = empty_plans(num_envs, self._searches[0].bounds.depth)
+
+    def _forget(self, e: int) -> None:
+        self.plans.length[e] = 0
+
+    def _decide(self, part: int, first: int, last: int, actions: IntArray, orders: IntArray, again: bool) -> None:
+        simulator = self.simulator
+        step_all_exact(
+            self._searches[part],
+            simulator.worlds,
+            simulator.scenario.view,
+            simulator.flat,
+            self.plans,
+            self.records,
+            actions,
+            orders,
+            self.rows,
+            self.off_road,
+            first,
+            last,
+            again,
+        )

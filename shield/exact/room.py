@@ -1,0 +1,114 @@
+"""What a search is asked, and the room that it works in."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from dynamics.simulator.engine import Machine, Rules, Work, Worlds
+from dynamics.simulator.simulator import Simulator
+from dynamics.state import FloatArray, IntArray
+from shield.config import ShieldConfig
+
+__all__ = ["Bounds", "Search", "new_search"]
+
+_OUTLOOK = 8.0
+"""How far ahead alternatives are compared [s]; beyond it they have to stay clear, and no more."""
+_KEEP_RIGHT = 0.8
+"""What being one lane further left counts as, as a loss of speed [m/s]: of alternatives that are about as fast, the
+rightmost. highway-env's default reward gives 0.83 m/s for a lane on three."""
+_BUDGET = 10
+"""Decisions that a search may simulate for each that it looks ahead."""
+
+
+class Bounds(NamedTuple):
+    """What is asked of a sequence.
+
+    Attributes
+    ----------
+    longitudinal, lateral : the buffer around the ego [m].
+    depth : decisions that are looked ahead. outlook : of them, those over which alternatives are compared.
+    budget : decisions that one search may simulate.
+    keep_right : what a lane further left counts as [m/s].
+    """
+
+    longitudinal: float
+    lateral: float
+    depth: int
+    outlook: int
+    budget: int
+    keep_right: float
+
+
+class Search(NamedTuple):
+    """The rules of the traffic, and room for the searches of one thread, with K lanes and target speeds.
+
+    Attributes
+    ----------
+    machine, rules, work : of the simulator. bounds : what is asked.
+    futures : states: the present, those that a search has come through or compares, and a spare one.
+    order : all actions, those that slow down first.
+    given : an action, (2,). row : a body, (1, 7).
+    choices : actions that have been tried at each level, (depth + 1,). path : the actions down to here, (depth,).
+    least : smallest clearance beyond the buffer down to each level, (depth + 1,) [m].
+    plan : the sequence that was found, (depth,). hint : one that is gone on with, (depth,).
+    lost : way lost in the best future of each kind, in two generations, (2, K) [m]. clear : its smallest clearance
+        beyond the buffer, (2, K) [m]. paths : its actions, (2, K, depth).
+    """
+
+    machine: Machine
+    rules: Rules
+    work: Work
+    bounds: Bounds
+    futures: Worlds
+    order: IntArray
+    given: FloatArray
+    row: FloatArray
+    choices: IntArray
+    path: IntArray
+    least: FloatArray
+    plan: IntArray
+    hint: IntArray
+    lost: FloatArray
+    clear: FloatArray
+    paths: IntArray
+
+
+_SAFEST_FIRST = (4, 1, 2, 0, 3)
+"""Labels of the actions (see `dynamics.simulator.engine.Rules`): slower, none, right, left, faster."""
+
+
+def new_search(simulator: Simulator, config: ShieldConfig) -> Search:
+    """Room for searches in the traffic of a simulator."""
+    rules, index = simulator.scenario.rules, np.intp
+    labels = rules.labels.tolist()
+    depth = max(1, math.ceil(config.horizon / rules.times[1] - 1e-9))
+    bounds = Bounds(
+        longitudinal=config.buffer.longitudinal,
+        lateral=config.buffer.lateral,
+        depth=depth,
+        outlook=min(depth, max(1, round(_OUTLOOK / rules.times[1]))),
+        budget=_BUDGET * depth,
+        keep_right=_KEEP_RIGHT,
+    )
+    kinds = len(rules.lanes) * len(rules.target_speeds)
+    return Search(
+        machine=simulator.machine,
+        rules=rules,
+        work=simulator.new_work(),
+        bounds=bounds,
+        futures=simulator.new_worlds(max(depth + 2, 2 * kinds + 2)),
+        order=np.array([labels.index(label) for label in _SAFEST_FIRST if label in labels], index),
+        given=np.zeros(2),
+        row=np.zeros((1, 7)),
+        choices=np.zeros(depth + 1, index),
+        path=np.zeros(depth, index),
+        least=np.zeros(depth + 1),
+        plan=np.zeros(depth, index),
+        hint=np.zeros(depth, index),
+        lost=np.zeros((2, kinds)),
+        clear=np.zeros((2, kinds)),
+        paths=np.zeros((2, kinds, depth), index),
+    )

@@ -1,0 +1,165 @@
+"""Whether a meta-action can be gone on with: a depth-first search in the traffic's exact future.
+
+The traffic of a straight highway draws nothing at random after the reset, so `dynamics.simulator` tells what every
+vehicle does after every action of the ego, its answers to the ego included. An action is good where *some* sequence of
+actions that begins with it stays clear for so many decisions.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dynamics.compiled import uncounted
+from dynamics.simulator.engine import Worlds, advance, begin
+from dynamics.simulator.lanes import on_lane
+from dynamics.simulator.layout import CRASHED, HEADING, LANE, LENGTH, SPEED, TARGET, TARGET_SPEED, WIDTH, X, Y
+from dynamics.simulator.neighbours import sort
+from dynamics.state import FloatArray, IntArray
+from dynamics.traffic.permits import Ego, gap_between
+from shield.exact.room import Bounds, Search
+
+__all__ = ["copy_future", "enter", "leap", "same_outcome", "survives"]
+
+
+@uncounted
+def _copy(worlds: Worlds, e: int, futures: Worlds, k: int) -> None:
+    """Copy what moves of one environment into a future."""
+    f, g, f0, g0 = futures.f[k], futures.g[k], worlds.f[e], worlds.g[e]
+    for i in range(f.shape[0]):
+        for j in range(f.shape[1]):
+            f[i, j] = f0[i, j]
+    for i in range(g.shape[0]):
+        for j in range(g.shape[1]):
+            g[i, j] = g0[i, j]
+    for j in range(f.shape[1]):
+        futures.order[k, j] = worlds.order[e, j]
+    futures.clock[k] = worlds.clock[e]
+
+
+@uncounted
+def copy_future(search: Search, source: int, target: int) -> None:
+    """Copy one future over another."""
+    _copy(search.futures, source, search.futures, target)
+
+
+@uncounted
+def enter(search: Search, worlds: Worlds, e: int) -> None:
+    """Make the present of one environment the first future."""
+    _copy(worlds, e, search.futures, 0)
+    p, p0 = search.futures.p, worlds.p[e]
+    for k in range(p.shape[0]):
+        for i in range(p.shape[1]):
+            for j in range(p.shape[2]):
+                p[k, i, j] = p0[i, j]
+
+
+@uncounted
+def _clearance(futures: Worlds, k: int, bounds: Bounds, row: FloatArray) -> float:
+    """The ego's smallest distance to anybody, beyond the buffer, negative where somebody is inside [m]."""
+    f, p = futures.f[k], futures.p[k]
+    half_length, half_width = 0.5 * p[LENGTH, 0], 0.5 * p[WIDTH, 0]
+    along, across = half_length + bounds.longitudinal, half_width + bounds.lateral
+    ego = Ego(f[X, 0], f[Y, 0], f[HEADING, 0], f[SPEED, 0], along, across, half_length, half_width, False)
+    least, reach = np.inf, math.hypot(along, across)
+    for i in range(1, f.shape[1]):
+        far = reach + 0.5 * math.hypot(p[LENGTH, i], p[WIDTH, i])
+        if math.hypot(f[X, i] - f[X, 0], f[Y, i] - f[Y, 0]) - far < least:
+            row[0, 0], row[0, 1], row[0, 2], row[0, 3] = f[X, i], f[Y, i], f[HEADING, i], f[SPEED, i]
+            row[0, 4], row[0, 5] = p[LENGTH, i], p[WIDTH, i]
+            least = min(least, gap_between(ego, along, across, row, 0, 0.0))
+    return least
+
+
+@uncounted
+def leap(search: Search, source: int, target: int, action: int, wish: float, floor: float) -> tuple[float, float]:
+    """Take an action in future `source`; `target` is what comes of it.
+
+    Parameters
+    ----------
+    wish : a speed [m/s]. floor : it is given up where less than this is clear beyond the buffer [m].
+
+    Returns
+    -------
+    The smallest clearance beyond the buffer on the way [m], with -inf for a crash or leaving the road; and the way that
+    is lost, or gained, against the wish, with what being left of the right lane counts as [m].
+    """
+    futures, rules, bounds = search.futures, search.rules, search.bounds
+    copy_future(search, source, target)
+    search.given[0], search.given[1] = action, 0.0
+    begin(futures, rules, target, search.given)
+    f, g, dt, right = futures.f[target], futures.g[target], rules.times[0], len(rules.lanes) - 1
+    level, least, lost = sort(f, futures.order[target]), np.inf, 0.0
+    for _ in range(rules.numbers[0]):
+        level = advance(search.machine, futures, rules, search.work, target, level, math.nan, math.nan)
+        if g[CRASHED, 0] != 0 or not on_lane(rules.lanes, g[LANE, 0], f[X, 0], f[Y, 0], 0.0):
+            return -np.inf, lost
+        least = min(least, _clearance(futures, target, bounds, search.row))
+        lost += (abs(wish - f[SPEED, 0]) + bounds.keep_right * (right - g[TARGET, 0])) * dt
+        if least < floor:
+            break
+    return least, lost
+
+
+@uncounted
+def same_outcome(search: Search, a: int, b: int) -> bool:
+    """Whether two actions want the same lane and speed now."""
+    futures, spare = search.futures, search.futures.f.shape[0] - 1
+    f, g = futures.f[spare], futures.g[spare]
+    copy_future(search, 0, spare)
+    search.given[0], search.given[1] = a, 0.0
+    begin(futures, search.rules, spare, search.given)
+    lane, speed = g[TARGET, 0], f[TARGET_SPEED, 0]
+    copy_future(search, 0, spare)
+    search.given[0] = b
+    begin(futures, search.rules, spare, search.given)
+    return lane == g[TARGET, 0] and speed == f[TARGET_SPEED, 0]
+
+
+@uncounted
+def survives(search: Search, first: int, stored: IntArray, length: int, floor: float) -> tuple[int, float, bool]:
+    """For how many decisions, at most `depth`, some sequence that begins with an action stays clear; `search.plan` is
+    that sequence.
+
+    Parameters
+    ----------
+    first : the action. stored : what an earlier plan wants from now on, (depth,), of which `length` are left: tried
+        first where it begins with the same.
+    floor : smallest clearance beyond the buffer that is allowed [m].
+
+    Returns
+    -------
+    The number of decisions, the smallest clearance beyond the buffer on the way [m], -inf where there is none; and
+    whether the budget was spent before all had been tried.
+    """
+    bounds, n = search.bounds, search.order.shape[0]
+    best, margin, spent, level = 0, -np.inf, 0, 0
+    planned = length if length > 0 and stored[0] == first else 0
+    search.choices[0], search.least[0] = 0, np.inf
+    while level >= 0 and spent < bounds.budget:
+        tried = search.choices[level]
+        search.choices[level] += 1
+        if tried > (0 if level == 0 else n):
+            level -= 1
+            continue
+        # What was planned goes first; without a plan, what slows down.
+        preferred = stored[level] if level < planned else search.order[0]
+        action = first if level == 0 else preferred if tried == 0 else search.order[tried - 1]
+        if level > 0 and tried > 0 and action == preferred:
+            continue
+        spent += 1
+        least, _ = leap(search, level, level + 1, action, 0.0, floor)
+        if least < floor:
+            continue
+        search.path[level] = action
+        search.least[level + 1] = min(search.least[level], least)
+        level += 1
+        if level > best:
+            best, margin = level, search.least[level]
+            for k in range(level):
+                search.plan[k] = search.path[k]
+            if level == bounds.depth:
+                return best, margin, False
+        search.choices[level] = 0
+    return best, margin, spent >= bounds.budget

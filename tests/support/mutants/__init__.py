@@ -9,8 +9,9 @@ from mutants.clearance import CLEARANCE
 from mutants.kinds import Edit, Mutant
 from mutants.owed import OWED
 from mutants.places import PLACES
+from mutants.simulated import SIMULATED
 from mutants.watched import WATCHED
 
 __all__ = ["MUTANTS", "Edit", "Mutant"]
 
-MUTANTS = (*ACCEPTED, *BATCHED, *CLEARANCE, *OWED, *PLACES, *WATCHED)
+MUTANTS = (*ACCEPTED, *BATCHED, *CLEARANCE, *OWED, *PLACES, *SIMULATED, *WATCHED)

@@ -42,7 +42,7 @@ INPUTS, LOT = "shield/procedures/inputs.py", "shield/procedures/parking_lot.py"
 SEARCH, RULE_KERNELS = "shield/repair/nearest_input.py", "shield/rule_kernels.py"
 MANOEUVRES = "shield/certificate/manoeuvres.py"
 BODIES, REACTION = "dynamics/traffic/occupancy_kernels.py", "dynamics/traffic/reaction.py"
-BATCH = "shield/batch"
+BATCH, EXACT = "shield/batch", "shield/exact"
 PERMITS, GAPS, ROLLOUTS = "dynamics/traffic/permits.py", "dynamics/roads/gaps.py", "dynamics/vehicle/rollout_kernels.py"
 
 TESTS_OF_CLAUSES, TRAFFIC = "tests/shield/test_clauses.py", "tests/shield/test_clauses_of_traffic.py"

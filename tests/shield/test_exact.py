@@ -1,0 +1,295 @@
+"""Verification by simulation: what it promises happens in highway-env itself, and what it denies cannot be had."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from itertools import product
+
+import gymnasium as gym
+import highway_env  # noqa: F401
+import numpy as np
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.objects import Obstacle
+
+from dynamics.simulator.engine import look
+from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.simulator.simulator import Simulator
+from dynamics.traffic.assumptions import Assumptions
+from evaluation.measuring.rectangles import separation
+from evaluation.running.certify import COLUMNS, FALLBACKS
+from evaluation.running.episodes import run_paired
+from evaluation.running.many import Many
+from evaluation.running.records import variant_for
+from evaluation.settings import Setting, get_setting
+from shield import ConfigError, Reason, Shield, ShieldConfig, ShieldedEnv
+from shield.batch.highways import ShieldedHighways
+from shield.config import Buffer
+from shield.decision import Tier
+from shield.exact.deciding import empty_plans
+from shield.exact.highways import ExactHighways
+from shield.exact.room import new_search
+from shield.exact.search import enter, survives
+
+DENSE = {"vehicles_density": 1.6, "duration": 15}
+EXACT = ShieldConfig.exact()
+
+
+class Chosen:
+    """Proposes what it was told to; without scores."""
+
+    def __init__(self, action=3):
+        self.action = action
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return self.action, state
+
+
+def shielded(env, config=EXACT, action=3):
+    policy = Chosen(action)
+    return policy, Shield(policy, env, config, frames=False)
+
+
+@pytest.mark.parametrize("simulator", ["highway-env", "compiled"])
+@pytest.mark.parametrize(
+    ("setting", "policy", "count"),
+    [
+        (get_setting("highway-fast"), "faster", 6),
+        (get_setting("highway-fast"), "random", 6),
+        (get_setting("highway-fast"), "ppo-highway-fast", 6),
+        (Setting("dense", "highway-fast-v0", DENSE), "random", 6),
+        (get_setting("abz-idm"), "dqn-abz-adversarial", 2),
+    ],
+)
+def test_many_decide_as_one_does_in_highway_env(setting, policy, count, simulator):
+    seeds = range(500, 500 + count)
+    alone = run_paired(setting, policy, [variant_for(EXACT)], seeds, simulator=simulator)
+    assert alone["violations"].sum() == 0
+    alone = alone[list(COLUMNS)].assign(fallbacks=alone[FALLBACKS].sum(axis=1))
+    together = Many(setting, policy, EXACT, envs=3).run(seeds)
+    for name in ("return", "steps", "crashed", "overridden", "frames_overridden", "min_margin", "fallbacks"):
+        assert np.array_equal(alone[name].astype(float), together[name].astype(float), equal_nan=True), name
+    assert together["overridden"].sum() > 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_verifies_is_clear_in_highway_env(seed):
+    """The plan behind each verified decision is driven in a copy of highway-env: nobody comes into the buffer."""
+    env = gym.make("highway-fast-v0", config=DENSE).unwrapped
+    obs, _ = env.reset(seed=700 + seed)
+    policy, shield = shielded(env)
+    rng, verified, done = np.random.default_rng(seed), 0, False
+    while not done:
+        policy.action = int(rng.integers(5))
+        action = int(shield.predict(obs)[0])
+        decision, plans = shield.last_decision, shield._doors[0]._plans
+        if decision.tier.verified:
+            copy, verified = deepcopy(env), verified + 1
+            # Of the episode's end nothing is asked: the road goes on.
+            copy.config["duration"] = 1000
+            then = plans.actions[0, : plans.length[0]].tolist()
+            assert least_clearance(copy, [action, *then]) >= decision.margin - 1e-9 >= -1e-9
+        obs, _, terminated, truncated, _ = env.step(action)
+        done = terminated or truncated
+    assert verified > 8
+
+
+def least_clearance(env, actions):
+    """Drive a plan in highway-env: the smallest distance between the ego with its buffer and any body [m]."""
+    least = []
+    advance = env.road.step
+
+    def step(dt):
+        advance(dt)
+        ego = env.vehicle
+        wide = [ego.LENGTH + 2 * EXACT.buffer.longitudinal, ego.WIDTH + 2 * EXACT.buffer.lateral]
+        mine = np.array([*ego.position, ego.heading, 0.0, *wide])
+        for body in env.road.vehicles[1:]:
+            row = np.array([*body.position, body.heading, 0.0, body.LENGTH, body.WIDTH])
+            least.append(float(separation(mine, row)))
+
+    env.road.step = step
+    for action in actions:
+        _, _, terminated, _, _ = env.step(action)
+        assert not terminated
+    return min(least)
+
+
+@pytest.mark.parametrize(("seed", "buffer"), [(s, b) for s in range(12) for b in (Buffer(0.0, 0.0), Buffer(4.0, 0.5))])
+def test_a_sequence_is_found_where_there_is_one(seed, buffer):
+    """All sequences of four actions, one after another."""
+    config = EXACT.replace(horizon=4.0, buffer=buffer)
+    simulator = Simulator("highway-fast-v0", 1, {"vehicles_density": 3.0})
+    simulator.reset([900 + seed])
+    search, plans = new_search(simulator, config), empty_plans(1, 4)
+    bodies = np.zeros((simulator.scenario.bodies, 7))
+    for _ in range(1 + seed % 4):
+        simulator.step([3])
+    for first in range(5):
+        enter(search, simulator.worlds, 0)
+        found, margin, exhausted = survives(search, first, plans.actions[0], 0, 0.0)
+        there = any(clear(simulator, (first, *rest), buffer, bodies) for rest in product(range(5), repeat=3))
+        assert found == 4 or not there or exhausted
+        assert not (found == 4 and not there)
+        assert margin >= 0 or found == 0
+
+
+def clear(simulator, actions, buffer, rows):
+    """Whether a sequence keeps the buffer, frame by frame, in the simulator."""
+    before = [array.copy() for array in simulator.worlds]
+    try:
+        for action in actions:
+            simulator.begin(action)
+            for _ in range(simulator.scenario.rules.numbers[0]):
+                simulator.frame(rows)
+                ego = rows[0].copy()
+                ego[4:6] += 2 * buffer.longitudinal, 2 * buffer.lateral
+                if ego[6] or any(separation(ego[:6], row[:6]) <= 0 for row in rows[1:]):
+                    return False
+        return True
+    finally:
+        for array, saved in zip(simulator.worlds, before, strict=True):
+            array[:] = saved
+
+
+def test_it_drives_and_does_not_crash():
+    found = Many(get_setting("highway-fast"), "faster", EXACT).run(range(200))
+    assert found["crashed"].sum() == 0
+    assert found["return"].mean() > 28.0
+
+
+def test_the_policy_s_order_is_followed():
+    """Of the alternatives that verify, the one that it likes most is taken."""
+    highways = ExactHighways("highway-fast-v0", 1, DENSE)
+    taken = {}
+    for name, order in (("left", [0, 2, 1, 4, -1]), ("slow", [4, 1, 2, 0, -1])):
+        actions = []
+        for seed in range(20):
+            highways.reset([seed])
+            for _ in range(8):
+                highways.step([3], np.array([order]))
+                if highways.records.tier[0] != 1:
+                    actions.append(int(highways.records.executed[0]))
+        taken[name] = actions
+    assert taken["left"].count(0) > taken["slow"].count(0)
+    assert taken["slow"].count(4) > taken["left"].count(4)
+
+
+def test_an_obstacle_is_seen():
+    env = gym.make("highway-fast-v0", config={"vehicles_count": 3}).unwrapped
+    obs, _ = env.reset(seed=5)
+    ego = env.vehicle
+    for lane in range(3):
+        at = env.road.network.get_lane(("0", "1", lane)).position(ego.position[0] + 150.0, 0)
+        if lane != ego.lane_index[2]:
+            env.road.objects.append(Obstacle(env.road, at))
+    wall = env.road.network.get_lane(ego.lane_index).position(ego.position[0] + 90.0, 0)
+    env.road.objects.append(Obstacle(env.road, wall))
+    _, shield = shielded(env)
+    executed = []
+    for _ in range(3):
+        executed.append(int(shield.predict(obs)[0]))
+        obs = env.step(executed[-1])[0]
+    assert shield.statistics.overridden > 0
+    assert not ego.crashed
+
+
+def test_traffic_that_does_something_else_is_counted():
+    env = gym.make("highway-fast-v0").unwrapped
+    obs, _ = env.reset(seed=8)
+    _, shield = shielded(env)
+    obs = env.step(int(shield.predict(obs)[0]))[0]
+    shield.predict(obs)
+    assert shield.report()["violations"] == 0
+    obs = env.step(int(shield.last_decision.executed))[0]
+    env.road.vehicles[4].speed += 0.5
+    shield.predict(obs)
+    assert shield.report()["violations"] == 1
+
+
+def test_another_action_than_the_shield_s_is_no_offence_of_the_traffic():
+    env = gym.make("highway-fast-v0").unwrapped
+    obs, _ = env.reset(seed=8)
+    _, shield = shielded(env)
+    shield.predict(obs)
+    obs = env.step(4)[0]
+    shield.predict(obs)
+    assert shield.report()["violations"] == 0
+
+
+@pytest.mark.parametrize("planned", [True, False])
+def test_a_scene_that_cannot_be_read_is_answered_with_the_stored_plan(planned):
+    env = gym.make("highway-fast-v0").unwrapped
+    obs, _ = env.reset(seed=9)
+    _, shield = shielded(env)
+    if planned:
+        obs = env.step(int(shield.predict(obs)[0]))[0]
+        stored = int(shield._doors[0]._plans.actions[0, 0])
+    env.road.vehicles[3].position[0] = np.nan
+    executed = int(shield.predict(obs)[0])
+    assert shield.last_decision.reason is Reason.BAD_SCENE
+    assert shield.last_decision.tier is (Tier.STORED_PLAN if planned else Tier.EMERGENCY)
+    assert executed == (stored if planned else 4)
+
+
+@pytest.mark.parametrize("action", [7, -1, float("nan")])
+def test_what_is_no_action_is_answered_with_the_stored_plan(action):
+    env = CompiledHighwayEnv("highway-fast-v0")
+    obs, _ = env.reset(seed=9)
+    policy, shield = shielded(env)
+    obs = env.step(int(shield.predict(obs)[0]))[0]
+    policy.action = action
+    shield.predict(obs)
+    assert shield.last_decision.tier is Tier.STORED_PLAN
+    assert shield.last_decision.reason in (Reason.BAD_ACTION, Reason.POLICY_FAILED)
+
+
+class Stranger(IDMVehicle):
+    """Drives in a way of its own."""
+
+    def act(self, action=None):
+        super().act(action)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: ShieldedEnv(gym.make("highway-fast-v0"), EXACT), "frames=False"),
+        (lambda: Shield(Chosen(), gym.make("highway-fast-v0"), EXACT), "frames=False"),
+        (lambda: ShieldedHighways("highway-fast-v0", 1, None, EXACT), "frames=False"),
+        (lambda: shielded(gym.make("highway-fast-v0"), EXACT.replace(mode="rss")), "mode = 'full'"),
+        (lambda: shielded(gym.make("merge-v0")), "highway-v0"),
+        (lambda: ExactHighways("highway-fast-v0", 1, None, ShieldConfig()), "Assumptions.exact"),
+        (
+            lambda: shielded(gym.make("highway-v0", config={"other_vehicles_type": f"{__name__}.Stranger"})),
+            "Stranger",
+        ),
+        (
+            lambda: Shield(
+                Chosen(), gym.make("highway-fast-v0", config={"action": {"type": "ContinuousAction"}}), EXACT, False
+            ),
+            "meta-actions alone",
+        ),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused(make, message):
+    with pytest.raises(ConfigError, match=message):
+        make()
+
+
+def test_settings_go_through_toml():
+    assert ShieldConfig.from_toml(EXACT.to_toml()) == EXACT
+    assert ShieldConfig.from_toml('assumptions = "exact"').assumptions == Assumptions.exact()
+
+
+def test_the_present_is_not_touched():
+    highways = ExactHighways("highway-fast-v0", 1)
+    highways.reset([3])
+    rows = np.zeros((highways.simulator.scenario.bodies, 7))
+    look(highways.worlds, highways.simulator.scenario.rules, 0, rows)
+    search, plans = new_search(highways.simulator, EXACT), empty_plans(1, 20)
+    enter(search, highways.worlds, 0)
+    survives(search, 3, plans.actions[0], 0, 0.0)
+    after = rows.copy()
+    look(highways.worlds, highways.simulator.scenario.rules, 0, after)
+    assert np.array_equal(rows, after)

@@ -1,0 +1,58 @@
+"""Verification by simulation: what it would let through if a line were missing."""
+
+from __future__ import annotations
+
+from mutants.kinds import EXACT, off
+
+__all__ = ["SIMULATED"]
+
+_TESTS = "tests/shield/test_exact.py"
+
+SIMULATED = (
+    off("what is simulated passes", f"{EXACT}/deciding.py", "    if margin < 0:\n        return False\n", "", _TESTS),
+    off(
+        "no buffer in what is simulated",
+        f"{EXACT}/search.py",
+        "half_length + bounds.longitudinal, half_width + bounds.lateral",
+        "half_length, half_width",
+        _TESTS,
+    ),
+    off("one decision is enough", f"{EXACT}/search.py", "if level == bounds.depth:", "if level == 1:", _TESTS),
+    off(
+        "only the last decision's clearance",
+        f"{EXACT}/search.py",
+        "search.least[level + 1] = min(search.least[level], least)",
+        "search.least[level + 1] = least",
+        _TESTS,
+    ),
+    off(
+        "a search that never turns back",
+        f"{EXACT}/search.py",
+        "            level -= 1\n",
+        "            break\n",
+        _TESTS,
+    ),
+    off(
+        "a frame is looked at in each decision",
+        f"{EXACT}/search.py",
+        "        least = min(least, _clearance(futures, target, bounds, search.row))\n",
+        "        least = _clearance(futures, target, bounds, search.row)\n",
+        _TESTS,
+    ),
+    off(
+        "an alternative is as good as its first decisions",
+        f"{EXACT}/closest.py",
+        "    if clear == bounds.depth:\n        return margin\n",
+        "    return margin\n",
+        _TESTS,
+    ),
+    off("nothing is foretold", f"{EXACT}/door.py", "if not other[0]:", "if False:", _TESTS),
+    off("the ego is foretold too", f"{EXACT}/door.py", "if not other[0]:", "if True:", _TESTS),
+    off(
+        "the order is not asked for",
+        f"{EXACT}/deciding.py",
+        "ranked = order.shape[0] > 0 and order[0] >= 0",
+        "ranked = False",
+        _TESTS,
+    ),
+)

@@ -14,6 +14,7 @@ from dis import get_instructions
 from hashlib import sha256
 from inspect import getsource, getsourcefile
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any, TypeVar, cast
 
 from numba import njit
@@ -50,12 +51,25 @@ def _kernel(function: F, **options: bool) -> F:
     made, make = _digest(function), cast(Any, njit)
     try:
         kernel: Any = make(cache=True, error_model="numpy", **options)(function)
+        file = kernel._cache._cache_file
         # What numba compares with what it finds on the disk: by itself the time and size of the kernel's file.
-        kernel._cache._cache_file._source_stamp = made
+        file._source_stamp, file._load_index = made, _readable(file._load_index)
     except (RuntimeError, AttributeError):  # there is no folder to keep it in, or it is kept in another way
         kernel = make(error_model="numpy", **options)(function)
     _MADE_FROM[kernel] = made
     return cast(F, kernel)
+
+
+def _readable(load: Callable[[], dict[Any, Any]]) -> Callable[[], dict[Any, Any]]:
+    """numba reads an index whole before it asks how old it is; an old one may name classes that have moved since."""
+
+    def index() -> dict[Any, Any]:
+        try:
+            return load()
+        except (AttributeError, ImportError, UnpicklingError, EOFError):
+            return {}
+
+    return index
 
 
 def made_from(kernel: Any) -> str:

@@ -43,12 +43,12 @@ def test_what_it_calls_is_part_of_what_it_is_made_from():
     assert first != made_from(half)
 
 
-def run(folder: Path) -> tuple[float, int]:
-    """The answer of `outer(3)`, and how often its code was found on the disk."""
+def run(folder: Path, program: str = PROGRAM) -> tuple[float, int]:
+    """What a program prints: an answer, and how often its code was found on the disk."""
     root = Path(__file__).parents[2]
     paths = os.pathsep.join([str(folder), str(root)])
     env = {**os.environ, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(folder / "kept"), "PYTHONDONTWRITEBYTECODE": "1"}
-    done = subprocess.run([sys.executable, "-c", PROGRAM], env=env, capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True, check=True)
     value, hits = done.stdout.split()
     return float(value), int(hits)
 
@@ -66,6 +66,22 @@ def test_code_on_the_disk_is_found_again_and_never_stale(tmp_path, file, old, ne
     path = tmp_path / file
     path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
     assert run(tmp_path) == (then, 0)
+
+
+MOVED = """
+from outer import {0}, outer
+print(outer({0}(1.0, 2.0)), sum(outer.stats.cache_hits.values()))
+"""
+
+
+def test_code_for_a_class_that_has_moved_counts_as_none(tmp_path):
+    text = "from typing import NamedTuple\n\nclass Pair(NamedTuple):\n    a: float\n    b: float\n"
+    outer = "from dynamics.compiled import compiled\nfrom here import {0}\n\n@compiled\ndef outer(x):\n    return x.a + x.b\n"
+    for name in ("Pair", "Couple"):
+        (tmp_path / "here.py").write_text(text.replace("Pair", name), encoding="utf-8")
+        (tmp_path / "outer.py").write_text(outer.format(name), encoding="utf-8")
+        assert run(tmp_path, MOVED.format(name)) == (3.0, 0)
+        assert run(tmp_path, MOVED.format(name)) == (3.0, 1)
 
 
 def test_what_a_kernel_needs_has_to_be_there_before_it():

@@ -76,7 +76,8 @@ print(outer({0}(1.0, 2.0)), sum(outer.stats.cache_hits.values()))
 
 def test_code_for_a_class_that_has_moved_counts_as_none(tmp_path):
     text = "from typing import NamedTuple\n\nclass Pair(NamedTuple):\n    a: float\n    b: float\n"
-    outer = "from dynamics.compiled import compiled\nfrom here import {0}\n\n@compiled\ndef outer(x):\n    return x.a + x.b\n"
+    head, body = "from dynamics.compiled import compiled\nfrom here import {0}\n\n", "@compiled\ndef outer(x):\n"
+    outer = head + body + "    return x.a + x.b\n"
     for name in ("Pair", "Couple"):
         (tmp_path / "here.py").write_text(text.replace("Pair", name), encoding="utf-8")
         (tmp_path / "outer.py").write_text(outer.format(name), encoding="utf-8")

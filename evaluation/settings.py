@@ -40,9 +40,11 @@ TRAFFIC: Mapping[str, str] = MappingProxyType(
         "linear": "highway_env.vehicle.behavior.LinearVehicle",
         "aggressive": "highway_env.vehicle.behavior.AggressiveVehicle",
         "defensive": "highway_env.vehicle.behavior.DefensiveVehicle",
+        "trucks": "dynamics.traffic.mixed.WithTrucks",
     }
 )
-"""Short names of highway-env's driver models, and the classes they stand for."""
+"""Short names of highway-env's driver models, and of IDM with every third vehicle a truck, and the classes they stand
+for."""
 
 
 @dataclass(frozen=True)
@@ -183,6 +185,12 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
         for setting in (
             Setting("highway-fast", "highway-fast-v0", {}, "highway-fast-v0 as it comes: 5 Hz"),
             Setting("highway", "highway-v0", {}, "highway-v0 as it comes: 15 Hz"),
+            Setting(
+                "highway-trucks",
+                "highway-fast-v0",
+                {"simulation_frequency": 15, "other_vehicles_type": TRAFFIC["trucks"]},
+                "highway-fast-v0 among cars and trucks of 12 m, every third vehicle: 15 Hz",
+            ),
             Setting(
                 "abz",
                 "highway-fast-v0",

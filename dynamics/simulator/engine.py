@@ -92,7 +92,8 @@ class Rules(NamedTuple):
     numbers : frames, vehicles, ego's first lane or -1, whether traffic collides, kinds of ego and traffic.
     times : duration of a frame and of a decision, and of an episode [s].
     spacings : of ego and traffic, and exp(-lanes / 8).
-    constants : (2, P), of ego and traffic. ranges : (6, 2), of what is drawn for each vehicle.
+    constants : (1 + c, P), of the ego and of the classes of the traffic, which take turns.
+    ranges : (6, 2), of what is drawn for each vehicle.
     target_speeds : of the ego [m/s]. labels : of each action: 0 left, 1 none, 2 right, 3 faster, 4 slower.
     reward : weights of collision, right lane, high speed and being on the road; speeds that are mapped to 0 and 1;
         whether it is normalised, and whether leaving the road ends an episode.
@@ -156,7 +157,6 @@ def _restart(worlds: Worlds, rules: Rules, e: int) -> None:
     """Draw a new scene in one environment."""
     numbers = rules.numbers
     f, g, p, row = worlds.f[e], worlds.g[e], worlds.p[e], worlds.rows[e]
-    constants = rules.constants[0], rules.constants[1]
     kinds = numbers[4], numbers[5]
     spawn(
         row,
@@ -166,7 +166,7 @@ def _restart(worlds: Worlds, rules: Rules, e: int) -> None:
         rules.lanes,
         numbers[1],
         kinds,
-        constants,
+        rules.constants,
         rules.ranges,
         rules.spacings,
         rules.target_speeds,

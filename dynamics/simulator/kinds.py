@@ -10,8 +10,9 @@ from highway_env.vehicle.behavior import AggressiveVehicle, DefensiveVehicle, ID
 from dynamics.errors import ConfigError
 from dynamics.simulator.layout import IDM, LINEAR, P
 from dynamics.state import FloatArray
+from dynamics.traffic.mixed import Mixed
 
-__all__ = ["CONSTANTS", "constants_of", "kind_of", "ranges_of"]
+__all__ = ["CONSTANTS", "constants_of", "kind_of", "mix_of", "ranges_of"]
 
 _NUMBERS = (
     "LENGTH",
@@ -37,6 +38,7 @@ CONSTANTS = frozenset(
 """What a vehicle, or a class of them, may have of its own."""
 _DRAWN = 6
 """Numbers that may be drawn for each vehicle: IDM's exponent, and the linear model's five."""
+_MADE = ("__init__", "__new__", "__getattr__", "__getattribute__")
 _STOCK = (IDMVehicle, LinearVehicle, AggressiveVehicle, DefensiveVehicle)
 
 
@@ -48,6 +50,12 @@ def kind_of(vehicle: Any) -> int:
     ConfigError
         If it drives in another way.
     """
+    mix = mix_of(vehicle) if isinstance(vehicle, type) else ()
+    if len(mix) > 1 or (mix and mix[0] is not vehicle):
+        kinds = {kind_of(each) for each in mix}
+        if len(kinds) > 1 or not all(np.array_equal(ranges_of(mix[0]), ranges_of(each)) for each in mix):
+            raise ConfigError(f"{vehicle.__name__} mixes classes that drive, or are drawn, in different ways")
+        return kinds.pop()
     own: set[str] = set()
     for each in vehicle.__mro__ if isinstance(vehicle, type) else ():
         if each in _STOCK:
@@ -55,8 +63,19 @@ def kind_of(vehicle: Any) -> int:
                 raise ConfigError(f"{vehicle.__name__} has {', '.join(sorted(own))} of its own")
             return LINEAR if issubclass(each, LinearVehicle) else IDM
         own |= {name for name in vars(each) if not name.startswith(("__", "_abc_")) and name not in CONSTANTS}
-        own |= {name for name in vars(each) if name in ("__init__", "__new__", "__getattr__", "__getattribute__")}
+        own |= {name for name in vars(each) if name in _MADE}
     raise ConfigError(f"{getattr(vehicle, '__name__', vehicle)} does not drive as IDMVehicle or LinearVehicle do")
+
+
+def mix_of(vehicle: type[Any]) -> tuple[type[Any], ...]:
+    """The classes that the traffic of a class is made of, in turn: its own, but for `Mixed`."""
+    if not issubclass(vehicle, Mixed):
+        return (vehicle,)
+    own = {name for each in vehicle.__mro__[: vehicle.__mro__.index(Mixed)] for name in vars(each)}
+    own -= {"MIX"} | {name for name in own if name.startswith(("__", "_abc_")) and name not in _MADE}
+    if own:
+        raise ConfigError(f"{vehicle.__name__} has {', '.join(sorted(own))} of its own, and not MIX alone")
+    return vehicle.MIX
 
 
 def constants_of(vehicle: Any) -> FloatArray:

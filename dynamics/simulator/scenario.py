@@ -21,7 +21,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from dynamics.errors import ConfigError, PlatformError
 from dynamics.simulator.engine import Rules, View
 from dynamics.simulator.grid import LAYERS
-from dynamics.simulator.kinds import constants_of, kind_of, ranges_of
+from dynamics.simulator.kinds import constants_of, kind_of, mix_of, ranges_of
 from dynamics.simulator.layout import CONTINUOUS, EGO, LANE_COLUMNS
 from dynamics.simulator.observe import FEATURES
 from dynamics.simulator.refusals import refusals
@@ -159,6 +159,7 @@ def _rules(kind: type[HighwayEnv], config: Mapping[str, Any]) -> tuple[Rules, In
         ego[4], ego[3] = action["speed_range"]
     first = config["initial_lane_id"]
     frames = int(config["simulation_frequency"] // config["policy_frequency"])
+    mix = mix_of(traffic)
     kinds = EGO if inputs is None else CONTINUOUS, kind_of(traffic)
     slow, fast = (float(v) for v in config["reward_speed_range"])
     rules = Rules(
@@ -172,8 +173,8 @@ def _rules(kind: type[HighwayEnv], config: Mapping[str, Any]) -> tuple[Rules, In
         ),
         times=(1 / config["simulation_frequency"], 1 / config["policy_frequency"], float(config["duration"])),
         spacings=(float(config["ego_spacing"]), 1 / config["vehicles_density"], float(np.exp(-5 / 40 * n))),
-        constants=np.array([ego, constants_of(traffic)]),
-        ranges=ranges_of(traffic),
+        constants=np.array([ego, *map(constants_of, mix)]),
+        ranges=ranges_of(mix[0]),
         target_speeds=speeds,
         labels=labels,
         reward=(

@@ -65,7 +65,7 @@ def spawn(
     lanes: FloatArray,
     vehicles: int,
     kinds: tuple[int, int],
-    constants: tuple[FloatArray, FloatArray],
+    constants: FloatArray,
     ranges: FloatArray,
     spacings: tuple[float, float, float],
     target_speeds: FloatArray,
@@ -77,7 +77,8 @@ def spawn(
     Parameters
     ----------
     row : the generator.
-    kinds, constants : of the ego and of the traffic: kind, and its column of `p`, (P,).
+    kinds : of the ego and of the traffic. constants : columns of `p`, of the ego and of the traffic, which takes those
+        that there are in turn, (1 + c, P).
     ranges : of what is drawn for each vehicle, (6, 2): DELTA, and the five parameters of the linear model.
     spacings : of the ego and of the traffic, and exp(-lanes / 8).
     first_lane : the ego's, or -1 to draw it.
@@ -97,8 +98,9 @@ def spawn(
             for j in range(1, i):
                 x = max(x, f[X, j])
         x += offset * uniform(row, 0.9, 1.1)
+        turn = 0 if i == 0 else 1 + (i - 1) % (constants.shape[0] - 1)
         for k in range(P):
-            p[k, i] = constants[0][k] if i == 0 else constants[1][k]
+            p[k, i] = constants[turn, k]
         f[X, i], f[Y, i], f[SPEED, i], f[COS, i] = x, lanes[lane, LANE_Y], speed, 1.0
         g[KIND, i] = kinds[which]
         g[LANE, i] = g[TARGET, i] = closest_lane(lanes, x, f[Y, i], 0.0)

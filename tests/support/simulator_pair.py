@@ -15,6 +15,7 @@ from dynamics.simulator import layout
 from dynamics.simulator.observe import FEATURES
 from dynamics.simulator.random import from_generator
 from dynamics.simulator.simulator import Simulator
+from dynamics.traffic.mixed import WithTrucks
 
 __all__ = [
     "DRIVERS",
@@ -232,7 +233,7 @@ class Brisk(LinearVehicle):
 
 DRIVERS = (
     *(f"highway_env.vehicle.behavior.{name}Vehicle" for name in ("IDM", "Linear", "Aggressive", "Defensive")),
-    *(f"{kind.__module__}.{kind.__name__}" for kind in (Truck, Polite, Hesitant, Quadratic, Brisk)),
+    *(f"{kind.__module__}.{kind.__name__}" for kind in (Truck, Polite, Hesitant, Quadratic, Brisk, WithTrucks)),
 )
 """Paths of traffic: highway-env's, and classes that change only constants."""
 

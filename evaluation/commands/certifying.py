@@ -128,6 +128,7 @@ def falsify_command(
     table.add_row("median clearance as drawn [m]", f"{found.median:.3f}")
     table.add_row("smallest clearance found [m]", f"{found.find.clearance:.3f}")
     table.add_row("crashes in the last level", str(found.crashed))
+    table.add_row("as drawn, in which the traffic broke an assumption", f"{100 * found.offended:.1f} %")
     _out.print(table)
     _out.print(f"wrote {output}")
 

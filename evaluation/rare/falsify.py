@@ -18,10 +18,10 @@ from dynamics.simulator.simulator import Simulator
 from dynamics.state import FloatArray, IntArray
 from evaluation.measuring.recorder import Recorder
 from evaluation.rare.subset import Subset, subset_simulation
-from evaluation.running.many import Many
+from evaluation.running.many import Chosen, Many
 from evaluation.running.named_policies import make_policy, start_episode
 from evaluation.settings import Setting
-from shield import ShieldedEnv
+from shield import Shield, ShieldedEnv
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
 
@@ -80,12 +80,14 @@ class Searched:
     ----------
     find : the worst episode. episodes : how many were driven. median : of the clearances in the first of them, which
         were drawn as a reset draws them [m]. crashed : how many of the last level crashed.
+    offended : the share of the first in which the traffic broke the assumptions.
     """
 
     find: Find
     episodes: int
     median: float
     crashed: int
+    offended: float
 
 
 class _Episodes:
@@ -103,8 +105,8 @@ class _Episodes:
         actions = (shares[:, self.scene :] * self.labels).astype(np.intp) if self._free else None
         return shares[:, : self.scene], actions
 
-    def drive(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The smallest clearance of each (n,) [m], and the least time to a collision (n,) [s]."""
+    def drive(self, points: FloatArray) -> Chosen:
+        """What happens in each."""
         return self._many.run_chosen(*self.of(points))
 
 
@@ -128,7 +130,9 @@ def crash_probability(
     samples, seed, share : see `subset_simulation`.
     """
     episodes = _Episodes(setting, policy, config)
-    return subset_simulation(lambda points: episodes.drive(points)[1], episodes.dimensions, samples, share, seed)
+    return subset_simulation(
+        lambda points: episodes.drive(points).time_to_collision, episodes.dimensions, samples, share, seed
+    )
 
 
 def falsify(
@@ -139,7 +143,8 @@ def falsify(
     seed: int = 0,
     samples: int = 500,
 ) -> Searched:
-    """Search for the episode with the smallest true clearance.
+    """Search for the episode with the smallest true clearance, and see whether the traffic keeps to what is assumed of
+    it.
 
     Parameters
     ----------
@@ -148,12 +153,12 @@ def falsify(
     """
     if episodes < samples:
         raise ConfigError(f"have at least {samples} episodes, a level's, not {episodes}")
-    searched, first = _Episodes(setting, policy, config), []
+    searched, first = _Episodes(setting, policy, config), list[Chosen]()
 
     def clearance(points: FloatArray) -> FloatArray:
-        found = searched.drive(points)[0]
-        first.append(float(np.median(found)))
-        return found
+        found = searched.drive(points)
+        first.append(found)
+        return found.clearance
 
     most = episodes - samples + 1
     result = subset_simulation(clearance, searched.dimensions, samples, 0.1, seed, most=most)
@@ -167,7 +172,14 @@ def falsify(
         actions=() if actions is None else tuple(actions[0].tolist()),
         clearance=float(result.performance[0]),
     )
-    return Searched(find, result.evaluations, first[0], int((result.performance <= 0).sum()))
+    drawn = first[0]
+    return Searched(
+        find,
+        result.evaluations,
+        float(np.median(drawn.clearance)),
+        int((result.performance <= 0).sum()),
+        float((drawn.offences > 0).mean()),
+    )
 
 
 def replay(find: Find) -> Find:
@@ -176,20 +188,35 @@ def replay(find: Find) -> Find:
     simulator = Simulator(find.env_id, 1, find.config, tape=True)
     simulator.reset_to(np.array(find.shares)[None], [0])
     env = setting.make()
-    policy = None if find.policy == ANY else make_policy(find.policy, env)
-    shielded = env if shield.mode == "none" else ShieldedEnv(env, shield, policy=policy)
-    shielded.reset(seed=0)
-    if policy is not None:
+    policy: Any = _Told(find.actions) if find.policy == ANY else make_policy(find.policy, env)
+    shielded: Any = env
+    if find.policy != ANY:
         start_episode(policy, 0)
+    if shield.assumptions.simulated and shield.mode != "none":
+        policy = Shield(policy, env, shield, frames=False)
+    elif shield.mode != "none":
+        shielded = ShieldedEnv(env, shield, policy=None if find.policy == ANY else policy)
+    shielded.reset(seed=0)
     simulator.store(env)
     base: Any = env.unwrapped
-    obs, recorder, done, step = base.observation_type.observe(), Recorder(env), False, 0
+    obs, recorder, done = base.observation_type.observe(), Recorder(env), False
     while not done:
-        if policy is None:
-            action = find.actions[min(step, len(find.actions) - 1)]
-        else:
-            action = int(np.asarray(policy.predict(obs, deterministic=True)[0]).item())
+        action = int(np.asarray(policy.predict(obs, deterministic=True)[0]).item())
         obs, _, terminated, truncated, _ = shielded.step(action)
-        done, step = bool(terminated or truncated), step + 1
+        done = bool(terminated or truncated)
     env.close()
     return replace(find, clearance=recorder.history().min_gap())
+
+
+class _Told:
+    """Proposes what it is told to, and then the last of it."""
+
+    def __init__(self, actions: tuple[int, ...]) -> None:
+        self._actions, self._step = actions, -1
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        """The next."""
+        self._step += 1
+        return np.asarray(self._actions[min(self._step, len(self._actions) - 1)]), state

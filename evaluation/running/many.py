@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import pandas as pd
@@ -25,13 +25,28 @@ from shield.doors.ranking import normalised, order_from_scores, ranking_of
 from shield.errors import ConfigError
 from shield.exact.highways import ExactHighways
 
-__all__ = ["Many"]
+__all__ = ["Chosen", "Many"]
 
 _ENVS = 64
 _SOON = 1e-3
 """The least time to a collision that has not happened [s]."""
 _NAMED = ("faster", "idle", "slower", "random", "weaving")
 """Baselines that look at nothing."""
+
+
+class Chosen(NamedTuple):
+    """What happened in episodes of one's own choice.
+
+    Attributes
+    ----------
+    clearance : the smallest of each (n,) [m]. time_to_collision : the least at constant velocities, (n,) [s]; both are
+        0 in a crash, and positive elsewhere.
+    offences : of the traffic against the assumptions, (n,).
+    """
+
+    clearance: FloatArray
+    time_to_collision: FloatArray
+    offences: IntArray
 
 
 class _Drivers(Protocol):
@@ -158,7 +173,7 @@ class Many:
         """How many numbers a scene is made from (see `Simulator.draws`)."""
         return self._highways.simulator.draws
 
-    def run_chosen(self, shares: FloatArray, actions: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
+    def run_chosen(self, shares: FloatArray, actions: IntArray | None = None) -> Chosen:
         """Episodes in scenes of one's own choice.
 
         Parameters
@@ -168,10 +183,9 @@ class Many:
 
         Returns
         -------
-        The smallest clearance of each (n,) [m], and the least time to a collision at constant velocities (n,) [s]: both
-        0 in a crash, and positive elsewhere.
+        What happened in each.
         """
-        gaps, times = np.empty(len(shares)), np.empty(len(shares))
+        gaps, times, offences = np.empty(len(shares)), np.empty(len(shares)), np.zeros(len(shares), np.intp)
 
         def begin(i: int, k: int) -> None:
             self._highways.reset_to(shares[k : k + 1], [i])
@@ -183,6 +197,7 @@ class Many:
         def end(i: int, k: int, tallies: Tallies) -> None:
             gaps[k] = tallies.min_gap[i]
             times[k] = 0.0 if tallies.crashed[i] else max(tallies.min_ttc[i], _SOON)
+            offences[k] = tallies.violations[i]
 
         drivers = self._drivers
         planned = np.zeros((self._highways.num_envs, 1 if actions is None else actions.shape[1]), np.intp)
@@ -192,7 +207,7 @@ class Many:
             self._drive(len(shares), begin, end)
         finally:
             self._drivers = drivers
-        return gaps, times
+        return Chosen(gaps, times, offences)
 
     def _drive(self, count: int, begin: Callable[[int, int], None], end: Callable[[int, int, Tallies], None]) -> None:
         """Drive so many episodes: `begin` starts one in an environment, `end` takes what it has added up to."""

@@ -97,10 +97,11 @@ def test_scenes_of_ones_own_choice():
 def test_chosen_scenes_are_distributed_as_drawn_ones():
     setting = Setting("short", "highway-fast-v0", {"vehicles_count": 8, "duration": 8})
     many, n = Many(setting, "idle", BARE, chosen=True), 3000
-    gaps, times = many.run_chosen(np.random.default_rng(1).random((n, many.draws)))
+    gaps, times, offences = many.run_chosen(np.random.default_rng(1).random((n, many.draws)))
     rate, drawn = (gaps == 0).mean(), many.run(range(n))["crashed"].mean()
     assert abs(rate - drawn) < 4 * np.sqrt(rate * (1 - rate) * 2 / n)
     assert ((times == 0) == (gaps == 0)).all()
+    assert offences.sum() == 0
 
 
 def test_the_rate_of_a_bare_policy_is_inside_the_interval():
@@ -129,8 +130,29 @@ def test_a_weak_assumption_is_found_out(weak, tmp_path):
     assert replay(again).clearance == 0.0
 
 
-def test_a_policy_by_name_is_searched_and_replayed():
-    found = falsify(FAST, "faster", ShieldConfig(), episodes=500, samples=500)
+@pytest.mark.parametrize(
+    "weak",
+    [
+        {"braking": 2.0, "calm_braking": 2.0},
+        {"turning_loss": 0.0, "turning_action": 0.0, "turning_burst": 0.0},
+        {"acceleration": 1.0},
+    ],
+)
+def test_what_the_traffic_does_not_keep_to_is_found_out(weak):
+    """By the monitor, where no crash comes of it: each episode breaks it, and of the default none in a hundred."""
+    told = [
+        falsify(FAST, ANY, ShieldConfig(assumptions=Assumptions(**x)), episodes=500, samples=500).offended
+        for x in (weak, {})
+    ]
+    assert told[0] > 0.9
+    assert told[1] < 0.01
+
+
+@pytest.mark.parametrize(
+    ("policy", "config"), [("faster", ShieldConfig()), ("faster", ShieldConfig.exact()), (ANY, ShieldConfig.exact())]
+)
+def test_what_is_found_is_replayed(policy, config):
+    found = falsify(FAST, policy, config, episodes=500, samples=500)
     assert 0 < found.find.clearance < found.median
     assert replay(found.find).clearance == pytest.approx(found.find.clearance, abs=1e-9)
 

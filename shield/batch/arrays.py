@@ -84,7 +84,8 @@ class Shields(NamedTuple):
 
 
 class Plans(NamedTuple):
-    """Candidates, and what has been found of each, (n,)."""
+    """Candidates, and what has been found of each, (n,): `lawful` is the margin from those who have broken no rule,
+    `expected` (n,) and `lasting` (n,) what margin and frames are expected."""
 
     lanes: IntArray
     fails: IntArray
@@ -92,7 +93,9 @@ class Plans(NamedTuple):
     accelerations: FloatArray
     margins: FloatArray
     lawful: FloatArray
+    expected: FloatArray
     clear: IntArray
+    lasting: IntArray
     clauses: IntArray
     vehicles: IntArray
 
@@ -217,6 +220,8 @@ def new_room(m: int, law: Law, candidates: int) -> Room:
         np.zeros(n),
         np.zeros(n),
         np.zeros(n),
+        np.zeros(n),
+        np.zeros(n, index),
         np.zeros(n, index),
         np.zeros(n, index),
         np.zeros(n, index),

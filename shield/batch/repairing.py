@@ -83,25 +83,26 @@ def hold_back(shields: Shields, law: Law, e: int, lane: int, speed: float, room:
 
 @uncounted
 def _least_bad(room: Room, n: int, lawful: bool) -> int:
-    """Of those that clear who has broken no rule (with `lawful`), or all: what stays clear longest, then has the
-    largest margin, the last of equals."""
+    """Of those that clear who has broken no rule (with `lawful`), or all: what is expected to stay clear longest, then
+    has the largest margin, the last of equals."""
     plans, best = room.plans, NOBODY
     for i in range(n):
         if lawful and not plans.lawful[i] >= 0:
             continue
-        margin = -math.inf if math.isnan(plans.margins[i]) else plans.margins[i]
+        margin = -math.inf if math.isnan(plans.expected[i]) else plans.expected[i]
         if best == NOBODY:
             best = i
             continue
-        held = -math.inf if math.isnan(plans.margins[best]) else plans.margins[best]
-        if plans.clear[i] > plans.clear[best] or (plans.clear[i] == plans.clear[best] and margin >= held):
+        held = -math.inf if math.isnan(plans.expected[best]) else plans.expected[best]
+        if plans.lasting[i] > plans.lasting[best] or (plans.lasting[i] == plans.lasting[best] and margin >= held):
             best = i
     return best
 
 
 @uncounted
 def evade(shields: Shields, law: Law, e: int, speed: float, violated: bool, room: Room) -> int:
-    """The candidate that clears everybody longest among those that clear who has broken no rule; see `lawful` of it."""
+    """The candidate that is expected to clear everybody longest among those that clear who has broken no rule; see
+    `lawful` of it."""
     scene, plans, lanes, x = scene_of(shields, law, e), room.plans, room.marks[2], law.numbers
     here, stored, n = nearest(law.centers, scene.state[1]), shields.stored[e], 0
     for lane in (here, here - 1, here + 1):
@@ -125,10 +126,17 @@ def evade(shields: Shields, law: Law, e: int, speed: float, violated: bool, room
         verify(scene, law, at, x.one, frames, x.none, shields.offenders[e], x.none, room)
         for i in range(at):
             plans.lawful[i] = plans.margins[i]
+        # The desk may have what another forecast in this scene has expected.
+        for j in range(scene.around.states.shape[0]):
+            room.desk.done[1, j] = 0
+        verify(scene, law, at, x.one, frames, frames, room.nobody, x.none, room)
+        for i in range(at):
+            plans.expected[i], plans.lasting[i] = plans.margins[i], plans.clear[i]
     verify(scene, law, at, x.one, frames, x.none, room.nobody, x.none, room)
     keeps = False
     for i in range(at):
         if not violated:
-            plans.lawful[i] = plans.margins[i]
+            plans.lawful[i] = plans.expected[i] = plans.margins[i]
+            plans.lasting[i] = plans.clear[i]
         keeps = keeps or plans.lawful[i] >= 0
     return _least_bad(room, at, keeps)

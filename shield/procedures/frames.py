@@ -138,15 +138,20 @@ class Frames:
 
 def _evade(now: Instant, target: Target) -> tuple[Plan[int], float]:
     """What clears everybody longest among what clears those who have broken no rule; and its margin from the latter
-    [m], negative where nothing does."""
+    [m], negative where nothing does.
+
+    From one who has broken a rule the worst case is that nothing helps: longest is as long as is expected, with
+    everybody at constant speed.
+    """
     candidates, accelerations = _evasions(now, target)
     paths, result = now.judge(candidates)
-    lawful = result.margin
+    lawful, expected = result.margin, result
     if now.memory.watch.violated:
         lawful = now.lawful.clearance(paths, candidates.lanes, candidates.fails).margin
+        expected = now.survey.clearance(paths, candidates.lanes, candidates.fails, hold=paths.shape[1])
     keeps = lawful >= 0
     every = np.flatnonzero(keeps) if keeps.any() else np.arange(len(paths))
-    i = int(every[least_bad(Clearance(result.margin[every], result.clear[every]))])
+    i = int(every[least_bad(Clearance(expected.margin[every], expected.clear[every]))])
     command = FrameCommand(int(candidates.lanes[i]), float(accelerations[i]))
     plan = Plan(command, float(result.margin[i]), int(candidates.fails[i]), paths[i], result.binding(i))
     return plan, float(lawful[i])

@@ -22,7 +22,7 @@ from dynamics.vehicle.bicycle import LENGTH
 from mpc.filter.program.road_step import StageModel
 from shield.certificate.clauses.edge import lanes_touched, verdicts
 from shield.certificate.memory import Instant, Memory, observe
-from shield.certificate.verify import ROUNDING, Binding, Clearance, Surveyor, least_bad
+from shield.certificate.verify import ROUNDING, Binding, Surveyor, least_bad
 from shield.config import ShieldConfig
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError
@@ -218,7 +218,8 @@ class Inputs:
         return list(dict.fromkeys(i for i in near if 0 <= i < now.scene.road.centers.size))
 
     def _evade(self, now: Instant) -> Judged | None:
-        """What clears everybody longest among what clears those who have broken no rule; None where nothing does."""
+        """What is expected to clear everybody longest among what clears those who have broken no rule, see
+        `shield.procedures.frames`; None where nothing does."""
         lanes, braking = self.stop_lanes(now), self.config.braking
         accelerations = np.linspace(-braking, self.actuators.acceleration[1], _EVASIONS)
         wheels = [float(self.execution.law(now.scene, lane)[1]) for lane in lanes]
@@ -228,8 +229,10 @@ class Inputs:
         keeps = np.flatnonzero(lawful.margin >= 0)
         if not keeps.size:
             return None
-        every = self.judge(now, inputs[keeps], lanes)
-        return every.row(least_bad(Clearance(every.margin, every.clear)))
+        paths, fails = lawful.paths[keeps], lawful.lanes[keeps]
+        entered = self._entered(now, paths, fails)[0]
+        i = keeps[least_bad(now.survey.clearance(paths, entered, fails, hold=paths.shape[1]))]
+        return self.judge(now, inputs[i : i + 1], [int(lawful.lanes[i])])
 
     def _entered(self, now: Instant, paths: FloatArray, fails: Any) -> tuple[Any, FloatArray, Any, Any]:
         """The lane that the body of each path enters beside those that the ego owns, (n,); the room that it leaves to

@@ -34,3 +34,13 @@ def test_nobody_is_overlooked_any_more(seed):
     crashed, offences = episode(seed, np.random.default_rng(seed).integers(5, size=30))
     assert not crashed
     assert offences == 0
+
+
+@pytest.mark.parametrize("seed", [7255195, 7518249, 7742728])
+def test_from_an_offender_it_gets_away(seed):
+    """The leader goes for the same lane in the frame after the ego, which it has begun to gain by. It had broken a rule
+    by then, and in the worst case nothing helped: the ego did not even brake. Three of 860,000 episodes of always
+    FASTER; what is expected of the offender tells that braking does."""
+    crashed, offences = episode(seed, np.full(30, 3))
+    assert not crashed
+    assert offences > 0

@@ -67,6 +67,20 @@ ACCEPTED = (
         count=6,
     ),
     off(
+        "a frame evades by the worst case",
+        FRAMES,
+        "lawful, expected = result.margin, result\n    if now.memory.watch.violated:\n",
+        "lawful, expected = result.margin, result\n    if False:\n",
+        "tests/shield/test_batch.py",
+    ),
+    off(
+        "many frames evade by the worst case",
+        "shield/batch/repairing.py",
+        "plans.expected[i], plans.lasting[i] = plans.margins[i], plans.clear[i]",
+        "plans.expected[i], plans.lasting[i] = plans.lawful[i], plans.clear[i]",
+        "tests/shield/test_found.py",
+    ),
+    off(
         "input evades at -0.3 m",
         INPUTS,
         "np.flatnonzero(lawful.margin >= 0)",

@@ -53,7 +53,7 @@ class Tier(StrEnum):
     """Which stage of the shield produced what was executed.
 
     `PASSED`, `ALTERNATIVE` and `GOVERNED` are verified; `STORED_PLAN` was verified at an earlier frame;
-    `EVADED` clears everybody who has broken no rule, and those who have for as long as it can;
+    `EVADED` clears everybody who has broken no rule, and those who have for as long as can be expected;
     `LARGEST_MARGIN` and `EMERGENCY` are fallbacks without a certificate, and labelled so.
     """
 

@@ -10,30 +10,19 @@ import numpy as np
 import pytest
 import simulator_pair
 from highway_env.envs.highway_env import HighwayEnvFast
-from highway_env.vehicle.behavior import AggressiveVehicle, IDMVehicle, LinearVehicle
+from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 from highway_env.vehicle.objects import Landmark, Obstacle
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulator_pair import DRIVERS, Pair, place, random_configuration, random_scene
+from simulator_pair import DRIVERS, SMALL, Pair, drive, place, random_configuration, random_scene
 
 from dynamics.errors import ActionError, ConfigError, SceneError, ShieldError
 from dynamics.simulator.layout import SPEED, X
 from dynamics.simulator.observe import FEATURES
 from dynamics.simulator.simulator import Simulator
-from dynamics.traffic.mixed import WithTrucks
 
-SMALL = {"vehicles_count": 6, "lanes_count": 3, "vehicles_density": 2.0}
 ROAD = 10_000.0
 CONTINUOUS = {"type": "ContinuousAction"}
-
-
-def drive(config, seeds=(0, 1), decisions=15, env_id="highway-fast-v0", **wild):
-    """Compare so many decisions of an episode for each seed; those after its end too."""
-    pair = Pair(env_id, {**SMALL, **config})
-    for seed in seeds:
-        pair.reset([seed])
-        pair.drive(decisions, np.random.default_rng(seed), **wild)
-    pair.close()
 
 
 def live(config=None, seed=0, env_id="highway-fast-v0"):
@@ -70,41 +59,6 @@ def test_traffic_that_looks_for_collisions_is_the_same():
 @pytest.mark.parametrize("driver", DRIVERS, ids=lambda path: path.rsplit(".", 1)[1])
 def test_traffic_of_every_kind_is_the_same(driver):
     drive({"other_vehicles_type": driver, "vehicles_density": 3.0, "lanes_count": 2})
-
-
-class LongAndShort(WithTrucks):
-    """A mix of the user's own."""
-
-    MIX = (AggressiveVehicle, type("Coach", (AggressiveVehicle,), {"LENGTH": 15.0}), AggressiveVehicle)
-
-
-class Strange(WithTrucks):
-    """One with more than a mix of its own."""
-
-    def act(self, action=None):
-        """As ever."""
-
-
-class TwoWays(WithTrucks):
-    """Classes that drive in different ways."""
-
-    MIX = (IDMVehicle, LinearVehicle)
-
-
-class TwoDraws(WithTrucks):
-    """Classes for which other numbers are drawn."""
-
-    MIX = (IDMVehicle, type("Calm", (IDMVehicle,), {"DELTA_RANGE": (4.0, 4.0)}))
-
-
-def test_a_mix_is_the_same():
-    drive({"other_vehicles_type": f"{__name__}.LongAndShort", "vehicles_density": 3.0, "vehicles_count": 9})
-
-
-@pytest.mark.parametrize(("mix", "message"), [(Strange, "act"), (TwoWays, "in different ways"), (TwoDraws, "drawn")])
-def test_a_mix_that_is_not_known_is_refused(mix, message):
-    with pytest.raises(ConfigError, match=message):
-        Simulator("highway-v0", 1, {"other_vehicles_type": f"{__name__}.{mix.__name__}"})
 
 
 @pytest.mark.parametrize("frequencies", [(2, 1), (15, 7), (10, 3), (31, 0.5), (5, 5), (60, 2)])

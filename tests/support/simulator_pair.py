@@ -19,12 +19,14 @@ from dynamics.traffic.mixed import WithTrucks
 
 __all__ = [
     "DRIVERS",
+    "SMALL",
     "Brisk",
     "Hesitant",
     "Pair",
     "Polite",
     "Quadratic",
     "Truck",
+    "drive",
     "place",
     "random_configuration",
     "random_scene",
@@ -236,6 +238,25 @@ DRIVERS = (
     *(f"{kind.__module__}.{kind.__name__}" for kind in (Truck, Polite, Hesitant, Quadratic, Brisk, WithTrucks)),
 )
 """Paths of traffic: highway-env's, and classes that change only constants."""
+
+
+SMALL: dict[str, Any] = {"vehicles_count": 6, "lanes_count": 3, "vehicles_density": 2.0}
+"""A road that takes no time."""
+
+
+def drive(
+    config: dict[str, Any],
+    seeds: Sequence[int] = (0, 1),
+    decisions: int = 15,
+    env_id: str = "highway-fast-v0",
+    **wild: Any,
+) -> None:
+    """Compare so many decisions of an episode for each seed; those after its end too."""
+    pair = Pair(env_id, {**SMALL, **config})
+    for seed in seeds:
+        pair.reset([seed])
+        pair.drive(decisions, np.random.default_rng(seed), **wild)
+    pair.close()
 
 
 def random_configuration(rng: np.random.Generator, most: int = 60) -> tuple[str, dict[str, Any]]:

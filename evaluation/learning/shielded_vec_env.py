@@ -10,9 +10,9 @@ import numpy as np
 
 from dynamics.simulator.simulator import Simulator
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
-from shield.batch.highways import ShieldedHighways
 from shield.batch.vocabulary import FALLBACKS, OVERRIDES, REASONS, TIERS
 from shield.config import ShieldConfig
+from shield.exact.highways import filtered_highways
 
 __all__ = ["ShieldedVecEnv"]
 
@@ -24,7 +24,8 @@ class ShieldedVecEnv(FastHighwayVecEnv):
     Parameters
     ----------
     num_envs, env_id, config, threads : as of `FastHighwayVecEnv`.
-    shield : settings, or the path of a TOML file with them (see `ShieldedHighways`).
+    shield : settings, or the path of a TOML file with them (see `ShieldedHighways`, and `ExactHighways` where the
+        traffic is simulated: what `Shield` with `frames=False` gives then).
 
     Raises
     ------
@@ -62,7 +63,7 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         super().__init__(num_envs, env_id, config, threads)
 
     def _made(self, num_envs: int, env_id: str, config: Mapping[str, Any] | None, threads: int) -> Simulator:
-        self.highways = ShieldedHighways(env_id, num_envs, config, self._shield, threads)
+        self.highways = filtered_highways(env_id, num_envs, config, self._shield, threads)
         return self.highways.simulator
 
     def _begin(self, seeds: list[int] | None) -> Any:

@@ -18,12 +18,10 @@ from evaluation.running.named_policies import ConstantPolicy, RandomPolicy, Weav
 from evaluation.running.records import variant_for
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
-from shield.batch.filtered import FilteredHighways
-from shield.batch.highways import ShieldedHighways
 from shield.config import ShieldConfig
 from shield.doors.ranking import normalised, order_from_scores, ranking_of
 from shield.errors import ConfigError
-from shield.exact.highways import ExactHighways
+from shield.exact.highways import filtered_highways
 
 __all__ = ["Chosen", "Many"]
 
@@ -131,8 +129,7 @@ class Many:
             raise ConfigError(
                 f"{policy!r} does not drive side by side; have {', '.join(_NAMED)}, references and zip files"
             )
-        filtered = ExactHighways if config.assumptions.simulated else ShieldedHighways
-        self._highways: FilteredHighways = filtered(setting.env_id, envs, setting.config, config, tape=chosen)
+        self._highways = filtered_highways(setting.env_id, envs, setting.config, config, tape=chosen)
         self._setting, self._policy, self._config = setting, policy, config
         scenario = self._highways.simulator.scenario
         steps = int(np.ceil(scenario.rules.times[2] / scenario.rules.times[1])) + 1

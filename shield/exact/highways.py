@@ -8,13 +8,14 @@ from typing import Any
 
 from dynamics.state import IntArray
 from shield.batch.filtered import FilteredHighways
+from shield.batch.highways import ShieldedHighways
 from shield.config import ShieldConfig
 from shield.exact.deciding import empty_plans
 from shield.exact.engine import step_all_exact
 from shield.exact.refusals import check
 from shield.exact.room import new_search
 
-__all__ = ["ExactHighways"]
+__all__ = ["ExactHighways", "filtered_highways"]
 
 
 class ExactHighways(FilteredHighways):
@@ -81,3 +82,19 @@ class ExactHighways(FilteredHighways):
             last,
             again,
         )
+
+
+def filtered_highways(
+    env_id: str,
+    num_envs: int,
+    config: Mapping[str, Any] | None,
+    shield: ShieldConfig | str | Path | None,
+    threads: int = 1,
+    tape: bool = False,
+) -> FilteredHighways:
+    """Many highways behind the shield that the settings are for: `ExactHighways` where the traffic is simulated,
+    `ShieldedHighways` elsewhere; the parameters are theirs."""
+    settings = ShieldConfig.of(shield)
+    kind: Any = ExactHighways if settings.assumptions.simulated else ShieldedHighways
+    highways: FilteredHighways = kind(env_id, num_envs, config, settings, threads, tape)
+    return highways

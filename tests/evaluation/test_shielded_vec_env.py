@@ -10,7 +10,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from dynamics.simulator.env import CompiledHighwayEnv
 from evaluation.learning.shielded_vec_env import ShieldedVecEnv
-from shield import ConfigError, ShieldConfig, ShieldedEnv
+from shield import ConfigError, Shield, ShieldConfig, ShieldedEnv
 
 SHORT = {"duration": 8}
 
@@ -40,8 +40,31 @@ def test_it_is_a_vec_env_of_shielded_envs():
     assert overridden > 0
 
 
-def test_a_model_learns_in_it():
-    world = ShieldedVecEnv(4, "highway-fast-v0", SHORT)
+def test_what_is_simulated_is_filtered_by_simulation():
+    world, env = ShieldedVecEnv(2, "highway-fast-v0", shield=ShieldConfig.exact()), CompiledHighwayEnv()
+    world.seed(60)
+    world.reset()
+    env.reset(seed=60)
+    shield, overridden = Shield(Faster(), env, ShieldConfig.exact(), frames=False), 0
+    for _ in range(12):
+        _, rewards, _, infos = world.step([3, 3])
+        action, _ = shield.predict(None)
+        assert env.step(int(action))[1] == rewards[0]
+        assert shield.report() == infos[0]["shield"]
+        overridden += infos[0]["shield"]["overridden"]
+    assert overridden > 0
+
+
+class Faster:
+    """Proposes FASTER."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return 3, state
+
+
+@pytest.mark.parametrize("shield", [None, ShieldConfig.exact()], ids=["certificate", "exact"])
+def test_a_model_learns_in_it(shield):
+    world = ShieldedVecEnv(4, "highway-fast-v0", SHORT, shield)
     model = PPO("MlpPolicy", world, n_steps=16, batch_size=32, seed=0, device="cpu").learn(128)
     assert model.num_timesteps == 128
 

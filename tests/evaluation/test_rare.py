@@ -149,7 +149,12 @@ def test_what_the_traffic_does_not_keep_to_is_found_out(weak):
 
 
 @pytest.mark.parametrize(
-    ("policy", "config"), [("faster", ShieldConfig()), ("faster", ShieldConfig.exact()), (ANY, ShieldConfig.exact())]
+    ("policy", "config"),
+    [
+        ("faster", ShieldConfig()),
+        (ANY, ShieldConfig.exact()),
+        pytest.param("faster", ShieldConfig.exact(), marks=pytest.mark.slow),
+    ],
 )
 def test_what_is_found_is_replayed(policy, config):
     found = falsify(FAST, policy, config, episodes=500, samples=500)

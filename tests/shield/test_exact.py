@@ -72,7 +72,7 @@ def test_many_decide_as_one_does_in_highway_env(setting, policy, count, simulato
     assert together["overridden"].sum() > 0
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_what_verifies_is_clear_in_highway_env(seed):
     """The plan behind each verified decision is driven in a copy of highway-env: nobody comes into the buffer."""
     env = gym.make("highway-fast-v0", config=DENSE).unwrapped
@@ -116,7 +116,7 @@ def least_clearance(env, actions):
 
 
 @pytest.mark.parametrize(
-    ("seed", "buffer"), [(s, b) for s in (0, 1, 2, 3, 4, 16, 17, 38) for b in (Buffer(0.0, 0.0), Buffer(4.0, 0.5))]
+    ("seed", "buffer"), [(s, b) for s in (0, 16, 17, 38) for b in (Buffer(0.0, 0.0), Buffer(4.0, 0.5))]
 )
 def test_a_sequence_is_found_where_there_is_one(seed, buffer):
     """All sequences of four actions, one after another. From seeds 16, 17 and 38 the first that comes to mind ends."""

@@ -1,4 +1,4 @@
-"""The command `shield`: train, evaluate, demo, picture, figures, config, dynamics."""
+"""The command `shield`: train, evaluate and the demos; what else there is comes from the other modules."""
 
 from __future__ import annotations
 
@@ -6,25 +6,23 @@ import sys
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
-from tempfile import TemporaryFile
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from evaluation.commands.certifying import add_certifying
 from evaluation.commands.dynamics import dynamics_app
 from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING
+from evaluation.commands.reporting import check_output, report
+from evaluation.commands.showing import add_showing
 from evaluation.learning.algorithms import ALGORITHMS
 from evaluation.learning.recipes import RECIPES
 from evaluation.names import BASELINES, FIRST_EVALUATION_SEED, MODELS, SIMULATORS, TRAINABLE
-from shield.config import MODES, PROFILES, ShieldConfig
+from shield.config import MODES, ShieldConfig
 from shield.errors import ConfigError, ShieldError
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from evaluation.settings import Setting
 
 __all__ = ["app", "main"]
@@ -182,7 +180,7 @@ def evaluate(
     if resume and output is None:
         raise ConfigError("--resume goes with --output")
     if output is not None:
-        _check_output(output, force)
+        check_output(output, force)
     asked = {
         "settings": {each.name: {"env_id": each.env_id, "config": dict(each.config)} for each in settings},
         "policies": _split(policy),
@@ -218,11 +216,11 @@ def evaluate(
         ]
     except KeyboardInterrupt:
         if store.rows:
-            _report(pd.DataFrame(store.rows), None, markdown)
+            report(pd.DataFrame(store.rows), None, markdown)
         kept = "" if output is None else "; --resume goes on from there"
         _err.print(f"stopped after {len(store.rows)} episodes{kept}")
         raise typer.Exit(130) from None
-    _report(pd.concat(parts, ignore_index=True), output, markdown, provenance(asked))
+    report(pd.concat(parts, ignore_index=True), output, markdown, provenance(asked))
     store.finish()
 
 
@@ -252,7 +250,7 @@ def demo(
         jobs=jobs,
         progress=True,
     )
-    _report(frame, output / "episodes.parquet", markdown=False)
+    report(frame, output / "episodes.parquet", markdown=False)
     film = film_override(output / "override.gif")
     _out.print(f"wrote {film.path} (seed {film.seed}, {film.overrides} decisions overridden)")
 
@@ -271,82 +269,7 @@ def cem_demo_command(
         _out.print(f"wrote {path}")
 
 
-@app.command()
-def film(
-    output: Annotated[Path, typer.Argument(help="The .gif to write.")] = Path("runs", "film.gif"),
-    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
-    policy: Annotated[str, typer.Option(help="A policy by name, or an SB3 .zip.")] = DEMO_POLICY,
-    seed: Annotated[
-        int, typer.Option(min=0, help=f"Where the search for an override begins, below {FIRST_EVALUATION_SEED}.")
-    ] = 0,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
-) -> None:
-    """Film a policy behind the shield, around one of its overrides."""
-    from evaluation.report.video import film_override
-
-    if output.exists() and not force:
-        raise ConfigError(f"{output} exists already; --force overwrites it")
-    made = film_override(output, setting, policy, seed)
-    _out.print(f"wrote {made.path} (seed {made.seed}, {made.overrides} decisions overridden)")
-
-
-@app.command()
-def picture(
-    output: Annotated[Path, typer.Argument(help="The .png to write.")] = Path("docs", "images", "override.png"),
-) -> None:
-    """Write a still of an override, as in the README."""
-    from evaluation.report.video import still_of_override
-
-    _out.print(f"wrote {still_of_override(output)}")
-
-
-@app.command()
-def plot(
-    episodes: Annotated[Path, typer.Argument(help="What `shield evaluate --output` wrote, .csv or .parquet.")],
-    output: Annotated[
-        Path | None, typer.Option(help="The .png, .svg or .pdf to write; by default beside the episodes, as .png.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
-) -> None:
-    """Plot crash rates, returns, overrides by reason and smallest gaps."""
-    from evaluation.report.plots import plot_episodes
-    from evaluation.report.table import read_episodes
-
-    path = output or episodes.with_suffix(".png")
-    if path.exists() and not force:
-        raise ConfigError(f"{path} exists already; --force overwrites it")
-    _out.print(f"wrote {plot_episodes(read_episodes(episodes), path)}")
-
-
-@app.command()
-def figures(
-    output: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("docs", "images"),
-) -> None:
-    """Draw the figures of how the shield decides."""
-    from evaluation.report.figures import write_figures
-
-    for path in write_figures(output):
-        _out.print(f"wrote {path}")
-
-
-@app.command("settings")
-def settings_command() -> None:
-    """List the named environments."""
-    from evaluation.settings import SETTINGS
-
-    table = Table("setting", "environment", "")
-    for setting in SETTINGS.values():
-        table.add_row(setting.name, setting.env_id, setting.description)
-    _out.print(table)
-
-
-@app.command("config")
-def config_command(
-    profile: Annotated[str, typer.Option(help=f"One of {', '.join(PROFILES)}.")] = "default",
-) -> None:
-    """Print the shield's settings as TOML: the default ones, those for meta-actions alone, or
-    those that simulate the traffic."""
-    typer.echo(ShieldConfig.profile(profile).to_toml(), nl=False)
+add_showing(app)
 
 
 def _asked_settings(names: list[str] | None, env_id: str | None, config: Path | None) -> list[Setting]:
@@ -375,48 +298,6 @@ def _split(values: list[str]) -> list[str]:
     """Repeated options and comma lists as one list, each value once."""
     names = [name.strip() for value in values for name in value.split(",") if name.strip()]
     return list(dict.fromkeys(names))
-
-
-def _check_output(path: Path, force: bool) -> None:
-    """Refuse what cannot be written before hours of driving, not after."""
-    from evaluation.report.table import TABLE_ENDINGS
-
-    if path.suffix not in TABLE_ENDINGS:
-        raise ConfigError(f"--output {path.name!r} must end in {' or '.join(TABLE_ENDINGS)}")
-    if path.exists() and not force:
-        raise ConfigError(f"--output {path} exists already; --force overwrites it")
-    if force:
-        path.with_name(path.name + ".episodes").unlink(missing_ok=True)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryFile(dir=path.parent):
-            pass
-    except OSError as error:
-        raise ConfigError(f"--output {path} cannot be written: {error.strerror}") from None
-
-
-def _report(episodes: pd.DataFrame, output: Path | None, markdown: bool, made: dict[str, Any] | None = None) -> None:
-    from evaluation.measuring.metrics import compare, summarise
-    from evaluation.report.table import COMPARISON, SUMMARY, rich_table, write_table
-    from evaluation.report.table import markdown as to_markdown
-
-    summary, comparison = summarise(episodes), compare(episodes)
-    tables = [(summary, SUMMARY)] + ([(comparison, COMPARISON)] if len(comparison) else [])
-    for frame, columns in tables:
-        if markdown:
-            typer.echo(to_markdown(frame, columns) + "\n")
-            continue
-        for _, part in frame.groupby(["setting", "policy"], sort=False):
-            _out.print(rich_table(part, columns))
-    if output is None:
-        return
-    for frame in (episodes, summary, comparison):
-        frame.attrs["made"] = made or {}
-    paths = [write_table(episodes, output)]
-    paths.append(write_table(summary, output.with_stem(f"{output.stem}-summary")))
-    if len(comparison):
-        paths.append(write_table(comparison, output.with_stem(f"{output.stem}-comparison")))
-    _out.print("wrote " + ", ".join(str(path) for path in paths))
 
 
 def main() -> None:

@@ -1,0 +1,101 @@
+"""The commands that show something: film, picture, plot, figures, settings, config."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING
+from evaluation.names import FIRST_EVALUATION_SEED
+from shield.config import PROFILES, ShieldConfig
+from shield.errors import ConfigError
+
+__all__ = ["add_showing"]
+
+_out = Console()
+
+
+def film_command(
+    output: Annotated[Path, typer.Argument(help="The .gif to write.")] = Path("runs", "film.gif"),
+    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
+    policy: Annotated[str, typer.Option(help="A policy by name, or an SB3 .zip.")] = DEMO_POLICY,
+    seed: Annotated[
+        int, typer.Option(min=0, help=f"Where the search for an override begins, below {FIRST_EVALUATION_SEED}.")
+    ] = 0,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
+) -> None:
+    """Film a policy behind the shield, around one of its overrides."""
+    from evaluation.report.video import film_override
+
+    if output.exists() and not force:
+        raise ConfigError(f"{output} exists already; --force overwrites it")
+    made = film_override(output, setting, policy, seed)
+    _out.print(f"wrote {made.path} (seed {made.seed}, {made.overrides} decisions overridden)")
+
+
+def picture_command(
+    output: Annotated[Path, typer.Argument(help="The .png to write.")] = Path("docs", "images", "override.png"),
+) -> None:
+    """Write a still of an override, as in the README."""
+    from evaluation.report.video import still_of_override
+
+    _out.print(f"wrote {still_of_override(output)}")
+
+
+def plot_command(
+    episodes: Annotated[Path, typer.Argument(help="What `shield evaluate --output` wrote, .csv or .parquet.")],
+    output: Annotated[
+        Path | None, typer.Option(help="The .png, .svg or .pdf to write; by default beside the episodes, as .png.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
+) -> None:
+    """Plot crash rates, returns, overrides by reason and smallest gaps."""
+    from evaluation.report.plots import plot_episodes
+    from evaluation.report.table import read_episodes
+
+    path = output or episodes.with_suffix(".png")
+    if path.exists() and not force:
+        raise ConfigError(f"{path} exists already; --force overwrites it")
+    _out.print(f"wrote {plot_episodes(read_episodes(episodes), path)}")
+
+
+def figures_command(
+    output: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("docs", "images"),
+) -> None:
+    """Draw the figures of how the shield decides."""
+    from evaluation.report.figures import write_figures
+
+    for path in write_figures(output):
+        _out.print(f"wrote {path}")
+
+
+def settings_command() -> None:
+    """List the named environments."""
+    from evaluation.settings import SETTINGS
+
+    table = Table("setting", "environment", "")
+    for setting in SETTINGS.values():
+        table.add_row(setting.name, setting.env_id, setting.description)
+    _out.print(table)
+
+
+def config_command(
+    profile: Annotated[str, typer.Option(help=f"One of {', '.join(PROFILES)}.")] = "default",
+) -> None:
+    """Print the shield's settings as TOML: the default ones, those for meta-actions alone, or
+    those that simulate the traffic."""
+    typer.echo(ShieldConfig.profile(profile).to_toml(), nl=False)
+
+
+def add_showing(app: typer.Typer) -> None:
+    """Give the application these commands."""
+    app.command("film")(film_command)
+    app.command("picture")(picture_command)
+    app.command("plot")(plot_command)
+    app.command("figures")(figures_command)
+    app.command("settings")(settings_command)
+    app.command("config")(config_command)

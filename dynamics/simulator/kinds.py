@@ -50,8 +50,8 @@ def kind_of(vehicle: Any) -> int:
     ConfigError
         If it drives in another way.
     """
-    mix = mix_of(vehicle) if isinstance(vehicle, type) else ()
-    if len(mix) > 1 or (mix and mix[0] is not vehicle):
+    if isinstance(vehicle, type) and issubclass(vehicle, Mixed):
+        mix = mix_of(vehicle)
         kinds = {kind_of(each) for each in mix}
         if len(kinds) > 1 or not all(np.array_equal(ranges_of(mix[0]), ranges_of(each)) for each in mix):
             raise ConfigError(f"{vehicle.__name__} mixes classes that drive, or are drawn, in different ways")
@@ -75,6 +75,9 @@ def mix_of(vehicle: type[Any]) -> tuple[type[Any], ...]:
     own -= {"MIX"} | {name for name in own if name.startswith(("__", "_abc_")) and name not in _MADE}
     if own:
         raise ConfigError(f"{vehicle.__name__} has {', '.join(sorted(own))} of its own, and not MIX alone")
+    nested = [each.__name__ for each in vehicle.MIX if issubclass(each, Mixed)]
+    if nested or not vehicle.MIX:
+        raise ConfigError(f"{vehicle.__name__}.MIX has {', '.join(nested) or 'nothing'}; name the classes themselves")
     return vehicle.MIX
 
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any, cast
 
 import gymnasium as gym
@@ -31,6 +29,7 @@ from dynamics.simulator.live import bodies_of, load, store
 from dynamics.simulator.loops import addresses
 from dynamics.simulator.random import TAPE, WORDS
 from dynamics.simulator.scenario import Scenario, scenario_of
+from dynamics.slices import Slices
 from dynamics.state import FloatArray
 
 __all__ = ["Simulator"]
@@ -139,9 +138,8 @@ class Simulator:
         self.worlds = self.new_worlds(e, TAPE + self.draws if tape else WORDS)
         shape = scenario.observation_space.shape
         rows, features = shape[0], int(np.prod(shape[1:]))
-        bounds = np.linspace(0, e, min(threads, e) + 1).round().astype(int).tolist()
-        self._parts = [(first, last, self.new_work()) for first, last in pairwise(bounds)]
-        self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
+        self._slices = Slices(e, threads)
+        self._works = [self.new_work() for _ in self._slices.bounds]
         flat = Seen(
             np.zeros((e, rows, features), np.float32),
             np.zeros((e, rows, features), np.float32),
@@ -231,7 +229,7 @@ class Simulator:
             numbers = np.array(given, dtype=np.int64)
         rules, view = self.scenario.rules, self.scenario.view
         self._check_configured()
-        reset_all(self.machine, self.worlds, rules, view, self._parts[0][2], self.flat, chosen, numbers)
+        reset_all(self.machine, self.worlds, rules, view, self._works[0], self.flat, chosen, numbers)
         return self.seen.observations
 
     def step(
@@ -260,23 +258,20 @@ class Simulator:
         if again:
             self._check_configured()
 
-        def part(bounds: tuple[int, int, Work]) -> None:
-            first, last, work = bounds
+        def part(k: int, first: int, last: int) -> None:
+            work = self._works[k]
             step_all(
                 self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, given, first, last, again
             )
 
-        if self._pool is None:
-            part(self._parts[0])
-        else:
-            list(self._pool.map(part, self._parts))
+        self._slices.run(part)
         return seen.observations, seen.reward, seen.terminated, seen.truncated
 
     def step_first(
         self, actions: Any, count: int
     ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """`step` of the first `count` environments only; what it returns of the others is what was there before."""
-        scenario, seen, work = self.scenario, self.seen, self._parts[0][2]
+        scenario, seen, work = self.scenario, self.seen, self._works[0]
         given = self._given(actions)
         step_all(self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, given, 0, count, False)
         return seen.observations, seen.reward, seen.terminated, seen.truncated
@@ -287,7 +282,7 @@ class Simulator:
 
     def frame(self, rows: FloatArray, throttle: float = np.nan, wheel: float = np.nan) -> bool:
         """One frame of the only copy; see `engine.frame`."""
-        work = self._parts[0][2]
+        work = self._works[0]
         return bool(frame(self.machine, self.worlds, self.scenario.rules, work, 0, throttle, wheel, rows))
 
     def look(self, rows: FloatArray) -> bool:
@@ -296,7 +291,7 @@ class Simulator:
 
     def finish(self) -> Seen:
         """End the decision that `begin` began: what it has led to."""
-        scenario, work = self.scenario, self._parts[0][2]
+        scenario, work = self.scenario, self._works[0]
         finish(self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, 0)
         return self.seen
 

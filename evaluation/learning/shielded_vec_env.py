@@ -12,7 +12,7 @@ from dynamics.simulator.simulator import Simulator
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 from shield.batch.vocabulary import FALLBACKS, OVERRIDES, REASONS, TIERS
 from shield.config import ShieldConfig
-from shield.exact.highways import filtered_highways
+from shield.exact.highways import highways_for
 
 __all__ = ["ShieldedVecEnv"]
 
@@ -59,11 +59,12 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         shield: ShieldConfig | str | Path | None = None,
         threads: int = 1,
     ) -> None:
-        self._shield = shield
+        self._shield = ShieldConfig.of(shield)
         super().__init__(num_envs, env_id, config, threads)
 
     def _made(self, num_envs: int, env_id: str, config: Mapping[str, Any] | None, threads: int) -> Simulator:
-        self.highways = filtered_highways(env_id, num_envs, config, self._shield, threads)
+        kind = highways_for(self._shield)
+        self.highways = kind(env_id, num_envs, config, self._shield, threads)
         return self.highways.simulator
 
     def _begin(self, seeds: list[int] | None) -> Any:

@@ -21,7 +21,7 @@ from evaluation.threads import one_thread
 from shield.config import ShieldConfig
 from shield.doors.ranking import normalised, order_from_scores, ranking_of
 from shield.errors import ConfigError
-from shield.exact.highways import filtered_highways
+from shield.exact.highways import highways_for
 
 __all__ = ["Chosen", "Many"]
 
@@ -129,7 +129,7 @@ class Many:
             raise ConfigError(
                 f"{policy!r} does not drive side by side; have {', '.join(_NAMED)}, references and zip files"
             )
-        self._highways = filtered_highways(setting.env_id, envs, setting.config, config, tape=chosen)
+        self._highways = highways_for(config)(setting.env_id, envs, setting.config, config, tape=chosen)
         self._setting, self._policy, self._config = setting, policy, config
         scenario = self._highways.simulator.scenario
         steps = int(np.ceil(scenario.rules.times[2] / scenario.rules.times[1])) + 1

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 
 from dynamics.simulator.engine import Worlds, look
 from dynamics.simulator.simulator import Simulator
+from dynamics.slices import Slices
 from dynamics.state import FloatArray, IntArray
 from shield.batch.arrays import empty_records
 from shield.config import ShieldConfig
@@ -30,7 +29,7 @@ class FilteredHighways(ABC):
     Parameters
     ----------
     env_id, num_envs, config, threads, tape : as of `Simulator`.
-    shield : settings.
+    shield : settings, or the path of a TOML file with them.
 
     Raises
     ------
@@ -47,14 +46,14 @@ class FilteredHighways(ABC):
 
     def __init__(
         self,
-        env_id: str,
-        num_envs: int,
-        config: Mapping[str, Any] | None,
-        shield: ShieldConfig | str | Path | None,
-        threads: int,
-        tape: bool,
+        env_id: str = "highway-fast-v0",
+        num_envs: int = 1,
+        config: Mapping[str, Any] | None = None,
+        shield: ShieldConfig | str | Path | None = None,
+        threads: int = 1,
+        tape: bool = False,
     ) -> None:
-        self.config, self.num_envs = ShieldConfig.of(shield), num_envs
+        self.config, self.num_envs = self._settings(shield), num_envs
         self.simulator = Simulator(env_id, num_envs, config, tape=tape)
         scenario = self.simulator.scenario
         if scenario.inputs is not None:
@@ -64,9 +63,16 @@ class FilteredHighways(ABC):
         self.rows = np.zeros((num_envs, frames, scenario.bodies, _ROWS))
         self.off_road = np.zeros((num_envs, frames), np.bool_)
         self._no_orders = np.zeros((num_envs, 0), np.intp)
-        bounds = np.linspace(0, num_envs, min(threads, num_envs) + 1).round().astype(int).tolist()
-        self._slices: list[tuple[int, int]] = list(pairwise(bounds))
-        self._pool = ThreadPoolExecutor(len(self._slices)) if len(self._slices) > 1 else None
+        self._slices = Slices(num_envs, threads)
+        self._prepare(len(self._slices.bounds))
+
+    @abstractmethod
+    def _settings(self, shield: ShieldConfig | str | Path | None) -> ShieldConfig:
+        """The settings; raises ConfigError where they need what is not compiled."""
+
+    @abstractmethod
+    def _prepare(self, threads: int) -> None:
+        """Make what is remembered of each environment, and the room of each thread."""
 
     @abstractmethod
     def _forget(self, e: int) -> None:
@@ -143,13 +149,9 @@ class FilteredHighways(ABC):
         if ranked.ndim != 2 or len(ranked) != self.num_envs or (ranked.size and ranked.max() >= self.actions):
             raise ConfigError(f"have orders of shape ({self.num_envs}, k) of the actions, not {ranked.shape}")
 
-        def part(k: int) -> None:
-            first, last = self._slices[k]
+        def part(k: int, first: int, last: int) -> None:
             self._decide(k, min(first, count), min(last, count), given, ranked, again)
 
-        if self._pool is None:
-            part(0)
-        else:
-            list(self._pool.map(part, range(len(self._slices))))
+        self._slices.run(part)
         shown = self.simulator.seen
         return shown.observations, shown.reward, shown.terminated, shown.truncated

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from highway_env.road.road import RoadNetwork
@@ -18,9 +16,8 @@ from shield.batch.filtered import FilteredHighways
 from shield.batch.law import Law, law_of
 from shield.batch.observing import forget
 from shield.config import ShieldConfig
-from shield.errors import ConfigError
-from shield.exact.refusals import refuse_simulated
 from shield.procedures.frames import ACCELERATIONS
+from shield.refusals import refuse_simulated, require
 
 __all__ = ["ShieldedHighways"]
 
@@ -54,28 +51,25 @@ class ShieldedHighways(FilteredHighways):
     ((2,), (2, 5))
     """
 
-    def __init__(
-        self,
-        env_id: str = "highway-fast-v0",
-        num_envs: int = 1,
-        config: Mapping[str, Any] | None = None,
-        shield: ShieldConfig | str | Path | None = None,
-        threads: int = 1,
-        tape: bool = False,
-    ) -> None:
-        _check(ShieldConfig.of(shield))
-        super().__init__(env_id, num_envs, config, shield, threads, tape)
+    def _settings(self, shield: ShieldConfig | str | Path | None) -> ShieldConfig:
+        config = ShieldConfig.of(shield)
+        refuse_simulated(config)
+        if config.mode != "none":
+            require(config, "many shields at once have", "ShieldedEnv", mode="full", repair="hold", record=False)
+        return config
+
+    def _prepare(self, threads: int) -> None:
         scenario, worlds = self.simulator.scenario, self.simulator.worlds
         lanes = scenario.config["lanes_count"]
         road = StraightRoad.from_network(RoadNetwork.straight_road_network(lanes, speed_limit=30))
         length, width = float(worlds.p[0, LENGTH, 0]), float(worlds.p[0, WIDTH, 0])
         self.law: Law = law_of(self.config, scenario, road, length, width)
         others = scenario.bodies - 1
-        self.shields = empty_shields(num_envs, others, self.law)
+        self.shields = empty_shields(self.num_envs, others, self.law)
         self._frequency = float(scenario.config["simulation_frequency"])
         self._rooms = [
             (self.simulator.new_work(), new_room(others, self.law, 9 * ACCELERATIONS), np.zeros(2))
-            for _ in self._slices
+            for _ in range(threads)
         ]
 
     def _forget(self, e: int) -> None:
@@ -105,15 +99,3 @@ class ShieldedHighways(FilteredHighways):
             again,
             self._frequency,
         )
-
-
-def _check(config: ShieldConfig) -> None:
-    """Raise where a setting is not compiled."""
-    refuse_simulated(config)
-    if config.mode == "none":
-        return
-    wanted = {"mode": "full", "repair": "hold", "record": False}
-    other = [name for name, value in wanted.items() if getattr(config, name) != value]
-    if other:
-        have = ", ".join(f"{name} = {wanted[name]!r}" for name in other)
-        raise ConfigError(f"many shields at once have {have} only; take ShieldedEnv for another {', '.join(other)}")

@@ -8,19 +8,22 @@ import numpy as np
 
 __all__ = ["action_index"]
 
+_LARGEST = 2.0**53
+"""Beyond it a float is no exact integer, and soon none that a kernel takes."""
+
 
 def action_index(action: Any) -> int:
-    """A single action index, or -1 where `action` is not one (NaN, wrong shape, not whole).
+    """A single action index, or -1 where `action` is not one (NaN, wrong shape, not whole, beyond every integer).
 
     Examples
     --------
-    >>> action_index(np.array([3])), action_index(float("nan")), action_index([1, 2])
-    (3, -1, -1)
+    >>> action_index(np.array([3])), action_index(float("nan")), action_index([1, 2]), action_index(1e30)
+    (3, -1, -1, -1)
     """
     try:
         array = np.asarray(action, dtype=float).reshape(-1)
     except (TypeError, ValueError, OverflowError):
         return -1
-    if array.size != 1 or not np.isfinite(array[0]) or array[0] != np.rint(array[0]):
+    if array.size != 1 or not np.isfinite(array[0]) or array[0] != np.rint(array[0]) or abs(array[0]) > _LARGEST:
         return -1
     return int(array[0])

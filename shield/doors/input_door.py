@@ -17,10 +17,10 @@ from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.controllers import KP_SPEED
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
-from shield.exact.refusals import refuse_simulated
 from shield.procedures.decide import Core, Unreadable, read
 from shield.procedures.inputs import Inputs
 from shield.procedures.parking_lot import ParkingLot
+from shield.refusals import refuse_simulated
 
 if TYPE_CHECKING:
     from mpc.filter.program.road_step import StageModel

@@ -15,13 +15,13 @@ from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
 from shield.doors.input_door import refuse_lots
 from shield.doors.supervision import Command
-from shield.exact.refusals import refuse_simulated
 from shield.procedures.decide import Core, Unreadable, read
 from shield.procedures.frames import Frames
 from shield.procedures.meta_actions import MetaActions
 from shield.procedures.meta_actions_only import MetaActionsOnly
 from shield.procedures.nearest_inputs import NearestInputs
 from shield.procedures.screen import RuleAlone, Wish
+from shield.refusals import refuse_simulated
 from shield.rules import Rule
 
 __all__ = ["MetaDoor"]

@@ -15,6 +15,7 @@ from shield.decision import Decision, Reason
 from shield.doors.adapters import as_policy, refuse_misfits
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import base_environments, the_action_type
+from shield.doors.exact_door import ExactDoor, warm_up_exact
 from shield.doors.input_door import InputDoor
 from shield.doors.liveness import Liveness
 from shield.doors.meta_door import MetaDoor
@@ -23,7 +24,6 @@ from shield.doors.ranking import order_from_scores, ranking_of
 from shield.doors.report import Statistics, report
 from shield.doors.supervision import Command, Supervision
 from shield.errors import ConfigError
-from shield.exact.door import ExactDoor
 from shield.procedures.warm_up import warm_up
 
 __all__ = ["Shield"]
@@ -106,7 +106,10 @@ class Shield:
                 ExactDoor(base, self.config) if exact else MetaDoor(base, self.config, frames) for base in self._bases
             ]
         self._inputs = isinstance(self._doors[0], InputDoor)
-        warm_up()
+        if isinstance(self._doors[0], ExactDoor):
+            warm_up_exact()
+        else:
+            warm_up()
         n = len(self._bases)
         self._roads: list[Any] = [None] * n
         self._patience = [Patience(self.config.patience) for _ in self._bases]

@@ -10,9 +10,10 @@ from dynamics.simulator.scene import speed_index
 from shield.exact.room import Search
 from shield.exact.search import copy_future, leap, survives
 
-__all__ = ["best_plan", "closest_plan", "wished_speed"]
+__all__ = ["ANY", "best_plan", "closest_plan", "wished_speed"]
 
-_ANY = -1
+ANY = -1
+"""Any action."""
 
 
 @uncounted
@@ -53,7 +54,7 @@ def best_plan(search: Search, only: int, never: int, depth: int, wish: float, fl
                 continue
             source = 0 if level == 0 else 1 + now * kinds + k
             for action in range(n):
-                if level == 0 and (action == never or only not in (_ANY, action)):
+                if level == 0 and (action == never or only not in (ANY, action)):
                     continue
                 least, cost = leap(search, source, spare, action, wish, floor)
                 if least < floor:
@@ -87,7 +88,7 @@ def closest_plan(search: Search, proposed: int, wish: float) -> float:
     against a speed over the first `outlook` of them, into `search.plan`; its smallest clearance beyond the buffer [m],
     -inf where none is found."""
     bounds = search.bounds
-    margin = best_plan(search, _ANY, proposed, bounds.outlook, wish, 0.0)
+    margin = best_plan(search, ANY, proposed, bounds.outlook, wish, 0.0)
     if margin < 0:
         return margin
     for k in range(bounds.outlook):
@@ -95,4 +96,4 @@ def closest_plan(search: Search, proposed: int, wish: float) -> float:
     clear, margin, _ = survives(search, search.hint[0], search.hint, bounds.outlook, 0.0)
     if clear == bounds.depth:
         return margin
-    return best_plan(search, _ANY, proposed, bounds.depth, wish, 0.0)
+    return best_plan(search, ANY, proposed, bounds.depth, wish, 0.0)

@@ -14,11 +14,11 @@ from dynamics.state import IntArray
 from shield.batch.arrays import Records
 from shield.batch.vocabulary import REASONS, TIERS
 from shield.decision import Reason, Tier
-from shield.exact.closest import best_plan, closest_plan, wished_speed
+from shield.exact.closest import ANY, best_plan, closest_plan, wished_speed
 from shield.exact.room import Search
 from shield.exact.search import enter, same_outcome, survives
 
-__all__ = ["Plans", "decide", "empty_plans", "passes", "replace"]
+__all__ = ["Plans", "decide", "empty_plans", "last_resort", "passes", "replace"]
 
 _NONE, _UNVERIFIED, _NO_SAFE_PLAN, _BAD_ACTION = (
     REASONS.index(r) for r in (Reason.NONE, Reason.UNVERIFIED, Reason.NO_SAFE_PLAN, Reason.BAD_ACTION)
@@ -28,7 +28,6 @@ _PASSED, _ALTERNATIVE, _STORED, _LARGEST, _EMERGENCY = (
 )
 _ANYTHING = -1e9
 """Stands for a clearance that does not matter, as long as there is no crash [m]."""
-_ANY = -1
 
 
 class Plans(NamedTuple):
@@ -54,20 +53,30 @@ def _execute(records: Records, plans: Plans, e: int, plan: IntArray, length: int
 
 
 @uncounted
+def last_resort(records: Records, plans: Plans, e: int, slower: int, reason: int) -> None:
+    """Nothing can be judged: play the stored plan on, or slow down; into `records`."""
+    length, records.margin[e] = plans.length[e], math.nan
+    if length > 0:
+        _execute(records, plans, e, plans.actions[e], length, _STORED, reason)
+    else:
+        records.executed[e], records.tier[e], records.reason[e] = slower, _EMERGENCY, reason
+
+
+@uncounted
 def _verify(search: Search, action: int, stored: IntArray, length: int) -> float:
     """The smallest clearance beyond the buffer of a sequence that begins with an action, into `search.plan` [m]: -inf
     where none is found that keeps the buffer for all decisions."""
     clear, margin, exhausted = survives(search, action, stored, length, 0.0)
     if clear == search.bounds.depth:
         return margin
-    return best_plan(search, action, _ANY, search.bounds.depth, 0.0, 0.0) if exhausted else -np.inf
+    return best_plan(search, action, ANY, search.bounds.depth, 0.0, 0.0) if exhausted else -np.inf
 
 
 @uncounted
 def _longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]:
     """The sequence without a crash that lasts longest, and of those that last the one that is most clear, into
     `search.plan`: how many decisions it lasts, and its smallest clearance beyond the buffer [m]."""
-    margin = best_plan(search, _ANY, _ANY, search.bounds.depth, 0.0, _ANYTHING)
+    margin = best_plan(search, ANY, ANY, search.bounds.depth, 0.0, _ANYTHING)
     if margin >= _ANYTHING:
         return search.bounds.depth, margin
     best, longest = search.order[0], 0
@@ -84,14 +93,12 @@ def _longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]
 def passes(search: Search, plans: Plans, records: Records, worlds: Worlds, e: int, proposed: int) -> bool:
     """Whether a proposal is executed as it is, or is no action at all, so that a stored plan or slowing down takes its
     place; into `records`."""
-    stored, length = plans.actions[e], plans.length[e]
-    records.proposed[e], records.clause[e], records.vehicle[e], records.margin[e] = proposed, 0, -1, math.nan
-    if not 0 <= proposed < search.order.shape[0]:
-        tier = _STORED if length > 0 else _EMERGENCY
-        _execute(records, plans, e, stored if length > 0 else search.order, length, tier, _BAD_ACTION)
-        return True
+    records.proposed[e], records.clause[e], records.vehicle[e] = proposed, 0, -1
     enter(search, worlds, e)
-    margin = _verify(search, proposed, stored, length)
+    if not 0 <= proposed < search.order.shape[0]:
+        last_resort(records, plans, e, search.order[0], _BAD_ACTION)
+        return True
+    margin = _verify(search, proposed, plans.actions[e], plans.length[e])
     if margin < 0:
         return False
     records.margin[e] = margin

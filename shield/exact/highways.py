@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from dynamics.state import IntArray
 from shield.batch.filtered import FilteredHighways
@@ -12,10 +10,10 @@ from shield.batch.highways import ShieldedHighways
 from shield.config import ShieldConfig
 from shield.exact.deciding import empty_plans
 from shield.exact.engine import step_all_exact
-from shield.exact.refusals import check
 from shield.exact.room import new_search
+from shield.refusals import check
 
-__all__ = ["ExactHighways", "filtered_highways"]
+__all__ = ["ExactHighways", "highways_for"]
 
 
 class ExactHighways(FilteredHighways):
@@ -47,20 +45,14 @@ class ExactHighways(FilteredHighways):
     array([3, 3])
     """
 
-    def __init__(
-        self,
-        env_id: str = "highway-fast-v0",
-        num_envs: int = 1,
-        config: Mapping[str, Any] | None = None,
-        shield: ShieldConfig | str | Path | None = None,
-        threads: int = 1,
-        tape: bool = False,
-    ) -> None:
-        settings = ShieldConfig.of(shield, ShieldConfig.exact())
-        check(settings)
-        super().__init__(env_id, num_envs, config, settings, threads, tape)
-        self._searches = [new_search(self.simulator, settings) for _ in self._slices]
-        self.plans = empty_plans(num_envs, self._searches[0].bounds.depth)
+    def _settings(self, shield: ShieldConfig | str | Path | None) -> ShieldConfig:
+        config = ShieldConfig.of(shield, ShieldConfig.exact())
+        check(config)
+        return config
+
+    def _prepare(self, threads: int) -> None:
+        self._searches = [new_search(self.simulator, self.config) for _ in range(threads)]
+        self.plans = empty_plans(self.num_envs, self._searches[0].bounds.depth)
 
     def _forget(self, e: int) -> None:
         self.plans.length[e] = 0
@@ -84,17 +76,6 @@ class ExactHighways(FilteredHighways):
         )
 
 
-def filtered_highways(
-    env_id: str,
-    num_envs: int,
-    config: Mapping[str, Any] | None,
-    shield: ShieldConfig | str | Path | None,
-    threads: int = 1,
-    tape: bool = False,
-) -> FilteredHighways:
-    """Many highways behind the shield that the settings are for: `ExactHighways` where the traffic is simulated,
-    `ShieldedHighways` elsewhere; the parameters are theirs."""
-    settings = ShieldConfig.of(shield)
-    kind: Any = ExactHighways if settings.assumptions.simulated else ShieldedHighways
-    highways: FilteredHighways = kind(env_id, num_envs, config, settings, threads, tape)
-    return highways
+def highways_for(config: ShieldConfig) -> type[FilteredHighways]:
+    """What settings are for: `ExactHighways` where the traffic is simulated, `ShieldedHighways` elsewhere."""
+    return ExactHighways if config.assumptions.simulated else ShieldedHighways

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from dynamics.compiled import uncounted
-from dynamics.simulator.engine import Worlds, advance, begin
+from dynamics.simulator.engine import Worlds, advance, begin, write_row
 from dynamics.simulator.lanes import on_lane
 from dynamics.simulator.layout import CRASHED, HEADING, LANE, LENGTH, SPEED, TARGET, TARGET_SPEED, WIDTH, X, Y
 from dynamics.simulator.neighbours import sort
@@ -58,7 +58,7 @@ def enter(search: Search, worlds: Worlds, e: int) -> None:
 @uncounted
 def _clearance(futures: Worlds, k: int, bounds: Bounds, row: FloatArray) -> float:
     """The ego's smallest distance to anybody, beyond the buffer, negative where somebody is inside [m]."""
-    f, p = futures.f[k], futures.p[k]
+    f, g, p = futures.f[k], futures.g[k], futures.p[k]
     half_length, half_width = 0.5 * p[LENGTH, 0], 0.5 * p[WIDTH, 0]
     along, across = half_length + bounds.longitudinal, half_width + bounds.lateral
     ego = Ego(f[X, 0], f[Y, 0], f[HEADING, 0], f[SPEED, 0], along, across, half_length, half_width, False)
@@ -66,8 +66,7 @@ def _clearance(futures: Worlds, k: int, bounds: Bounds, row: FloatArray) -> floa
     for i in range(1, f.shape[1]):
         far = reach + 0.5 * math.hypot(p[LENGTH, i], p[WIDTH, i])
         if math.hypot(f[X, i] - f[X, 0], f[Y, i] - f[Y, 0]) - far < least:
-            row[0, 0], row[0, 1], row[0, 2], row[0, 3] = f[X, i], f[Y, i], f[HEADING, i], f[SPEED, i]
-            row[0, 4], row[0, 5] = p[LENGTH, i], p[WIDTH, i]
+            write_row(f, g, p, i, row[0])
             least = min(least, gap_between(ego, along, across, row, 0, 0.0))
     return least
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from threading import Timer
 
@@ -19,20 +21,31 @@ from shield.procedures.meta_actions import MetaActions
 from shield.procedures.screen import Wish
 from shield.rules import RssRule, TtcRule
 
-__all__ = ["warm_up"]
+__all__ = ["announced", "warm_up"]
 
 _log = logging.getLogger("shield")
 _PATIENCE = 1.0
 """Time after which it is said what is waited for [s]."""
 
 
-@cache
-def warm_up() -> None:
-    """Make some decisions in a small scene; says what it waits for where that takes long."""
-    said = Timer(_PATIENCE, _log.warning, ["compiling the shield's kernels: once after installation, some 15 s"])
+@contextmanager
+def announced(seconds: int) -> Iterator[None]:
+    """Says what is waited for where it takes long; `seconds` is what it takes at most, about."""
+    said = Timer(
+        _PATIENCE, _log.warning, [f"compiling the shield's kernels: once after installation, some {seconds} s"]
+    )
     said.daemon = True
     said.start()
     try:
+        yield
+    finally:
+        said.cancel()
+
+
+@cache
+def warm_up() -> None:
+    """Make some decisions in a small scene; says what it waits for where that takes long."""
+    with announced(15):
         config = ShieldConfig()
         frames, meta = Frames(config), MetaActions(config)
         inputs = Inputs(config, predictive=False)
@@ -48,8 +61,6 @@ def warm_up() -> None:
             survey = inputs.observe(memory, scene)[0].survey
             survey.around.occupancy(2)
             survey.relevant(50.0)
-    finally:
-        said.cancel()
 
 
 def _scene(frame: int) -> Scene:

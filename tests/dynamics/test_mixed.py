@@ -36,11 +36,32 @@ class TwoDraws(WithTrucks):
     MIX = (IDMVehicle, type("Calm", (IDMVehicle,), {"DELTA_RANGE": (4.0, 4.0)}))
 
 
+class Nested(WithTrucks):
+    """A mix of mixes."""
+
+    MIX = (IDMVehicle, WithTrucks)
+
+
+class Empty(WithTrucks):
+    """Nothing."""
+
+    MIX = ()
+
+
 def test_a_mix_is_the_same():
     drive({"other_vehicles_type": f"{__name__}.LongAndShort", "vehicles_density": 3.0, "vehicles_count": 9})
 
 
-@pytest.mark.parametrize(("mix", "message"), [(Strange, "act"), (TwoWays, "in different ways"), (TwoDraws, "drawn")])
+@pytest.mark.parametrize(
+    ("mix", "message"),
+    [
+        (Strange, "act"),
+        (TwoWays, "in different ways"),
+        (TwoDraws, "drawn"),
+        (Nested, "WithTrucks; name"),
+        (Empty, "nothing; name"),
+    ],
+)
 def test_a_mix_that_is_not_known_is_refused(mix, message):
     with pytest.raises(ConfigError, match=message):
         Simulator("highway-v0", 1, {"other_vehicles_type": f"{__name__}.{mix.__name__}"})

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.objects import Obstacle
+from policies import Always
 
 from dynamics.simulator.engine import look
 from dynamics.simulator.env import CompiledHighwayEnv
@@ -35,18 +36,8 @@ DENSE = {"vehicles_density": 1.6, "duration": 15}
 EXACT = ShieldConfig.exact()
 
 
-class Chosen:
-    """Proposes what it was told to; without scores."""
-
-    def __init__(self, action=3):
-        self.action = action
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        return self.action, state
-
-
 def shielded(env, config=EXACT, action=3):
-    policy = Chosen(action)
+    policy = Always(action)
     return policy, Shield(policy, env, config, frames=False)
 
 
@@ -257,7 +248,7 @@ class Stranger(IDMVehicle):
     ("make", "message"),
     [
         (lambda: ShieldedEnv(gym.make("highway-fast-v0"), EXACT), "frames=False"),
-        (lambda: Shield(Chosen(), gym.make("highway-fast-v0"), EXACT), "frames=False"),
+        (lambda: Shield(Always(3), gym.make("highway-fast-v0"), EXACT), "frames=False"),
         (lambda: ShieldedHighways("highway-fast-v0", 1, None, EXACT), "frames=False"),
         (lambda: shielded(gym.make("highway-fast-v0"), EXACT.replace(mode="rss")), "mode = 'full'"),
         (lambda: shielded(gym.make("merge-v0")), "highway-v0"),
@@ -268,7 +259,7 @@ class Stranger(IDMVehicle):
         ),
         (
             lambda: Shield(
-                Chosen(), gym.make("highway-fast-v0", config={"action": {"type": "ContinuousAction"}}), EXACT, False
+                Always(3), gym.make("highway-fast-v0", config={"action": {"type": "ContinuousAction"}}), EXACT, False
             ),
             "meta-actions alone",
         ),

@@ -8,10 +8,10 @@ import pytest
 
 from shield.procedures import warm_up as module
 
-DRIVE = """
+COMPILED = """
 import sys
 import gymnasium as gym, highway_env, numpy as np
-from shield import ShieldedEnv
+from shield import Shield, ShieldConfig, ShieldedEnv
 
 def compiled():
     found = set()
@@ -21,7 +21,9 @@ def compiled():
                 if hasattr(each, "py_func"):
                     found |= {(each.py_func.__name__, str(one)) for one in each.signatures}
     return found
+"""
 
+DRIVE = """
 env = ShieldedEnv(gym.make("highway-fast-v0", config={config}))
 before = compiled()
 rng = np.random.default_rng(0)
@@ -36,14 +38,36 @@ for seed in range(3):
 assert before and compiled() == before, compiled() - before
 """
 
+LOOK_AHEAD = """
+class Faster:
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return np.array(3), state
+
+env, overridden = gym.make("highway-fast-v0", config={"duration": 15}), 0
+shield = Shield(Faster(), env, ShieldConfig.exact(), frames=False)
+before = compiled()
+for seed in range(2):
+    obs, _ = env.reset(seed=seed)
+    done = False
+    while not done:
+        obs, _, terminated, truncated, _ = env.step(shield.predict(obs)[0])
+        overridden += shield.last_decision.overridden
+        done = terminated or truncated
+assert overridden and before and compiled() == before, compiled() - before
+"""
+
 
 @pytest.mark.parametrize(
-    "config", [{}, {"action": {"type": "ContinuousAction"}, "duration": 10}], ids=["meta", "inputs"]
+    "drive",
+    [
+        DRIVE.replace("{config}", "{}"),
+        DRIVE.replace("{config}", "{'action': {'type': 'ContinuousAction'}, 'duration': 10}"),
+        LOOK_AHEAD,
+    ],
+    ids=["meta", "inputs", "exact"],
 )
-def test_nothing_is_compiled_once_the_environment_is_there(config):
-    done = subprocess.run(
-        [sys.executable, "-c", DRIVE.replace("{config}", repr(config))], capture_output=True, text=True
-    )
+def test_nothing_is_compiled_once_the_door_is_there(drive):
+    done = subprocess.run([sys.executable, "-c", COMPILED + drive], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
 
 

@@ -46,8 +46,8 @@ SIMULATED = (
         "    return margin\n",
         _TESTS,
     ),
-    off("nothing is foretold", f"{EXACT}/door.py", "if not other[0]:", "if False:", _TESTS),
-    off("the ego is foretold too", f"{EXACT}/door.py", "if not other[0]:", "if True:", _TESTS),
+    off("nothing is foretold", "shield/doors/exact_door.py", "if not other[0]:", "if False:", _TESTS),
+    off("the ego is foretold too", "shield/doors/exact_door.py", "if not other[0]:", "if True:", _TESTS),
     off(
         "the order is not asked for",
         f"{EXACT}/deciding.py",

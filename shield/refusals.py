@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
 
-__all__ = ["check", "refuse_simulated"]
+__all__ = ["check", "refuse_simulated", "require"]
 
 
 def check(config: ShieldConfig) -> None:
@@ -18,11 +20,26 @@ def check(config: ShieldConfig) -> None:
     """
     if not config.assumptions.simulated:
         raise ConfigError("verification by simulation needs Assumptions.exact(); ShieldConfig.exact() has them")
-    wanted = {"mode": "full", "record": False}
+    require(config, "verification by simulation has", mode="full", record=False)
+
+
+def require(config: ShieldConfig, has: str, instead: str = "", **wanted: Any) -> None:
+    """Raise where settings are not as `wanted`.
+
+    Parameters
+    ----------
+    has : who has them so, with its verb. instead : what takes others.
+
+    Raises
+    ------
+    ConfigError
+        That lists those which are not.
+    """
     other = [name for name, value in wanted.items() if getattr(config, name) != value]
     if other:
         have = ", ".join(f"{name} = {wanted[name]!r}" for name in other)
-        raise ConfigError(f"verification by simulation has {have} only")
+        take = f"; take {instead} for another {', '.join(other)}" if instead else ""
+        raise ConfigError(f"{has} {have} only{take}")
 
 
 def refuse_simulated(config: ShieldConfig) -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
+from functools import cache
 from time import perf_counter
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
 from dynamics.errors import SceneError
@@ -16,20 +18,21 @@ from dynamics.simulator.layout import HEADING, SPEED, X, Y
 from dynamics.simulator.scenario import scenario_of
 from dynamics.simulator.simulator import Simulator
 from dynamics.state import FloatArray
-from shield.batch.arrays import empty_records
+from shield.batch.arrays import Records, empty_records
 from shield.batch.vocabulary import REASONS, TIERS
 from shield.config import ShieldConfig
-from shield.decision import Decision, Reason, Tier
+from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
 from shield.errors import ConfigError
-from shield.exact.deciding import Plans, empty_plans, passes, replace
-from shield.exact.refusals import check
+from shield.exact.deciding import Plans, empty_plans, last_resort, passes, replace
 from shield.exact.room import Search, new_search
-from shield.exact.search import enter, leap
+from shield.exact.search import leap
 from shield.procedures.screen import slower
+from shield.procedures.warm_up import announced
+from shield.refusals import check
 from shield.repair.order import resolve
 
-__all__ = ["ExactDoor"]
+__all__ = ["ExactDoor", "warm_up_exact"]
 
 _log = logging.getLogger(__name__)
 _STATE = [X, Y, HEADING, SPEED]
@@ -88,9 +91,13 @@ class ExactDoor:
         except Exception as error:
             _log.exception("the scene could not be read; the last resort acts")
             reason, self.cause = Reason.STAGE_FAILED, f"{type(error).__name__}: {error}"
+        records = empty_records(1, 1)
         if reason is not None:
-            return self._blind(shown, reason, start)
-        search, records = self._search, empty_records(1, 1)
+            self._foretold = None
+            slowest = slower(list(self._base.action_type.actions_indexes))
+            last_resort(records, self._plans, 0, slowest, REASONS.index(reason))
+            return _decision(shown, records, start)
+        search = self._search
         assert search is not None
         self._compare(simulator)
         if not passes(search, self._plans, records, simulator.worlds, 0, proposed):
@@ -98,18 +105,9 @@ class ExactDoor:
             wanted = resolve(order) or []
             ranked = np.array([*(a for a in wanted if a != proposed), -1], np.intp)
             replace(search, self._plans, records, simulator.worlds, 0, proposed, ranked)
-        executed = int(records.executed[0])
-        enter(search, simulator.worlds, 0)
-        leap(search, 0, 1, executed, 0.0, -math.inf)
+        leap(search, 0, 1, int(records.executed[0]), 0.0, -math.inf)
         self._foretold = search.futures.f[1][_STATE].copy()
-        return Decision(
-            shown,
-            executed,
-            REASONS[records.reason[0]],
-            TIERS[records.tier[0]],
-            float(records.margin[0]),
-            perf_counter() - start,
-        )
+        return _decision(shown, records, start)
 
     def _now(self) -> Simulator:
         """The traffic as it is."""
@@ -137,14 +135,22 @@ class ExactDoor:
         if not other[0]:
             self.violations += int(other.sum())
 
-    def _blind(self, shown: Any, reason: Reason, start: float) -> Decision:
-        """Play the stored plan on, or slow down."""
-        self._foretold = None
-        length = int(self._plans.length[0])
-        if length > 0:
-            executed, tier = int(self._plans.actions[0, 0]), Tier.STORED_PLAN
-            self._plans.actions[0, :-1] = self._plans.actions[0, 1:]
-            self._plans.length[0] = length - 1
-        else:
-            executed, tier = slower(list(self._base.action_type.actions_indexes)), Tier.EMERGENCY
-        return Decision(shown, executed, reason, tier, math.nan, perf_counter() - start)
+
+@cache
+def warm_up_exact() -> None:
+    """What `warm_up` does for the other doors."""
+    with announced(30):
+        env = gym.make("highway-fast-v0", config={"vehicles_count": 3})
+        env.reset(seed=0)
+        door, nothing = ExactDoor(env.unwrapped, ShieldConfig.exact()), np.full(1, -1, np.intp)
+        door.decide(1)
+        assert door._search is not None
+        records, worlds = empty_records(1, 1), door._now().worlds
+        replace(door._search, door._plans, records, worlds, 0, 1, nothing)
+        last_resort(records, door._plans, 0, 4, records.reason[0])
+
+
+def _decision(shown: Any, records: Records, start: float) -> Decision:
+    """What the records say of the first environment, as a decision that began at `start`."""
+    reason, tier = REASONS[records.reason[0]], TIERS[records.tier[0]]
+    return Decision(shown, int(records.executed[0]), reason, tier, float(records.margin[0]), perf_counter() - start)

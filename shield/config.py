@@ -119,12 +119,12 @@ class ShieldConfig:
 
     @classmethod
     def exact(cls) -> ShieldConfig:
-        """Verification by simulation, for `Shield(policy, env, ShieldConfig.exact(), frames=False)`: 20 s ahead.
+        """Verification by simulation, for `Shield(policy, env, ShieldConfig.exact(), frames=False)`: 30 s ahead.
 
         Within a shorter horizon an ego that cannot stop is boxed in before it is seen. What is simulated needs little
         of a buffer.
         """
-        return cls(assumptions=Assumptions.exact(), buffer=Buffer(0.5, 0.3), horizon=20.0)
+        return cls(assumptions=Assumptions.exact(), buffer=Buffer(0.5, 0.3), horizon=30.0)
 
     @classmethod
     def profile(cls, name: str) -> ShieldConfig:

@@ -34,9 +34,9 @@ from dynamics.simulator.loops import apply, apply_two, c_pow
 from dynamics.simulator.traffic import acceleration, change_lanes, free_flow, wanted_share
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["act"]
+__all__ = ["KP_A", "KP_LATERAL", "act", "pursue"]
 
-_KP_A, _KP_HEADING, _KP_LATERAL = 1 / 0.6, 1 / 0.2, 1 / 0.6
+KP_A, _KP_HEADING, KP_LATERAL = 1 / 0.6, 1 / 0.2, 1 / 0.6
 _WHEEL, _TURN = math.pi / 3, math.pi / 4
 """Largest steering angle, and heading against the lane that is asked for [rad]."""
 _TAN, _ARCTAN, _ARCSIN, _POWER, _C_POW = 0, 1, 2, 5, 6
@@ -58,6 +58,40 @@ def _free_flow(
 
 
 @uncounted
+def pursue(
+    loops: IntArray,
+    f: FloatArray,
+    p: FloatArray,
+    ahead: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    busy: IntArray,
+    n: int,
+) -> None:
+    """highway-env's `steering_control` from where it asks for a heading: the wheel of the first n in `busy` [rad].
+
+    Parameters
+    ----------
+    ahead : the lane's heading ahead of each [rad]. x : what is wanted across, as a share of the speed; written. y :
+        written.
+    """
+    if n == 0:
+        return
+    apply(loops[_ARCSIN, 0], loops[_ARCSIN, 1], x, y, n)
+    for k in range(n):
+        i = busy[k]
+        rate = _KP_HEADING * wrap_to_pi(ahead[k] + clip(y[k], -_TURN, _TURN) - f[HEADING, i])
+        x[k] = clip(p[LENGTH, i] / 2 / not_zero(f[SPEED, i]) * rate, -1.0, 1.0)
+    apply(loops[_ARCSIN, 0], loops[_ARCSIN, 1], x, y, n)
+    apply(loops[_TAN, 0], loops[_TAN, 1], y, x, n)
+    for k in range(n):
+        x[k] = 2 * x[k]
+    apply(loops[_ARCTAN, 0], loops[_ARCTAN, 1], x, y, n)
+    for k in range(n):
+        f[STEERING, busy[k]] = clip(y[k], -_WHEEL, _WHEEL)
+
+
+@uncounted
 def _steer(
     sums: int,
     loops: IntArray,
@@ -70,15 +104,14 @@ def _steer(
     vehicles: int,
 ) -> None:
     """Steering towards the middle of the lane that each vehicle is bound for, [rad]"""
-    x, y = work[1], work[2]
-    n = 0
+    ahead, x, n = work[0], work[1], 0
     for i in range(vehicles):
         kind, lateral = g[KIND, i], f[Y, i] - lanes[g[TARGET, i], LANE_Y]
         if kind == EGO or (kind == IDM and not g[CRASHED, i]):
             if lateral == 0.0 and f[HEADING, i] == 0.0:
                 f[STEERING, i] = 0.0
                 continue
-            x[n] = clip(-_KP_LATERAL * lateral / not_zero(f[SPEED, i]), -1.0, 1.0)
+            ahead[n], x[n] = 0.0, clip(-KP_LATERAL * lateral / not_zero(f[SPEED, i]), -1.0, 1.0)
             busy[n] = i
             n += 1
         elif kind == LINEAR and not g[CRASHED, i]:
@@ -86,20 +119,7 @@ def _steer(
             turn = wrap_to_pi(0.0 - f[HEADING, i]) * p[LENGTH, i] / speed
             back = -lateral * p[LENGTH, i] / c_pow(loops[_C_POW, 0], speed, 2.0)
             f[STEERING, i] = clip(dot2(sums, p[S_HEADING, i], turn, p[S_LATERAL, i], back), -_WHEEL, _WHEEL)
-    if n == 0:
-        return
-    apply(loops[_ARCSIN, 0], loops[_ARCSIN, 1], x, y, n)
-    for k in range(n):
-        i = busy[k]
-        rate = _KP_HEADING * wrap_to_pi(0.0 + clip(y[k], -_TURN, _TURN) - f[HEADING, i])
-        x[k] = clip(p[LENGTH, i] / 2 / not_zero(f[SPEED, i]) * rate, -1.0, 1.0)
-    apply(loops[_ARCSIN, 0], loops[_ARCSIN, 1], x, y, n)
-    apply(loops[_TAN, 0], loops[_TAN, 1], y, x, n)
-    for k in range(n):
-        x[k] = 2 * x[k]
-    apply(loops[_ARCTAN, 0], loops[_ARCTAN, 1], x, y, n)
-    for k in range(n):
-        f[STEERING, busy[k]] = clip(y[k], -_WHEEL, _WHEEL)
+    pursue(loops, f, p, ahead, x, work[2], busy, n)
 
 
 @uncounted
@@ -139,7 +159,7 @@ def act(
     for i in range(vehicles):
         kind = g[KIND, i]
         if kind == EGO:
-            f[ACCELERATION, i] = _KP_A * (f[TARGET_SPEED, i] - f[SPEED, i])
+            f[ACCELERATION, i] = KP_A * (f[TARGET_SPEED, i] - f[SPEED, i])
         elif kind in (IDM, LINEAR) and not g[CRASHED, i]:
             wanted, target = present[i], g[TARGET, i]
             if g[LANE, i] != target:

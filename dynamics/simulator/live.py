@@ -51,7 +51,7 @@ from dynamics.simulator.random import WORDS, from_generator, to_generator
 from dynamics.simulator.scenario import Scenario
 from dynamics.state import FloatArray
 
-__all__ = ["bodies_of", "load", "store"]
+__all__ = ["bodies_of", "check_body", "load", "load_body", "store"]
 
 
 def bodies_of(env: gym.Env[Any, Any]) -> tuple[list[Any], list[Any]]:
@@ -91,18 +91,12 @@ def load(env: gym.Env[Any, Any], scenario: Scenario, worlds: Worlds, e: int) -> 
     _check_road(base.road.network, lanes)
     f[:], g[:] = 0.0, 0
     for i, body in enumerate([*vehicles, *obstacles]):
-        _check_body(body, i, scenario)
-        f[[X, Y], i] = body.position
-        f[HEADING, i], f[SPEED, i] = body.heading, body.speed
-        f[COS, i], f[SIN, i] = np.cos(body.heading), np.sin(body.heading)
-        g[LANE, i] = g[TARGET, i] = body.lane_index[2]
-        g[CRASHED, i], g[CHECKS, i], g[STALE, i] = body.crashed, body.check_collisions, 1
-        g[ON, i] = lanes_at(lanes, f[X, i], f[Y, i])
-        p[:, i] = constants_of(body)
-        p[DIAGONAL, i] = body.diagonal
-        g[KIND, i] = OBSTACLE if i >= len(vehicles) else _kind(body, i)
-        if i < len(vehicles):
-            _load_vehicle(body, f, g, i)
+        check_body(body, i, scenario.rules.target_speeds)
+        if getattr(body, "route", None):
+            raise SceneError(f"body {i} ({type(body).__name__}) follows a route")
+        load_body(body, i, i >= len(vehicles), f, g, p)
+        g[LANE, i], g[TARGET, i] = body.lane_index[2], getattr(body, "target_lane_index", body.lane_index)[2]
+        g[STALE, i], g[ON, i] = 1, lanes_at(lanes, f[X, i], f[Y, i])
     if g[KIND, 0] != scenario.rules.numbers[4]:
         raise SceneError("the ego takes meta-actions in one of the two, and throttle and steering in the other")
     if not np.isfinite(f).all():
@@ -127,19 +121,17 @@ def _check_clock(base: Any, scenario: Scenario) -> None:
         raise SceneError(f"the environment draws from {type(base.np_random.bit_generator).__name__}, not from PCG64")
 
 
-def _check_body(body: Any, i: int, scenario: Scenario) -> None:
+def check_body(body: Any, i: int, target_speeds: FloatArray) -> None:
     """Raise where a body has something of its own that the simulator does not know."""
     name = f"body {i} ({type(body).__name__})"
     if not (body.solid and body.collidable):
         raise SceneError(f"{name} is not solid or not collidable")
-    if getattr(body, "route", None):
-        raise SceneError(f"{name} follows a route")
     own = {each for each in vars(body) if hasattr(type(body), each)} - CONSTANTS - {"act"}
     if i > 0 and "act" in vars(body):
         own.add("act")
     if own:
         raise SceneError(f"{name} has a {', '.join(sorted(own))} of its own")
-    if isinstance(body, MDPVehicle) and not np.array_equal(body.target_speeds, scenario.rules.target_speeds):
+    if isinstance(body, MDPVehicle) and not np.array_equal(body.target_speeds, target_speeds):
         raise SceneError(f"{name} has other target speeds than the simulator's")
 
 
@@ -169,13 +161,22 @@ def _kind(body: Any, i: int) -> int:
     raise SceneError(f"the ego is a {type(body).__name__}; the simulator knows MDPVehicle and Vehicle")
 
 
-def _load_vehicle(body: Any, f: FloatArray, g: Any, i: int) -> None:
+def load_body(body: Any, i: int, stands: bool, f: FloatArray, g: Any, p: FloatArray) -> None:
+    """Copy all of a body but its lanes and its route into column `i`; `stands` says that it is an obstacle."""
+    f[[X, Y], i] = body.position
+    f[HEADING, i], f[SPEED, i] = body.heading, body.speed
+    f[COS, i], f[SIN, i] = np.cos(body.heading), np.sin(body.heading)
+    g[CRASHED, i], g[CHECKS, i] = body.crashed, body.check_collisions
+    p[:, i] = constants_of(body)
+    p[DIAGONAL, i] = body.diagonal
+    g[KIND, i] = OBSTACLE if stands else _kind(body, i)
+    if stands:
+        return
     f[STEERING, i], f[ACCELERATION, i] = body.action["steering"], body.action["acceleration"]
     if body.impact is not None:
         g[IMPACTED, i] = 1
         f[[IMPACT_X, IMPACT_Y], i] = body.impact
-    if isinstance(body, ControlledVehicle):
-        g[TARGET, i], f[TARGET_SPEED, i] = body.target_lane_index[2], body.target_speed
+    f[TARGET_SPEED, i] = getattr(body, "target_speed", 0.0)
     f[TIMER, i], g[CHANGES, i] = getattr(body, "timer", 0.0), getattr(body, "enable_lane_change", True)
 
 

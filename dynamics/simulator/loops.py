@@ -35,11 +35,11 @@ _DOUBLE = np.dtype(np.float64).num
 class Loop:
     """Where a loop is in the table of `addresses`."""
 
-    TAN, ARCTAN, ARCSIN, COS, SIN, POWER, C_POW = range(7)
+    TAN, ARCTAN, ARCSIN, COS, SIN, POWER, C_POW, ARCTAN2 = range(8)
 
 
 LOOPS: tuple[np.ufunc, ...] = (np.tan, np.arctan, np.arcsin, np.cos, np.sin, np.power)
-"""The ufuncs, in the order of `Loop`; after them comes the C library's pow, which Python's `**` of two floats calls."""
+"""The ufuncs before the C library's pow, which Python's `**` of two floats calls, in the order of `Loop`."""
 
 
 def addresses() -> np.ndarray[Any, Any]:
@@ -50,7 +50,7 @@ def addresses() -> np.ndarray[Any, Any]:
     PlatformError
         If this numpy keeps them elsewhere, or there is no C library to be found.
     """
-    return np.array([*(_loop(ufunc) for ufunc in LOOPS), (_c_pow(), 0)], dtype=np.int64)
+    return np.array([*map(_loop, LOOPS), (_c_pow(), 0), _loop(np.arctan2)], dtype=np.int64)
 
 
 def _c_pow() -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.lanes import closest_lane, lanes_at
 from dynamics.simulator.layout import (
     ACCELERATION,
@@ -32,24 +32,42 @@ from dynamics.simulator.layout import (
 from dynamics.simulator.loops import apply
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["move"]
+__all__ = ["bicycle", "limit", "move"]
 
 _TAN, _ARCTAN, _COS, _SIN = 0, 1, 3, 4
 
 
+@inlined
+def limit(f: FloatArray, g: IntArray, p: FloatArray, i: int, dt: float) -> None:
+    """highway-env's `clip_actions` of a vehicle, and its timer a frame later."""
+    speed = f[SPEED, i]
+    if g[KIND, i] in (IDM, LINEAR):
+        f[TIMER, i] += dt
+    if g[CRASHED, i]:
+        f[STEERING, i], f[ACCELERATION, i] = 0.0, -1.0 * speed
+    if speed > p[MAX_SPEED, i]:
+        f[ACCELERATION, i] = min(f[ACCELERATION, i], 1.0 * (p[MAX_SPEED, i] - speed))
+    elif speed < p[MIN_SPEED, i]:
+        f[ACCELERATION, i] = max(f[ACCELERATION, i], 1.0 * (p[MIN_SPEED, i] - speed))
+
+
 @uncounted
-def _turn(
+def bicycle(
     loops: IntArray,
     f: FloatArray,
     g: IntArray,
     p: FloatArray,
-    lanes: FloatArray,
     work: FloatArray,
     busy: IntArray,
     n: int,
     dt: float,
 ) -> None:
-    """`move` of those that do not go straight ahead."""
+    """Advance the first n in `busy` by a frame of `dt` [s], and apply the impacts of the last.
+
+    Parameters
+    ----------
+    work : (4, m), written.
+    """
     slip, course, across, along = work[0], work[1], work[2], work[3]
     for k in range(n):
         across[k] = f[STEERING, busy[k]]
@@ -74,8 +92,6 @@ def _turn(
         f[HEADING, i] += speed * course[k] / (p[LENGTH, i] / 2) * dt
         f[SPEED, i] += f[ACCELERATION, i] * dt
         slip[k] = f[HEADING, i]
-        g[LANE, i], g[STALE, i] = closest_lane(lanes, f[X, i], f[Y, i], f[HEADING, i]), 0
-        g[ON, i] = lanes_at(lanes, f[X, i], f[Y, i])
     apply(loops[_COS, 0], loops[_COS, 1], slip, along, n)
     apply(loops[_SIN, 0], loops[_SIN, 1], slip, across, n)
     for k in range(n):
@@ -102,18 +118,10 @@ def move(
     """
     n = 0
     for i in range(vehicles):
-        kind, speed = g[KIND, i], f[SPEED, i]
-        if kind in (IDM, LINEAR):
-            f[TIMER, i] += dt
-        if g[CRASHED, i]:
-            f[STEERING, i], f[ACCELERATION, i] = 0.0, -1.0 * speed
-        if speed > p[MAX_SPEED, i]:
-            f[ACCELERATION, i] = min(f[ACCELERATION, i], 1.0 * (p[MAX_SPEED, i] - speed))
-        elif speed < p[MIN_SPEED, i]:
-            f[ACCELERATION, i] = max(f[ACCELERATION, i], 1.0 * (p[MIN_SPEED, i] - speed))
+        limit(f, g, p, i, dt)
         if f[STEERING, i] == 0.0 and f[HEADING, i] == 0.0 and not g[IMPACTED, i] and not g[STALE, i]:
             before = f[X, i]
-            f[X, i] += speed * dt
+            f[X, i] += f[SPEED, i] * dt
             f[SPEED, i] += f[ACCELERATION, i] * dt
             if not (0.0 <= before < lanes[0, LANE_LENGTH] and 0.0 <= f[X, i] < lanes[0, LANE_LENGTH]):
                 g[ON, i] = lanes_at(lanes, f[X, i], f[Y, i])
@@ -121,4 +129,8 @@ def move(
             busy[n] = i
             n += 1
     if n > 0:
-        _turn(loops, f, g, p, lanes, work, busy, n, dt)
+        bicycle(loops, f, g, p, work, busy, n, dt)
+    for k in range(n):
+        i = busy[k]
+        g[LANE, i], g[STALE, i] = closest_lane(lanes, f[X, i], f[Y, i], f[HEADING, i]), 0
+        g[ON, i] = lanes_at(lanes, f[X, i], f[Y, i])

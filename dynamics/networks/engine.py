@@ -1,0 +1,110 @@
+"""A frame of many scenes on one road network, as compiled calls."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from dynamics.compiled import uncounted
+from dynamics.networks.driving import act
+from dynamics.networks.lanes import closest, local, on_lane, reachable
+from dynamics.networks.layout import COUNT, FIRST, ID
+from dynamics.networks.network import Network
+from dynamics.networks.routes import follow_road
+from dynamics.simulator.collisions import collide
+from dynamics.simulator.engine import Machine
+from dynamics.simulator.layout import HEADING, LANE, SPEED, TARGET, TARGET_SPEED, X, Y
+from dynamics.simulator.motion import bicycle, limit
+from dynamics.simulator.neighbours import sort
+from dynamics.simulator.scene import speed_index
+from dynamics.state import FloatArray, IntArray
+
+__all__ = ["NetworkRules", "NetworkWork", "NetworkWorlds", "advance", "begin", "on_road"]
+
+
+class NetworkWorlds(NamedTuple):
+    """The state of e scenes of m bodies (see `layout`).
+
+    Attributes
+    ----------
+    f, g, p : (e, F, m), (e, G, m) and (e, P, m).
+    order : (e, m), bodies by x.
+    routes : (e, m, entries, 2): roads, and their lanes or -1.
+    clock : (e,), time since the reset [s].
+    """
+
+    f: FloatArray
+    g: IntArray
+    p: FloatArray
+    order: IntArray
+    routes: IntArray
+    clock: FloatArray
+
+
+class NetworkRules(NamedTuple):
+    """What is the same in all scenes.
+
+    Attributes
+    ----------
+    network : the road.
+    numbers : frames of a decision, vehicles.
+    times : duration of a frame and of a decision [s].
+    target_speeds : of the ego [m/s]. labels : of each action: 0 left, 1 none, 2 right, 3 faster, 4 slower.
+    """
+
+    network: Network
+    numbers: tuple[int, int]
+    times: tuple[float, float]
+    target_speeds: FloatArray
+    labels: IntArray
+
+
+class NetworkWork(NamedTuple):
+    """Room that is written over."""
+
+    numbers: FloatArray
+    busy: IntArray
+    corners: FloatArray
+    pairs: IntArray
+
+
+@uncounted
+def begin(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, action: FloatArray) -> None:
+    """Begin a decision in one scene: what its action changes at once."""
+    f, g, network, label = worlds.f[e], worlds.g[e], rules.network, rules.labels[int(action[0])]
+    worlds.clock[e] += rules.times[1]
+    follow_road(machine.sums, machine.loops, network, f, g, worlds.routes[e], 0)
+    if label >= 3:
+        index = speed_index(rules.target_speeds, f[SPEED, 0]) + (1 if label == 3 else -1)
+        f[TARGET_SPEED, 0] = rules.target_speeds[min(max(index, 0), len(rules.target_speeds) - 1)]
+    elif label != 1:
+        ids, target = network.ids, g[TARGET, 0]
+        lane = ids[target, FIRST] + min(max(ids[target, ID] + label - 1, 0), ids[target, COUNT] - 1)
+        if reachable(machine.sums, machine.loops, network.lanes, ids, lane, f[X, 0], f[Y, 0]):
+            g[TARGET, 0] = lane
+
+
+@uncounted
+def advance(
+    machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int, level: bool
+) -> bool:
+    """Advance one scene by a frame; `level` is handed through (see `dynamics.simulator.neighbours.sort`)."""
+    f, g, p, network, vehicles = worlds.f[e], worlds.g[e], worlds.p[e], rules.network, rules.numbers[1]
+    sums, loops, dt = machine.sums, machine.loops, rules.times[0]
+    act(sums, loops, network, f, g, p, worlds.routes[e], work.numbers, work.busy, vehicles)
+    for i in range(vehicles):
+        limit(f, g, p, i, dt)
+        work.busy[i] = i
+    bicycle(loops, f, g, p, work.numbers, work.busy, vehicles, dt)
+    for i in range(vehicles):
+        g[LANE, i] = closest(sums, loops, network.lanes, network.ids, f[X, i], f[Y, i], f[HEADING, i])
+    level = sort(f, worlds.order[e])
+    collide(sums, machine.products, f, g, p, worlds.order[e], work.corners, work.pairs, vehicles, dt)
+    return level
+
+
+@uncounted
+def on_road(machine: Machine, rules: NetworkRules, f: FloatArray, g: IntArray) -> bool:
+    """Whether the ego is on the lane that is closest to it."""
+    network, lane = rules.network, g[LANE, 0]
+    s, r = local(machine.sums, machine.loops, network.lanes, network.ids, lane, f[X, 0], f[Y, 0])
+    return on_lane(network.lanes, lane, s, r, 0.0)

@@ -1,0 +1,130 @@
+"""Where a body is on a lane: highway-env's `StraightLane`, `SineLane` and `CircularLane`.
+
+Notation
+--------
+On a lane, s [m] is the way along its centre line from its start, negative before it, and r [m] the distance across,
+positive to the right in the direction of travel (highway-env's y points down).
+"""
+
+from __future__ import annotations
+
+import math
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.networks.layout import (
+    ACROSS_X,
+    ACROSS_Y,
+    ALONG_X,
+    ALONG_Y,
+    AMPLITUDE,
+    CIRCULAR,
+    DIRECTION,
+    FORBIDDEN,
+    LANE_HEADING,
+    ORIGIN_X,
+    ORIGIN_Y,
+    PHASE,
+    PULSATION,
+    QUARTER,
+    RADIUS,
+    SHAPE,
+    SINE,
+)
+from dynamics.simulator.arithmetic import dot2, wrap_to_pi
+from dynamics.simulator.layout import LANE_LENGTH, LANE_WIDTH
+from dynamics.simulator.loops import at, at_two
+from dynamics.state import FloatArray, IntArray
+
+__all__ = ["after_end", "closest", "distance", "heading_at", "local", "on_lane", "place", "reachable"]
+
+_ARCTAN, _COS, _SIN, _ARCTAN2 = 1, 3, 4, 7
+_OVERHANG = 5.0
+"""`AbstractLane.VEHICLE_LENGTH`: a lane goes on for so long beyond both its ends [m]."""
+
+
+@uncounted
+def local(
+    sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, x: float, y: float
+) -> tuple[float, float]:
+    """(s, r) of a place on a lane [m]."""
+    row = lanes[lane]
+    dx, dy = x - row[ORIGIN_X], y - row[ORIGIN_Y]
+    if ids[lane, SHAPE] == CIRCULAR:
+        start = row[PHASE]
+        phi = start + wrap_to_pi(at_two(loops[_ARCTAN2, 0], loops[_ARCTAN2, 1], dy, dx) - start)
+        radius = math.sqrt(dot2(sums, dx, dx, dy, dy))
+        return row[DIRECTION] * (phi - start) * row[RADIUS], row[DIRECTION] * (row[RADIUS] - radius)
+    s = dot2(sums, dx, row[ALONG_X], dy, row[ALONG_Y])
+    r = dot2(sums, dx, row[ACROSS_X], dy, row[ACROSS_Y])
+    if ids[lane, SHAPE] == SINE:
+        r -= row[AMPLITUDE] * at(loops[_SIN, 0], loops[_SIN, 1], row[PULSATION] * s + row[PHASE])
+    return s, r
+
+
+@uncounted
+def heading_at(loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, s: float) -> float:
+    """Direction of a lane [rad]."""
+    row = lanes[lane]
+    if ids[lane, SHAPE] == CIRCULAR:
+        return row[DIRECTION] * s / row[RADIUS] + row[PHASE] + row[QUARTER]
+    if ids[lane, SHAPE] == SINE:
+        cos = at(loops[_COS, 0], loops[_COS, 1], row[PULSATION] * s + row[PHASE])
+        slope = row[AMPLITUDE] * row[PULSATION] * cos
+        return row[LANE_HEADING] + at(loops[_ARCTAN, 0], loops[_ARCTAN, 1], slope)
+    return row[LANE_HEADING]
+
+
+@uncounted
+def place(loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, s: float) -> tuple[float, float]:
+    """The point of a lane's centre line at s [m]."""
+    row = lanes[lane]
+    if ids[lane, SHAPE] == CIRCULAR:
+        phi = row[DIRECTION] * s / row[RADIUS] + row[PHASE]
+        cos, sin = at(loops[_COS, 0], loops[_COS, 1], phi), at(loops[_SIN, 0], loops[_SIN, 1], phi)
+        return row[ORIGIN_X] + row[RADIUS] * cos, row[ORIGIN_Y] + row[RADIUS] * sin
+    r = 0.0
+    if ids[lane, SHAPE] == SINE:
+        r = row[AMPLITUDE] * at(loops[_SIN, 0], loops[_SIN, 1], row[PULSATION] * s + row[PHASE])
+    x = row[ORIGIN_X] + s * row[ALONG_X] + r * row[ACROSS_X]
+    return x, row[ORIGIN_Y] + s * row[ALONG_Y] + r * row[ACROSS_Y]
+
+
+@inlined
+def on_lane(lanes: FloatArray, lane: int, s: float, r: float, margin: float) -> bool:
+    """Whether a place is on a lane, or no further beyond its edges than the margin [m]."""
+    return abs(r) <= lanes[lane, LANE_WIDTH] / 2 + margin and -_OVERHANG <= s < lanes[lane, LANE_LENGTH] + _OVERHANG
+
+
+@uncounted
+def reachable(sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, x: float, y: float) -> bool:
+    """Whether a lane may be chosen from a place."""
+    if ids[lane, FORBIDDEN]:
+        return False
+    s, r = local(sums, loops, lanes, ids, lane, x, y)
+    return abs(r) <= 2 * lanes[lane, LANE_WIDTH] and 0 <= s < lanes[lane, LANE_LENGTH] + _OVERHANG
+
+
+@uncounted
+def after_end(sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, x: float, y: float) -> bool:
+    """Whether a lane has been driven to its end."""
+    return local(sums, loops, lanes, ids, lane, x, y)[0] > lanes[lane, LANE_LENGTH] - _OVERHANG / 2
+
+
+@uncounted
+def distance(sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, x: float, y: float) -> float:
+    """highway-env's distance from a place to a lane [m]: across, and along beyond its ends."""
+    s, r = local(sums, loops, lanes, ids, lane, x, y)
+    return abs(r) + max(s - lanes[lane, LANE_LENGTH], 0.0) + max(0.0 - s, 0.0)
+
+
+@uncounted
+def closest(sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, x: float, y: float, heading: float) -> int:
+    """The lane nearest in position and heading, the first of equals."""
+    best, least = 0, math.inf
+    for lane in range(len(lanes)):
+        s, r = local(sums, loops, lanes, ids, lane, x, y)
+        angle = abs(wrap_to_pi(heading - heading_at(loops, lanes, ids, lane, s)))
+        away = abs(r) + max(s - lanes[lane, LANE_LENGTH], 0.0) + max(0.0 - s, 0.0) + 1.0 * angle
+        if away < least:
+            best, least = lane, away
+    return best

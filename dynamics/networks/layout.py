@@ -1,0 +1,77 @@
+"""Where everything is in the arrays, beyond what `dynamics.simulator.layout` says."""
+
+from __future__ import annotations
+
+from dynamics.simulator import layout
+
+__all__ = [
+    "ACROSS_X",
+    "ACROSS_Y",
+    "ALONG_X",
+    "ALONG_Y",
+    "AMPLITUDE",
+    "CIRCULAR",
+    "COLUMNS",
+    "COUNT",
+    "DIRECTION",
+    "FIRST",
+    "FORBIDDEN",
+    "ID",
+    "IDS",
+    "LANE_HEADING",
+    "ORIGIN_X",
+    "ORIGIN_Y",
+    "PHASE",
+    "PRIORITY",
+    "PULSATION",
+    "QUARTER",
+    "RADIUS",
+    "ROAD",
+    "ROUTE",
+    "ROUTE_END",
+    "SHAPE",
+    "SINE",
+    "STRAIGHT",
+    "TO",
+    "G",
+]
+
+(
+    LANE_HEADING,
+    _WIDTH,
+    _LENGTH,
+    _LIMIT,
+    ORIGIN_X,
+    ORIGIN_Y,
+    ALONG_X,
+    ALONG_Y,
+    ACROSS_X,
+    ACROSS_Y,
+    AMPLITUDE,
+    PULSATION,
+    PHASE,
+    RADIUS,
+    DIRECTION,
+    QUARTER,
+) = range(16)
+"""Columns of the lanes' numbers, those of `dynamics.simulator.layout` among them.
+
+ALONG and ACROSS are unit vectors of a straight lane, and of the line that a sine winds around; ORIGIN is its start, or
+the centre of a circle; DIRECTION is 1 clockwise and -1 otherwise, QUARTER a quarter of a turn in it [rad]. PHASE is
+that of the sine, or where the arc starts.
+"""
+COLUMNS = 16
+
+SHAPE, ROAD, ID, COUNT, FIRST, TO, FORBIDDEN, PRIORITY = range(8)
+"""Columns of the lanes' integers: the road that a lane belongs to, its index in it, how many there are, the first of
+them, and the node that the road leads to."""
+IDS = 8
+
+STRAIGHT, SINE, CIRCULAR = range(3)
+"""Shapes of lanes."""
+
+ROUTE, ROUTE_END = range(layout.G, layout.G + 2)
+"""Rows of `g` beyond those of a straight highway: the next entry of a vehicle's route, and the one after its last."""
+G = layout.G + 2
+
+assert (_WIDTH, _LENGTH, _LIMIT) == (layout.LANE_WIDTH, layout.LANE_LENGTH, layout.LANE_LIMIT)

@@ -1,0 +1,75 @@
+"""A live highway-env on any road network, into the arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from highway_env.vehicle.controller import MDPVehicle
+
+from dynamics.errors import SceneError
+from dynamics.networks.engine import NetworkRules, NetworkWorlds
+from dynamics.networks.layout import ROAD, ROUTE_END
+from dynamics.simulator.layout import KIND, LANE, LINEAR, TARGET
+from dynamics.simulator.live import bodies_of, check_body, load_body
+
+__all__ = ["load", "longest_route"]
+
+Lanes = Mapping[tuple[str, str, int], int]
+
+
+def longest_route(env: Any) -> int:
+    """How many entries the longest of the vehicles' routes has."""
+    return max((len(getattr(v, "route", None) or ()) for v in bodies_of(env)[0]), default=0)
+
+
+def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: int) -> None:
+    """Copy a live environment, between two decisions, into one of the scenes.
+
+    Parameters
+    ----------
+    lanes : the number of each lane by highway-env's index (see `network.index_of`).
+
+    Raises
+    ------
+    SceneError
+        If it has other bodies than there is room for, or vehicles that drive in a way that is not known.
+    """
+    base = env.unwrapped
+    vehicles, obstacles = bodies_of(env)
+    f, g, p, routes = worlds.f[e], worlds.g[e], worlds.p[e], worlds.routes[e]
+    if type(vehicles[0]) is not MDPVehicle:
+        raise SceneError(f"the ego is a {type(vehicles[0]).__name__}; a network's takes meta-actions (MDPVehicle)")
+    if len(vehicles) != rules.numbers[1] or len(vehicles) + len(obstacles) != f.shape[1]:
+        raise SceneError(f"have {rules.numbers[1]} vehicles of {f.shape[1]} bodies, not {len(vehicles)} vehicles")
+    if base.steps % rules.numbers[0]:
+        raise SceneError("the environment is amid a decision")
+    f[:], g[:], routes[:] = 0.0, 0, -1
+    for i, body in enumerate([*vehicles, *obstacles]):
+        check_body(body, i, rules.target_speeds)
+        load_body(body, i, i >= len(vehicles), f, g, p)
+        g[LANE, i], g[TARGET, i] = lanes[_key(body.lane_index)], lanes[_key(body.lane_index)]
+        if i < len(vehicles):
+            g[TARGET, i] = lanes[_key(body.target_lane_index)]
+            _load_route(body, i, rules, lanes, g, routes)
+    if (g[KIND] == LINEAR).any():
+        raise SceneError("vehicles of the linear model are known on straight highways only")
+    if not np.isfinite(f).all():
+        raise SceneError("a position, heading, speed, target, timer or action of the scene is not finite")
+    worlds.order[e] = np.arange(f.shape[1])
+    worlds.clock[e] = base.time
+
+
+def _key(index: Any) -> tuple[str, str, int]:
+    return index[0], index[1], int(index[2] or 0)
+
+
+def _load_route(body: Any, i: int, rules: NetworkRules, lanes: Lanes, g: Any, routes: Any) -> None:
+    route = body.route or ()
+    if len(route) > routes.shape[1]:
+        raise SceneError(f"vehicle {i} has a route of {len(route)} roads; there is room for {routes.shape[1]}")
+    g[ROUTE_END, i] = len(route)
+    for k, (start, end, lane) in enumerate(route):
+        first = lanes[start, end, 0]
+        routes[i, k] = rules.network.ids[first, ROAD], -1 if lane is None else int(lane)

@@ -1,0 +1,143 @@
+"""A road network of highway-env as arrays: its lanes, and how they hang together."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from highway_env.road.lane import CircularLane, SineLane, StraightLane
+
+from dynamics.errors import SceneError
+from dynamics.networks.layout import (
+    ACROSS_X,
+    ALONG_X,
+    AMPLITUDE,
+    CIRCULAR,
+    COLUMNS,
+    COUNT,
+    DIRECTION,
+    FIRST,
+    FORBIDDEN,
+    ID,
+    IDS,
+    LANE_HEADING,
+    ORIGIN_X,
+    PHASE,
+    PRIORITY,
+    PULSATION,
+    QUARTER,
+    RADIUS,
+    ROAD,
+    SHAPE,
+    SINE,
+    STRAIGHT,
+    TO,
+)
+from dynamics.simulator.layout import LANE_LENGTH, LANE_LIMIT, LANE_WIDTH
+from dynamics.state import FloatArray, IntArray
+
+__all__ = ["Network", "index_of", "network_of"]
+
+_SHAPES = {StraightLane: STRAIGHT, SineLane: SINE, CircularLane: CIRCULAR}
+
+
+class Network(NamedTuple):
+    """n lanes, in highway-env's order, in roads, which lead from node to node.
+
+    Attributes
+    ----------
+    lanes : (n, COLUMNS) float64, see `layout`. ids : (n, IDS) integers.
+    roads : the node that each road leaves, the one that it leads to, its first lane and how many it has, (roads, 4).
+    outs : the roads that leave each node, in highway-env's order, (nodes, most); -1 for none.
+    linked : lanes on which others are neighbours too, (n, most, 2): the lane, -1 for none, and 1 where it follows, -1
+        where it leads here. No columns where highway-env looks at one lane at a time.
+    """
+
+    lanes: FloatArray
+    ids: IntArray
+    roads: IntArray
+    outs: IntArray
+    linked: IntArray
+
+
+def index_of(network: Any) -> dict[tuple[str, str, int], int]:
+    """The number of each lane by highway-env's index of it."""
+    return {key: number for number, key in enumerate(network.lanes_dict())}
+
+
+def network_of(network: Any, connected: bool = False) -> Network:
+    """Read a `RoadNetwork`.
+
+    Parameters
+    ----------
+    connected : whether neighbours are looked for on the lanes before and after a lane too.
+
+    Raises
+    ------
+    SceneError
+        If a lane is neither straight nor a sine nor an arc.
+    """
+    graph, numbers = network.graph, index_of(network)
+    strange = sorted({type(lane).__name__ for lane in network.lanes_list() if type(lane) not in _SHAPES})
+    if strange:
+        known = ", ".join(kind.__name__ for kind in _SHAPES)
+        raise SceneError(f"the compiled network has {known}, not {', '.join(strange)}")
+    nodes = {name: k for k, name in enumerate(dict.fromkeys([*graph, *(to for outs in graph.values() for to in outs)]))}
+    edges = {(a, b): k for k, (a, b) in enumerate((a, b) for a, outs in graph.items() for b in outs)}
+    lanes, ids = np.zeros((len(numbers), COLUMNS)), np.zeros((len(numbers), IDS), np.int64)
+    roads = np.zeros((len(edges), 4), np.int64)
+    for (a, b), edge in edges.items():
+        roads[edge] = nodes[a], nodes[b], numbers[a, b, 0], len(graph[a][b])
+        for k, lane in enumerate(graph[a][b]):
+            n = numbers[a, b, k]
+            lanes[n] = _numbers(lane)
+            ids[n, [ROAD, ID, COUNT, FIRST, TO]] = edge, k, len(graph[a][b]), numbers[a, b, 0], nodes[b]
+            ids[n, [SHAPE, FORBIDDEN, PRIORITY]] = _SHAPES[type(lane)], bool(lane.forbidden), lane.priority
+    outs = [[edges[name, to] for to in graph.get(name, {})] for name in nodes]
+    linked = [_linked(graph, numbers, key) if connected else [] for key in numbers]
+    return Network(lanes, ids, roads, _table(outs), _pairs(linked))
+
+
+def _table(rows: list[list[int]]) -> IntArray:
+    out = np.full((len(rows), max(map(len, rows), default=0)), -1, np.int64)
+    for k, row in enumerate(rows):
+        out[k, : len(row)] = row
+    return out
+
+
+def _pairs(rows: list[list[tuple[int, int]]]) -> IntArray:
+    out = np.full((len(rows), max(map(len, rows), default=0), 2), -1, np.int64)
+    for k, row in enumerate(rows):
+        for j, pair in enumerate(row):
+            out[k, j] = pair
+    return out
+
+
+def _linked(graph: Any, numbers: dict[tuple[str, str, int], int], key: tuple[str, str, int]) -> list[tuple[int, int]]:
+    """What highway-env's `neighbour_vehicles` looks at beside a lane: one of each road after it and before it."""
+    start, end, k = key
+    after = [(end, to, len(lanes)) for to, lanes in graph.get(end, {}).items()]
+    before = [(name, start, len(outs[start])) for name, outs in graph.items() if start in outs]
+    found = []
+    for roads, sign in ((after, 1), (before, -1)):
+        found += [(numbers[a, b, k if k < count else 0], sign) for a, b, count in roads if count]
+    return found
+
+
+def _numbers(lane: Any) -> FloatArray:
+    """A row of `Network.lanes`."""
+    row = np.zeros(COLUMNS)
+    row[[LANE_WIDTH, LANE_LENGTH]] = lane.width, lane.length
+    row[LANE_LIMIT] = math.inf if lane.speed_limit is None else lane.speed_limit
+    if isinstance(lane, CircularLane):
+        row[ORIGIN_X : ORIGIN_X + 2] = lane.center
+        row[[PHASE, RADIUS, DIRECTION]] = lane.start_phase, lane.radius, lane.direction
+        row[QUARTER] = np.pi / 2 * lane.direction
+        return row
+    row[LANE_HEADING] = lane.heading
+    row[ORIGIN_X : ORIGIN_X + 2] = lane.start
+    row[ALONG_X : ALONG_X + 2], row[ACROSS_X : ACROSS_X + 2] = lane.direction, lane.direction_lateral
+    if isinstance(lane, SineLane):
+        row[[AMPLITUDE, PULSATION, PHASE]] = lane.amplitude, lane.pulsation, lane.phase
+    return row

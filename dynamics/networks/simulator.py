@@ -1,0 +1,125 @@
+"""`NetworkSimulator`: copies of one live highway-env on any road network, frame by frame."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+
+from dynamics.compiled import uncounted
+from dynamics.errors import ConfigError, SceneError
+from dynamics.networks.engine import NetworkRules, NetworkWork, NetworkWorlds, advance, begin
+from dynamics.networks.layout import G
+from dynamics.networks.live import load, longest_route
+from dynamics.networks.network import index_of, network_of
+from dynamics.simulator.arithmetic import Sums, sums_of_numpy
+from dynamics.simulator.engine import Machine, write_row
+from dynamics.simulator.layout import F, P
+from dynamics.simulator.live import bodies_of
+from dynamics.simulator.loops import addresses
+from dynamics.simulator.scenario import ACTIONS
+from dynamics.state import FloatArray
+
+__all__ = ["NetworkSimulator"]
+
+
+class NetworkSimulator:
+    """Copies of a live environment as it is now, between two decisions.
+
+    It goes frame by frame, and does not end, observe or reward: that is the environment's. What appears or vanishes
+    during an episode is not in it.
+
+    Parameters
+    ----------
+    env : a highway-env environment with meta-actions and one ego, reset.
+    num_envs : how many copies.
+
+    Raises
+    ------
+    ConfigError
+        If its actions are not meta-actions.
+    SceneError
+        If its road has lanes of another shape, or its vehicles drive in another way.
+
+    Attributes
+    ----------
+    rules, worlds : for the kernels (see `engine`).
+    exact : whether this machine's numpy makes sums of products in a way that is known here.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], num_envs: int = 1) -> None:
+        base = cast(Any, env.unwrapped)
+        vehicles, obstacles = bodies_of(env)
+        labels = getattr(base.action_type, "actions", None)
+        if labels is None:
+            raise ConfigError(f"a network's ego takes meta-actions, not {type(base.action_type).__name__}")
+        config, road = base.config, base.road
+        self._network = road.network
+        self._lanes = index_of(road.network)
+        self.rules = NetworkRules(
+            network=network_of(road.network, bool(road.neighbour_vehicles_connected_lanes)),
+            numbers=(int(config["simulation_frequency"] // config["policy_frequency"]), len(vehicles)),
+            times=(1 / config["simulation_frequency"], 1 / config["policy_frequency"]),
+            target_speeds=np.array(vehicles[0].target_speeds, float),
+            labels=np.array([ACTIONS.index(labels[k]) for k in sorted(labels)], np.int64),
+        )
+        sums, products = sums_of_numpy()
+        self.exact = Sums.OTHER not in (sums, products)
+        self.machine = Machine(sums, products, addresses())
+        self.num_envs, self._bodies = num_envs, len(vehicles) + len(obstacles)
+        self._entries = max(1, longest_route(env))
+        self.worlds, self._work = self.new_worlds(num_envs), self.new_work()
+        for e in range(num_envs):
+            self.load(env, e)
+
+    def fits(self, env: gym.Env[Any, Any]) -> bool:
+        """Whether an environment has the road and as many bodies as this one, so that `load` takes it."""
+        road = cast(Any, env.unwrapped).road
+        same = road is not None and road.network is self._network and len(road.vehicles) == self.rules.numbers[1]
+        return same and len(road.objects) + len(road.vehicles) == self._bodies and longest_route(env) <= self._entries
+
+    def load(self, env: gym.Env[Any, Any], e: int = 0) -> None:
+        """Copy the environment, as it is now, into copy `e`; see `live.load`."""
+        if cast(Any, env.unwrapped).road.network is not self._network:
+            raise SceneError("the environment has another road than the simulator; make a new one")
+        load(env, self.rules, self._lanes, self.worlds, e)
+
+    def new_worlds(self, count: int) -> NetworkWorlds:
+        """Room for so many more scenes of the same bodies."""
+        m = self._bodies
+        return NetworkWorlds(
+            np.zeros((count, F, m)),
+            np.zeros((count, G, m), np.int64),
+            np.zeros((count, P, m)),
+            np.zeros((count, m), np.int64),
+            np.full((count, m, self._entries, 2), -1, np.int64),
+            np.zeros(count),
+        )
+
+    def new_work(self) -> NetworkWork:
+        """Room for the kernels of one more thread."""
+        m = self._bodies
+        return NetworkWork(
+            np.zeros((4, m)), np.zeros(m, np.int64), np.zeros((2, 5, 2)), np.zeros(max(1, m * (m - 1) // 2), np.int64)
+        )
+
+    def begin(self, action: int, e: int = 0) -> None:
+        """Begin a decision: what a meta-action changes at once."""
+        if not 0 <= action < len(self.rules.labels):
+            raise ConfigError(f"have actions 0 to {len(self.rules.labels) - 1}, not {action}")
+        begin(self.machine, self.worlds, self.rules, e, np.array([action, 0.0]))
+
+    def frame(self, rows: FloatArray, e: int = 0) -> None:
+        """One frame; `rows` (m, 7) become the bodies: x, y [m], heading [rad], speed [m/s], length, width [m],
+        crashed."""
+        _frame(self.machine, self.worlds, self.rules, self._work, e, rows)
+
+
+@uncounted
+def _frame(
+    machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int, rows: FloatArray
+) -> None:
+    advance(machine, worlds, rules, work, e, False)
+    for i in range(worlds.f.shape[2]):
+        write_row(worlds.f[e], worlds.g[e], worlds.p[e], i, rows[i])

@@ -9,18 +9,19 @@ takes from elsewhere. So kernels may call those of other files, and a copy of th
 from __future__ import annotations
 
 import builtins
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Mapping
 from dis import get_instructions
 from hashlib import sha256
-from inspect import getsource, getsourcefile
+from inspect import getsource, getsourcefile, signature
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any, TypeVar, cast
 
 from numba import njit
+from numba.extending import overload
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-__all__ = ["compiled", "inlined", "made_from", "numbers_of", "uncounted"]
+__all__ = ["by_type", "compiled", "inlined", "made_from", "numbers_of", "uncounted"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 numbers_of: Any = to_fixed_tuple
@@ -45,6 +46,29 @@ def uncounted(function: F) -> F:
 def inlined(function: F) -> F:
     """The same for what is small and called for every vehicle: it becomes a part of the kernels that call it."""
     return _kernel(function, _nrt=False, nogil=True, forceinline=True)
+
+
+def by_type(kernels: Mapping[type, Any], field: str) -> Callable[[F], F]:
+    """What stands for several kernels of the same parameters: numba takes the one for the class of a field of the first
+    argument, which is a NamedTuple. There is nothing in the function itself.
+
+    Parameters
+    ----------
+    kernels : by the class of the field, itself a NamedTuple. field : its name.
+    """
+
+    def decorate(function: F) -> F:
+        def choose(*args: Any) -> Any:
+            kernel = kernels[args[0].types[args[0].fields.index(field)].instance_class]
+            return kernel.py_func
+
+        # numba compares the parameters of what chooses with those of what is chosen.
+        cast(Any, choose).__signature__ = signature(function)
+        cast(Any, overload)(function, jit_options={"_nrt": False, "nogil": True, "error_model": "numpy"})(choose)
+        _MADE_FROM[function] = "".join(_MADE_FROM[kernel] for kernel in kernels.values())
+        return function
+
+    return decorate
 
 
 def _kernel(function: F, **options: bool) -> F:
@@ -91,6 +115,6 @@ def _digest(function: Callable[..., Any]) -> str:
             parts.append(f"{name}={value!r}")
         elif isinstance(value, type) and issubclass(value, tuple):
             parts.append(f"{name}={getattr(value, '_fields', ())}")
-        elif hasattr(value, "py_func") and value in _MADE_FROM:
+        elif callable(value) and isinstance(value, Hashable) and value in _MADE_FROM:
             parts.append(f"{name}={_MADE_FROM[value]}")
     return sha256("\0".join(parts).encode()).hexdigest()

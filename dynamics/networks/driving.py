@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from dynamics.compiled import inlined, uncounted
-from dynamics.networks.lanes import heading_at, local, on_lane, reachable
+from dynamics.networks.lanes import heading_at, least_across, local, on_lane, reachable
 from dynamics.networks.layout import COUNT, ID, ROAD, ROUTE, ROUTE_END
 from dynamics.networks.network import Network
 from dynamics.networks.routes import follow_road
@@ -26,6 +26,7 @@ from dynamics.simulator.layout import (
     KIND,
     LANE,
     LANE_LENGTH,
+    LANE_WIDTH,
     OBSTACLE,
     POLITENESS,
     SPEED,
@@ -60,6 +61,8 @@ def _neighbours(sums: int, loops: IntArray, network: Network, f: FloatArray, i: 
             other = lane if k < 0 else linked[lane, k, 0]
             if other < 0:
                 break
+            if least_across(sums, lanes, ids, other, f[X, v], f[Y, v]) > lanes[other, LANE_WIDTH] / 2 + _MARGIN:
+                continue
             at, r = local(sums, loops, lanes, ids, other, f[X, v], f[Y, v])
             if not on_lane(lanes, other, at, r, _MARGIN):
                 continue

@@ -7,18 +7,22 @@ from typing import NamedTuple
 from dynamics.compiled import uncounted
 from dynamics.networks.driving import act
 from dynamics.networks.lanes import closest, local, on_lane, reachable
-from dynamics.networks.layout import COUNT, FIRST, ID
+from dynamics.networks.layout import COUNT, ENDS, FIRST, ID
 from dynamics.networks.network import Network
 from dynamics.networks.routes import follow_road
 from dynamics.simulator.collisions import collide
 from dynamics.simulator.engine import Machine
-from dynamics.simulator.layout import HEADING, LANE, SPEED, TARGET, TARGET_SPEED, X, Y
+from dynamics.simulator.layout import HEADING, LANE, LANE_LENGTH, SPEED, TARGET, TARGET_SPEED, X, Y
 from dynamics.simulator.motion import bicycle, limit
 from dynamics.simulator.neighbours import sort
 from dynamics.simulator.scene import speed_index
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["NetworkRules", "NetworkWork", "NetworkWorlds", "advance", "begin", "on_road"]
+__all__ = ["NetworkRules", "NetworkWork", "NetworkWorlds", "advance", "begin", "on_way"]
+
+
+_TURNS = 2.5
+"""So long before its end highway-env's vehicles leave a lane for the next [m]."""
 
 
 class NetworkWorlds(NamedTuple):
@@ -96,15 +100,18 @@ def advance(
         work.busy[i] = i
     bicycle(loops, f, g, p, work.numbers, work.busy, vehicles, dt)
     for i in range(vehicles):
-        g[LANE, i] = closest(sums, loops, network.lanes, network.ids, f[X, i], f[Y, i], f[HEADING, i])
+        x, y, heading = f[X, i], f[Y, i], f[HEADING, i]
+        g[LANE, i] = closest(sums, loops, network.lanes, network.ids, x, y, heading, g[LANE, i])
     level = sort(f, worlds.order[e])
     collide(sums, machine.products, f, g, p, worlds.order[e], work.corners, work.pairs, vehicles, dt)
     return level
 
 
 @uncounted
-def on_road(machine: Machine, rules: NetworkRules, f: FloatArray, g: IntArray) -> bool:
-    """Whether the ego is on the lane that is closest to it."""
+def on_way(machine: Machine, rules: NetworkRules, f: FloatArray, g: IntArray) -> tuple[bool, bool]:
+    """Whether the ego is on the lane that is closest to it, and whether it is at the end of one from which no other
+    goes on: the road ends there, and what comes then is not known."""
     network, lane = rules.network, g[LANE, 0]
     s, r = local(machine.sums, machine.loops, network.lanes, network.ids, lane, f[X, 0], f[Y, 0])
-    return on_lane(network.lanes, lane, s, r, 0.0)
+    at_end = network.ids[lane, ENDS] != 0 and s > network.lanes[lane, LANE_LENGTH] - _TURNS
+    return on_lane(network.lanes, lane, min(s, network.lanes[lane, LANE_LENGTH]) if at_end else s, r, 0.0), at_end

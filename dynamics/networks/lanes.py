@@ -35,9 +35,11 @@ from dynamics.simulator.layout import LANE_LENGTH, LANE_WIDTH
 from dynamics.simulator.loops import at, at_two
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["after_end", "closest", "distance", "heading_at", "local", "on_lane", "place", "reachable"]
+__all__ = ["after_end", "closest", "distance", "heading_at", "least_across", "local", "on_lane", "place", "reachable"]
 
 _ARCTAN, _COS, _SIN, _ARCTAN2 = 1, 3, 4, 7
+_ROUNDING = 1e-9
+"""More than rounding makes of a distance [m]."""
 _OVERHANG = 5.0
 """`AbstractLane.VEHICLE_LENGTH`: a lane goes on for so long beyond both its ends [m]."""
 
@@ -59,6 +61,17 @@ def local(
     if ids[lane, SHAPE] == SINE:
         r -= row[AMPLITUDE] * at(loops[_SIN, 0], loops[_SIN, 1], row[PULSATION] * s + row[PHASE])
     return s, r
+
+
+@uncounted
+def least_across(sums: int, lanes: FloatArray, ids: IntArray, lane: int, x: float, y: float) -> float:
+    """No more than |r| of a place on a lane [m], and without an angle."""
+    row = lanes[lane]
+    dx, dy = x - row[ORIGIN_X], y - row[ORIGIN_Y]
+    if ids[lane, SHAPE] == CIRCULAR:
+        return abs(row[DIRECTION] * (row[RADIUS] - math.sqrt(dot2(sums, dx, dx, dy, dy))))
+    r = abs(dot2(sums, dx, row[ACROSS_X], dy, row[ACROSS_Y]))
+    return r - abs(row[AMPLITUDE]) - _ROUNDING if ids[lane, SHAPE] == SINE else r
 
 
 @uncounted
@@ -118,13 +131,27 @@ def distance(sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, lane:
 
 
 @uncounted
-def closest(sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, x: float, y: float, heading: float) -> int:
-    """The lane nearest in position and heading, the first of equals."""
-    best, least = 0, math.inf
+def _away(
+    sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, x: float, y: float, heading: float
+) -> float:
+    """highway-env's `distance_with_heading` of a lane."""
+    s, r = local(sums, loops, lanes, ids, lane, x, y)
+    angle = abs(wrap_to_pi(heading - heading_at(loops, lanes, ids, lane, s)))
+    return abs(r) + max(s - lanes[lane, LANE_LENGTH], 0.0) + max(0.0 - s, 0.0) + 1.0 * angle
+
+
+@uncounted
+def closest(
+    sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, x: float, y: float, heading: float, guess: int
+) -> int:
+    """The lane nearest in position and heading, the first of equals; a good guess saves most of the work."""
+    limit = _away(sums, loops, lanes, ids, guess, x, y, heading)
+    best, least = guess, math.inf
     for lane in range(len(lanes)):
-        s, r = local(sums, loops, lanes, ids, lane, x, y)
-        angle = abs(wrap_to_pi(heading - heading_at(loops, lanes, ids, lane, s)))
-        away = abs(r) + max(s - lanes[lane, LANE_LENGTH], 0.0) + max(0.0 - s, 0.0) + 1.0 * angle
-        if away < least:
-            best, least = lane, away
+        # What is further off across than that is no nearer.
+        if least_across(sums, lanes, ids, lane, x, y) <= limit:
+            away = _away(sums, loops, lanes, ids, lane, x, y, heading)
+            if away < least:
+                best, least = lane, away
+                limit = min(limit, least)
     return best

@@ -14,6 +14,7 @@ __all__ = [
     "COLUMNS",
     "COUNT",
     "DIRECTION",
+    "ENDS",
     "FIRST",
     "FORBIDDEN",
     "ID",
@@ -62,10 +63,10 @@ that of the sine, or where the arc starts.
 """
 COLUMNS = 16
 
-SHAPE, ROAD, ID, COUNT, FIRST, TO, FORBIDDEN, PRIORITY = range(8)
+SHAPE, ROAD, ID, COUNT, FIRST, TO, FORBIDDEN, PRIORITY, ENDS = range(9)
 """Columns of the lanes' integers: the road that a lane belongs to, its index in it, how many there are, the first of
-them, and the node that the road leads to."""
-IDS = 8
+them, and the node that the road leads to; ENDS: no road goes on from its end, or only one that leads back."""
+IDS = 9
 
 STRAIGHT, SINE, CIRCULAR = range(3)
 """Shapes of lanes."""

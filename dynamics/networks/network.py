@@ -17,6 +17,7 @@ from dynamics.networks.layout import (
     COLUMNS,
     COUNT,
     DIRECTION,
+    ENDS,
     FIRST,
     FORBIDDEN,
     ID,
@@ -94,9 +95,15 @@ def network_of(network: Any, connected: bool = False) -> Network:
             lanes[n] = _numbers(lane)
             ids[n, [ROAD, ID, COUNT, FIRST, TO]] = edge, k, len(graph[a][b]), numbers[a, b, 0], nodes[b]
             ids[n, [SHAPE, FORBIDDEN, PRIORITY]] = _SHAPES[type(lane)], bool(lane.forbidden), lane.priority
+            ids[n, ENDS] = all(_leads_back(lane, each) for each in graph.get(b, {}).values())
     outs = [[edges[name, to] for to in graph.get(name, {})] for name in nodes]
     linked = [_linked(graph, numbers, key) if connected else [] for key in numbers]
     return Network(lanes, ids, roads, _table(outs), _pairs(linked))
+
+
+def _leads_back(lane: Any, road: list[Any]) -> bool:
+    """Whether a road that begins where a lane ends goes the other way."""
+    return bool(np.cos(road[0].heading_at(0.0) - lane.heading_at(lane.length)) < 0)
 
 
 def _table(rows: list[list[int]]) -> IntArray:

@@ -27,7 +27,7 @@ __all__ = ["NetworkSimulator"]
 class NetworkSimulator:
     """Copies of a live environment as it is now, between two decisions.
 
-    It goes frame by frame, and does not end, observe or reward: that is the environment's. What appears or vanishes
+    It does not end, observe or reward: that is the environment's. What appears or vanishes
     during an episode is not in it.
 
     Parameters
@@ -69,7 +69,8 @@ class NetworkSimulator:
         self.machine = Machine(sums, products, addresses())
         self.num_envs, self._bodies = num_envs, len(vehicles) + len(obstacles)
         self._entries = max(1, longest_route(env))
-        self.worlds, self._work = self.new_worlds(num_envs), self.new_work()
+        self.worlds, self._work, self._given = self.new_worlds(num_envs), self.new_work(), np.zeros(2)
+        self._rows = np.zeros((self.rules.numbers[0], self._bodies, 7))
         for e in range(num_envs):
             self.load(env, e)
 
@@ -104,22 +105,35 @@ class NetworkSimulator:
             np.zeros((4, m)), np.zeros(m, np.int64), np.zeros((2, 5, 2)), np.zeros(max(1, m * (m - 1) // 2), np.int64)
         )
 
-    def begin(self, action: int, e: int = 0) -> None:
-        """Begin a decision: what a meta-action changes at once."""
+    def step(self, action: int, e: int = 0) -> FloatArray:
+        """A decision: a meta-action, and all of its frames.
+
+        Returns
+        -------
+        The bodies after each frame, (frames, m, 7): x, y [m], heading [rad], speed [m/s], length, width [m], crashed;
+        the array is written over by the next call.
+        """
         if not 0 <= action < len(self.rules.labels):
             raise ConfigError(f"have actions 0 to {len(self.rules.labels) - 1}, not {action}")
-        begin(self.machine, self.worlds, self.rules, e, np.array([action, 0.0]))
-
-    def frame(self, rows: FloatArray, e: int = 0) -> None:
-        """One frame; `rows` (m, 7) become the bodies: x, y [m], heading [rad], speed [m/s], length, width [m],
-        crashed."""
-        _frame(self.machine, self.worlds, self.rules, self._work, e, rows)
+        self._given[0] = action
+        _step(self.machine, self.worlds, self.rules, self._work, e, self._given, self._rows)
+        return self._rows
 
 
 @uncounted
-def _frame(
-    machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int, rows: FloatArray
+def _step(
+    machine: Machine,
+    worlds: NetworkWorlds,
+    rules: NetworkRules,
+    work: NetworkWork,
+    e: int,
+    action: FloatArray,
+    rows: FloatArray,
 ) -> None:
-    advance(machine, worlds, rules, work, e, False)
-    for i in range(worlds.f.shape[2]):
-        write_row(worlds.f[e], worlds.g[e], worlds.p[e], i, rows[i])
+    f, g, p = worlds.f[e], worlds.g[e], worlds.p[e]
+    begin(machine, worlds, rules, e, action)
+    level = False
+    for k in range(rules.numbers[0]):
+        level = advance(machine, worlds, rules, work, e, level)
+        for i in range(f.shape[1]):
+            write_row(f, g, p, i, rows[k, i])

@@ -14,6 +14,7 @@ from dynamics.errors import ActionError, ConfigError
 from dynamics.simulator.arithmetic import Sums, sums_of_numpy
 from dynamics.simulator.engine import (
     Machine,
+    Rules,
     Seen,
     Work,
     Worlds,
@@ -117,6 +118,15 @@ class Simulator:
         if not 0 <= e < self.num_envs:
             raise ConfigError(f"there are environments 0 to {self.num_envs - 1}, not {e}")
 
+    def fits(self, env: gym.Env[Any, Any]) -> bool:
+        """Whether a live environment has as many bodies, so that `load` may take it."""
+        road = cast(Any, env.unwrapped).road
+        vehicles = self.scenario.rules.numbers[1]
+        return road is not None and (vehicles, self.scenario.bodies - vehicles) == (
+            len(road.vehicles),
+            len(road.objects),
+        )
+
     def load(self, env: gym.Env[Any, Any], e: int = 0) -> None:
         """Copy a live environment, between two decisions, into copy `e`; see `live.load`."""
         self._check_copy(e)
@@ -152,6 +162,11 @@ class Simulator:
         self.flat = flat
         shown = flat.observations.reshape(e, *shape), flat.terminal.reshape(e, *shape)
         self.seen = flat._replace(observations=shown[0], terminal=shown[1])
+
+    @property
+    def rules(self) -> Rules:
+        """What is the same in all copies, for the kernels."""
+        return self.scenario.rules
 
     @property
     def draws(self) -> int:

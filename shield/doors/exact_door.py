@@ -13,6 +13,8 @@ import gymnasium as gym
 import numpy as np
 
 from dynamics.errors import SceneError
+from dynamics.networks.refusals import check_network, on_network
+from dynamics.networks.simulator import NetworkSimulator
 from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.simulator.layout import HEADING, SPEED, X, Y
 from dynamics.simulator.scenario import scenario_of
@@ -42,7 +44,8 @@ differ by some 1e-12."""
 
 
 class ExactDoor:
-    """Filters the meta-actions of one straight highway with traffic of known classes.
+    """Filters meta-actions where the traffic, of known classes, follows from its state: on straight highways, and on
+    the networks of merges, exits, roundabouts, two-way roads and u-turns.
 
     Parameters
     ----------
@@ -66,15 +69,18 @@ class ExactDoor:
         check(config)
         self.config, self._base = config, base
         if not isinstance(base, CompiledHighwayEnv):
-            if base.spec is None:
+            if on_network(base):
+                check_network(base)
+            elif base.spec is None:
                 raise ConfigError("the environment has no id; make it with gym.make")
-            scenario_of(base.spec.id, base.config)
+            else:
+                scenario_of(base.spec.id, base.config)
         self.violations, self.cause = 0, ""
         self.reset()
 
     def reset(self) -> None:
         """Forget everything about the episode."""
-        self._live: Simulator | None = None
+        self._live: Simulator | NetworkSimulator | None = None
         self._search: Search | None = None
         self._plans: Plans = empty_plans(1, 1)
         self._foretold: FloatArray | None = None
@@ -109,13 +115,15 @@ class ExactDoor:
         self._foretold = search.futures.f[1][_STATE].copy()
         return _decision(shown, records, start)
 
-    def _now(self) -> Simulator:
+    def _now(self) -> Simulator | NetworkSimulator:
         """The traffic as it is."""
         base = self._base
+        simulator: Simulator | NetworkSimulator
         if isinstance(base, CompiledHighwayEnv):
             simulator = base.simulator
-        elif self._live is None:
-            simulator = self._live = Simulator.of(base)
+        elif self._live is None or not self._live.fits(base):
+            simulator = self._live = NetworkSimulator(base) if on_network(base) else Simulator.of(base)
+            self._search = None
         else:
             simulator = self._live
             simulator.load(base)
@@ -124,7 +132,7 @@ class ExactDoor:
             self._plans = empty_plans(1, self._search.bounds.depth)
         return simulator
 
-    def _compare(self, simulator: Simulator) -> None:
+    def _compare(self, simulator: Simulator | NetworkSimulator) -> None:
         """Count the vehicles that have done something else than was foretold, as long as the ego has not."""
         foretold, now = self._foretold, simulator.worlds.f[0][_STATE]
         if foretold is None or foretold.shape != now.shape:

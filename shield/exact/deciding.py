@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dynamics.compiled import uncounted
-from dynamics.simulator.engine import Worlds
 from dynamics.simulator.layout import TARGET_SPEED
 from dynamics.state import IntArray
 from shield.batch.arrays import Records
@@ -90,7 +89,7 @@ def _longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]
 
 
 @uncounted
-def passes(search: Search, plans: Plans, records: Records, worlds: Worlds, e: int, proposed: int) -> bool:
+def passes(search: Search, plans: Plans, records: Records, worlds: Any, e: int, proposed: int) -> bool:
     """Whether a proposal is executed as it is, or is no action at all, so that a stored plan or slowing down takes its
     place; into `records`."""
     records.proposed[e], records.clause[e], records.vehicle[e] = proposed, 0, -1
@@ -108,7 +107,7 @@ def passes(search: Search, plans: Plans, records: Records, worlds: Worlds, e: in
 
 @uncounted
 def replace(
-    search: Search, plans: Plans, records: Records, worlds: Worlds, e: int, proposed: int, order: IntArray
+    search: Search, plans: Plans, records: Records, worlds: Any, e: int, proposed: int, order: IntArray
 ) -> None:
     """What takes the place of a proposal that does not pass, into `records`; see `decide`."""
     n, stored, length, margin = search.order.shape[0], plans.actions[e], plans.length[e], -np.inf
@@ -131,9 +130,7 @@ def replace(
 
 
 @uncounted
-def decide(
-    search: Search, plans: Plans, records: Records, worlds: Worlds, e: int, proposed: int, order: IntArray
-) -> None:
+def decide(search: Search, plans: Plans, records: Records, worlds: Any, e: int, proposed: int, order: IntArray) -> None:
     """Decide about one proposal, into `records`.
 
     It passes where some sequence that begins with it keeps the buffer for all decisions. Otherwise the first of the

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynamics.simulator.engine import Machine, Rules, Work, Worlds
+from dynamics.networks.simulator import NetworkSimulator
+from dynamics.simulator.engine import Machine, Rules
 from dynamics.simulator.simulator import Simulator
 from dynamics.state import FloatArray, IntArray
 from shield.config import ShieldConfig
@@ -47,7 +48,7 @@ class Search(NamedTuple):
 
     Attributes
     ----------
-    machine, rules, work : of the simulator. bounds : what is asked.
+    machine, rules, work : of the simulator, on a straight highway or on a network of roads. bounds : what is asked.
     futures : states: the present, those that a search has come through or compares, and a spare one.
     order : all actions, those that slow down first.
     given : an action, (2,). row : a body, (1, 7).
@@ -59,10 +60,10 @@ class Search(NamedTuple):
     """
 
     machine: Machine
-    rules: Rules
-    work: Work
+    rules: Any
+    work: Any
     bounds: Bounds
-    futures: Worlds
+    futures: Any
     order: IntArray
     given: FloatArray
     row: FloatArray
@@ -80,9 +81,9 @@ _SAFEST_FIRST = (4, 1, 2, 0, 3)
 """Labels of the actions (see `dynamics.simulator.engine.Rules`): slower, none, right, left, faster."""
 
 
-def new_search(simulator: Simulator, config: ShieldConfig) -> Search:
+def new_search(simulator: Simulator | NetworkSimulator, config: ShieldConfig) -> Search:
     """Room for searches in the traffic of a simulator."""
-    rules, index = simulator.scenario.rules, np.intp
+    rules, index = simulator.rules, np.intp
     labels = rules.labels.tolist()
     depth = max(1, math.ceil(config.horizon / rules.times[1] - 1e-9))
     bounds = Bounds(
@@ -93,7 +94,7 @@ def new_search(simulator: Simulator, config: ShieldConfig) -> Search:
         budget=_BUDGET * depth,
         keep_right=_KEEP_RIGHT,
     )
-    kinds = len(rules.lanes) * len(rules.target_speeds)
+    kinds = len(rules.lanes if isinstance(rules, Rules) else rules.network.lanes) * len(rules.target_speeds)
     return Search(
         machine=simulator.machine,
         rules=rules,

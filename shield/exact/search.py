@@ -8,23 +8,24 @@ actions that begins with it stays clear for so many decisions.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from dynamics.compiled import uncounted
-from dynamics.simulator.engine import Worlds, advance, begin, write_row
-from dynamics.simulator.lanes import on_lane
-from dynamics.simulator.layout import CRASHED, HEADING, LANE, LENGTH, SPEED, TARGET, TARGET_SPEED, WIDTH, X, Y
+from dynamics.simulator.engine import write_row
+from dynamics.simulator.layout import CRASHED, HEADING, LENGTH, SPEED, TARGET, TARGET_SPEED, WIDTH, X, Y
 from dynamics.simulator.neighbours import sort
 from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.permits import Ego, gap_between
 from shield.exact.room import Bounds, Search
+from shield.exact.traffic import copy_routes, frame, lanes_to_the_right, on_road, start
 
 __all__ = ["copy_future", "enter", "leap", "same_outcome", "survives"]
 
 
 @uncounted
-def _copy(worlds: Worlds, e: int, futures: Worlds, k: int) -> None:
+def _copy(worlds: Any, e: int, futures: Any, k: int) -> None:
     """Copy what moves of one environment into a future."""
     f, g, f0, g0 = futures.f[k], futures.g[k], worlds.f[e], worlds.g[e]
     for i in range(f.shape[0]):
@@ -45,7 +46,7 @@ def copy_future(search: Search, source: int, target: int) -> None:
 
 
 @uncounted
-def enter(search: Search, worlds: Worlds, e: int) -> None:
+def enter(search: Search, worlds: Any, e: int) -> None:
     """Make the present of one environment the first future."""
     _copy(worlds, e, search.futures, 0)
     p, p0 = search.futures.p, worlds.p[e]
@@ -53,10 +54,11 @@ def enter(search: Search, worlds: Worlds, e: int) -> None:
         for i in range(p.shape[1]):
             for j in range(p.shape[2]):
                 p[k, i, j] = p0[i, j]
+    copy_routes(search, worlds, e)
 
 
 @uncounted
-def _clearance(futures: Worlds, k: int, bounds: Bounds, row: FloatArray) -> float:
+def _clearance(futures: Any, k: int, bounds: Bounds, row: FloatArray) -> float:
     """The ego's smallest distance to anybody, beyond the buffer, negative where somebody is inside [m]."""
     f, g, p = futures.f[k], futures.g[k], futures.p[k]
     half_length, half_width = 0.5 * p[LENGTH, 0], 0.5 * p[WIDTH, 0]
@@ -81,22 +83,27 @@ def leap(search: Search, source: int, target: int, action: int, wish: float, flo
 
     Returns
     -------
-    The smallest clearance beyond the buffer on the way [m], with -inf for a crash or leaving the road; and the way that
-    is lost, or gained, against the wish, with what being left of the right lane counts as [m].
+    The smallest clearance beyond the buffer on the way [m], with -inf for a crash or leaving the road, and no more
+    asked once the road has ended; and the way that is lost, or gained, against the wish, with what being left of the
+    right lane counts as [m].
     """
     futures, rules, bounds = search.futures, search.rules, search.bounds
     copy_future(search, source, target)
     search.given[0], search.given[1] = action, 0.0
-    begin(futures, rules, target, search.given)
-    f, g, dt, right = futures.f[target], futures.g[target], rules.times[0], len(rules.lanes) - 1
+    start(search, target)
+    f, g, dt = futures.f[target], futures.g[target], rules.times[0]
+    if on_road(search, target)[1]:
+        return np.inf, 0.0
     level, least, lost = sort(f, futures.order[target]), np.inf, 0.0
     for _ in range(rules.numbers[0]):
-        level = advance(search.machine, futures, rules, search.work, target, level, math.nan, math.nan)
-        if g[CRASHED, 0] != 0 or not on_lane(rules.lanes, g[LANE, 0], f[X, 0], f[Y, 0], 0.0):
+        level = frame(search, target, level)
+        on, at_end = on_road(search, target)
+        if g[CRASHED, 0] != 0 or not on:
             return -np.inf, lost
         least = min(least, _clearance(futures, target, bounds, search.row))
-        lost += (abs(wish - f[SPEED, 0]) + bounds.keep_right * (right - g[TARGET, 0])) * dt
-        if least < floor:
+        left = lanes_to_the_right(search, target)
+        lost += (abs(wish - f[SPEED, 0]) + bounds.keep_right * left) * dt
+        if least < floor or at_end:
             break
     return least, lost
 
@@ -108,11 +115,11 @@ def same_outcome(search: Search, a: int, b: int) -> bool:
     f, g = futures.f[spare], futures.g[spare]
     copy_future(search, 0, spare)
     search.given[0], search.given[1] = a, 0.0
-    begin(futures, search.rules, spare, search.given)
+    start(search, spare)
     lane, speed = g[TARGET, 0], f[TARGET_SPEED, 0]
     copy_future(search, 0, spare)
     search.given[0] = b
-    begin(futures, search.rules, spare, search.given)
+    start(search, spare)
     return lane == g[TARGET, 0] and speed == f[TARGET_SPEED, 0]
 
 

@@ -3,6 +3,7 @@
 import logging
 import subprocess
 import sys
+from time import sleep
 
 import pytest
 
@@ -75,6 +76,8 @@ def test_nothing_is_compiled_once_the_door_is_there(drive):
 def test_it_says_what_it_waits_for_where_that_takes_long(monkeypatch, caplog, slow):
     module.warm_up.cache_clear()
     monkeypatch.setattr(module, "_PATIENCE", 1e-4 if slow else 600.0)
+    scene = module._scene
+    monkeypatch.setattr(module, "_scene", lambda k: sleep(0.1) or scene(k))
     with caplog.at_level(logging.WARNING, "shield"):
         module.warm_up()
     assert any("compiling" in record.getMessage() for record in caplog.records) is slow

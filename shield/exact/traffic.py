@@ -1,0 +1,106 @@
+"""What a search asks of the traffic: each on a straight highway, and on any other network of roads."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from dynamics.compiled import by_type, uncounted
+from dynamics.networks import engine as networks
+from dynamics.networks.layout import COUNT, ID
+from dynamics.simulator import engine as highways
+from dynamics.simulator.lanes import on_lane
+from dynamics.simulator.layout import LANE, TARGET, X, Y
+from shield.exact.room import Search
+
+__all__ = ["copy_routes", "frame", "lanes_to_the_right", "on_road", "start"]
+
+_advance, _begin, _on_way = networks.advance, networks.begin, networks.on_way
+_advance_highway, _begin_highway = highways.advance, highways.begin
+
+
+@uncounted
+def _start_highway(search: Search, k: int) -> None:
+    _begin_highway(search.futures, search.rules, k, search.given)
+
+
+@uncounted
+def _start_network(search: Search, k: int) -> None:
+    _begin(search.machine, search.futures, search.rules, k, search.given)
+
+
+@uncounted
+def _frame_highway(search: Search, k: int, level: bool) -> bool:
+    return _advance_highway(search.machine, search.futures, search.rules, search.work, k, level, math.nan, math.nan)
+
+
+@uncounted
+def _frame_network(search: Search, k: int, level: bool) -> bool:
+    return _advance(search.machine, search.futures, search.rules, search.work, k, level)
+
+
+@uncounted
+def _on_highway(search: Search, k: int) -> tuple[bool, bool]:
+    f, g = search.futures.f[k], search.futures.g[k]
+    return on_lane(search.rules.lanes, g[LANE, 0], f[X, 0], f[Y, 0], 0.0), False
+
+
+@uncounted
+def _on_network(search: Search, k: int) -> tuple[bool, bool]:
+    return _on_way(search.machine, search.rules, search.futures.f[k], search.futures.g[k])
+
+
+@uncounted
+def _right_on_highway(search: Search, k: int) -> int:
+    return len(search.rules.lanes) - 1 - search.futures.g[k, TARGET, 0]
+
+
+@uncounted
+def _right_on_network(search: Search, k: int) -> int:
+    ids, target = search.rules.network.ids, search.futures.g[k, TARGET, 0]
+    return ids[target, COUNT] - 1 - ids[target, ID]
+
+
+@uncounted
+def _no_routes(search: Search, worlds: Any, e: int) -> None:
+    return
+
+
+@uncounted
+def _copy_routes(search: Search, worlds: Any, e: int) -> None:
+    routes, given = search.futures.routes, worlds.routes[e]
+    for k in range(routes.shape[0]):
+        for i in range(routes.shape[1]):
+            for j in range(routes.shape[2]):
+                routes[k, i, j, 0], routes[k, i, j, 1] = given[i, j, 0], given[i, j, 1]
+
+
+_HIGHWAY, _NETWORK = highways.Rules, networks.NetworkRules
+
+
+@by_type({_HIGHWAY: _start_highway, _NETWORK: _start_network}, "rules")
+def start(search: Search, k: int) -> None:
+    """Begin the decision in `search.given` in future k."""
+
+
+@by_type({_HIGHWAY: _frame_highway, _NETWORK: _frame_network}, "rules")
+def frame(search: Search, k: int, level: bool) -> bool:
+    """Advance future k by a frame; see `dynamics.simulator.neighbours.sort` for `level`."""
+    raise NotImplementedError
+
+
+@by_type({_HIGHWAY: _on_highway, _NETWORK: _on_network}, "rules")
+def on_road(search: Search, k: int) -> tuple[bool, bool]:
+    """Whether the ego is on the road in future k, and whether it is where the road ends."""
+    raise NotImplementedError
+
+
+@by_type({_HIGHWAY: _right_on_highway, _NETWORK: _right_on_network}, "rules")
+def lanes_to_the_right(search: Search, k: int) -> int:
+    """Lanes of the road to the right of the one that the ego is bound for in future k."""
+    raise NotImplementedError
+
+
+@by_type({_HIGHWAY: _no_routes, _NETWORK: _copy_routes}, "rules")
+def copy_routes(search: Search, worlds: Any, e: int) -> None:
+    """Give all futures the routes of scene e."""

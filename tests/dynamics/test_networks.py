@@ -1,0 +1,219 @@
+"""The compiled network is highway-env's, bit for bit, on every road where nobody appears or vanishes."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+import pytest
+from highway_env.road.lane import PolyLaneFixedWidth, SineLane, StraightLane
+from highway_env.road.road import RoadNetwork
+from highway_env.vehicle.behavior import AggressiveVehicle, IDMVehicle
+from highway_env.vehicle.controller import MDPVehicle
+from highway_env.vehicle.objects import Obstacle
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulator_pair import same_numbers
+
+from dynamics.errors import ConfigError, SceneError
+from dynamics.networks import lanes
+from dynamics.networks.layout import ROUTE, ROUTE_END
+from dynamics.networks.network import index_of, network_of
+from dynamics.networks.refusals import check_network
+from dynamics.networks.simulator import NetworkSimulator
+from dynamics.simulator.arithmetic import sums_of_numpy
+from dynamics.simulator.layout import LANE, TARGET, TARGET_SPEED, TIMER
+from dynamics.simulator.loops import addresses
+
+NETWORKS = (
+    "merge-v0",
+    "merge-v1",
+    "merge-generic-v0",
+    "merge-generic-v1",
+    "roundabout-v0",
+    "roundabout-v1",
+    "roundabout-generic-v0",
+    "roundabout-generic-v1",
+    "exit-v0",
+    "exit-v1",
+    "two-way-v0",
+    "u-turn-v0",
+    "u-turn-v1",
+)
+OTHERS = ("highway-v0", "intersection-v0", "lane-keeping-v0", "racetrack-v0", "racetrack-oval-v0", "parking-v0")
+
+
+class Pair:
+    """A live environment, and its compiled copy."""
+
+    def __init__(self, env_id, seed, config=None):
+        self.env = gym.make(env_id, config=dict(config or {})).unwrapped
+        self.env.reset(seed=seed)
+        self.name = f"{env_id} seed {seed}"
+        self.start()
+
+    def start(self):
+        self.simulator = NetworkSimulator(self.env)
+        self.numbers = index_of(self.env.road.network)
+
+    def step(self, action):
+        """A decision of both, compared; whether the episode is over."""
+        _, _, terminated, truncated, _ = self.env.step(action)
+        rows = self.simulator.step(action)[-1]
+        self.compare(rows)
+        return terminated or truncated
+
+    def compare(self, rows):
+        road, f, g = self.env.road, self.simulator.worlds.f[0], self.simulator.worlds.g[0]
+        bodies, m = [*road.vehicles, *road.objects], len(road.vehicles)
+        real = np.array([[*v.position, v.heading, v.speed] for v in bodies], float)
+        exact = self.simulator.exact
+        assert same_numbers(real, rows[:, :4], exact), self.name
+        assert [v.crashed for v in bodies] == (rows[:, 6] > 0).tolist(), self.name
+        assert [self.numbers[self.key(v.lane_index)] for v in road.vehicles] == g[LANE, :m].tolist(), self.name
+        assert [self.numbers[self.key(v.target_lane_index)] for v in road.vehicles] == g[TARGET, :m].tolist(), self.name
+        assert same_numbers([float(v.target_speed) for v in road.vehicles], f[TARGET_SPEED, :m], exact), self.name
+        assert same_numbers([float(v.timer) for v in road.vehicles[1:]], f[TIMER, 1:m], exact), self.name
+        assert [len(v.route or ()) for v in road.vehicles] == (g[ROUTE_END] - g[ROUTE])[:m].tolist(), self.name
+
+    @staticmethod
+    def key(index):
+        return index[0], index[1], int(index[2])
+
+
+def drive(pair, rng, decisions=40):
+    for _ in range(decisions):
+        if pair.step(int(rng.integers(5))):
+            return
+
+
+@pytest.mark.parametrize("env_id", NETWORKS)
+@pytest.mark.parametrize("seed", range(6))
+def test_an_episode_is_the_same(env_id, seed):
+    drive(Pair(env_id, 400 + seed), np.random.default_rng(seed))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("env_id", NETWORKS)
+def test_a_hundred_episodes_are_the_same(env_id):
+    for seed in range(100):
+        drive(Pair(env_id, 2_000 + seed), np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("env_id", ["roundabout-v0", "merge-v0", "exit-v1", "u-turn-v0"])
+def test_what_goes_on_after_a_crash_is_the_same(env_id):
+    """Pushed into one another, against the walls and off the road; highway-env goes on after the end."""
+    pair = Pair(env_id, 7)
+    rng = np.random.default_rng(3)
+    for vehicle in pair.env.road.vehicles[1:4]:
+        vehicle.position = pair.env.vehicle.position + rng.normal(0, 6, 2)
+        vehicle.heading, vehicle.speed = rng.uniform(-3, 3), rng.uniform(-5, 25)
+        vehicle.on_state_update()
+    pair.start()
+    for _ in range(12):
+        pair.step(int(rng.integers(5)))
+    assert any(v.crashed for v in pair.env.road.vehicles)
+
+
+def test_an_obstacle_and_vehicles_of_other_sizes_are_the_same():
+    pair = Pair("roundabout-v0", 11)
+    road = pair.env.road
+    road.objects.append(Obstacle(road, road.vehicles[1].position + np.array([12.0, 1.0])))
+    kind = type("Coach", (IDMVehicle,), {"LENGTH": 11.0, "WIDTH": 2.4, "POLITENESS": 0.4, "DELTA": 2.0})
+    road.vehicles.append(kind(road, road.vehicles[2].position - np.array([0.0, 14.0]), 1.0, 9.0))
+    pair.start()
+    drive(pair, np.random.default_rng(5))
+
+
+def positions(road, rng, count):
+    """Places on, beside and beyond the lanes of a road."""
+    every = road.lanes_list()
+    for _ in range(count):
+        lane = every[rng.integers(len(every))]
+        yield lane.position(rng.uniform(-20, lane.length + 20), rng.uniform(-9, 9)), rng.uniform(-7, 7)
+
+
+@pytest.mark.parametrize("env_id", [*NETWORKS, *OTHERS])
+def test_every_lane_is_highway_envs(env_id):
+    env = gym.make(env_id).unwrapped
+    env.reset(seed=0)
+    road, rng = env.road.network, np.random.default_rng(1)
+    if any(isinstance(lane, PolyLaneFixedWidth) for lane in road.lanes_list()):
+        pytest.skip("has lanes of another shape")
+    compare_lanes(road, rng, 60)
+
+
+def compare_lanes(road, rng, count):
+    sums, loops, network = sums_of_numpy()[0], addresses(), network_of(road)
+    exact, names = sums < 2, {number: key for key, number in index_of(road).items()}
+    for at, heading in positions(road, rng, count):
+        x, y = at.tolist()
+        for number, key in names.items():
+            lane, given = road.get_lane(key), (sums, loops, network.lanes, network.ids, number, x, y)
+            s, r = lanes.local(*given)
+            assert same_numbers(lane.local_coordinates(at), (s, r), exact)
+            assert same_numbers(lane.heading_at(s), lanes.heading_at(*given[1:4], number, s), exact)
+            assert same_numbers(lane.position(s, 0), lanes.place(*given[1:4], number, s), exact)
+            assert same_numbers(lane.distance(at), lanes.distance(*given), exact)
+            assert bool(lane.is_reachable_from(at)) == lanes.reachable(*given)
+            assert bool(lane.after_end(at)) == lanes.after_end(*given)
+            assert bool(lane.on_lane(at, s, r, 1.0)) == lanes.on_lane(network.lanes, number, s, r, 1.0)
+            assert lanes.least_across(sums, network.lanes, network.ids, number, x, y) <= abs(r)
+        found = names[lanes.closest(*given[:4], x, y, heading, int(rng.integers(len(names))))]
+        assert road.get_closest_lane_index(at, heading) == found
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    amplitude=st.floats(-5, 5),
+    pulsation=st.floats(-0.2, 0.2),
+    phase=st.floats(-7, 7),
+    end=st.tuples(st.floats(5, 200), st.floats(-200, 200)),
+)
+def test_any_sine_is_highway_envs(amplitude, pulsation, phase, end):
+    road = RoadNetwork()
+    road.add_lane("a", "b", SineLane([0.0, 0.0], list(end), amplitude, pulsation, phase))
+    road.add_lane("a", "b", StraightLane([0.0, 4.0], [end[0], end[1] + 4.0], forbidden=True, speed_limit=None))
+    compare_lanes(road, np.random.default_rng(0), 6)
+
+
+def test_what_is_not_known_is_refused():
+    bent = RoadNetwork()
+    bent.add_lane("a", "b", type("Bent", (StraightLane,), {})([0.0, 0.0], [10.0, 0.0]))
+    with pytest.raises(SceneError, match="not Bent"):
+        network_of(bent)
+    for env_id in ("intersection-v0", "racetrack-v0"):
+        with pytest.raises(ConfigError, match="RoundaboutEnv"):
+            check_network(gym.make(env_id).unwrapped)
+    inputs = gym.make("highway-fast-v0", config={"action": {"type": "ContinuousAction"}})
+    inputs.reset(seed=0)
+    with pytest.raises(ConfigError, match="meta-actions"):
+        NetworkSimulator(inputs)
+    env = gym.make("roundabout-v0")
+    with pytest.raises(SceneError, match="reset"):
+        NetworkSimulator(env)
+    env.reset(seed=0)
+    simulator, road = NetworkSimulator(env), env.unwrapped.road
+    with pytest.raises(ConfigError, match="actions 0 to 4"):
+        simulator.step(5)
+    linear = AggressiveVehicle(road, road.vehicles[1].position, 0.0, 5.0)
+    road.vehicles[1] = linear
+    with pytest.raises(SceneError, match="linear"):
+        simulator.load(env)
+    road.vehicles.pop()
+    assert not simulator.fits(env)
+    with pytest.raises(SceneError, match="bodies"):
+        simulator.load(env)
+    env.reset(seed=1)
+    assert not simulator.fits(env)
+    with pytest.raises(SceneError, match="another road"):
+        simulator.load(env)
+
+
+def test_an_ego_of_another_class_is_refused():
+    env = gym.make("roundabout-v0")
+    env.reset(seed=0)
+    base = env.unwrapped
+    base.road.vehicles[0].__class__ = type("Odd", (MDPVehicle,), {})
+    with pytest.raises(SceneError, match="Odd"):
+        NetworkSimulator(env)

@@ -6,7 +6,7 @@ import math
 
 from dynamics.compiled import inlined, uncounted
 from dynamics.networks.lanes import heading_at, least_across, local, on_lane, reachable
-from dynamics.networks.layout import COUNT, ID, ROAD, ROUTE, ROUTE_END
+from dynamics.networks.layout import ACROSS, ALONG, COUNT, ID, ROAD, ROUTE, ROUTE_END
 from dynamics.networks.network import Network
 from dynamics.networks.routes import follow_road
 from dynamics.simulator.arithmetic import clip, not_zero
@@ -48,11 +48,23 @@ _PURSUIT = 0.5 * 0.2
 _MARGIN = 1.0
 
 
+@inlined
+def _on(
+    sums: int, loops: IntArray, network: Network, f: FloatArray, g: IntArray, i: int, lane: int
+) -> tuple[float, float]:
+    """(s, r) of a vehicle on a lane [m]; on its own it is known."""
+    if lane == g[LANE, i]:
+        return f[ALONG, i], f[ACROSS, i]
+    return local(sums, loops, network.lanes, network.ids, lane, f[X, i], f[Y, i])
+
+
 @uncounted
-def _neighbours(sums: int, loops: IntArray, network: Network, f: FloatArray, i: int, lane: int) -> tuple[int, int]:
+def _neighbours(
+    sums: int, loops: IntArray, network: Network, f: FloatArray, g: IntArray, i: int, lane: int
+) -> tuple[int, int]:
     """Who is next ahead and behind of a body on a lane, -1 for nobody; see `dynamics.simulator.neighbours`."""
     lanes, ids, linked = network.lanes, network.ids, network.linked
-    s = local(sums, loops, lanes, ids, lane, f[X, i], f[Y, i])[0]
+    s = _on(sums, loops, network, f, g, i, lane)[0]
     front, rear, ahead, behind = -1, -1, 0.0, 0.0
     for v in range(f.shape[1]):
         if v == i:
@@ -63,7 +75,7 @@ def _neighbours(sums: int, loops: IntArray, network: Network, f: FloatArray, i: 
                 break
             if least_across(sums, lanes, ids, other, f[X, v], f[Y, v]) > lanes[other, LANE_WIDTH] / 2 + _MARGIN:
                 continue
-            at, r = local(sums, loops, lanes, ids, other, f[X, v], f[Y, v])
+            at, r = _on(sums, loops, network, f, g, v, other)
             if not on_lane(lanes, other, at, r, _MARGIN):
                 continue
             if k >= 0:
@@ -79,9 +91,7 @@ def _neighbours(sums: int, loops: IntArray, network: Network, f: FloatArray, i: 
 @inlined
 def _ahead(sums: int, loops: IntArray, network: Network, f: FloatArray, g: IntArray, i: int, j: int) -> float:
     """How far body j is ahead of body i on the lane of i [m]."""
-    lanes, ids, lane = network.lanes, network.ids, g[LANE, i]
-    there = local(sums, loops, lanes, ids, lane, f[X, j], f[Y, j])[0]
-    return there - local(sums, loops, lanes, ids, lane, f[X, i], f[Y, i])[0]
+    return _on(sums, loops, network, f, g, j, g[LANE, i])[0] - f[ALONG, i]
 
 
 @uncounted
@@ -128,7 +138,7 @@ def _mobil(
     lane: int,
 ) -> bool:
     """Whether a vehicle changes to a lane: nobody has to brake hard for it, and it gains, or its route leads there."""
-    leader, follower = _neighbours(sums, loops, network, f, i, lane)
+    leader, follower = _neighbours(sums, loops, network, f, g, i, lane)
     imposed = _acceleration(sums, loops, network, f, g, p, i, follower, i)
     if imposed < -p[IMPOSED, i]:
         return False
@@ -137,7 +147,7 @@ def _mobil(
     if wanted >= 0:
         target = network.ids[g[TARGET, i], ID]
         return _sign(network.ids[lane, ID] - target) == _sign(wanted - target) and not mine < -p[IMPOSED, i]
-    old_leader, old_follower = _neighbours(sums, loops, network, f, i, g[LANE, i])
+    old_leader, old_follower = _neighbours(sums, loops, network, f, g, i, g[LANE, i])
     gain = mine - _acceleration(sums, loops, network, f, g, p, i, i, old_leader)
     if p[POLITENESS, i] != 0.0:
         others = imposed - _acceleration(sums, loops, network, f, g, p, i, follower, leader)
@@ -201,7 +211,7 @@ def _steer(
     for i in range(vehicles):
         if g[KIND, i] == EGO or (g[KIND, i] == IDM and not g[CRASHED, i]):
             lane = g[TARGET, i]
-            s, r = local(sums, loops, network.lanes, network.ids, lane, f[X, i], f[Y, i])
+            s, r = _on(sums, loops, network, f, g, i, lane)
             ahead[n] = heading_at(loops, network.lanes, network.ids, lane, s + f[SPEED, i] * _PURSUIT)
             asked[n] = clip(-KP_LATERAL * r / not_zero(f[SPEED, i]), -1.0, 1.0)
             busy[n] = i
@@ -239,7 +249,7 @@ def act(
         elif not g[CRASHED, i]:
             wanted = math.inf
             for lane in (g[LANE, i], g[TARGET, i]):
-                leader = _neighbours(sums, loops, network, f, i, lane)[0]
+                leader = _neighbours(sums, loops, network, f, g, i, lane)[0]
                 wanted = min(wanted, _acceleration(sums, loops, network, f, g, p, i, i, leader))
                 if lane == g[TARGET, i]:
                     break

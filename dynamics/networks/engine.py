@@ -7,7 +7,7 @@ from typing import NamedTuple
 from dynamics.compiled import uncounted
 from dynamics.networks.driving import act
 from dynamics.networks.lanes import closest, local, on_lane, reachable
-from dynamics.networks.layout import COUNT, ENDS, FIRST, ID
+from dynamics.networks.layout import ACROSS, ALONG, COUNT, ENDS, FIRST, ID
 from dynamics.networks.network import Network
 from dynamics.networks.routes import follow_road
 from dynamics.simulator.collisions import collide
@@ -100,18 +100,20 @@ def advance(
         work.busy[i] = i
     bicycle(loops, f, g, p, work.numbers, work.busy, vehicles, dt)
     for i in range(vehicles):
-        x, y, heading = f[X, i], f[Y, i], f[HEADING, i]
-        g[LANE, i] = closest(sums, loops, network.lanes, network.ids, x, y, heading, g[LANE, i])
+        x, y, lane = f[X, i], f[Y, i], g[LANE, i]
+        lane = closest(sums, loops, network.lanes, network.ids, x, y, f[HEADING, i], lane)
+        f[ALONG, i], f[ACROSS, i] = local(sums, loops, network.lanes, network.ids, lane, x, y)
+        g[LANE, i] = lane
     level = sort(f, worlds.order[e])
     collide(sums, machine.products, f, g, p, worlds.order[e], work.corners, work.pairs, vehicles, dt)
     return level
 
 
 @uncounted
-def on_way(machine: Machine, rules: NetworkRules, f: FloatArray, g: IntArray) -> tuple[bool, bool]:
+def on_way(rules: NetworkRules, f: FloatArray, g: IntArray) -> tuple[bool, bool]:
     """Whether the ego is on the lane that is closest to it, and whether it is at the end of one from which no other
     goes on: the road ends there, and what comes then is not known."""
     network, lane = rules.network, g[LANE, 0]
-    s, r = local(machine.sums, machine.loops, network.lanes, network.ids, lane, f[X, 0], f[Y, 0])
+    s, r = f[ALONG, 0], f[ACROSS, 0]
     at_end = network.ids[lane, ENDS] != 0 and s > network.lanes[lane, LANE_LENGTH] - _TURNS
     return on_lane(network.lanes, lane, min(s, network.lanes[lane, LANE_LENGTH]) if at_end else s, r, 0.0), at_end

@@ -117,10 +117,10 @@ def reachable(sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, lane
     return abs(r) <= 2 * lanes[lane, LANE_WIDTH] and 0 <= s < lanes[lane, LANE_LENGTH] + _OVERHANG
 
 
-@uncounted
-def after_end(sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, x: float, y: float) -> bool:
+@inlined
+def after_end(lanes: FloatArray, lane: int, s: float) -> bool:
     """Whether a lane has been driven to its end."""
-    return local(sums, loops, lanes, ids, lane, x, y)[0] > lanes[lane, LANE_LENGTH] - _OVERHANG / 2
+    return s > lanes[lane, LANE_LENGTH] - _OVERHANG / 2
 
 
 @uncounted

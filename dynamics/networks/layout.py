@@ -5,8 +5,10 @@ from __future__ import annotations
 from dynamics.simulator import layout
 
 __all__ = [
+    "ACROSS",
     "ACROSS_X",
     "ACROSS_Y",
+    "ALONG",
     "ALONG_X",
     "ALONG_Y",
     "AMPLITUDE",
@@ -34,6 +36,7 @@ __all__ = [
     "SINE",
     "STRAIGHT",
     "TO",
+    "F",
     "G",
 ]
 
@@ -70,6 +73,10 @@ IDS = 9
 
 STRAIGHT, SINE, CIRCULAR = range(3)
 """Shapes of lanes."""
+
+ALONG, ACROSS = range(layout.F, layout.F + 2)
+"""Rows of `f` beyond those of a straight highway: where a vehicle is on its own lane, s and r [m]."""
+F = layout.F + 2
 
 ROUTE, ROUTE_END = range(layout.G, layout.G + 2)
 """Rows of `g` beyond those of a straight highway: the next entry of a vehicle's route, and the one after its last."""

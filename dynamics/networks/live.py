@@ -10,7 +10,7 @@ from highway_env.vehicle.controller import MDPVehicle
 
 from dynamics.errors import SceneError
 from dynamics.networks.engine import NetworkRules, NetworkWorlds
-from dynamics.networks.layout import ROAD, ROUTE_END
+from dynamics.networks.layout import ACROSS, ALONG, ROAD, ROUTE_END
 from dynamics.simulator.layout import KIND, LANE, LINEAR, TARGET
 from dynamics.simulator.live import bodies_of, check_body, load_body
 
@@ -50,6 +50,7 @@ def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: 
         check_body(body, i, rules.target_speeds)
         load_body(body, i, i >= len(vehicles), f, g, p)
         g[LANE, i], g[TARGET, i] = lanes[_key(body.lane_index)], lanes[_key(body.lane_index)]
+        f[[ALONG, ACROSS], i] = body.lane.local_coordinates(body.position)
         if i < len(vehicles):
             g[TARGET, i] = lanes[_key(body.target_lane_index)]
             _load_route(body, i, rules, lanes, g, routes)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dynamics.compiled import uncounted
 from dynamics.networks.lanes import after_end, distance, local, place
-from dynamics.networks.layout import COUNT, ID, ROAD, ROUTE, ROUTE_END, TO
+from dynamics.networks.layout import ALONG, COUNT, ID, ROAD, ROUTE, ROUTE_END, TO
 from dynamics.networks.network import Network
-from dynamics.simulator.layout import TARGET, X, Y
+from dynamics.simulator.layout import LANE, TARGET, X, Y
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["follow_road"]
@@ -42,7 +42,8 @@ def follow_road(
     routes : (m, entries, 2): roads, and their lanes or -1.
     """
     lanes, ids, lane = network.lanes, network.ids, g[TARGET, i]
-    if not after_end(sums, loops, lanes, ids, lane, f[X, i], f[Y, i]):
+    s = f[ALONG, i] if lane == g[LANE, i] else local(sums, loops, lanes, ids, lane, f[X, i], f[Y, i])[0]
+    if not after_end(lanes, lane, s):
         return
     node, following, wanted = ids[lane, TO], -1, -1
     if g[ROUTE, i] < g[ROUTE_END, i]:
@@ -50,7 +51,6 @@ def follow_road(
             g[ROUTE, i] += 1
         if g[ROUTE, i] < g[ROUTE_END, i] and network.roads[routes[i, g[ROUTE, i], 0], 0] == node:
             following, wanted = routes[i, g[ROUTE, i], 0], routes[i, g[ROUTE, i], 1]
-    s, _ = local(sums, loops, lanes, ids, lane, f[X, i], f[Y, i])
     x, y = place(loops, lanes, ids, lane, s)
     if following >= 0:
         g[TARGET, i] = _entered(sums, loops, network, lane, following, wanted, x, y)[0]

@@ -10,12 +10,12 @@ import numpy as np
 from dynamics.compiled import uncounted
 from dynamics.errors import ConfigError, SceneError
 from dynamics.networks.engine import NetworkRules, NetworkWork, NetworkWorlds, advance, begin
-from dynamics.networks.layout import G
+from dynamics.networks.layout import F, G
 from dynamics.networks.live import load, longest_route
 from dynamics.networks.network import index_of, network_of
 from dynamics.simulator.arithmetic import Sums, sums_of_numpy
 from dynamics.simulator.engine import Machine, write_row
-from dynamics.simulator.layout import F, P
+from dynamics.simulator.layout import P
 from dynamics.simulator.live import bodies_of
 from dynamics.simulator.loops import addresses
 from dynamics.simulator.scenario import ACTIONS

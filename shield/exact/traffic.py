@@ -47,7 +47,7 @@ def _on_highway(search: Search, k: int) -> tuple[bool, bool]:
 
 @uncounted
 def _on_network(search: Search, k: int) -> tuple[bool, bool]:
-    return _on_way(search.machine, search.rules, search.futures.f[k], search.futures.g[k])
+    return _on_way(search.rules, search.futures.f[k], search.futures.g[k])
 
 
 @uncounted

@@ -156,7 +156,7 @@ def compare_lanes(road, rng, count):
             assert same_numbers(lane.position(s, 0), lanes.place(*given[1:4], number, s), exact)
             assert same_numbers(lane.distance(at), lanes.distance(*given), exact)
             assert bool(lane.is_reachable_from(at)) == lanes.reachable(*given)
-            assert bool(lane.after_end(at)) == lanes.after_end(*given)
+            assert bool(lane.after_end(at)) == lanes.after_end(network.lanes, number, s)
             assert bool(lane.on_lane(at, s, r, 1.0)) == lanes.on_lane(network.lanes, number, s, r, 1.0)
             assert lanes.least_across(sums, network.lanes, network.ids, number, x, y) <= abs(r)
         found = names[lanes.closest(*given[:4], x, y, heading, int(rng.integers(len(names))))]

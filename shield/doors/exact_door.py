@@ -145,10 +145,10 @@ class ExactDoor:
 
 
 @cache
-def warm_up_exact() -> None:
-    """What `warm_up` does for the other doors."""
+def warm_up_exact(network: bool) -> None:
+    """What `warm_up` does for the other doors, on a straight highway or on a network of roads."""
     with announced(30):
-        env = gym.make("highway-fast-v0", config={"vehicles_count": 3})
+        env = gym.make("u-turn-v1") if network else gym.make("highway-fast-v0", config={"vehicles_count": 3})
         env.reset(seed=0)
         door, nothing = ExactDoor(env.unwrapped, ShieldConfig.exact()), np.full(1, -1, np.intp)
         door.decide(1)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from dynamics.networks.refusals import on_network
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
 from shield.doors.adapters import as_policy, refuse_misfits
@@ -107,7 +108,7 @@ class Shield:
             ]
         self._inputs = isinstance(self._doors[0], InputDoor)
         if isinstance(self._doors[0], ExactDoor):
-            warm_up_exact()
+            warm_up_exact(on_network(self._bases[0]))
         else:
             warm_up()
         n = len(self._bases)

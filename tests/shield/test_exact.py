@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.objects import Obstacle
+from plans import least_clearance
 from policies import Always
 
 from dynamics.simulator.engine import look
@@ -79,31 +80,10 @@ def test_what_verifies_is_clear_in_highway_env(seed):
             # Of the episode's end nothing is asked: the road goes on.
             copy.config["duration"] = 1000
             then = plans.actions[0, : plans.length[0]].tolist()
-            assert least_clearance(copy, [action, *then]) >= decision.margin - 1e-9 >= -1e-9
+            assert least_clearance(copy, [action, *then], EXACT.buffer) >= decision.margin - 1e-9 >= -1e-9
         obs, _, terminated, truncated, _ = env.step(action)
         done = terminated or truncated
     assert verified > 8
-
-
-def least_clearance(env, actions):
-    """Drive a plan in highway-env: the smallest distance between the ego with its buffer and any body [m]."""
-    least = []
-    advance = env.road.step
-
-    def step(dt):
-        advance(dt)
-        ego = env.vehicle
-        wide = [ego.LENGTH + 2 * EXACT.buffer.longitudinal, ego.WIDTH + 2 * EXACT.buffer.lateral]
-        mine = np.array([*ego.position, ego.heading, 0.0, *wide])
-        for body in env.road.vehicles[1:]:
-            row = np.array([*body.position, body.heading, 0.0, body.LENGTH, body.WIDTH])
-            least.append(float(separation(mine, row)))
-
-    env.road.step = step
-    for action in actions:
-        _, _, terminated, _, _ = env.step(action)
-        assert not terminated
-    return min(least)
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,7 @@ class Faster:
     def predict(self, observation, state=None, episode_start=None, deterministic=False):
         return np.array(3), state
 
-env, overridden = gym.make("highway-fast-v0", config={"duration": 15}), 0
+env, overridden = gym.make("{env_id}", config={"duration": 12}), 0
 shield = Shield(Faster(), env, ShieldConfig.exact(), frames=False)
 before = compiled()
 for seed in range(2):
@@ -63,9 +63,10 @@ assert overridden and before and compiled() == before, compiled() - before
     [
         DRIVE.replace("{config}", "{}"),
         DRIVE.replace("{config}", "{'action': {'type': 'ContinuousAction'}, 'duration': 10}"),
-        LOOK_AHEAD,
+        LOOK_AHEAD.replace("{env_id}", "highway-fast-v0"),
+        LOOK_AHEAD.replace("{env_id}", "roundabout-v1"),
     ],
-    ids=["meta", "inputs", "exact"],
+    ids=["meta", "inputs", "exact", "exact on a network"],
 )
 def test_nothing_is_compiled_once_the_door_is_there(drive):
     done = subprocess.run([sys.executable, "-c", COMPILED + drive], capture_output=True, text=True)

@@ -6,7 +6,7 @@ from mutants.kinds import EXACT, off
 
 __all__ = ["SIMULATED"]
 
-_TESTS = "tests/shield/test_exact.py"
+_TESTS, _NETWORKS = "tests/shield/test_exact.py", "tests/shield/test_exact_networks.py"
 
 SIMULATED = (
     off("what is simulated passes", f"{EXACT}/deciding.py", "    if margin < 0:\n        return False\n", "", _TESTS),
@@ -55,4 +55,19 @@ SIMULATED = (
         "ranked = False",
         _TESTS,
     ),
+    off(
+        "futures without routes",
+        f"{EXACT}/traffic.py",
+        "                routes[k, i, j, 0], routes[k, i, j, 1] = given[i, j, 0], given[i, j, 1]\n",
+        "                routes[k, i, j, 0], routes[k, i, j, 1] = given[i, j, 0], -1\n",
+        _NETWORKS,
+    ),
+    off(
+        "every lane is where a road ends",
+        "dynamics/networks/engine.py",
+        "network.ids[lane, ENDS] != 0 and ",
+        "",
+        _NETWORKS,
+    ),
+    off("no road ends", "dynamics/networks/engine.py", "network.ids[lane, ENDS] != 0 and ", "False and ", _NETWORKS),
 )

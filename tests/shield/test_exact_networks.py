@@ -1,0 +1,81 @@
+"""Verification by simulation on roads that are no straight highway, in highway-env itself."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+
+import gymnasium as gym
+import highway_env  # noqa: F401
+import numpy as np
+import pytest
+from plans import least_clearance
+from policies import Always
+
+from shield import Shield, ShieldConfig
+from shield.decision import Tier
+
+EXACT = ShieldConfig.exact()
+UNSEEN = np.zeros((5, 5))
+"""An observation that nobody looks at."""
+ROADS = ("merge-v1", "merge-generic-v1", "roundabout-v1", "roundabout-generic-v0", "exit-v1", "two-way-v0", "u-turn-v1")
+
+
+def episode(env_id, seed, action=None):
+    """Drive behind the shield; yields each decision's environment, and the shield."""
+    wrapped, policy, rng = gym.make(env_id), Always(3), np.random.default_rng(seed)
+    wrapped.reset(seed=seed)
+    env = wrapped.unwrapped
+    shield, done = Shield(policy, env, EXACT, frames=False), False
+    while not done:
+        policy.action = int(rng.integers(5)) if action is None else action
+        taken = int(shield.predict(UNSEEN)[0])
+        yield env, shield, taken
+        _, _, terminated, truncated, _ = wrapped.step(taken)
+        done = terminated or truncated
+    assert not env.vehicle.crashed
+
+
+@pytest.mark.parametrize("env_id", ROADS)
+@pytest.mark.parametrize("seed", [800, 806])
+def test_what_verifies_is_clear_in_highway_env(env_id, seed):
+    """The plan behind each verified decision is driven in a copy of highway-env: nobody comes into the buffer."""
+    verified = 0
+    for env, shield, taken in episode(env_id, seed):
+        decision, plans = shield.last_decision, shield._doors[0]._plans
+        if decision.tier.verified:
+            copy, verified = deepcopy(env), verified + 1
+            then = plans.actions[0, : plans.length[0]].tolist()
+            assert least_clearance(copy, [taken, *then], EXACT.buffer) >= decision.margin - 1e-9 >= -1e-9
+    assert verified > 3
+
+
+@pytest.mark.parametrize("env_id", ROADS)
+def test_faster_drives_as_is_foretold_and_nobody_touches(env_id):
+    overridden = 0
+    for seed in range(810, 813):
+        for _, shield, _ in episode(env_id, seed, 3):
+            overridden += shield.last_decision.overridden
+        assert shield.report()["violations"] == 0
+        assert shield._doors[0].violations == 0
+    assert overridden > 0 or "exit" in env_id or "generic" in env_id
+
+
+def test_the_horizon_ends_where_the_road_does():
+    """Behind the last of the traffic, 60 m before the end: FASTER passes, though highway-env has the ego turn back."""
+    env = gym.make("two-way-v0").unwrapped
+    env.reset(seed=3)
+    env.vehicle.position = env.vehicle.lane.position(env.vehicle.lane.length - 60, 0)
+    env.vehicle.on_state_update()
+    shield = Shield(Always(3), env, EXACT, frames=False)
+    shield.predict(UNSEEN)
+    assert shield.last_decision.tier is Tier.PASSED
+
+
+def test_a_vehicle_that_does_something_else_is_counted():
+    for k, (env, shield, _) in enumerate(episode("roundabout-v1", 820, 1)):
+        if k == 2:
+            assert shield._doors[0].violations == 0
+            env.road.vehicles[-1].speed += 0.5
+        if k == 3:
+            assert shield._doors[0].violations >= 1
+            return

@@ -88,7 +88,7 @@ def drive(pair, rng, decisions=40):
 
 
 @pytest.mark.parametrize("env_id", NETWORKS)
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_an_episode_is_the_same(env_id, seed):
     drive(Pair(env_id, 400 + seed), np.random.default_rng(seed))
 

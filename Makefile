@@ -61,6 +61,7 @@ bench: $(STAMP)
 	$(BIN)/python benchmarks/filter_rivals.py
 	$(BIN)/python benchmarks/cem.py
 	$(BIN)/python benchmarks/simulator.py
+	$(BIN)/python benchmarks/networks.py
 
 # To site/, which is read without a network: open site/index.html. (The variable silences the theme's notice about its
 # successor.)

@@ -50,7 +50,7 @@ class Search(NamedTuple):
     ----------
     machine, rules, work : of the simulator, on a straight highway or on a network of roads. bounds : what is asked.
     futures : states: the present, those that a search has come through or compares, and a spare one.
-    order : all actions, those that slow down first.
+    order : all actions, those that slow down first. tried : lane and speed [m/s] that each is bound for, (actions, 2).
     given : an action, (2,). row : a body, (1, 7).
     choices : actions that have been tried at each level, (depth + 1,). path : the actions down to here, (depth,).
     least : smallest clearance beyond the buffer down to each level, (depth + 1,) [m].
@@ -65,6 +65,7 @@ class Search(NamedTuple):
     bounds: Bounds
     futures: Any
     order: IntArray
+    tried: FloatArray
     given: FloatArray
     row: FloatArray
     choices: IntArray
@@ -102,6 +103,7 @@ def new_search(simulator: Simulator | NetworkSimulator, config: ShieldConfig) ->
         bounds=bounds,
         futures=simulator.new_worlds(max(depth + 2, 2 * kinds + 2)),
         order=np.array([labels.index(label) for label in _SAFEST_FIRST if label in labels], index),
+        tried=np.zeros((len(labels), 2)),
         given=np.zeros(2),
         row=np.zeros((1, 7)),
         choices=np.zeros(depth + 1, index),

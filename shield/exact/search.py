@@ -21,7 +21,7 @@ from dynamics.traffic.permits import Ego, gap_between
 from shield.exact.room import Bounds, Search
 from shield.exact.traffic import copy_routes, frame, lanes_to_the_right, on_road, start
 
-__all__ = ["copy_future", "enter", "leap", "same_outcome", "survives"]
+__all__ = ["copy_future", "depart", "enter", "leap", "same_outcome", "survives", "travel"]
 
 
 @uncounted
@@ -74,23 +74,19 @@ def _clearance(futures: Any, k: int, bounds: Bounds, row: FloatArray) -> float:
 
 
 @uncounted
-def leap(search: Search, source: int, target: int, action: int, wish: float, floor: float) -> tuple[float, float]:
-    """Take an action in future `source`; `target` is what comes of it.
-
-    Parameters
-    ----------
-    wish : a speed [m/s]. floor : it is given up where less than this is clear beyond the buffer [m].
-
-    Returns
-    -------
-    The smallest clearance beyond the buffer on the way [m], with -inf for a crash or leaving the road, and no more
-    asked once the road has ended; and the way that is lost, or gained, against the wish, with what being left of the
-    right lane counts as [m].
-    """
-    futures, rules, bounds = search.futures, search.rules, search.bounds
+def depart(search: Search, source: int, target: int, action: int) -> tuple[int, float]:
+    """Begin an action in future `source`, as `target`; the lane and the speed that the ego is bound for then [m/s]: all
+    that an action decides."""
     copy_future(search, source, target)
     search.given[0], search.given[1] = action, 0.0
     start(search, target)
+    return search.futures.g[target, TARGET, 0], search.futures.f[target, TARGET_SPEED, 0]
+
+
+@uncounted
+def travel(search: Search, target: int, wish: float, floor: float) -> tuple[float, float]:
+    """Go on with what `depart` has begun to the end of the decision; see `leap`."""
+    futures, rules, bounds = search.futures, search.rules, search.bounds
     f, g, dt = futures.f[target], futures.g[target], rules.times[0]
     if on_road(search, target)[1]:
         return np.inf, 0.0
@@ -109,18 +105,28 @@ def leap(search: Search, source: int, target: int, action: int, wish: float, flo
 
 
 @uncounted
+def leap(search: Search, source: int, target: int, action: int, wish: float, floor: float) -> tuple[float, float]:
+    """Take an action in future `source`; `target` is what comes of it.
+
+    Parameters
+    ----------
+    wish : a speed [m/s]. floor : it is given up where less than this is clear beyond the buffer [m].
+
+    Returns
+    -------
+    The smallest clearance beyond the buffer on the way [m], with -inf for a crash or leaving the road, and no more
+    asked once the road has ended; and the way that is lost, or gained, against the wish, with what being left of the
+    right lane counts as [m].
+    """
+    depart(search, source, target, action)
+    return travel(search, target, wish, floor)
+
+
+@uncounted
 def same_outcome(search: Search, a: int, b: int) -> bool:
     """Whether two actions want the same lane and speed now."""
-    futures, spare = search.futures, search.futures.f.shape[0] - 1
-    f, g = futures.f[spare], futures.g[spare]
-    copy_future(search, 0, spare)
-    search.given[0], search.given[1] = a, 0.0
-    start(search, spare)
-    lane, speed = g[TARGET, 0], f[TARGET_SPEED, 0]
-    copy_future(search, 0, spare)
-    search.given[0] = b
-    start(search, spare)
-    return lane == g[TARGET, 0] and speed == f[TARGET_SPEED, 0]
+    spare = search.futures.f.shape[0] - 1
+    return depart(search, 0, spare, a) == depart(search, 0, spare, b)
 
 
 @uncounted

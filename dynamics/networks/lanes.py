@@ -44,6 +44,14 @@ _OVERHANG = 5.0
 """`AbstractLane.VEHICLE_LENGTH`: a lane goes on for so long beyond both its ends [m]."""
 
 
+@inlined
+def _on_arc(row: FloatArray, radius: float, polar: float) -> tuple[float, float]:
+    """(s, r) on an arc [m] from polar coordinates around its centre [m, rad]."""
+    start = row[PHASE]
+    phi = start + wrap_to_pi(polar - start)
+    return row[DIRECTION] * (phi - start) * row[RADIUS], row[DIRECTION] * (row[RADIUS] - radius)
+
+
 @uncounted
 def local(
     sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, x: float, y: float
@@ -52,10 +60,8 @@ def local(
     row = lanes[lane]
     dx, dy = x - row[ORIGIN_X], y - row[ORIGIN_Y]
     if ids[lane, SHAPE] == CIRCULAR:
-        start = row[PHASE]
-        phi = start + wrap_to_pi(at_two(loops[_ARCTAN2, 0], loops[_ARCTAN2, 1], dy, dx) - start)
-        radius = math.sqrt(dot2(sums, dx, dx, dy, dy))
-        return row[DIRECTION] * (phi - start) * row[RADIUS], row[DIRECTION] * (row[RADIUS] - radius)
+        polar = at_two(loops[_ARCTAN2, 0], loops[_ARCTAN2, 1], dy, dx)
+        return _on_arc(row, math.sqrt(dot2(sums, dx, dx, dy, dy)), polar)
     s = dot2(sums, dx, row[ALONG_X], dy, row[ALONG_Y])
     r = dot2(sums, dx, row[ACROSS_X], dy, row[ACROSS_Y])
     if ids[lane, SHAPE] == SINE:
@@ -130,12 +136,9 @@ def distance(sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, lane:
     return abs(r) + max(s - lanes[lane, LANE_LENGTH], 0.0) + max(0.0 - s, 0.0)
 
 
-@uncounted
-def _away(
-    sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, x: float, y: float, heading: float
-) -> float:
-    """highway-env's `distance_with_heading` of a lane."""
-    s, r = local(sums, loops, lanes, ids, lane, x, y)
+@inlined
+def _away(loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, s: float, r: float, heading: float) -> float:
+    """highway-env's `distance_with_heading` of a lane, from a place on it."""
     angle = abs(wrap_to_pi(heading - heading_at(loops, lanes, ids, lane, s)))
     return abs(r) + max(s - lanes[lane, LANE_LENGTH], 0.0) + max(0.0 - s, 0.0) + 1.0 * angle
 
@@ -145,13 +148,30 @@ def closest(
     sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, x: float, y: float, heading: float, guess: int
 ) -> int:
     """The lane nearest in position and heading, the first of equals; a good guess saves most of the work."""
-    limit = _away(sums, loops, lanes, ids, guess, x, y, heading)
+    s, r = local(sums, loops, lanes, ids, guess, x, y)
+    limit = _away(loops, lanes, ids, guess, s, r, heading)
     best, least = guess, math.inf
+    # Arcs of one roundabout have one centre, and a place has one angle around it.
+    known, radius, polar, center_x, center_y = False, 0.0, 0.0, math.nan, math.nan
     for lane in range(len(lanes)):
+        row = lanes[lane]
+        arc = ids[lane, SHAPE] == CIRCULAR
+        if arc and not (row[ORIGIN_X] == center_x and row[ORIGIN_Y] == center_y):
+            known, center_x, center_y = False, row[ORIGIN_X], row[ORIGIN_Y]
+            dx, dy = x - center_x, y - center_y
+            radius = math.sqrt(dot2(sums, dx, dx, dy, dy))
+        across = abs(row[RADIUS] - radius) if arc else least_across(sums, lanes, ids, lane, x, y)
         # What is further off across than that is no nearer.
-        if least_across(sums, lanes, ids, lane, x, y) <= limit:
-            away = _away(sums, loops, lanes, ids, lane, x, y, heading)
-            if away < least:
-                best, least = lane, away
-                limit = min(limit, least)
+        if not across <= limit:
+            continue
+        if arc:
+            if not known:
+                known, polar = True, at_two(loops[_ARCTAN2, 0], loops[_ARCTAN2, 1], y - center_y, x - center_x)
+            s, r = _on_arc(row, radius, polar)
+        else:
+            s, r = local(sums, loops, lanes, ids, lane, x, y)
+        away = _away(loops, lanes, ids, lane, s, r, heading)
+        if away < least:
+            best, least = lane, away
+            limit = min(limit, least)
     return best

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import uncounted
 from dynamics.simulator.layout import TARGET, TARGET_SPEED
 from dynamics.simulator.scene import speed_index
-from dynamics.state import FloatArray
 from shield.exact.room import Search
-from shield.exact.search import copy_future, depart, survives, travel
+from shield.exact.search import copy_future, depart, repeats, survives, travel
 
 __all__ = ["ANY", "best_plan", "closest_plan", "wished_speed"]
 
@@ -24,15 +23,6 @@ def wished_speed(search: Search, target_speed: float, action: int) -> float:
     if label == 3:
         return speeds[len(speeds) - 1]
     return speeds[0] if label == 4 else target_speed
-
-
-@inlined
-def _repeats(tried: FloatArray, action: int) -> bool:
-    """Whether an earlier action decides the same: what that one leads to is not improved on."""
-    found = False
-    for k in range(action):
-        found = found or (tried[k, 0] == tried[action, 0] and tried[k, 1] == tried[action, 1])
-    return found
 
 
 @uncounted
@@ -54,7 +44,7 @@ def best_plan(search: Search, only: int, never: int, depth: int, wish: float, fl
     Its smallest clearance beyond the buffer [m], -inf where none is found.
     """
     futures, speeds, kinds, n = search.futures, search.rules.target_speeds, search.lost.shape[1], search.order.shape[0]
-    lost, clear, paths, tried, spare = search.lost, search.clear, search.paths, search.tried, 2 * kinds + 1
+    lost, clear, paths, tried, spare = search.lost, search.clear, search.paths, search.reached[0], 2 * kinds + 1
     for level in range(depth):
         now, then = level % 2, 1 - level % 2
         for k in range(kinds):
@@ -68,7 +58,7 @@ def best_plan(search: Search, only: int, never: int, depth: int, wish: float, fl
                 if level == 0 and (action == never or only not in (ANY, action)):
                     continue
                 tried[action, 0], tried[action, 1] = depart(search, source, spare, action)
-                if _repeats(tried, action):
+                if repeats(tried, action):
                     continue
                 least, cost = travel(search, spare, wish, floor)
                 if least < floor:

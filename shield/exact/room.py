@@ -50,9 +50,10 @@ class Search(NamedTuple):
     ----------
     machine, rules, work : of the simulator, on a straight highway or on a network of roads. bounds : what is asked.
     futures : states: the present, those that a search has come through or compares, and a spare one.
-    order : all actions, those that slow down first. tried : lane and speed [m/s] that each is bound for, (actions, 2).
+    order : all actions, those that slow down first.
     given : an action, (2,). row : a body, (1, 7).
-    choices : actions that have been tried at each level, (depth + 1,). path : the actions down to here, (depth,).
+    choices : actions that have been tried at each level, (depth + 1,). reached : lane and speed [m/s] that each of them
+        is bound for, (depth + 1, actions + 1, 2). path : the actions down to here, (depth,).
     least : smallest clearance beyond the buffer down to each level, (depth + 1,) [m].
     plan : the sequence that was found, (depth,). hint : one that is gone on with, (depth,).
     lost : way lost in the best future of each kind, in two generations, (2, K) [m]. clear : its smallest clearance
@@ -65,10 +66,10 @@ class Search(NamedTuple):
     bounds: Bounds
     futures: Any
     order: IntArray
-    tried: FloatArray
     given: FloatArray
     row: FloatArray
     choices: IntArray
+    reached: FloatArray
     path: IntArray
     least: FloatArray
     plan: IntArray
@@ -103,10 +104,10 @@ def new_search(simulator: Simulator | NetworkSimulator, config: ShieldConfig) ->
         bounds=bounds,
         futures=simulator.new_worlds(max(depth + 2, 2 * kinds + 2)),
         order=np.array([labels.index(label) for label in _SAFEST_FIRST if label in labels], index),
-        tried=np.zeros((len(labels), 2)),
         given=np.zeros(2),
         row=np.zeros((1, 7)),
         choices=np.zeros(depth + 1, index),
+        reached=np.zeros((depth + 1, len(labels) + 1, 2)),
         path=np.zeros(depth, index),
         least=np.zeros(depth + 1),
         plan=np.zeros(depth, index),

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.engine import write_row
 from dynamics.simulator.layout import CRASHED, HEADING, LENGTH, SPEED, TARGET, TARGET_SPEED, WIDTH, X, Y
 from dynamics.simulator.neighbours import sort
@@ -21,7 +21,7 @@ from dynamics.traffic.permits import Ego, gap_between
 from shield.exact.room import Bounds, Search
 from shield.exact.traffic import copy_routes, frame, lanes_to_the_right, on_road, start
 
-__all__ = ["copy_future", "depart", "enter", "leap", "same_outcome", "survives", "travel"]
+__all__ = ["copy_future", "depart", "enter", "leap", "repeats", "same_outcome", "survives", "travel"]
 
 
 @uncounted
@@ -122,6 +122,16 @@ def leap(search: Search, source: int, target: int, action: int, wish: float, flo
     return travel(search, target, wish, floor)
 
 
+@inlined
+def repeats(reached: FloatArray, k: int) -> bool:
+    """Whether row k, a lane and a speed that an action is bound for, is that of an earlier action, so that the same
+    comes of both."""
+    found = False
+    for earlier in range(k):
+        found = found or (reached[earlier, 0] == reached[k, 0] and reached[earlier, 1] == reached[k, 1])
+    return found
+
+
 @uncounted
 def same_outcome(search: Search, a: int, b: int) -> bool:
     """Whether two actions want the same lane and speed now."""
@@ -158,10 +168,15 @@ def survives(search: Search, first: int, stored: IntArray, length: int, floor: f
         # What was planned goes first; without a plan, what slows down.
         preferred = stored[level] if level < planned else search.order[0]
         action = first if level == 0 else preferred if tried == 0 else search.order[tried - 1]
+        search.reached[level, tried, 0] = -1.0
         if level > 0 and tried > 0 and action == preferred:
             continue
+        reached = search.reached[level]
+        reached[tried, 0], reached[tried, 1] = depart(search, level, level + 1, action)
+        if repeats(reached, tried):
+            continue
         spent += 1
-        least, _ = leap(search, level, level + 1, action, 0.0, floor)
+        least, _ = travel(search, level + 1, 0.0, floor)
         if least < floor:
             continue
         search.path[level] = action

@@ -59,7 +59,7 @@ SIMULATED = (
         "futures without routes",
         f"{EXACT}/traffic.py",
         "                routes[k, i, j, 0], routes[k, i, j, 1] = given[i, j, 0], given[i, j, 1]\n",
-        "                routes[k, i, j, 0], routes[k, i, j, 1] = given[i, j, 0], -1\n",
+        "                routes[k, i, j, 0], routes[k, i, j, 1] = 0, 0\n",
         _NETWORKS,
     ),
     off(

@@ -96,7 +96,7 @@ def drive(pair, rng, decisions=40):
 
 
 @pytest.mark.parametrize("env_id", NETWORKS)
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(3))
 def test_an_episode_is_the_same(env_id, seed):
     drive(Pair(env_id, 400 + seed), np.random.default_rng(seed))
 
@@ -180,9 +180,8 @@ def drive_wild(env_id, seed):
 
 
 @pytest.mark.parametrize("env_id", NETWORKS)
-@pytest.mark.parametrize("seed", range(2))
-def test_a_wild_scene_is_the_same(env_id, seed):
-    drive_wild(env_id, seed)
+def test_a_wild_scene_is_the_same(env_id):
+    drive_wild(env_id, 1)
 
 
 @pytest.mark.slow

@@ -17,7 +17,8 @@ from shield.decision import Tier
 EXACT = ShieldConfig.exact()
 UNSEEN = np.zeros((5, 5))
 """An observation that nobody looks at."""
-ROADS = ("merge-v1", "merge-generic-v1", "roundabout-v1", "roundabout-generic-v0", "exit-v1", "two-way-v0", "u-turn-v1")
+ROADS = ["merge-v1", "roundabout-v1", "two-way-v0", "u-turn-v1"]
+MORE = [pytest.param(each, marks=pytest.mark.slow) for each in ("merge-generic-v1", "roundabout-generic-v0", "exit-v1")]
 
 
 def episode(env_id, seed, action=None):
@@ -35,23 +36,23 @@ def episode(env_id, seed, action=None):
     assert not env.vehicle.crashed
 
 
-@pytest.mark.parametrize("env_id", ROADS)
+@pytest.mark.parametrize("env_id", [*ROADS, *MORE])
 def test_what_verifies_is_clear_in_highway_env(env_id):
-    """The plan behind every other decision is driven in a copy of highway-env: nobody comes into the buffer."""
+    """The plan behind every third decision is driven in a copy of highway-env: nobody comes into the buffer."""
     verified = 0
     for k, (env, shield, taken) in enumerate(episode(env_id, 800)):
         decision, plans = shield.last_decision, shield._doors[0]._plans
-        if decision.tier.verified and k % 2 == 0:
+        if decision.tier.verified and k % 3 == 0:
             copy, verified = deepcopy(env), verified + 1
             then = plans.actions[0, : plans.length[0]].tolist()
             assert least_clearance(copy, [taken, *then], EXACT.buffer) >= decision.margin - 1e-9 >= -1e-9
-    assert verified > 3
+    assert verified > 2
 
 
-@pytest.mark.parametrize("env_id", ROADS)
+@pytest.mark.parametrize("env_id", [*ROADS, *MORE])
 def test_faster_drives_as_is_foretold_and_nobody_touches(env_id):
     overridden = 0
-    for seed in range(810, 812):
+    for seed in (810, 811):
         for _, shield, _ in episode(env_id, seed, 3):
             overridden += shield.last_decision.overridden
         assert shield.report()["violations"] == 0

@@ -186,7 +186,7 @@ def test_the_site_is_built_without_warnings(tmp_path: Path) -> None:
         text=True,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    html = (tmp_path / "reference" / "shield.html").read_text(encoding="utf-8")
+    html = (tmp_path / "reference" / "shield" / "index.html").read_text(encoding="utf-8")
     start = html.index('id="shield.Shield"')
     shield = html[start : html.index('id="shield.Shield.', start)]
     plain = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", "", shield))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from dynamics.compiled import uncounted
 from dynamics.networks.driving import act
-from dynamics.networks.lanes import closest, local, on_lane, reachable
+from dynamics.networks.lanes import after_end, closest, local, on_lane, reachable
 from dynamics.networks.layout import ACROSS, ALONG, COUNT, ENDS, FIRST, ID
 from dynamics.networks.network import Network
 from dynamics.networks.routes import follow_road
@@ -19,10 +19,6 @@ from dynamics.simulator.scene import speed_index
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["NetworkRules", "NetworkWork", "NetworkWorlds", "advance", "begin", "on_way"]
-
-
-_TURNS = 2.5
-"""So long before its end highway-env's vehicles leave a lane for the next [m]."""
 
 
 class NetworkWorlds(NamedTuple):
@@ -88,10 +84,8 @@ def begin(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, 
 
 
 @uncounted
-def advance(
-    machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int, level: bool
-) -> bool:
-    """Advance one scene by a frame; `level` is handed through (see `dynamics.simulator.neighbours.sort`)."""
+def advance(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int) -> None:
+    """Advance one scene by a frame."""
     f, g, p, network, vehicles = worlds.f[e], worlds.g[e], worlds.p[e], rules.network, rules.numbers[1]
     sums, loops, dt = machine.sums, machine.loops, rules.times[0]
     act(sums, loops, network, f, g, p, worlds.routes[e], work.numbers, work.busy, vehicles)
@@ -104,9 +98,8 @@ def advance(
         lane = closest(sums, loops, network.lanes, network.ids, x, y, f[HEADING, i], lane)
         f[ALONG, i], f[ACROSS, i] = local(sums, loops, network.lanes, network.ids, lane, x, y)
         g[LANE, i] = lane
-    level = sort(f, worlds.order[e])
+    sort(f, worlds.order[e])
     collide(sums, machine.products, f, g, p, worlds.order[e], work.corners, work.pairs, vehicles, dt)
-    return level
 
 
 @uncounted
@@ -115,5 +108,5 @@ def on_way(rules: NetworkRules, f: FloatArray, g: IntArray) -> tuple[bool, bool]
     goes on: the road ends there, and what comes then is not known."""
     network, lane = rules.network, g[LANE, 0]
     s, r = f[ALONG, 0], f[ACROSS, 0]
-    at_end = network.ids[lane, ENDS] != 0 and s > network.lanes[lane, LANE_LENGTH] - _TURNS
+    at_end = network.ids[lane, ENDS] != 0 and after_end(network.lanes, lane, s)
     return on_lane(network.lanes, lane, min(s, network.lanes[lane, LANE_LENGTH]) if at_end else s, r, 0.0), at_end

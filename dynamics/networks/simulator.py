@@ -132,8 +132,7 @@ def _step(
 ) -> None:
     f, g, p = worlds.f[e], worlds.g[e], worlds.p[e]
     begin(machine, worlds, rules, e, action)
-    level = False
     for k in range(rules.numbers[0]):
-        level = advance(machine, worlds, rules, work, e, level)
+        advance(machine, worlds, rules, work, e)
         for i in range(f.shape[1]):
             write_row(f, g, p, i, rows[k, i])

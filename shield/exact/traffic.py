@@ -36,7 +36,8 @@ def _frame_highway(search: Search, k: int, level: bool) -> bool:
 
 @uncounted
 def _frame_network(search: Search, k: int, level: bool) -> bool:
-    return _advance(search.machine, search.futures, search.rules, search.work, k, level)
+    _advance(search.machine, search.futures, search.rules, search.work, k)
+    return level
 
 
 @uncounted

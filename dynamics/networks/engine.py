@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.networks.driving import act
-from dynamics.networks.lanes import after_end, closest, local, on_lane, reachable
+from dynamics.networks.lanes import Lanes, after_end, closest, local, on_lane, reachable
 from dynamics.networks.layout import ACROSS, ALONG, COUNT, ENDS, FIRST, ID
 from dynamics.networks.network import Network
-from dynamics.networks.routes import follow_road
+from dynamics.networks.routes import Traffic, follow_road
 from dynamics.simulator.collisions import collide
 from dynamics.simulator.engine import Machine
 from dynamics.simulator.layout import HEADING, LANE, LANE_LENGTH, SPEED, TARGET, TARGET_SPEED, X, Y
 from dynamics.simulator.motion import bicycle, limit
 from dynamics.simulator.neighbours import sort
-from dynamics.simulator.scene import speed_index
+from dynamics.simulator.scene import next_target_speed
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["NetworkRules", "NetworkWork", "NetworkWorlds", "advance", "begin", "on_way"]
@@ -67,19 +67,30 @@ class NetworkWork(NamedTuple):
     pairs: IntArray
 
 
+@inlined
+def _lanes(machine: Machine, network: Network) -> Lanes:
+    return Lanes(machine.sums, machine.loops, network.lanes, network.ids)
+
+
+@inlined
+def _traffic(machine: Machine, worlds: NetworkWorlds, network: Network, e: int) -> Traffic:
+    """What drives in one scene."""
+    return Traffic(_lanes(machine, network), network, worlds.f[e], worlds.g[e], worlds.p[e], worlds.routes[e])
+
+
 @uncounted
 def begin(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, action: FloatArray) -> None:
     """Begin a decision in one scene: what its action changes at once."""
     f, g, network, label = worlds.f[e], worlds.g[e], rules.network, rules.labels[int(action[0])]
     worlds.clock[e] += rules.times[1]
-    follow_road(machine.sums, machine.loops, network, f, g, worlds.routes[e], 0)
+    traffic = _traffic(machine, worlds, network, e)
+    follow_road(traffic, 0)
     if label >= 3:
-        index = speed_index(rules.target_speeds, f[SPEED, 0]) + (1 if label == 3 else -1)
-        f[TARGET_SPEED, 0] = rules.target_speeds[min(max(index, 0), len(rules.target_speeds) - 1)]
+        f[TARGET_SPEED, 0] = next_target_speed(rules.target_speeds, f[SPEED, 0], label)
     elif label != 1:
         ids, target = network.ids, g[TARGET, 0]
         lane = ids[target, FIRST] + min(max(ids[target, ID] + label - 1, 0), ids[target, COUNT] - 1)
-        if reachable(machine.sums, machine.loops, network.lanes, ids, lane, f[X, 0], f[Y, 0]):
+        if reachable(traffic.lanes, lane, f[X, 0], f[Y, 0]):
             g[TARGET, 0] = lane
 
 
@@ -87,19 +98,20 @@ def begin(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, 
 def advance(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int) -> None:
     """Advance one scene by a frame."""
     f, g, p, network, vehicles = worlds.f[e], worlds.g[e], worlds.p[e], rules.network, rules.numbers[1]
-    sums, loops, dt = machine.sums, machine.loops, rules.times[0]
-    act(sums, loops, network, f, g, p, worlds.routes[e], work.numbers, work.busy, vehicles)
+    traffic, dt = _traffic(machine, worlds, network, e), rules.times[0]
+    lanes = traffic.lanes
+    act(traffic, work.numbers, work.busy, vehicles)
     for i in range(vehicles):
         limit(f, g, p, i, dt)
         work.busy[i] = i
-    bicycle(loops, f, g, p, work.numbers, work.busy, vehicles, dt)
+    bicycle(machine.loops, f, g, p, work.numbers, work.busy, vehicles, dt)
     for i in range(vehicles):
         x, y, lane = f[X, i], f[Y, i], g[LANE, i]
-        lane = closest(sums, loops, network.lanes, network.ids, x, y, f[HEADING, i], lane)
-        f[ALONG, i], f[ACROSS, i] = local(sums, loops, network.lanes, network.ids, lane, x, y)
+        lane = closest(lanes, x, y, f[HEADING, i], lane)
+        f[ALONG, i], f[ACROSS, i] = local(lanes, lane, x, y)
         g[LANE, i] = lane
     sort(f, worlds.order[e])
-    collide(sums, machine.products, f, g, p, worlds.order[e], work.corners, work.pairs, vehicles, dt)
+    collide(machine.sums, machine.products, f, g, p, worlds.order[e], work.corners, work.pairs, vehicles, dt)
 
 
 @uncounted

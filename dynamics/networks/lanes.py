@@ -9,6 +9,7 @@ positive to the right in the direction of travel (highway-env's y points down).
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from dynamics.compiled import inlined, uncounted
 from dynamics.networks.layout import (
@@ -31,17 +32,41 @@ from dynamics.networks.layout import (
     SINE,
 )
 from dynamics.simulator.arithmetic import dot2, wrap_to_pi
+from dynamics.simulator.lanes import OVERHANG
 from dynamics.simulator.layout import LANE_LENGTH, LANE_WIDTH
 from dynamics.simulator.loops import at, at_two
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["after_end", "closest", "distance", "heading_at", "least_across", "local", "on_lane", "place", "reachable"]
+__all__ = [
+    "Lanes",
+    "after_end",
+    "closest",
+    "distance",
+    "heading_at",
+    "least_across",
+    "local",
+    "on_lane",
+    "place",
+    "reachable",
+]
 
 _ARCTAN, _COS, _SIN, _ARCTAN2 = 1, 3, 4, 7
 _ROUNDING = 1e-9
 """More than rounding makes of a distance [m]."""
-_OVERHANG = 5.0
-"""`AbstractLane.VEHICLE_LENGTH`: a lane goes on for so long beyond both its ends [m]."""
+
+
+class Lanes(NamedTuple):
+    """The lanes of a network, and how numpy computes on this machine (see `dynamics.simulator.engine.Machine`).
+
+    Attributes
+    ----------
+    rows, ids : (n, COLUMNS) and (n, IDS), see `layout`.
+    """
+
+    sums: int
+    loops: IntArray
+    rows: FloatArray
+    ids: IntArray
 
 
 @inlined
@@ -53,124 +78,126 @@ def _on_arc(row: FloatArray, radius: float, polar: float) -> tuple[float, float]
 
 
 @uncounted
-def local(
-    sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, x: float, y: float
-) -> tuple[float, float]:
+def local(lanes: Lanes, lane: int, x: float, y: float) -> tuple[float, float]:
     """(s, r) of a place on a lane [m]."""
-    row = lanes[lane]
+    row = lanes.rows[lane]
     dx, dy = x - row[ORIGIN_X], y - row[ORIGIN_Y]
-    if ids[lane, SHAPE] == CIRCULAR:
-        polar = at_two(loops[_ARCTAN2, 0], loops[_ARCTAN2, 1], dy, dx)
-        return _on_arc(row, math.sqrt(dot2(sums, dx, dx, dy, dy)), polar)
-    s = dot2(sums, dx, row[ALONG_X], dy, row[ALONG_Y])
-    r = dot2(sums, dx, row[ACROSS_X], dy, row[ACROSS_Y])
-    if ids[lane, SHAPE] == SINE:
-        r -= row[AMPLITUDE] * at(loops[_SIN, 0], loops[_SIN, 1], row[PULSATION] * s + row[PHASE])
+    if lanes.ids[lane, SHAPE] == CIRCULAR:
+        polar = at_two(lanes.loops[_ARCTAN2, 0], lanes.loops[_ARCTAN2, 1], dy, dx)
+        return _on_arc(row, math.sqrt(dot2(lanes.sums, dx, dx, dy, dy)), polar)
+    s = dot2(lanes.sums, dx, row[ALONG_X], dy, row[ALONG_Y])
+    r = dot2(lanes.sums, dx, row[ACROSS_X], dy, row[ACROSS_Y])
+    if lanes.ids[lane, SHAPE] == SINE:
+        r -= row[AMPLITUDE] * at(lanes.loops[_SIN, 0], lanes.loops[_SIN, 1], row[PULSATION] * s + row[PHASE])
     return s, r
 
 
 @uncounted
-def least_across(sums: int, lanes: FloatArray, ids: IntArray, lane: int, x: float, y: float) -> float:
+def least_across(lanes: Lanes, lane: int, x: float, y: float) -> float:
     """No more than |r| of a place on a lane [m], and without an angle."""
-    row = lanes[lane]
+    row = lanes.rows[lane]
     dx, dy = x - row[ORIGIN_X], y - row[ORIGIN_Y]
-    if ids[lane, SHAPE] == CIRCULAR:
-        return abs(row[DIRECTION] * (row[RADIUS] - math.sqrt(dot2(sums, dx, dx, dy, dy))))
-    r = abs(dot2(sums, dx, row[ACROSS_X], dy, row[ACROSS_Y]))
-    return r - abs(row[AMPLITUDE]) - _ROUNDING if ids[lane, SHAPE] == SINE else r
+    if lanes.ids[lane, SHAPE] == CIRCULAR:
+        return abs(row[DIRECTION] * (row[RADIUS] - math.sqrt(dot2(lanes.sums, dx, dx, dy, dy))))
+    r = abs(dot2(lanes.sums, dx, row[ACROSS_X], dy, row[ACROSS_Y]))
+    return r - abs(row[AMPLITUDE]) - _ROUNDING if lanes.ids[lane, SHAPE] == SINE else r
 
 
 @uncounted
-def heading_at(loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, s: float) -> float:
+def heading_at(lanes: Lanes, lane: int, s: float) -> float:
     """Direction of a lane [rad]."""
-    row = lanes[lane]
-    if ids[lane, SHAPE] == CIRCULAR:
+    row = lanes.rows[lane]
+    if lanes.ids[lane, SHAPE] == CIRCULAR:
         return row[DIRECTION] * s / row[RADIUS] + row[PHASE] + row[QUARTER]
-    if ids[lane, SHAPE] == SINE:
-        cos = at(loops[_COS, 0], loops[_COS, 1], row[PULSATION] * s + row[PHASE])
+    if lanes.ids[lane, SHAPE] == SINE:
+        cos = at(lanes.loops[_COS, 0], lanes.loops[_COS, 1], row[PULSATION] * s + row[PHASE])
         slope = row[AMPLITUDE] * row[PULSATION] * cos
-        return row[LANE_HEADING] + at(loops[_ARCTAN, 0], loops[_ARCTAN, 1], slope)
+        return row[LANE_HEADING] + at(lanes.loops[_ARCTAN, 0], lanes.loops[_ARCTAN, 1], slope)
     return row[LANE_HEADING]
 
 
 @uncounted
-def place(loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, s: float) -> tuple[float, float]:
+def place(lanes: Lanes, lane: int, s: float) -> tuple[float, float]:
     """The point of a lane's centre line at s [m]."""
-    row = lanes[lane]
-    if ids[lane, SHAPE] == CIRCULAR:
+    row = lanes.rows[lane]
+    if lanes.ids[lane, SHAPE] == CIRCULAR:
         phi = row[DIRECTION] * s / row[RADIUS] + row[PHASE]
-        cos, sin = at(loops[_COS, 0], loops[_COS, 1], phi), at(loops[_SIN, 0], loops[_SIN, 1], phi)
+        cos, sin = (
+            at(lanes.loops[_COS, 0], lanes.loops[_COS, 1], phi),
+            at(lanes.loops[_SIN, 0], lanes.loops[_SIN, 1], phi),
+        )
         return row[ORIGIN_X] + row[RADIUS] * cos, row[ORIGIN_Y] + row[RADIUS] * sin
     r = 0.0
-    if ids[lane, SHAPE] == SINE:
-        r = row[AMPLITUDE] * at(loops[_SIN, 0], loops[_SIN, 1], row[PULSATION] * s + row[PHASE])
+    if lanes.ids[lane, SHAPE] == SINE:
+        r = row[AMPLITUDE] * at(lanes.loops[_SIN, 0], lanes.loops[_SIN, 1], row[PULSATION] * s + row[PHASE])
     x = row[ORIGIN_X] + s * row[ALONG_X] + r * row[ACROSS_X]
     return x, row[ORIGIN_Y] + s * row[ALONG_Y] + r * row[ACROSS_Y]
 
 
 @inlined
-def on_lane(lanes: FloatArray, lane: int, s: float, r: float, margin: float) -> bool:
+def on_lane(rows: FloatArray, lane: int, s: float, r: float, margin: float) -> bool:
     """Whether a place is on a lane, or no further beyond its edges than the margin [m]."""
-    return abs(r) <= lanes[lane, LANE_WIDTH] / 2 + margin and -_OVERHANG <= s < lanes[lane, LANE_LENGTH] + _OVERHANG
+    return abs(r) <= rows[lane, LANE_WIDTH] / 2 + margin and -OVERHANG <= s < rows[lane, LANE_LENGTH] + OVERHANG
 
 
 @uncounted
-def reachable(sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, x: float, y: float) -> bool:
+def reachable(lanes: Lanes, lane: int, x: float, y: float) -> bool:
     """Whether a lane may be chosen from a place."""
-    if ids[lane, FORBIDDEN]:
+    if lanes.ids[lane, FORBIDDEN]:
         return False
-    s, r = local(sums, loops, lanes, ids, lane, x, y)
-    return abs(r) <= 2 * lanes[lane, LANE_WIDTH] and 0 <= s < lanes[lane, LANE_LENGTH] + _OVERHANG
+    s, r = local(lanes, lane, x, y)
+    return abs(r) <= 2 * lanes.rows[lane, LANE_WIDTH] and 0 <= s < lanes.rows[lane, LANE_LENGTH] + OVERHANG
 
 
 @inlined
-def after_end(lanes: FloatArray, lane: int, s: float) -> bool:
+def after_end(rows: FloatArray, lane: int, s: float) -> bool:
     """Whether a lane has been driven to its end."""
-    return s > lanes[lane, LANE_LENGTH] - _OVERHANG / 2
+    return s > rows[lane, LANE_LENGTH] - OVERHANG / 2
 
 
 @uncounted
-def distance(sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, x: float, y: float) -> float:
+def distance(lanes: Lanes, lane: int, x: float, y: float) -> float:
     """highway-env's distance from a place to a lane [m]: across, and along beyond its ends."""
-    s, r = local(sums, loops, lanes, ids, lane, x, y)
-    return abs(r) + max(s - lanes[lane, LANE_LENGTH], 0.0) + max(0.0 - s, 0.0)
+    s, r = local(lanes, lane, x, y)
+    return abs(r) + max(s - lanes.rows[lane, LANE_LENGTH], 0.0) + max(0.0 - s, 0.0)
 
 
 @inlined
-def _away(loops: IntArray, lanes: FloatArray, ids: IntArray, lane: int, s: float, r: float, heading: float) -> float:
+def _away(lanes: Lanes, lane: int, s: float, r: float, heading: float) -> float:
     """highway-env's `distance_with_heading` of a lane, from a place on it."""
-    angle = abs(wrap_to_pi(heading - heading_at(loops, lanes, ids, lane, s)))
-    return abs(r) + max(s - lanes[lane, LANE_LENGTH], 0.0) + max(0.0 - s, 0.0) + 1.0 * angle
+    angle = abs(wrap_to_pi(heading - heading_at(lanes, lane, s)))
+    return abs(r) + max(s - lanes.rows[lane, LANE_LENGTH], 0.0) + max(0.0 - s, 0.0) + 1.0 * angle
 
 
 @uncounted
-def closest(
-    sums: int, loops: IntArray, lanes: FloatArray, ids: IntArray, x: float, y: float, heading: float, guess: int
-) -> int:
+def closest(lanes: Lanes, x: float, y: float, heading: float, guess: int) -> int:
     """The lane nearest in position and heading, the first of equals; a good guess saves most of the work."""
-    s, r = local(sums, loops, lanes, ids, guess, x, y)
-    limit = _away(loops, lanes, ids, guess, s, r, heading)
+    s, r = local(lanes, guess, x, y)
+    limit = _away(lanes, guess, s, r, heading)
     best, least = guess, math.inf
     # Arcs of one roundabout have one centre, and a place has one angle around it.
     known, radius, polar, center_x, center_y = False, 0.0, 0.0, math.nan, math.nan
-    for lane in range(len(lanes)):
-        row = lanes[lane]
-        arc = ids[lane, SHAPE] == CIRCULAR
+    for lane in range(len(lanes.rows)):
+        row = lanes.rows[lane]
+        arc = lanes.ids[lane, SHAPE] == CIRCULAR
         if arc and not (row[ORIGIN_X] == center_x and row[ORIGIN_Y] == center_y):
             known, center_x, center_y = False, row[ORIGIN_X], row[ORIGIN_Y]
             dx, dy = x - center_x, y - center_y
-            radius = math.sqrt(dot2(sums, dx, dx, dy, dy))
-        across = abs(row[RADIUS] - radius) if arc else least_across(sums, lanes, ids, lane, x, y)
+            radius = math.sqrt(dot2(lanes.sums, dx, dx, dy, dy))
+        across = abs(row[RADIUS] - radius) if arc else least_across(lanes, lane, x, y)
         # What is further off across than that is no nearer.
         if not across <= limit:
             continue
         if arc:
             if not known:
-                known, polar = True, at_two(loops[_ARCTAN2, 0], loops[_ARCTAN2, 1], y - center_y, x - center_x)
+                known, polar = (
+                    True,
+                    at_two(lanes.loops[_ARCTAN2, 0], lanes.loops[_ARCTAN2, 1], y - center_y, x - center_x),
+                )
             s, r = _on_arc(row, radius, polar)
         else:
-            s, r = local(sums, loops, lanes, ids, lane, x, y)
-        away = _away(loops, lanes, ids, lane, s, r, heading)
+            s, r = local(lanes, lane, x, y)
+        away = _away(lanes, lane, s, r, heading)
         if away < least:
             best, least = lane, away
             limit = min(limit, least)

@@ -35,7 +35,7 @@ from dynamics.simulator.motion import move
 from dynamics.simulator.neighbours import find, sort
 from dynamics.simulator.observe import kinematics
 from dynamics.simulator.random import seed_row
-from dynamics.simulator.scene import spawn, speed_index
+from dynamics.simulator.scene import next_target_speed, spawn
 from dynamics.state import FloatArray, IntArray
 
 __all__ = [
@@ -184,10 +184,9 @@ def _command(rules: Rules, f: FloatArray, g: IntArray, action: FloatArray) -> No
     if g[KIND, 0] != EGO:
         f[ACCELERATION, 0], f[STEERING, 0] = action[0], action[1]
         return
-    label, speeds, lanes = rules.labels[int(action[0])], rules.target_speeds, rules.lanes
+    label, lanes = rules.labels[int(action[0])], rules.lanes
     if label >= 3:
-        index = speed_index(speeds, f[SPEED, 0]) + (1 if label == 3 else -1)
-        f[TARGET_SPEED, 0] = speeds[min(max(index, 0), len(speeds) - 1)]
+        f[TARGET_SPEED, 0] = next_target_speed(rules.target_speeds, f[SPEED, 0], label)
     elif label != 1:
         lane = min(max(g[TARGET, 0] + label - 1, 0), len(lanes) - 1)
         if reachable(lanes, lane, f[X, 0], f[Y, 0]):

@@ -7,10 +7,11 @@ from dynamics.simulator.arithmetic import wrap_to_pi
 from dynamics.simulator.layout import LANE_LENGTH, LANE_WIDTH, LANE_Y
 from dynamics.state import FloatArray
 
-__all__ = ["closest_lane", "lanes_at", "on_lane", "reachable"]
+__all__ = ["MARGIN", "OVERHANG", "closest_lane", "lanes_at", "on_lane", "reachable"]
 
-_MARGIN = 1.0
-_OVERHANG = 5.0
+MARGIN = 1.0
+"""How far beyond a lane's edges a body still counts as a neighbour on it [m]."""
+OVERHANG = 5.0
 """`AbstractLane.VEHICLE_LENGTH`: a lane goes on for so long beyond both its ends [m]."""
 
 
@@ -18,7 +19,7 @@ _OVERHANG = 5.0
 def on_lane(lanes: FloatArray, lane: int, x: float, y: float, margin: float) -> bool:
     """Whether a place is on a lane, or no further beyond its edges than the margin [m]."""
     return abs(y - lanes[lane, LANE_Y]) <= lanes[lane, LANE_WIDTH] / 2 + margin and (
-        -_OVERHANG <= x < lanes[lane, LANE_LENGTH] + _OVERHANG
+        -OVERHANG <= x < lanes[lane, LANE_LENGTH] + OVERHANG
     )
 
 
@@ -27,7 +28,7 @@ def lanes_at(lanes: FloatArray, x: float, y: float) -> int:
     """The lanes that a body counts on, as bits."""
     bits = 0
     for lane in range(len(lanes)):
-        if on_lane(lanes, lane, x, y, _MARGIN):
+        if on_lane(lanes, lane, x, y, MARGIN):
             bits |= 1 << lane
     return bits
 
@@ -36,7 +37,7 @@ def lanes_at(lanes: FloatArray, x: float, y: float) -> int:
 def reachable(lanes: FloatArray, lane: int, x: float, y: float) -> bool:
     """Whether a lane may be chosen from a place."""
     near = abs(y - lanes[lane, LANE_Y]) <= 2 * lanes[lane, LANE_WIDTH]
-    return near and 0.0 <= x < lanes[lane, LANE_LENGTH] + _OVERHANG
+    return near and 0.0 <= x < lanes[lane, LANE_LENGTH] + OVERHANG
 
 
 @inlined

@@ -33,7 +33,7 @@ from dynamics.simulator.layout import (
 from dynamics.simulator.random import Row, below, uniform
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["spawn", "speed_index"]
+__all__ = ["next_target_speed", "spawn", "speed_index"]
 
 _EGO_SPEED = 25.0
 
@@ -54,6 +54,13 @@ def speed_index(target_speeds: FloatArray, speed: float) -> int:
     n = len(target_speeds)
     x = (speed - target_speeds[0]) / (target_speeds[n - 1] - target_speeds[0])
     return int(min(max(_rint(x * (n - 1)), 0.0), n - 1.0))
+
+
+@uncounted
+def next_target_speed(target_speeds: FloatArray, speed: float, label: int) -> float:
+    """The target speed that faster (3) or slower (4) asks for at a speed [m/s]."""
+    index = speed_index(target_speeds, speed) + (1 if label == 3 else -1)
+    return target_speeds[min(max(index, 0), len(target_speeds) - 1)]
 
 
 @uncounted

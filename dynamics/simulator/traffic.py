@@ -40,7 +40,7 @@ from dynamics.simulator.layout import (
 from dynamics.simulator.loops import at_two
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["acceleration", "change_lanes", "desired_gap", "free_flow", "wanted_share"]
+__all__ = ["acceleration", "change_lanes", "desired_gap", "free_flow", "free_flow_of", "held_back", "wanted_share"]
 
 _POWER = 5
 
@@ -68,10 +68,23 @@ def free_flow(comfort: float, power: float) -> float:
 
 
 @inlined
-def _with_leader(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, leader: int, free: float) -> float:
-    if leader < 0:
-        return free
-    held = desired_gap(sums, f, p, judge, body, leader) / not_zero(f[X, leader] - f[X, body])
+def free_flow_of(
+    loops: IntArray, f: FloatArray, g: IntArray, p: FloatArray, lanes: FloatArray, judge: int, body: int
+) -> float:
+    """The same of a body by the constants of a judge; lanes : (n, LANE_COLUMNS)."""
+    share = wanted_share(f, g, lanes, body)
+    power = share * share
+    if p[DELTA, judge] != 2.0:
+        power = at_two(loops[_POWER, 0], loops[_POWER, 1], share, p[DELTA, judge])
+    return free_flow(p[COMFORT, judge], power)
+
+
+@inlined
+def held_back(
+    sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, leader: int, ahead: float, free: float
+) -> float:
+    """IDM's acceleration of a body behind a leader that is so far ahead of it [m], given that of an empty road."""
+    held = desired_gap(sums, f, p, judge, body, leader) / not_zero(ahead)
     return free - p[COMFORT, judge] * (held * held)
 
 
@@ -114,12 +127,10 @@ def acceleration(
     if body < 0 or g[KIND, body] == OBSTACLE:
         return 0.0
     if body != judge:
-        share = wanted_share(f, g, lanes, body)
-        power = share * share
-        if p[DELTA, judge] != 2.0:
-            power = at_two(loops[_POWER, 0], loops[_POWER, 1], share, p[DELTA, judge])
-        free = free_flow(p[COMFORT, judge], power)
-    return _with_leader(sums, f, p, judge, body, leader, free)
+        free = free_flow_of(loops, f, g, p, lanes, judge, body)
+    if leader < 0:
+        return free
+    return held_back(sums, f, p, judge, body, leader, f[X, leader] - f[X, body], free)
 
 
 @uncounted

@@ -8,7 +8,7 @@ from dynamics.compiled import inlined, uncounted
 from dynamics.roads.straight import nearest
 from dynamics.simulator.engine import Worlds
 from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED, X, Y
-from dynamics.simulator.scene import speed_index
+from dynamics.simulator.scene import next_target_speed
 from dynamics.state import FloatArray, IntArray
 from shield.batch.arrays import Records, Room, Shields, scene_of
 from shield.batch.law import NOBODY, Law
@@ -38,9 +38,7 @@ def target_of(worlds: Worlds, law: Law, e: int, action: int) -> tuple[int, float
     """The lane and the speed that the ego's controllers track after an action; see `Scene.target_of`."""
     label, lane, speed = law.labels[action], worlds.g[e, TARGET, 0], worlds.f[e, TARGET_SPEED, 0]
     if label >= _FASTER:
-        speeds = law.target_speeds
-        index = speed_index(speeds, worlds.f[e, SPEED, 0]) + (1 if label == _FASTER else -1)
-        return lane, speeds[min(max(index, 0), len(speeds) - 1)]
+        return lane, next_target_speed(law.target_speeds, worlds.f[e, SPEED, 0], label)
     if label in (_LEFT, _RIGHT):
         to = min(max(lane + label - 1, 0), law.centers.shape[0] - 1)
         s, r = worlds.f[e, X, 0], worlds.f[e, Y, 0]

@@ -208,22 +208,23 @@ def test_every_lane_is_highway_envs(env_id):
 
 
 def compare_lanes(road, rng, count):
-    sums, loops, network = sums_of_numpy()[0], addresses(), network_of(road)
+    sums, network = sums_of_numpy()[0], network_of(road)
+    all_lanes = lanes.Lanes(sums, addresses(), network.lanes, network.ids)
     exact, names = sums < 2, {number: key for key, number in index_of(road).items()}
     for at, heading in positions(road, rng, count):
         x, y = at.tolist()
         for number, key in names.items():
-            lane, given = road.get_lane(key), (sums, loops, network.lanes, network.ids, number, x, y)
+            lane, given = road.get_lane(key), (all_lanes, number, x, y)
             s, r = lanes.local(*given)
             assert same_numbers(lane.local_coordinates(at), (s, r), exact)
-            assert same_numbers(lane.heading_at(s), lanes.heading_at(*given[1:4], number, s), exact)
-            assert same_numbers(lane.position(s, 0), lanes.place(*given[1:4], number, s), exact)
+            assert same_numbers(lane.heading_at(s), lanes.heading_at(all_lanes, number, s), exact)
+            assert same_numbers(lane.position(s, 0), lanes.place(all_lanes, number, s), exact)
             assert same_numbers(lane.distance(at), lanes.distance(*given), exact)
             assert bool(lane.is_reachable_from(at)) == lanes.reachable(*given)
             assert bool(lane.after_end(at)) == lanes.after_end(network.lanes, number, s)
             assert bool(lane.on_lane(at, s, r, 1.0)) == lanes.on_lane(network.lanes, number, s, r, 1.0)
-            assert lanes.least_across(sums, network.lanes, network.ids, number, x, y) <= abs(r)
-        found = names[lanes.closest(*given[:4], x, y, heading, int(rng.integers(len(names))))]
+            assert lanes.least_across(*given) <= abs(r)
+        found = names[lanes.closest(all_lanes, x, y, heading, int(rng.integers(len(names))))]
         assert road.get_closest_lane_index(at, heading) == found
 
 

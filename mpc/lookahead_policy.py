@@ -47,7 +47,7 @@ class LookaheadPolicy:
     3
     """
 
-    def __init__(self, env: gym.Env[Any, Any], depth: int = 20, beam: int = 12) -> None:
+    def __init__(self, env: gym.Env[Any, Any], depth: int = 10, beam: int = 24) -> None:
         if depth < 1 or beam < 1:
             raise ConfigError(f"depth and beam must be at least 1, not {depth} and {beam}")
         self._env, self.depth, self.beam = env, depth, beam

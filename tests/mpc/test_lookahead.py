@@ -78,7 +78,7 @@ def test_it_drives_better_than_those_who_do_not_know():
     [
         (lambda: gym.make("merge-v0"), {}, "not merge-v0"),
         (lambda: gym.make("highway-v0", config={"action": {"type": "ContinuousAction"}}), {}, "chooses meta-actions"),
-        (lambda: gym.make("highway-v0"), {"depth": 0}, "at least 1, not 0 and 12"),
+        (lambda: gym.make("highway-v0"), {"depth": 0}, "at least 1, not 0 and 24"),
     ],
 )
 def test_what_it_cannot_look_ahead_in_is_refused(env, options, message):

@@ -7,18 +7,19 @@ from typing import NamedTuple
 from dynamics.compiled import inlined, uncounted
 from dynamics.networks.driving import act
 from dynamics.networks.lanes import Lanes, after_end, closest, local, on_lane, reachable
-from dynamics.networks.layout import ACROSS, ALONG, COUNT, ENDS, FIRST, ID
+from dynamics.networks.layout import ACROSS, ALONG, COUNT, ENDS, FIRST, FRAMES, ID
 from dynamics.networks.network import Network
+from dynamics.networks.regulation import clear, regulate
 from dynamics.networks.routes import Traffic, follow_road
 from dynamics.simulator.collisions import collide
 from dynamics.simulator.engine import Machine
-from dynamics.simulator.layout import HEADING, LANE, LANE_LENGTH, SPEED, TARGET, TARGET_SPEED, X, Y
+from dynamics.simulator.layout import EGO, HEADING, KIND, LANE, LANE_LENGTH, OBSTACLE, SPEED, TARGET, TARGET_SPEED, X, Y
 from dynamics.simulator.motion import bicycle, limit
 from dynamics.simulator.neighbours import sort
 from dynamics.simulator.scene import next_target_speed
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["NetworkRules", "NetworkWork", "NetworkWorlds", "advance", "begin", "on_way"]
+__all__ = ["NetworkRules", "NetworkWork", "NetworkWorlds", "advance", "begin", "ego_of", "on_way"]
 
 
 class NetworkWorlds(NamedTuple):
@@ -46,13 +47,14 @@ class NetworkRules(NamedTuple):
     Attributes
     ----------
     network : the road.
-    numbers : frames of a decision, vehicles.
+    numbers : frames of a decision, vehicles, frames after which it is settled anew who yields (0 for never), and
+        whether vehicles vanish.
     times : duration of a frame and of a decision [s].
     target_speeds : of the ego [m/s]. labels : of each action: 0 left, 1 none, 2 right, 3 faster, 4 slower.
     """
 
     network: Network
-    numbers: tuple[int, int]
+    numbers: tuple[int, int, int, int]
     times: tuple[float, float]
     target_speeds: FloatArray
     labels: IntArray
@@ -65,6 +67,16 @@ class NetworkWork(NamedTuple):
     busy: IntArray
     corners: FloatArray
     pairs: IntArray
+    paths: FloatArray
+
+
+@inlined
+def ego_of(g: IntArray) -> int:
+    """The column of the ego."""
+    ego = 0
+    while g[KIND, ego] != EGO:
+        ego += 1
+    return ego
 
 
 @inlined
@@ -84,14 +96,17 @@ def begin(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, 
     f, g, network, label = worlds.f[e], worlds.g[e], rules.network, rules.labels[int(action[0])]
     worlds.clock[e] += rules.times[1]
     traffic = _traffic(machine, worlds, network, e)
-    follow_road(traffic, 0)
+    ego = ego_of(g)
+    if rules.numbers[3]:
+        clear(traffic, rules.numbers[1])
+    follow_road(traffic, ego)
     if label >= 3:
-        f[TARGET_SPEED, 0] = next_target_speed(rules.target_speeds, f[SPEED, 0], label)
+        f[TARGET_SPEED, ego] = next_target_speed(rules.target_speeds, f[SPEED, ego], label)
     elif label != 1:
-        ids, target = network.ids, g[TARGET, 0]
+        ids, target = network.ids, g[TARGET, ego]
         lane = ids[target, FIRST] + min(max(ids[target, ID] + label - 1, 0), ids[target, COUNT] - 1)
-        if reachable(traffic.lanes, lane, f[X, 0], f[Y, 0]):
-            g[TARGET, 0] = lane
+        if reachable(traffic.lanes, lane, f[X, ego], f[Y, ego]):
+            g[TARGET, ego] = lane
 
 
 @uncounted
@@ -101,11 +116,16 @@ def advance(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: 
     traffic, dt = _traffic(machine, worlds, network, e), rules.times[0]
     lanes = traffic.lanes
     act(traffic, work.numbers, work.busy, vehicles)
+    g[FRAMES, 0] += 1
+    if rules.numbers[2] > 0 and g[FRAMES, 0] % rules.numbers[2] == 0:
+        regulate(traffic, machine.products, work.paths, vehicles)
     for i in range(vehicles):
         limit(f, g, p, i, dt)
         work.busy[i] = i
     bicycle(machine.loops, f, g, p, work.numbers, work.busy, vehicles, dt)
     for i in range(vehicles):
+        if g[KIND, i] == OBSTACLE:
+            continue
         x, y, lane = f[X, i], f[Y, i], g[LANE, i]
         lane = closest(lanes, x, y, f[HEADING, i], lane)
         f[ALONG, i], f[ACROSS, i] = local(lanes, lane, x, y)
@@ -118,7 +138,8 @@ def advance(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: 
 def on_way(rules: NetworkRules, f: FloatArray, g: IntArray) -> tuple[bool, bool]:
     """Whether the ego is on the lane that is closest to it, and whether it is at the end of one from which no other
     goes on: the road ends there, and what comes then is not known."""
-    network, lane = rules.network, g[LANE, 0]
-    s, r = f[ALONG, 0], f[ACROSS, 0]
+    ego = ego_of(g)
+    network, lane = rules.network, g[LANE, ego]
+    s, r = f[ALONG, ego], f[ACROSS, ego]
     at_end = network.ids[lane, ENDS] != 0 and after_end(network.lanes, lane, s)
     return on_lane(network.lanes, lane, min(s, network.lanes[lane, LANE_LENGTH]) if at_end else s, r, 0.0), at_end

@@ -19,9 +19,11 @@ __all__ = [
     "ENDS",
     "FIRST",
     "FORBIDDEN",
+    "FRAMES",
     "ID",
     "IDS",
     "LANE_HEADING",
+    "LEAVES",
     "ORIGIN_X",
     "ORIGIN_Y",
     "PHASE",
@@ -36,6 +38,7 @@ __all__ = [
     "SINE",
     "STRAIGHT",
     "TO",
+    "YIELDS",
     "F",
     "G",
 ]
@@ -66,10 +69,11 @@ that of the sine, or where the arc starts.
 """
 COLUMNS = 16
 
-SHAPE, ROAD, ID, COUNT, FIRST, TO, FORBIDDEN, PRIORITY, ENDS = range(9)
+SHAPE, ROAD, ID, COUNT, FIRST, TO, FORBIDDEN, PRIORITY, ENDS, LEAVES = range(10)
 """Columns of the lanes' integers: the road that a lane belongs to, its index in it, how many there are, the first of
-them, and the node that the road leads to; ENDS: no road goes on from its end, or only one that leads back."""
-IDS = 9
+them, and the node that the road leads to; ENDS: no road goes on from its end, or only one that leads back; LEAVES:
+vehicles vanish near its end."""
+IDS = 10
 
 STRAIGHT, SINE, CIRCULAR = range(3)
 """Shapes of lanes."""
@@ -78,8 +82,9 @@ ALONG, ACROSS = range(layout.F, layout.F + 2)
 """Rows of `f` beyond those of a straight highway: where a vehicle is on its own lane, s and r [m]."""
 F = layout.F + 2
 
-ROUTE, ROUTE_END = range(layout.G, layout.G + 2)
-"""Rows of `g` beyond those of a straight highway: the next entry of a vehicle's route, and the one after its last."""
-G = layout.G + 2
+ROUTE, ROUTE_END, YIELDS, FRAMES = range(layout.G, layout.G + 4)
+"""Rows of `g` beyond those of a straight highway: the next entry of a vehicle's route, and the one after its last, -1
+without a route; whether it yields; and in the first column, the frames that the road has seen."""
+G = layout.G + 4
 
 assert (_WIDTH, _LENGTH, _LIMIT) == (layout.LANE_WIDTH, layout.LANE_LENGTH, layout.LANE_LIMIT)

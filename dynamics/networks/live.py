@@ -10,9 +10,9 @@ from highway_env.vehicle.controller import MDPVehicle
 
 from dynamics.errors import SceneError
 from dynamics.networks.engine import NetworkRules, NetworkWorlds
-from dynamics.networks.layout import ACROSS, ALONG, ROAD, ROUTE_END
-from dynamics.simulator.layout import KIND, LANE, LINEAR, TARGET
-from dynamics.simulator.live import bodies_of, check_body, load_body
+from dynamics.networks.layout import ACROSS, ALONG, FRAMES, ROAD, ROUTE_END, YIELDS
+from dynamics.simulator.layout import KIND, LANE, LINEAR, OBSTACLE, TARGET
+from dynamics.simulator.live import bodies_of, check_body, kind_in_scene, load_body
 
 __all__ = ["load", "longest_route"]
 
@@ -21,7 +21,7 @@ Lanes = Mapping[tuple[str, str, int], int]
 
 def longest_route(env: Any) -> int:
     """How many entries the longest of the vehicles' routes has."""
-    return max((len(getattr(v, "route", None) or ()) for v in bodies_of(env)[0]), default=0)
+    return max((len(getattr(v, "route", None) or ()) for v in bodies_of(env, first=False)[0]), default=0)
 
 
 def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: int) -> None:
@@ -37,23 +37,26 @@ def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: 
         If it has other bodies than there is room for, or vehicles that drive in a way that is not known.
     """
     base = env.unwrapped
-    vehicles, obstacles = bodies_of(env)
+    vehicles, obstacles = bodies_of(env, first=False)
     f, g, p, routes = worlds.f[e], worlds.g[e], worlds.p[e], worlds.routes[e]
-    if type(vehicles[0]) is not MDPVehicle:
-        raise SceneError(f"the ego is a {type(vehicles[0]).__name__}; a network's takes meta-actions (MDPVehicle)")
+    if type(base.vehicle) is not MDPVehicle:
+        raise SceneError(f"the ego is a {type(base.vehicle).__name__}; a network's takes meta-actions (MDPVehicle)")
     if len(vehicles) != rules.numbers[1] or len(vehicles) + len(obstacles) != f.shape[1]:
         raise SceneError(f"have {rules.numbers[1]} vehicles of {f.shape[1]} bodies, not {len(vehicles)} vehicles")
     if base.steps % rules.numbers[0]:
         raise SceneError("the environment is amid a decision")
     f[:], g[:], routes[:] = 0.0, 0, -1
     for i, body in enumerate([*vehicles, *obstacles]):
-        check_body(body, i, rules.target_speeds)
-        load_body(body, i, i >= len(vehicles), f, g, p)
+        ego = body is base.vehicle
+        check_body(body, i, ego, rules.target_speeds)
+        load_body(body, i, OBSTACLE if i >= len(vehicles) else kind_in_scene(body, ego), f, g, p)
         g[LANE, i], g[TARGET, i] = lanes[_key(body.lane_index)], lanes[_key(body.lane_index)]
         f[[ALONG, ACROSS], i] = body.lane.local_coordinates(body.position)
         if i < len(vehicles):
             g[TARGET, i] = lanes[_key(body.target_lane_index)]
+            g[YIELDS, i] = getattr(body, "is_yielding", False)
             _load_route(body, i, rules, lanes, g, routes)
+    g[FRAMES, 0] = getattr(base.road, "steps", 0)
     if (g[KIND] == LINEAR).any():
         raise SceneError("vehicles of the linear model are known on straight highways only")
     if not np.isfinite(f).all():
@@ -67,7 +70,10 @@ def _key(index: Any) -> tuple[str, str, int]:
 
 
 def _load_route(body: Any, i: int, rules: NetworkRules, lanes: Lanes, g: Any, routes: Any) -> None:
-    route = body.route or ()
+    if body.route is None:
+        g[ROUTE_END, i] = -1
+        return
+    route = body.route
     if len(route) > routes.shape[1]:
         raise SceneError(f"vehicle {i} has a route of {len(route)} roads; there is room for {routes.shape[1]}")
     g[ROUTE_END, i] = len(route)

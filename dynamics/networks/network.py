@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from dynamics.networks.layout import (
     ID,
     IDS,
     LANE_HEADING,
+    LEAVES,
     ORIGIN_X,
     PHASE,
     PRIORITY,
@@ -40,6 +42,7 @@ from dynamics.state import FloatArray, IntArray
 
 __all__ = ["Network", "index_of", "network_of"]
 
+Leaves = Callable[[tuple[str, str, int]], bool]
 _SHAPES = {StraightLane: STRAIGHT, SineLane: SINE, CircularLane: CIRCULAR}
 
 
@@ -67,12 +70,13 @@ def index_of(network: Any) -> dict[tuple[str, str, int], int]:
     return {key: number for number, key in enumerate(network.lanes_dict())}
 
 
-def network_of(network: Any, connected: bool = False) -> Network:
+def network_of(network: Any, connected: bool = False, leaves: Leaves | None = None) -> Network:
     """Read a `RoadNetwork`.
 
     Parameters
     ----------
     connected : whether neighbours are looked for on the lanes before and after a lane too.
+    leaves : whether vehicles vanish near the end of a lane, of highway-env's index of it; by default they do not.
 
     Raises
     ------
@@ -95,6 +99,7 @@ def network_of(network: Any, connected: bool = False) -> Network:
             lanes[n] = _numbers(lane)
             ids[n, [ROAD, ID, COUNT, FIRST, TO]] = edge, k, len(graph[a][b]), numbers[a, b, 0], nodes[b]
             ids[n, [SHAPE, FORBIDDEN, PRIORITY]] = _SHAPES[type(lane)], bool(lane.forbidden), lane.priority
+            ids[n, LEAVES] = leaves is not None and leaves((a, b, k))
             ids[n, ENDS] = all(_leads_back(lane, each) for each in graph.get(b, {}).values())
     outs = [[edges[name, to] for to in graph.get(name, {})] for name in nodes]
     linked = [_linked(graph, numbers, key) if connected else [] for key in numbers]

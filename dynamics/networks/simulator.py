@@ -13,6 +13,8 @@ from dynamics.networks.engine import NetworkRules, NetworkWork, NetworkWorlds, a
 from dynamics.networks.layout import F, G
 from dynamics.networks.live import load, longest_route
 from dynamics.networks.network import index_of, network_of
+from dynamics.networks.refusals import exits_of, period_of
+from dynamics.networks.regulation import INSTANTS
 from dynamics.simulator.arithmetic import Sums, sums_of_numpy
 from dynamics.simulator.engine import Machine, write_row
 from dynamics.simulator.layout import P
@@ -50,18 +52,23 @@ class NetworkSimulator:
 
     def __init__(self, env: gym.Env[Any, Any], num_envs: int = 1) -> None:
         base = cast(Any, env.unwrapped)
-        vehicles, obstacles = bodies_of(env)
+        vehicles, obstacles = bodies_of(env, first=False)
         labels = getattr(base.action_type, "actions", None)
         if labels is None:
             raise ConfigError(f"a network's ego takes meta-actions, not {type(base.action_type).__name__}")
         config, road = base.config, base.road
-        self._network = road.network
+        self._network, leaves = road.network, exits_of(base)
         self._lanes = index_of(road.network)
         self.rules = NetworkRules(
-            network=network_of(road.network, bool(road.neighbour_vehicles_connected_lanes)),
-            numbers=(int(config["simulation_frequency"] // config["policy_frequency"]), len(vehicles)),
+            network=network_of(road.network, bool(road.neighbour_vehicles_connected_lanes), leaves),
+            numbers=(
+                int(config["simulation_frequency"] // config["policy_frequency"]),
+                len(vehicles),
+                period_of(base),
+                int(leaves is not None),
+            ),
             times=(1 / config["simulation_frequency"], 1 / config["policy_frequency"]),
-            target_speeds=np.array(vehicles[0].target_speeds, float),
+            target_speeds=np.array(base.vehicle.target_speeds, float),
             labels=np.array([ACTIONS.index(labels[k]) for k in sorted(labels)], np.int64),
         )
         sums, products = sums_of_numpy()
@@ -102,7 +109,11 @@ class NetworkSimulator:
         """Room for the kernels of one more thread."""
         m = self._bodies
         return NetworkWork(
-            np.zeros((4, m)), np.zeros(m, np.int64), np.zeros((2, 5, 2)), np.zeros(max(1, m * (m - 1) // 2), np.int64)
+            np.zeros((4, m)),
+            np.zeros(m, np.int64),
+            np.zeros((2, 5, 2)),
+            np.zeros(max(1, m * (m - 1) // 2), np.int64),
+            np.zeros((m, INSTANTS, 6)),
         )
 
     def step(self, action: int, e: int = 0) -> FloatArray:

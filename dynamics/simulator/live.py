@@ -51,20 +51,26 @@ from dynamics.simulator.random import WORDS, from_generator, to_generator
 from dynamics.simulator.scenario import Scenario
 from dynamics.state import FloatArray
 
-__all__ = ["bodies_of", "check_body", "load", "load_body", "store"]
+__all__ = ["bodies_of", "check_body", "kind_in_scene", "load", "load_body", "store"]
 
 
-def bodies_of(env: gym.Env[Any, Any]) -> tuple[list[Any], list[Any]]:
+def bodies_of(env: gym.Env[Any, Any], first: bool = True) -> tuple[list[Any], list[Any]]:
     """The vehicles and the obstacles of a live environment.
+
+    Parameters
+    ----------
+    first : whether the ego has to be the first of the vehicles.
 
     Raises
     ------
     SceneError
-        If the first vehicle is not the only ego, or something else stands on the road.
+        If there is another ego, or one elsewhere, or something else stands on the road.
     """
     base = cast(Any, env.unwrapped)
-    if base.road is None or len(base.controlled_vehicles) != 1 or base.road.vehicles[0] is not base.vehicle:
-        raise SceneError("have one ego, first of the vehicles on the road; is the environment reset?")
+    vehicles = [] if base.road is None or len(base.controlled_vehicles) != 1 else base.road.vehicles
+    if not any(v is base.vehicle for v in (vehicles[:1] if first else vehicles)):
+        where = "first of" if first else "among"
+        raise SceneError(f"have one ego, {where} the vehicles on the road; is the environment reset?")
     strange = [type(o).__name__ for o in base.road.objects if type(o) is not Obstacle]
     if strange:
         raise SceneError(f"the simulator knows obstacles, not {', '.join(strange)}")
@@ -91,10 +97,10 @@ def load(env: gym.Env[Any, Any], scenario: Scenario, worlds: Worlds, e: int) -> 
     _check_road(base.road.network, lanes)
     f[:], g[:] = 0.0, 0
     for i, body in enumerate([*vehicles, *obstacles]):
-        check_body(body, i, scenario.rules.target_speeds)
+        check_body(body, i, i == 0, scenario.rules.target_speeds)
         if getattr(body, "route", None):
             raise SceneError(f"body {i} ({type(body).__name__}) follows a route")
-        load_body(body, i, i >= len(vehicles), f, g, p)
+        load_body(body, i, OBSTACLE if i >= len(vehicles) else kind_in_scene(body, i == 0), f, g, p)
         g[LANE, i], g[TARGET, i] = body.lane_index[2], getattr(body, "target_lane_index", body.lane_index)[2]
         g[STALE, i], g[ON, i] = 1, lanes_at(lanes, f[X, i], f[Y, i])
     if g[KIND, 0] != scenario.rules.numbers[4]:
@@ -121,13 +127,13 @@ def _check_clock(base: Any, scenario: Scenario) -> None:
         raise SceneError(f"the environment draws from {type(base.np_random.bit_generator).__name__}, not from PCG64")
 
 
-def check_body(body: Any, i: int, target_speeds: FloatArray) -> None:
+def check_body(body: Any, i: int, ego: bool, target_speeds: FloatArray) -> None:
     """Raise where a body has something of its own that the simulator does not know."""
     name = f"body {i} ({type(body).__name__})"
     if not (body.solid and body.collidable):
         raise SceneError(f"{name} is not solid or not collidable")
     own = {each for each in vars(body) if hasattr(type(body), each)} - CONSTANTS - {"act"}
-    if i > 0 and "act" in vars(body):
+    if not ego and "act" in vars(body):
         own.add("act")
     if own:
         raise SceneError(f"{name} has a {', '.join(sorted(own))} of its own")
@@ -148,8 +154,9 @@ def _check_road(network: Any, lanes: FloatArray) -> None:
         raise SceneError(f"the road is not the {len(lanes)} straight lanes of the simulator")
 
 
-def _kind(body: Any, i: int) -> int:
-    if i > 0:
+def kind_in_scene(body: Any, ego: bool) -> int:
+    """The kind of a vehicle (see `layout`)."""
+    if not ego:
         try:
             return kind_of(type(body))
         except ConfigError as error:
@@ -161,16 +168,16 @@ def _kind(body: Any, i: int) -> int:
     raise SceneError(f"the ego is a {type(body).__name__}; the simulator knows MDPVehicle and Vehicle")
 
 
-def load_body(body: Any, i: int, stands: bool, f: FloatArray, g: Any, p: FloatArray) -> None:
-    """Copy all of a body but its lanes and its route into column `i`; `stands` says that it is an obstacle."""
+def load_body(body: Any, i: int, kind: int, f: FloatArray, g: Any, p: FloatArray) -> None:
+    """Copy all of a body of a kind but its lanes and its route into column `i`."""
     f[[X, Y], i] = body.position
     f[HEADING, i], f[SPEED, i] = body.heading, body.speed
     f[COS, i], f[SIN, i] = np.cos(body.heading), np.sin(body.heading)
     g[CRASHED, i], g[CHECKS, i] = body.crashed, body.check_collisions
     p[:, i] = constants_of(body)
     p[DIAGONAL, i] = body.diagonal
-    g[KIND, i] = OBSTACLE if stands else _kind(body, i)
-    if stands:
+    g[KIND, i] = kind
+    if kind == OBSTACLE:
         return
     f[STEERING, i], f[ACCELERATION, i] = body.action["steering"], body.action["acceleration"]
     if body.impact is not None:
@@ -191,7 +198,7 @@ def store(env: gym.Env[Any, Any], scenario: Scenario, worlds: Worlds, e: int) ->
     base = cast(Any, env.unwrapped)
     vehicles, obstacles = bodies_of(env)
     f, g, p = worlds.f[e], worlds.g[e], worlds.p[e]
-    kinds = [*(_kind(body, i) for i, body in enumerate(vehicles)), *([OBSTACLE] * len(obstacles))]
+    kinds = [*(kind_in_scene(body, i == 0) for i, body in enumerate(vehicles)), *([OBSTACLE] * len(obstacles))]
     if kinds != g[KIND].tolist():
         raise SceneError("the environment has other vehicles than the simulator")
     frames = scenario.rules.numbers[0]

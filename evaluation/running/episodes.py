@@ -15,8 +15,9 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from threading import Thread
-from typing import Any
+from typing import Any, cast
 
+import gymnasium as gym
 import joblib
 import numpy as np
 import pandas as pd
@@ -145,7 +146,7 @@ class _Driver:
             min_gap=history.min_gap(),
             latencies=tuple(tally.latencies) if self.variant.door != "none" else (),
             simulator=self.simulator,
-            **_arrival(info, history),
+            **_arrival(info, env, history),
         )
 
     def _shield_info(self, info: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -163,11 +164,16 @@ def _plain(action: Any) -> Any:
     return int(array.item()) if array.size == 1 and array.dtype.kind in "iu" else action
 
 
-def _arrival(info: Mapping[str, Any], history: History) -> dict[str, Any]:
-    """Whether the goal was reached, and how fast; a crash on arrival is no success."""
-    if "is_success" not in info:
+def _arrival(info: Mapping[str, Any], env: gym.Env[Any, Any], history: History) -> dict[str, Any]:
+    """Whether the goal was reached, and how fast; a crash on arrival is no success. An intersection says it itself."""
+    base = cast(Any, env.unwrapped)
+    if "is_success" in info:
+        reached = bool(np.all(info["is_success"]))
+    elif hasattr(base, "has_arrived"):
+        reached = bool(base.has_arrived(base.vehicle))
+    else:
         return {"success": None, "arrival_speed": math.nan}
-    success = bool(np.all(info["is_success"])) and history.crash_frame is None
+    success = reached and history.crash_frame is None
     speed = abs(float(history.ego[-1, Track.SPEED]))
     return {"success": success, "arrival_speed": speed if success else math.nan}
 

@@ -37,6 +37,7 @@ from shield.repair.order import resolve
 __all__ = ["ExactDoor", "warm_up_exact"]
 
 _log = logging.getLogger(__name__)
+Room = tuple[Simulator | NetworkSimulator, Search]
 _STATE = [X, Y, HEADING, SPEED]
 _SAME = 1e-6
 """A vehicle has done what was foretold of it within this [m, rad, m/s]; where numpy's own sums cannot be had they
@@ -45,7 +46,8 @@ differ by some 1e-12."""
 
 class ExactDoor:
     """Filters meta-actions where the traffic, of known classes, follows from its state: on straight highways, and on
-    the networks of merges, exits, roundabouts, two-way roads and u-turns.
+    the networks of merges, exits, roundabouts, two-way roads, u-turns and intersections (where nobody knows
+    who comes next).
 
     Parameters
     ----------
@@ -80,10 +82,11 @@ class ExactDoor:
 
     def reset(self) -> None:
         """Forget everything about the episode."""
-        self._live: Simulator | NetworkSimulator | None = None
+        self._rooms: dict[int, Room] = {}
         self._search: Search | None = None
         self._plans: Plans = empty_plans(1, 1)
         self._foretold: FloatArray | None = None
+        self._foreseen: list[Any] = []
 
     def decide(self, action: Any, order: Callable[[], list[int] | None] | None = None) -> Decision:
         """Filter one meta-action; `order` gives the policy's order of preference over the others."""
@@ -112,35 +115,54 @@ class ExactDoor:
             ranked = np.array([*(a for a in wanted if a != proposed), -1], np.intp)
             replace(search, self._plans, records, simulator.worlds, 0, proposed, ranked)
         leap(search, 0, 1, int(records.executed[0]), 0.0, -math.inf)
-        self._foretold = search.futures.f[1][_STATE].copy()
+        self._foretold, self._foreseen = search.futures.f[1][_STATE].copy(), self._bodies()
         return _decision(shown, records, start)
 
     def _now(self) -> Simulator | NetworkSimulator:
-        """The traffic as it is."""
+        """The traffic as it is, and room for searches in it."""
         base = self._base
-        simulator: Simulator | NetworkSimulator
         if isinstance(base, CompiledHighwayEnv):
-            simulator = base.simulator
-        elif self._live is None or not self._live.fits(base):
-            simulator = self._live = NetworkSimulator(base) if on_network(base) else Simulator.of(base)
-            self._search = None
+            simulator, search = self._rooms.get(0) or self._furnish(0, base.simulator)
         else:
-            simulator = self._live
-            simulator.load(base)
-        if self._search is None:
-            self._search = new_search(simulator, self.config)
-            self._plans = empty_plans(1, self._search.bounds.depth)
+            bodies = 0 if base.road is None else len(base.road.vehicles) + len(base.road.objects)
+            room = self._rooms.get(bodies)
+            if room is None or not room[0].fits(base):
+                room = self._furnish(bodies, NetworkSimulator(base) if on_network(base) else Simulator.of(base))
+            else:
+                room[0].load(base)
+            simulator, search = room
+        self._search = search
         return simulator
+
+    def _furnish(self, bodies: int, simulator: Simulator | NetworkSimulator) -> Room:
+        """Room for so many bodies: where vehicles come and go, their number changes back and forth."""
+        search = new_search(simulator, self.config)
+        if len(self._plans.actions[0]) != search.bounds.depth:
+            self._plans = empty_plans(1, search.bounds.depth)
+        self._rooms[bodies] = simulator, search
+        return simulator, search
+
+    def _bodies(self) -> list[Any]:
+        """What the columns of the scene stand for; empty where they stay the same."""
+        return [] if isinstance(self._base, CompiledHighwayEnv) else list(self._base.road.vehicles)
 
     def _compare(self, simulator: Simulator | NetworkSimulator) -> None:
         """Count the vehicles that have done something else than was foretold, as long as the ego has not."""
-        foretold, now = self._foretold, simulator.worlds.f[0][_STATE]
-        if foretold is None or foretold.shape != now.shape:
+        if self._foretold is None:
             return
+        foretold, now, bodies = self._foretold, simulator.worlds.f[0][_STATE], self._bodies()
+        if bodies or foretold.shape != now.shape:
+            # Only who was there then and is there now is compared.
+            column = {id(body): i for i, body in enumerate(bodies)}
+            pairs = [(column[id(body)], i) for i, body in enumerate(self._foreseen) if id(body) in column]
+            now, foretold = now[:, [k for k, _ in pairs]], foretold[:, [i for _, i in pairs]]
+            egos = [bodies[k] is self._base.vehicle for k, _ in pairs]
+        else:
+            egos = [i == 0 for i in range(now.shape[1])]
         other = ~(np.abs(now - foretold) <= _SAME).all(axis=0)
         if other.any():
             self._plans.length[0] = 0
-        if not other[0]:
+        if not other[np.array(egos, bool)].any():
             self.violations += int(other.sum())
 
 

@@ -9,6 +9,7 @@ from dynamics.simulator.layout import TARGET, TARGET_SPEED
 from dynamics.simulator.scene import speed_index
 from shield.exact.room import Search
 from shield.exact.search import copy_future, depart, repeats, survives, travel
+from shield.exact.traffic import ego_in
 
 __all__ = ["ANY", "best_plan", "closest_plan", "wished_speed"]
 
@@ -67,8 +68,9 @@ def best_plan(search: Search, only: int, never: int, depth: int, wish: float, fl
                     least, cost = min(least, clear[now, k]), cost + lost[now, k]
                 if floor < 0:
                     cost = -least
-                speed = speed_index(speeds, futures.f[spare, TARGET_SPEED, 0])
-                kind = futures.g[spare, TARGET, 0] * len(speeds) + speed
+                ego = ego_in(search, spare)
+                speed = speed_index(speeds, futures.f[spare, TARGET_SPEED, ego])
+                kind = futures.g[spare, TARGET, ego] * len(speeds) + speed
                 if cost < lost[then, kind]:
                     copy_future(search, spare, 1 + then * kinds + kind)
                     lost[then, kind], clear[then, kind] = cost, least

@@ -16,6 +16,7 @@ from shield.decision import Reason, Tier
 from shield.exact.closest import ANY, best_plan, closest_plan, wished_speed
 from shield.exact.room import Search
 from shield.exact.search import enter, same_outcome, survives
+from shield.exact.traffic import ego_in
 
 __all__ = ["Plans", "decide", "empty_plans", "last_resort", "passes", "replace"]
 
@@ -111,9 +112,9 @@ def replace(
 ) -> None:
     """What takes the place of a proposal that does not pass, into `records`; see `decide`."""
     n, stored, length, margin = search.order.shape[0], plans.actions[e], plans.length[e], -np.inf
-    ranked = order.shape[0] > 0 and order[0] >= 0
+    ranked, now = order.shape[0] > 0 and order[0] >= 0, search.futures.f[0, TARGET_SPEED, ego_in(search, 0)]
     if not ranked:
-        margin = closest_plan(search, proposed, wished_speed(search, worlds.f[e, TARGET_SPEED, 0], proposed))
+        margin = closest_plan(search, proposed, wished_speed(search, now, proposed))
     for k in range(n):
         if margin >= 0 or (ranked and (k >= order.shape[0] or order[k] < 0)):
             break

@@ -19,7 +19,7 @@ from dynamics.simulator.neighbours import sort
 from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.permits import Ego, gap_between
 from shield.exact.room import Bounds, Search
-from shield.exact.traffic import copy_routes, frame, lanes_to_the_right, on_road, start
+from shield.exact.traffic import copy_routes, ego_in, frame, lanes_to_the_right, on_road, start
 
 __all__ = ["copy_future", "depart", "enter", "leap", "repeats", "same_outcome", "survives", "travel"]
 
@@ -58,18 +58,20 @@ def enter(search: Search, worlds: Any, e: int) -> None:
 
 
 @uncounted
-def _clearance(futures: Any, k: int, bounds: Bounds, row: FloatArray) -> float:
+def _clearance(futures: Any, k: int, ego: int, bounds: Bounds, row: FloatArray) -> float:
     """The ego's smallest distance to anybody, beyond the buffer, negative where somebody is inside [m]."""
     f, g, p = futures.f[k], futures.g[k], futures.p[k]
-    half_length, half_width = 0.5 * p[LENGTH, 0], 0.5 * p[WIDTH, 0]
+    x, y, half_length, half_width = f[X, ego], f[Y, ego], 0.5 * p[LENGTH, ego], 0.5 * p[WIDTH, ego]
     along, across = half_length + bounds.longitudinal, half_width + bounds.lateral
-    ego = Ego(f[X, 0], f[Y, 0], f[HEADING, 0], f[SPEED, 0], along, across, half_length, half_width, False)
+    own = Ego(x, y, f[HEADING, ego], f[SPEED, ego], along, across, half_length, half_width, False)
     least, reach = np.inf, math.hypot(along, across)
-    for i in range(1, f.shape[1]):
+    for i in range(f.shape[1]):
+        if i == ego:
+            continue
         far = reach + 0.5 * math.hypot(p[LENGTH, i], p[WIDTH, i])
-        if math.hypot(f[X, i] - f[X, 0], f[Y, i] - f[Y, 0]) - far < least:
+        if math.hypot(f[X, i] - x, f[Y, i] - y) - far < least:
             write_row(f, g, p, i, row[0])
-            least = min(least, gap_between(ego, along, across, row, 0, 0.0))
+            least = min(least, gap_between(own, along, across, row, 0, 0.0))
     return least
 
 
@@ -80,25 +82,26 @@ def depart(search: Search, source: int, target: int, action: int) -> tuple[int, 
     copy_future(search, source, target)
     search.given[0], search.given[1] = action, 0.0
     start(search, target)
-    return search.futures.g[target, TARGET, 0], search.futures.f[target, TARGET_SPEED, 0]
+    ego = ego_in(search, target)
+    return search.futures.g[target, TARGET, ego], search.futures.f[target, TARGET_SPEED, ego]
 
 
 @uncounted
 def travel(search: Search, target: int, wish: float, floor: float) -> tuple[float, float]:
     """Go on with what `depart` has begun to the end of the decision; see `leap`."""
     futures, rules, bounds = search.futures, search.rules, search.bounds
-    f, g, dt = futures.f[target], futures.g[target], rules.times[0]
+    f, g, dt, ego = futures.f[target], futures.g[target], rules.times[0], ego_in(search, target)
     if on_road(search, target)[1]:
         return np.inf, 0.0
     level, least, lost = sort(f, futures.order[target]), np.inf, 0.0
     for _ in range(rules.numbers[0]):
         level = frame(search, target, level)
         on, at_end = on_road(search, target)
-        if g[CRASHED, 0] != 0 or not on:
+        if g[CRASHED, ego] != 0 or not on:
             return -np.inf, lost
-        least = min(least, _clearance(futures, target, bounds, search.row))
+        least = min(least, _clearance(futures, target, ego, bounds, search.row))
         left = lanes_to_the_right(search, target)
-        lost += (abs(wish - f[SPEED, 0]) + bounds.keep_right * left) * dt
+        lost += (abs(wish - f[SPEED, ego]) + bounds.keep_right * left) * dt
         if least < floor or at_end:
             break
     return least, lost

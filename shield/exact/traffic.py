@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from dynamics.compiled import by_type, uncounted
+from dynamics.compiled import by_type, inlined, uncounted
 from dynamics.networks import engine as networks
 from dynamics.networks.layout import COUNT, ID
 from dynamics.simulator import engine as highways
@@ -13,9 +13,9 @@ from dynamics.simulator.lanes import on_lane
 from dynamics.simulator.layout import LANE, TARGET, X, Y
 from shield.exact.room import Search
 
-__all__ = ["copy_routes", "frame", "lanes_to_the_right", "on_road", "start"]
+__all__ = ["copy_routes", "ego_in", "frame", "lanes_to_the_right", "on_road", "start"]
 
-_advance, _begin, _on_way = networks.advance, networks.begin, networks.on_way
+_advance, _begin, _ego_of, _on_way = networks.advance, networks.begin, networks.ego_of, networks.on_way
 _advance_highway, _begin_highway = highways.advance, highways.begin
 
 
@@ -51,6 +51,16 @@ def _on_network(search: Search, k: int) -> tuple[bool, bool]:
     return _on_way(search.rules, search.futures.f[k], search.futures.g[k])
 
 
+@inlined
+def _first(search: Search, k: int) -> int:
+    return 0
+
+
+@inlined
+def _ego_on_network(search: Search, k: int) -> int:
+    return _ego_of(search.futures.g[k])
+
+
 @uncounted
 def _right_on_highway(search: Search, k: int) -> int:
     return len(search.rules.lanes) - 1 - search.futures.g[k, TARGET, 0]
@@ -58,7 +68,8 @@ def _right_on_highway(search: Search, k: int) -> int:
 
 @uncounted
 def _right_on_network(search: Search, k: int) -> int:
-    ids, target = search.rules.network.ids, search.futures.g[k, TARGET, 0]
+    g = search.futures.g[k]
+    ids, target = search.rules.network.ids, g[TARGET, _ego_of(g)]
     return ids[target, COUNT] - 1 - ids[target, ID]
 
 
@@ -77,6 +88,12 @@ def _copy_routes(search: Search, worlds: Any, e: int) -> None:
 
 
 _HIGHWAY, _NETWORK = highways.Rules, networks.NetworkRules
+
+
+@by_type({_HIGHWAY: _first, _NETWORK: _ego_on_network}, "rules")
+def ego_in(search: Search, k: int) -> int:
+    """The column of the ego in future k."""
+    raise NotImplementedError
 
 
 @by_type({_HIGHWAY: _start_highway, _NETWORK: _start_network}, "rules")

@@ -17,12 +17,12 @@ from simulator_pair import same_numbers
 
 from dynamics.errors import ConfigError, SceneError
 from dynamics.networks import lanes
-from dynamics.networks.layout import ROUTE, ROUTE_END
+from dynamics.networks.layout import ROUTE, ROUTE_END, YIELDS
 from dynamics.networks.network import index_of, network_of
 from dynamics.networks.refusals import check_network
 from dynamics.networks.simulator import NetworkSimulator
 from dynamics.simulator.arithmetic import sums_of_numpy
-from dynamics.simulator.layout import LANE, TARGET, TARGET_SPEED, TIMER
+from dynamics.simulator.layout import KIND, LANE, OBSTACLE, TARGET, TARGET_SPEED, TIMER
 from dynamics.simulator.loops import addresses
 
 NETWORKS = (
@@ -40,6 +40,8 @@ NETWORKS = (
     "u-turn-v0",
     "u-turn-v1",
 )
+INTERSECTIONS = ("intersection-v0", "intersection-v2")
+"""Vehicles come and go between two decisions."""
 OTHERS = (
     "highway-v0",
     "intersection-v0",
@@ -62,6 +64,7 @@ class Pair:
 
     def start(self):
         self.simulator = NetworkSimulator(self.env)
+        self.bodies = list(self.env.road.vehicles)
         self.numbers = index_of(self.env.road.network)
 
     def step(self, action):
@@ -72,7 +75,13 @@ class Pair:
         return terminated or truncated
 
     def compare(self, rows):
+        """Everybody who is still there."""
         road, f, g = self.env.road, self.simulator.worlds.f[0], self.simulator.worlds.g[0]
+        there = [v in road.vehicles for v in self.bodies] + [True] * len(road.objects)
+        assert [kind == OBSTACLE for kind in g[KIND, : len(self.bodies)]] == [
+            not each for each in there[: len(self.bodies)]
+        ]
+        rows, f, g = rows[there], f[:, there], g[:, there]
         bodies, m = [*road.vehicles, *road.objects], len(road.vehicles)
         real = np.array([[*v.position, v.heading, v.speed] for v in bodies], float)
         exact = self.simulator.exact
@@ -81,8 +90,11 @@ class Pair:
         assert [self.numbers[self.key(v.lane_index)] for v in road.vehicles] == g[LANE, :m].tolist(), self.name
         assert [self.numbers[self.key(v.target_lane_index)] for v in road.vehicles] == g[TARGET, :m].tolist(), self.name
         assert same_numbers([float(v.target_speed) for v in road.vehicles], f[TARGET_SPEED, :m], exact), self.name
-        assert same_numbers([float(v.timer) for v in road.vehicles[1:]], f[TIMER, 1:m], exact), self.name
-        assert [len(v.route or ()) for v in road.vehicles] == (g[ROUTE_END] - g[ROUTE])[:m].tolist(), self.name
+        assert same_numbers([float(getattr(v, "timer", 0.0)) for v in road.vehicles], f[TIMER, :m], exact), self.name
+        assert [getattr(v, "is_yielding", False) for v in road.vehicles] == g[YIELDS, :m].tolist(), self.name
+        assert [-1 if v.route is None else len(v.route) for v in road.vehicles] == (g[ROUTE_END] - g[ROUTE])[
+            :m
+        ].tolist()
 
     @staticmethod
     def key(index):
@@ -106,6 +118,44 @@ def test_an_episode_is_the_same(env_id, seed):
 def test_a_hundred_episodes_are_the_same(env_id):
     for seed in range(100):
         drive(Pair(env_id, 2_000 + seed), np.random.default_rng(seed))
+
+
+def drive_through(env_id, seed, yielded):
+    """An intersection, three decisions at a time, of which nobody comes during two; `yielded` gets who yielded."""
+    pair, rng = Pair(env_id, seed), np.random.default_rng(seed)
+    for k in range(15):
+        action = int(rng.integers(3))
+        pair.env._simulate(action)
+        pair.compare(pair.simulator.step(action)[-1])
+        yielded += [v for v in pair.env.road.vehicles if getattr(v, "is_yielding", False)]
+        pair.env._clear_vehicles()
+        if k % 3 == 2:
+            pair.env._spawn_vehicle(spawn_probability=1.0)
+            pair.start()
+
+
+@pytest.mark.parametrize("env_id", INTERSECTIONS)
+def test_an_intersection_is_the_same(env_id):
+    """Who yields, who crashes and who leaves included."""
+    yielded = []
+    for seed in range(3):
+        drive_through(env_id, seed, yielded)
+    assert yielded
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("env_id", INTERSECTIONS)
+def test_a_hundred_intersections_are_the_same(env_id):
+    for seed in range(100):
+        drive_through(env_id, 3_000 + seed, [])
+
+
+def test_those_who_yield_for_longer_are_refused():
+    env = gym.make("intersection-v0").unwrapped
+    env.reset(seed=0)
+    env.road.YIELD_DURATION = 1.0
+    with pytest.raises(ConfigError, match="YIELD_DURATION"):
+        NetworkSimulator(env)
 
 
 @pytest.mark.parametrize("env_id", ["roundabout-v0", "merge-v0", "exit-v1", "u-turn-v0"])
@@ -165,6 +215,8 @@ def wild_scene(env_id, seed):
     for _ in range(rng.integers(0, 3)):
         lane = network.get_lane(keys[rng.integers(len(keys))])
         road.objects.append(Obstacle(road, lane.position(rng.uniform(0, lane.length), rng.normal())))
+    if env_id in INTERSECTIONS:
+        pair.env._clear_vehicles()
     pair.name = f"wild {env_id} seed {seed}"
     pair.start()
     return pair, rng
@@ -174,18 +226,20 @@ def drive_wild(env_id, seed):
     """highway-env's rewards may not like what becomes of it: its frames alone are compared."""
     pair, rng = wild_scene(env_id, seed)
     for _ in range(8):
-        action = int(rng.integers(5))
+        action = int(rng.integers(pair.env.action_space.n))
         pair.env._simulate(action)
         pair.compare(pair.simulator.step(action)[-1])
+        if env_id in INTERSECTIONS:
+            pair.env._clear_vehicles()
 
 
-@pytest.mark.parametrize("env_id", NETWORKS)
+@pytest.mark.parametrize("env_id", [*NETWORKS, *INTERSECTIONS])
 def test_a_wild_scene_is_the_same(env_id):
     drive_wild(env_id, 1)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("env_id", NETWORKS)
+@pytest.mark.parametrize("env_id", [*NETWORKS, *INTERSECTIONS])
 def test_a_hundred_wild_scenes_are_the_same(env_id):
     for seed in range(100, 200):
         drive_wild(env_id, seed)
@@ -247,7 +301,7 @@ def test_what_is_not_known_is_refused():
     bent.add_lane("a", "b", type("Bent", (StraightLane,), {})([0.0, 0.0], [10.0, 0.0]))
     with pytest.raises(SceneError, match="not Bent"):
         network_of(bent)
-    for env_id in ("intersection-v0", "racetrack-v0"):
+    for env_id in ("lane-keeping-v0", "racetrack-v0"):
         with pytest.raises(ConfigError, match="RoundaboutEnv"):
             check_network(gym.make(env_id).unwrapped)
     inputs = gym.make("highway-fast-v0", config={"action": {"type": "ContinuousAction"}})

@@ -231,7 +231,10 @@ class Stranger(IDMVehicle):
         (lambda: Shield(Always(3), gym.make("highway-fast-v0"), EXACT), "frames=False"),
         (lambda: ShieldedHighways("highway-fast-v0", 1, None, EXACT), "frames=False"),
         (lambda: shielded(gym.make("highway-fast-v0"), EXACT.replace(mode="rss")), "mode = 'full'"),
-        (lambda: shielded(gym.make("intersection-v0")), "highway-v0.*RoundaboutEnv"),
+        (
+            lambda: shielded(gym.make("parking-v0", config={"action": {"type": "DiscreteMetaAction"}})),
+            "highway-v0.*RoundaboutEnv",
+        ),
         (lambda: ExactHighways("highway-fast-v0", 1, None, ShieldConfig()), "Assumptions.exact"),
         (
             lambda: shielded(gym.make("highway-v0", config={"other_vehicles_type": f"{__name__}.Stranger"})),

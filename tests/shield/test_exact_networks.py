@@ -17,18 +17,22 @@ from shield.decision import Tier
 EXACT = ShieldConfig.exact()
 UNSEEN = np.zeros((5, 5))
 """An observation that nobody looks at."""
-ROADS = ["merge-v1", "roundabout-v1", "two-way-v0", "u-turn-v1"]
-MORE = [pytest.param(each, marks=pytest.mark.slow) for each in ("merge-generic-v1", "roundabout-generic-v0", "exit-v1")]
+ROADS = ["merge-v1", "roundabout-v1", "two-way-v0", "u-turn-v1", "intersection-v2"]
+MORE = [
+    pytest.param(each, marks=pytest.mark.slow)
+    for each in ("merge-generic-v1", "roundabout-generic-v0", "exit-v1", "intersection-v0")
+]
 
 
-def episode(env_id, seed, action=None):
+def episode(env_id, seed, name=None):
     """Drive behind the shield; yields each decision's environment, and the shield."""
-    wrapped, policy, rng = gym.make(env_id), Always(3), np.random.default_rng(seed)
+    wrapped, policy, rng = gym.make(env_id), Always(0), np.random.default_rng(seed)
     wrapped.reset(seed=seed)
     env = wrapped.unwrapped
+    actions = env.action_type.actions_indexes
     shield, done = Shield(policy, env, EXACT, frames=False), False
     while not done:
-        policy.action = int(rng.integers(5)) if action is None else action
+        policy.action = int(rng.integers(len(actions))) if name is None else actions[name]
         taken = int(shield.predict(UNSEEN)[0])
         yield env, shield, taken
         _, _, terminated, truncated, _ = wrapped.step(taken)
@@ -53,7 +57,7 @@ def test_what_verifies_is_clear_in_highway_env(env_id):
 def test_faster_drives_as_is_foretold_and_nobody_touches(env_id):
     overridden = 0
     for seed in (810, 811):
-        for _, shield, _ in episode(env_id, seed, 3):
+        for _, shield, _ in episode(env_id, seed, "FASTER"):
             overridden += shield.last_decision.overridden
         assert shield.report()["violations"] == 0
         assert shield._doors[0].violations == 0
@@ -72,10 +76,28 @@ def test_the_horizon_ends_where_the_road_does():
 
 
 def test_a_vehicle_that_does_something_else_is_counted():
-    for k, (env, shield, _) in enumerate(episode("roundabout-v1", 820, 1)):
+    for k, (env, shield, _) in enumerate(episode("roundabout-v1", 820, "IDLE")):
         if k == 2:
             assert shield._doors[0].violations == 0
             env.road.vehicles[-1].speed += 0.5
         if k == 3:
             assert shield._doors[0].violations >= 1
             return
+
+
+def test_who_comes_and_goes_at_an_intersection_is_no_offence():
+    """Newcomers and those who have left are in no foretold scene; somebody who does something else is counted."""
+    first, offended = None, False
+    for k, (env, shield, _) in enumerate(episode("intersection-v0", 837, "SLOWER")):
+        first = first or list(env.road.vehicles)
+        if offended:
+            assert shield._doors[0].violations >= 1
+            assert any(v not in first for v in env.road.vehicles)
+            assert any(v not in env.road.vehicles for v in first)
+            return
+        assert shield._doors[0].violations == 0
+        env.config["duration"] = 40
+        if k == 20:
+            env.road.vehicles[0].position = env.road.vehicles[0].position + 0.01
+            offended = env.road.vehicles[0] is not env.vehicle
+    raise AssertionError("the episode was over before")

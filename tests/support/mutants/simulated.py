@@ -7,6 +7,7 @@ from mutants.kinds import EXACT, off
 __all__ = ["SIMULATED"]
 
 _TESTS, _NETWORKS = "tests/shield/test_exact.py", "tests/shield/test_exact_networks.py"
+_TRAFFIC = "tests/dynamics/test_networks.py"
 
 SIMULATED = (
     off("what is simulated passes", f"{EXACT}/deciding.py", "    if margin < 0:\n        return False\n", "", _TESTS),
@@ -70,4 +71,13 @@ SIMULATED = (
         _NETWORKS,
     ),
     off("no road ends", "dynamics/networks/engine.py", "network.ids[lane, ENDS] != 0 and ", "False and ", _NETWORKS),
+    off("nobody yields", "dynamics/networks/engine.py", "if rules.numbers[2] > 0 and ", "if False and ", _TRAFFIC),
+    off("who has left stays", "dynamics/networks/engine.py", "    if rules.numbers[3]:\n", "    if False:\n", _TRAFFIC),
+    off(
+        "the one of higher priority yields",
+        "dynamics/networks/regulation.py",
+        "return j if mine > theirs else i",
+        "return i if mine > theirs else j",
+        _TRAFFIC,
+    ),
 )

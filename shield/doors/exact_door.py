@@ -85,8 +85,8 @@ class ExactDoor:
         self._rooms: dict[int, Room] = {}
         self._search: Search | None = None
         self._plans: Plans = empty_plans(1, 1)
-        self._foretold: FloatArray | None = None
-        self._foreseen: list[Any] = []
+        self._foretold: FloatArray = np.zeros((len(_STATE), 0))
+        self._foretold_of: dict[Any, int] = {}
 
     def decide(self, action: Any, order: Callable[[], list[int] | None] | None = None) -> Decision:
         """Filter one meta-action; `order` gives the policy's order of preference over the others."""
@@ -102,7 +102,7 @@ class ExactDoor:
             reason, self.cause = Reason.STAGE_FAILED, f"{type(error).__name__}: {error}"
         records = empty_records(1, 1)
         if reason is not None:
-            self._foretold = None
+            self._foretold_of = {}
             slowest = slower(list(self._base.action_type.actions_indexes))
             last_resort(records, self._plans, 0, slowest, REASONS.index(reason))
             return _decision(shown, records, start)
@@ -115,7 +115,7 @@ class ExactDoor:
             ranked = np.array([*(a for a in wanted if a != proposed), -1], np.intp)
             replace(search, self._plans, records, simulator.worlds, 0, proposed, ranked)
         leap(search, 0, 1, int(records.executed[0]), 0.0, -math.inf)
-        self._foretold, self._foreseen = search.futures.f[1][_STATE].copy(), self._bodies()
+        self._foretold, self._foretold_of = search.futures.f[1][_STATE].copy(), self._bodies()
         return _decision(shown, records, start)
 
     def _now(self) -> Simulator | NetworkSimulator:
@@ -142,27 +142,24 @@ class ExactDoor:
         self._rooms[bodies] = simulator, search
         return simulator, search
 
-    def _bodies(self) -> list[Any]:
-        """What the columns of the scene stand for; empty where they stay the same."""
-        return [] if isinstance(self._base, CompiledHighwayEnv) else list(self._base.road.vehicles)
+    def _bodies(self) -> dict[Any, int]:
+        """The columns of the scene, by what they stand for."""
+        base = self._base
+        if isinstance(base, CompiledHighwayEnv):
+            return {k: k for k in range(base.simulator.worlds.f.shape[2])}
+        return {body: k for k, body in enumerate([*base.road.vehicles, *base.road.objects])}
 
     def _compare(self, simulator: Simulator | NetworkSimulator) -> None:
-        """Count the vehicles that have done something else than was foretold, as long as the ego has not."""
-        if self._foretold is None:
-            return
-        foretold, now, bodies = self._foretold, simulator.worlds.f[0][_STATE], self._bodies()
-        if bodies or foretold.shape != now.shape:
-            # Only who was there then and is there now is compared.
-            column = {id(body): i for i, body in enumerate(bodies)}
-            pairs = [(column[id(body)], i) for i, body in enumerate(self._foreseen) if id(body) in column]
-            now, foretold = now[:, [k for k, _ in pairs]], foretold[:, [i for _, i in pairs]]
-            egos = [bodies[k] is self._base.vehicle for k, _ in pairs]
-        else:
-            egos = [i == 0 for i in range(now.shape[1])]
+        """Count the vehicles that have done something else than was foretold, as long as the ego has not: of those who
+        were there then and are there now."""
+        bodies, before = self._bodies(), self._foretold_of
+        columns = np.array([(k, before[body]) for body, k in bodies.items() if body in before], np.intp).reshape(-1, 2)
+        now, foretold = simulator.worlds.f[0][_STATE][:, columns[:, 0]], self._foretold[:, columns[:, 1]]
         other = ~(np.abs(now - foretold) <= _SAME).all(axis=0)
         if other.any():
             self._plans.length[0] = 0
-        if not other[np.array(egos, bool)].any():
+        ego = 0 if isinstance(self._base, CompiledHighwayEnv) else bodies[self._base.vehicle]
+        if not other[columns[:, 0] == ego].any():
             self.violations += int(other.sum())
 
 

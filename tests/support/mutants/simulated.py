@@ -36,8 +36,8 @@ SIMULATED = (
     off(
         "a frame is looked at in each decision",
         f"{EXACT}/search.py",
-        "        least = min(least, _clearance(futures, target, bounds, search.row))\n",
-        "        least = _clearance(futures, target, bounds, search.row)\n",
+        "        least = min(least, _clearance(futures, target, ego, bounds, search.row))\n",
+        "        least = _clearance(futures, target, ego, bounds, search.row)\n",
         _TESTS,
     ),
     off(
@@ -47,13 +47,25 @@ SIMULATED = (
         "    return margin\n",
         _TESTS,
     ),
-    off("nothing is foretold", "shield/doors/exact_door.py", "if not other[0]:", "if False:", _TESTS),
-    off("the ego is foretold too", "shield/doors/exact_door.py", "if not other[0]:", "if True:", _TESTS),
+    off(
+        "nothing is foretold",
+        "shield/doors/exact_door.py",
+        "if not other[columns[:, 0] == ego].any():",
+        "if False:",
+        _TESTS,
+    ),
+    off(
+        "the ego is foretold too",
+        "shield/doors/exact_door.py",
+        "if not other[columns[:, 0] == ego].any():",
+        "if True:",
+        _TESTS,
+    ),
     off(
         "the order is not asked for",
         f"{EXACT}/deciding.py",
-        "ranked = order.shape[0] > 0 and order[0] >= 0",
-        "ranked = False",
+        "ranked, now = order.shape[0] > 0 and order[0] >= 0, ",
+        "ranked, now = False, ",
         _TESTS,
     ),
     off(

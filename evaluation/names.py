@@ -19,6 +19,8 @@ BASELINES = (
     "throttle",
     "random",
     "weaving",
+    "left",
+    "right",
     "lookahead",
     "lookahead-shielded",
     "mpc",
@@ -30,7 +32,8 @@ BASELINES = (
     "cem-cautious",
 )
 """Policies that need no training: `faster` and `slower` for meta-actions, `throttle` (full throttle, the wheel
-straight) for continuous actions, `idle` and `random` for both; `weaving` changes lanes to and fro; `lookahead` knows
+straight) for continuous actions, `idle` and `random` for both; `left` and `right` change lanes
+wherever they can, `weaving` to and fro; `lookahead` knows
 the future (`mpc.lookahead_policy`, on the simulator's true state), and `lookahead-shielded` that behind the shield
 (`shield.batch.lookahead`); `mpc` drives with continuous actions by itself
 (`mpc.MPCPolicy`, on the simulator's true state); the others park (`evaluation.running.parking_planner`), and `cem`

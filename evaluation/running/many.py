@@ -28,7 +28,7 @@ __all__ = ["Chosen", "Many"]
 _ENVS = 64
 _SOON = 1e-3
 """The least time to a collision that has not happened [s]."""
-_NAMED = ("faster", "idle", "slower", "random", "weaving")
+_NAMED = ("faster", "idle", "slower", "random", "weaving", "left", "right")
 """Baselines that look at nothing."""
 
 

@@ -46,7 +46,7 @@ __all__ = [
     "start_episode",
 ]
 
-_META = {"faster": "FASTER", "slower": "SLOWER", "idle": "IDLE"}
+_META = {"faster": "FASTER", "slower": "SLOWER", "idle": "IDLE", "left": "LANE_LEFT", "right": "LANE_RIGHT"}
 _INPUTS = {"throttle", "idle"}
 _WEAVING = ("LANE_LEFT", "FASTER", "LANE_RIGHT", "FASTER")
 

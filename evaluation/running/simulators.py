@@ -15,7 +15,10 @@ from shield.errors import ConfigError
 
 __all__ = ["environment"]
 
-_READY = ("faster", "idle", "slower", "throttle", "random", "weaving", "lookahead", "lookahead-shielded")
+_READY = (
+    *("faster", "idle", "slower", "throttle", "random", "weaving", "left", "right"),
+    *("lookahead", "lookahead-shielded"),
+)
 """Baselines that look at nothing but the observation, as models do, or know the compiled copy; the others read
 highway-env's own objects."""
 

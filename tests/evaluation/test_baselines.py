@@ -84,7 +84,7 @@ def test_meta_actions_are_refused_where_there_is_a_wheel(name):
 
 
 def test_a_throttle_is_refused_where_there_are_meta_actions(env):
-    with pytest.raises(ConfigError, match=r"takes DiscreteMetaAction; have faster, idle, slower, random"):
+    with pytest.raises(ConfigError, match=r"takes DiscreteMetaAction; have faster, idle, left, right, slower, random"):
         make_policy("throttle", env)
 
 

@@ -251,6 +251,14 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
                 "roundabout-v0 as it comes: meta-actions at 1 Hz, target speeds 0, 8 and 16 m/s, 15 Hz, 11 s",
                 road=False,
             ),
+            Setting("merge", "merge-v0", {}, "merge-v0 as it comes: meta-actions at 1 Hz, 15 Hz, to 370 m", road=False),
+            Setting(
+                "intersection",
+                "intersection-v0",
+                {},
+                "intersection-v0 as it comes: slower, idle and faster at 1 Hz, target speeds 0, 4.5 and 9 m/s, 15 Hz, 13 s",
+                road=False,
+            ),
             Setting("racetrack", "racetrack-v0", {}, "racetrack-v0 as it comes: steering alone, 5 Hz, 15 Hz, 300 s"),
             Setting("racetrack-minute", "racetrack-v0", {"duration": 60}, "the first 60 s of racetrack-v0"),
         )

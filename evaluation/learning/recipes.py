@@ -82,6 +82,15 @@ _PPO_RACETRACK: dict[str, Any] = {
     "ent_coef": 0.003,
 }
 
+_PPO_ROADS: dict[str, Any] = {
+    "policy_kwargs": {"net_arch": [64, 64]},
+    "n_steps": 256,
+    "batch_size": 64,
+    "n_epochs": 10,
+    "learning_rate": 5e-4,
+    "gamma": 0.9,
+}
+
 RECIPES: Mapping[str, Recipe] = MappingProxyType(
     {
         recipe.name: recipe
@@ -134,6 +143,27 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
                 _PPO_RACETRACK,
                 "PPO on racetrack-v0 as it comes: keeps to the track, often hits another car",
                 normalise=("rewards",),
+                fast=True,
+            ),
+            Recipe(
+                "ppo-roundabout",
+                "roundabout",
+                "ppo",
+                12_800,
+                0,
+                _PPO_ROADS,
+                "PPO on roundabout-v0 as it comes",
+                fast=True,
+            ),
+            Recipe("ppo-merge", "merge", "ppo", 12_800, 0, _PPO_ROADS, "PPO on merge-v0 as it comes", fast=True),
+            Recipe(
+                "ppo-intersection",
+                "intersection",
+                "ppo",
+                12_800,
+                0,
+                _PPO_ROADS,
+                "PPO on intersection-v0 as it comes",
                 fast=True,
             ),
         )

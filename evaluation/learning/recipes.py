@@ -155,7 +155,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
                 "PPO on roundabout-v0 as it comes",
                 fast=True,
             ),
-            Recipe("ppo-merge", "merge", "ppo", 12_800, 0, _PPO_ROADS, "PPO on merge-v0 as it comes", fast=True),
+            Recipe("ppo-merge", "merge", "ppo", 12_800, 0, _PPO_ROADS, "PPO on merge-v0 as it comes"),
             Recipe(
                 "ppo-intersection",
                 "intersection",

@@ -256,7 +256,7 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
                 "intersection",
                 "intersection-v0",
                 {},
-                "intersection-v0 as it comes: slower, idle, faster at 1 Hz, target speeds 0, 4.5 and 9 m/s, 15 Hz, 13 s",
+                "intersection-v0 as it comes: slower, idle, faster at 1 Hz, targets 0, 4.5 and 9 m/s, 15 Hz, 13 s",
                 road=False,
             ),
             Setting("racetrack", "racetrack-v0", {}, "racetrack-v0 as it comes: steering alone, 5 Hz, 15 Hz, 300 s"),

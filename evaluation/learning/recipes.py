@@ -153,7 +153,6 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
                 0,
                 _PPO_ROADS,
                 "PPO on roundabout-v0 as it comes",
-                fast=True,
             ),
             Recipe("ppo-merge", "merge", "ppo", 12_800, 0, _PPO_ROADS, "PPO on merge-v0 as it comes"),
             Recipe(
@@ -164,7 +163,6 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
                 0,
                 _PPO_ROADS,
                 "PPO on intersection-v0 as it comes",
-                fast=True,
             ),
         )
     }

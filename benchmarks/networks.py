@@ -16,7 +16,10 @@ import numpy as np
 
 from dynamics.networks.simulator import NetworkSimulator
 
-IDS = ("merge-v0", "merge-generic-v0", "roundabout-v0", "roundabout-generic-v0", "exit-v0", "two-way-v0", "u-turn-v0")
+IDS = (
+    *("merge-v0", "merge-generic-v0", "roundabout-v0", "roundabout-generic-v0", "exit-v0", "two-way-v0", "u-turn-v0"),
+    "intersection-v0",
+)
 
 
 def measure(env_id: str, episodes: int) -> tuple[float, float, int]:
@@ -28,7 +31,7 @@ def measure(env_id: str, episodes: int) -> tuple[float, float, int]:
         env.reset(seed=seed)
         simulator, rng = NetworkSimulator(env), np.random.default_rng(seed)
         while not env.vehicle.crashed and env.time < 10:
-            action = int(rng.integers(5))
+            action = int(rng.integers(env.action_space.n))
             env.time += 1 / env.config["policy_frequency"]
             start = perf_counter()
             env._simulate(action)

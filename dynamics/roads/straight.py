@@ -153,7 +153,9 @@ class StraightRoad:
         if len(roads) != 1:
             raise SceneError(
                 f"the shield supports one road of straight parallel lanes (highway-v0, "
-                f"highway-fast-v0); this network has {len(roads)} roads: {', '.join(names[:6])}"
+                f"highway-fast-v0); this network has {len(roads)} roads: {', '.join(names[:6])}. On merges, exits, "
+                "roundabouts, two-way roads, u-turns and intersections meta-actions are filtered by "
+                "Shield(policy, env, ShieldConfig.exact(), frames=False)"
             )
         lanes = roads[0][2]
         if any(type(lane).__name__ != "StraightLane" for lane in lanes):

@@ -65,7 +65,8 @@ class ShieldConfig:
         the greatest acceleration that verifies, "filter" the nearest inputs (the predictive filter).
     norm : what a throttle and a wheel angle on a road are nearest in to those proposed: shares of the actuators'
         "range"s, or the "acceleration"s along and across that they mean, a and v^2 delta / L; those swerve less.
-    record : keep the others' occupancy in each `Decision` (for drawing); there is none in a parking lot.
+    record : keep the others' occupancy in each `Decision` (for drawing), or what is foretold where the traffic is
+        simulated; there is none in a parking lot.
     clearance : the distance that no verified action may violate in a parking lot, on all sides [m].
     patience : for how many decisions in a row the fallback acts where the scene, or the policy's action, cannot be
         read; then that is raised. 0 for any number.

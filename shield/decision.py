@@ -91,7 +91,8 @@ class Decision:
     latency : time spent deciding [s].
     plan : road states of the executed action and its fail-safe, shape (frames + 1, 4), or None.
     occupancy : rectangles where the others can be, shape (frames, vehicles, 4) as s_min, s_max, r_min, r_max
-        in the road frame [m], or None; filled only with `ShieldConfig.record`.
+        in the road frame [m], or None; filled only with `ShieldConfig.record`. Where the traffic is simulated, plan and
+        occupancy are what is foretold, in the world's frame (x, y, heading, speed; boxes around the others).
     clause : which clause of the certificate the margin comes from: "separation", "slip-in", "room", "edge", "gap of the
         map", "rollback"; "" where none binds, or none was asked.
     vehicle : row of the vehicle that binds among the scene's others, -1 without one.

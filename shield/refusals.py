@@ -20,7 +20,7 @@ def check(config: ShieldConfig) -> None:
     """
     if not config.assumptions.simulated:
         raise ConfigError("verification by simulation needs Assumptions.exact(); ShieldConfig.exact() has them")
-    require(config, "verification by simulation has", mode="full", record=False)
+    require(config, "verification by simulation has", mode="full")
 
 
 def require(config: ShieldConfig, has: str, instead: str = "", **wanted: Any) -> None:

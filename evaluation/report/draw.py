@@ -22,7 +22,7 @@ from dynamics.roads.straight import Road
 from dynamics.state import FloatArray, RoadState, State
 from shield.decision import Decision, Tier
 
-__all__ = ["AREA", "GREEN", "ORANGE", "PROPOSAL", "RED", "Shot", "draw", "without_decision"]
+__all__ = ["AREA", "GREEN", "ORANGE", "PROPOSAL", "RED", "Shot", "World", "draw", "without_decision"]
 
 GREEN, ORANGE, RED = (46, 160, 67), (240, 136, 30), (215, 45, 45)
 AREA, PROPOSAL = (150, 75, 235), (255, 214, 10)
@@ -34,6 +34,18 @@ _OUTLINES = 0.25
 """Time between two outlines of the ego along its path [s]."""
 _AHEAD = (1.0, 2 / 3, 1 / 3, 0.0)
 """Times ahead at which the areas are drawn [s], the last on top."""
+
+
+class World:
+    """No road: plans and areas that are in the world's frame already."""
+
+    def to_world(self, states: FloatArray) -> FloatArray:
+        """The same states, (..., 4)."""
+        return states
+
+    def to_road(self, states: FloatArray) -> FloatArray:
+        """The same states, (..., 4)."""
+        return states
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +70,7 @@ class Shot:
     image: NDArray[np.uint8]
     origin: tuple[float, float]
     scaling: float
-    road: Road
+    road: Road | World
     dt: float
     time: float
     speed: float

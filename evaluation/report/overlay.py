@@ -14,7 +14,7 @@ from PIL import Image
 from dynamics.errors import SceneError
 from dynamics.state import FloatArray
 from evaluation.measuring.recorder import read_road
-from evaluation.report.draw import Shot, draw, without_decision
+from evaluation.report.draw import Shot, World, draw, without_decision
 from evaluation.report.proposal import action_labels, ego_copy, proposed_path
 from shield import Shield, ShieldedEnv
 from shield.decision import Decision
@@ -42,7 +42,7 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     ConfigError
         If there is no shield, it does not keep what is drawn (`ShieldConfig(record=True)`), or nothing is rendered.
     SceneError
-        At the first `render`, if the road is not one of parallel lanes.
+        At the first `render`, if the road is not one of parallel lanes, and the traffic is not simulated.
 
     Examples
     --------
@@ -66,6 +66,7 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             raise ConfigError(f"have gym.make(..., render_mode='rgb_array'); this is {env.render_mode!r}")
         self._base = cast(Any, env.unwrapped)
         self._ego: Any = None
+        self._begun = 0
         self._drawn: Decision | None = None
         self._proposal: FloatArray | None = None
 
@@ -76,8 +77,13 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the environment; where the ego is now, its proposal begins."""
-        self._ego = ego_copy(self._base)
+        self.mark()
         return self.env.step(action)
+
+    def mark(self) -> None:
+        """Note where the ego is as a decision is taken. Between `predict` and `step`, for a picture of what has been
+        decided and not yet done; `step` calls it too."""
+        self._ego, self._begun = ego_copy(self._base), self._base.steps
 
     def render(self) -> Any:
         """The picture, (height, width, 3) uint8."""
@@ -97,7 +103,8 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         decision, frames = self._shield.last_decision, _frames(self._shield)
         if self._ego is None or decision is None:
             return None
-        base, road = self._base, read_road(self._base.road.network)
+        base, simulated = self._base, self._shield.config.assumptions.simulated
+        road = World() if simulated else read_road(base.road.network)
         if road is None:
             raise SceneError("this road cannot be drawn on; have single roads of parallel lanes, straight or curved")
         surface, ego, dt = base.viewer.sim_surface, base.vehicle, 1.0 / base.config["simulation_frequency"]
@@ -120,7 +127,7 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             actions=action_labels(base.action_type),
             decision=decision,
             frame=frame,
-            age=len(frames),
+            age=base.steps - self._begun,
             period=max(1, round(1.0 / (dt * base.config["policy_frequency"]))),
             proposal=self._proposal,
         )

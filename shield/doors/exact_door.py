@@ -28,7 +28,7 @@ from shield.doors.discrete_action import action_index
 from shield.errors import ConfigError
 from shield.exact.deciding import Plans, empty_plans, last_resort, passes, replace
 from shield.exact.room import Search, new_search
-from shield.exact.search import leap
+from shield.exact.search import foretell, leap
 from shield.procedures.screen import slower
 from shield.procedures.warm_up import announced
 from shield.refusals import check
@@ -116,7 +116,21 @@ class ExactDoor:
             replace(search, self._plans, records, simulator.worlds, 0, proposed, ranked)
         leap(search, 0, 1, int(records.executed[0]), 0.0, -math.inf)
         self._foretold, self._foretold_of = search.futures.f[1][_STATE].copy(), self._bodies()
-        return _decision(shown, records, start)
+        plan, areas = self._shown(search) if self.config.record else (None, None)
+        return _decision(shown, records, start, plan, areas)
+
+    def _shown(self, search: Search) -> tuple[FloatArray, FloatArray]:
+        """What is foretold of the ego, (frames + 1, 4) x, y [m], heading [rad], speed [m/s], and the boxes around the
+        others, (frames + 1, others, 4) x_min, x_max, y_min, y_max [m]."""
+        n = int(self._plans.length[0]) + 1
+        rows = np.zeros((n * search.rules.numbers[0] + 1, search.futures.f.shape[2], 7))
+        rows = rows[: foretell(search, search.plan, n, rows)]
+        ego = 0 if isinstance(self._base, CompiledHighwayEnv) else self._foretold_of[self._base.vehicle]
+        others = np.delete(rows, ego, axis=1)
+        cos, sin = np.abs(np.cos(others[..., 2])), np.abs(np.sin(others[..., 2]))
+        half = np.stack([others[..., 4] * cos + others[..., 5] * sin, others[..., 4] * sin + others[..., 5] * cos]) / 2
+        x, y = others[..., 0], others[..., 1]
+        return rows[:, ego, :4], np.stack([x - half[0], x + half[0], y - half[1], y + half[1]], axis=-1)
 
     def _now(self) -> Simulator | NetworkSimulator:
         """The traffic as it is, and room for searches in it."""
@@ -177,7 +191,15 @@ def warm_up_exact(network: bool) -> None:
         last_resort(records, door._plans, 0, 4, records.reason[0])
 
 
-def _decision(shown: Any, records: Records, start: float) -> Decision:
+def _decision(
+    shown: Any,
+    records: Records,
+    start: float,
+    plan: FloatArray | None = None,
+    areas: FloatArray | None = None,
+) -> Decision:
     """What the records say of the first environment, as a decision that began at `start`."""
     reason, tier = REASONS[records.reason[0]], TIERS[records.tier[0]]
-    return Decision(shown, int(records.executed[0]), reason, tier, float(records.margin[0]), perf_counter() - start)
+    return Decision(
+        shown, int(records.executed[0]), reason, tier, float(records.margin[0]), perf_counter() - start, plan, areas
+    )

@@ -11,7 +11,7 @@ from shield.config import ShieldConfig
 from shield.exact.deciding import empty_plans
 from shield.exact.engine import step_all_exact
 from shield.exact.room import new_search
-from shield.refusals import check
+from shield.refusals import check, require
 
 __all__ = ["ExactHighways", "highways_for"]
 
@@ -48,6 +48,7 @@ class ExactHighways(FilteredHighways):
     def _settings(self, shield: ShieldConfig | str | Path | None) -> ShieldConfig:
         config = ShieldConfig.of(shield, ShieldConfig.exact())
         check(config)
+        require(config, "many shields at once have", "Shield", record=False)
         return config
 
     def _prepare(self, threads: int) -> None:

@@ -21,7 +21,7 @@ from dynamics.traffic.permits import Ego, gap_between
 from shield.exact.room import Bounds, Search
 from shield.exact.traffic import copy_routes, ego_in, frame, lanes_to_the_right, on_road, start
 
-__all__ = ["copy_future", "depart", "enter", "leap", "repeats", "same_outcome", "survives", "travel"]
+__all__ = ["copy_future", "depart", "enter", "foretell", "leap", "repeats", "same_outcome", "survives", "travel"]
 
 
 @uncounted
@@ -123,6 +123,37 @@ def leap(search: Search, source: int, target: int, action: int, wish: float, flo
     """
     depart(search, source, target, action)
     return travel(search, target, wish, floor)
+
+
+@uncounted
+def foretell(search: Search, actions: IntArray, length: int, rows: FloatArray) -> int:
+    """What comes of the first `length` actions, until the ego's road ends: the bodies now and after each frame.
+
+    Parameters
+    ----------
+    rows : (frames + 1, m, 7), written: x, y [m], heading [rad], speed [m/s], length, width [m], crashed.
+
+    Returns
+    -------
+    How many of them are.
+    """
+    futures, target, n = search.futures, 1, 0
+    f, g, p = futures.f[target], futures.g[target], futures.p[target]
+    copy_future(search, 0, target)
+    for k in range(-1, length):
+        if k >= 0:
+            search.given[0], search.given[1] = actions[k], 0.0
+            start(search, target)
+        level = sort(f, futures.order[target])
+        for _ in range(1 if k < 0 else search.rules.numbers[0]):
+            if k >= 0:
+                level = frame(search, target, level)
+            for i in range(f.shape[1]):
+                write_row(f, g, p, i, rows[n, i])
+            n += 1
+            if on_road(search, target)[1]:
+                return n
+    return n
 
 
 @inlined

@@ -20,6 +20,7 @@ from dynamics.roads.path import PathRoad
 from dynamics.roads.straight import Road, StraightRoad
 from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.state import FloatArray, wrap_to_pi
+from evaluation.measuring.jerk import jerk
 from evaluation.measuring.rectangles import separation
 
 __all__ = ["History", "Recorder", "Track", "read_road"]
@@ -111,8 +112,8 @@ class History:
 
     def mean_jerk(self) -> float:
         """Mean size of the jerk along the way, frame by frame up to a crash [m/s^3]; NaN in less than three frames."""
-        jerk = np.diff(self._driven()[:, Track.SPEED], 2) / self.dt**2
-        return float(np.abs(jerk).mean()) if jerk.size else np.nan
+        sizes = jerk(self._driven()[:, Track.SPEED], self.dt)
+        return float(sizes.mean()) if sizes.size else np.nan
 
     def mean_lateral_acceleration(self) -> float:
         """Mean size of speed times yaw rate, up to a crash [m/s^2]; NaN in less than two frames."""

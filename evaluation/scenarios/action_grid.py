@@ -37,7 +37,9 @@ class ActionGrid(DiscreteAction):  # type: ignore[misc]
     def __init__(self, env: Any, counts: Any, **config: Any) -> None:
         whole = all(isinstance(n, int | np.integer) and not isinstance(n, bool) and n >= 2 for n in counts)
         if len(counts) != 2 or not whole:
-            raise ConfigError(f"actions_per_axis is a whole number, or two from 2 on (throttle, steering), not {counts}")
+            raise ConfigError(
+                f"actions_per_axis is a whole number, or two from 2 on (throttle, steering), not {counts}"
+            )
         super().__init__(env, **config)
         if self.size != 2:
             raise ConfigError("actions_per_axis of two needs both longitudinal and lateral to be true")

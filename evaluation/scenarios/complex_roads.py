@@ -31,7 +31,8 @@ class ComplexRoadsEnv(AbstractEnv):  # type: ignore[misc]
     """A course of two merges, two intersections, two roundabouts and four straights, among IDM traffic.
 
     The ego is to reach the exit `destination`. `info` says whether it has ("success", and "is_success" for
-    Stable-Baselines3), and the name of the exit ("destination"). An episode ends there, in a crash, or after `duration`.
+    Stable-Baselines3), and the name of the exit ("destination"). An episode ends there, in a crash, or after
+    `duration`.
 
     Parameters
     ----------

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 from highway_env.road.road import RoadNetwork
 
@@ -12,7 +13,7 @@ from evaluation.scenarios.frames import Frame
 from evaluation.scenarios.pieces import BUILDERS, Piece, Port, turning_circle
 from shield.errors import ConfigError
 
-__all__ = ["SUBMAPS", "Course", "build_course", "order_of"]
+__all__ = ["SUBMAPS", "Course", "build_course", "check_counts", "order_of"]
 
 SUBMAPS: Mapping[str, int] = MappingProxyType({"merge": 2, "intersection": 2, "roundabout": 2, "straight": 4})
 """How many of each piece there are by default."""
@@ -110,7 +111,7 @@ def build_course(counts: Mapping[str, int] = SUBMAPS) -> Course:
     return _joined(pieces, entries, ends)
 
 
-def check_counts(counts: Mapping[str, int]) -> None:
+def check_counts(counts: Any) -> None:
     """Raise a `ConfigError` unless a course can be made of so many pieces."""
     if not isinstance(counts, Mapping):
         raise ConfigError(f"submap_counts maps {', '.join(SUBMAPS)} to whole numbers, not {counts!r}")

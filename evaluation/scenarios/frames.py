@@ -8,14 +8,14 @@ rad, clockwise on the screen.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from highway_env.road.lane import AbstractLane, CircularLane, LineType, SineLane, StraightLane
 
 from dynamics.state import FloatArray, wrap_to_pi
 
-__all__ = ["ARM_SPEED", "OFFSETS", "ROAD_SPEED", "TURN_SPEED", "WIDTH", "Frame", "Lanes"]
+__all__ = ["ARM_SPEED", "OFFSETS", "ROAD_SPEED", "TURN_SPEED", "WIDTH", "Frame", "Kind", "Lanes"]
 
 WIDTH = AbstractLane.DEFAULT_WIDTH
 """Width of a lane [m]."""
@@ -23,6 +23,14 @@ OFFSETS = (0.5 * WIDTH, 1.5 * WIDTH)
 """Where the two lanes of a direction lie, to the right of the axis [m]."""
 ROAD_SPEED, ARM_SPEED, TURN_SPEED = 15.0, 10.0, 8.0
 """Speed limits of straights and merges, of what leads to and from a crossing, and within it [m/s]."""
+
+
+class Kind(NamedTuple):
+    """What highway-env's lanes have beside a shape: the speed limit [m/s], and the priority where ways cross."""
+
+    speed_limit: float
+    priority: int
+
 
 Lanes = tuple[AbstractLane, ...]
 """The lanes of one road, from left to right."""
@@ -45,7 +53,7 @@ class Frame:
     >>> frame = Frame(10.0, 0.0, 0.0).at(5.0, 2.0, np.pi / 2)
     >>> frame.x, frame.y
     (15.0, 2.0)
-    >>> left, right = frame.straight((0.0, 0.0), (30.0, 0.0), speed_limit=15.0)
+    >>> left, right = frame.straight((0.0, 0.0), (30.0, 0.0), Kind(speed_limit=15.0, priority=0))
     >>> [float(round(lane.position(0.0, 0.0)[0], 9)) for lane in (left, right)]
     [13.0, 9.0]
     """
@@ -64,21 +72,23 @@ class Frame:
         place = self.point(x, y)
         return Frame(float(place[0]), float(place[1]), float(wrap_to_pi(self.heading + turn)))
 
-    def straight(self, start: tuple[float, float], end: tuple[float, float], *, bare: bool = False, **kind: Any) -> Lanes:
+    def straight(self, start: tuple[float, float], end: tuple[float, float], kind: Kind, bare: bool = False) -> Lanes:
         """Two straight lanes to the right of the way from `start` to `end`.
 
         Parameters
         ----------
         start, end : points of this frame [m].
+        kind : of both lanes.
         bare : whether there are no lines on the road.
-        kind : `speed_limit` [m/s] and `priority` of highway-env's lanes.
         """
         return tuple(
-            StraightLane(self.point(*_beside(start, end, offset)[0]), self.point(*_beside(start, end, offset)[1]), **each)
+            StraightLane(
+                self.point(*_beside(start, end, offset)[0]), self.point(*_beside(start, end, offset)[1]), **each
+            )
             for offset, each in zip(OFFSETS, _kinds(bare, kind), strict=True)
         )
 
-    def shift(self, start: tuple[float, float], end: tuple[float, float], **kind: Any) -> Lanes:
+    def shift(self, start: tuple[float, float], end: tuple[float, float], kind: Kind) -> Lanes:
         """Two lanes that go over from one line along x to another, half a period of a sine.
 
         Parameters
@@ -101,7 +111,7 @@ class Frame:
         )
 
     def arc(
-        self, center: tuple[float, float], radius: float, start: float, end: float, *, bare: bool = False, **kind: Any
+        self, center: tuple[float, float], radius: float, start: float, end: float, kind: Kind, bare: bool = False
     ) -> Lanes:
         """Two lanes to the right of an arc; it turns right where `end` is above `start`.
 
@@ -110,7 +120,7 @@ class Frame:
         center : point of this frame [m].
         radius : of the arc that the lanes lie beside [m].
         start, end : phases as seen from the centre, in this frame [rad].
-        bare, kind : as for `straight`.
+        kind, bare : as for `straight`.
         """
         clockwise = end > start
         side = 1.0 if clockwise else -1.0
@@ -134,5 +144,5 @@ def _beside(start: tuple[float, float], end: tuple[float, float], offset: float)
     return a + right, b + right
 
 
-def _kinds(bare: bool, kind: dict[str, Any]) -> list[dict[str, Any]]:
-    return [{"line_types": list(lines), **kind} for lines in (_BARE if bare else _ROAD)]
+def _kinds(bare: bool, kind: Kind) -> list[dict[str, Any]]:
+    return [{"line_types": list(lines), **kind._asdict()} for lines in (_BARE if bare else _ROAD)]

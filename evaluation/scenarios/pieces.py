@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from evaluation.scenarios.frames import ARM_SPEED, ROAD_SPEED, TURN_SPEED, Frame, Lanes
+from evaluation.scenarios.frames import ARM_SPEED, ROAD_SPEED, TURN_SPEED, Frame, Kind, Lanes
 
 __all__ = ["BUILDERS", "Edge", "Piece", "Port", "intersection", "merge", "roundabout", "straight", "turning_circle"]
 
@@ -88,7 +88,12 @@ class Piece:
 def straight(name: str, entry: Port) -> Piece:
     """A two-way road with two lanes in each direction."""
     front = Port.named(f"{name}.front", entry.frame.at(_STRAIGHT, 0.0))
-    return Piece(name, _both_ways(entry, front, entry.frame, _STRAIGHT), {"front": front})
+    kind = Kind(ROAD_SPEED, _INSIDE)
+    edges = (
+        Edge(entry.leaving, front.leaving, entry.frame.straight((0.0, 0.0), (_STRAIGHT, 0.0), kind)),
+        Edge(front.entering, entry.entering, entry.frame.straight((_STRAIGHT, 0.0), (0.0, 0.0), kind)),
+    )
+    return Piece(name, edges, {"front": front})
 
 
 def merge(name: str, entry: Port) -> Piece:
@@ -96,14 +101,14 @@ def merge(name: str, entry: Port) -> Piece:
     frame, joint, ramp, taper = entry.frame, f"{name}.joint", f"{name}.ramp.in", f"{name}.taper"
     begin, end = _RAMP + _TAPER, _RAMP + _TAPER + _AFTER
     front = Port.named(f"{name}.front", frame.at(end, 0.0))
-    main = {"speed_limit": ROAD_SPEED, "priority": _INSIDE}
-    side = {"speed_limit": ARM_SPEED, "priority": _ENTERING}
+    main = Kind(ROAD_SPEED, _INSIDE)
+    side = Kind(ARM_SPEED, _ENTERING)
     edges = (
-        Edge(entry.leaving, joint, frame.straight((0.0, 0.0), (begin, 0.0), **main)),
-        Edge(joint, front.leaving, frame.straight((begin, 0.0), (end, 0.0), **main)),
-        Edge(front.entering, entry.entering, frame.straight((end, 0.0), (0.0, 0.0), **main)),
-        Edge(ramp, taper, frame.straight((0.0, _APART), (_RAMP, _APART), **side)),
-        Edge(taper, joint, frame.shift((_RAMP, _APART), (begin, 0.0), **side)),
+        Edge(entry.leaving, joint, frame.straight((0.0, 0.0), (begin, 0.0), main)),
+        Edge(joint, front.leaving, frame.straight((begin, 0.0), (end, 0.0), main)),
+        Edge(front.entering, entry.entering, frame.straight((end, 0.0), (0.0, 0.0), main)),
+        Edge(ramp, taper, frame.straight((0.0, _APART), (_RAMP, _APART), side)),
+        Edge(taper, joint, frame.shift((_RAMP, _APART), (begin, 0.0), side)),
     )
     return Piece(name, edges, {"front": front}, (ramp,))
 
@@ -116,22 +121,19 @@ def intersection(name: str, entry: Port) -> Piece:
     for side, (turn, port) in enumerate(arms):
         frame, level = middle.at(0.0, 0.0, turn), (_FIRST, _SECOND)[side % 2]
         stop, begin = f"{name}.{_SIDES[side]}.stop", f"{name}.{_SIDES[side]}.begin"
-        arm = {"speed_limit": ARM_SPEED, "priority": level}
-        inside = {"speed_limit": TURN_SPEED, "priority": level}
+        arm = Kind(ARM_SPEED, level)
+        inside = Kind(TURN_SPEED, level)
         right, ahead, left = (f"{name}.{_SIDES[(side + quarter) % 4]}.begin" for quarter in (3, 2, 1))
-        quarter = 0.5 * np.pi
         edges += [
-            Edge(port.entering, stop, frame.straight((-ARM - _HALF, 0.0), (-_HALF, 0.0), **arm)),
-            Edge(stop, right, frame.arc((-_HALF, _HALF), _HALF, -quarter, 0.0, bare=True, **inside)),
-            Edge(stop, ahead, frame.straight((-_HALF, 0.0), (_HALF, 0.0), bare=True, **inside)),
+            Edge(port.entering, stop, frame.straight((-ARM - _HALF, 0.0), (-_HALF, 0.0), arm)),
+            Edge(stop, right, frame.arc((-_HALF, _HALF), _HALF, -0.5 * np.pi, 0.0, inside, bare=True)),
+            Edge(stop, ahead, frame.straight((-_HALF, 0.0), (_HALF, 0.0), inside, bare=True)),
             Edge(
                 stop,
                 left,
-                frame.arc(
-                    (-_HALF, -_HALF), _HALF, quarter, 0.0, bare=True, speed_limit=TURN_SPEED, priority=level - 1
-                ),
+                frame.arc((-_HALF, -_HALF), _HALF, 0.5 * np.pi, 0.0, Kind(TURN_SPEED, level - 1), bare=True),
             ),
-            Edge(begin, port.leaving, frame.straight((-_HALF, 0.0), (-ARM - _HALF, 0.0), **arm)),
+            Edge(begin, port.leaving, frame.straight((-_HALF, 0.0), (-ARM - _HALF, 0.0), arm)),
         ]
     return Piece(name, tuple(edges), {_SIDES[i]: arms[i][1] for i in range(1, 4)})
 
@@ -156,17 +158,7 @@ _SIDES = ("back", "left", "front", "right")
 entry on."""
 
 
-def _both_ways(entry: Port, front: Port, frame: Frame, length: float) -> tuple[Edge, Edge]:
-    kind = {"speed_limit": ROAD_SPEED, "priority": _INSIDE}
-    return (
-        Edge(entry.leaving, front.leaving, frame.straight((0.0, 0.0), (length, 0.0), **kind)),
-        Edge(front.entering, entry.entering, frame.straight((length, 0.0), (0.0, 0.0), **kind)),
-    )
-
-
-def _arms(
-    name: str, entry: Port, middle: Frame, length: float, sides: tuple[str, ...]
-) -> list[tuple[float, Port]]:
+def _arms(name: str, entry: Port, middle: Frame, length: float, sides: tuple[str, ...]) -> list[tuple[float, Port]]:
     """Of each arm, in the order of `_SIDES`: the heading of who comes in from it, in the frame of the middle [rad], and
     its port. That of the entry is seen from inside: who leaves the piece there enters what it is attached to."""
     arms = [(0.0, Port(entry.frame.at(0.0, 0.0, np.pi), entry.entering, entry.leaving))]
@@ -183,8 +175,7 @@ def _ring(name: str, entry: Port, sides: tuple[str, ...]) -> Piece:
     # Traffic keeps to the right, so the ring is driven counterclockwise on the screen: from an arm to the one on its
     # right, whose number is one less.
     names = ("back", *sides)
-    inside = {"speed_limit": TURN_SPEED, "priority": _INSIDE}
-    into, out = {"priority": _ENTERING}, {"priority": _INSIDE}
+    inside = Kind(TURN_SPEED, _INSIDE)
     right, touch, full = -0.5 * np.pi, _TOUCH, np.pi
     edges: list[Edge] = []
     for k, (turn, port) in enumerate(arms):
@@ -194,30 +185,28 @@ def _ring(name: str, entry: Port, sides: tuple[str, ...]) -> Piece:
             Edge(
                 port.entering,
                 f"{own}.yield",
-                frame.straight((-ARM - _REACH, 0.0), (-_REACH, 0.0), speed_limit=ARM_SPEED, **into),
+                frame.straight((-ARM - _REACH, 0.0), (-_REACH, 0.0), Kind(ARM_SPEED, _ENTERING)),
             ),
             Edge(
                 f"{own}.yield",
                 f"{own}.enter",
-                frame.arc((-_REACH, _ENTRY), _ENTRY, right, -touch, speed_limit=TURN_SPEED, **into),
+                frame.arc((-_REACH, _ENTRY), _ENTRY, right, -touch, Kind(TURN_SPEED, _ENTERING)),
             ),
             Edge(
                 f"{own}.enter",
                 f"{following}.exit",
-                frame.arc((0.0, 0.0), _RING, full - touch, full + touch - gap, **inside),
+                frame.arc((0.0, 0.0), _RING, full - touch, full + touch - gap, inside),
             ),
-            Edge(f"{own}.exit", f"{own}.enter", frame.arc((0.0, 0.0), _RING, full + touch, full - touch, **inside)),
+            Edge(f"{own}.exit", f"{own}.enter", frame.arc((0.0, 0.0), _RING, full + touch, full - touch, inside)),
             Edge(
                 f"{own}.exit",
                 f"{own}.begin",
-                frame.arc((-_REACH, -_ENTRY), _ENTRY, touch, -right, speed_limit=TURN_SPEED, **out),
+                frame.arc((-_REACH, -_ENTRY), _ENTRY, touch, -right, Kind(TURN_SPEED, _INSIDE)),
             ),
             Edge(
                 f"{own}.begin",
                 port.leaving,
-                frame.straight((-_REACH, 0.0), (-ARM - _REACH, 0.0), speed_limit=ARM_SPEED, **out),
+                frame.straight((-_REACH, 0.0), (-ARM - _REACH, 0.0), Kind(ARM_SPEED, _INSIDE)),
             ),
         ]
     return Piece(name, tuple(edges), {side: arms[k][1] for k, side in enumerate(names) if k})
-
-

@@ -18,6 +18,8 @@ ENTRY = 10.0
 """Where vehicles begin on a road that leads into the course [m]."""
 _LEAVING = 30.0
 """This far before its end a vehicle has left an exit road [m]."""
+_STILL = 0.1
+"""A wreck that is slower than this is taken away [m/s]."""
 _SPACING = 25.0
 """Between two vehicles at first, along a lane and from the ego [m]."""
 _PACE = (0.7, 1.0)
@@ -77,34 +79,37 @@ def free_places(course: Course) -> list[Place]:
 
 
 def recycle(road: Any, course: Course, ego: Any) -> None:
-    """Let each vehicle that has come to an exit enter again somewhere else, on a new route.
+    """Let each vehicle that has come to an exit, and each wreck that has come to a stop, enter again elsewhere, on a new
+    route.
 
     It is the same object, so that who records the vehicles of an episode goes on seeing all of them. Where there is no
-    room it waits at the exit.
+    room it waits.
     """
     ends = set(course.exits.values())
     for vehicle in road.vehicles:
-        if vehicle is ego or vehicle.crashed or vehicle.lane_index[:2] not in ends:
-            continue
-        if vehicle.lane.local_coordinates(vehicle.position)[0] < vehicle.lane.length - _LEAVING:
+        if vehicle is ego or not _is_over(vehicle, ends):
             continue
         others = [other.position for other in road.vehicles if other is not vehicle]
-        places = [
-            ((start, end, i), ENTRY)
-            for start, end in course.spawns
-            for i in range(len(road.network.graph[start][end]))
-        ]
-        places = [place for place in places if all(_apart(course, place, other) for other in others)]
+        places = [(start, end, i) for start, end in course.spawns for i in range(len(road.network.graph[start][end]))]
+        places = [place for place in places if all(_apart(course, (place, ENTRY), other) for other in others)]
         if places:
-            begin_on(vehicle, *places[road.np_random.integers(len(places))], _some_exit(road, course))
+            begin_on(vehicle, places[int(road.np_random.integers(len(places)))], ENTRY, _some_exit(road, course))
         else:
             vehicle.target_speed = 0.0
+
+
+def _is_over(vehicle: Any, ends: set[tuple[str, str]]) -> bool:
+    if vehicle.crashed:
+        return bool(abs(vehicle.speed) < _STILL)
+    left = vehicle.lane.length - vehicle.lane.local_coordinates(vehicle.position)[0]
+    return bool(vehicle.lane_index[:2] in ends and left <= _LEAVING)
 
 
 def begin_on(vehicle: Any, lane_index: tuple[str, str, int], along: float, destination: str) -> None:
     """Put a vehicle on the middle of a lane, at its speed limit and with a route to an exit."""
     lane = vehicle.road.network.get_lane(lane_index)
     vehicle.position = np.array(lane.position(along, 0.0), float)
+    vehicle.crashed, vehicle.impact = False, None
     vehicle.heading, vehicle.speed = float(lane.heading_at(along)), float(lane.speed_limit)
     vehicle.lane_index, vehicle.lane = lane_index, lane
     vehicle.target_lane_index, vehicle.target_speed = lane_index, float(lane.speed_limit)

@@ -1,7 +1,7 @@
 """Where the ego is on its lane, with signs.
 
-Both numbers are those of Dong et al. 2023: how far the ego is off the middle of its lane, and how far its heading is off
-the lane's. highway-env's y points down, so to the right is positive and so is a turn to the right (clockwise on the
+Both numbers are those of Dong et al. 2023: how far the ego is off the middle of its lane, and how far its heading is
+off the lane's. highway-env's y points down, so to the right is positive and so is a turn to the right (clockwise on the
 screen). The lane is the one that highway-env holds for the ego's: the nearest, in place and heading.
 """
 

@@ -8,6 +8,7 @@ rad, clockwise on the screen.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from highway_env.road.lane import AbstractLane, CircularLane, LineType, SineLane
 
 from dynamics.state import FloatArray, wrap_to_pi
 
-__all__ = ["ARM_SPEED", "OFFSETS", "ROAD_SPEED", "TURN_SPEED", "WIDTH", "Frame", "Kind", "Lanes"]
+__all__ = ["ARM_SPEED", "OFFSETS", "ROAD_SPEED", "TURN_SPEED", "WIDTH", "Frame", "Kind", "Lanes", "Lines"]
 
 WIDTH = AbstractLane.DEFAULT_WIDTH
 """Width of a lane [m]."""
@@ -24,19 +25,42 @@ OFFSETS = (0.5 * WIDTH, 1.5 * WIDTH)
 ROAD_SPEED, ARM_SPEED, TURN_SPEED = 15.0, 10.0, 8.0
 """Speed limits of straights and merges, of what leads to and from a crossing, and within it [m/s]."""
 
+_NONE, _STRIPED, _SOLID = LineType.NONE, LineType.STRIPED, LineType.CONTINUOUS
+
+
+class Lines(Enum):
+    """What is painted to the left and the right of each of two lanes."""
+
+    ROAD = ((_SOLID, _STRIPED), (_NONE, _SOLID))
+    MOUTH = ((_SOLID, _STRIPED), (_NONE, _STRIPED))
+    EDGE = ((_NONE, _NONE), (_NONE, _SOLID))
+    NONE = ((_NONE, _NONE), (_NONE, _NONE))
+
 
 class Kind(NamedTuple):
-    """What highway-env's lanes have beside a shape: the speed limit [m/s], and the priority where ways cross."""
+    """What highway-env's lanes have beside a shape.
+
+    Attributes
+    ----------
+    speed_limit : [m/s].
+    priority : who has less yields where ways cross.
+    lines : what is painted beside them.
+    """
 
     speed_limit: float
     priority: int
+    lines: Lines = Lines.ROAD
+
+    def of_lanes(self) -> list[dict[str, Any]]:
+        """What highway-env's two lanes are made with."""
+        return [
+            {"line_types": list(lines), "speed_limit": self.speed_limit, "priority": self.priority}
+            for lines in self.lines.value
+        ]
 
 
 Lanes = tuple[AbstractLane, ...]
 """The lanes of one road, from left to right."""
-
-_ROAD = ((LineType.CONTINUOUS, LineType.STRIPED), (LineType.NONE, LineType.CONTINUOUS))
-_BARE = ((LineType.NONE, LineType.NONE), (LineType.NONE, LineType.NONE))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,20 +96,19 @@ class Frame:
         place = self.point(x, y)
         return Frame(float(place[0]), float(place[1]), float(wrap_to_pi(self.heading + turn)))
 
-    def straight(self, start: tuple[float, float], end: tuple[float, float], kind: Kind, bare: bool = False) -> Lanes:
+    def straight(self, start: tuple[float, float], end: tuple[float, float], kind: Kind) -> Lanes:
         """Two straight lanes to the right of the way from `start` to `end`.
 
         Parameters
         ----------
         start, end : points of this frame [m].
         kind : of both lanes.
-        bare : whether there are no lines on the road.
         """
         return tuple(
             StraightLane(
                 self.point(*_beside(start, end, offset)[0]), self.point(*_beside(start, end, offset)[1]), **each
             )
-            for offset, each in zip(OFFSETS, _kinds(bare, kind), strict=True)
+            for offset, each in zip(OFFSETS, kind.of_lanes(), strict=True)
         )
 
     def shift(self, start: tuple[float, float], end: tuple[float, float], kind: Kind) -> Lanes:
@@ -107,12 +130,10 @@ class Frame:
                 0.5 * np.pi,
                 **each,
             )
-            for offset, each in zip(OFFSETS, _kinds(False, kind), strict=True)
+            for offset, each in zip(OFFSETS, kind.of_lanes(), strict=True)
         )
 
-    def arc(
-        self, center: tuple[float, float], radius: float, start: float, end: float, kind: Kind, bare: bool = False
-    ) -> Lanes:
+    def arc(self, center: tuple[float, float], radius: float, start: float, end: float, kind: Kind) -> Lanes:
         """Two lanes to the right of an arc; it turns right where `end` is above `start`.
 
         Parameters
@@ -120,7 +141,7 @@ class Frame:
         center : point of this frame [m].
         radius : of the arc that the lanes lie beside [m].
         start, end : phases as seen from the centre, in this frame [rad].
-        kind, bare : as for `straight`.
+        kind : as for `straight`.
         """
         clockwise = end > start
         side = 1.0 if clockwise else -1.0
@@ -133,7 +154,7 @@ class Frame:
                 clockwise,
                 **each,
             )
-            for offset, each in zip(OFFSETS, _kinds(bare, kind), strict=True)
+            for offset, each in zip(OFFSETS, kind.of_lanes(), strict=True)
         )
 
 
@@ -142,7 +163,3 @@ def _beside(start: tuple[float, float], end: tuple[float, float], offset: float)
     along = (b - a) / np.hypot(*(b - a))
     right = offset * np.array([-along[1], along[0]])
     return a + right, b + right
-
-
-def _kinds(bare: bool, kind: Kind) -> list[dict[str, Any]]:
-    return [{"line_types": list(lines), **kind._asdict()} for lines in (_BARE if bare else _ROAD)]

@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from evaluation.scenarios.frames import ARM_SPEED, ROAD_SPEED, TURN_SPEED, Frame, Kind, Lanes
+from evaluation.scenarios.frames import ARM_SPEED, ROAD_SPEED, TURN_SPEED, Frame, Kind, Lanes, Lines
 
 __all__ = ["BUILDERS", "Edge", "Piece", "Port", "intersection", "merge", "roundabout", "straight", "turning_circle"]
 
@@ -99,16 +99,18 @@ def straight(name: str, entry: Port) -> Piece:
 def merge(name: str, entry: Port) -> Piece:
     """A four-lane merge: a ramp of two lanes goes over into the two lanes of the road, and gives way to them."""
     frame, joint, ramp, taper = entry.frame, f"{name}.joint", f"{name}.ramp.in", f"{name}.taper"
+    along = f"{name}.along"
     begin, end = _RAMP + _TAPER, _RAMP + _TAPER + _AFTER
     front = Port.named(f"{name}.front", frame.at(end, 0.0))
     main = Kind(ROAD_SPEED, _INSIDE)
     side = Kind(ARM_SPEED, _ENTERING)
     edges = (
-        Edge(entry.leaving, joint, frame.straight((0.0, 0.0), (begin, 0.0), main)),
+        Edge(entry.leaving, along, frame.straight((0.0, 0.0), (_RAMP, 0.0), main)),
+        Edge(along, joint, frame.straight((_RAMP, 0.0), (begin, 0.0), main._replace(lines=Lines.MOUTH))),
         Edge(joint, front.leaving, frame.straight((begin, 0.0), (end, 0.0), main)),
         Edge(front.entering, entry.entering, frame.straight((end, 0.0), (0.0, 0.0), main)),
         Edge(ramp, taper, frame.straight((0.0, _APART), (_RAMP, _APART), side)),
-        Edge(taper, joint, frame.shift((_RAMP, _APART), (begin, 0.0), side)),
+        Edge(taper, joint, frame.shift((_RAMP, _APART), (begin, 0.0), side._replace(lines=Lines.EDGE))),
     )
     return Piece(name, edges, {"front": front}, (ramp,))
 
@@ -122,16 +124,16 @@ def intersection(name: str, entry: Port) -> Piece:
         frame, level = middle.at(0.0, 0.0, turn), (_FIRST, _SECOND)[side % 2]
         stop, begin = f"{name}.{_SIDES[side]}.stop", f"{name}.{_SIDES[side]}.begin"
         arm = Kind(ARM_SPEED, level)
-        inside = Kind(TURN_SPEED, level)
+        inside = Kind(TURN_SPEED, level, Lines.NONE)
         right, ahead, left = (f"{name}.{_SIDES[(side + quarter) % 4]}.begin" for quarter in (3, 2, 1))
         edges += [
             Edge(port.entering, stop, frame.straight((-ARM - _HALF, 0.0), (-_HALF, 0.0), arm)),
-            Edge(stop, right, frame.arc((-_HALF, _HALF), _HALF, -0.5 * np.pi, 0.0, inside, bare=True)),
-            Edge(stop, ahead, frame.straight((-_HALF, 0.0), (_HALF, 0.0), inside, bare=True)),
+            Edge(stop, right, frame.arc((-_HALF, _HALF), _HALF, -0.5 * np.pi, 0.0, inside._replace(lines=Lines.EDGE))),
+            Edge(stop, ahead, frame.straight((-_HALF, 0.0), (_HALF, 0.0), inside)),
             Edge(
                 stop,
                 left,
-                frame.arc((-_HALF, -_HALF), _HALF, 0.5 * np.pi, 0.0, Kind(TURN_SPEED, level - 1), bare=True),
+                frame.arc((-_HALF, -_HALF), _HALF, 0.5 * np.pi, 0.0, Kind(TURN_SPEED, level - 1, Lines.NONE)),
             ),
             Edge(begin, port.leaving, frame.straight((-_HALF, 0.0), (-ARM - _HALF, 0.0), arm)),
         ]
@@ -190,18 +192,22 @@ def _ring(name: str, entry: Port, sides: tuple[str, ...]) -> Piece:
             Edge(
                 f"{own}.yield",
                 f"{own}.enter",
-                frame.arc((-_REACH, _ENTRY), _ENTRY, right, -touch, Kind(TURN_SPEED, _ENTERING)),
+                frame.arc((-_REACH, _ENTRY), _ENTRY, right, -touch, Kind(TURN_SPEED, _ENTERING, Lines.EDGE)),
             ),
             Edge(
                 f"{own}.enter",
                 f"{following}.exit",
                 frame.arc((0.0, 0.0), _RING, full - touch, full + touch - gap, inside),
             ),
-            Edge(f"{own}.exit", f"{own}.enter", frame.arc((0.0, 0.0), _RING, full + touch, full - touch, inside)),
+            Edge(
+                f"{own}.exit",
+                f"{own}.enter",
+                frame.arc((0.0, 0.0), _RING, full + touch, full - touch, inside._replace(lines=Lines.MOUTH)),
+            ),
             Edge(
                 f"{own}.exit",
                 f"{own}.begin",
-                frame.arc((-_REACH, -_ENTRY), _ENTRY, touch, -right, Kind(TURN_SPEED, _INSIDE)),
+                frame.arc((-_REACH, -_ENTRY), _ENTRY, touch, -right, Kind(TURN_SPEED, _INSIDE, Lines.EDGE)),
             ),
             Edge(
                 f"{own}.begin",

@@ -79,8 +79,7 @@ def free_places(course: Course) -> list[Place]:
 
 
 def recycle(road: Any, course: Course, ego: Any) -> None:
-    """Let each vehicle that has come to an exit, and each wreck that has come to a stop, enter again elsewhere, on a new
-    route.
+    """Let each vehicle that has come to an exit, and each wreck that stands still, enter again, on a new route.
 
     It is the same object, so that who records the vehicles of an episode goes on seeing all of them. Where there is no
     room it waits.

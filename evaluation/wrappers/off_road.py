@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 from highway_env.vehicle.controller import ControlledVehicle
 
+from evaluation.measuring.recorder import is_off_road
 from shield.errors import ConfigError
 
 __all__ = ["OffRoadWrapper"]
@@ -18,7 +19,7 @@ class OffRoadWrapper(gym.Wrapper[Any, Any, Any, Any]):
 
     It comes back to the middle of its nearest lane, with the lane's heading and its own speed, and the observation is
     that of where it then is. A decision that ends the episode is penalised and leaves it where it is. Each `info` says
-    whether the ego was "off_road", and whether it has "re_entered".
+    whether the ego was "off_road", and whether it has "re_entered". Nobody leaves a parking lot.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ class OffRoadWrapper(gym.Wrapper[Any, Any, Any, Any]):
         """As the environment's, with the penalty and the way back."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         base: Any = self.unwrapped
-        off_road = not bool(base.vehicle.on_road)
+        off_road = is_off_road(base)
         back = off_road and self.re_entry and not (terminated or truncated)
         if back:
             _put_back(base.vehicle)

@@ -1,7 +1,7 @@
 """A log of how the ego drives: a row for each decision, and a row for each episode.
 
-All numbers are in SI units; `UNITS` says which. "Off" or "on the lane" is where highway-env says so, and a decision
-counts by where it ends.
+All numbers are in SI units; `UNITS` says which. On the lane is who is where highway-env says so, or on a parking lot; a
+decision counts by where it ends.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from highway_env.envs.common.action import ContinuousAction
 from highway_env.vehicle.kinematics import Vehicle
 
 from evaluation.measuring.jerk import jerk, normalised_jerk
+from evaluation.measuring.recorder import is_off_road
 from evaluation.wrappers.signed_lane import lane_offset
 from shield.errors import ConfigError
 
@@ -134,7 +135,7 @@ class PerformanceLogger(gym.Wrapper[Any, Any, Any, Any]):
                 "lane_heading": offset.heading,
                 "distance": float(np.hypot(*(ego.position - place))),
                 "collisions": int(ego.crashed and not crashed),
-                "on_lane_time": dt * bool(ego.on_road),
+                "on_lane_time": dt * (not is_off_road(base)),
             }
         )
         if terminated or truncated:

@@ -62,6 +62,10 @@ INTERNAL = frozenset(
         "dynamics.traffic.occupancy_kernels",
         "dynamics.vehicle.rollout_kernels",
         "evaluation.commands",
+        "evaluation.scenarios.frames",
+        "evaluation.scenarios.priority_road",
+        "evaluation.scenarios.traffic",
+        "evaluation.scenarios.wide_network",
         "evaluation.threads",
     }
 )

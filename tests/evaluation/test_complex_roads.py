@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import pandas as pd
 import pytest
 from gymnasium.utils.env_checker import check_env
 from highway_env.road.lane import AbstractLane, CircularLane, SineLane, StraightLane
@@ -16,9 +18,13 @@ from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 from stable_baselines3.common.env_checker import check_env as check_env_of_sb3
+from typer.testing import CliRunner
 
 from dynamics.state import wrap_to_pi
+from evaluation.commands.cli import app
+from evaluation.report.course_picture import draw_course
 from evaluation.running.named_policies import make_policy
 from evaluation.scenarios import ComplexRoadsEnv
 from evaluation.scenarios.course import SUBMAPS, Course, build_course, order_of
@@ -371,11 +377,7 @@ def test_one_arrives_at_no_other_exit() -> None:
     assert not info["success"]
 
 
-def test_the_whole_course_is_pictured(tmp_path: Any) -> None:
-    from PIL import Image
-
-    from evaluation.report.course_picture import draw_course
-
+def test_the_whole_course_is_pictured(tmp_path: Path) -> None:
     path = draw_course(tmp_path / "new" / "course.png", width=400)
     picture = np.asarray(Image.open(path).convert("RGB"))
     assert picture.shape[1] == 400
@@ -391,3 +393,15 @@ def test_a_course_is_the_same_each_time() -> None:
     assert isinstance(one, Course)
     assert one.network.to_config() == other.network.to_config()
     assert (one.spawns, dict(one.exits)) == (other.spawns, dict(other.exits))
+
+
+def test_the_command_line_drives_it(tmp_path: Path) -> None:
+    config, output = tmp_path / "short.toml", tmp_path / "episodes.parquet"
+    config.write_text("duration = 1\nvehicle_density = 1\n", encoding="utf-8")
+    asked = ["--env-id", "evaluation.scenarios:ComplexRoads-v0", "--env-config", str(config), "--shield", "none"]
+    result = CliRunner().invoke(app, ["evaluate", *asked, "--episodes", "2", "--jobs", "1", "--output", str(output)])
+    assert result.exit_code == 0, result.output
+    table = pd.read_parquet(output)
+    assert table["policy"].tolist() == ["random", "random"]
+    assert table["steps"].tolist() == [5, 5]
+    assert table["success"].tolist() == [False, False]

@@ -205,16 +205,16 @@ def test_hanois_terms_are_what_they_say() -> None:
     terms = {"collision": 0.0, "safe_distance": 0.0, "lane_change": 0.0, "heading": 1.0, "survival": 1.0}
     assert info["hanoi_terms"] == pytest.approx(terms)
     assert reward == pytest.approx(11_000.0)
-    # Half of the safe gap of 2 m and 1.5 s.
+    # A quarter of the safe gap of 2 m and 1.5 s is there.
     other.speed = ego.speed
     other.target_speed = ego.speed
     other.act = lambda *_: None
     other.action = {"acceleration": 0.0, "steering": 0.0}
     other.lane_index = ego.lane_index
-    other.position = ego.position + np.array([5.0 + 0.5 * (2.0 + 1.5 * ego.speed), 0.0])
+    other.position = ego.position + np.array([5.0 + 0.25 * (2.0 + 1.5 * ego.speed), 0.0])
     other.heading = 0.0
     *_, info = env.step(np.zeros(2))
-    assert info["hanoi_terms"]["safe_distance"] == pytest.approx(0.5, abs=1e-3)
+    assert info["hanoi_terms"]["safe_distance"] == pytest.approx(0.75, abs=1e-3)
     ego.position += [0.0, 4.0 if ego.lane_index[2] == 0 else -4.0]
     *_, info = env.step(np.zeros(2))
     assert info["hanoi_terms"]["lane_change"] == 1.0

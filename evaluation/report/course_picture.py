@@ -9,8 +9,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw
 
+from dynamics.state import FloatArray
 from evaluation.scenarios import ComplexRoadsEnv
 from shield.errors import ConfigError
 
@@ -18,6 +19,9 @@ __all__ = ["draw_course"]
 
 _MARGIN = 15.0
 """Around the roads [m]."""
+_DOT = 6.0
+"""Radius of the dot over a vehicle [px]."""
+_EGO, _OTHER = (50, 200, 0), (100, 200, 255)
 
 
 def draw_course(path: str | Path, config: Mapping[str, Any] | None = None, seed: int = 0, width: int = 1600) -> Path:
@@ -53,8 +57,16 @@ def draw_course(path: str | Path, config: Mapping[str, Any] | None = None, seed:
         env.viewer.enabled = True  # highway-env draws nothing under SDL's dummy driver otherwise
         env.viewer.observer_vehicle = SimpleNamespace(position=0.5 * (low + high))
         picture = Image.fromarray(np.asarray(env.render(), np.uint8))
+        _mark(picture, (np.array([each.position for each in env.road.vehicles]) - low) * scaling)
     finally:
         env.close()
     path.parent.mkdir(parents=True, exist_ok=True)
     picture.quantize(64, dither=Image.Dither.NONE).save(path, optimize=True)
     return path
+
+
+def _mark(picture: Image.Image, places: FloatArray) -> None:
+    """A dot over each vehicle, the ego first: at this scale its body is hardly seen."""
+    pen = ImageDraw.Draw(picture)
+    for i, (x, y) in reversed(list(enumerate(places))):
+        pen.ellipse((x - _DOT, y - _DOT, x + _DOT, y + _DOT), fill=_EGO if i == 0 else _OTHER)

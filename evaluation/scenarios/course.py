@@ -135,6 +135,6 @@ def _joined(pieces: list[Piece], entries: list[str], ends: list[str]) -> Course:
     return Course(
         network,
         tuple(spawns[node] for node in entries),
-        MappingProxyType({node: exits[node] for node in ends}),
+        {node: exits[node] for node in ends},
         tuple(pieces),
     )

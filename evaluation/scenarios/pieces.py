@@ -178,7 +178,7 @@ def _ring(name: str, entry: Port, sides: tuple[str, ...]) -> Piece:
     # right, whose number is one less.
     names = ("back", *sides)
     inside = Kind(TURN_SPEED, _INSIDE)
-    right, touch, full = -0.5 * np.pi, _TOUCH, np.pi
+    quarter, half, touch = 0.5 * np.pi, np.pi, _TOUCH
     edges: list[Edge] = []
     for k, (turn, port) in enumerate(arms):
         frame, own, following = middle.at(0.0, 0.0, turn), f"{name}.{names[k]}", f"{name}.{names[k - 1]}"
@@ -192,22 +192,22 @@ def _ring(name: str, entry: Port, sides: tuple[str, ...]) -> Piece:
             Edge(
                 f"{own}.yield",
                 f"{own}.enter",
-                frame.arc((-_REACH, _ENTRY), _ENTRY, right, -touch, Kind(TURN_SPEED, _ENTERING, Lines.EDGE)),
+                frame.arc((-_REACH, _ENTRY), _ENTRY, -quarter, -touch, Kind(TURN_SPEED, _ENTERING, Lines.EDGE)),
             ),
             Edge(
                 f"{own}.enter",
                 f"{following}.exit",
-                frame.arc((0.0, 0.0), _RING, full - touch, full + touch - gap, inside),
+                frame.arc((0.0, 0.0), _RING, half - touch, half + touch - gap, inside),
             ),
             Edge(
                 f"{own}.exit",
                 f"{own}.enter",
-                frame.arc((0.0, 0.0), _RING, full + touch, full - touch, inside._replace(lines=Lines.MOUTH)),
+                frame.arc((0.0, 0.0), _RING, half + touch, half - touch, inside._replace(lines=Lines.MOUTH)),
             ),
             Edge(
                 f"{own}.exit",
                 f"{own}.begin",
-                frame.arc((-_REACH, -_ENTRY), _ENTRY, touch, -right, Kind(TURN_SPEED, _INSIDE, Lines.EDGE)),
+                frame.arc((-_REACH, -_ENTRY), _ENTRY, touch, quarter, Kind(TURN_SPEED, _INSIDE, Lines.EDGE)),
             ),
             Edge(
                 f"{own}.begin",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
@@ -204,6 +205,15 @@ def test_equal_seeds_give_equal_episodes_and_others_do_not(action: Any) -> None:
     assert drive(5) != drive(6)
 
 
+def test_a_copy_drives_as_the_environment_does() -> None:
+    env = make(3)
+    copied = copy.deepcopy(env)
+    (seen, reward, *_), (seen_too, reward_too, *_) = (each.step(30) for each in (env, copied))
+    assert np.array_equal(seen, seen_too)
+    assert reward == reward_too
+    assert copied.road.network is not env.road.network
+
+
 def test_throttle_and_steering_are_on_a_grid_of_5_by_9() -> None:
     env = make(vehicle_density=0)
     asked = set()
@@ -381,6 +391,7 @@ def test_the_whole_course_is_pictured(tmp_path: Path) -> None:
     path = draw_course(tmp_path / "new" / "course.png", width=400)
     picture = np.asarray(Image.open(path).convert("RGB"))
     assert picture.shape[1] == 400
+    assert (picture == (50, 200, 0)).all(axis=2).any()  # the ego's dot
     bright = (picture.min(axis=2) > 150).any(axis=0)
     assert bright[:20].any()
     assert bright[-20:].any()

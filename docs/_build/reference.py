@@ -67,6 +67,7 @@ INTERNAL = frozenset(
         "evaluation.scenarios.traffic",
         "evaluation.scenarios.wide_network",
         "evaluation.threads",
+        "evaluation.wrappers.checks",
     }
 )
 """Packages and modules that only their neighbours use: they have no page."""

@@ -11,8 +11,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from evaluation.wrappers.checks import check_number
 from evaluation.wrappers.signed_lane import lane_offset
-from shield.errors import ConfigError
 
 __all__ = ["HanoiWeights", "HanoiWorldReward"]
 
@@ -47,12 +47,8 @@ class HanoiWeights:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
-            if not np.isfinite(value):
-                raise ConfigError(f"{field.name} is a finite number, not {value}")
-        for name in ("time_gap", "standstill"):
-            if getattr(self, name) < 0:
-                raise ConfigError(f"{name} is 0 or more, not {getattr(self, name)}")
+            least = 0.0 if field.name in ("time_gap", "standstill") else -np.inf
+            check_number(field.name, getattr(self, field.name), least)
 
 
 class HanoiWorldReward(gym.Wrapper[Any, Any, Any, Any]):

@@ -12,6 +12,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from evaluation.wrappers.checks import check_number
 from evaluation.wrappers.signed_lane import LaneOffset, lane_offset
 from shield.errors import ConfigError
 
@@ -46,18 +47,16 @@ class OnLane:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-                raise ConfigError(f"{field.name} is a finite number, not {value!r}")
-            if field.name in ("speed_scale", "distance_floor") and value <= 0:
-                raise ConfigError(f"{field.name} is above 0, not {value}")
-            if field.name.endswith("exponent") and value < 0:
-                raise ConfigError(f"{field.name} is 0 or more, not {value}")
+            positive = field.name in ("speed_scale", "distance_floor")
+            least = 0.0 if field.name.endswith("exponent") else -np.inf
+            check_number(field.name, getattr(self, field.name), least, above=0.0 if positive else -np.inf)
 
     @classmethod
-    def of(cls, options: Mapping[str, Any]) -> OnLane:
+    def of(cls, options: Any) -> OnLane:
         """From a mapping; a `ConfigError` that lists the options where it names another."""
         valid = [field.name for field in fields(cls)]
+        if not isinstance(options, Mapping):
+            raise ConfigError(f"options of the reward map {', '.join(valid)} to numbers, not {options!r}")
         for name in options:
             if name not in valid:
                 raise ConfigError(f"unknown option {name!r} of the reward; have {', '.join(valid)}")

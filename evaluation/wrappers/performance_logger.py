@@ -19,6 +19,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from evaluation.measuring.jerk import jerk, normalised_jerk
 from evaluation.measuring.recorder import is_off_road
+from evaluation.wrappers.checks import check_number
 from evaluation.wrappers.signed_lane import lane_offset
 from shield.errors import ConfigError
 
@@ -95,10 +96,12 @@ class PerformanceLogger(gym.Wrapper[Any, Any, Any, Any]):
         speed_range: tuple[float, float] = (0.0, Vehicle.MAX_SPEED),
         acceleration_range: float | None = None,
     ) -> None:
-        if not (np.all(np.isfinite(speed_range)) and speed_range[0] < speed_range[1]):
-            raise ConfigError(f"speed_range is two speeds, the lower one first, not {speed_range}")
-        if acceleration_range is not None and not (np.isfinite(acceleration_range) and acceleration_range > 0):
-            raise ConfigError(f"acceleration_range is above 0, not {acceleration_range}")
+        if np.shape(speed_range) != (2,):
+            raise ConfigError(f"speed_range is two speeds, the lower one first, not {speed_range!r}")
+        check_number("the lower end of speed_range", speed_range[0])
+        check_number("the upper end of speed_range", speed_range[1], above=float(speed_range[0]))
+        if acceleration_range is not None:
+            check_number("acceleration_range", acceleration_range, above=0.0)
         super().__init__(env)
         self._speeds, self._range = speed_range, acceleration_range
         self._finished: list[tuple[pd.DataFrame, dict[str, Any]]] = []

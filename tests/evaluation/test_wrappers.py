@@ -174,14 +174,16 @@ def test_exponents_and_scales_are_options(offset: LaneOffset, speed: float, powe
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ({"speed_scale": 0.0}, "speed_scale is above 0"),
-        ({"distance_floor": -1.0}, "distance_floor is above 0"),
-        ({"heading_exponent": -1.0}, "0 or more"),
+        ({"speed_scale": 0.0}, "speed_scale is a finite number above 0"),
+        ({"distance_floor": -1.0}, "distance_floor is a finite number above 0"),
+        ({"heading_exponent": -1.0}, "heading_exponent is a finite number from 0 on"),
         ({"crash": float("nan")}, "finite"),
+        ({"crash": "much"}, "finite"),
+        ([1.0], "map crash, speed_scale"),
         ({"crush": 1.0}, "have crash, speed_scale"),
     ],
 )
-def test_options_of_the_reward_that_cannot_be_are_refused(options: dict[str, float], told: str) -> None:
+def test_options_of_the_reward_that_cannot_be_are_refused(options: Any, told: str) -> None:
     with pytest.raises(ConfigError, match=told):
         OnLane.of(options)
 
@@ -225,8 +227,10 @@ def test_hanois_terms_are_what_they_say() -> None:
     assert (info["hanoi_terms"]["collision"], info["hanoi_terms"]["survival"]) == (1.0, 0.0)
 
 
-@pytest.mark.parametrize("weights", [{"time_gap": -1.0}, {"standstill": -0.1}, {"heading": float("inf")}])
-def test_weights_that_cannot_be_are_refused(weights: dict[str, float]) -> None:
+@pytest.mark.parametrize(
+    "weights", [{"time_gap": -1.0}, {"standstill": -0.1}, {"heading": float("inf")}, {"survival": "yes"}]
+)
+def test_weights_that_cannot_be_are_refused(weights: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match=next(iter(weights))):
         HanoiWeights(**weights)
 
@@ -294,7 +298,7 @@ def test_an_episode_that_ends_off_the_road_ends_there() -> None:
 
 
 def test_what_cannot_be_penalised_or_observed_is_refused() -> None:
-    for penalty in (-1.0, float("nan")):
+    for penalty in (-1.0, float("nan"), "1"):
         with pytest.raises(ConfigError, match="penalty"):
             OffRoadWrapper(highway(), penalty=penalty)
     with pytest.raises(ConfigError, match="observations around it"):
@@ -416,7 +420,8 @@ def test_every_unit_is_of_a_column_and_the_log_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    "options", [{"speed_range": (5.0, 5.0)}, {"speed_range": (0.0, np.inf)}, {"acceleration_range": 0.0}]
+    "options",
+    [{"speed_range": (5.0, 5.0)}, {"speed_range": (0.0, np.inf)}, {"speed_range": 5.0}, {"acceleration_range": 0.0}],
 )
 def test_ranges_that_are_empty_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match=next(iter(options))):

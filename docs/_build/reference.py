@@ -62,7 +62,12 @@ INTERNAL = frozenset(
         "dynamics.traffic.occupancy_kernels",
         "dynamics.vehicle.rollout_kernels",
         "evaluation.commands",
+        "evaluation.scenarios.frames",
+        "evaluation.scenarios.priority_road",
+        "evaluation.scenarios.traffic",
+        "evaluation.scenarios.wide_network",
         "evaluation.threads",
+        "evaluation.wrappers.checks",
     }
 )
 """Packages and modules that only their neighbours use: they have no page."""

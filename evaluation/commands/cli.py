@@ -30,8 +30,6 @@ __all__ = ["app", "main"]
 EVALUATION_SEED = 100_000
 """Seed of the first evaluation episode, unless another is asked for."""
 
-_POLICIES = [DEMO_POLICY]
-
 app = typer.Typer(
     help="A runtime safety shield around driving policies on highway-env.",
     no_args_is_help=True,
@@ -111,9 +109,12 @@ def evaluate(
         Path | None, typer.Option(help="TOML file of what differs from the default configuration of --env-id.")
     ] = None,
     policy: Annotated[
-        list[str],
-        typer.Option(help=f"{', '.join(BASELINES)}, a reference policy, or an SB3 .zip (repeatable, or a comma list)."),
-    ] = _POLICIES,
+        list[str] | None,
+        typer.Option(
+            help=f"{', '.join(BASELINES)}, a reference policy, or an SB3 .zip (repeatable, or a comma list)"
+            f" [{DEMO_POLICY}; random with --env-id]."
+        ),
+    ] = None,
     shield: Annotated[
         list[str] | None,
         typer.Option(
@@ -177,13 +178,15 @@ def evaluate(
     shield_config = None if config is None else ShieldConfig.load(config)
     doors = [each.value for each in Door if each is not Door.ALL] if door is Door.ALL else [door.value]
     settings = _asked_settings(setting, env_id, env_config)
+    # The demo's policy was trained on the demo's observations: another environment's it may not be able to read.
+    policies = _split(policy or [DEMO_POLICY if env_id is None else "random"])
     if resume and output is None:
         raise ConfigError("--resume goes with --output")
     if output is not None:
         check_output(output, force)
     asked = {
         "settings": {each.name: {"env_id": each.env_id, "config": dict(each.config)} for each in settings},
-        "policies": _split(policy),
+        "policies": policies,
         "shields": shield,
         "doors": doors,
         "episodes": episodes,
@@ -193,7 +196,7 @@ def evaluate(
         "shield": None if shield_config is None else shield_config.to_toml(),
         "simulator": simulator,
     }
-    for name in _split(policy):
+    for name in policies:
         if name.endswith(".zip") and (statistics := statistics_beside(Path(name))):
             _err.print(f"{name}: observations are normalised by {statistics.name} beside it")
     store = Store(output, asked, resume)
@@ -212,7 +215,7 @@ def evaluate(
                 store=store,
             )
             for each in settings
-            for driver in _split(policy)
+            for driver in policies
         ]
     except KeyboardInterrupt:
         if store.rows:

@@ -1,4 +1,4 @@
-"""The commands that show something: film, picture, plot, figures, settings, config."""
+"""The commands that show something: film, picture, plot, figures, course, settings, config."""
 
 from __future__ import annotations
 
@@ -73,6 +73,16 @@ def figures_command(
         _out.print(f"wrote {path}")
 
 
+def course_command(
+    output: Annotated[Path, typer.Argument(help="The .png to write.")] = Path("docs", "images", "complex-roads.png"),
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the traffic.")] = 0,
+) -> None:
+    """Draw the roads of ComplexRoads-v0."""
+    from evaluation.report.course_picture import draw_course
+
+    _out.print(f"wrote {draw_course(output, seed=seed)}")
+
+
 def settings_command() -> None:
     """List the named environments."""
     from evaluation.settings import SETTINGS
@@ -97,5 +107,6 @@ def add_showing(app: typer.Typer) -> None:
     app.command("picture")(picture_command)
     app.command("plot")(plot_command)
     app.command("figures")(figures_command)
+    app.command("course")(course_command)
     app.command("settings")(settings_command)
     app.command("config")(config_command)

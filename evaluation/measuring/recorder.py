@@ -20,9 +20,10 @@ from dynamics.roads.path import PathRoad
 from dynamics.roads.straight import Road, StraightRoad
 from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.state import FloatArray, wrap_to_pi
+from evaluation.measuring.jerk import jerk
 from evaluation.measuring.rectangles import separation
 
-__all__ = ["History", "Recorder", "Track", "read_road"]
+__all__ = ["History", "Recorder", "Track", "is_off_road", "read_road"]
 
 
 _MEASURED = 32
@@ -111,8 +112,8 @@ class History:
 
     def mean_jerk(self) -> float:
         """Mean size of the jerk along the way, frame by frame up to a crash [m/s^3]; NaN in less than three frames."""
-        jerk = np.diff(self._driven()[:, Track.SPEED], 2) / self.dt**2
-        return float(np.abs(jerk).mean()) if jerk.size else np.nan
+        sizes = jerk(self._driven()[:, Track.SPEED], self.dt)
+        return float(sizes.mean()) if sizes.size else np.nan
 
     def mean_lateral_acceleration(self) -> float:
         """Mean size of speed times yaw rate, up to a crash [m/s^2]; NaN in less than two frames."""
@@ -141,7 +142,7 @@ class Recorder:
         base = env.unwrapped
         self._map = read_road(base.road.network)
         self._dt = 1.0 / base.config["simulation_frequency"]
-        self._lot = isinstance(base, ParkingEnv)
+        self._base = base
         if isinstance(base, CompiledHighwayEnv):
             # It keeps its frames itself.
             self._rows: list[Any] = base.frames
@@ -165,7 +166,7 @@ class Recorder:
         self._rows.append(
             [(v.position[0], v.position[1], v.heading, v.speed, v.LENGTH, v.WIDTH, v.crashed) for v in self._vehicles]
         )
-        self._off_road.append(not self._lot and not self._vehicles[0].on_road)
+        self._off_road.append(is_off_road(self._base))
 
     def history(self) -> History:
         """All frames so far; the first is the scene after reset."""
@@ -184,6 +185,16 @@ class Recorder:
         states[:, 0, :4] = ego
         states[:, 1:, :4] = self._map.to_road(world[:, 1:, :4], near=ego[:, None, Track.S])
         return History(states, self._map, self._dt, world=world)
+
+
+def is_off_road(base: Any) -> bool:
+    """Whether the ego of an environment of highway-env has left the road (see `Track`).
+
+    Parameters
+    ----------
+    base : the environment, unwrapped.
+    """
+    return not isinstance(base, ParkingEnv) and not bool(base.vehicle.on_road)
 
 
 def read_road(network: Any) -> StraightRoad | PathRoad | None:

@@ -29,6 +29,7 @@ from evaluation.policies import list_references, load_reference
 from evaluation.running.highway_planner import highway_policy
 from evaluation.running.parking_planner import PARKING_POLICIES, parking_policy
 from evaluation.running.roundabout_planner import roundabout_policy
+from evaluation.scenarios.action_grid import ActionGrid
 from mpc import MPCPolicy
 from mpc.filter.program.road_step import StageModel
 from mpc.lookahead_policy import LookaheadPolicy
@@ -222,9 +223,12 @@ def _constant(name: str, env: gym.Env[Any, Any]) -> int | NDArray[np.float32]:
     label = type(kind).__name__
     if label == "ContinuousAction":
         return _inputs(name, Actuators.of(kind))
+    if isinstance(kind, ActionGrid):
+        return kind.nearest(_inputs(name, Actuators.of(kind)))
     if label != "DiscreteMetaAction":
         raise ConfigError(
-            f"policy {name!r} needs DiscreteMetaAction or ContinuousAction; this environment takes {label}; have random"
+            f"policy {name!r} needs DiscreteMetaAction, ContinuousAction or an ActionGrid; this environment takes"
+            f" {label}; have random"
         )
     if name not in _META:
         raise ConfigError(f"{name!r} needs ContinuousAction; this environment takes {label}; have {_list(_META)}")

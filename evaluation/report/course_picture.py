@@ -1,0 +1,72 @@
+"""A picture of a whole course, as highway-env draws it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from dynamics.state import FloatArray
+from evaluation.scenarios import ComplexRoadsEnv
+from shield.errors import ConfigError
+
+__all__ = ["draw_course"]
+
+_MARGIN = 15.0
+"""Around the roads [m]."""
+_DOT = 6.0
+"""Radius of the dot over a vehicle [px]."""
+_EGO, _OTHER = (50, 200, 0), (100, 200, 255)
+
+
+def draw_course(path: str | Path, config: Mapping[str, Any] | None = None, seed: int = 0, width: int = 1600) -> Path:
+    """Draw all of the roads of ComplexRoads-v0 and the vehicles on them.
+
+    Parameters
+    ----------
+    path : the .png to write.
+    config : what differs from the environment's configuration.
+    seed : of the episode.
+    width : of the picture [px].
+
+    Raises
+    ------
+    ConfigError
+        If the file does not end in .png, or the picture has no width.
+    """
+    path = Path(path)
+    if path.suffix != ".png" or width < 1:
+        raise ConfigError(f"a picture is a .png of some width, not {path.name!r} of {width} px")
+    os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
+    env = ComplexRoadsEnv(dict(config or {}), render_mode="rgb_array")
+    try:
+        env.reset(seed=seed)
+        lanes = env.road.network.lanes_list()
+        ends = np.array(
+            [lane.position(along, 0.0) for lane in lanes for along in (0.0, 0.5 * lane.length, lane.length)]
+        )
+        low, high = ends.min(axis=0) - _MARGIN, ends.max(axis=0) + _MARGIN
+        scaling = width / (high - low)[0]
+        env.config.update(screen_width=width, screen_height=round(scaling * (high - low)[1]), scaling=scaling)
+        env.render()
+        env.viewer.enabled = True  # highway-env draws nothing under SDL's dummy driver otherwise
+        env.viewer.observer_vehicle = SimpleNamespace(position=0.5 * (low + high))
+        picture = Image.fromarray(np.asarray(env.render(), np.uint8))
+        _mark(picture, (np.array([each.position for each in env.road.vehicles]) - low) * scaling)
+    finally:
+        env.close()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    picture.quantize(64, dither=Image.Dither.NONE).save(path, optimize=True)
+    return path
+
+
+def _mark(picture: Image.Image, places: FloatArray) -> None:
+    """A dot over each vehicle, the ego first: at this scale its body is hardly seen."""
+    pen = ImageDraw.Draw(picture)
+    for i, (x, y) in reversed(list(enumerate(places))):
+        pen.ellipse((x - _DOT, y - _DOT, x + _DOT, y + _DOT), fill=_EGO if i == 0 else _OTHER)

@@ -1,0 +1,20 @@
+"""Gymnasium wrappers around any environment of highway-env: observations, rewards, the way back, and a log."""
+
+from __future__ import annotations
+
+from evaluation.wrappers.hanoi_reward import HanoiWeights, HanoiWorldReward
+from evaluation.wrappers.off_road import OffRoadWrapper
+from evaluation.wrappers.on_lane_reward import OnLane, OnLaneReward
+from evaluation.wrappers.performance_logger import PerformanceLogger
+from evaluation.wrappers.signed_lane import LaneOffset, SignedLaneObservation
+
+__all__ = [
+    "HanoiWeights",
+    "HanoiWorldReward",
+    "LaneOffset",
+    "OffRoadWrapper",
+    "OnLane",
+    "OnLaneReward",
+    "PerformanceLogger",
+    "SignedLaneObservation",
+]

@@ -1,0 +1,28 @@
+"""Numbers that users hand in."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from shield.errors import ConfigError
+
+__all__ = ["check_number"]
+
+
+def check_number(name: str, value: Any, least: float = -np.inf, above: float = -np.inf) -> None:
+    """Raise a `ConfigError` unless it is a finite number, no less than `least` and more than `above`.
+
+    Examples
+    --------
+    >>> check_number("penalty", -1.0, least=0.0)
+    Traceback (most recent call last):
+    ...
+    dynamics.errors.ConfigError: penalty is a finite number from 0 on, not -1.0
+    """
+    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    if number and np.isfinite(value) and value >= least and value > above:
+        return
+    range_ = f" from {least:g} on" if np.isfinite(least) else f" above {above:g}" if np.isfinite(above) else ""
+    raise ConfigError(f"{name} is a finite number{range_}, not {value!r}")

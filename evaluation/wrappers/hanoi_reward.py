@@ -1,0 +1,110 @@
+"""The terms of HanoiWorld's reward (Dat et al. 2026): collision, safe distance, lane change, heading, survival.
+
+The terms are those that it names; the formulas below and the default weights are ours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from evaluation.wrappers.checks import check_number
+from evaluation.wrappers.signed_lane import lane_offset
+
+__all__ = ["HanoiWeights", "HanoiWorldReward"]
+
+
+@dataclass(frozen=True, slots=True)
+class HanoiWeights:
+    """What each term is multiplied by, and two times that define them.
+
+    Attributes
+    ----------
+    collision : 1 in a crash.
+    safe_distance : the part of the safe gap to the vehicle ahead on the same lane that is missing, 0 to 1.
+    lane_change : 1 in a decision after which the ego is on another lane of the same road.
+    heading : cosine of the heading off the lane's.
+    survival : 1 in a decision without a crash.
+    time_gap : the safe gap is the way driven in this time [s], and `standstill`.
+    standstill : safe gap at a standstill [m].
+
+    Raises
+    ------
+    ConfigError
+        If a value is not finite, or a gap negative.
+    """
+
+    collision: float = -1.0
+    safe_distance: float = -0.5
+    lane_change: float = -0.05
+    heading: float = 0.2
+    survival: float = 0.1
+    time_gap: float = 1.5
+    standstill: float = 2.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            least = 0.0 if field.name in ("time_gap", "standstill") else -np.inf
+            check_number(field.name, getattr(self, field.name), least)
+
+
+class HanoiWorldReward(gym.Wrapper[Any, Any, Any, Any]):
+    """Rewards by the weighted sum of the terms of `HanoiWeights`; `info["hanoi_terms"]` has each of them unweighted.
+
+    Parameters
+    ----------
+    env : an environment of highway-env.
+    weights : options.
+
+    Examples
+    --------
+    >>> from evaluation.settings import get_setting
+    >>> env = HanoiWorldReward(get_setting("highway-fast").make())
+    >>> _ = env.reset(seed=0)
+    >>> _, reward, *_, info = env.step(1)
+    >>> sorted(info["hanoi_terms"])
+    ['collision', 'heading', 'lane_change', 'safe_distance', 'survival']
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], weights: HanoiWeights | None = None) -> None:
+        super().__init__(env)
+        self.weights = weights or HanoiWeights()
+        self._lane: tuple[str, str, int] | None = None
+
+    def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
+        """As the environment's."""
+        result = self.env.reset(**kwargs)
+        self._lane = self.unwrapped.vehicle.lane_index  # type: ignore[attr-defined]
+        return result
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """As the environment's, with the other reward."""
+        observation, _, terminated, truncated, info = self.env.step(action)
+        base: Any = self.unwrapped
+        lane, before = base.vehicle.lane_index, self._lane
+        self._lane = lane
+        changed = before is not None and lane[:2] == before[:2] and lane[2] != before[2]
+        terms = {
+            "collision": float(base.vehicle.crashed),
+            "safe_distance": _missing_gap(base, self.weights),
+            "lane_change": float(changed),
+            "heading": float(np.cos(lane_offset(base.vehicle).heading)),
+            "survival": float(not base.vehicle.crashed),
+        }
+        weights = asdict(self.weights)
+        reward = float(sum(weights[name] * value for name, value in terms.items()))
+        return observation, reward, terminated, truncated, {**info, "hanoi_terms": terms}
+
+
+def _missing_gap(base: Any, weights: HanoiWeights) -> float:
+    """The part of the safe gap that is missing, 0 with nobody ahead."""
+    ego = base.vehicle
+    ahead, _ = base.road.neighbour_vehicles(ego)
+    safe = weights.standstill + weights.time_gap * max(float(ego.speed), 0.0)
+    if ahead is None or safe == 0.0:
+        return 0.0
+    gap = float(np.hypot(*(ahead.position - ego.position))) - 0.5 * (ego.LENGTH + ahead.LENGTH)
+    return float(np.clip(1.0 - gap / safe, 0.0, 1.0))

@@ -1,0 +1,122 @@
+"""Where the ego is on its lane, with signs.
+
+Both numbers are those of Dong et al. 2023: how far the ego is off the middle of its lane, and how far its heading is
+off the lane's. highway-env's y points down, so to the right is positive and so is a turn to the right (clockwise on the
+screen). The lane is the one that highway-env holds for the ego's: the nearest, in place and heading.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from dynamics.state import wrap_to_pi
+from shield.errors import ConfigError
+
+__all__ = ["LaneOffset", "SignedLaneObservation", "extend_observation", "extended_space", "lane_offset"]
+
+
+class LaneOffset(NamedTuple):
+    """Where a vehicle is on its lane.
+
+    Attributes
+    ----------
+    distance : signed distance to the middle of the lane, to the right positive [m].
+    heading : heading of the vehicle less that of the lane, in (-pi, pi], to the right positive [rad].
+    """
+
+    distance: float
+    heading: float
+
+
+_HIGH = np.array([np.inf, np.pi], np.float32)
+
+
+def lane_offset(vehicle: Any) -> LaneOffset:
+    """Where a vehicle of highway-env is on its lane.
+
+    Examples
+    --------
+    >>> from evaluation.settings import get_setting
+    >>> env = get_setting("highway-fast").make()
+    >>> _ = env.reset(seed=0)
+    >>> lane_offset(env.unwrapped.vehicle)
+    LaneOffset(distance=0.0, heading=0.0)
+    """
+    along, distance = vehicle.lane.local_coordinates(vehicle.position)
+    # Turned over twice: the half-open interval is then closed on the side of +pi.
+    heading = -wrap_to_pi(vehicle.lane.heading_at(along) - vehicle.heading)
+    return LaneOffset(float(distance), float(heading) + 0.0)
+
+
+def extended_space(space: spaces.Space[Any]) -> spaces.Space[Any]:
+    """The space of observations with the two numbers of `LaneOffset` added.
+
+    A vector or a table becomes a vector with the two at its end; a picture a dictionary of "observation" and
+    "signed_lane", and a dictionary has "signed_lane" added.
+
+    Raises
+    ------
+    ConfigError
+        If the space is neither a Box nor a Dict.
+    """
+    signed = spaces.Box(-_HIGH, _HIGH, dtype=np.float32)
+    if isinstance(space, spaces.Dict):
+        return spaces.Dict({**space.spaces, "signed_lane": signed})
+    if not isinstance(space, spaces.Box):
+        raise ConfigError(f"signed lane observations extend a Box or a Dict, not {type(space).__name__}")
+    if len(space.shape) > 2:
+        return spaces.Dict({"observation": space, "signed_lane": signed})
+    low, high = (np.concatenate([end.ravel(), sign * _HIGH]) for end, sign in ((space.low, -1), (space.high, 1)))
+    kind = np.float64 if space.dtype == np.float64 else np.float32
+    return spaces.Box(low.astype(kind), high.astype(kind), dtype=kind)
+
+
+def extend_observation(observation: Any, offset: LaneOffset, space: spaces.Space[Any]) -> Any:
+    """An observation with a `LaneOffset` added, as `extended_space` says.
+
+    Parameters
+    ----------
+    observation : as it came.
+    offset : what is added.
+    space : the extended space.
+    """
+    signed = np.array(offset, np.float32)
+    if not isinstance(space, spaces.Dict):
+        return np.concatenate([np.asarray(observation).ravel(), signed]).astype(space.dtype)
+    inner = observation if isinstance(observation, dict) else {"observation": observation}
+    return {**inner, "signed_lane": signed}
+
+
+class SignedLaneObservation(gym.ObservationWrapper[Any, Any, Any]):
+    """Adds the signed distance to the middle of the lane [m] and the signed heading difference [rad].
+
+    Parameters
+    ----------
+    env : an environment of highway-env, whose observations are a vector, a table, a picture or a dictionary.
+
+    Raises
+    ------
+    ConfigError
+        If its observations are anything else, such as the tuple of several agents.
+
+    Examples
+    --------
+    >>> from evaluation.settings import get_setting
+    >>> env = SignedLaneObservation(get_setting("highway-fast").make())
+    >>> observation, _ = env.reset(seed=0)
+    >>> observation.shape, [float(x) for x in observation[-2:]]
+    ((27,), [0.0, 0.0])
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        super().__init__(env)
+        self.observation_space = extended_space(env.observation_space)
+
+    def observation(self, observation: Any) -> Any:
+        """The observation with the two numbers added."""
+        vehicle = self.unwrapped.vehicle  # type: ignore[attr-defined]
+        return extend_observation(observation, lane_offset(vehicle), self.observation_space)

@@ -24,8 +24,9 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev]"
 	touch $@
 
+# `make demo ENV=roundabout` on another road.
 demo: $(STAMP)
-	$(BIN)/shield demo
+	$(BIN)/shield demo $(if $(ENV),--env-id $(ENV)-v0)
 
 cem-demo: $(STAMP)
 	$(BIN)/shield cem-demo

@@ -235,12 +235,18 @@ def demo(
     episodes: Annotated[int, typer.Option(min=1, help="Episodes for each row.")] = 20,
     output: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs", "demo"),
     jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
+    env_id: Annotated[
+        str | None, typer.Option(help="Always FASTER on another road instead, verified by simulation, and a picture.")
+    ] = None,
 ) -> None:
     """Drive the bundled PPO with and without the shield, and film overrides.
 
     Takes less than two minutes on two cores. Writes the episodes, their summary, and
     override.gif: the bundled agent that has learned to crash, behind the shield.
     """
+    if env_id is not None:
+        _demo_of_road(env_id, episodes, output, jobs)
+        return
     from evaluation.report.video import film_override
     from evaluation.running.episodes import run_paired
     from evaluation.running.records import make_variants
@@ -256,6 +262,25 @@ def demo(
     report(frame, output / "episodes.parquet", markdown=False)
     film = film_override(output / "override.gif")
     _out.print(f"wrote {film.path} (seed {film.seed}, {film.overrides} decisions overridden)")
+
+
+def _demo_of_road(env_id: str, episodes: int, output: Path, jobs: int) -> None:
+    from evaluation.report.gallery import draw_gallery
+    from evaluation.running.episodes import run_paired
+    from evaluation.running.records import make_variants
+    from evaluation.settings import setting_of
+
+    config = ShieldConfig.exact()
+    frame = run_paired(
+        setting_of(env_id),
+        "faster",
+        make_variants(["none", "full"], ["actions"], config),
+        range(EVALUATION_SEED, EVALUATION_SEED + episodes),
+        jobs=jobs,
+        progress=True,
+    )
+    report(frame, output / "episodes.parquet", markdown=False)
+    _out.print(f"wrote {draw_gallery(output / 'override.png', [env_id])}")
 
 
 @app.command("cem-demo")

@@ -1,4 +1,4 @@
-"""The commands that show something: film, picture, plot, figures, course, settings, config."""
+"""The commands that show something: film, picture, plot, figures, course, gallery, settings, config."""
 
 from __future__ import annotations
 
@@ -83,6 +83,19 @@ def course_command(
     _out.print(f"wrote {draw_course(output, seed=seed)}")
 
 
+def gallery_command(
+    output: Annotated[Path, typer.Argument(help="The .png to write.")] = Path("docs", "images", "roads.png"),
+    env_id: Annotated[
+        list[str] | None, typer.Option(help="One road (repeatable); by default each that is known.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Where the search for an override begins.")] = 0,
+) -> None:
+    """Draw an override on every road whose traffic can be simulated."""
+    from evaluation.report.gallery import ROADS, draw_gallery
+
+    _out.print(f"wrote {draw_gallery(output, env_id or ROADS, seed)}")
+
+
 def settings_command() -> None:
     """List the named environments."""
     from evaluation.settings import SETTINGS
@@ -108,5 +121,6 @@ def add_showing(app: typer.Typer) -> None:
     app.command("plot")(plot_command)
     app.command("figures")(figures_command)
     app.command("course")(course_command)
+    app.command("gallery")(gallery_command)
     app.command("settings")(settings_command)
     app.command("config")(config_command)

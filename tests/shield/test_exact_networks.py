@@ -101,3 +101,32 @@ def test_who_comes_and_goes_at_an_intersection_is_no_offence():
             env.road.vehicles[0].position = env.road.vehicles[0].position + 0.01
             offended = env.road.vehicles[0] is not env.vehicle
     raise AssertionError("the episode was over before")
+
+
+@pytest.mark.parametrize("env_id", ["intersection-v0", "merge-v1"])
+def test_what_is_recorded_is_what_happens(env_id):
+    """The ego's path is foretold, and the boxes around the others hold them, frame by frame."""
+    env, rng = gym.make(env_id).unwrapped, np.random.default_rng(0)
+    env.reset(seed=840)
+    policy = Always(0)
+    shield = Shield(policy, env, EXACT.replace(record=True), frames=False)
+    for _ in range(4):
+        policy.action = int(rng.integers(env.action_space.n))
+        taken, decision = int(shield.predict(UNSEEN)[0]), shield.last_decision
+        others, frame, advance = [v for v in env.road.vehicles if v is not env.vehicle], 0, env.road.step
+
+        def step(dt, advance=advance, others=others, plan=decision.plan, areas=decision.occupancy):
+            nonlocal frame
+            advance(dt)
+            frame += 1
+            ego = env.vehicle
+            assert np.allclose(plan[frame], [*ego.position, ego.heading, ego.speed], atol=1e-9)
+            corners = np.array([v.polygon() for v in others])
+            low, high = corners.min(axis=1), corners.max(axis=1)
+            found = np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]], axis=1)
+            assert np.allclose(areas[frame, : len(others)], found, atol=1e-9)
+
+        env.road.step = step
+        env.step(taken)
+        env.road.step = advance
+        assert frame == 15

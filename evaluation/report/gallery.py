@@ -1,0 +1,91 @@
+"""Pictures of decisions by simulation, one for each road: what was proposed, what is done instead, and what is foretold
+of the others."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+from PIL import Image
+
+from evaluation.names import FIRST_EVALUATION_SEED
+from evaluation.report.overlay import ShieldOverlay
+from evaluation.running.named_policies import make_policy
+from shield import Shield, ShieldConfig
+from shield.decision import Tier
+from shield.errors import ConfigError
+
+__all__ = ["ROADS", "draw_gallery", "draw_override"]
+
+ROADS = ("merge-v0", "roundabout-v0", "exit-v0", "two-way-v0", "u-turn-v0", "intersection-v0")
+_SEARCH = 5
+"""Episodes among which the decision is found that passes others most closely."""
+_SCREEN = {"screen_width": 600, "screen_height": 300, "centering_position": [0.5, 0.5], "scaling": 5.5}
+_PANEL, _GAP, _COLORS = (800, 475), 10, 256
+
+
+def draw_override(env_id: str, policy: str = "faster", seed: int = 0) -> Image.Image:
+    """The decision of a few episodes by which the ego goes past others most closely, in place of a policy's.
+
+    Parameters
+    ----------
+    env_id : what `ShieldConfig.exact()` verifies meta-actions in. policy : by name. seed : of the first episode.
+
+    Raises
+    ------
+    ConfigError
+        If nothing is overridden, the seeds are those of the evaluation, or the traffic cannot be simulated.
+    """
+    if not 0 <= seed <= FIRST_EVALUATION_SEED - _SEARCH:
+        raise ConfigError(f"have a seed from 0 to {FIRST_EVALUATION_SEED - _SEARCH}, not {seed}")
+    os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
+    raw = gym.make(env_id, render_mode="rgb_array", config=dict(_SCREEN))
+    shield = Shield(make_policy(policy, raw), raw, ShieldConfig.exact().replace(record=True), frames=False)
+    env = ShieldOverlay(raw, shield)
+    best: tuple[float, Any] = np.inf, None
+    try:
+        for each in range(seed, seed + _SEARCH):
+            observation, _ = env.reset(seed=each)
+            done = False
+            while not done:
+                action = shield.predict(observation)[0]
+                decision = shield.last_decision
+                if decision is not None and decision.tier is Tier.ALTERNATIVE and decision.margin < best[0]:
+                    env.mark()
+                    best = decision.margin, env.render()
+                observation, _, terminated, truncated, _ = env.step(int(cast(Any, action)))
+                done = terminated or truncated
+    finally:
+        env.close()
+    if best[1] is None:
+        raise ConfigError(f"{policy} was not overridden in {_SEARCH} episodes of {env_id}; try another policy or seed")
+    return Image.fromarray(best[1])
+
+
+def draw_gallery(path: str | Path, env_ids: Sequence[str] = ROADS, seed: int = 0) -> Path:
+    """One picture of an override on each of the roads, two beside each other: of always FASTER, and on the exit of who
+    asks for it.
+
+    Parameters
+    ----------
+    path : the .png to write. env_ids, seed : see `draw_override`.
+    """
+    path = Path(path)
+    if path.suffix != ".png":
+        raise ConfigError(f"a picture is written as .png, not {path.name!r}")
+    panels = [draw_override(each, "right" if each.startswith("exit") else "faster", seed) for each in env_ids]
+    columns = min(2, len(panels))
+    rows = -(-len(panels) // columns)
+    (width, height), gap = _PANEL, _GAP
+    sheet = Image.new("RGB", (columns * (width + gap) - gap, rows * (height + gap) - gap), (255, 255, 255))
+    for k, panel in enumerate(panels):
+        small = panel.resize(_PANEL, Image.Resampling.LANCZOS)
+        sheet.paste(small, ((k % columns) * (width + gap), (k // columns) * (height + gap)))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    sheet.quantize(_COLORS, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(path, optimize=True)
+    return path

@@ -1,0 +1,62 @@
+"""Pictures of decisions by simulation."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import highway_env  # noqa: F401
+import numpy as np
+import pytest
+from PIL import Image
+
+from evaluation.report.draw import AREA, ORANGE
+from evaluation.report.gallery import draw_gallery, draw_override
+from evaluation.report.overlay import ShieldOverlay
+from shield import Shield, ShieldConfig
+from shield.errors import ConfigError
+
+
+def near(image, color):
+    return int((np.abs(np.asarray(image.convert("RGB"), int) - color).sum(axis=-1) < 60).sum())
+
+
+def test_an_override_shows_the_path_and_the_others():
+    picture = draw_override("merge-v1")
+    assert near(picture, ORANGE) > 500
+    assert near(picture, np.array(AREA) // 2 + 50) > 100
+
+
+def test_a_gallery_has_a_picture_for_each_road(tmp_path):
+    path = draw_gallery(tmp_path / "new" / "roads.png", ["roundabout-v1", "merge-v1", "two-way-v0"])
+    one = draw_gallery(tmp_path / "one.png", ["merge-v1"])
+    (width, height), (single, low) = Image.open(path).size, Image.open(one).size
+    assert width > 2 * single
+    assert height > 2 * low
+
+
+def test_what_cannot_be_drawn_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="png"):
+        draw_gallery(tmp_path / "roads.gif")
+    with pytest.raises(ConfigError, match="not 10000"):
+        draw_override("merge-v1", seed=10_000)
+    with pytest.raises(ConfigError, match="meta-actions alone"):
+        draw_override("parking-v0", "random")
+    with pytest.raises(ConfigError, match="not overridden"):
+        draw_override("exit-v1", "idle")
+
+
+@pytest.mark.parametrize("env_id", ["roundabout-v1", "highway-fast-v0"])
+def test_the_picture_goes_on_with_the_episode(env_id):
+    """Rendered before and after the step: the plan begins where the ego is."""
+    raw = gym.make(env_id, render_mode="rgb_array")
+    shield = Shield(lambda obs: 3, raw, ShieldConfig.exact().replace(record=True), frames=False)
+    env = ShieldOverlay(raw, shield)
+    observation, _ = env.reset(seed=3)
+    action, _ = shield.predict(observation)
+    env.mark()
+    before = env.render()
+    env.step(int(action))
+    after, ego, plan = env.render(), raw.unwrapped.vehicle, shield.last_decision.plan
+    frames = raw.unwrapped.steps
+    assert before.shape == after.shape
+    assert (before != after).any()
+    assert np.allclose(plan[frames], [*ego.position, ego.heading, ego.speed], atol=1e-9)

@@ -63,7 +63,7 @@ INTERNAL = frozenset(
         "dynamics.vehicle.rollout_kernels",
         "evaluation.commands",
         "evaluation.scenarios.frames",
-        "evaluation.scenarios.priority_road",
+        "dynamics.networks.priority_road",
         "evaluation.scenarios.traffic",
         "evaluation.scenarios.wide_network",
         "evaluation.threads",

@@ -9,7 +9,7 @@ from dynamics.networks.driving import act
 from dynamics.networks.lanes import Lanes, after_end, closest, local, on_lane, reachable
 from dynamics.networks.layout import ACROSS, ALONG, COUNT, ENDS, FIRST, FRAMES, ID
 from dynamics.networks.network import Network
-from dynamics.networks.regulation import clear, regulate
+from dynamics.networks.regulation import Customs, clear, regulate
 from dynamics.networks.routes import Traffic, follow_road
 from dynamics.simulator.collisions import collide
 from dynamics.simulator.engine import Machine
@@ -47,14 +47,14 @@ class NetworkRules(NamedTuple):
     Attributes
     ----------
     network : the road.
-    numbers : frames of a decision, vehicles, frames after which it is settled anew who yields (0 for never), and
-        whether vehicles vanish.
+    numbers : frames of a decision, vehicles.
     times : duration of a frame and of a decision [s].
     target_speeds : of the ego [m/s]. labels : of each action: 0 left, 1 none, 2 right, 3 faster, 4 slower.
     """
 
     network: Network
-    numbers: tuple[int, int, int, int]
+    customs: Customs
+    numbers: tuple[int, int]
     times: tuple[float, float]
     target_speeds: FloatArray
     labels: IntArray
@@ -97,7 +97,7 @@ def begin(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, 
     worlds.clock[e] += rules.times[1]
     traffic = _traffic(machine, worlds, network, e)
     ego = ego_of(g)
-    if rules.numbers[3]:
+    if rules.customs.vehicles_leave:
         clear(traffic, rules.numbers[1])
     follow_road(traffic, ego)
     if label >= 3:
@@ -117,8 +117,8 @@ def advance(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: 
     lanes = traffic.lanes
     act(traffic, work.numbers, work.busy, vehicles)
     g[FRAMES, 0] += 1
-    if rules.numbers[2] > 0 and g[FRAMES, 0] % rules.numbers[2] == 0:
-        regulate(traffic, machine.products, work.paths, vehicles)
+    if rules.customs.period > 0 and g[FRAMES, 0] % rules.customs.period == 0:
+        regulate(traffic, rules.customs, machine.products, work.paths, vehicles)
     for i in range(vehicles):
         limit(f, g, p, i, dt)
         work.busy[i] = i

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.exit_env import ExitEnv
 from highway_env.envs.highway_env import HighwayEnv
 from highway_env.envs.intersection_env import IntersectionEnv
@@ -15,8 +16,10 @@ from highway_env.envs.u_turn_env import UTurnEnv
 from highway_env.road.regulation import RegulatedRoad
 
 from dynamics.errors import ConfigError
+from dynamics.networks.priority_road import PriorityRoad
+from dynamics.networks.regulation import Customs
 
-__all__ = ["check_network", "exits_of", "on_network", "period_of"]
+__all__ = ["check_network", "customs_of", "exits_of", "on_network"]
 
 _KNOWN = (ExitEnv, IntersectionEnv, MergeEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv)
 """Nothing is drawn after their reset, but for who comes to an intersection."""
@@ -30,19 +33,23 @@ def on_network(base: Any) -> bool:
 def check_network(base: Any) -> None:
     """Raise where the traffic of an environment, unwrapped, is not known.
 
+    An environment of another class says by an attribute `changes_between_decisions_only = True` that whatever its
+    `step` changes on the road, beside highway-env's `_simulate`, it changes between two decisions.
+
     Raises
     ------
     ConfigError
         That lists the classes that are.
     """
-    if not isinstance(base, _KNOWN):
-        known = ", ".join(kind.__name__ for kind in _KNOWN)
+    declared = getattr(base, "changes_between_decisions_only", False)
+    if not declared and not isinstance(base, _KNOWN):
         raise ConfigError(
             f"the traffic of {type(base).__name__} does not follow from its state; it does on straight highways "
-            f"(highway-v0, highway-fast-v0) and in {known}"
+            f"(highway-v0, highway-fast-v0) and in {_names(_KNOWN)}"
         )
-    for kind in type(base).__mro__[: next(k for k, each in enumerate(type(base).__mro__) if each in _KNOWN)]:
-        if "step" in vars(kind) or "_simulate" in vars(kind):
+    own = next((k for k, each in enumerate(type(base).__mro__) if each in _KNOWN or each is AbstractEnv))
+    for kind in type(base).__mro__[:own]:
+        if "_simulate" in vars(kind) or ("step" in vars(kind) and not declared):
             raise ConfigError(f"{kind.__name__} steps in a way of its own")
 
 
@@ -53,17 +60,25 @@ def exits_of(base: Any) -> Callable[[tuple[str, str, int]], bool] | None:
     return lambda key: "il" in key[0] and "o" in key[1]
 
 
-def period_of(base: Any) -> int:
-    """After how many frames it is settled anew who yields; 0 where nobody does.
+def customs_of(base: Any) -> Customs:
+    """What happens on the road of an environment beside driving.
 
     Raises
     ------
     ConfigError
-        If those who yield do it for longer than until it is settled anew.
+        If those who yield do it for longer than until it is settled anew, or it is settled in another way.
     """
-    road = base.road
+    road, leave = base.road, isinstance(base, IntersectionEnv)
     if not isinstance(road, RegulatedRoad):
-        return 0
+        return Customs(0, False, leave)
+    known = (RegulatedRoad, PriorityRoad)
+    if type(road) not in known:
+        raise ConfigError(f"who yields on a {type(road).__name__} is not known; have {_names(known)}")
     if road.YIELD_DURATION != 0:
         raise ConfigError(f"who yields does it for {road.YIELD_DURATION} s; known is a YIELD_DURATION of 0")
-    return int(1 / (1 / base.config["simulation_frequency"]) / road.REGULATION_FREQUENCY)
+    period = int(1 / (1 / base.config["simulation_frequency"]) / road.REGULATION_FREQUENCY)
+    return Customs(period, isinstance(road, PriorityRoad), leave)
+
+
+def _names(kinds: tuple[type, ...]) -> str:
+    return ", ".join(kind.__name__ for kind in kinds)

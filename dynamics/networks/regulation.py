@@ -8,10 +8,12 @@ behind, wants to stop.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from dynamics.compiled import inlined, uncounted
 from dynamics.networks.lanes import heading_at, place
-from dynamics.networks.layout import ALONG, ID, LEAVES, PRIORITY, ROUTE, ROUTE_END, YIELDS
+from dynamics.networks.layout import ALONG, ID, LEAVES, PRIORITY, ROAD, ROUTE, ROUTE_END, TO, YIELDS
+from dynamics.networks.priority_road import HORIZON, REACH
 from dynamics.networks.routes import Traffic
 from dynamics.simulator.arithmetic import dot2
 from dynamics.simulator.layout import (
@@ -36,7 +38,7 @@ from dynamics.simulator.layout import (
 from dynamics.simulator.loops import at
 from dynamics.state import FloatArray
 
-__all__ = ["INSTANTS", "clear", "regulate"]
+__all__ = ["INSTANTS", "Customs", "clear", "regulate"]
 
 INSTANTS = 11
 """Moments at which two vehicles are compared, `_STEP` apart."""
@@ -46,6 +48,22 @@ _LONG, _WIDE = 1.5, 0.9
 _COS, _SIN = 3, 4
 _GONE = 1e6
 """Where a vehicle that has left is kept [m]."""
+
+
+class Customs(NamedTuple):
+    """What happens on a road beside driving.
+
+    Attributes
+    ----------
+    period : frames after which it is settled anew who yields; 0 for never.
+    ways_cross : whether it is a `PriorityRoad`, where priorities are for ways that cross: who follows another onto the
+        next road yields to it, and who is too far away to be met is not compared.
+    vehicles_leave : whether vehicles vanish from lanes that leave the road, and those without a route.
+    """
+
+    period: int
+    ways_cross: bool
+    vehicles_leave: bool
 
 
 @inlined
@@ -115,10 +133,25 @@ def _meet(traffic: Traffic, products: int, paths: FloatArray, i: int, j: int) ->
     return False
 
 
+@inlined
+def _far(f: FloatArray, i: int, j: int) -> bool:
+    reach = HORIZON * (abs(f[SPEED, i]) + abs(f[SPEED, j])) + REACH
+    return math.hypot(f[X, i] - f[X, j], f[Y, i] - f[Y, j]) > reach
+
+
+@inlined
+def _follows(traffic: Traffic, i: int, j: int) -> bool:
+    """Whether the road of a vehicle leads to where that of another begins."""
+    ids, g = traffic.lanes.ids, traffic.g
+    return ids[g[LANE, i], TO] == traffic.network.roads[ids[g[LANE, j], ROAD], 0]
+
+
 @uncounted
-def _who_yields(traffic: Traffic, i: int, j: int) -> int:
+def _who_yields(traffic: Traffic, ways_cross: bool, i: int, j: int) -> int:
     """The one of lower priority; else the one that has the other further ahead of it."""
     ids, f, g, sums = traffic.lanes.ids, traffic.f, traffic.g, traffic.lanes.sums
+    if ways_cross and (_follows(traffic, i, j) or _follows(traffic, j, i)):
+        return i if _follows(traffic, i, j) else j
     mine, theirs = ids[g[LANE, i], PRIORITY], ids[g[LANE, j], PRIORITY]
     if mine != theirs:
         return j if mine > theirs else i
@@ -128,7 +161,7 @@ def _who_yields(traffic: Traffic, i: int, j: int) -> int:
 
 
 @uncounted
-def regulate(traffic: Traffic, products: int, paths: FloatArray, vehicles: int) -> None:
+def regulate(traffic: Traffic, customs: Customs, products: int, paths: FloatArray, vehicles: int) -> None:
     """Set those free who yielded, and find out who yields now.
 
     Parameters
@@ -144,9 +177,11 @@ def regulate(traffic: Traffic, products: int, paths: FloatArray, vehicles: int) 
         _foresee(traffic, i, paths[i])
     for i in range(vehicles - 1):
         for j in range(i + 1, vehicles):
-            if g[KIND, i] == OBSTACLE or g[KIND, j] == OBSTACLE or not _meet(traffic, products, paths, i, j):
+            if g[KIND, i] == OBSTACLE or g[KIND, j] == OBSTACLE or (customs.ways_cross and _far(f, i, j)):
                 continue
-            yields = _who_yields(traffic, i, j)
+            if not _meet(traffic, products, paths, i, j):
+                continue
+            yields = _who_yields(traffic, customs.ways_cross, i, j)
             if g[KIND, yields] == IDM:
                 f[TARGET_SPEED, yields], g[YIELDS, yields] = 0.0, 1
 

@@ -13,7 +13,7 @@ from dynamics.networks.engine import NetworkRules, NetworkWork, NetworkWorlds, a
 from dynamics.networks.layout import F, G
 from dynamics.networks.live import load, longest_route
 from dynamics.networks.network import index_of, network_of
-from dynamics.networks.refusals import exits_of, period_of
+from dynamics.networks.refusals import customs_of, exits_of
 from dynamics.networks.regulation import INSTANTS
 from dynamics.simulator.arithmetic import Sums, sums_of_numpy
 from dynamics.simulator.engine import Machine, write_row
@@ -61,12 +61,8 @@ class NetworkSimulator:
         self._lanes = index_of(road.network)
         self.rules = NetworkRules(
             network=network_of(road.network, bool(road.neighbour_vehicles_connected_lanes), leaves),
-            numbers=(
-                int(config["simulation_frequency"] // config["policy_frequency"]),
-                len(vehicles),
-                period_of(base),
-                int(leaves is not None),
-            ),
+            customs=customs_of(base),
+            numbers=(int(config["simulation_frequency"] // config["policy_frequency"]), len(vehicles)),
             times=(1 / config["simulation_frequency"], 1 / config["policy_frequency"]),
             target_speeds=np.array(base.vehicle.target_speeds, float),
             labels=np.array([ACTIONS.index(labels[k]) for k in sorted(labels)], np.int64),

@@ -13,9 +13,9 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.observation import ObservationType, observation_factory
 from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 
+from dynamics.networks.priority_road import PriorityRoad
 from evaluation.scenarios.action_grid import make_action_type
 from evaluation.scenarios.course import SUBMAPS, Course, build_course, check_counts
-from evaluation.scenarios.priority_road import PriorityRoad
 from evaluation.scenarios.traffic import ENTRY, populate, recycle
 from evaluation.wrappers.on_lane_reward import OnLane, on_lane_reward
 from evaluation.wrappers.signed_lane import extend_observation, extended_space, lane_offset
@@ -64,6 +64,8 @@ class ComplexRoadsEnv(AbstractEnv):  # type: ignore[misc]
     """
 
     course: Course
+    changes_between_decisions_only = True
+    """Others enter again between two decisions: for the compiled copy of the traffic."""
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:

@@ -42,6 +42,8 @@ _STATE = [X, Y, HEADING, SPEED]
 _SAME = 1e-6
 """A vehicle has done what was foretold of it within this [m, rad, m/s]; where numpy's own sums cannot be had they
 differ by some 1e-12."""
+_ELSEWHERE = 10.0
+"""No vehicle strays so far from what was foretold of a decision [m]."""
 
 
 class ExactDoor:
@@ -165,11 +167,12 @@ class ExactDoor:
 
     def _compare(self, simulator: Simulator | NetworkSimulator) -> None:
         """Count the vehicles that have done something else than was foretold, as long as the ego has not: of those who
-        were there then and are there now."""
+        were there then and are there now. Who is somewhere else altogether has been put there: another newcomer."""
         bodies, before = self._bodies(), self._foretold_of
         columns = np.array([(k, before[body]) for body, k in bodies.items() if body in before], np.intp).reshape(-1, 2)
         now, foretold = simulator.worlds.f[0][_STATE][:, columns[:, 0]], self._foretold[:, columns[:, 1]]
-        other = ~(np.abs(now - foretold) <= _SAME).all(axis=0)
+        there = np.hypot(*(now - foretold)[:2]) <= _ELSEWHERE
+        other = there & ~(np.abs(now - foretold) <= _SAME).all(axis=0)
         if other.any():
             self._plans.length[0] = 0
         ego = 0 if isinstance(self._base, CompiledHighwayEnv) else bodies[self._base.vehicle]

@@ -83,8 +83,14 @@ SIMULATED = (
         _NETWORKS,
     ),
     off("no road ends", "dynamics/networks/engine.py", "network.ids[lane, ENDS] != 0 and ", "False and ", _NETWORKS),
-    off("nobody yields", "dynamics/networks/engine.py", "if rules.numbers[2] > 0 and ", "if False and ", _TRAFFIC),
-    off("who has left stays", "dynamics/networks/engine.py", "    if rules.numbers[3]:\n", "    if False:\n", _TRAFFIC),
+    off("nobody yields", "dynamics/networks/engine.py", "if rules.customs.period > 0 and ", "if False and ", _TRAFFIC),
+    off(
+        "who has left stays",
+        "dynamics/networks/engine.py",
+        "    if rules.customs.vehicles_leave:\n",
+        "    if False:\n",
+        _TRAFFIC,
+    ),
     off(
         "the one of higher priority yields",
         "dynamics/networks/regulation.py",

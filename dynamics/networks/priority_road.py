@@ -9,9 +9,11 @@ import numpy as np
 from highway_env.road.regulation import RegulatedRoad
 from highway_env.vehicle.controller import ControlledVehicle
 
-__all__ = ["PriorityRoad"]
+__all__ = ["HORIZON", "REACH", "PriorityRoad"]
 
-_MARGIN = 20.0
+HORIZON = 3
+"""How far ahead two vehicles are compared [s]."""
+REACH = 20.0
 """More than the bodies, the lanes and the stretching of curves add to the way that is driven [m]."""
 
 
@@ -19,7 +21,8 @@ class PriorityRoad(RegulatedRoad):  # type: ignore[misc]
     """A `RegulatedRoad` on which who follows another yields to it, whatever the priorities of their lanes.
 
     Priorities are for ways that cross. Where the lane ahead has a lower one than the lane behind, highway-env stops
-    whoever leads. Conflicts are highway-env's own, found faster.
+    whoever leads. Who is too far away to be met in time is not compared: highway-env takes a vehicle whose route is
+    ahead of its lane, near the end of a road, to be somewhere else altogether, and has others stop for it.
     """
 
     @staticmethod
@@ -31,11 +34,11 @@ class PriorityRoad(RegulatedRoad):  # type: ignore[misc]
         return RegulatedRoad.respect_priorities(v1, v2)
 
     @staticmethod
-    def is_conflict_possible(v1: Any, v2: Any, horizon: int = 3, step: float = 0.25) -> bool:
+    def is_conflict_possible(v1: Any, v2: Any, horizon: int = HORIZON, step: float = 0.25) -> bool:
         """Whether the two come to overlap within the horizon [s]: as highway-env has it, but who cannot meet is left
         out first, and no vehicle's copy takes the road with it."""
         apart = np.hypot(*(v1.position - v2.position))
-        if apart > horizon * (abs(v1.speed) + abs(v2.speed)) + _MARGIN:
+        if apart > horizon * (abs(v1.speed) + abs(v2.speed)) + REACH:
             return False
         return bool(RegulatedRoad.is_conflict_possible(_alone(v1), _alone(v2), horizon, step))
 

@@ -420,12 +420,12 @@ def test_the_command_line_drives_it(tmp_path: Path) -> None:
     assert table["success"].tolist() == [False, False]
 
 
-META = {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 5, 10, 15]}, "policy_frequency": 1}
+SIMULATED = {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 5, 10, 15]}, "policy_frequency": 1}
 
 
 def test_the_compiled_traffic_is_the_same():
     """Frame by frame, bit for bit, who yields included."""
-    pair = Pair("ComplexRoads-v0", 1, {**META, "random_start": True, "vehicle_density": 25})
+    pair = Pair("ComplexRoads-v0", 1, {**SIMULATED, "random_start": True, "vehicle_density": 25})
     rng, yielded = np.random.default_rng(1), 0
     for k in range(24):
         action = int(rng.integers(5))
@@ -440,7 +440,7 @@ def test_the_compiled_traffic_is_the_same():
 
 def test_the_shield_foretells_it():
     """Behind verification by simulation nobody does anything else than was foretold, and nobody touches."""
-    env = gym.make("evaluation.scenarios:ComplexRoads-v0", config={**META, "duration": 30})
+    env = gym.make("evaluation.scenarios:ComplexRoads-v0", config={**SIMULATED, "duration": 30})
     observation, _ = env.reset(seed=3)
     shield, done = Shield(lambda obs: 3, env, ShieldConfig.exact(), frames=False), False
     while not done:

@@ -13,7 +13,7 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.objects import Obstacle
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from network_pair import Pair
+from network_pair import INTERSECTIONS, Pair, wild_scene
 from simulator_pair import same_numbers
 
 from dynamics.errors import ConfigError, SceneError
@@ -39,8 +39,6 @@ NETWORKS = (
     "u-turn-v0",
     "u-turn-v1",
 )
-INTERSECTIONS = ("intersection-v0", "intersection-v2")
-"""Vehicles come and go between two decisions."""
 OTHERS = (
     "highway-v0",
     "intersection-v0",
@@ -132,45 +130,6 @@ def test_an_obstacle_and_vehicles_of_other_sizes_are_the_same():
     road.vehicles.append(kind(road, road.vehicles[2].position - np.array([0.0, 14.0]), 1.0, 9.0))
     pair.start()
     drive(pair, np.random.default_rng(5))
-
-
-def wild_scene(env_id, seed):
-    """Vehicles of all kinds thrown over a network, with routes, targets and obstacles of their own."""
-    rng = np.random.default_rng(seed)
-    pair = Pair(env_id, seed)
-    road, network = pair.env.road, pair.env.road.network
-    keys = list(network.lanes_dict())
-    kinds = [
-        IDMVehicle,
-        type("Coach", (IDMVehicle,), {"LENGTH": 11.0, "WIDTH": 2.4, "POLITENESS": 0.4, "DELTA": 2.0}),
-        type("Rash", (IDMVehicle,), {"LANE_CHANGE_DELAY": 0.1, "LANE_CHANGE_MIN_ACC_GAIN": -1.0, "TIME_WANTED": 0.4}),
-    ]
-    for _ in range(rng.integers(2, 9)):
-        lane = network.get_lane(keys[rng.integers(len(keys))])
-        s = rng.uniform(-8, lane.length + 8)
-        at, heading = lane.position(s, rng.normal(0, 1.5)), lane.heading_at(s) + rng.normal(0, 0.3)
-        vehicle = kinds[rng.integers(3)](road, at, heading, rng.uniform(-3, 25), enable_lane_change=rng.random() < 0.8)
-        if rng.random() < 0.7:
-            nodes = sorted({key[1] for key in keys})
-            vehicle.plan_route_to(nodes[rng.integers(len(nodes))])
-        if rng.random() < 0.2 and vehicle.route:
-            vehicle.route = [(a, b, int(rng.integers(len(network.graph[a][b])))) for a, b, _ in vehicle.route]
-        if rng.random() < 0.3:
-            vehicle.target_lane_index = network.side_lanes(vehicle.lane_index)[-1:] or [vehicle.lane_index]
-            vehicle.target_lane_index = vehicle.target_lane_index[0]
-        vehicle.target_speed = rng.uniform(-1, 30)
-        if rng.random() < 0.5:
-            vehicle.randomize_behavior()
-        vehicle.crashed = bool(rng.random() < 0.05)
-        road.vehicles.append(vehicle)
-    for _ in range(rng.integers(0, 3)):
-        lane = network.get_lane(keys[rng.integers(len(keys))])
-        road.objects.append(Obstacle(road, lane.position(rng.uniform(0, lane.length), rng.normal())))
-    if env_id in INTERSECTIONS:
-        pair.env._clear_vehicles()
-    pair.name = f"wild {env_id} seed {seed}"
-    pair.start()
-    return pair, rng
 
 
 def drive_wild(env_id, seed):

@@ -8,6 +8,7 @@ import gymnasium as gym
 import highway_env  # noqa: F401
 import numpy as np
 import pytest
+from network_pair import wild_scene
 from plans import least_clearance
 from policies import Always
 
@@ -130,3 +131,28 @@ def test_what_is_recorded_is_what_happens(env_id):
         env.step(taken)
         env.road.step = advance
         assert frame == 15
+
+
+def verified_in_a_wild_scene(env_id, seed):
+    """Whether a proposal in a scene thrown together, or what takes its place, verifies: then highway-env is clear."""
+    pair, rng = wild_scene(env_id, seed)
+    shield = Shield(Always(int(rng.integers(pair.env.action_space.n))), pair.env, EXACT, frames=False)
+    taken = int(shield.predict(UNSEEN)[0])
+    decision, plans = shield.last_decision, shield._doors[0]._plans
+    if not decision.tier.verified or pair.env.vehicle.crashed:
+        return False
+    then = plans.actions[0, : plans.length[0]].tolist()
+    assert least_clearance(deepcopy(pair.env), [taken, *then], EXACT.buffer) >= decision.margin - 1e-9 >= -1e-9
+    return True
+
+
+@pytest.mark.parametrize("env_id", [*ROADS, "exit-v1"])
+def test_what_verifies_in_a_wild_scene_is_clear(env_id):
+    """Vehicles of other sizes and constants anywhere, with routes of their own, wrecks and obstacles."""
+    assert sum(verified_in_a_wild_scene(env_id, seed) for seed in range(303, 307)) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("env_id", [*ROADS, "exit-v1"])
+def test_what_verifies_in_a_hundred_wild_scenes_is_clear(env_id):
+    assert sum(verified_in_a_wild_scene(env_id, seed) for seed in range(1000, 1100)) > 10

@@ -119,8 +119,14 @@ def replace(
         if margin >= 0 or (ranked and (k >= order.shape[0] or order[k] < 0)):
             break
         action = order[k] if ranked else search.order[k]
-        if action != proposed and not same_outcome(search, action, proposed):
+        if action == proposed or same_outcome(search, action, proposed):
+            continue
+        if ranked:
             margin = _verify(search, action, stored, length)
+        else:
+            # The beam has been through all of them.
+            clear, least, _ = survives(search, action, stored, length, 0.0)
+            margin = least if clear == search.bounds.depth else -np.inf
     if margin >= 0:
         records.margin[e] = margin
         _execute(records, plans, e, search.plan, search.bounds.depth, _ALTERNATIVE, _UNVERIFIED)

@@ -427,12 +427,12 @@ def test_the_compiled_traffic_is_the_same():
     """Frame by frame, bit for bit, who yields included."""
     pair = Pair("ComplexRoads-v0", 1, {**SIMULATED, "random_start": True, "vehicle_density": 25})
     rng, yielded = np.random.default_rng(1), 0
-    for k in range(24):
+    for k in range(14):
         action = int(rng.integers(5))
         pair.env._simulate(action)
         pair.compare(pair.simulator.step(action)[-1])
         yielded += sum(getattr(v, "is_yielding", False) for v in pair.env.road.vehicles)
-        if k % 8 == 7:
+        if k % 7 == 6:
             recycle(pair.env.road, pair.env.course, pair.env.vehicle)
             pair.start()
     assert yielded

@@ -38,6 +38,7 @@ lint: $(STAMP)
 	$(BIN)/lint-imports
 
 test: lint
+	$(BIN)/python tests/support/warm_kernels.py
 	$(BIN)/pytest -n auto
 
 test-slow: $(STAMP)

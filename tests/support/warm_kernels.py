@@ -1,0 +1,33 @@
+"""Compiles the large kernels before the tests, each in one process: workers of pytest would all compile the same ones.
+
+python tests/support/warm_kernels.py
+"""
+
+from __future__ import annotations
+
+from joblib import Parallel, delayed
+
+from shield.batch.highways import ShieldedHighways
+from shield.doors.exact_door import warm_up_exact
+from shield.exact.highways import ExactHighways
+
+
+def shielded() -> None:
+    highways = ShieldedHighways("highway-fast-v0", 1)
+    highways.reset([0])
+    highways.step([3])
+
+
+def exact() -> None:
+    highways = ExactHighways("highway-fast-v0", 1)
+    highways.reset([0])
+    highways.step([3])
+    warm_up_exact(False)
+
+
+def networks() -> None:
+    warm_up_exact(True)
+
+
+if __name__ == "__main__":
+    Parallel(n_jobs=-1)(delayed(each)() for each in (shielded, exact, networks))

@@ -115,7 +115,7 @@ class ExactDoor:
             # The policy is asked for its order only where something takes the proposal's place.
             wanted = resolve(order) or []
             ranked = np.array([*(a for a in wanted if a != proposed), -1], np.intp)
-            replace(search, self._plans, records, simulator.worlds, 0, proposed, ranked)
+            replace(search, self._plans, records, 0, proposed, ranked)
         leap(search, 0, 1, int(records.executed[0]), 0.0, -math.inf)
         self._foretold, self._foretold_of = search.futures.f[1][_STATE].copy(), self._bodies()
         plan, areas = self._shown(search) if self.config.record else (None, None)
@@ -127,7 +127,7 @@ class ExactDoor:
         n = int(self._plans.length[0]) + 1
         rows = np.zeros((n * search.rules.numbers[0] + 1, search.futures.f.shape[2], 7))
         rows = rows[: foretell(search, search.plan, n, rows)]
-        ego = 0 if isinstance(self._base, CompiledHighwayEnv) else self._foretold_of[self._base.vehicle]
+        ego = self._ego(self._foretold_of)
         others = np.delete(rows, ego, axis=1)
         cos, sin = np.abs(np.cos(others[..., 2])), np.abs(np.sin(others[..., 2]))
         half = np.stack([others[..., 4] * cos + others[..., 5] * sin, others[..., 4] * sin + others[..., 5] * cos]) / 2
@@ -165,6 +165,10 @@ class ExactDoor:
             return {k: k for k in range(base.simulator.worlds.f.shape[2])}
         return {body: k for k, body in enumerate([*base.road.vehicles, *base.road.objects])}
 
+    def _ego(self, bodies: dict[Any, int]) -> int:
+        """The column of the ego among `_bodies`."""
+        return 0 if isinstance(self._base, CompiledHighwayEnv) else bodies[self._base.vehicle]
+
     def _compare(self, simulator: Simulator | NetworkSimulator) -> None:
         """Count the vehicles that have done something else than was foretold, as long as the ego has not: of those who
         were there then and are there now. Who is somewhere else altogether has been put there: another newcomer."""
@@ -175,7 +179,7 @@ class ExactDoor:
         other = there & ~(np.abs(now - foretold) <= _SAME).all(axis=0)
         if other.any():
             self._plans.length[0] = 0
-        ego = 0 if isinstance(self._base, CompiledHighwayEnv) else bodies[self._base.vehicle]
+        ego = self._ego(bodies)
         if not other[columns[:, 0] == ego].any():
             self.violations += int(other.sum())
 
@@ -189,8 +193,8 @@ def warm_up_exact(network: bool) -> None:
         door, nothing = ExactDoor(env.unwrapped, ShieldConfig.exact()), np.full(1, -1, np.intp)
         door.decide(1)
         assert door._search is not None
-        records, worlds = empty_records(1, 1), door._now().worlds
-        replace(door._search, door._plans, records, worlds, 0, 1, nothing)
+        records = empty_records(1, 1)
+        replace(door._search, door._plans, records, 0, 1, nothing)
         last_resort(records, door._plans, 0, 4, records.reason[0])
 
 

@@ -107,9 +107,7 @@ def passes(search: Search, plans: Plans, records: Records, worlds: Any, e: int, 
 
 
 @uncounted
-def replace(
-    search: Search, plans: Plans, records: Records, worlds: Any, e: int, proposed: int, order: IntArray
-) -> None:
+def replace(search: Search, plans: Plans, records: Records, e: int, proposed: int, order: IntArray) -> None:
     """What takes the place of a proposal that does not pass, into `records`; see `decide`."""
     n, stored, length, margin = search.order.shape[0], plans.actions[e], plans.length[e], -np.inf
     ranked, now = order.shape[0] > 0 and order[0] >= 0, search.futures.f[0, TARGET_SPEED, ego_in(search, 0)]
@@ -150,4 +148,4 @@ def decide(search: Search, plans: Plans, records: Records, worlds: Any, e: int, 
         preference over the others, which ends with the first negative one; may be empty.
     """
     if not passes(search, plans, records, worlds, e, proposed):
-        replace(search, plans, records, worlds, e, proposed, order)
+        replace(search, plans, records, e, proposed, order)

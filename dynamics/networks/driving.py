@@ -6,7 +6,7 @@ import math
 
 from dynamics.compiled import inlined, uncounted
 from dynamics.networks.lanes import heading_at, least_across, on_lane, reachable
-from dynamics.networks.layout import ALONG, COUNT, ID, ROAD, ROUTE, ROUTE_END
+from dynamics.networks.layout import ALONG, COUNT, ID, LAW, ROAD, ROUTE, ROUTE_END
 from dynamics.networks.routes import Traffic, follow_road, on_lane_of
 from dynamics.simulator.arithmetic import clip, not_zero
 from dynamics.simulator.control import KP_A, KP_LATERAL, pursue
@@ -15,6 +15,8 @@ from dynamics.simulator.layout import (
     ACC_MAX,
     ACCELERATION,
     CHANGES,
+    COMFORT,
+    CONTINUOUS,
     CRASHED,
     DELAY,
     EGO,
@@ -126,7 +128,7 @@ def _change_lanes(traffic: Traffic, i: int, vehicles: int) -> None:
         if ids[lane, ROAD] != ids[target, ROAD]:
             return
         for v in range(vehicles):
-            if v == i or g[LANE, v] == target or g[TARGET, v] != target:
+            if v == i or g[LANE, v] == target or g[TARGET, v] != target or g[KIND, v] == CONTINUOUS:
                 continue
             if 0.0 < _ahead(traffic, i, v) < desired_gap(lanes.sums, f, p, i, i, v):
                 g[TARGET, i] = lane
@@ -151,7 +153,7 @@ def _steer(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) ->
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
     asked, ahead, n = work[1], work[0], 0
     for i in range(vehicles):
-        if g[KIND, i] == EGO or (g[KIND, i] == IDM and not g[CRASHED, i]):
+        if g[KIND, i] == EGO or g[LAW, i] or (g[KIND, i] == IDM and not g[CRASHED, i]):
             lane = g[TARGET, i]
             s, r = on_lane_of(traffic, i, lane)
             ahead[n] = heading_at(lanes, lane, s + f[SPEED, i] * _PURSUIT)
@@ -171,13 +173,19 @@ def act(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) -> No
     """
     f, g, p = traffic.f, traffic.g, traffic.p
     for i in range(vehicles):
-        if g[KIND, i] == EGO or not g[CRASHED, i]:
+        if g[KIND, i] == CONTINUOUS:
+            if g[LAW, i]:
+                follow_road(traffic, i)
+        elif g[KIND, i] == EGO or not g[CRASHED, i]:
             follow_road(traffic, i)
             if g[KIND, i] == IDM and g[CHANGES, i]:
                 _change_lanes(traffic, i, vehicles)
     for i in range(vehicles):
         if g[KIND, i] == EGO:
             f[ACCELERATION, i] = KP_A * (f[TARGET_SPEED, i] - f[SPEED, i])
+        elif g[KIND, i] == CONTINUOUS:
+            if g[LAW, i]:
+                f[ACCELERATION, i] = clip(KP_A * (f[TARGET_SPEED, i] - f[SPEED, i]), -p[ACC_MAX, i], p[COMFORT, i])
         elif not g[CRASHED, i]:
             wanted = math.inf
             for lane in (g[LANE, i], g[TARGET, i]):

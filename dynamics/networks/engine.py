@@ -6,20 +6,36 @@ from typing import NamedTuple
 
 from dynamics.compiled import inlined, uncounted
 from dynamics.networks.driving import act
+from dynamics.networks.inputs import slide
 from dynamics.networks.lanes import Lanes, after_end, closest, local, on_lane, reachable
-from dynamics.networks.layout import ACROSS, ALONG, COUNT, ENDS, FIRST, FRAMES, ID
+from dynamics.networks.layout import ACROSS, ALONG, COUNT, DYNAMICAL, ENDS, FIRST, FRAMES, ID, LAW
 from dynamics.networks.network import Network
 from dynamics.networks.regulation import Customs, clear, regulate
 from dynamics.networks.routes import Traffic, follow_road
 from dynamics.simulator.collisions import collide
 from dynamics.simulator.engine import Machine
-from dynamics.simulator.layout import EGO, HEADING, KIND, LANE, LANE_LENGTH, OBSTACLE, SPEED, TARGET, TARGET_SPEED, X, Y
+from dynamics.simulator.layout import (
+    ACCELERATION,
+    CONTINUOUS,
+    EGO,
+    HEADING,
+    KIND,
+    LANE,
+    LANE_LENGTH,
+    OBSTACLE,
+    SPEED,
+    STEERING,
+    TARGET,
+    TARGET_SPEED,
+    X,
+    Y,
+)
 from dynamics.simulator.motion import bicycle, limit
 from dynamics.simulator.neighbours import sort
 from dynamics.simulator.scene import next_target_speed
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["NetworkRules", "NetworkWork", "NetworkWorlds", "advance", "begin", "ego_of", "on_way"]
+__all__ = ["NetworkRules", "NetworkWork", "NetworkWorlds", "advance", "begin", "ego_of", "hold", "on_way"]
 
 
 class NetworkWorlds(NamedTuple):
@@ -50,6 +66,7 @@ class NetworkRules(NamedTuple):
     numbers : frames of a decision, vehicles.
     times : duration of a frame and of a decision [s].
     target_speeds : of the ego [m/s]. labels : of each action: 0 left, 1 none, 2 right, 3 faster, 4 slower.
+    law : how hard the law of an ego with throttle and steering brakes and accelerates [m/s^2].
     """
 
     network: Network
@@ -58,6 +75,7 @@ class NetworkRules(NamedTuple):
     times: tuple[float, float]
     target_speeds: FloatArray
     labels: IntArray
+    law: tuple[float, float]
 
 
 class NetworkWork(NamedTuple):
@@ -74,9 +92,17 @@ class NetworkWork(NamedTuple):
 def ego_of(g: IntArray) -> int:
     """The column of the ego."""
     ego = 0
-    while g[KIND, ego] != EGO:
+    while g[KIND, ego] != EGO and g[KIND, ego] != CONTINUOUS:
         ego += 1
     return ego
+
+
+@inlined
+def hold(worlds: NetworkWorlds, e: int, throttle: float, wheel: float) -> None:
+    """Let the ego of a scene keep an acceleration [m/s^2] and a front wheel angle [rad] from now on."""
+    f, g = worlds.f[e], worlds.g[e]
+    ego = ego_of(g)
+    f[ACCELERATION, ego], f[STEERING, ego], g[LAW, ego] = throttle, wheel, 0
 
 
 @inlined
@@ -92,13 +118,17 @@ def _traffic(machine: Machine, worlds: NetworkWorlds, network: Network, e: int) 
 
 @uncounted
 def begin(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, action: FloatArray) -> None:
-    """Begin a decision in one scene: what its action changes at once."""
+    """Begin a decision in one scene: what its action changes at once.
+
+    An ego with throttle and steering, for which there are no meta-actions in highway-env, follows them by a law of its
+    own from then on: highway-env's controllers, from the lane and the speed that it has.
+    """
     f, g, network, label = worlds.f[e], worlds.g[e], rules.network, rules.labels[int(action[0])]
     worlds.clock[e] += rules.times[1]
     traffic = _traffic(machine, worlds, network, e)
     ego = ego_of(g)
-    if rules.customs.vehicles_leave:
-        clear(traffic, rules.numbers[1])
+    if g[KIND, ego] == CONTINUOUS and not g[LAW, ego]:
+        g[LAW, ego], g[TARGET, ego], f[TARGET_SPEED, ego] = 1, g[LANE, ego], f[SPEED, ego]
     follow_road(traffic, ego)
     if label >= 3:
         f[TARGET_SPEED, ego] = next_target_speed(rules.target_speeds, f[SPEED, ego], label)
@@ -114,15 +144,20 @@ def advance(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: 
     """Advance one scene by a frame."""
     f, g, p, network, vehicles = worlds.f[e], worlds.g[e], worlds.p[e], rules.network, rules.numbers[1]
     traffic, dt = _traffic(machine, worlds, network, e), rules.times[0]
-    lanes = traffic.lanes
+    lanes, n = traffic.lanes, 0
+    clear(traffic, rules.customs, vehicles)
     act(traffic, work.numbers, work.busy, vehicles)
     g[FRAMES, 0] += 1
     if rules.customs.period > 0 and g[FRAMES, 0] % rules.customs.period == 0:
-        regulate(traffic, rules.customs, machine.products, work.paths, vehicles)
+        regulate(traffic, rules.customs, machine.products, work.numbers, work.busy, work.paths, vehicles)
     for i in range(vehicles):
         limit(f, g, p, i, dt)
-        work.busy[i] = i
-    bicycle(machine.loops, f, g, p, work.numbers, work.busy, vehicles, dt)
+        if g[DYNAMICAL, i]:
+            slide(machine.loops, machine.products, f, i, dt)
+            continue
+        work.busy[n] = i
+        n += 1
+    bicycle(machine.loops, f, g, p, work.numbers, work.busy, n, dt)
     for i in range(vehicles):
         if g[KIND, i] == OBSTACLE:
             continue

@@ -16,6 +16,7 @@ __all__ = [
     "COLUMNS",
     "COUNT",
     "DIRECTION",
+    "DYNAMICAL",
     "ENDS",
     "FIRST",
     "FORBIDDEN",
@@ -23,6 +24,8 @@ __all__ = [
     "ID",
     "IDS",
     "LANE_HEADING",
+    "LATERAL_SPEED",
+    "LAW",
     "LEAVES",
     "ORIGIN_X",
     "ORIGIN_Y",
@@ -38,6 +41,7 @@ __all__ = [
     "SINE",
     "STRAIGHT",
     "TO",
+    "YAW_RATE",
     "YIELDS",
     "F",
     "G",
@@ -78,13 +82,15 @@ IDS = 10
 STRAIGHT, SINE, CIRCULAR = range(3)
 """Shapes of lanes."""
 
-ALONG, ACROSS = range(layout.F, layout.F + 2)
-"""Rows of `f` beyond those of a straight highway: where a vehicle is on its own lane, s and r [m]."""
-F = layout.F + 2
+ALONG, ACROSS, LATERAL_SPEED, YAW_RATE = range(layout.F, layout.F + 4)
+"""Rows of `f` beyond those of a straight highway: where a vehicle is on its own lane, s and r [m]; and of one with
+tyres that slip, how fast it goes sideways [m/s] and turns [rad/s]."""
+F = layout.F + 4
 
-ROUTE, ROUTE_END, YIELDS, FRAMES = range(layout.G, layout.G + 4)
+ROUTE, ROUTE_END, YIELDS, FRAMES, LAW, DYNAMICAL = range(layout.G, layout.G + 6)
 """Rows of `g` beyond those of a straight highway: the next entry of a vehicle's route, and the one after its last, -1
-without a route; whether it yields; and in the first column, the frames that the road has seen."""
-G = layout.G + 4
+without a route; whether it yields; in the first column, the frames that the road has seen; and of an ego with throttle
+and steering, whether it follows a law of its own instead of inputs that are held, and whether its tyres slip."""
+G = layout.G + 6
 
 assert (_WIDTH, _LENGTH, _LIMIT) == (layout.LANE_WIDTH, layout.LANE_LENGTH, layout.LANE_LIMIT)

@@ -7,11 +7,34 @@ from typing import Any
 
 import numpy as np
 from highway_env.vehicle.controller import MDPVehicle
+from highway_env.vehicle.dynamics import BicycleVehicle
+from highway_env.vehicle.kinematics import Vehicle
 
 from dynamics.errors import SceneError
 from dynamics.networks.engine import NetworkRules, NetworkWorlds
-from dynamics.networks.layout import ACROSS, ALONG, FRAMES, ROAD, ROUTE_END, YIELDS
-from dynamics.simulator.layout import KIND, LANE, LINEAR, OBSTACLE, TARGET
+from dynamics.networks.layout import (
+    ACROSS,
+    ALONG,
+    DYNAMICAL,
+    FRAMES,
+    LATERAL_SPEED,
+    ROAD,
+    ROUTE_END,
+    YAW_RATE,
+    YIELDS,
+)
+from dynamics.simulator.layout import (
+    ACC_MAX,
+    COMFORT,
+    CONTINUOUS,
+    KIND,
+    LANE,
+    LINEAR,
+    MAX_SPEED,
+    MIN_SPEED,
+    OBSTACLE,
+    TARGET,
+)
 from dynamics.simulator.live import bodies_of, check_body, kind_in_scene, load_body
 
 __all__ = ["load", "longest_route"]
@@ -25,7 +48,8 @@ def longest_route(env: Any) -> int:
 
 
 def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: int) -> None:
-    """Copy a live environment, between two decisions, into one of the scenes.
+    """Copy a live environment, between two decisions, into one of the scenes; one with throttle and steering, between
+    two frames.
 
     Parameters
     ----------
@@ -39,20 +63,30 @@ def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: 
     base = env.unwrapped
     vehicles, obstacles = bodies_of(env, first=False)
     f, g, p, routes = worlds.f[e], worlds.g[e], worlds.p[e], worlds.routes[e]
-    if type(base.vehicle) is not MDPVehicle:
-        raise SceneError(f"the ego is a {type(base.vehicle).__name__}; a network's takes meta-actions (MDPVehicle)")
+    inputs = type(base.vehicle) in (Vehicle, BicycleVehicle)
+    if not inputs and type(base.vehicle) is not MDPVehicle:
+        raise SceneError(f"the ego is a {type(base.vehicle).__name__}, and no MDPVehicle, Vehicle or BicycleVehicle")
     if len(vehicles) != rules.numbers[1] or len(vehicles) + len(obstacles) != f.shape[1]:
         raise SceneError(f"have {rules.numbers[1]} vehicles of {f.shape[1]} bodies, not {len(vehicles)} vehicles")
-    if base.steps % rules.numbers[0]:
+    if not inputs and base.steps % rules.numbers[0]:
         raise SceneError("the environment is amid a decision")
     f[:], g[:], routes[:] = 0.0, 0, -1
     for i, body in enumerate([*vehicles, *obstacles]):
         ego = body is base.vehicle
         check_body(body, i, ego, rules.target_speeds)
-        load_body(body, i, OBSTACLE if i >= len(vehicles) else kind_in_scene(body, ego), f, g, p)
+        load_body(
+            body,
+            i,
+            OBSTACLE if i >= len(vehicles) else CONTINUOUS if ego and inputs else kind_in_scene(body, ego),
+            f,
+            g,
+            p,
+        )
         g[LANE, i], g[TARGET, i] = lanes[_key(body.lane_index)], lanes[_key(body.lane_index)]
         f[[ALONG, ACROSS], i] = body.lane.local_coordinates(body.position)
-        if i < len(vehicles):
+        if ego and inputs:
+            _load_inputs(base, i, rules, f, g, p)
+        elif i < len(vehicles):
             g[TARGET, i] = lanes[_key(body.target_lane_index)]
             g[YIELDS, i] = getattr(body, "is_yielding", False)
             _load_route(body, i, rules, lanes, g, routes)
@@ -63,6 +97,18 @@ def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: 
         raise SceneError("a position, heading, speed, target, timer or action of the scene is not finite")
     worlds.order[e] = np.arange(f.shape[1])
     worlds.clock[e] = base.time
+
+
+def _load_inputs(base: Any, i: int, rules: NetworkRules, f: Any, g: Any, p: Any) -> None:
+    """What is particular to an ego with throttle and steering."""
+    g[ROUTE_END, i] = -1
+    p[[ACC_MAX, COMFORT], i] = rules.law
+    if base.action_type.speed_range:
+        # highway-env gives the ego its range of speeds with its first action.
+        p[[MIN_SPEED, MAX_SPEED], i] = base.action_type.speed_range
+    if isinstance(base.vehicle, BicycleVehicle):
+        g[DYNAMICAL, i] = 1
+        f[[LATERAL_SPEED, YAW_RATE], i] = base.vehicle.lateral_speed, base.vehicle.yaw_rate
 
 
 def _key(index: Any) -> tuple[str, str, int]:

@@ -10,6 +10,7 @@ from highway_env.envs.exit_env import ExitEnv
 from highway_env.envs.highway_env import HighwayEnv
 from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.envs.merge_env import MergeEnv
+from highway_env.envs.racetrack_env import RacetrackEnv
 from highway_env.envs.roundabout_env import RoundaboutEnv
 from highway_env.envs.two_way_env import TwoWayEnv
 from highway_env.envs.u_turn_env import UTurnEnv
@@ -21,7 +22,7 @@ from dynamics.networks.regulation import Customs
 
 __all__ = ["check_network", "customs_of", "exits_of", "on_network"]
 
-_KNOWN = (ExitEnv, IntersectionEnv, MergeEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv)
+_KNOWN = (ExitEnv, IntersectionEnv, MergeEnv, RacetrackEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv)
 """Nothing is drawn after their reset, but for who comes to an intersection."""
 
 
@@ -68,16 +69,17 @@ def customs_of(base: Any) -> Customs:
     ConfigError
         If those who yield do it for longer than until it is settled anew, or it is settled in another way.
     """
-    road, leave = base.road, isinstance(base, IntersectionEnv)
+    road, frames = base.road, int(base.config["simulation_frequency"] // base.config["policy_frequency"])
+    stay = frames if isinstance(base, IntersectionEnv) else 0
     if not isinstance(road, RegulatedRoad):
-        return Customs(0, False, leave)
+        return Customs(0, False, stay, 0)
     known = (RegulatedRoad, PriorityRoad)
     if type(road) not in known:
         raise ConfigError(f"who yields on a {type(road).__name__} is not known; have {_names(known)}")
     if road.YIELD_DURATION != 0:
         raise ConfigError(f"who yields does it for {road.YIELD_DURATION} s; known is a YIELD_DURATION of 0")
     period = int(1 / (1 / base.config["simulation_frequency"]) / road.REGULATION_FREQUENCY)
-    return Customs(period, isinstance(road, PriorityRoad), leave)
+    return Customs(period, isinstance(road, PriorityRoad), stay, road.steps - base.steps)
 
 
 def _names(kinds: tuple[type, ...]) -> str:

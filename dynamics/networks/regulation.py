@@ -11,13 +11,15 @@ import math
 from typing import NamedTuple
 
 from dynamics.compiled import inlined, uncounted
+from dynamics.networks.inputs import foresee
 from dynamics.networks.lanes import heading_at, place
-from dynamics.networks.layout import ALONG, ID, LEAVES, PRIORITY, ROAD, ROUTE, ROUTE_END, TO, YIELDS
+from dynamics.networks.layout import ALONG, FRAMES, ID, LEAVES, PRIORITY, ROAD, ROUTE, ROUTE_END, TO, YIELDS
 from dynamics.networks.priority_road import HORIZON, REACH
 from dynamics.networks.routes import Traffic
 from dynamics.simulator.arithmetic import dot2
 from dynamics.simulator.layout import (
     CHECKS,
+    CONTINUOUS,
     COS,
     CRASHED,
     IDM,
@@ -36,7 +38,7 @@ from dynamics.simulator.layout import (
     Y,
 )
 from dynamics.simulator.loops import at
-from dynamics.state import FloatArray
+from dynamics.state import FloatArray, IntArray
 
 __all__ = ["INSTANTS", "Customs", "clear", "regulate"]
 
@@ -58,12 +60,14 @@ class Customs(NamedTuple):
     period : frames after which it is settled anew who yields; 0 for never.
     ways_cross : whether it is a `PriorityRoad`, where priorities are for ways that cross: who follows another onto the
         next road yields to it, and who is too far away to be met is not compared.
-    vehicles_leave : whether vehicles vanish from lanes that leave the road, and those without a route.
+    stay, phase : where vehicles vanish from lanes that leave the road, and those without a route, the frames after
+        which they do, and how many of the road's had passed when the environment counted none; 0 where nobody does.
     """
 
     period: int
     ways_cross: bool
-    vehicles_leave: bool
+    stay: int
+    phase: int
 
 
 @inlined
@@ -161,12 +165,20 @@ def _who_yields(traffic: Traffic, ways_cross: bool, i: int, j: int) -> int:
 
 
 @uncounted
-def regulate(traffic: Traffic, customs: Customs, products: int, paths: FloatArray, vehicles: int) -> None:
+def regulate(
+    traffic: Traffic,
+    customs: Customs,
+    products: int,
+    work: FloatArray,
+    busy: IntArray,
+    paths: FloatArray,
+    vehicles: int,
+) -> None:
     """Set those free who yielded, and find out who yields now.
 
     Parameters
     ----------
-    paths : (m, INSTANTS, 6), written.
+    work, busy, paths : (4, m), (m,) and (m, INSTANTS, 6), written.
     """
     lanes, f, g = traffic.lanes, traffic.f, traffic.g
     for i in range(vehicles):
@@ -174,7 +186,10 @@ def regulate(traffic: Traffic, customs: Customs, products: int, paths: FloatArra
             continue
         if g[YIELDS, i]:
             f[TARGET_SPEED, i], g[YIELDS, i] = lanes.rows[g[LANE, i], LANE_LIMIT], 0
-        _foresee(traffic, i, paths[i])
+        if g[KIND, i] == CONTINUOUS:
+            foresee(lanes.loops, products, f, g, traffic.p, work, busy, i, _STEP, paths[i])
+        else:
+            _foresee(traffic, i, paths[i])
     for i in range(vehicles - 1):
         for j in range(i + 1, vehicles):
             if g[KIND, i] == OBSTACLE or g[KIND, j] == OBSTACLE or (customs.ways_cross and _far(f, i, j)):
@@ -187,10 +202,12 @@ def regulate(traffic: Traffic, customs: Customs, products: int, paths: FloatArra
 
 
 @uncounted
-def clear(traffic: Traffic, vehicles: int) -> None:
-    """Take those of the traffic off the road who are near the end of a lane that leaves it, or have no route: they
-    stand far away."""
+def clear(traffic: Traffic, customs: Customs, vehicles: int) -> None:
+    """Where it is time to, take those of the traffic off the road who are near the end of a lane that leaves it, or
+    have no route: they stand far away."""
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
+    if customs.stay == 0 or (g[FRAMES, 0] - customs.phase) % customs.stay != 0:
+        return
     for i in range(vehicles):
         lane = g[LANE, i]
         leaves = lanes.ids[lane, LEAVES] and f[ALONG, i] >= lanes.rows[lane, LANE_LENGTH] - 4 * p[LENGTH, i]

@@ -6,10 +6,11 @@ from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
+from highway_env.envs.common.action import ContinuousAction
 
 from dynamics.compiled import uncounted
 from dynamics.errors import ConfigError, SceneError
-from dynamics.networks.engine import NetworkRules, NetworkWork, NetworkWorlds, advance, begin
+from dynamics.networks.engine import NetworkRules, NetworkWork, NetworkWorlds, advance, begin, hold
 from dynamics.networks.layout import F, G
 from dynamics.networks.live import load, longest_route
 from dynamics.networks.network import index_of, network_of
@@ -25,6 +26,9 @@ from dynamics.state import FloatArray
 
 __all__ = ["NetworkSimulator"]
 
+_FASTEST = 30.0
+"""Where no lane has a limit [m/s]."""
+
 
 class NetworkSimulator:
     """Copies of a live environment as it is now, between two decisions.
@@ -34,13 +38,15 @@ class NetworkSimulator:
 
     Parameters
     ----------
-    env : a highway-env environment with meta-actions and one ego, reset.
+    env : a highway-env environment with one ego, reset.
     num_envs : how many copies.
+    law : for an ego with throttle and steering, how hard the law that carries out meta-actions brakes and accelerates
+        [m/s^2], and the time for which it carries out each [s].
 
     Raises
     ------
     ConfigError
-        If its actions are not meta-actions.
+        If its actions are neither meta-actions nor throttle and steering.
     SceneError
         If its road has lanes of another shape, or its vehicles drive in another way.
 
@@ -50,22 +56,30 @@ class NetworkSimulator:
     exact : whether this machine's numpy makes sums of products in a way that is known here.
     """
 
-    def __init__(self, env: gym.Env[Any, Any], num_envs: int = 1) -> None:
+    def __init__(
+        self, env: gym.Env[Any, Any], num_envs: int = 1, law: tuple[float, float, float] = (9.8, 5.0, 1.0)
+    ) -> None:
         base = cast(Any, env.unwrapped)
         vehicles, obstacles = bodies_of(env, first=False)
-        labels = getattr(base.action_type, "actions", None)
-        if labels is None:
-            raise ConfigError(f"a network's ego takes meta-actions, not {type(base.action_type).__name__}")
         config, road = base.config, base.road
+        frequency, frames = config["simulation_frequency"], config["simulation_frequency"] // config["policy_frequency"]
+        labels, self._inputs = getattr(base.action_type, "actions", None), False
+        if type(base.action_type) is ContinuousAction:
+            self._inputs, labels, frames = True, dict(enumerate(ACTIONS)), max(1, round(law[2] * frequency))
+        if labels is None:
+            raise ConfigError(
+                f"a network's ego takes meta-actions or throttle and steering, not {type(base.action_type).__name__}"
+            )
         self._network, leaves = road.network, exits_of(base)
         self._lanes = index_of(road.network)
         self.rules = NetworkRules(
             network=network_of(road.network, bool(road.neighbour_vehicles_connected_lanes), leaves),
             customs=customs_of(base),
-            numbers=(int(config["simulation_frequency"] // config["policy_frequency"]), len(vehicles)),
-            times=(1 / config["simulation_frequency"], 1 / config["policy_frequency"]),
-            target_speeds=np.array(base.vehicle.target_speeds, float),
+            numbers=(int(frames), len(vehicles)),
+            times=(1 / frequency, frames / frequency if self._inputs else 1 / config["policy_frequency"]),
+            target_speeds=_speeds(road.network) if self._inputs else np.array(base.vehicle.target_speeds, float),
             labels=np.array([ACTIONS.index(labels[k]) for k in sorted(labels)], np.int64),
+            law=law[:2],
         )
         sums, products = sums_of_numpy()
         self.exact = Sums.OTHER not in (sums, products)
@@ -113,7 +127,7 @@ class NetworkSimulator:
         )
 
     def step(self, action: int, e: int = 0) -> FloatArray:
-        """A decision: a meta-action, and all of its frames.
+        """A meta-action, and all of its frames.
 
         Returns
         -------
@@ -126,6 +140,37 @@ class NetworkSimulator:
         _step(self.machine, self.worlds, self.rules, self._work, e, self._given, self._rows)
         return self._rows
 
+    def hold(self, throttle: float, wheel: float, frames: int, e: int = 0) -> FloatArray:
+        """So many frames of an ego that keeps an acceleration [m/s^2] and a front wheel angle [rad].
+
+        Returns
+        -------
+        As of `step`, (frames, m, 7).
+        """
+        if not self._inputs:
+            raise ConfigError("the ego takes meta-actions; use step")
+        rows = np.zeros((frames, self._bodies, 7))
+        hold(self.worlds, e, throttle, wheel)
+        _go_on(self.machine, self.worlds, self.rules, self._work, e, rows)
+        return rows
+
+
+def _speeds(network: Any) -> FloatArray:
+    """Four speeds from standing still to the highest limit of a network's lanes [m/s]."""
+    limits = [lane.speed_limit for lane in network.lanes_list() if lane.speed_limit is not None]
+    return np.linspace(0.0, max(limits, default=_FASTEST), 4)
+
+
+@uncounted
+def _go_on(
+    machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int, rows: FloatArray
+) -> None:
+    f, g, p = worlds.f[e], worlds.g[e], worlds.p[e]
+    for k in range(rows.shape[0]):
+        advance(machine, worlds, rules, work, e)
+        for i in range(f.shape[1]):
+            write_row(f, g, p, i, rows[k, i])
+
 
 @uncounted
 def _step(
@@ -137,9 +182,5 @@ def _step(
     action: FloatArray,
     rows: FloatArray,
 ) -> None:
-    f, g, p = worlds.f[e], worlds.g[e], worlds.p[e]
     begin(machine, worlds, rules, e, action)
-    for k in range(rules.numbers[0]):
-        advance(machine, worlds, rules, work, e)
-        for i in range(f.shape[1]):
-            write_row(f, g, p, i, rows[k, i])
+    _go_on(machine, worlds, rules, work, e, rows)

@@ -98,7 +98,8 @@ EGO, CONTINUOUS, IDM, LINEAR, OBSTACLE = range(5)
     S_HEADING,
     S_LATERAL,
 ) = range(20)
-"""Rows of `p`: constants of highway-env's vehicles. TWICE_ROOT is 2 sqrt(a b); A and S are the linear model's."""
+"""Rows of `p`: constants of highway-env's vehicles. TWICE_ROOT is 2 sqrt(a b); A and S are the linear model's. ACC_MAX
+and COMFORT of an ego with throttle and steering are what a law of its own brakes and accelerates at most."""
 P = 20
 
 LANE_Y, LANE_WIDTH, LANE_LENGTH, LANE_LIMIT = range(4)

@@ -211,18 +211,19 @@ def test_what_is_not_known_is_refused():
     bent.add_lane("a", "b", type("Bent", (StraightLane,), {})([0.0, 0.0], [10.0, 0.0]))
     with pytest.raises(SceneError, match="not Bent"):
         network_of(bent)
-    for env_id in ("lane-keeping-v0", "racetrack-v0"):
-        with pytest.raises(ConfigError, match="RoundaboutEnv"):
-            check_network(gym.make(env_id).unwrapped)
-    inputs = gym.make("highway-fast-v0", config={"action": {"type": "ContinuousAction"}})
-    inputs.reset(seed=0)
-    with pytest.raises(ConfigError, match="meta-actions"):
-        NetworkSimulator(inputs)
+    with pytest.raises(ConfigError, match="RoundaboutEnv"):
+        check_network(gym.make("lane-keeping-v0").unwrapped)
+    grid = gym.make("highway-fast-v0", config={"action": {"type": "DiscreteAction"}})
+    grid.reset(seed=0)
+    with pytest.raises(ConfigError, match="throttle and steering, not DiscreteAction"):
+        NetworkSimulator(grid)
     env = gym.make("roundabout-v0")
     env.reset(seed=0)
     simulator, road = NetworkSimulator(env), env.unwrapped.road
     with pytest.raises(ConfigError, match="actions 0 to 4"):
         simulator.step(5)
+    with pytest.raises(ConfigError, match="use step"):
+        simulator.hold(0.0, 0.0, 1)
     linear = AggressiveVehicle(road, road.vehicles[1].position, 0.0, 5.0)
     road.vehicles[1] = linear
     with pytest.raises(SceneError, match="linear"):

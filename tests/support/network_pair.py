@@ -67,10 +67,10 @@ class Pair:
         return index[0], index[1], int(index[2])
 
 
-def wild_scene(env_id, seed):
+def wild_scene(env_id, seed, kind=Pair):
     """Vehicles of all kinds thrown over a network, with routes, targets and obstacles of their own."""
     rng = np.random.default_rng(seed)
-    pair = Pair(env_id, seed)
+    pair = kind(env_id, seed)
     road, network = pair.env.road, pair.env.road.network
     keys = list(network.lanes_dict())
     kinds = [

@@ -13,8 +13,8 @@ The ``abz`` family is the highway of the ABZ 2025 case study: three lanes, targe
 ``abz-aggressive`` for testing (15 Hz). The two tests and ``abz`` share one reward, so that returns
 can be compared across them.
 
-``highway-continuous``, ``racetrack`` and the two of ``parking`` are driven with throttle and steering, or steering
-alone. Parking has a goal, and its results say how often it was reached.
+``racetrack``, the two of ``parking`` and all that end in ``-continuous`` are driven with throttle and steering, or
+steering alone. Parking has a goal, and its results say how often it was reached.
 """
 
 from __future__ import annotations
@@ -257,6 +257,30 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
                 "intersection-v0",
                 {},
                 "intersection-v0 as it comes: slower, idle, faster at 1 Hz, targets 0, 4.5 and 9 m/s, 15 Hz, 13 s",
+                road=False,
+            ),
+            *(
+                Setting(
+                    f"{road}-continuous",
+                    f"evaluation.wrappers:{road}-continuous-v{version}",
+                    {},
+                    f"{road}-v{version} with throttle and steering",
+                    road=False,
+                )
+                for road, version in (("merge", 1), ("roundabout", 1), ("two-way", 0), ("u-turn", 1))
+            ),
+            Setting(
+                "exit-continuous",
+                "exit-v1",
+                {"action": {"type": "ContinuousAction"}},
+                "exit-v1 with throttle and steering",
+                road=False,
+            ),
+            Setting(
+                "intersection-continuous",
+                "intersection-v1",
+                {},
+                "intersection-v1 as it comes: throttle and steering at 1 Hz, tyres that slip, 13 s",
                 road=False,
             ),
             Setting("racetrack", "racetrack-v0", {}, "racetrack-v0 as it comes: steering alone, 5 Hz, 15 Hz, 300 s"),

@@ -7,6 +7,7 @@ from evaluation.wrappers.off_road import OffRoadWrapper
 from evaluation.wrappers.on_lane_reward import OnLane, OnLaneReward
 from evaluation.wrappers.performance_logger import PerformanceLogger
 from evaluation.wrappers.signed_lane import LaneOffset, SignedLaneObservation
+from evaluation.wrappers.throttle_and_steering import ThrottleAndSteering
 
 __all__ = [
     "HanoiWeights",
@@ -17,4 +18,5 @@ __all__ = [
     "OnLaneReward",
     "PerformanceLogger",
     "SignedLaneObservation",
+    "ThrottleAndSteering",
 ]

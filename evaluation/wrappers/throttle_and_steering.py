@@ -1,0 +1,154 @@
+"""Throttle and steering on roads whose rewards highway-env computes for meta-actions only.
+
+They are registered with Gymnasium too: `merge-continuous-v1`, `roundabout-continuous-v1`, `two-way-continuous-v0`,
+`u-turn-continuous-v1` and the others, with highway-env's configuration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+from gymnasium.envs.registration import load_env_creator
+from gymnasium.utils import RecordConstructorArgs
+from highway_env.vehicle.controller import MDPVehicle
+from highway_env.vehicle.dynamics import BicycleVehicle
+from highway_env.vehicle.kinematics import Vehicle
+
+from shield.errors import ConfigError
+
+__all__ = ["ROADS", "ThrottleAndSteering", "make_continuous"]
+
+ROADS = (
+    *(f"{road}-v{k}" for road in ("merge", "merge-generic", "roundabout", "roundabout-generic") for k in (0, 1)),
+    *("two-way-v0", "u-turn-v0", "u-turn-v1"),
+)
+"""What highway-env does not make with `ContinuousAction`."""
+
+_IDLE = 1
+
+
+class ThrottleAndSteering(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """An environment with meta-actions, driven by throttle and steering (`ContinuousAction`) instead.
+
+    highway-env 1.12 raises where merge, roundabout, two-way or u-turn are configured so, already in `gym.make`: their
+    rewards and observations ask which meta-action was taken, or which target speed the vehicle has. Here the reward of
+    a lane change is not paid, for there is none to ask for; the target speed is the nearest one to the speed; and the
+    lane that the vehicle wants is the one that it is in. Everything else is highway-env's.
+
+    Parameters
+    ----------
+    env : an environment of highway-env, with meta-actions.
+    action : options of `ContinuousAction`, such as `acceleration_range`, `lateral` or `dynamical`.
+
+    Raises
+    ------
+    ConfigError
+        If it is none of highway-env's, or has throttle and steering already.
+
+    Examples
+    --------
+    >>> import gymnasium as gym, highway_env
+    >>> env = ThrottleAndSteering(gym.make("roundabout-v1"))
+    >>> obs, info = env.reset(seed=0)
+    >>> env.action_space.shape
+    (2,)
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], **action: Any) -> None:
+        RecordConstructorArgs.__init__(self, **action)
+        gym.Wrapper.__init__(self, env)
+        base: Any = env.unwrapped
+        kind = getattr(base, "config", {}).get("action", {}).get("type")
+        if kind != "DiscreteMetaAction":
+            raise ConfigError(
+                f"ThrottleAndSteering takes an environment of highway-env with DiscreteMetaAction; "
+                f"{type(base).__name__} has {kind or 'no actions of highway-env'}"
+            )
+        speeds = base.config["action"].get("target_speeds")
+        self._speeds = np.array(MDPVehicle.DEFAULT_TARGET_SPEEDS if speeds is None else speeds, float)
+        rewards, define_spaces = base._rewards, base.define_spaces
+
+        def define() -> None:
+            with self._lent():
+                define_spaces()
+            observe = base.observation_type.observe
+            base.observation_type.observe = lambda: self._told(observe)
+
+        base._rewards = lambda action: self._told(self._paid, rewards)
+        base.define_spaces = define
+        base.config["action"] = {"type": "ContinuousAction", **action}
+        base.reset()
+
+    def _told(self, question: Callable[..., Any], *arguments: Any) -> Any:
+        with self._lent():
+            return question(*arguments)
+
+    def _paid(self, rewards: Callable[[int], dict[str, float]]) -> dict[str, float]:
+        try:
+            return rewards(_IDLE)
+        except ZeroDivisionError:
+            # `TwoWayEnv` divides by the lanes beside the vehicle's, where it has turned back and there are none.
+            vehicle: Any = self.unwrapped.vehicle  # type: ignore[attr-defined]
+            return {"high_speed_reward": vehicle.speed_index / (len(self._speeds) - 1), "left_lane_reward": 0.0}
+
+    @contextmanager
+    def _lent(self) -> Iterator[None]:
+        """While the vehicle tells what is asked of one with meta-actions."""
+        vehicle, n = self.unwrapped.vehicle, len(self._speeds)  # type: ignore[attr-defined]
+        if type(vehicle) not in (Vehicle, BicycleVehicle):
+            yield
+            return
+        share = (vehicle.speed - self._speeds[0]) / (self._speeds[-1] - self._speeds[0])
+        lent: dict[str, Any] = {
+            "speed_index": int(np.clip(np.round(share * (n - 1)), 0, n - 1)),
+            "index_to_speed": self._speeds.__getitem__,
+            "route": None,
+            "target_speeds": self._speeds,
+            "target_lane_index": vehicle.lane_index,
+        }
+        vars(vehicle).update(lent)
+        try:
+            yield
+        finally:
+            for name in lent:
+                del vars(vehicle)[name]
+
+
+def make_continuous(road: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> Any:
+    """One of `ROADS` with throttle and steering.
+
+    Parameters
+    ----------
+    config : as highway-env's; the action, if there is one, a `ContinuousAction`.
+
+    Raises
+    ------
+    ConfigError
+        If the action is another.
+    """
+    own = dict(config or {})
+    action = dict(own.pop("action", {}))
+    if action.pop("type", "ContinuousAction") != "ContinuousAction":
+        raise ConfigError(f"{road} has its other actions in highway-env itself; here it has ContinuousAction")
+    creator = load_env_creator(str(gym.spec(road).entry_point))
+    env: Any = creator(config=own or None, render_mode=render_mode)
+    return ThrottleAndSteering(env, **action)
+
+
+def _register() -> None:
+    for road in ROADS:
+        name, version = road.rsplit("-", 1)
+        gym.register(
+            id=f"{name}-continuous-{version}",
+            entry_point=f"{__name__}:make_continuous",
+            max_episode_steps=gym.spec(road).max_episode_steps,
+            kwargs={"road": road},
+        )
+
+
+_register()

@@ -52,6 +52,6 @@ def refuse_simulated(config: ShieldConfig) -> None:
     """
     if config.assumptions.simulated and config.mode != "none":
         raise ConfigError(
-            "Assumptions.exact() verifies meta-actions alone: Shield(policy, env, config, frames=False). ShieldedEnv, "
-            'Shield with frames, and throttle and steering take the profiles "idm", "moderate" and "rss"'
+            "Assumptions.exact() verifies by simulation, which Shield and ShieldedEnv do on roads whose traffic is "
+            'known; here there are the profiles "idm", "moderate" and "rss"'
         )

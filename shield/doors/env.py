@@ -16,15 +16,17 @@ from shield.decision import Decision
 from shield.doors.adapters import as_policy
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import base_environments, the_action_type
+from shield.doors.exact_door import ExactDoor
+from shield.doors.exact_input_door import ExactInputDoor
 from shield.doors.input_door import InputDoor
 from shield.doors.meta_door import MetaDoor
 from shield.doors.patience import Patience
 from shield.doors.ranking import normalised, order_from_scores, ranking_of
 from shield.doors.report import Statistics, report
 from shield.doors.supervision import Command, Supervision
+from shield.doors.warm_doors import warm_up_door
 from shield.errors import ConfigError, SceneError
 from shield.procedures.decide import Core
-from shield.procedures.warm_up import warm_up
 from shield.rules import Rule
 
 if TYPE_CHECKING:
@@ -41,10 +43,13 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     with bounded acceleration, or the ego keeps its lane. Throttle and steering are verified at every frame, and
     replaced by the nearest inputs that verify.
 
+    With `ShieldConfig.exact()` the traffic is simulated instead, on every road whose traffic is known: meta-actions are
+    verified when they are taken, throttle and steering at every frame.
+
     Parameters
     ----------
     env : the environment (`highway-v0`, `highway-fast-v0` or one with the same kind of road; with continuous actions
-        the racetracks and parking lots too).
+        the racetracks and parking lots too; with `ShieldConfig.exact()` every other road).
     config : settings, or the path of a TOML file with them.
     policy : where given, alternatives are tried in its order of preference (probabilities or Q-values of the
         last observation).
@@ -95,17 +100,25 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self.policy = None if policy is None else as_policy(policy, env)
         self._base: Any = bases[0]
         kind = the_action_type(bases, "ShieldedEnv")
-        self._door: MetaDoor | InputDoor
+        self._door: MetaDoor | InputDoor | ExactDoor | ExactInputDoor
+        simulated = self.config.assumptions.simulated and self.config.mode != "none"
         if rule is not None and kind == "ContinuousAction":
             raise ConfigError("a rule judges meta-actions; this environment has ContinuousAction")
-        if kind == "ContinuousAction":
-            self._door = InputDoor(self._base, self.config, model=model)
-        elif model is not None:
+        if model is not None and kind != "ContinuousAction":
             raise ConfigError("a model is for ContinuousAction; with meta-actions leave it out")
+        if simulated and (rule is not None or model is not None):
+            raise ConfigError("Assumptions.exact() verifies by simulation: leave rule and model out")
+        if kind == "ContinuousAction":
+            self._door = (
+                ExactInputDoor(self._base, self.config)
+                if simulated
+                else InputDoor(self._base, self.config, model=model)
+            )
         else:
-            self._door = MetaDoor(self._base, self.config, rule=rule)
-        self.core: Core[Any] = self._door.core
-        warm_up()
+            self._door = (
+                ExactDoor(self._base, self.config) if simulated else MetaDoor(self._base, self.config, rule=rule)
+            )
+        warm_up_door(self._door)
         self._observation: Any = None
         self._supervising = self.latency = 0.0
         self._episode = Statistics()
@@ -117,7 +130,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """Reset the environment and forget everything about the last episode."""
         obs, info = self.env.reset(seed=seed, options=options)
         inputs = the_action_type([self._base], "ShieldedEnv") == "ContinuousAction"
-        if inputs is not isinstance(self._door, InputDoor):
+        if inputs is not isinstance(self._door, InputDoor | ExactInputDoor):
             raise ConfigError("the reset has changed the environment's action type; make a new ShieldedEnv around it")
         self._door.reset()
         self._episode = Statistics()
@@ -131,7 +144,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if self._base.road is None:
             raise SceneError("the environment has no road yet; call reset() first")
         start = perf_counter()
-        before = self.core.violations
+        before = self._door.violations
         decision = self._door.decide(action, self._order_of(action))
         self._patience.check(decision, self._door.cause)
         self.last_decision = decision
@@ -145,7 +158,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             obs, reward, terminated, truncated, info = self.env.step(decision.executed)
         self._observation = obs
         self.latency = deciding + self._supervising
-        info["shield"] = report(decision, self.frame_decisions, self.core.violations - before)
+        info["shield"] = report(decision, self.frame_decisions, self._door.violations - before)
         self._episode.add(info["shield"], self.latency)
         if terminated or truncated:
             info["shield_episode"] = self._episode.summary()
@@ -156,9 +169,22 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
         (MaskablePPO cannot handle an empty mask; `step` then falls back whatever is chosen.)
         """
-        if not isinstance(self._door, MetaDoor):
+        if not isinstance(self._door, MetaDoor | ExactDoor):
             raise ConfigError("action_masks() needs DiscreteMetaAction; this environment has ContinuousAction")
         return self._door.mask()
+
+    @property
+    def core(self) -> Core[Any]:
+        """What decides, and remembers.
+
+        Raises
+        ------
+        AttributeError
+            If the traffic is simulated: the doors for that have none.
+        """
+        if isinstance(self._door, ExactDoor | ExactInputDoor):
+            raise AttributeError("where the traffic is simulated there is no core")
+        return self._door.core
 
     def _order_of(self, action: Any) -> Callable[[], list[int] | None] | None:
         """The policy's order of preference over what it has not proposed, where it is needed."""
@@ -172,6 +198,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def _frame(self) -> Command:
         start = perf_counter()
+        assert not isinstance(self._door, ExactDoor)
         command, decision = self._door.frame()
         self.frame_decisions.append(decision)
         self._supervising += perf_counter() - start

@@ -16,7 +16,6 @@ from dynamics.errors import SceneError
 from dynamics.networks.refusals import check_network, on_network
 from dynamics.networks.simulator import NetworkSimulator
 from dynamics.simulator.env import CompiledHighwayEnv
-from dynamics.simulator.layout import HEADING, SPEED, X, Y
 from dynamics.simulator.scenario import scenario_of
 from dynamics.simulator.simulator import Simulator
 from dynamics.state import FloatArray
@@ -25,10 +24,11 @@ from shield.batch.vocabulary import REASONS, TIERS
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
+from shield.doors.exact_scene import STATE, ExactScene, Room
 from shield.errors import ConfigError
-from shield.exact.deciding import Plans, empty_plans, last_resort, passes, replace
-from shield.exact.room import Search, new_search
-from shield.exact.search import foretell, leap
+from shield.exact.deciding import Plans, empty_plans, last_resort, passes, replace, verify
+from shield.exact.room import Search
+from shield.exact.search import enter, leap
 from shield.procedures.screen import slower
 from shield.procedures.warm_up import announced
 from shield.refusals import check
@@ -37,13 +37,6 @@ from shield.repair.order import resolve
 __all__ = ["ExactDoor", "warm_up_exact"]
 
 _log = logging.getLogger(__name__)
-Room = tuple[Simulator | NetworkSimulator, Search]
-_STATE = [X, Y, HEADING, SPEED]
-_SAME = 1e-6
-"""A vehicle has done what was foretold of it within this [m, rad, m/s]; where numpy's own sums cannot be had they
-differ by some 1e-12."""
-_ELSEWHERE = 10.0
-"""No vehicle strays so far from what was foretold of a decision [m]."""
 
 
 class ExactDoor:
@@ -63,7 +56,7 @@ class ExactDoor:
 
     Attributes
     ----------
-    violations : vehicles that have done something else than what was foretold, counted at each decision.
+    on_network : whether the road is no straight highway.
     cause : why the scene of the last decision could not be read, "" where it could.
     """
 
@@ -72,23 +65,29 @@ class ExactDoor:
     def __init__(self, base: Any, config: ShieldConfig) -> None:
         check(config)
         self.config, self._base = config, base
+        self.on_network = not isinstance(base, CompiledHighwayEnv) and on_network(base)
         if not isinstance(base, CompiledHighwayEnv):
-            if on_network(base):
+            if self.on_network:
                 check_network(base)
             elif base.spec is None:
                 raise ConfigError("the environment has no id; make it with gym.make")
             else:
                 scenario_of(base.spec.id, base.config)
-        self.violations, self.cause = 0, ""
-        self.reset()
+        self._scene = ExactScene(base, config, _simulate)
+        self.cause = ""
+        self._plans: Plans = empty_plans(1, 1)
+        self._search: Search | None = None
+
+    @property
+    def violations(self) -> int:
+        """Vehicles that have done something else than what was foretold, counted at each decision."""
+        return self._scene.violations
 
     def reset(self) -> None:
         """Forget everything about the episode."""
-        self._rooms: dict[int, Room] = {}
-        self._search: Search | None = None
-        self._plans: Plans = empty_plans(1, 1)
-        self._foretold: FloatArray = np.zeros((len(_STATE), 0))
-        self._foretold_of: dict[Any, int] = {}
+        self._scene.forget()
+        self._plans = empty_plans(1, 1)
+        self._search = None
 
     def decide(self, action: Any, order: Callable[[], list[int] | None] | None = None) -> Decision:
         """Filter one meta-action; `order` gives the policy's order of preference over the others."""
@@ -96,7 +95,7 @@ class ExactDoor:
         shown = action if proposed < 0 else proposed
         reason: Reason | None = None
         try:
-            simulator = self._now()
+            simulator, search = self._read()
         except (SceneError, ConfigError) as error:
             reason, self.cause = Reason.BAD_SCENE, str(error)
         except Exception as error:
@@ -104,84 +103,49 @@ class ExactDoor:
             reason, self.cause = Reason.STAGE_FAILED, f"{type(error).__name__}: {error}"
         records = empty_records(1, 1)
         if reason is not None:
-            self._foretold_of = {}
+            self._scene.expect_nothing()
             slowest = slower(list(self._base.action_type.actions_indexes))
             last_resort(records, self._plans, 0, slowest, REASONS.index(reason))
             return _decision(shown, records, start)
-        search = self._search
-        assert search is not None
-        self._compare(simulator)
         if not passes(search, self._plans, records, simulator.worlds, 0, proposed):
             # The policy is asked for its order only where something takes the proposal's place.
             wanted = resolve(order) or []
             ranked = np.array([*(a for a in wanted if a != proposed), -1], np.intp)
             replace(search, self._plans, records, 0, proposed, ranked)
         leap(search, 0, 1, int(records.executed[0]), 0.0, -math.inf)
-        self._foretold, self._foretold_of = search.futures.f[1][_STATE].copy(), self._bodies()
-        plan, areas = self._shown(search) if self.config.record else (None, None)
+        self._scene.expect(search.futures.f[1][STATE])
+        plan, areas = None, None
+        if self.config.record:
+            plan, areas = self._scene.shown(search, search.plan, int(self._plans.length[0]) + 1)
         return _decision(shown, records, start, plan, areas)
 
-    def _shown(self, search: Search) -> tuple[FloatArray, FloatArray]:
-        """What is foretold of the ego, (frames + 1, 4) x, y [m], heading [rad], speed [m/s], and the boxes around the
-        others, (frames + 1, others, 4) x_min, x_max, y_min, y_max [m]."""
-        n = int(self._plans.length[0]) + 1
-        rows = np.zeros((n * search.rules.numbers[0] + 1, search.futures.f.shape[2], 7))
-        rows = rows[: foretell(search, search.plan, n, rows)]
-        ego = self._ego(self._foretold_of)
-        others = np.delete(rows, ego, axis=1)
-        cos, sin = np.abs(np.cos(others[..., 2])), np.abs(np.sin(others[..., 2]))
-        half = np.stack([others[..., 4] * cos + others[..., 5] * sin, others[..., 4] * sin + others[..., 5] * cos]) / 2
-        x, y = others[..., 0], others[..., 1]
-        return rows[:, ego, :4], np.stack([x - half[0], x + half[0], y - half[1], y + half[1]], axis=-1)
+    def mask(self) -> np.ndarray[Any, Any]:
+        """Which actions verify now; all True where none does.
 
-    def _now(self) -> Simulator | NetworkSimulator:
-        """The traffic as it is, and room for searches in it."""
-        base = self._base
-        if isinstance(base, CompiledHighwayEnv):
-            simulator, search = self._rooms.get(0) or self._furnish(0, base.simulator)
-        else:
-            bodies = 0 if base.road is None else len(base.road.vehicles) + len(base.road.objects)
-            room = self._rooms.get(bodies)
-            if room is None or not room[0].fits(base):
-                room = self._furnish(bodies, NetworkSimulator(base) if on_network(base) else Simulator.of(base))
-            else:
-                room[0].load(base)
-            simulator, search = room
-        self._search = search
-        return simulator
+        Raises
+        ------
+        SceneError, ConfigError
+            If the traffic cannot be simulated.
+        """
+        simulator, search = self._read()
+        enter(search, simulator.worlds, 0)
+        none = np.zeros_like(search.plan)
+        mask = np.array([verify(search, k, none, 0) >= 0 for k in range(len(search.order))])
+        return mask if mask.any() else np.ones_like(mask)
 
-    def _furnish(self, bodies: int, simulator: Simulator | NetworkSimulator) -> Room:
-        """Room for so many bodies: where vehicles come and go, their number changes back and forth."""
-        search = new_search(simulator, self.config)
+    def _read(self) -> Room:
+        """The traffic as it is, and room for searches in it; what was planned is kept where it is as was foretold."""
+        simulator, search = self._scene.read()
+        if self._scene.surprised:
+            self._plans.length[0] = 0
         if len(self._plans.actions[0]) != search.bounds.depth:
             self._plans = empty_plans(1, search.bounds.depth)
-        self._rooms[bodies] = simulator, search
+        self._search = search
         return simulator, search
 
-    def _bodies(self) -> dict[Any, int]:
-        """The columns of the scene, by what they stand for."""
-        base = self._base
-        if isinstance(base, CompiledHighwayEnv):
-            return {k: k for k in range(base.simulator.worlds.f.shape[2])}
-        return {body: k for k, body in enumerate([*base.road.vehicles, *base.road.objects])}
 
-    def _ego(self, bodies: dict[Any, int]) -> int:
-        """The column of the ego among `_bodies`."""
-        return 0 if isinstance(self._base, CompiledHighwayEnv) else bodies[self._base.vehicle]
-
-    def _compare(self, simulator: Simulator | NetworkSimulator) -> None:
-        """Count the vehicles that have done something else than was foretold, as long as the ego has not: of those who
-        were there then and are there now. Who is somewhere else altogether has been put there: another newcomer."""
-        bodies, before = self._bodies(), self._foretold_of
-        columns = np.array([(k, before[body]) for body, k in bodies.items() if body in before], np.intp).reshape(-1, 2)
-        now, foretold = simulator.worlds.f[0][_STATE][:, columns[:, 0]], self._foretold[:, columns[:, 1]]
-        there = np.hypot(*(now - foretold)[:2]) <= _ELSEWHERE
-        other = there & ~(np.abs(now - foretold) <= _SAME).all(axis=0)
-        if other.any():
-            self._plans.length[0] = 0
-        ego = self._ego(bodies)
-        if not other[columns[:, 0] == ego].any():
-            self.violations += int(other.sum())
+def _simulate(base: Any) -> Simulator | NetworkSimulator:
+    return NetworkSimulator(base) if on_network(base) else Simulator.of(base)
 
 
 @cache

@@ -14,9 +14,9 @@ from dynamics.scenes.parking_lot import LotReader, is_lot
 from dynamics.scenes.scene import SceneReader
 from dynamics.state import FloatArray, State
 from dynamics.vehicle.actuators import Actuators
-from dynamics.vehicle.controllers import KP_SPEED
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
+from shield.doors.cruise import Cruise
 from shield.procedures.decide import Core, Unreadable, read
 from shield.procedures.inputs import Inputs
 from shield.procedures.parking_lot import ParkingLot
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from mpc.filter.program.road_step import StageModel
 
 __all__ = ["InputDoor", "refuse_lots"]
-
-_SAME_SPEED = 1e-3
-"""Speeds that count as the same [m/s]."""
 
 
 class InputDoor:
@@ -79,7 +76,7 @@ class InputDoor:
         if base.road is not None and not self._off:
             self._reader.check()
         self._untouched = True
-        self._cruise: float | None = None
+        self._cruise = Cruise(self.actuators)
         self._proposal: FloatArray | None = None
         self._first: tuple[FloatArray, Decision] | None = None
 
@@ -92,7 +89,8 @@ class InputDoor:
             If the episode's road is not supported.
         """
         self.core.reset()
-        self._first = self._cruise = None
+        self._first = None
+        self._cruise.reset()
         procedure = self.core.procedure
         if self._off:
             return
@@ -146,24 +144,12 @@ class InputDoor:
             return None, decision
         return {"acceleration": float(inputs[0]), "steering": float(inputs[1])}, decision
 
-    def _cruising(self, scene: Any, proposal: FloatArray) -> FloatArray:
-        """The proposal of a policy without a throttle, brought back to the speed that the shield has taken from it."""
-        if self.actuators.longitudinal or self._agent or not scene.finite:
-            return proposal
-        v = float(scene.ego[State.SPEED])
-        if self._cruise is None:
-            self._cruise = v
-        if abs(v - self._cruise) < _SAME_SPEED:
-            return proposal
-        low, high = self.actuators.acceleration
-        return np.array([np.clip(KP_SPEED * (self._cruise - v), low, high), proposal[1]])
-
     def _filter(self) -> tuple[FloatArray, Decision]:
         start, proposal = perf_counter(), self._proposal
         scene = read(self._reader, self._stopping())
         self.cause = scene.cause if isinstance(scene, Unreadable) else ""
-        if proposal is not None and not isinstance(scene, Unreadable):
-            proposal = self._cruising(scene, proposal)
+        if proposal is not None and not isinstance(scene, Unreadable) and scene.finite and not self._agent:
+            proposal = self._cruise.proposal(proposal, float(scene.ego[State.SPEED]))
         decision = self.core.decide(scene, proposal)
         inputs: FloatArray = decision.executed
         if decision.tier is Tier.PASSED and self._proposal is not None and inputs[0] != self._proposal[0]:

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.networks.refusals import on_network
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
 from shield.doors.adapters import as_policy, refuse_misfits
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import base_environments, the_action_type
-from shield.doors.exact_door import ExactDoor, warm_up_exact
+from shield.doors.exact_door import ExactDoor
+from shield.doors.exact_input_door import ExactInputDoor
 from shield.doors.input_door import InputDoor
 from shield.doors.liveness import Liveness
 from shield.doors.meta_door import MetaDoor
@@ -24,8 +24,8 @@ from shield.doors.patience import Patience
 from shield.doors.ranking import order_from_scores, ranking_of
 from shield.doors.report import Statistics, report
 from shield.doors.supervision import Command, Supervision
+from shield.doors.warm_doors import warm_up_door
 from shield.errors import ConfigError
-from shield.procedures.warm_up import warm_up
 
 __all__ = ["Shield"]
 
@@ -49,7 +49,7 @@ class Shield:
         `ShieldConfig.for_meta_actions()`.
     frames : whether the frames between two decisions are supervised. Without, `Shield` is a pure filter of actions: it
         touches nothing but what `predict` returns, and has to look seconds ahead with what it assumes. With
-        `ShieldConfig.exact()` it simulates the traffic instead.
+        `ShieldConfig.exact()` it simulates the traffic instead, and meta-actions need no supervision either way.
 
     Raises
     ------
@@ -96,21 +96,22 @@ class Shield:
         self.policy = as_policy(policy, env)
         refuse_misfits(self.policy, env)
         self._frames = frames
-        self._doors: list[MetaDoor | InputDoor | ExactDoor]
-        if the_action_type(self._bases, "Shield") == "ContinuousAction":
-            self.config = ShieldConfig.of(config)
+        self._doors: list[MetaDoor | InputDoor | ExactDoor | ExactInputDoor]
+        self._inputs = the_action_type(self._bases, "Shield") == "ContinuousAction"
+        meta = ShieldConfig.for_meta_actions()
+        self.config = ShieldConfig.of(config, ShieldConfig() if frames or self._inputs else meta)
+        simulated = self.config.assumptions.simulated and self.config.mode != "none"
+        if simulated and self._inputs:
+            if not frames:
+                raise ConfigError("Assumptions.exact() verifies throttle and steering at every frame: frames=True")
+            self._doors = [ExactInputDoor(base, self.config) for base in self._bases]
+        elif self._inputs:
             self._doors = [InputDoor(base, self.config, agent=not frames) for base in self._bases]
+        elif simulated:
+            self._doors = [ExactDoor(base, self.config) for base in self._bases]
         else:
-            self.config = ShieldConfig.of(config, ShieldConfig() if frames else ShieldConfig.for_meta_actions())
-            exact = self.config.assumptions.simulated and not frames and self.config.mode != "none"
-            self._doors = [
-                ExactDoor(base, self.config) if exact else MetaDoor(base, self.config, frames) for base in self._bases
-            ]
-        self._inputs = isinstance(self._doors[0], InputDoor)
-        if isinstance(self._doors[0], ExactDoor):
-            warm_up_exact(on_network(self._bases[0]))
-        else:
-            warm_up()
+            self._doors = [MetaDoor(base, self.config, frames) for base in self._bases]
+        warm_up_door(self._doors[0])
         n = len(self._bases)
         self._roads: list[Any] = [None] * n
         self._patience = [Patience(self.config.patience) for _ in self._bases]
@@ -202,7 +203,7 @@ class Shield:
         proposals: Any
         cause = ""
         first = self._doors[0]
-        size = first.actuators.size if isinstance(first, InputDoor) else 1
+        size = first.actuators.size if isinstance(first, InputDoor | ExactInputDoor) else 1
         for i, alive in enumerate(self._alive):
             alive.check(_row(observation, i, len(self._alive)))
         try:

@@ -18,7 +18,7 @@ from shield.exact.room import Search
 from shield.exact.search import enter, same_outcome, survives
 from shield.exact.traffic import ego_in
 
-__all__ = ["Plans", "decide", "empty_plans", "last_resort", "passes", "replace"]
+__all__ = ["Plans", "decide", "empty_plans", "last_resort", "longest", "passes", "replace", "verify"]
 
 _NONE, _UNVERIFIED, _NO_SAFE_PLAN, _BAD_ACTION = (
     REASONS.index(r) for r in (Reason.NONE, Reason.UNVERIFIED, Reason.NO_SAFE_PLAN, Reason.BAD_ACTION)
@@ -63,7 +63,7 @@ def last_resort(records: Records, plans: Plans, e: int, slower: int, reason: int
 
 
 @uncounted
-def _verify(search: Search, action: int, stored: IntArray, length: int) -> float:
+def verify(search: Search, action: int, stored: IntArray, length: int) -> float:
     """The smallest clearance beyond the buffer of a sequence that begins with an action, into `search.plan` [m]: -inf
     where none is found that keeps the buffer for all decisions."""
     clear, margin, exhausted = survives(search, action, stored, length, 0.0)
@@ -73,20 +73,20 @@ def _verify(search: Search, action: int, stored: IntArray, length: int) -> float
 
 
 @uncounted
-def _longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]:
+def longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]:
     """The sequence without a crash that lasts longest, and of those that last the one that is most clear, into
     `search.plan`: how many decisions it lasts, and its smallest clearance beyond the buffer [m]."""
     margin = best_plan(search, ANY, ANY, search.bounds.depth, 0.0, _ANYTHING)
     if margin >= _ANYTHING:
         return search.bounds.depth, margin
-    best, longest = search.order[0], 0
+    best, lasts = search.order[0], 0
     for k in range(search.order.shape[0]):
         clear, _, _ = survives(search, search.order[k], stored, length, _ANYTHING)
-        if clear > longest:
-            best, longest = search.order[k], clear
+        if clear > lasts:
+            best, lasts = search.order[k], clear
     search.plan[0] = best
-    longest, margin, _ = survives(search, best, stored, length, _ANYTHING)
-    return longest, margin
+    lasts, margin, _ = survives(search, best, stored, length, _ANYTHING)
+    return lasts, margin
 
 
 @uncounted
@@ -98,7 +98,7 @@ def passes(search: Search, plans: Plans, records: Records, worlds: Any, e: int, 
     if not 0 <= proposed < search.order.shape[0]:
         last_resort(records, plans, e, search.order[0], _BAD_ACTION)
         return True
-    margin = _verify(search, proposed, plans.actions[e], plans.length[e])
+    margin = verify(search, proposed, plans.actions[e], plans.length[e])
     if margin < 0:
         return False
     records.margin[e] = margin
@@ -120,7 +120,7 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
         if action == proposed or same_outcome(search, action, proposed):
             continue
         if ranked:
-            margin = _verify(search, action, stored, length)
+            margin = verify(search, action, stored, length)
         else:
             # The beam has been through all of them.
             clear, least, _ = survives(search, action, stored, length, 0.0)
@@ -129,9 +129,9 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
         records.margin[e] = margin
         _execute(records, plans, e, search.plan, search.bounds.depth, _ALTERNATIVE, _UNVERIFIED)
         return
-    longest, margin = _longest(search, stored, length)
+    lasts, margin = longest(search, stored, length)
     records.margin[e] = margin if margin > -np.inf else math.nan
-    _execute(records, plans, e, search.plan, longest, _LARGEST, _NO_SAFE_PLAN)
+    _execute(records, plans, e, search.plan, lasts, _LARGEST, _NO_SAFE_PLAN)
 
 
 @uncounted

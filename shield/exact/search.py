@@ -21,11 +21,23 @@ from dynamics.traffic.permits import Ego, gap_between
 from shield.exact.room import Bounds, Search
 from shield.exact.traffic import copy_routes, ego_in, frame, lanes_to_the_right, on_road, start
 
-__all__ = ["copy_future", "depart", "enter", "foretell", "leap", "repeats", "same_outcome", "survives", "travel"]
+__all__ = [
+    "clearance",
+    "copy_future",
+    "copy_state",
+    "depart",
+    "enter",
+    "foretell",
+    "leap",
+    "repeats",
+    "same_outcome",
+    "survives",
+    "travel",
+]
 
 
 @uncounted
-def _copy(worlds: Any, e: int, futures: Any, k: int) -> None:
+def copy_state(worlds: Any, e: int, futures: Any, k: int) -> None:
     """Copy what moves of one environment into a future."""
     f, g, f0, g0 = futures.f[k], futures.g[k], worlds.f[e], worlds.g[e]
     for i in range(f.shape[0]):
@@ -42,13 +54,13 @@ def _copy(worlds: Any, e: int, futures: Any, k: int) -> None:
 @uncounted
 def copy_future(search: Search, source: int, target: int) -> None:
     """Copy one future over another."""
-    _copy(search.futures, source, search.futures, target)
+    copy_state(search.futures, source, search.futures, target)
 
 
 @uncounted
 def enter(search: Search, worlds: Any, e: int) -> None:
     """Make the present of one environment the first future."""
-    _copy(worlds, e, search.futures, 0)
+    copy_state(worlds, e, search.futures, 0)
     p, p0 = search.futures.p, worlds.p[e]
     for k in range(p.shape[0]):
         for i in range(p.shape[1]):
@@ -58,7 +70,7 @@ def enter(search: Search, worlds: Any, e: int) -> None:
 
 
 @uncounted
-def _clearance(futures: Any, k: int, ego: int, bounds: Bounds, row: FloatArray) -> float:
+def clearance(futures: Any, k: int, ego: int, bounds: Bounds, row: FloatArray) -> float:
     """The ego's smallest distance to anybody, beyond the buffer, negative where somebody is inside [m]."""
     f, g, p = futures.f[k], futures.g[k], futures.p[k]
     x, y, half_length, half_width = f[X, ego], f[Y, ego], 0.5 * p[LENGTH, ego], 0.5 * p[WIDTH, ego]
@@ -99,7 +111,7 @@ def travel(search: Search, target: int, wish: float, floor: float) -> tuple[floa
         on, at_end = on_road(search, target)
         if g[CRASHED, ego] != 0 or not on:
             return -np.inf, lost
-        least = min(least, _clearance(futures, target, ego, bounds, search.row))
+        least = min(least, clearance(futures, target, ego, bounds, search.row))
         left = lanes_to_the_right(search, target)
         lost += (abs(wish - f[SPEED, ego]) + bounds.keep_right * left) * dt
         if least < floor or at_end:

@@ -13,9 +13,10 @@ from dynamics.simulator.lanes import on_lane
 from dynamics.simulator.layout import LANE, TARGET, X, Y
 from shield.exact.room import Search
 
-__all__ = ["copy_routes", "ego_in", "frame", "lanes_to_the_right", "on_road", "start"]
+__all__ = ["copy_routes", "ego_in", "frame", "hold", "lanes_to_the_right", "on_road", "start"]
 
 _advance, _begin, _ego_of, _on_way = networks.advance, networks.begin, networks.ego_of, networks.on_way
+_hold = networks.hold
 _advance_highway, _begin_highway = highways.advance, highways.begin
 
 
@@ -27,6 +28,12 @@ def _start_highway(search: Search, k: int) -> None:
 @uncounted
 def _start_network(search: Search, k: int) -> None:
     _begin(search.machine, search.futures, search.rules, k, search.given)
+
+
+@uncounted
+def hold(search: Search, k: int, throttle: float, wheel: float) -> None:
+    """Let the ego of a network keep an acceleration [m/s^2] and a front wheel angle [rad] in future k."""
+    _hold(search.futures, k, throttle, wheel)
 
 
 @uncounted

@@ -32,6 +32,7 @@ from shield.exact.deciding import empty_plans
 from shield.exact.highways import ExactHighways
 from shield.exact.room import new_search
 from shield.exact.search import enter, survives
+from shield.rules import RssRule
 
 DENSE = {"vehicles_density": 1.6, "duration": 15}
 EXACT = ShieldConfig.exact()
@@ -227,9 +228,8 @@ class Stranger(IDMVehicle):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: ShieldedEnv(gym.make("highway-fast-v0"), EXACT), "frames=False"),
-        (lambda: Shield(Always(3), gym.make("highway-fast-v0"), EXACT), "frames=False"),
-        (lambda: ShieldedHighways("highway-fast-v0", 1, None, EXACT), "frames=False"),
+        (lambda: ShieldedEnv(gym.make("highway-fast-v0"), EXACT, rule=RssRule(EXACT)), "leave rule and model out"),
+        (lambda: ShieldedHighways("highway-fast-v0", 1, None, EXACT), "by simulation"),
         (lambda: shielded(gym.make("highway-fast-v0"), EXACT.replace(mode="rss")), "mode = 'full'"),
         (
             lambda: shielded(gym.make("parking-v0", config={"action": {"type": "DiscreteMetaAction"}})),
@@ -244,7 +244,7 @@ class Stranger(IDMVehicle):
             lambda: Shield(
                 Always(3), gym.make("highway-fast-v0", config={"action": {"type": "ContinuousAction"}}), EXACT, False
             ),
-            "meta-actions alone",
+            "at every frame",
         ),
     ],
 )

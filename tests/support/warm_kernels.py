@@ -9,6 +9,7 @@ from joblib import Parallel, delayed
 
 from shield.batch.highways import ShieldedHighways
 from shield.doors.exact_door import warm_up_exact
+from shield.doors.exact_input_door import warm_up_exact_inputs
 from shield.exact.highways import ExactHighways
 
 
@@ -27,6 +28,7 @@ def exact() -> None:
 
 def networks() -> None:
     warm_up_exact(True)
+    warm_up_exact_inputs()
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ __all__ = ["SIMULATED"]
 
 _TESTS, _NETWORKS = "tests/shield/test_exact.py", "tests/shield/test_exact_networks.py"
 _TRAFFIC = "tests/dynamics/test_networks.py"
+_INPUTS, _HELD = "tests/shield/test_exact_inputs.py", "tests/dynamics/test_network_inputs.py"
 
 SIMULATED = (
     off("what is simulated passes", f"{EXACT}/deciding.py", "    if margin < 0:\n        return False\n", "", _TESTS),
@@ -36,8 +37,8 @@ SIMULATED = (
     off(
         "a frame is looked at in each decision",
         f"{EXACT}/search.py",
-        "        least = min(least, _clearance(futures, target, ego, bounds, search.row))\n",
-        "        least = _clearance(futures, target, ego, bounds, search.row)\n",
+        "        least = min(least, clearance(futures, target, ego, bounds, search.row))\n",
+        "        least = clearance(futures, target, ego, bounds, search.row)\n",
         _TESTS,
     ),
     off(
@@ -49,14 +50,14 @@ SIMULATED = (
     ),
     off(
         "nothing is foretold",
-        "shield/doors/exact_door.py",
+        "shield/doors/exact_scene.py",
         "if not other[columns[:, 0] == ego].any():",
         "if False:",
         _TESTS,
     ),
     off(
         "the ego is foretold too",
-        "shield/doors/exact_door.py",
+        "shield/doors/exact_scene.py",
         "if not other[columns[:, 0] == ego].any():",
         "if True:",
         _TESTS,
@@ -87,8 +88,8 @@ SIMULATED = (
     off(
         "who has left stays",
         "dynamics/networks/engine.py",
-        "    if rules.customs.vehicles_leave:\n",
-        "    if False:\n",
+        "    clear(traffic, rules.customs, vehicles)\n",
+        "",
         _TRAFFIC,
     ),
     off(
@@ -97,5 +98,54 @@ SIMULATED = (
         "return j if mine > theirs else i",
         "return i if mine > theirs else j",
         _TRAFFIC,
+    ),
+    off(
+        "a frame of an input may be inside the buffer",
+        f"{EXACT}/inputs.py",
+        "least = clearance(futures, 0, ego, search.bounds, search.row)",
+        "least = 1.0",
+        _INPUTS,
+    ),
+    off(
+        "an input may leave the road",
+        f"{EXACT}/inputs.py",
+        "if futures.g[0, CRASHED, ego] != 0 or not on:",
+        "if futures.g[0, CRASHED, ego] != 0:",
+        _INPUTS,
+    ),
+    off(
+        "one decision of the law is enough",
+        f"{EXACT}/inputs.py",
+        "        if clear == depth:\n            return margin\n    return -np.inf\n",
+        "        if clear > 0:\n            return margin\n    return -np.inf\n",
+        _INPUTS,
+    ),
+    off(
+        "the law is forgotten between decisions",
+        "shield/doors/exact_input_door.py",
+        "            elif law is not None:\n",
+        "            elif False:\n",
+        _INPUTS,
+    ),
+    off(
+        "a plan for another scene is kept",
+        "shield/doors/exact_input_door.py",
+        "                self._tail.counts[:] = 0\n            elif",
+        "                pass\n            elif",
+        _INPUTS,
+    ),
+    off(
+        "nobody looks between two decisions",
+        "shield/doors/exact_scene.py",
+        "return bool((np.abs(now - self._foretold) <= _SAME).all())",
+        "return True",
+        _INPUTS,
+    ),
+    off(
+        "the wheel is straight in what others foresee",
+        "dynamics/networks/regulation.py",
+        "        if g[KIND, i] == CONTINUOUS:\n",
+        "        if False:\n",
+        _HELD,
     ),
 )

@@ -1,0 +1,139 @@
+"""What is foretold of one environment's traffic, and whether it comes about."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from dynamics.networks.simulator import NetworkSimulator
+from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.simulator.layout import HEADING, SPEED, X, Y
+from dynamics.simulator.simulator import Simulator
+from dynamics.state import FloatArray, IntArray
+from shield.config import ShieldConfig
+from shield.exact.room import Search, new_search
+from shield.exact.search import foretell
+
+__all__ = ["STATE", "ExactScene", "Room"]
+
+Room = tuple[Simulator | NetworkSimulator, Search]
+"""A simulator of the scene as it is, and room for searches in it."""
+STATE = [X, Y, HEADING, SPEED]
+"""Rows of the arrays that are foretold."""
+_SAME = 1e-6
+"""A vehicle has done what was foretold of it within this [m, rad, m/s]; where numpy's own sums cannot be had they
+differ by some 1e-12."""
+_ELSEWHERE = 10.0
+"""No vehicle strays so far from what was foretold of a decision [m]."""
+
+
+class ExactScene:
+    """The traffic of one environment in a simulator's arrays, with room for searches.
+
+    Parameters
+    ----------
+    base : the environment, unwrapped: highway-env's own, or a `CompiledHighwayEnv`.
+    config : settings with `Assumptions.exact()`.
+    simulate : makes a simulator of the environment as it is.
+
+    Attributes
+    ----------
+    violations : vehicles that have done something else than what was foretold, counted whenever the scene is read.
+    surprised : whether the scene is another than was foretold.
+    """
+
+    def __init__(
+        self, base: Any, config: ShieldConfig, simulate: Callable[[Any], Simulator | NetworkSimulator]
+    ) -> None:
+        self._base, self._config, self._simulate = base, config, simulate
+        self.violations = 0
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget everything about the episode."""
+        self._rooms: dict[int, Room] = {}
+        self.expect_nothing()
+
+    def expect_nothing(self) -> None:
+        """Foretell nothing of what comes next."""
+        self.surprised = False
+        self._foretold: FloatArray = np.zeros((len(STATE), 0))
+        self._foretold_of: dict[Any, int] = {}
+
+    def expect(self, states: FloatArray) -> None:
+        """Foretell the next scene: `states` has the rows x, y [m], heading [rad] and speed [m/s] of its bodies."""
+        self._foretold, self._foretold_of = states.copy(), self.bodies()
+
+    def read(self) -> Room:
+        """The scene as it is.
+
+        Raises
+        ------
+        SceneError, ConfigError
+            If it cannot be simulated.
+        """
+        base = self._base
+        if isinstance(base, CompiledHighwayEnv):
+            room = self._rooms.get(0) or self._furnish(0, base.simulator)
+        else:
+            bodies = 0 if base.road is None else len(base.road.vehicles) + len(base.road.objects)
+            known = self._rooms.get(bodies)
+            if known is None or not known[0].fits(base):
+                room = self._furnish(bodies, self._simulate(base))
+            else:
+                known[0].load(base)
+                room = known
+        self._compare(room[0].worlds.f[0][STATE])
+        return room
+
+    def as_foretold(self) -> bool:
+        """Whether everybody is where it was foretold, and nobody else has come; nothing is read but where they are."""
+        bodies = self.bodies()
+        if bodies.keys() != self._foretold_of.keys():
+            return False
+        now = np.array([[*body.position, body.heading, body.speed] for body in bodies], float).T
+        return bool((np.abs(now - self._foretold) <= _SAME).all())
+
+    def bodies(self) -> dict[Any, int]:
+        """The columns of the scene, by what they stand for."""
+        base = self._base
+        if isinstance(base, CompiledHighwayEnv):
+            return {k: k for k in range(base.simulator.worlds.f.shape[2])}
+        return {body: k for k, body in enumerate([*base.road.vehicles, *base.road.objects])}
+
+    def shown(self, search: Search, actions: IntArray, length: int) -> tuple[FloatArray, FloatArray]:
+        """What is foretold if the ego carries out the first `length` actions from future 0 on: of the ego,
+        (frames + 1, 4) x, y [m], heading [rad], speed [m/s], and the boxes around the others, (frames + 1, others, 4)
+        x_min, x_max, y_min, y_max [m]."""
+        rows = np.zeros((length * search.rules.numbers[0] + 1, search.futures.f.shape[2], 7))
+        rows = rows[: foretell(search, actions, length, rows)]
+        ego = self.ego(self._foretold_of)
+        others = np.delete(rows, ego, axis=1)
+        cos, sin = np.abs(np.cos(others[..., 2])), np.abs(np.sin(others[..., 2]))
+        half = np.stack([others[..., 4] * cos + others[..., 5] * sin, others[..., 4] * sin + others[..., 5] * cos]) / 2
+        x, y = others[..., 0], others[..., 1]
+        return rows[:, ego, :4], np.stack([x - half[0], x + half[0], y - half[1], y + half[1]], axis=-1)
+
+    def _furnish(self, bodies: int, simulator: Simulator | NetworkSimulator) -> Room:
+        """Room for so many bodies: where vehicles come and go, their number changes back and forth."""
+        self._rooms[bodies] = simulator, new_search(simulator, self._config)
+        return self._rooms[bodies]
+
+    def ego(self, bodies: dict[Any, int]) -> int:
+        """The column of the ego among `bodies`."""
+        return 0 if isinstance(self._base, CompiledHighwayEnv) else bodies[self._base.vehicle]
+
+    def _compare(self, states: FloatArray) -> None:
+        """Count the vehicles that have done something else than was foretold, as long as the ego has not: of those who
+        were there then and are there now. Who is somewhere else altogether has been put there: another newcomer."""
+        bodies, before = self.bodies(), self._foretold_of
+        columns = np.array([(k, before[body]) for body, k in bodies.items() if body in before], np.intp).reshape(-1, 2)
+        now, foretold = states[:, columns[:, 0]], self._foretold[:, columns[:, 1]]
+        there = np.hypot(*(now - foretold)[:2]) <= _ELSEWHERE
+        other = there & ~(np.abs(now - foretold) <= _SAME).all(axis=0)
+        self.surprised = bool(other.any())
+        ego = self.ego(bodies)
+        if not other[columns[:, 0] == ego].any():
+            self.violations += int(other.sum())

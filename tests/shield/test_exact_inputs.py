@@ -1,0 +1,263 @@
+"""Throttle and steering verified by simulation, in highway-env itself."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+
+import gymnasium as gym
+import highway_env  # noqa: F401
+import numpy as np
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.objects import Obstacle
+from input_scenes import gap, make_inputs, push
+from policies import Always
+
+from shield import ConfigError, Reason, Shield, ShieldConfig, ShieldedEnv
+from shield.decision import Tier
+from shield.exact.inputs import play
+
+EXACT = ShieldConfig.exact()
+ROADS = ["merge-v1", "roundabout-v1", "two-way-v0", "u-turn-v1", "intersection-v1", "highway-fast-v0", "racetrack-v0"]
+MORE = [
+    pytest.param(each, marks=pytest.mark.slow)
+    for each in ("merge-generic-v1", "roundabout-generic-v0", "exit-v1", "intersection-v0", "racetrack-oval-v0")
+]
+POLICIES = {
+    "throttle": lambda k, rng: [1.0, 0.0],
+    "random": lambda k, rng: rng.uniform(-1, 1, 2),
+    "weave": lambda k, rng: [0.4, 0.15 * np.sin(k)],
+}
+
+
+def make(env_id):
+    return make_inputs(env_id, dynamical=env_id == "intersection-v1")
+
+
+def watched(env_id, seed, policy, decisions=60):
+    """Drive behind the shield; yields, for each frame, the shield, the environment, the decision, and the gap after."""
+    env = ShieldedEnv(make(env_id), EXACT)
+    env.reset(seed=seed)
+    base, rng, done = env.unwrapped, np.random.default_rng(seed), False
+    advance = base.road.step
+    for k in range(decisions):
+        frames = []
+
+        def step(dt, frames=frames):
+            advance(dt)
+            frames.append((env.frame_decisions[-1], gap(base, EXACT.buffer)))
+
+        base.road.step = step
+        *_, terminated, truncated, _ = env.step(np.array(POLICIES[policy](k, rng), np.float32))
+        base.road.step = advance
+        for decision, least in frames:
+            yield env, base, decision, least
+        done = terminated or truncated
+        if done:
+            break
+    assert not base.vehicle.crashed
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("env_id", [*ROADS, *MORE])
+def test_nobody_comes_into_the_buffer(env_id, policy):
+    """Whatever is proposed: after every frame that verified, true rectangles apart; and nobody did anything else."""
+    tiers, shield = [], None
+    for env, _, decision, least in watched(env_id, 820, policy):
+        tiers.append(decision.tier)
+        shield = env
+        if decision.tier.verified:
+            assert least >= -1e-9
+    assert shield._door.violations == 0
+    assert Tier.PASSED in tiers
+    assert Tier.GOVERNED in tiers or env_id == "exit-v1"
+
+
+@pytest.mark.parametrize("env_id", ["roundabout-v1", "highway-fast-v0", "intersection-v1", "two-way-v0"])
+def test_there_is_always_a_way_on(env_id):
+    """What is stored with a frame is driven in a copy of highway-env: the buffer stays clear until the horizon ends."""
+    tried = 0
+    for n, (env, base, decision, _) in enumerate(watched(env_id, 830, "throttle", 8)):
+        door = env._door
+        if n % 23 or not decision.tier.verified or base.steps % door._period:
+            continue
+        copy = deepcopy(base)
+        present = door._present._replace(futures=deepcopy(door._present.futures))
+        tail, inputs, tried = deepcopy(door._tail), np.zeros(2), tried + 1
+        for _ in range(int(tail.counts[0]) * present.rules.numbers[0]):
+            play(present, tail, inputs)
+            push(copy, inputs)
+            s, _ = copy.vehicle.lane.local_coordinates(copy.vehicle.position)
+            if not copy.road.network.graph.get(copy.vehicle.lane_index[1]) and s > copy.vehicle.lane.length - 2.5:
+                break
+            assert gap(copy, EXACT.buffer) >= -1e-9
+            if hasattr(copy, "_clear_vehicles") and copy.steps % door._period == 0:
+                copy._clear_vehicles()
+    assert tried
+
+
+def test_full_throttle_drives():
+    """It is not by standing still that nothing happens: with the wheel straight, as fast as its leader."""
+    env = ShieldedEnv(make("highway-fast-v0"), EXACT)
+    env.reset(seed=842)
+    start = env.unwrapped.vehicle.position[0]
+    for _ in range(20):
+        *_, terminated, _, _ = env.step(np.array([1.0, 0.0], np.float32))
+        assert not terminated
+    assert env.unwrapped.vehicle.position[0] - start > 20 * 20
+
+
+def test_the_wheel_alone_keeps_its_speed():
+    """A policy without a throttle is given back the speed that the shield has taken."""
+    env = ShieldedEnv(gym.make("racetrack-v0"), EXACT)
+    env.reset(seed=3)
+    speed, slowest, reasons = env.unwrapped.vehicle.speed, np.inf, set()
+    for k in range(150):
+        *_, terminated, truncated, _ = env.step(np.array([0.3 * np.sin(k / 3)], np.float32))
+        slowest = min(slowest, env.unwrapped.vehicle.speed)
+        reasons |= {d.reason for d in env.frame_decisions}
+        assert not terminated
+        if truncated:
+            break
+    if slowest < speed - 1.0:
+        assert Reason.RESUME in reasons
+
+
+def test_shield_and_shielded_env_drive_the_same():
+    one, other = ShieldedEnv(make("roundabout-v1"), EXACT), make("roundabout-v1")
+    shield = Shield(Always(np.array([1.0, 0.0], np.float32)), other, EXACT)
+    one.reset(seed=5)
+    obs, _ = other.reset(seed=5)
+    for _ in range(6):
+        one.step(np.array([1.0, 0.0], np.float32))
+        other.step(shield.predict(obs)[0])
+        assert np.array_equal(one.unwrapped.vehicle.position, other.unwrapped.vehicle.position)
+        assert [d.tier for d in one.frame_decisions] == [d.tier for d in shield.frame_decisions[0]]
+
+
+@pytest.mark.parametrize("action", [[np.nan, 0.0], [np.inf, 1.0], [0.1], "left", None, [[0.0, 0.0]], [1e300, 0.0]])
+def test_what_is_no_action_is_replaced(action):
+    env = ShieldedEnv(make("merge-v1"), EXACT)
+    env.reset(seed=1)
+    env.step(np.array([0.5, 0.0], np.float32))
+    *_, info = env.step(action)
+    read = env._door.actuators.read(action)
+    assert (info["shield"]["reason"] == "bad_action") == (read is None)
+    assert not env.unwrapped.vehicle.crashed
+
+
+def test_a_scene_that_cannot_be_read_is_braked_in():
+    """A vehicle that drives in a way of its own comes, before there is a plan: brake; and after: play the plan on."""
+    for first in (True, False):
+        env = ShieldedEnv(make("merge-v1"), EXACT)
+        env.reset(seed=1)
+        base = env.unwrapped
+        if not first:
+            env.step(np.array([0.5, 0.0], np.float32))
+        stranger = type("Stranger", (IDMVehicle,), {"act": lambda self, action=None: None})
+        base.road.vehicles.append(stranger(base.road, [10.0, 0.0], 0.0, 10.0))
+        speed = base.vehicle.speed
+        *_, info = env.step(np.array([1.0, 0.0], np.float32))
+        assert info["shield"]["reason"] == "bad_scene"
+        assert env.frame_decisions[0].tier is (Tier.EMERGENCY if first else Tier.STORED_PLAN)
+        assert "Stranger" in env._door.cause
+        assert base.vehicle.speed < speed
+
+
+def test_who_does_something_else_between_two_frames_is_seen():
+    env = ShieldedEnv(make("roundabout-v1"), EXACT)
+    env.reset(seed=2)
+    base = env.unwrapped
+    env.step(np.array([0.3, 0.0], np.float32))
+    assert env._door.violations == 0
+    advance, frames = base.road.step, []
+
+    def step(dt):
+        advance(dt)
+        frames.append(dt)
+        if len(frames) == 4:
+            base.road.vehicles[1].position = base.road.vehicles[1].position + 0.3
+
+    base.road.step = step
+    *_, info = env.step(np.array([0.3, 0.0], np.float32))
+    assert info["shield"]["violations"] == env._door.violations == 1
+
+
+def test_a_plan_is_forgotten_where_somebody_does_something_else():
+    """What was planned for another scene is not what is fallen back on."""
+    for moved in (False, True):
+        env = ShieldedEnv(make("roundabout-v1"), EXACT)
+        env.reset(seed=2)
+        env.step(np.array([0.3, 0.0], np.float32))
+        if moved:
+            env.unwrapped.road.vehicles[1].position = env.unwrapped.road.vehicles[1].position + 0.3
+        env.step(np.array([np.nan, 0.0], np.float32))
+        assert (env.frame_decisions[0].tier is Tier.STORED_PLAN) == (not moved)
+        assert env.frame_decisions[0].reason is Reason.BAD_ACTION
+
+
+def test_an_obstacle_is_stopped_for():
+    """On a single lane there is no way around it."""
+    env = make("two-way-v0")
+    shielded = ShieldedEnv(env, EXACT)
+    shielded.reset(seed=0)
+    base = shielded.unwrapped
+    base.road.vehicles = [base.vehicle]
+    for lane in (("a", "b", 1), ("b", "a", 0)):
+        road = base.road.network.get_lane(lane)
+        s = road.local_coordinates(base.vehicle.position)[0] + (120 if lane[0] == "a" else -120)
+        base.road.objects.append(Obstacle(base.road, road.position(s, 0)))
+    for _ in range(14):
+        *_, terminated, _, _ = shielded.step(np.array([1.0, 0.0], np.float32))
+        assert not terminated
+    assert abs(base.vehicle.speed) < 3.0
+    assert gap(base, EXACT.buffer) >= -1e-9
+
+
+def test_what_is_recorded_is_what_happens():
+    env = ShieldedEnv(make("roundabout-v1"), EXACT.replace(record=True))
+    env.reset(seed=7)
+    base = env.unwrapped
+    env.step(np.array([0.5, 0.02], np.float32))
+    for _ in range(5):
+        env.step(np.array([0.5, 0.02], np.float32))
+        decision = env.frame_decisions[-1]
+        if decision.plan is not None:
+            ego = base.vehicle
+            assert np.allclose(decision.plan[0], [*ego.position, ego.heading, ego.speed], atol=1e-9)
+            return
+    raise AssertionError("nothing was recorded")
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: Shield(Always(np.zeros(2)), make("merge-v1"), EXACT, frames=False), "at every frame"),
+        (lambda: ShieldedEnv(gym.make("parking-v0"), EXACT), "RoundaboutEnv"),
+        (lambda: ShieldedEnv(gym.make("lane-keeping-v0"), EXACT), "LaneKeepingEnv"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused(build, message):
+    with pytest.raises(ConfigError, match=message):
+        build()
+
+
+@pytest.mark.parametrize("env_id", ["roundabout-v1", "highway-fast-v0"])
+def test_meta_actions_pass_through_both_doors_alike(env_id):
+    """ShieldedEnv, Shield, and Shield without frames: the same decisions; the mask is of what would pass."""
+    one, two, three = (gym.make(env_id) for _ in range(3))
+    shielded = ShieldedEnv(one, EXACT)
+    shields = [Shield(Always(3), two, EXACT), Shield(Always(3), three, EXACT, frames=False)]
+    shielded.reset(seed=4)
+    observations = [env.reset(seed=4)[0] for env in (two, three)]
+    for _ in range(8):
+        mask = shielded.action_masks()
+        _, _, terminated, _, info = shielded.step(3)
+        assert mask[3] == (info["shield"]["tier"] == "passed") or not mask[:].any()
+        for shield, env, obs in zip(shields, (two, three), observations, strict=True):
+            env.step(shield.predict(obs)[0])
+            assert np.array_equal(one.unwrapped.vehicle.position, env.unwrapped.vehicle.position)
+        assert not terminated
+    assert shielded._door.violations == 0
+    with pytest.raises(AttributeError, match="core"):
+        _ = shielded.core

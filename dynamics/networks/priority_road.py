@@ -45,9 +45,10 @@ class PriorityRoad(RegulatedRoad):  # type: ignore[misc]
 
 def _alone(vehicle: Any) -> Any:
     """The vehicle itself where it predicts along its route, else a copy that is on no road: to predict, highway-env
-    copies it with everything that it refers to."""
+    copies it with everything that it refers to. What stands in the place of its `act` would act on the vehicle."""
     if isinstance(vehicle, ControlledVehicle):
         return vehicle
     probe = copy.copy(vehicle)
+    vars(probe).pop("act", None)
     probe.road = probe.lane = None
     return probe

@@ -64,7 +64,7 @@ class NetworkSimulator:
         config, road = base.config, base.road
         frequency, frames = config["simulation_frequency"], config["simulation_frequency"] // config["policy_frequency"]
         labels, self._inputs = getattr(base.action_type, "actions", None), False
-        if type(base.action_type) is ContinuousAction:
+        if isinstance(base.action_type, ContinuousAction):
             self._inputs, labels, frames = True, dict(enumerate(ACTIONS)), max(1, round(law[2] * frequency))
         if labels is None:
             raise ConfigError(

@@ -14,7 +14,7 @@ __all__ = ["Actuators"]
 
 @dataclass(frozen=True, slots=True)
 class Actuators:
-    """What one highway-env `ContinuousAction` controls.
+    """What one highway-env `ContinuousAction` controls, or a `DiscreteAction`, whose actions are some of its.
 
     Attributes
     ----------
@@ -22,6 +22,7 @@ class Actuators:
     steering : front wheel angles [rad] that -1 and 1 stand for.
     longitudinal, lateral : whether there is a throttle, a steering wheel.
     clip : whether the environment cuts actions down to [-1, 1].
+    choices : of a `DiscreteAction`, the normalised inputs that each number stands for, (actions, size); else None.
     """
 
     acceleration: tuple[float, float] = (-5.0, 5.0)
@@ -29,10 +30,11 @@ class Actuators:
     longitudinal: bool = True
     lateral: bool = True
     clip: bool = True
+    choices: FloatArray | None = None
 
     @classmethod
     def of(cls, action_type: Any) -> Actuators:
-        """Read a `ContinuousAction`."""
+        """Read a `ContinuousAction` or a `DiscreteAction`; one with `inputs`, (actions, size), says them itself."""
         low, high = action_type.acceleration_range
         left, right = action_type.steering_range
         return cls(
@@ -41,15 +43,22 @@ class Actuators:
             bool(action_type.longitudinal),
             bool(action_type.lateral),
             bool(action_type.clip),
+            _choices(action_type),
         )
 
     @property
     def size(self) -> int:
-        """Entries of an action."""
+        """How many inputs are controlled."""
         return int(self.longitudinal) + int(self.lateral)
 
+    @property
+    def entries(self) -> int:
+        """Entries of an action: a number, where there are `choices`."""
+        return self.size if self.choices is None else 1
+
     def read(self, action: Any) -> FloatArray | None:
-        """One normalised action (size,), clipped to [-1, 1] where the environment does so; None where it is not one.
+        """The normalised inputs (size,) of an action, clipped to [-1, 1] where the environment does so; None where it
+        is no action.
 
         Examples
         --------
@@ -60,6 +69,9 @@ class Actuators:
             array = np.asarray(action, dtype=float)
         except (TypeError, ValueError, OverflowError):
             return None
+        if self.choices is not None:
+            whole = array.size == 1 and np.isfinite(array).all() and array.item() == np.rint(array.item())
+            return self.choices[int(array.item())] if whole and 0 <= array.item() < len(self.choices) else None
         if array.shape != (self.size,) or not np.isfinite(array).all():
             return None
         clipped = np.clip(array, -1.0, 1.0)
@@ -78,13 +90,26 @@ class Actuators:
         return out
 
     def normalised(self, inputs: FloatArray) -> Any:
-        """The normalised actions nearest to physical inputs, (..., 2) to (..., size) float32."""
+        """The actions nearest to physical inputs, (..., 2): normalised ones, (..., size) float32, or numbers, (...)."""
         parts = [_map(inputs[..., i], limits, (-1.0, 1.0)) for i, limits in self._columns()]
-        return np.clip(np.stack(parts, axis=-1), -1.0, 1.0).astype(np.float32)
+        exact = np.clip(np.stack(parts, axis=-1), -1.0, 1.0)
+        if self.choices is None:
+            return exact.astype(np.float32)
+        return np.abs(self.choices - exact[..., None, :]).sum(axis=-1).argmin(axis=-1)
 
     def _columns(self) -> list[tuple[int, tuple[float, float]]]:
         both = ((self.longitudinal, self.acceleration), (self.lateral, self.steering))
         return [(i, limits) for i, (there, limits) in enumerate(both) if there]
+
+
+def _choices(action_type: Any) -> FloatArray | None:
+    """The inputs of a `DiscreteAction`: in even steps on each axis, the last one changing fastest."""
+    own = getattr(action_type, "inputs", None)
+    count = getattr(action_type, "actions_per_axis", None)
+    if own is not None or count is None:
+        return None if own is None else np.asarray(own, dtype=float)
+    steps = np.linspace(-1.0, 1.0, int(count))
+    return np.stack(np.meshgrid(*[steps] * action_type.size, indexing="ij"), axis=-1).reshape(-1, action_type.size)
 
 
 def _map(value: Any, x: tuple[float, float], y: tuple[float, float]) -> Any:

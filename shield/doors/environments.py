@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from highway_env.envs.common.action import ContinuousAction
+
 from shield.errors import ConfigError
 
 __all__ = ["base_environments", "the_action_type"]
 
-_KINDS = ("DiscreteMetaAction", "ContinuousAction")
+_META, _INPUTS = "DiscreteMetaAction", "ContinuousAction"
 
 
 def base_environments(env: Any, door: str) -> list[Any]:
@@ -57,20 +59,25 @@ def _refuse_shielded(env: Any, door: str) -> None:
 
 
 def the_action_type(bases: list[Any], door: str) -> str:
-    """What the policy decides about: "DiscreteMetaAction" or "ContinuousAction".
+    """What the policy decides about: "DiscreteMetaAction", or "ContinuousAction", of which `DiscreteAction` is a kind.
 
     Raises
     ------
     ConfigError
         If it is neither, or not the same in all environments.
     """
-    kinds = sorted({type(getattr(base, "action_type", None)).__name__ for base in bases})
-    if len(kinds) != 1 or kinds[0] not in _KINDS:
-        raise ConfigError(
-            f"{door} filters {' or '.join(_KINDS)}; this environment has {', '.join(kinds)}. "
-            'Pass config={"action": {"type": "DiscreteMetaAction"}} to gym.make'
-        )
-    return kinds[0]
+    kinds = {type(getattr(base, "action_type", None)) for base in bases}
+    if len(kinds) == 1:
+        (kind,) = kinds
+        if issubclass(kind, ContinuousAction):
+            return _INPUTS
+        if kind.__name__ == _META:
+            return _META
+    names = ", ".join(sorted(kind.__name__ for kind in kinds))
+    raise ConfigError(
+        f"{door} filters {_META}, {_INPUTS} or DiscreteAction; this environment has {names}. "
+        f'Pass config={{"action": {{"type": "{_META}"}}}} to gym.make'
+    )
 
 
 def _layers(env: Any) -> Iterator[Any]:

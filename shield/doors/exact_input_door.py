@@ -165,8 +165,9 @@ class ExactInputDoor:
         return inputs, Decision(inputs, inputs, reason, tier, np.nan, perf_counter() - start)
 
     def _law(self) -> tuple[int, int, float] | None:
-        """Whether the law has been at work in the last frame, and its lane and speed [m/s]."""
-        if self._present is None or self._tail.counts[1] == 0:
+        """Whether the law has been at work in the last frame, and its lane and speed [m/s]; what it does next may go on
+        from there, also where an action has just ended."""
+        if self._present is None:
             return None
         futures = self._present.futures
         ego = int(np.flatnonzero(futures.g[0, KIND] == CONTINUOUS)[0])

@@ -203,7 +203,9 @@ class Shield:
         proposals: Any
         cause = ""
         first = self._doors[0]
-        size = first.actuators.size if isinstance(first, InputDoor | ExactInputDoor) else 1
+        actuators = first.actuators if isinstance(first, InputDoor | ExactInputDoor) else None
+        size = 1 if actuators is None else actuators.entries
+        numbers = actuators is None or actuators.choices is not None
         for i, alive in enumerate(self._alive):
             alive.check(_row(observation, i, len(self._alive)))
         try:
@@ -230,7 +232,7 @@ class Shield:
             )
         if reason is None and flat.dtype.kind == "f" and not np.isfinite(flat).all() and not self._inputs:
             reason = Reason.POLICY_FAILED
-        rows = np.asarray(proposals).reshape(len(self._doors), -1) if self._inputs else flat
+        rows = flat if numbers else np.asarray(proposals).reshape(len(self._doors), -1)
         ranking = _Ranking(self.policy, observation)
         self.last_decisions = [self._decide(i, row, ranking, reason) for i, row in enumerate(rows)]
         for patience, decision, door in zip(self._patience, self.last_decisions, self._doors, strict=True):
@@ -240,6 +242,8 @@ class Shield:
             return executed.reshape(np.shape(proposals)), state
         if not any(d.overridden for d in self.last_decisions):
             return proposals, state
+        if numbers:
+            return np.reshape([int(d.executed) for d in self.last_decisions], np.shape(proposals)), state
         # Whole numbers cannot hold what was verified.
         kind = proposals.dtype if proposals.dtype.kind == "f" else np.dtype(np.float32)
         inputs = [np.asarray(d.executed, dtype=kind).reshape(-1) for d in self.last_decisions]

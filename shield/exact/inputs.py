@@ -63,18 +63,23 @@ def _store(search: Search, tail: Tail, length: int) -> None:
 @uncounted
 def _goes_on(search: Search, tail: Tail) -> float:
     """The smallest clearance beyond the buffer of what the law can do from future 0 on, into `search.plan` [m]; -inf
-    where neither what was to come, nor stopping, going on or speeding up, nor what is close to these, stays clear."""
-    depth, n = search.bounds.depth, search.order.shape[0]
+    where neither stopping, nor what was to come, going on or speeding up, nor what is close to these, stays clear.
+
+    Stopping comes first: who stands in the end has more than the horizon before him.
+    """
+    depth, n, stops = search.bounds.depth, search.order.shape[0], True
+    for i in range(tail.counts[0]):
+        stops = stops and tail.actions[i] == search.order[0]
     for k in range(-1, 3):
         length, first = tail.counts[0], tail.actions[0]
-        if k >= 0:
+        if k != 0:
             # The order begins with slowing down and nothing, and ends with speeding up.
-            length, first = depth, search.order[n - 1 if k == 2 else k]
+            length, first = depth, search.order[0 if k < 0 else 1 if k == 1 else n - 1]
             for i in range(depth):
                 search.hint[i] = first
-        if length == 0:
+        elif stops:
             continue
-        clear, margin, _ = survives(search, first, tail.actions if k < 0 else search.hint, length, 0.0)
+        clear, margin, _ = survives(search, first, search.hint if k != 0 else tail.actions, length, 0.0)
         if clear == depth:
             return margin
     return -np.inf
@@ -229,5 +234,10 @@ def decide_inputs(
             if share >= 0:
                 _take(present, inputs, *_between(proposal, inputs, kept, share))
                 return _GOVERNED, found
+    if tail.counts[1] == 0 and tier == _STORED:
+        # The plan is not played to its end, where it can be gone on with.
+        copy_state(present.futures, 0, search.futures, 0)
+        if _goes_on(search, tail) >= 0:
+            _store(search, tail, search.bounds.depth)
     play(present, tail, inputs)
     return tier, margin if tier == _ALTERNATIVE else math.nan

@@ -213,10 +213,11 @@ def test_what_is_not_known_is_refused():
         network_of(bent)
     with pytest.raises(ConfigError, match="RoundaboutEnv"):
         check_network(gym.make("lane-keeping-v0").unwrapped)
-    grid = gym.make("highway-fast-v0", config={"action": {"type": "DiscreteAction"}})
-    grid.reset(seed=0)
-    with pytest.raises(ConfigError, match="throttle and steering, not DiscreteAction"):
-        NetworkSimulator(grid)
+    team = {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}
+    several = gym.make("highway-fast-v0", config={"action": team})
+    several.reset(seed=0)
+    with pytest.raises(ConfigError, match="throttle and steering, not MultiAgentAction"):
+        NetworkSimulator(several)
     env = gym.make("roundabout-v0")
     env.reset(seed=0)
     simulator, road = NetworkSimulator(env), env.unwrapped.road

@@ -195,6 +195,26 @@ def test_a_plan_is_forgotten_where_somebody_does_something_else():
         assert env.frame_decisions[0].reason is Reason.BAD_ACTION
 
 
+def test_the_law_goes_on_where_highway_env_is_read_again():
+    """Between any two decisions, also where one of its actions has just ended: the same lane, and the same speed."""
+    env = ShieldedEnv(
+        gym.make("highway-v0", config={"action": {"type": "ContinuousAction"}, "policy_frequency": 5}), EXACT
+    )
+    env.reset(seed=3)
+    door, ended = env._door, 0
+    env.step(np.array([0.3, 0.0], np.float32))
+    for _ in range(25):
+        env.step(np.array([np.nan, 0.0], np.float32))
+        before = door._law()
+        ended += door._tail.counts[1] == 0
+        search, present = door._read(True)
+        assert search is door._search
+        assert present is door._present
+        assert door._law() == before
+        assert before[0] == 1
+    assert ended > 1
+
+
 def test_an_obstacle_is_stopped_for():
     """On a single lane there is no way around it."""
     env = make("two-way-v0")

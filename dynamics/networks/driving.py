@@ -14,6 +14,7 @@ from dynamics.simulator.lanes import MARGIN
 from dynamics.simulator.layout import (
     ACC_MAX,
     ACCELERATION,
+    ALLY,
     CHANGES,
     COMFORT,
     CONTINUOUS,
@@ -153,7 +154,7 @@ def _steer(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) ->
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
     asked, ahead, n = work[1], work[0], 0
     for i in range(vehicles):
-        if g[KIND, i] == EGO or g[LAW, i] or (g[KIND, i] == IDM and not g[CRASHED, i]):
+        if g[KIND, i] in (EGO, ALLY) or g[LAW, i] or (g[KIND, i] == IDM and not g[CRASHED, i]):
             lane = g[TARGET, i]
             s, r = on_lane_of(traffic, i, lane)
             ahead[n] = heading_at(lanes, lane, s + f[SPEED, i] * _PURSUIT)
@@ -176,12 +177,12 @@ def act(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) -> No
         if g[KIND, i] == CONTINUOUS:
             if g[LAW, i]:
                 follow_road(traffic, i)
-        elif g[KIND, i] == EGO or not g[CRASHED, i]:
+        elif g[KIND, i] in (EGO, ALLY) or not g[CRASHED, i]:
             follow_road(traffic, i)
             if g[KIND, i] == IDM and g[CHANGES, i]:
                 _change_lanes(traffic, i, vehicles)
     for i in range(vehicles):
-        if g[KIND, i] == EGO:
+        if g[KIND, i] in (EGO, ALLY):
             f[ACCELERATION, i] = KP_A * (f[TARGET_SPEED, i] - f[SPEED, i])
         elif g[KIND, i] == CONTINUOUS:
             if g[LAW, i]:

@@ -35,7 +35,7 @@ from dynamics.simulator.neighbours import sort
 from dynamics.simulator.scene import next_target_speed
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["NetworkRules", "NetworkWork", "NetworkWorlds", "advance", "begin", "ego_of", "hold", "on_way"]
+__all__ = ["NetworkRules", "NetworkWork", "NetworkWorlds", "advance", "begin", "command", "ego_of", "hold", "on_way"]
 
 
 class NetworkWorlds(NamedTuple):
@@ -117,16 +117,10 @@ def _traffic(machine: Machine, worlds: NetworkWorlds, network: Network, e: int) 
 
 
 @uncounted
-def begin(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, action: FloatArray) -> None:
-    """Begin a decision in one scene: what its action changes at once.
-
-    An ego with throttle and steering, for which there are no meta-actions in highway-env, follows them by a law of its
-    own from then on: highway-env's controllers, from the lane and the speed that it has.
-    """
-    f, g, network, label = worlds.f[e], worlds.g[e], rules.network, rules.labels[int(action[0])]
-    worlds.clock[e] += rules.times[1]
+def command(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, ego: int, action: int) -> None:
+    """What a meta-action changes at once of the ego in a column, or of an ally."""
+    f, g, network, label = worlds.f[e], worlds.g[e], rules.network, rules.labels[action]
     traffic = _traffic(machine, worlds, network, e)
-    ego = ego_of(g)
     if g[KIND, ego] == CONTINUOUS and not g[LAW, ego]:
         g[LAW, ego], g[TARGET, ego], f[TARGET_SPEED, ego] = 1, g[LANE, ego], f[SPEED, ego]
     follow_road(traffic, ego)
@@ -137,6 +131,17 @@ def begin(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, 
         lane = ids[target, FIRST] + min(max(ids[target, ID] + label - 1, 0), ids[target, COUNT] - 1)
         if reachable(traffic.lanes, lane, f[X, ego], f[Y, ego]):
             g[TARGET, ego] = lane
+
+
+@uncounted
+def begin(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, action: FloatArray) -> None:
+    """Begin a decision in one scene: what its action changes at once.
+
+    An ego with throttle and steering, for which there are no meta-actions in highway-env, follows them by a law of its
+    own from then on: highway-env's controllers, from the lane and the speed that it has.
+    """
+    worlds.clock[e] += rules.times[1]
+    command(machine, worlds, rules, e, ego_of(worlds.g[e]), int(action[0]))
 
 
 @uncounted

@@ -25,6 +25,7 @@ from dynamics.networks.layout import (
 )
 from dynamics.simulator.layout import (
     ACC_MAX,
+    ALLY,
     COMFORT,
     CONTINUOUS,
     KIND,
@@ -44,7 +45,7 @@ Lanes = Mapping[tuple[str, str, int], int]
 
 def longest_route(env: Any) -> int:
     """How many entries the longest of the vehicles' routes has."""
-    return max((len(getattr(v, "route", None) or ()) for v in bodies_of(env, first=False)[0]), default=0)
+    return max((len(getattr(v, "route", None) or ()) for v in bodies_of(env, first=False, team=True)[0]), default=0)
 
 
 def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: int) -> None:
@@ -61,7 +62,7 @@ def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: 
         If it has other bodies than there is room for, or vehicles that drive in a way that is not known.
     """
     base = env.unwrapped
-    vehicles, obstacles = bodies_of(env, first=False)
+    vehicles, obstacles = bodies_of(env, first=False, team=True)
     f, g, p, routes = worlds.f[e], worlds.g[e], worlds.p[e], worlds.routes[e]
     inputs = type(base.vehicle) in (Vehicle, BicycleVehicle)
     if not inputs and type(base.vehicle) is not MDPVehicle:
@@ -72,7 +73,7 @@ def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: 
         raise SceneError("the environment is amid a decision")
     f[:], g[:], routes[:] = 0.0, 0, -1
     for i, body in enumerate([*vehicles, *obstacles]):
-        ego = body is base.vehicle
+        ego = any(body is each for each in base.controlled_vehicles)
         check_body(body, i, ego, rules.target_speeds)
         load_body(
             body,
@@ -84,6 +85,8 @@ def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: 
         )
         g[LANE, i], g[TARGET, i] = lanes[_key(body.lane_index)], lanes[_key(body.lane_index)]
         f[[ALONG, ACROSS], i] = body.lane.local_coordinates(body.position)
+        if ego and body is not base.vehicle:
+            g[KIND, i] = ALLY
         if ego and inputs:
             _load_inputs(base, i, rules, f, g, p)
         elif i < len(vehicles):

@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
-from highway_env.envs.common.action import ContinuousAction
+from highway_env.envs.common.action import ContinuousAction, MultiAgentAction
 
 from dynamics.compiled import uncounted
 from dynamics.errors import ConfigError, SceneError
@@ -38,7 +38,8 @@ class NetworkSimulator:
 
     Parameters
     ----------
-    env : a highway-env environment with one ego, reset.
+    env : a highway-env environment, reset. Of several egos, with meta-actions, `step` moves the first; the others
+        drive on as they were told.
     num_envs : how many copies.
     law : for an ego with throttle and steering, how hard the law that carries out meta-actions brakes and accelerates
         [m/s^2], and the time for which it carries out each [s].
@@ -60,15 +61,19 @@ class NetworkSimulator:
         self, env: gym.Env[Any, Any], num_envs: int = 1, law: tuple[float, float, float] = (9.8, 5.0, 1.0)
     ) -> None:
         base = cast(Any, env.unwrapped)
-        vehicles, obstacles = bodies_of(env, first=False)
-        config, road = base.config, base.road
+        vehicles, obstacles = bodies_of(env, first=False, team=True)
+        config, road, action_type = base.config, base.road, base.action_type
+        if isinstance(action_type, MultiAgentAction):
+            action_type = action_type.agents_action_types[0]
         frequency, frames = config["simulation_frequency"], config["simulation_frequency"] // config["policy_frequency"]
-        labels, self._inputs = getattr(base.action_type, "actions", None), False
-        if isinstance(base.action_type, ContinuousAction):
+        labels, self._inputs = getattr(action_type, "actions", None), False
+        if len(base.controlled_vehicles) > 1 and labels is None:
+            raise ConfigError(f"several egos take meta-actions, not {type(action_type).__name__}")
+        if isinstance(action_type, ContinuousAction):
             self._inputs, labels, frames = True, dict(enumerate(ACTIONS)), max(1, round(law[2] * frequency))
         if labels is None:
             raise ConfigError(
-                f"a network's ego takes meta-actions or throttle and steering, not {type(base.action_type).__name__}"
+                f"a network's ego takes meta-actions or throttle and steering, not {type(action_type).__name__}"
             )
         self._network, leaves = road.network, exits_of(base)
         self._lanes = index_of(road.network)

@@ -10,6 +10,7 @@ from __future__ import annotations
 __all__ = [
     "ACCELERATION",
     "ACC_MAX",
+    "ALLY",
     "A_GAP",
     "A_LEADER",
     "A_SPEED",
@@ -73,8 +74,8 @@ KIND, LANE, TARGET, CRASHED, IMPACTED, CHECKS, CHANGES, ON, STALE = range(9)
 STALE: it may be in another lane than LANE, which a frame finds out."""
 G = 9
 
-EGO, CONTINUOUS, IDM, LINEAR, OBSTACLE = range(5)
-"""Kinds: an ego with meta-actions or with throttle and steering, traffic, and what stands."""
+EGO, CONTINUOUS, IDM, LINEAR, OBSTACLE, ALLY = range(6)
+"""Kinds: an ego with meta-actions or with throttle and steering, traffic, what stands, another ego (meta-actions)."""
 
 (
     LENGTH,

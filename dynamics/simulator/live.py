@@ -54,12 +54,12 @@ from dynamics.state import FloatArray
 __all__ = ["bodies_of", "check_body", "kind_in_scene", "load", "load_body", "store"]
 
 
-def bodies_of(env: gym.Env[Any, Any], first: bool = True) -> tuple[list[Any], list[Any]]:
+def bodies_of(env: gym.Env[Any, Any], first: bool = True, team: bool = False) -> tuple[list[Any], list[Any]]:
     """The vehicles and the obstacles of a live environment.
 
     Parameters
     ----------
-    first : whether the ego has to be the first of the vehicles.
+    first : whether the ego has to be the first of the vehicles. team : whether there may be several.
 
     Raises
     ------
@@ -67,7 +67,8 @@ def bodies_of(env: gym.Env[Any, Any], first: bool = True) -> tuple[list[Any], li
         If there is another ego, or one elsewhere, or something else stands on the road.
     """
     base = cast(Any, env.unwrapped)
-    vehicles = [] if base.road is None or len(base.controlled_vehicles) != 1 else base.road.vehicles
+    egos = len(base.controlled_vehicles)
+    vehicles = [] if base.road is None or egos == 0 or (egos > 1 and not team) else base.road.vehicles
     if not any(v is base.vehicle for v in (vehicles[:1] if first else vehicles)):
         where = "first of" if first else "among"
         raise SceneError(f"have one ego, {where} the vehicles on the road; is the environment reset?")

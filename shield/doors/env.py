@@ -22,8 +22,9 @@ from shield.doors.input_door import InputDoor
 from shield.doors.meta_door import MetaDoor
 from shield.doors.patience import Patience
 from shield.doors.ranking import normalised, order_from_scores, ranking_of
-from shield.doors.report import Statistics, report
+from shield.doors.report import Statistics, report, team_report
 from shield.doors.supervision import Command, Supervision
+from shield.doors.team_door import TeamDoor, is_team
 from shield.doors.warm_doors import warm_up_door
 from shield.errors import ConfigError, SceneError
 from shield.procedures.decide import Core
@@ -44,7 +45,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     replaced by the nearest inputs that verify.
 
     With `ShieldConfig.exact()` the traffic is simulated instead, on every road whose traffic is known: meta-actions are
-    verified when they are taken, throttle and steering at every frame.
+    verified when they are taken, throttle and steering at every frame. Several egos with meta-actions
+    (`MultiAgentAction`) are verified together: `step` takes a tuple of actions then.
 
     Parameters
     ----------
@@ -69,9 +71,10 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     Notes
     -----
     `info["shield"]` holds `overridden`, `reason`, `tier`, `margin` [m], `frames_overridden` and `violations` (of the
-    assumptions, by the traffic); `latency` is all the time that the shield took in the last step [s]. With an episode's
-    last step comes `info["shield_episode"]`: `decisions`, how many were `overridden`, `frames_overridden`,
-    `violations`, the smallest `margin` [m], the mean `latency_ms`, and `reasons`, how often each was one.
+    assumptions, by the traffic), and of several egos `agents`, the same of each; `latency` is all the time that the
+    shield took in the last step [s]. With an episode's last step comes `info["shield_episode"]`: `decisions`, how many
+    were `overridden`, `frames_overridden`, `violations`, the smallest `margin` [m], the mean `latency_ms`, and
+    `reasons`, how often each was one.
 
     Examples
     --------
@@ -99,8 +102,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self.config = ShieldConfig.of(config)
         self.policy = None if policy is None else as_policy(policy, env)
         self._base: Any = bases[0]
-        kind = the_action_type(bases, "ShieldedEnv")
-        self._door: MetaDoor | InputDoor | ExactDoor | ExactInputDoor
+        kind = "MultiAgentAction" if is_team(self._base) else the_action_type(bases, "ShieldedEnv")
+        self._door: MetaDoor | InputDoor | ExactDoor | ExactInputDoor | TeamDoor
         simulated = self.config.assumptions.simulated and self.config.mode != "none"
         if rule is not None and kind == "ContinuousAction":
             raise ConfigError("a rule judges meta-actions; this environment has ContinuousAction")
@@ -108,7 +111,9 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             raise ConfigError("a model is for ContinuousAction; with meta-actions leave it out")
         if simulated and (rule is not None or model is not None):
             raise ConfigError("Assumptions.exact() verifies by simulation: leave rule and model out")
-        if kind == "ContinuousAction":
+        if is_team(self._base):
+            self._door = TeamDoor(self._base, self.config)
+        elif kind == "ContinuousAction":
             self._door = (
                 ExactInputDoor(self._base, self.config)
                 if simulated
@@ -124,19 +129,22 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._episode = Statistics()
         self._patience = Patience(self.config.patience)
         self.last_decision: Decision | None = None
+        self.last_decisions: list[Decision] = []
         self.frame_decisions: list[Decision] = []
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment and forget everything about the last episode."""
         obs, info = self.env.reset(seed=seed, options=options)
-        inputs = the_action_type([self._base], "ShieldedEnv") == "ContinuousAction"
-        if inputs is not isinstance(self._door, InputDoor | ExactInputDoor):
+        team = is_team(self._base)
+        inputs = not team and the_action_type([self._base], "ShieldedEnv") == "ContinuousAction"
+        same = inputs is isinstance(self._door, InputDoor | ExactInputDoor) and team is isinstance(self._door, TeamDoor)
+        if not same:
             raise ConfigError("the reset has changed the environment's action type; make a new ShieldedEnv around it")
         self._door.reset()
         self._episode = Statistics()
         self._observation = obs
         self.last_decision = None
-        self.frame_decisions = []
+        self.last_decisions, self.frame_decisions = [], []
         return obs, info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -145,24 +153,36 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             raise SceneError("the environment has no road yet; call reset() first")
         start = perf_counter()
         before = self._door.violations
-        decision = self._door.decide(action, self._order_of(action))
-        self._patience.check(decision, self._door.cause)
-        self.last_decision = decision
+        if isinstance(self._door, TeamDoor):
+            decisions = self._door.decide(action)
+            executed = tuple(int(each.executed) for each in decisions)
+        else:
+            decisions = [self._door.decide(action, self._order_of(action))]
+            executed = decisions[0].executed
+        self._patience.check(decisions[0], self._door.cause)
+        self.last_decisions, self.last_decision = decisions, decisions[0]
         self.frame_decisions = []
         self._supervising = 0.0
         deciding = perf_counter() - start
         if self._door.supervising:
             with Supervision(self._base, self._frame):
-                obs, reward, terminated, truncated, info = self.env.step(decision.executed)
+                obs, reward, terminated, truncated, info = self.env.step(executed)
         else:
-            obs, reward, terminated, truncated, info = self.env.step(decision.executed)
+            obs, reward, terminated, truncated, info = self.env.step(executed)
         self._observation = obs
         self.latency = deciding + self._supervising
-        info["shield"] = report(decision, self.frame_decisions, self._door.violations - before)
+        violations = self._door.violations - before
+        if isinstance(self._door, TeamDoor):
+            info["shield"] = team_report(decisions, violations)
+        else:
+            info["shield"] = report(decisions[0], self.frame_decisions, violations)
         self._episode.add(info["shield"], self.latency)
-        if terminated or truncated:
+        # highway-env's wrapper for several egos rewards each, and says of each whether it is over for it.
+        each = isinstance(terminated, tuple)
+        if truncated or (self._base._is_terminated() if each else terminated):
             info["shield_episode"] = self._episode.summary()
-        return obs, float(reward), terminated, truncated, info
+        paid: Any = reward if isinstance(reward, tuple) else float(reward)
+        return obs, paid, terminated, truncated, info
 
     def action_masks(self) -> np.ndarray[Any, Any]:
         """Which actions verify now, for sb3-contrib's MaskablePPO; all True where none does.
@@ -170,7 +190,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         (MaskablePPO cannot handle an empty mask; `step` then falls back whatever is chosen.)
         """
         if not isinstance(self._door, MetaDoor | ExactDoor):
-            raise ConfigError("action_masks() needs DiscreteMetaAction; this environment has ContinuousAction")
+            raise ConfigError("action_masks() needs DiscreteMetaAction of one ego; this environment has other actions")
         return self._door.mask()
 
     @property
@@ -182,7 +202,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         AttributeError
             If the traffic is simulated: the doors for that have none.
         """
-        if isinstance(self._door, ExactDoor | ExactInputDoor):
+        if isinstance(self._door, ExactDoor | ExactInputDoor | TeamDoor):
             raise AttributeError("where the traffic is simulated there is no core")
         return self._door.core
 
@@ -198,7 +218,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def _frame(self) -> Command:
         start = perf_counter()
-        assert not isinstance(self._door, ExactDoor)
+        assert not isinstance(self._door, ExactDoor | TeamDoor)
         command, decision = self._door.frame()
         self.frame_decisions.append(decision)
         self._supervising += perf_counter() - start

@@ -74,6 +74,8 @@ def the_action_type(bases: list[Any], door: str) -> str:
         if kind.__name__ == _META:
             return _META
     names = ", ".join(sorted(kind.__name__ for kind in kinds))
+    if names == "MultiAgentAction":
+        raise ConfigError(f"{door} filters one ego's actions; ShieldedEnv(env, ShieldConfig.exact()) those of several")
     raise ConfigError(
         f"{door} filters {_META}, {_INPUTS} or DiscreteAction; this environment has {names}. "
         f'Pass config={{"action": {{"type": "{_META}"}}}} to gym.make'

@@ -34,7 +34,7 @@ from shield.procedures.warm_up import announced
 from shield.refusals import check
 from shield.repair.order import resolve
 
-__all__ = ["ExactDoor", "warm_up_exact"]
+__all__ = ["ExactDoor", "as_decision", "warm_up_exact"]
 
 _log = logging.getLogger(__name__)
 
@@ -106,7 +106,7 @@ class ExactDoor:
             self._scene.expect_nothing()
             slowest = slower(list(self._base.action_type.actions_indexes))
             last_resort(records, self._plans, 0, slowest, REASONS.index(reason))
-            return _decision(shown, records, start)
+            return as_decision(shown, records, start)
         if not passes(search, self._plans, records, simulator.worlds, 0, proposed):
             # The policy is asked for its order only where something takes the proposal's place.
             wanted = resolve(order) or []
@@ -117,7 +117,7 @@ class ExactDoor:
         plan, areas = None, None
         if self.config.record:
             plan, areas = self._scene.shown(search, search.plan, int(self._plans.length[0]) + 1)
-        return _decision(shown, records, start, plan, areas)
+        return as_decision(shown, records, start, plan, areas)
 
     def mask(self) -> np.ndarray[Any, Any]:
         """Which actions verify now; all True where none does.
@@ -162,7 +162,7 @@ def warm_up_exact(network: bool) -> None:
         last_resort(records, door._plans, 0, 4, records.reason[0])
 
 
-def _decision(
+def as_decision(
     shown: Any,
     records: Records,
     start: float,

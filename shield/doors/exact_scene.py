@@ -118,7 +118,8 @@ class ExactScene:
 
     def _furnish(self, bodies: int, simulator: Simulator | NetworkSimulator) -> Room:
         """Room for so many bodies: where vehicles come and go, their number changes back and forth."""
-        self._rooms[bodies] = simulator, new_search(simulator, self._config)
+        allies = 0 if isinstance(self._base, CompiledHighwayEnv) else len(self._base.controlled_vehicles) - 1
+        self._rooms[bodies] = simulator, new_search(simulator, self._config, allies)
         return self._rooms[bodies]
 
     def ego(self, bodies: dict[Any, int]) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 
 from shield.decision import Decision
 
-__all__ = ["Statistics", "report"]
+__all__ = ["Statistics", "report", "team_report"]
 
 
 @dataclass(slots=True)
@@ -78,3 +78,9 @@ def report(decision: Decision, frames: Sequence[Decision], violations: int) -> d
         "frames_overridden": len(held),
         "violations": violations,
     }
+
+
+def team_report(decisions: Sequence[Decision], violations: int) -> dict[str, Any]:
+    """The decisions about several egos as one, and each by itself under `agents`."""
+    together = report(decisions[0], decisions[1:], violations)
+    return {**together, "frames_overridden": 0, "agents": [report(each, (), 0) for each in decisions]}

@@ -6,14 +6,17 @@ from shield.doors.exact_door import ExactDoor, warm_up_exact
 from shield.doors.exact_input_door import ExactInputDoor, warm_up_exact_inputs
 from shield.doors.input_door import InputDoor
 from shield.doors.meta_door import MetaDoor
+from shield.doors.team_door import TeamDoor
 from shield.procedures.warm_up import warm_up
 
 __all__ = ["warm_up_door"]
 
 
-def warm_up_door(door: MetaDoor | InputDoor | ExactDoor | ExactInputDoor) -> None:
+def warm_up_door(door: MetaDoor | InputDoor | ExactDoor | ExactInputDoor | TeamDoor) -> None:
     """Let no decision of a door wait for a compiler."""
-    if isinstance(door, ExactDoor):
+    if isinstance(door, TeamDoor):
+        warm_up_exact(True)
+    elif isinstance(door, ExactDoor):
         warm_up_exact(door.on_network)
     elif isinstance(door, ExactInputDoor):
         warm_up_exact_inputs()

@@ -13,7 +13,7 @@ from dynamics.simulator.simulator import Simulator
 from dynamics.state import FloatArray, IntArray
 from shield.config import ShieldConfig
 
-__all__ = ["Bounds", "Search", "new_search"]
+__all__ = ["Bounds", "Search", "Team", "new_search"]
 
 _OUTLOOK = 8.0
 """How far ahead alternatives are compared [s]; beyond it they have to stay clear, and no more."""
@@ -43,6 +43,20 @@ class Bounds(NamedTuple):
     keep_right: float
 
 
+class Team(NamedTuple):
+    """The other egos, and what they are going to do.
+
+    Attributes
+    ----------
+    columns : theirs, (allies,). plans : their actions from the present decision on, (allies, depth + 1).
+    since : the frames that the road had seen at the present, (1,).
+    """
+
+    columns: IntArray
+    plans: IntArray
+    since: IntArray
+
+
 class Search(NamedTuple):
     """The rules of the traffic, and room for the searches of one thread, with K lanes and target speeds.
 
@@ -56,6 +70,7 @@ class Search(NamedTuple):
         is bound for, (depth + 1, actions + 1, 2). path : the actions down to here, (depth,).
     least : smallest clearance beyond the buffer down to each level, (depth + 1,) [m].
     plan : the sequence that was found, (depth,). hint : one that is gone on with, (depth,).
+    team : the other egos, on a network.
     lost : way lost in the best future of each kind, in two generations, (2, K) [m]. clear : its smallest clearance
         beyond the buffer, (2, K) [m]. paths : its actions, (2, K, depth).
     """
@@ -74,6 +89,7 @@ class Search(NamedTuple):
     least: FloatArray
     plan: IntArray
     hint: IntArray
+    team: Team
     lost: FloatArray
     clear: FloatArray
     paths: IntArray
@@ -83,8 +99,8 @@ _SAFEST_FIRST = (4, 1, 2, 0, 3)
 """Labels of the actions (see `dynamics.simulator.engine.Rules`): slower, none, right, left, faster."""
 
 
-def new_search(simulator: Simulator | NetworkSimulator, config: ShieldConfig) -> Search:
-    """Room for searches in the traffic of a simulator."""
+def new_search(simulator: Simulator | NetworkSimulator, config: ShieldConfig, allies: int = 0) -> Search:
+    """Room for searches in the traffic of a simulator, with so many egos beside the one that is searched for."""
     rules, index = simulator.rules, np.intp
     labels = rules.labels.tolist()
     depth = max(1, math.ceil(config.horizon / rules.times[1] - 1e-9))
@@ -112,6 +128,7 @@ def new_search(simulator: Simulator | NetworkSimulator, config: ShieldConfig) ->
         least=np.zeros(depth + 1),
         plan=np.zeros(depth, index),
         hint=np.zeros(depth, index),
+        team=Team(np.zeros(allies, index), np.zeros((allies, depth + 1), index), np.zeros(1, index)),
         lost=np.zeros((2, kinds)),
         clear=np.zeros((2, kinds)),
         paths=np.zeros((2, kinds, depth), index),

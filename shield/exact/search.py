@@ -101,7 +101,7 @@ def depart(search: Search, source: int, target: int, action: int) -> tuple[int, 
 @uncounted
 def travel(search: Search, target: int, wish: float, floor: float) -> tuple[float, float]:
     """Go on with what `depart` has begun to the end of the decision; see `leap`."""
-    futures, rules, bounds = search.futures, search.rules, search.bounds
+    futures, rules, bounds, allies = search.futures, search.rules, search.bounds, search.team.columns
     f, g, dt, ego = futures.f[target], futures.g[target], rules.times[0], ego_in(search, target)
     if on_road(search, target)[1]:
         return np.inf, 0.0
@@ -112,6 +112,10 @@ def travel(search: Search, target: int, wish: float, floor: float) -> tuple[floa
         if g[CRASHED, ego] != 0 or not on:
             return -np.inf, lost
         least = min(least, clearance(futures, target, ego, bounds, search.row))
+        for i in range(allies.shape[0]):
+            if g[CRASHED, allies[i]] != 0:
+                return -np.inf, lost
+            least = min(least, clearance(futures, target, allies[i], bounds, search.row))
         left = lanes_to_the_right(search, target)
         lost += (abs(wish - f[SPEED, ego]) + bounds.keep_right * left) * dt
         if least < floor or at_end:

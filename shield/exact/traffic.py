@@ -7,7 +7,7 @@ from typing import Any
 
 from dynamics.compiled import by_type, inlined, uncounted
 from dynamics.networks import engine as networks
-from dynamics.networks.layout import COUNT, ID
+from dynamics.networks.layout import COUNT, FRAMES, ID
 from dynamics.simulator import engine as highways
 from dynamics.simulator.lanes import on_lane
 from dynamics.simulator.layout import LANE, TARGET, X, Y
@@ -16,7 +16,7 @@ from shield.exact.room import Search
 __all__ = ["copy_routes", "ego_in", "frame", "hold", "lanes_to_the_right", "on_road", "start"]
 
 _advance, _begin, _ego_of, _on_way = networks.advance, networks.begin, networks.ego_of, networks.on_way
-_hold = networks.hold
+_command, _hold = networks.command, networks.hold
 _advance_highway, _begin_highway = highways.advance, highways.begin
 
 
@@ -27,7 +27,11 @@ def _start_highway(search: Search, k: int) -> None:
 
 @uncounted
 def _start_network(search: Search, k: int) -> None:
-    _begin(search.machine, search.futures, search.rules, k, search.given)
+    team, g, rules = search.team, search.futures.g[k], search.rules
+    now = (g[FRAMES, 0] - team.since[0]) // rules.numbers[0]
+    _begin(search.machine, search.futures, rules, k, search.given)
+    for i in range(team.columns.shape[0]):
+        _command(search.machine, search.futures, rules, k, team.columns[i], team.plans[i, now])
 
 
 @uncounted

@@ -213,10 +213,10 @@ def test_what_is_not_known_is_refused():
         network_of(bent)
     with pytest.raises(ConfigError, match="RoundaboutEnv"):
         check_network(gym.make("lane-keeping-v0").unwrapped)
-    team = {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}
-    several = gym.make("highway-fast-v0", config={"action": team})
+    team = {"type": "MultiAgentAction", "action_config": {"type": "ContinuousAction"}}
+    several = gym.make("intersection-multi-agent-v0", config={"action": team})
     several.reset(seed=0)
-    with pytest.raises(ConfigError, match="throttle and steering, not MultiAgentAction"):
+    with pytest.raises(ConfigError, match="several egos take meta-actions, not ContinuousAction"):
         NetworkSimulator(several)
     env = gym.make("roundabout-v0")
     env.reset(seed=0)

@@ -8,6 +8,7 @@ __all__ = ["SIMULATED"]
 
 _TESTS, _NETWORKS = "tests/shield/test_exact.py", "tests/shield/test_exact_networks.py"
 _TRAFFIC = "tests/dynamics/test_networks.py"
+_TEAM = "tests/shield/test_team.py"
 _INPUTS, _HELD = "tests/shield/test_exact_inputs.py", "tests/dynamics/test_network_inputs.py"
 
 SIMULATED = (
@@ -147,5 +148,26 @@ SIMULATED = (
         "        if g[KIND, i] == CONTINUOUS:\n",
         "        if False:\n",
         _HELD,
+    ),
+    off(
+        "an ally's buffer is its own business",
+        f"{EXACT}/search.py",
+        "            least = min(least, clearance(futures, target, allies[i], bounds, search.row))\n",
+        "",
+        _TEAM,
+    ),
+    off(
+        "allies stay as they are",
+        f"{EXACT}/traffic.py",
+        "        _command(search.machine, search.futures, rules, k, team.columns[i], team.plans[i, now])\n",
+        "        pass\n",
+        _TEAM,
+    ),
+    off(
+        "nobody is told what the one before was given",
+        "shield/doors/team_door.py",
+        "            wanted[k, 0] = decisions[-1].executed\n",
+        "",
+        _TEAM,
     ),
 )

@@ -42,8 +42,8 @@ def drive(env_id: str, egos: int, policy: str, shielded: bool, seed: int) -> tup
 
 def share(hits: int, total: int) -> str:
     """A rate in percent, with its 95 % Wilson interval."""
-    low, high = wilson(hits, total)
-    return f"{100 * hits / total:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
+    interval = wilson(hits, total)
+    return f"{100 * hits / total:.1f} [{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
 
 
 def main() -> None:

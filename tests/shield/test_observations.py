@@ -12,7 +12,7 @@ from shield import Shield, ShieldConfig, ShieldedEnv
 
 IMAGE = {
     "type": "GrayscaleObservation",
-    "observation_shape": (64, 32),
+    "observation_shape": (64, 64),
     "stack_size": 2,
     "weights": [0.2989, 0.587, 0.114],
     "scaling": 1.75,

@@ -179,6 +179,9 @@ _CONTINUOUS_TRAINING: dict[str, Any] = {
     "reward_speed_range": [10, 30],
 }
 
+# What HanoiWorld (2026) measures on, as it says: decisions at 5 Hz, frames at 15 Hz.
+_HANOI: dict[str, Any] = {"simulation_frequency": 15, "policy_frequency": 5, "collision_reward": -5}
+
 SETTINGS: Mapping[str, Setting] = MappingProxyType(
     {
         setting.name: setting
@@ -281,6 +284,33 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
                 "intersection-v1",
                 {},
                 "intersection-v1 as it comes: throttle and steering at 1 Hz, tyres that slip, 13 s",
+                road=False,
+            ),
+            Setting(
+                "hanoi-highway",
+                "highway-v0",
+                {
+                    **_HANOI,
+                    "action": {"type": "ContinuousAction"},
+                    "lanes_count": 4,
+                    "vehicles_count": 50,
+                    "vehicles_density": 1.5,
+                    "duration": 40,
+                },
+                "HanoiWorld's highway: throttle and steering at 5 Hz, 15 Hz, 50 vehicles at density 1.5, 40 s",
+            ),
+            Setting(
+                "hanoi-merge",
+                "merge-v0",
+                {**_HANOI, "duration": 50},
+                "HanoiWorld's merge: meta-actions at 5 Hz, 15 Hz",
+                road=False,
+            ),
+            Setting(
+                "hanoi-roundabout",
+                "roundabout-v0",
+                {**_HANOI, "duration": 15},
+                "HanoiWorld's roundabout: meta-actions at 5 Hz, 15 Hz, 15 s",
                 road=False,
             ),
             Setting("racetrack", "racetrack-v0", {}, "racetrack-v0 as it comes: steering alone, 5 Hz, 15 Hz, 300 s"),

@@ -120,7 +120,7 @@ class ShieldConfig:
 
     @classmethod
     def exact(cls) -> ShieldConfig:
-        """Verification by simulation, for `Shield(policy, env, ShieldConfig.exact(), frames=False)`: 30 s ahead.
+        """Verification by simulation, for `Shield(policy, env, ShieldConfig.exact())` and `ShieldedEnv`: 30 s ahead.
 
         Within a shorter horizon an ego that cannot stop is boxed in before it is seen. What is simulated needs little
         of a buffer.

@@ -177,11 +177,12 @@ def advance(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: 
 @uncounted
 def on_way(rules: NetworkRules, f: FloatArray, g: IntArray) -> tuple[bool, bool]:
     """Whether the ego is on the lane that is closest to it, and whether it is at the end of one from which no other
-    goes on: the road ends there, and what comes then is not known. With throttle and steering it can stop before."""
+    goes on: the road ends there, and what comes then is not known. Who can stop stops before, and is off the road
+    there."""
     ego = ego_of(g)
     network, lane = rules.network, g[LANE, ego]
     s, r = f[ALONG, ego], f[ACROSS, ego]
     at_end = network.ids[lane, ENDS] != 0 and after_end(network.lanes, lane, s)
-    if at_end and g[KIND, ego] == CONTINUOUS:
+    if at_end and rules.target_speeds[0] <= 0:
         return False, False
     return on_lane(network.lanes, lane, min(s, network.lanes[lane, LANE_LENGTH]) if at_end else s, r, 0.0), at_end

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import gymnasium as gym
+from highway_env.envs.common.action import ContinuousAction
 
 from dynamics.simulator.env import CompiledHighwayEnv
 from evaluation.policies import list_references
@@ -44,6 +45,9 @@ def environment(
     def compiled() -> tuple[CompiledHighwayEnv, bool]:
         _check(policy, variant, model)
         env = CompiledHighwayEnv(setting.env_id, setting.config)
+        simulated = variant.door != "none" and variant.config.assumptions.simulated and variant.mode != "none"
+        if simulated and isinstance(env.action_type, ContinuousAction):
+            raise ConfigError("throttle and steering are verified by simulation in highway-env itself")
         return env, env.simulator.exact
 
     env = compiled_where_it_serves(simulator, compiled)

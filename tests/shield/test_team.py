@@ -117,6 +117,24 @@ def test_two_that_meet_do_not_both_go():
         assert not any(vehicle.crashed for vehicle in base.controlled_vehicles)
 
 
+def test_what_is_verified_for_one_is_verified_for_all():
+    """Somebody stands in the second one's buffer: whatever the first does, its plan is not clear for everybody."""
+    env = ShieldedEnv(make(2), EXACT)
+    env.reset(seed=920)
+    base = env.unwrapped
+    first, second = base.controlled_vehicles
+    stander = IDMVehicle(base.road, second.position + 5.3 * second.direction, second.heading, 0.0)
+    stander.target_speed = 0.0
+    stander.plan_route_to("o1")
+    for near in (False, True):
+        base.road.vehicles = [first, second] + ([stander] if near else [])
+        second.speed = 0.0
+        env._door.reset()
+        decisions = env._door.decide((FASTER, 0))
+        assert np.hypot(*(first.position - second.position)) > 40
+        assert decisions[0].tier is (Tier.LARGEST_MARGIN if near else Tier.PASSED)
+
+
 def test_an_ego_alone_in_a_team_is_decided_about_as_by_itself():
     one, team = gym.make("intersection-v0"), make(1)
     alone, together = ShieldedEnv(one, EXACT), ShieldedEnv(team, EXACT)

@@ -28,6 +28,8 @@ INTERNAL = frozenset(
         "shield.doors.exact_door",
         "shield.doors.exact_input_door",
         "shield.doors.exact_scene",
+        "shield.doors.input_frames",
+        "shield.doors.team_door",
         "shield.doors.warm_doors",
         "shield.exact.inputs",
         "shield.exact.engine",

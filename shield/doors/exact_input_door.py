@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
 from functools import cache
 from time import perf_counter
 from typing import Any
@@ -18,12 +17,11 @@ from dynamics.networks.simulator import NetworkSimulator
 from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.simulator.layout import CONTINUOUS, KIND, TARGET, TARGET_SPEED
 from dynamics.state import FloatArray
-from dynamics.vehicle.actuators import Actuators
 from shield.batch.vocabulary import TIERS
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
-from shield.doors.cruise import Cruise
 from shield.doors.exact_scene import STATE, ExactScene
+from shield.doors.input_frames import InputFrames
 from shield.exact.inputs import Tail, decide_inputs, empty_tail, play
 from shield.exact.room import Search
 from shield.procedures.warm_up import announced
@@ -37,7 +35,7 @@ _HOLD = 1.0
 _SOURCE = "throttle and steering are verified by simulation in highway-env itself, not in"
 
 
-class ExactInputDoor:
+class ExactInputDoor(InputFrames):
     """Filters throttle and steering where the traffic, of known classes, follows from its state.
 
     At every frame the proposal is simulated for that frame, and after it a law that keeps lanes and speeds, for
@@ -54,11 +52,6 @@ class ExactInputDoor:
         If the simulator cannot run the environment, or the settings are for another kind of verification.
     SceneError
         If it has vehicles or lanes that are not known.
-
-    Attributes
-    ----------
-    actuators : what the policy controls.
-    cause : why the scene of the last decision could not be read, "" where it could.
     """
 
     supervising = True
@@ -69,14 +62,10 @@ class ExactInputDoor:
             raise ConfigError(f"{_SOURCE} a CompiledHighwayEnv")
         if on_network(base):
             check_network(base)
-        self.config, self._base = config, base
-        self.actuators = Actuators.of(base.action_type)
-        self._period = int(base.config["simulation_frequency"] // base.config["policy_frequency"])
+        super().__init__(base, config)
         law = config.braking, self.actuators.acceleration[1], _HOLD
         self._scene = ExactScene(base, config, lambda env: NetworkSimulator(env, law=law))
-        self._cruise = Cruise(self.actuators)
-        self.cause = ""
-        self._inputs, self._proposal = np.zeros(2), np.zeros(2)
+        self._inputs = np.zeros(2)
         self.reset()
         if base.road is not None:
             self._scene.read()
@@ -84,46 +73,20 @@ class ExactInputDoor:
     def reset(self) -> None:
         """Forget everything about the episode."""
         self._scene.forget()
-        self._cruise.reset()
+        self._begin()
         self._search: Search | None = None
         self._present: Search | None = None
         self._tail: Tail = empty_tail(1)
-        self._known = self._untouched = True
-        self._first: tuple[FloatArray, Decision] | None = None
 
     @property
     def violations(self) -> int:
         """Vehicles that have done something else than what was foretold."""
         return self._scene.violations
 
-    def decide(self, action: Any, order: Any = None) -> Decision:
-        """Filter an action for its first frame; see `InputDoor.decide`."""
-        self._untouched = True
-        read = self.actuators.read(action)
-        self._known = read is not None
-        self._proposal = np.zeros(2) if read is None else self.actuators.physical(read)
-        inputs, decision = self._filter(True)
-        self._first = inputs, decision
-        executed = action if decision.tier is Tier.PASSED else self.actuators.normalised(inputs)
-        return replace(decision, proposed=action, executed=executed)
-
-    def frame(self) -> tuple[dict[str, float] | None, Decision]:
-        """The low-level action of the next frame, None where the environment's own stands; see `InputDoor.frame`."""
-        first, self._first = self._first, None
-        if first is None and self._untouched:
-            low = self._base.vehicle.action
-            self._proposal = np.array([float(low["acceleration"]), float(low["steering"])])
-        inputs, decision = first if first is not None else self._filter(False)
-        self._untouched = self._untouched and decision.tier is Tier.PASSED
-        if self._untouched:
-            return None, decision
-        return {"acceleration": float(inputs[0]), "steering": float(inputs[1])}, decision
-
-    def _filter(self, between_decisions: bool) -> tuple[FloatArray, Decision]:
-        """What is carried out in the next frame, and the record."""
+    def _filter(self, begins: bool) -> tuple[FloatArray, Decision]:
         start, self.cause = perf_counter(), ""
         try:
-            search, present = self._read(between_decisions)
+            search, present = self._read(begins)
         except (SceneError, ConfigError) as error:
             self.cause = str(error)
             return self._last_resort(Reason.BAD_SCENE, start)
@@ -131,14 +94,14 @@ class ExactInputDoor:
             _log.exception("the scene could not be read; the last resort acts")
             self.cause = f"{type(error).__name__}: {error}"
             return self._last_resort(Reason.STAGE_FAILED, start)
-        proposal = self._proposal
-        if self._known:
-            proposal = self._cruise.proposal(proposal, float(self._base.vehicle.speed))
-        code, margin = decide_inputs(search, present, self._tail, proposal, self._known, self._inputs)
+        known, proposal = self._proposal is not None, np.zeros(2)
+        if self._proposal is not None:
+            proposal = self._cruise.proposal(self._proposal, float(self._base.vehicle.speed))
+        code, margin = decide_inputs(search, present, self._tail, proposal, known, self._inputs)
         self._scene.expect(present.futures.f[0][STATE])
         tier = TIERS[code]
         reason = Reason.NONE if tier is Tier.PASSED else Reason.UNVERIFIED if tier.verified else Reason.NO_SAFE_PLAN
-        if not self._known:
+        if not known:
             reason = Reason.BAD_ACTION
         elif tier is Tier.PASSED and proposal is not self._proposal:
             tier, reason = Tier.GOVERNED, Reason.RESUME
@@ -173,15 +136,16 @@ class ExactInputDoor:
         ego = int(np.flatnonzero(futures.g[0, KIND] == CONTINUOUS)[0])
         return int(futures.g[0, LAW, ego]), int(futures.g[0, TARGET, ego]), float(futures.f[0, TARGET_SPEED, ego])
 
-    def _read(self, between_decisions: bool) -> tuple[Search, Search]:
+    def _read(self, begins: bool) -> tuple[Search, Search]:
         """Room for searches, and the scene as it is. Between two frames of a decision that is what was foretold, where
         all are where they should be: some have acted by then for the coming frame, so it is read only where it must."""
         search, present = self._search, self._present
-        if between_decisions or search is None or present is None or not self._scene.as_foretold():
-            law = self._law()
+        if begins or search is None or present is None or not self._scene.as_foretold():
+            law, foretold = self._law(), self._scene.foretells
             simulator, search = self._scene.read()
             present = search._replace(futures=simulator.worlds)
-            if self._scene.surprised:
+            if self._scene.surprised or not foretold:
+                # What was planned was for another scene.
                 self._tail.counts[:] = 0
             elif law is not None:
                 # highway-env knows nothing of what the law is about.

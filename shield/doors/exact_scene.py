@@ -62,6 +62,11 @@ class ExactScene:
         self._foretold: FloatArray = np.zeros((len(STATE), 0))
         self._foretold_of: dict[Any, int] = {}
 
+    @property
+    def foretells(self) -> bool:
+        """Whether anything is foretold of what comes next."""
+        return bool(self._foretold_of)
+
     def expect(self, states: FloatArray) -> None:
         """Foretell the next scene: `states` has the rows x, y [m], heading [rad] and speed [m/s] of its bodies."""
         self._foretold, self._foretold_of = states.copy(), self.bodies()

@@ -13,10 +13,9 @@ from dynamics.errors import ConfigError, SceneError
 from dynamics.scenes.parking_lot import LotReader, is_lot
 from dynamics.scenes.scene import SceneReader
 from dynamics.state import FloatArray, State
-from dynamics.vehicle.actuators import Actuators
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
-from shield.doors.cruise import Cruise
+from shield.doors.input_frames import InputFrames
 from shield.procedures.decide import Core, Unreadable, read
 from shield.procedures.inputs import Inputs
 from shield.procedures.parking_lot import ParkingLot
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["InputDoor", "refuse_lots"]
 
 
-class InputDoor:
+class InputDoor(InputFrames):
     """Filters the throttle and steering of one environment: on its road, or in its parking lot (`is_lot`).
 
     Parameters
@@ -49,9 +48,7 @@ class InputDoor:
 
     def __init__(self, base: Any, config: ShieldConfig, agent: bool = False, model: StageModel | None = None) -> None:
         refuse_simulated(config)
-        self._base = base
-        self.actuators = Actuators.of(base.action_type)
-        self._period = int(base.config["simulation_frequency"] // base.config["policy_frequency"])
+        super().__init__(base, config)
         self._lot = is_lot(base)
         if model is not None and (self._lot or agent):
             raise ConfigError("a model is for the predictive filter of ShieldedEnv on a road; leave it out here")
@@ -60,7 +57,6 @@ class InputDoor:
         hold = self._period if agent else None
         procedure: Any = Inputs(config, self.actuators, hold, model=model) if not self._lot else None
         self.core: Core[Any] = Core(procedure or ParkingLot(config, self.actuators, hold))
-        self._off = config.mode == "none"
         if getattr(base.action_type, "dynamical", False):
             raise ConfigError(
                 "the shield knows highway-env's kinematic bicycle only; this environment's ContinuousAction is "
@@ -72,13 +68,8 @@ class InputDoor:
                 f"speed_range {base.action_type.speed_range}. Leave speed_range out of the action's config"
             )
         self._agent = agent
-        self.cause = ""
         if base.road is not None and not self._off:
             self._reader.check()
-        self._untouched = True
-        self._cruise = Cruise(self.actuators)
-        self._proposal: FloatArray | None = None
-        self._first: tuple[FloatArray, Decision] | None = None
 
     def reset(self) -> None:
         """Forget everything about the episode, and compute what depends on the road alone.
@@ -89,8 +80,7 @@ class InputDoor:
             If the episode's road is not supported.
         """
         self.core.reset()
-        self._first = None
-        self._cruise.reset()
+        self._begin()
         procedure = self.core.procedure
         if self._off:
             return
@@ -111,40 +101,7 @@ class InputDoor:
         """Whether `frame` has a say."""
         return not (self._off or self._agent)
 
-    def decide(self, action: Any, order: Any = None) -> Decision:
-        """Filter an action for its first frame; `executed` is the action itself where that verifies.
-
-        Otherwise it is the normalised action nearest to what the actuators get: the shield brakes harder than the
-        policy can if it has to. (Inputs have no order: `order` is for the door of meta-actions.)
-        """
-        self._untouched = True
-        if self._off:
-            return Decision(action, action, Reason.NONE, Tier.OFF, np.nan, 0.0)
-        read = self.actuators.read(action)
-        self._proposal = None if read is None else self.actuators.physical(read)
-        inputs, decision = self._filter()
-        self._first = inputs, decision
-        executed = action if decision.tier is Tier.PASSED else self.actuators.normalised(inputs)
-        return replace(decision, proposed=action, executed=executed)
-
-    def frame(self) -> tuple[dict[str, float] | None, Decision]:
-        """The low-level action of the next frame, None where the environment's own stands; and the record.
-
-        highway-env repeats the low-level action that it has. So once a frame has been overridden, the next ones get
-        theirs from here, the proposal too; until then the proposal is what highway-env has made of it (it keeps an
-        acceleration that it has limited above `MAX_SPEED`).
-        """
-        first, self._first = self._first, None
-        if first is None and self._untouched:
-            low = self._base.vehicle.action
-            self._proposal = np.array([float(low["acceleration"]), float(low["steering"])])
-        inputs, decision = first if first is not None else self._filter()
-        self._untouched = self._untouched and decision.tier is Tier.PASSED
-        if self._untouched:
-            return None, decision
-        return {"acceleration": float(inputs[0]), "steering": float(inputs[1])}, decision
-
-    def _filter(self) -> tuple[FloatArray, Decision]:
+    def _filter(self, begins: bool) -> tuple[FloatArray, Decision]:
         start, proposal = perf_counter(), self._proposal
         scene = read(self._reader, self._stopping())
         self.cause = scene.cause if isinstance(scene, Unreadable) else ""

@@ -161,6 +161,10 @@ def test_a_scene_that_cannot_be_read_is_braked_in():
         assert env.frame_decisions[0].tier is (Tier.EMERGENCY if first else Tier.STORED_PLAN)
         assert "Stranger" in env._door.cause
         assert base.vehicle.speed < speed
+        # What was planned before is not what is fallen back on in a scene that has not been seen since.
+        base.road.vehicles.pop()
+        env.step(np.array([np.nan, 0.0], np.float32))
+        assert env.frame_decisions[0].tier is Tier.ALTERNATIVE
 
 
 def test_who_does_something_else_between_two_frames_is_seen():

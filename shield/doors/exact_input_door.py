@@ -32,7 +32,6 @@ __all__ = ["ExactInputDoor", "warm_up_exact_inputs"]
 _log = logging.getLogger(__name__)
 _HOLD = 1.0
 """How long the law holds a lane and a speed before it may turn to others [s]."""
-_SOURCE = "throttle and steering are verified by simulation in highway-env itself, not in"
 
 
 class ExactInputDoor(InputFrames):
@@ -59,7 +58,9 @@ class ExactInputDoor(InputFrames):
     def __init__(self, base: Any, config: ShieldConfig) -> None:
         check(config)
         if isinstance(base, CompiledHighwayEnv):
-            raise ConfigError(f"{_SOURCE} a CompiledHighwayEnv")
+            raise ConfigError(
+                "throttle and steering are verified by simulation in highway-env, not in its compiled copy"
+            )
         if on_network(base):
             check_network(base)
         super().__init__(base, config)

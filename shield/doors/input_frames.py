@@ -56,6 +56,10 @@ class InputFrames(ABC):
         begins : whether the frame is the first of a decision.
         """
 
+    def _physical(self, action: Any, read: FloatArray) -> FloatArray:
+        """The acceleration [m/s^2] and wheel [rad] of an action, (2,), which `read` is in normalised units."""
+        return self.actuators.physical(read)
+
     def decide(self, action: Any, order: Any = None) -> Decision:
         """Filter an action for its first frame; `executed` is the action itself where that verifies.
 
@@ -66,7 +70,7 @@ class InputFrames(ABC):
         if self._off:
             return Decision(action, action, Reason.NONE, Tier.OFF, np.nan, 0.0)
         read = self.actuators.read(action)
-        self._proposal = None if read is None else self.actuators.physical(read)
+        self._proposal = None if read is None else self._physical(action, read)
         inputs, decision = self._filter(True)
         self._first = inputs, decision
         executed = action if decision.tier is Tier.PASSED else self.actuators.normalised(inputs)

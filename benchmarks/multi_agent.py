@@ -19,9 +19,9 @@ from shield import ShieldConfig, ShieldedEnv
 FASTER = 2
 
 
-def drive(env_id: str, egos: int, policy: str, shielded: bool, seed: int) -> tuple[bool, bool, bool, int, int]:
-    """Whether an ego crashed, whether two egos did into one another, whether all arrived; decisions of single egos, and
-    how many were overridden."""
+def drive(env_id: str, egos: int, policy: str, shielded: bool, seed: int) -> tuple[bool, bool, bool, int, int, int]:
+    """Whether an ego crashed, whether two egos did into one another, whether all arrived, and how many; decisions of
+    single egos, and how many were overridden."""
     env: Any = gym.make(env_id, config={"controlled_vehicles": egos})
     if shielded:
         env = ShieldedEnv(env, ShieldConfig.exact())
@@ -37,7 +37,7 @@ def drive(env_id: str, egos: int, policy: str, shielded: bool, seed: int) -> tup
         overridden += sum(each["overridden"] for each in info["shield"]["agents"]) if shielded else 0
     crashed = [vehicle for vehicle in base.controlled_vehicles if vehicle.crashed]
     near = [np.hypot(*(a.position - b.position)) < 8 for a in crashed for b in crashed if a is not b]
-    return bool(crashed), any(near), bool(arrived.all()), decisions, overridden
+    return bool(crashed), any(near), bool(arrived.all()), int(arrived.sum()), decisions, overridden
 
 
 def share(hits: int, total: int) -> str:
@@ -55,16 +55,20 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=770_000)
     parser.add_argument("--jobs", type=int, default=-1)
     asked = parser.parse_args()
-    print("| egos | policy | shield | episodes | crashes % | egos into one another % | all arrive % | overridden % |")
-    print("| --: | :-- | :-- | --: | --: | --: | --: | --: |")
+    print(
+        "| egos | policy | shield | episodes | crashes % | egos into one another % | all arrive % | egos that arrive % "
+        "| overridden % |"
+    )
+    print("| --: | :-- | :-- | --: | --: | --: | --: | --: | --: |")
     for policy in ("faster", "random"):
         for shielded in (False, True):
             seeds = range(asked.seed, asked.seed + asked.episodes)
             rows = Parallel(n_jobs=asked.jobs)(
                 delayed(drive)(asked.env_id, asked.egos, policy, shielded, seed) for seed in seeds
             )
-            crashed, into, arrived, decisions, overridden = (sum(column) for column in zip(*rows, strict=True))
-            rates = " | ".join(share(each, len(rows)) for each in (crashed, into, arrived))
+            crashed, into, all_of_them, arrived, decisions, overridden = map(sum, zip(*rows, strict=True))
+            rates = " | ".join(share(each, len(rows)) for each in (crashed, into, all_of_them))
+            rates += f" | {share(arrived, asked.egos * len(rows))}"
             door = "all" if shielded else "none"
             print(
                 f"| {asked.egos} | {policy} | {door} | {len(rows)} | {rates} | {100 * overridden / decisions:.1f} |",

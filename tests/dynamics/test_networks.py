@@ -62,13 +62,6 @@ def test_an_episode_is_the_same(env_id, seed):
     drive(Pair(env_id, 400 + seed), np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize("env_id", ["racetrack-v0", "racetrack-large-v0", "racetrack-oval-v0"])
-def test_a_lap_with_meta_actions_is_the_same(env_id):
-    meta = {"type": "DiscreteMetaAction", "target_speeds": [0, 5, 10]}
-    for seed in range(3):
-        drive(Pair(env_id, 450 + seed, {"action": meta}), np.random.default_rng(seed), 100)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("env_id", NETWORKS)
 def test_a_hundred_episodes_are_the_same(env_id):

@@ -1,7 +1,8 @@
 """Throttle and steering on roads whose rewards highway-env computes for meta-actions only.
 
 They are registered with Gymnasium too: `merge-continuous-v1`, `roundabout-continuous-v1`, `two-way-continuous-v0`,
-`u-turn-continuous-v1` and the others, with highway-env's configuration.
+`u-turn-continuous-v1` and the others, with highway-env's configuration. Where highway-env sets no limit, an episode
+ends after 60 decisions: with meta-actions one gets to the end of the road, and with a wheel one need not.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ ROADS = (
 """What highway-env does not make with `ContinuousAction`."""
 
 _IDLE = 1
+_LIMIT = 60
 
 
 class ThrottleAndSteering(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
@@ -146,7 +148,7 @@ def _register() -> None:
         gym.register(
             id=f"{name}-continuous-{version}",
             entry_point=f"{__name__}:make_continuous",
-            max_episode_steps=gym.spec(road).max_episode_steps,
+            max_episode_steps=gym.spec(road).max_episode_steps or _LIMIT,
             kwargs={"road": road},
         )
 

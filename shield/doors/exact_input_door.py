@@ -111,7 +111,10 @@ class ExactInputDoor(InputFrames):
         code, margin = decide_inputs(search, present, self._tail, proposal, known, self._inputs)
         self._scene.expect(present.futures.f[0][STATE])
         tier = TIERS[code]
-        reason = Reason.NONE if tier is Tier.PASSED else Reason.UNVERIFIED if tier.verified else Reason.NO_SAFE_PLAN
+        # A stored plan is one for this very scene: it is as was foretold.
+        reason = Reason.NO_SAFE_PLAN if tier is Tier.LARGEST_MARGIN else Reason.UNVERIFIED
+        if tier is Tier.PASSED:
+            reason = Reason.NONE
         if not known:
             reason = Reason.BAD_ACTION
         elif tier is Tier.PASSED and proposal is not self._proposal:

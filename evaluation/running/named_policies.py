@@ -18,6 +18,7 @@ from typing import Any, Protocol
 
 import gymnasium as gym
 import numpy as np
+from highway_env.envs.common.action import ContinuousAction, DiscreteAction
 from numpy.typing import NDArray
 
 from dynamics.vehicle.actuators import Actuators
@@ -29,7 +30,6 @@ from evaluation.policies import list_references, load_reference
 from evaluation.running.highway_planner import highway_policy
 from evaluation.running.parking_planner import PARKING_POLICIES, parking_policy
 from evaluation.running.roundabout_planner import roundabout_policy
-from evaluation.scenarios.action_grid import ActionGrid
 from mpc import MPCPolicy
 from mpc.filter.program.road_step import StageModel
 from mpc.lookahead_policy import LookaheadPolicy
@@ -221,13 +221,12 @@ def _constant(name: str, env: gym.Env[Any, Any]) -> int | NDArray[np.float32]:
     """The action that a constant policy stands for in an environment."""
     kind = env.unwrapped.action_type  # type: ignore[attr-defined]
     label = type(kind).__name__
-    if label == "ContinuousAction":
-        return _inputs(name, Actuators.of(kind))
-    if isinstance(kind, ActionGrid):
-        return kind.nearest(_inputs(name, Actuators.of(kind)))
+    if isinstance(kind, ContinuousAction):
+        inputs = _inputs(name, Actuators.of(kind))
+        return int(inputs) if isinstance(kind, DiscreteAction) else inputs
     if label != "DiscreteMetaAction":
         raise ConfigError(
-            f"policy {name!r} needs DiscreteMetaAction, ContinuousAction or an ActionGrid; this environment takes"
+            f"policy {name!r} needs DiscreteMetaAction, ContinuousAction or DiscreteAction; this environment takes"
             f" {label}; have random"
         )
     if name not in _META:
@@ -243,8 +242,8 @@ def _meta_action(label: str, env: gym.Env[Any, Any]) -> int:
     return int(indexes[label])
 
 
-def _inputs(name: str, actuators: Actuators) -> NDArray[np.float32]:
-    """The normalised action of a constant policy for throttle and steering."""
+def _inputs(name: str, actuators: Actuators) -> Any:
+    """The action of a constant policy for throttle and steering: normalised, or the number of the nearest."""
     valid = _INPUTS if actuators.longitudinal else _INPUTS - {"throttle"}
     if name not in _INPUTS:
         raise ConfigError(f"{name!r} is a meta-action; this environment takes ContinuousAction; have {_list(valid)}")

@@ -55,10 +55,6 @@ class ActionGrid(DiscreteAction):  # type: ignore[misc]
         """Act on the ego."""
         ContinuousAction.act(self, self.inputs[int(action)])
 
-    def nearest(self, inputs: Any) -> int:
-        """The action whose normalised throttle and steering are nearest to these two."""
-        return int(np.abs(self.inputs - np.asarray(inputs)).sum(axis=1).argmin())
-
 
 def make_action_type(env: Any, config: Mapping[str, Any]) -> ActionType:
     """The action type of a configuration: highway-env's, or an `ActionGrid` for a `DiscreteAction` with two

@@ -88,10 +88,20 @@ def test_a_throttle_is_refused_where_there_are_meta_actions(env):
         make_policy("throttle", env)
 
 
-def test_other_actions_have_no_constant_policy():
+def test_steps_of_throttle_and_steering_have_constant_policies():
+    """Of three steps on each axis, the throttle first: straight on, and with full throttle."""
     env = get_setting("highway-fast").override({"action": {"type": "DiscreteAction"}}).make()
     try:
-        with pytest.raises(ConfigError, match="takes DiscreteAction; have random"):
+        assert [int(make_policy(name, env).predict(None)[0]) for name in ("idle", "throttle")] == [4, 7]
+    finally:
+        env.close()
+
+
+def test_other_actions_have_no_constant_policy():
+    team = {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}
+    env = get_setting("highway-fast").override({"action": team}).make()
+    try:
+        with pytest.raises(ConfigError, match="takes MultiAgentAction; have random"):
             make_policy("idle", env)
     finally:
         env.close()

@@ -43,7 +43,7 @@ def test_what_cannot_be_drawn_is_refused(tmp_path):
         draw_gallery(tmp_path / "roads.gif")
     with pytest.raises(ConfigError, match="not 10000"):
         draw_override("merge-v1", seed=10_000)
-    with pytest.raises(ConfigError, match="meta-actions alone"):
+    with pytest.raises(ConfigError, match="at every frame"):
         draw_override("parking-v0", "random")
     with pytest.raises(ConfigError, match="not overridden"):
         draw_override("exit-v1", "idle")

@@ -147,8 +147,9 @@ def test_what_is_no_highway_is_refused(door):
         door(ShieldConfig())
     with pytest.raises(ConfigError, match="is a ShieldedEnv already"):
         door(gym.wrappers.TimeLimit(ShieldedEnv(make()), 5))
-    with pytest.raises(ConfigError, match="ContinuousAction; this environment has DiscreteAction"):
-        door(gym.make("highway-fast-v0", config={"action": {"type": "DiscreteAction"}}))
+    several = {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}
+    with pytest.raises(ConfigError, match="several"):
+        door(gym.make("highway-fast-v0", config={"action": several}))
 
 
 def test_attributes_of_the_model_are_reached_through_the_shield(models):

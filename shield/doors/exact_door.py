@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable
 from functools import cache
@@ -12,7 +11,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from dynamics.errors import SceneError
 from dynamics.networks.refusals import check_network, on_network
 from dynamics.networks.simulator import NetworkSimulator
 from dynamics.simulator.env import CompiledHighwayEnv
@@ -24,7 +22,7 @@ from shield.batch.vocabulary import REASONS, TIERS
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
-from shield.doors.exact_scene import STATE, ExactScene, Room
+from shield.doors.exact_scene import STATE, ExactScene, Room, why_unread
 from shield.errors import ConfigError
 from shield.exact.deciding import Plans, empty_plans, last_resort, passes, replace, verify
 from shield.exact.room import Search
@@ -35,8 +33,6 @@ from shield.refusals import check
 from shield.repair.order import resolve
 
 __all__ = ["ExactDoor", "as_decision", "warm_up_exact"]
-
-_log = logging.getLogger(__name__)
 
 
 class ExactDoor:
@@ -96,11 +92,8 @@ class ExactDoor:
         reason: Reason | None = None
         try:
             simulator, search = self._read()
-        except (SceneError, ConfigError) as error:
-            reason, self.cause = Reason.BAD_SCENE, str(error)
         except Exception as error:
-            _log.exception("the scene could not be read; the last resort acts")
-            reason, self.cause = Reason.STAGE_FAILED, f"{type(error).__name__}: {error}"
+            reason, self.cause = why_unread(error)
         records = empty_records(1, 1)
         if reason is not None:
             self._scene.expect_nothing()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from copy import copy
 from functools import cache
 from time import perf_counter
@@ -12,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from dynamics.errors import ConfigError, SceneError
+from dynamics.errors import ConfigError
 from dynamics.networks.layout import LAW
 from dynamics.networks.refusals import check_network, on_network
 from dynamics.networks.simulator import NetworkSimulator
@@ -22,7 +21,7 @@ from dynamics.state import FloatArray
 from shield.batch.vocabulary import TIERS
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
-from shield.doors.exact_scene import STATE, ExactScene
+from shield.doors.exact_scene import STATE, ExactScene, why_unread
 from shield.doors.input_frames import InputFrames
 from shield.exact.inputs import Tail, decide_inputs, empty_tail, play
 from shield.exact.room import Search
@@ -31,7 +30,6 @@ from shield.refusals import check
 
 __all__ = ["ExactInputDoor", "warm_up_exact_inputs"]
 
-_log = logging.getLogger(__name__)
 _HOLD = 1.0
 """How long the law holds a lane and a speed before it may turn to others [s]."""
 
@@ -98,13 +96,9 @@ class ExactInputDoor(InputFrames):
         start, self.cause = perf_counter(), ""
         try:
             search, present = self._read(begins)
-        except (SceneError, ConfigError) as error:
-            self.cause = str(error)
-            return self._last_resort(Reason.BAD_SCENE, start)
         except Exception as error:
-            _log.exception("the scene could not be read; the last resort acts")
-            self.cause = f"{type(error).__name__}: {error}"
-            return self._last_resort(Reason.STAGE_FAILED, start)
+            reason, self.cause = why_unread(error)
+            return self._last_resort(reason, start)
         known, proposal = self._proposal is not None, np.zeros(2)
         if self._proposal is not None:
             proposal = self._cruise.proposal(self._proposal, float(self._base.vehicle.speed))

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from dynamics.errors import ConfigError, SceneError
 from dynamics.networks.simulator import NetworkSimulator
 from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.simulator.layout import HEADING, SPEED, X, Y
 from dynamics.simulator.simulator import Simulator
 from dynamics.state import FloatArray, IntArray
 from shield.config import ShieldConfig
+from shield.decision import Reason
 from shield.exact.room import Search, new_search
 from shield.exact.search import foretell
 
-__all__ = ["STATE", "ExactScene", "Room"]
+__all__ = ["STATE", "ExactScene", "Room", "why_unread"]
+
+_log = logging.getLogger(__name__)
 
 Room = tuple[Simulator | NetworkSimulator, Search]
 """A simulator of the scene as it is, and room for searches in it."""
@@ -27,6 +32,14 @@ _SAME = 1e-6
 differ by some 1e-12."""
 _ELSEWHERE = 10.0
 """No vehicle strays so far from what was foretold of a decision [m]."""
+
+
+def why_unread(error: Exception) -> tuple[Reason, str]:
+    """The reason and the cause that a record gets where reading the scene raised; what is nobody's fault is logged."""
+    if isinstance(error, SceneError | ConfigError):
+        return Reason.BAD_SCENE, str(error)
+    _log.error("the scene could not be read; the last resort acts", exc_info=error)
+    return Reason.STAGE_FAILED, f"{type(error).__name__}: {error}"
 
 
 class ExactScene:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Sequence
 from time import perf_counter
@@ -11,7 +10,6 @@ from typing import Any
 import numpy as np
 from highway_env.envs.common.action import DiscreteMetaAction, MultiAgentAction
 
-from dynamics.errors import SceneError
 from dynamics.networks.layout import FRAMES
 from dynamics.networks.refusals import check_network, on_network
 from dynamics.networks.simulator import NetworkSimulator
@@ -22,7 +20,7 @@ from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
 from shield.doors.exact_door import as_decision
-from shield.doors.exact_scene import STATE, ExactScene
+from shield.doors.exact_scene import STATE, ExactScene, why_unread
 from shield.errors import ConfigError
 from shield.exact.deciding import Plans, empty_plans, last_resort, passes, replace
 from shield.exact.room import Search
@@ -31,8 +29,6 @@ from shield.procedures.screen import slower
 from shield.refusals import check
 
 __all__ = ["TeamDoor", "is_team"]
-
-_log = logging.getLogger(__name__)
 
 
 def is_team(base: Any) -> bool:
@@ -116,13 +112,9 @@ class TeamDoor:
         start, self.cause = perf_counter(), ""
         try:
             simulator, search = self._scene.read()
-        except (SceneError, ConfigError) as error:
-            self.cause = str(error)
-            return self._last_resort(actions, Reason.BAD_SCENE, start)
         except Exception as error:
-            _log.exception("the scene could not be read; the last resort acts")
-            self.cause = f"{type(error).__name__}: {error}"
-            return self._last_resort(actions, Reason.STAGE_FAILED, start)
+            reason, self.cause = why_unread(error)
+            return self._last_resort(actions, reason, start)
         depth, slowest = search.bounds.depth, int(search.order[0])
         for k, plans in enumerate(self._plans):
             if len(plans.actions[0]) != depth:

@@ -9,8 +9,8 @@ import highway_env  # noqa: F401
 import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
+from input_scenes import gap
 
-from evaluation.measuring.rectangles import separation
 from shield import ConfigError, Shield, ShieldConfig, ShieldedEnv
 from shield.decision import Tier
 
@@ -25,15 +25,7 @@ def make(egos=2, env_id=IDS[0], **config):
 
 def gaps(env):
     """The distance from each ego with its buffer to the nearest body [m]."""
-    buffer = EXACT.buffer
-    out = []
-    for ego in env.controlled_vehicles:
-        wide = [ego.LENGTH + 2 * buffer.longitudinal, ego.WIDTH + 2 * buffer.lateral]
-        mine = np.array([*ego.position, ego.heading, 0.0, *wide])
-        others = [v for v in env.road.vehicles if v is not ego]
-        rows = [np.array([*v.position, v.heading, 0.0, v.LENGTH, v.WIDTH]) for v in others]
-        out.append(min((float(separation(mine, row)) for row in rows), default=np.inf))
-    return out
+    return [gap(env, EXACT.buffer, ego) for ego in env.controlled_vehicles]
 
 
 def drive(egos, seed, policy, env_id=IDS[0]):

@@ -8,9 +8,7 @@ from network_pair import Pair
 from simulator_pair import same_numbers
 
 from dynamics.networks.layout import LATERAL_SPEED, YAW_RATE
-from dynamics.networks.network import index_of
-from dynamics.networks.simulator import NetworkSimulator
-from dynamics.simulator.layout import KIND, LANE, OBSTACLE, TARGET_SPEED, TIMER
+from dynamics.simulator.layout import TARGET_SPEED, TIMER
 from evaluation.measuring.rectangles import separation
 from evaluation.wrappers import ThrottleAndSteering
 from evaluation.wrappers.throttle_and_steering import ROADS
@@ -47,17 +45,8 @@ class InputPair(Pair):
 
     def compare_all(self, rows):
         """Everybody who is still there."""
-        road, f, g = self.env.road, self.simulator.worlds.f[0], self.simulator.worlds.g[0]
-        there = [v in road.vehicles for v in self.bodies] + [True] * len(road.objects)
-        assert [kind == OBSTACLE for kind in g[KIND, : len(self.bodies)]] == [not v for v in there[: len(self.bodies)]]
-        rows, f, g = rows[there], f[:, there], g[:, there]
-        bodies, m = [*road.vehicles, *road.objects], len(road.vehicles)
-        real = np.array([[*v.position, v.heading, v.speed] for v in bodies], float)
-        exact = self.simulator.exact
-        assert same_numbers(real, rows[:, :4], exact), self.name
-        assert [v.crashed for v in bodies] == (rows[:, 6] > 0).tolist(), self.name
-        numbers = index_of(road.network)
-        assert [numbers[self.key(v.lane_index)] for v in road.vehicles] == g[LANE, :m].tolist(), self.name
+        f, _ = self.compare_bodies(rows)
+        road, exact = self.env.road, self.simulator.exact
         others = [k for k, v in enumerate(road.vehicles) if v is not self.env.vehicle]
         drivers = [road.vehicles[k] for k in others]
         assert same_numbers([float(v.target_speed) for v in drivers], f[TARGET_SPEED, others], exact), self.name
@@ -66,9 +55,6 @@ class InputPair(Pair):
             ego = road.vehicles.index(self.env.vehicle)
             state = [self.env.vehicle.lateral_speed, self.env.vehicle.yaw_rate]
             assert same_numbers(np.array(state, float), f[[LATERAL_SPEED, YAW_RATE], ego], exact), self.name
-
-    def start(self):
-        self.simulator, self.bodies = NetworkSimulator(self.env), list(self.env.road.vehicles)
 
 
 def push(env, inputs):
@@ -79,9 +65,9 @@ def push(env, inputs):
     env.steps += 1
 
 
-def gap(env, buffer):
-    """The distance between the ego with its buffer and the nearest body [m]."""
-    ego = env.vehicle
+def gap(env, buffer, ego=None):
+    """The distance between an ego with its buffer and the nearest body [m]; by default of the first."""
+    ego = env.vehicle if ego is None else ego
     wide = [ego.LENGTH + 2 * buffer.longitudinal, ego.WIDTH + 2 * buffer.lateral]
     mine = np.array([*ego.position, ego.heading, 0.0, *wide])
     others = [*(v for v in env.road.vehicles if v is not ego), *env.road.objects]

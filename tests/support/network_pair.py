@@ -40,8 +40,8 @@ class Pair:
         self.compare(rows)
         return terminated or truncated
 
-    def compare(self, rows):
-        """Everybody who is still there."""
+    def compare_bodies(self, rows):
+        """Where everybody is who is still there, in which lane, and whether crashed; their columns of `f` and `g`."""
         road, f, g = self.env.road, self.simulator.worlds.f[0], self.simulator.worlds.g[0]
         there = [v in road.vehicles for v in self.bodies] + [True] * len(road.objects)
         assert [kind == OBSTACLE for kind in g[KIND, : len(self.bodies)]] == [
@@ -54,6 +54,12 @@ class Pair:
         assert same_numbers(real, rows[:, :4], exact), self.name
         assert [v.crashed for v in bodies] == (rows[:, 6] > 0).tolist(), self.name
         assert [self.numbers[self.key(v.lane_index)] for v in road.vehicles] == g[LANE, :m].tolist(), self.name
+        return f, g
+
+    def compare(self, rows):
+        """Everybody who is still there, and what they are about."""
+        f, g = self.compare_bodies(rows)
+        road, exact, m = self.env.road, self.simulator.exact, len(self.env.road.vehicles)
         assert [self.numbers[self.key(v.target_lane_index)] for v in road.vehicles] == g[TARGET, :m].tolist(), self.name
         assert same_numbers([float(v.target_speed) for v in road.vehicles], f[TARGET_SPEED, :m], exact), self.name
         assert same_numbers([float(getattr(v, "timer", 0.0)) for v in road.vehicles], f[TIMER, :m], exact), self.name

@@ -113,6 +113,11 @@ class ShieldConfig:
         ):
             _positive("ShieldConfig", name, getattr(self, name))
 
+    @property
+    def simulates(self) -> bool:
+        """Whether the traffic is simulated: with `Assumptions.exact()`, where anything is verified at all."""
+        return self.assumptions.simulated and self.mode != "none"
+
     @classmethod
     def for_meta_actions(cls) -> ShieldConfig:
         """The defaults of `Shield`, whose meta-actions cannot stop the ego: moderate assumptions."""

@@ -50,7 +50,7 @@ def refuse_simulated(config: ShieldConfig) -> None:
     ConfigError
         If the settings have `Assumptions.exact()`.
     """
-    if config.assumptions.simulated and config.mode != "none":
+    if config.simulates:
         raise ConfigError(
             "Assumptions.exact() verifies by simulation, which Shield and ShieldedEnv do on roads whose traffic is "
             'known; here there are the profiles "idm", "moderate" and "rss"'

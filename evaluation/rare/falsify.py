@@ -192,7 +192,7 @@ def replay(find: Find) -> Find:
     shielded: Any = env
     if find.policy != ANY:
         start_episode(policy, 0)
-    if shield.assumptions.simulated and shield.mode != "none":
+    if shield.simulates:
         policy = Shield(policy, env, shield, frames=False)
     elif shield.mode != "none":
         shielded = ShieldedEnv(env, shield, policy=None if find.policy == ANY else policy)

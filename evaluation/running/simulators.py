@@ -45,8 +45,7 @@ def environment(
     def compiled() -> tuple[CompiledHighwayEnv, bool]:
         _check(policy, variant, model)
         env = CompiledHighwayEnv(setting.env_id, setting.config)
-        simulated = variant.door != "none" and variant.config.assumptions.simulated and variant.mode != "none"
-        if simulated and isinstance(env.action_type, ContinuousAction):
+        if variant.door != "none" and variant.config.simulates and isinstance(env.action_type, ContinuousAction):
             raise ConfigError("throttle and steering are verified by simulation in highway-env itself")
         return env, env.simulator.exact
 

@@ -104,7 +104,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._base: Any = bases[0]
         kind = "MultiAgentAction" if is_team(self._base) else the_action_type(bases, "ShieldedEnv")
         self._door: MetaDoor | InputDoor | ExactDoor | ExactInputDoor | TeamDoor
-        simulated = self.config.assumptions.simulated and self.config.mode != "none"
+        simulated = self.config.simulates
         if rule is not None and kind == "ContinuousAction":
             raise ConfigError("a rule judges meta-actions; this environment has ContinuousAction")
         if model is not None and kind != "ContinuousAction":

@@ -100,14 +100,13 @@ class Shield:
         self._inputs = the_action_type(self._bases, "Shield") == "ContinuousAction"
         meta = ShieldConfig.for_meta_actions()
         self.config = ShieldConfig.of(config, ShieldConfig() if frames or self._inputs else meta)
-        simulated = self.config.assumptions.simulated and self.config.mode != "none"
-        if simulated and self._inputs:
+        if self.config.simulates and self._inputs:
             if not frames:
                 raise ConfigError("Assumptions.exact() verifies throttle and steering at every frame: frames=True")
             self._doors = [ExactInputDoor(base, self.config) for base in self._bases]
         elif self._inputs:
             self._doors = [InputDoor(base, self.config, agent=not frames) for base in self._bases]
-        elif simulated:
+        elif self.config.simulates:
             self._doors = [ExactDoor(base, self.config) for base in self._bases]
         else:
             self._doors = [MetaDoor(base, self.config, frames) for base in self._bases]

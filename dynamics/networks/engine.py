@@ -35,7 +35,19 @@ from dynamics.simulator.neighbours import sort
 from dynamics.simulator.scene import next_target_speed
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["NetworkRules", "NetworkWork", "NetworkWorlds", "advance", "begin", "command", "ego_of", "hold", "on_way"]
+__all__ = [
+    "NetworkRules",
+    "NetworkWork",
+    "NetworkWorlds",
+    "advance",
+    "begin",
+    "command",
+    "ego_of",
+    "hold",
+    "intend",
+    "move",
+    "on_way",
+]
 
 
 class NetworkWorlds(NamedTuple):
@@ -145,16 +157,22 @@ def begin(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, 
 
 
 @uncounted
-def advance(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int) -> None:
-    """Advance one scene by a frame."""
-    f, g, p, network, vehicles = worlds.f[e], worlds.g[e], worlds.p[e], rules.network, rules.numbers[1]
-    traffic, dt = _traffic(machine, worlds, network, e), rules.times[0]
-    lanes, n = traffic.lanes, 0
+def intend(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int) -> None:
+    """What everybody in one scene is about to do in the coming frame."""
+    g, vehicles = worlds.g[e], rules.numbers[1]
+    traffic = _traffic(machine, worlds, rules.network, e)
     clear(traffic, rules.customs, vehicles)
     act(traffic, work.numbers, work.busy, vehicles)
     g[FRAMES, 0] += 1
     if rules.customs.period > 0 and g[FRAMES, 0] % rules.customs.period == 0:
         regulate(traffic, rules.customs, machine.products, work.numbers, work.busy, work.paths, vehicles)
+
+
+@uncounted
+def move(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int) -> None:
+    """Move everybody in one scene by a frame."""
+    f, g, p, vehicles, dt = worlds.f[e], worlds.g[e], worlds.p[e], rules.numbers[1], rules.times[0]
+    lanes, n = _lanes(machine, rules.network), 0
     for i in range(vehicles):
         limit(f, g, p, i, dt)
         if g[DYNAMICAL, i]:
@@ -172,6 +190,13 @@ def advance(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: 
         g[LANE, i] = lane
     sort(f, worlds.order[e])
     collide(machine.sums, machine.products, f, g, p, worlds.order[e], work.corners, work.pairs, vehicles, dt)
+
+
+@uncounted
+def advance(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int) -> None:
+    """Advance one scene by a frame."""
+    intend(machine, worlds, rules, work, e)
+    move(machine, worlds, rules, work, e)
 
 
 @uncounted

@@ -28,6 +28,7 @@ from dynamics.simulator.layout import (
     ALLY,
     COMFORT,
     CONTINUOUS,
+    EGO,
     KIND,
     LANE,
     LINEAR,
@@ -38,7 +39,7 @@ from dynamics.simulator.layout import (
 )
 from dynamics.simulator.live import bodies_of, check_body, kind_in_scene, load_body
 
-__all__ = ["load", "longest_route"]
+__all__ = ["load", "load_ego", "longest_route"]
 
 Lanes = Mapping[tuple[str, str, int], int]
 
@@ -100,6 +101,28 @@ def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: 
         raise SceneError("a position, heading, speed, target, timer or action of the scene is not finite")
     worlds.order[e] = np.arange(f.shape[1])
     worlds.clock[e] = base.time
+
+
+def load_ego(base: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds) -> None:
+    """Copy the ego of an environment, unwrapped, alone into the first scene; it takes meta-actions.
+
+    Raises
+    ------
+    SceneError
+        If its route is longer than there is room for, or something about it is not finite.
+    """
+    ego, f, g = base.vehicle, worlds.f[0], worlds.g[0]
+    if type(ego) is not MDPVehicle:
+        raise SceneError(f"the ego is a {type(ego).__name__}, and no MDPVehicle")
+    check_body(ego, 0, True, rules.target_speeds)
+    f[:], g[:], worlds.routes[:] = 0.0, 0, -1
+    load_body(ego, 0, EGO, f, g, worlds.p[0])
+    g[LANE], g[TARGET] = lanes[_key(ego.lane_index)], lanes[_key(ego.target_lane_index)]
+    f[[ALONG, ACROSS], 0] = ego.lane.local_coordinates(ego.position)
+    _load_route(ego, 0, rules, lanes, g, worlds.routes[0])
+    if not np.isfinite(f).all():
+        raise SceneError("a position, heading, speed, target or action of the ego is not finite")
+    worlds.routes[1], worlds.p[1] = worlds.routes[0], worlds.p[0]
 
 
 def _load_inputs(base: Any, i: int, rules: NetworkRules, f: Any, g: Any, p: Any) -> None:

@@ -52,6 +52,8 @@ class Assumptions:
     slip_in : whether a vehicle alongside may change into the ego's lane behind an ego that pulls away from it, or
         before one that it pulls away from, as MOBIL does once IDM's desired gap has vanished
         (`shield.certificate.clauses.slip_in`).
+    looks_ahead : on road networks, whether those behind look beyond the end of their own lane; highway-env's traffic
+        does not, but where its road is told to.
     simulated : whether the others are highway-env's own and are simulated, so that nothing above is asked; see `exact`.
     """
 
@@ -79,12 +81,13 @@ class Assumptions:
     settle_time: float = 2.0
     blind_merge: bool = True
     slip_in: bool = True
+    looks_ahead: bool = False
     simulated: bool = False
 
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            if f.name in ("blind_merge", "slip_in", "simulated"):
+            if f.name in ("blind_merge", "slip_in", "looks_ahead", "simulated"):
                 if not isinstance(value, bool):
                     raise ConfigError(f"Assumptions.{f.name} must be true or false, got {value!r}")
             elif isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
@@ -107,7 +110,14 @@ class Assumptions:
 
         Source: Shalev-Shwartz et al. 2017, with the constants customary on motorways.
         """
-        return cls(braking=8.0, calm_braking=8.0, max_speed=45.0, follower_braking=4.0, reaction_time=1.0)
+        return cls(
+            braking=8.0,
+            calm_braking=8.0,
+            max_speed=45.0,
+            follower_braking=4.0,
+            reaction_time=1.0,
+            looks_ahead=True,
+        )
 
     @classmethod
     def moderate(cls) -> Assumptions:
@@ -117,6 +127,12 @@ class Assumptions:
         leave it without any. highway-env's traffic seldom brakes harder; the monitor counts each time that it does.
         """
         return cls(braking=3.0)
+
+    @classmethod
+    def roads(cls) -> Assumptions:
+        """highway-env's IDM traffic on road networks: it accelerates at 3 m/s^2 at most, up to the limit of its lanes, and
+        yields to nobody who crosses or joins."""
+        return cls(acceleration=3.0, max_speed=30.0, waver=0.6)
 
     @classmethod
     def exact(cls) -> Assumptions:
@@ -129,8 +145,8 @@ class Assumptions:
 
     @classmethod
     def profile(cls, name: str) -> Assumptions:
-        """A profile by name: "idm", "moderate", "rss" or "exact"."""
-        profiles = {"idm": cls.idm, "moderate": cls.moderate, "rss": cls.rss, "exact": cls.exact}
+        """A profile by name: "idm", "roads", "moderate", "rss" or "exact"."""
+        profiles = {"idm": cls.idm, "roads": cls.roads, "moderate": cls.moderate, "rss": cls.rss, "exact": cls.exact}
         if name not in profiles:
             raise ConfigError(f"unknown assumptions {name!r}; valid are {', '.join(map(repr, profiles))}")
         return profiles[name]()

@@ -1,0 +1,323 @@
+"""The door for meta-actions on road networks whose traffic may do whatever the assumptions permit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from dynamics.networks.alone import Alone, alone_on
+from dynamics.networks.continuations import continuations_of, leads_over
+from dynamics.networks.engine import command
+from dynamics.networks.lanes import Lanes
+from dynamics.networks.live import load_ego, longest_route
+from dynamics.networks.network import index_of
+from dynamics.networks.prediction import STRIP, Conduct, Ways, reach, spread
+from dynamics.simulator.layout import TARGET, TARGET_SPEED
+from dynamics.state import FloatArray
+from shield.config import ShieldConfig
+from shield.decision import Decision, Reason, Tier
+from shield.doors.discrete_action import action_index
+from shield.doors.exact_scene import why_unread
+from shield.doors.supervision import Command
+from shield.errors import SceneError
+from shield.roads.choosing import CLEAR, Choice, Road, Trial, choose, empty_trial, try_course
+from shield.roads.judging import Duty, Others
+from shield.roads.reading import read_traffic
+from shield.roads.survey import Body, circles_of
+from shield.roads.watch import Seen, Watch, behind
+
+__all__ = ["RoadDoor"]
+
+_ON = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0)
+"""For how long a course may be kept beyond the coming frame before the ego brakes [s]."""
+_SPEEDS = 8
+"""Speeds between that of a decision and standing still that are tried in its place."""
+_STOP = 5.0
+"""Longer than it takes to brake to a standstill [s]."""
+_ROOM = 1024
+_COMMITTED = 1e3
+"""Stands for highway-env's own speed controller, which brakes as hard as it likes [m/s^2]."""
+
+
+class RoadDoor:
+    """Filters the meta-actions of one environment on a road network, frame by frame.
+
+    Each frame the decision's lane and speed are followed by the ego, alone, for some time, and then braking to a
+    standstill; this path has to stay clear of every place where anybody may be (`shield.roads.judging`). Where none
+    does, the greatest lower speed that does is taken, or what was verified a frame before.
+
+    Parameters
+    ----------
+    base : highway-env's environment, unwrapped. config : settings.
+
+    Raises
+    ------
+    SceneError
+        If the road has lanes of another shape, or there are several egos.
+    ConfigError
+        If the actions are no meta-actions.
+
+    Attributes
+    ----------
+    cause : why the scene of the last decision could not be read, "" where it could.
+    watch : what has been seen of the others.
+    """
+
+    supervising = True
+
+    def __init__(self, base: Any, config: ShieldConfig) -> None:
+        self.config, self._base, self.cause = config, base, ""
+        self._frequency = base.config["simulation_frequency"]
+        self._past: dict[str, int] = {}
+        self.watch = Watch()
+        self._forget()
+        if base.road is not None:
+            self._furnish()
+
+    def _forget(self) -> None:
+        for rule, count in self.watch.by_rule.items():
+            self._past[rule] = self._past.get(rule, 0) + count
+        self.watch = Watch()
+        self._network: Any = None
+        self._owes: dict[Any, set[int]] = {}
+        self._stored: FloatArray | None = None
+        self._clear: set[Any] = set()
+        self._wish: tuple[int, float] | None = None
+        self._ready: tuple[Any, ...] | None = None
+
+    @property
+    def violations(self) -> int:
+        """How often the traffic has broken the assumptions."""
+        return sum(self._past.values()) + self.watch.count
+
+    @property
+    def by_rule(self) -> dict[str, int]:
+        """The same by the rule that was broken."""
+        rules = {*self._past, *self.watch.by_rule}
+        return {str(rule): self._past.get(rule, 0) + self.watch.by_rule.get(rule, 0) for rule in rules}  # type: ignore[call-overload]
+
+    def reset(self) -> None:
+        """Forget everything about the episode."""
+        self._forget()
+        self._furnish()
+
+    def decide(self, action: Any, order: Callable[[], list[int] | None] | None = None) -> Decision:
+        """Filter one meta-action."""
+        start, proposed = perf_counter(), action_index(action)
+        shown = action if proposed < 0 else proposed
+        self._ready, self.cause = None, ""
+        try:
+            bad = proposed not in self._base.action_type.actions
+            self._read()
+            if bad:
+                proposed = self._idle()
+            command(*self._told, proposed)
+            f, g = self._alone.worlds.f[0], self._alone.worlds.g[0]
+            self._wish = int(g[TARGET, 0]), float(f[TARGET_SPEED, 0])
+            made = self._choose()
+            self._ready = (self._wish, *made)
+            decision = made[1]
+            if bad:
+                decision = replace(decision, reason=Reason.BAD_ACTION, tier=Tier.ALTERNATIVE)
+        except Exception as error:
+            reason, self.cause = why_unread(error)
+            self._wish, proposed = None, self._idle()
+            decision = Decision(shown, proposed, reason, Tier.EMERGENCY, np.nan, 0.0)
+        return replace(decision, proposed=shown, executed=proposed, latency=perf_counter() - start)
+
+    def frame(self) -> tuple[Command, Decision]:
+        """What the actuators get for the next frame, None where the environment's own stands; and the record."""
+        start = perf_counter()
+        try:
+            if self._ready is None:
+                self._read()
+                made = self._choose()
+            else:
+                made = self._ready[1:]
+            self._ready = None
+            (choice, tier), decision = made
+            self._go(choice, tier)
+            return self._command(tier), replace(decision, latency=perf_counter() - start)
+        except Exception as error:
+            reason, self.cause = why_unread(error)
+            self._stored = None
+            speed = float(getattr(self._base.vehicle, "speed", 0.0))
+            brake = max(-self.config.braking, -max(speed, 0.0) * self._frequency)
+            inputs = {"acceleration": brake, "steering": 0.0}
+            return inputs, Decision(-1, -1, reason, Tier.EMERGENCY, np.nan, perf_counter() - start)
+
+    @property
+    def _told(self) -> tuple[Any, ...]:
+        return self._alone.machine, self._alone.worlds, self._alone.rules, 0, 0
+
+    def _idle(self) -> int:
+        labels = self._base.action_type.actions_indexes
+        return int(labels.get("IDLE", labels.get("SLOWER", 0)))
+
+    def _furnish(self) -> None:
+        """Room for the episode's road."""
+        base, a, buffer = self._base, self.config.assumptions, self.config.buffer
+        if len(base.controlled_vehicles) != 1:
+            raise SceneError(f"have one ego on a road network, not {len(base.controlled_vehicles)}")
+        self._alone: Alone = alone_on(base)
+        self._network, self._index = base.road.network, index_of(base.road.network)
+        network, machine = self._alone.rules.network, self._alone.machine
+        lanes = Lanes(machine.sums, machine.loops, network.lanes, network.ids)
+        circles = np.zeros((len(network.lanes), 3))
+        circles_of(lanes, circles)
+        length, width = base.vehicle.LENGTH / 2, base.vehicle.WIDTH / 2
+        body = Body(length, width, length + buffer.longitudinal, width + buffer.lateral, a.visible_distance)
+        self._road = Road(
+            lanes=lanes,
+            circles=circles,
+            ways=Ways(*continuations_of(base.road.network), leads_over(base.road.network)),
+            conduct=Conduct(a.braking, a.acceleration, a.max_speed, a.waver, a.lean),
+            duty=Duty(a.follower_braking, int(np.ceil(a.reaction_time * self._frequency - 1e-9)), a.looks_ahead),
+            body=body,
+            period=1 / self._frequency,
+        )
+        self._frames = int(np.ceil((max(_ON) + _STOP) * self._frequency))
+        self._trial: Trial = empty_trial(self._frames, len(network.lanes), 0)
+        self._strips = np.zeros((_ROOM, 3), np.int64), np.zeros((_ROOM, STRIP))
+
+    def _read(self) -> None:
+        """Take in the scene."""
+        base = self._base
+        if base.road.network is not self._network or longest_route(base) > self._alone.worlds.routes.shape[2]:
+            self._furnish()
+        load_ego(base, self._alone.rules, self._index, self._alone.worlds)
+        seen = read_traffic(base, self._alone.rules.network, self._index)
+        m, n = len(seen.rows), len(self._road.circles)
+        drive = np.zeros((m, 3))
+        while True:
+            marks, numbers = self._strips
+            count = spread(
+                self._road.lanes,
+                self._road.ways,
+                self._road.conduct,
+                seen.rows,
+                seen.own,
+                seen.routes,
+                marks,
+                numbers,
+                drive,
+            )
+            if count <= len(marks):
+                break
+            self._strips = np.zeros((2 * len(marks), 3), np.int64), np.zeros((2 * len(marks), STRIP))
+        least, most = np.zeros((2, m, self._frames + 3))
+        reach(self._road.conduct, seen.rows, drive, self._road.period, least, most)
+        owes = np.zeros((m, n), dtype=bool)
+        for i, body in enumerate(seen.who):
+            owes[i, list(self._owes.get(body, ()))] = True
+        made = marks[:count].copy(), numbers[:count].copy(), np.array([count])
+        self._others = Others(seen.rows, seen.things, *made, drive, least, most, owes, np.zeros(count, np.bool_))
+        if len(self._trial.margins) != m:
+            self._trial = empty_trial(self._frames, n, m)
+        self._watch(seen.who)
+
+    def _watch(self, who: list[Any]) -> None:
+        margins = None
+        if self._stored is not None:
+            try_course(self._alone, self._road, self._others, self._stored, True, self._trial)
+            margins = self._trial.margins.copy()
+        first = self.watch.last is None
+        self.watch.next(Seen(who, self._others), self._clear, margins, self._road)
+        if first:
+            # Whoever is behind when it all begins has seen the ego for long.
+            self._owe(True)
+
+    def _owe(self, verified: bool) -> None:
+        """Who owes the ego its distance from now on: whoever did, and is still behind it in a lane where it is seen;
+        where its path is verified, all who are."""
+        row = np.array([self._alone.worlds.g[0, TARGET, 0], 0.0, _COMMITTED, 0, 0, self.config.braking], float)
+        if not verified or self.watch.last is None or self._stored is None:
+            try_course(self._alone, self._road, self._others, row, True, self._trial)
+        there = behind(
+            self._others, self._trial.boxes, self._trial.seen, self._road.duty.ahead, self.config.buffer.longitudinal
+        )
+        if not verified:
+            there &= self._others.owes
+        self._others.owes[:] = there
+        who = self.watch.last.who if self.watch.last is not None else []
+        self._owes = {body: set(np.flatnonzero(there[i]).tolist()) for i, body in enumerate(who) if there[i].any()}
+
+    def _courses(self) -> tuple[FloatArray, list[Tier]]:
+        """What is tried, in order."""
+        assert self._wish is not None
+        lane, speed = self._wish
+        hard, f = self.config.braking, self._frequency
+        frames = [1 + round(t * f) for t in _ON]
+        count = int(self._road.lanes.ids[lane, 2])
+        rows: list[tuple[float, ...]] = []
+        tiers: list[Tier] = []
+        stored = self._stored
+        same = stored is not None and int(stored[0]) == lane and stored[1] == speed and stored[2] == _COMMITTED
+        if same and stored is not None and stored[3] >= 1:
+            rows.append(tuple(stored))
+            tiers.append(Tier.PASSED)
+        asides = (0, -1, 1) if count > 1 else (0,)
+        for aside in asides:
+            for n in frames:
+                rows.append((lane, speed, _COMMITTED, n, aside, hard))
+                tiers.append(Tier.PASSED)
+        now = float(self._alone.worlds.f[0, 3, 0])
+        top = max(min(speed, now + 5.0), 0.0)
+        lanes = [lane]
+        bound = int(self._alone.worlds.g[0, TARGET, 0])
+        if stored is not None and int(stored[0]) not in lanes:
+            lanes.append(int(stored[0]))
+        if bound not in lanes:
+            lanes.append(bound)
+        for each in lanes:
+            for k in range(0 if each != lane else 1, _SPEEDS + 1):
+                rows.append((each, top * (1 - k / _SPEEDS), hard, 1, 0, hard))
+                tiers.append(Tier.GOVERNED)
+        if stored is not None:
+            rows.append(tuple(stored))
+            tiers.append(Tier.GOVERNED)
+        for each in lanes:
+            for k in range(0, _SPEEDS + 1, 2):
+                for n in frames[2:]:
+                    rows.append((each, top * (1 - k / _SPEEDS), hard, n, 0, hard))
+                    tiers.append(Tier.GOVERNED)
+        return np.array(rows, float), tiers
+
+    def _choose(self) -> tuple[tuple[FloatArray, Tier], Decision]:
+        if self._wish is None:
+            self._wish = int(self._alone.worlds.g[0, TARGET, 0]), float(self._alone.worlds.f[0, TARGET_SPEED, 0])
+        courses, tiers = self._courses()
+        found: Choice = choose(self._alone, self._road, self._others, courses, self._trial)
+        course, tier = courses[found.course], tiers[found.course]
+        reason = Reason.NONE if tier is Tier.PASSED else Reason.UNVERIFIED
+        if found.margin < CLEAR:
+            reason, tier = Reason.NO_SAFE_PLAN, Tier.LARGEST_MARGIN
+        decision = Decision(-1, -1, reason, tier, float(found.margin), 0.0, vehicle=int(found.vehicle))
+        return (course, tier), decision
+
+    def _go(self, course: FloatArray, tier: Tier) -> None:
+        """Remember what is gone on with."""
+        # trial holds what comes of the course that was chosen.
+        who = self.watch.last.who if self.watch.last is not None else []
+        self._clear = set(who) if tier.verified else set()
+        self._owe(tier.verified)
+        self._stored = course.copy()
+        self._stored[3] = max(course[3] - 1, 0)
+        bound = self._trial.bound
+        if course[3] < 1 and course[4] != 0:
+            self._stored[4] = 0.0
+        self._stored[0] = bound[0]
+        if self._wish is not None and int(course[0]) == self._wish[0]:
+            self._wish = int(bound[0]) if course[3] >= 1 else self._wish[0], self._wish[1]
+
+    def _command(self, tier: Tier) -> Command:
+        base, bound = self._base, int(self._trial.bound[0])
+        if tier is Tier.PASSED:
+            return None
+        a, b, k = next(key for key, number in self._index.items() if number == bound)
+        base.vehicle.target_lane_index = (a, b, k)
+        return {"acceleration": float(self._trial.first[0]), "steering": float(self._trial.first[1])}

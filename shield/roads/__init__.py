@@ -1,0 +1,1 @@
+"""The certificate on road networks: lanes that cross, join and part, and others who may take any way that they offer."""

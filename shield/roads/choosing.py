@@ -1,0 +1,126 @@
+"""Which course the ego takes: the first of several whose path stays clear of everybody, to the place where it stands."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dynamics.compiled import uncounted
+from dynamics.networks.alone import Alone, Course, drive
+from dynamics.networks.lanes import Lanes
+from dynamics.networks.prediction import Conduct, Ways
+from dynamics.state import BoolArray, FloatArray, IntArray
+from shield.roads.judging import Duty, Others, judge
+from shield.roads.survey import Body, survey
+
+__all__ = ["CLEAR", "Choice", "Road", "Trial", "choose", "empty_trial", "try_course"]
+
+CLEAR = -1e-6
+"""The least margin of a path that is clear [m]; less is more than rounding."""
+
+
+class Road(NamedTuple):
+    """What is the same in all scenes of an episode: its lanes and circles around them, and who drives on them how."""
+
+    lanes: Lanes
+    circles: FloatArray
+    ways: Ways
+    conduct: Conduct
+    duty: Duty
+    body: Body
+    period: float
+
+
+class Trial(NamedTuple):
+    """Room for what comes of a course, for K frames, n lanes and m vehicles: see `drive`, `survey` and `judge`."""
+
+    path: FloatArray
+    first: FloatArray
+    bound: IntArray
+    boxes: FloatArray
+    seen: BoolArray
+    met: IntArray
+    margins: FloatArray
+
+
+class Choice(NamedTuple):
+    """A course that is taken.
+
+    Attributes
+    ----------
+    course : which of those handed in. count : places on its path. margin : least separation [m]. vehicle : from whom,
+    -1 for what stands or nobody. clear : frames until it is negative. strict : whether it needs nobody to keep the
+        distance that he owes.
+    """
+
+    course: int
+    count: int
+    margin: float
+    vehicle: int
+    clear: int
+    strict: bool
+
+
+def empty_trial(frames: int, lanes: int, vehicles: int) -> Trial:
+    """Room for paths of so many frames."""
+    return Trial(
+        np.zeros((frames + 1, 4)),
+        np.zeros(2),
+        np.zeros(frames + 1, np.int64),
+        np.zeros((lanes, frames + 1, 4)),
+        np.zeros((lanes, frames + 1), np.bool_),
+        np.zeros((lanes, 2), np.int64),
+        np.zeros(vehicles),
+    )
+
+
+@uncounted
+def try_course(alone: Alone, road: Road, others: Others, row: FloatArray, lenient: bool, trial: Trial) -> Choice:
+    """What comes of one course, a row of `Course`."""
+    course = Course(int(row[0]), row[1], row[2], int(row[3]), int(row[4]), row[5])
+    found = drive(alone, course, trial.path, trial.first, trial.bound)
+    count = abs(found)
+    rests = found > 0 and abs(trial.path[count - 1, 3]) < 1e-6
+    survey(road.lanes, road.circles, trial.path, count, road.body, trial.boxes, trial.seen, trial.met)
+    margin, who, when = judge(
+        others,
+        road.lanes.rows,
+        road.ways.after,
+        road.conduct,
+        road.duty,
+        road.body,
+        trial.path,
+        count,
+        rests,
+        trial.boxes,
+        trial.seen,
+        trial.met,
+        road.period,
+        lenient,
+        trial.margins,
+    )
+    if found < 0:
+        return Choice(0, count, -np.inf, -1, min(when, count - 1), not lenient)
+    return Choice(0, count, margin, who, when, not lenient)
+
+
+@uncounted
+def choose(alone: Alone, road: Road, others: Others, courses: FloatArray, trial: Trial) -> Choice:
+    """The first of the courses, rows (c, 6), whose path stays clear of everybody; else the first that does of all but
+    those who owe the ego their distance; else the one that does for longest, with the largest margin. `trial` is then
+    what comes of it."""
+    best = Choice(-1, 0, -np.inf, -1, -1, False)
+    for k in range(courses.shape[0]):
+        found = try_course(alone, road, others, courses[k], False, trial)
+        if found.margin >= CLEAR:
+            return Choice(k, found.count, found.margin, found.vehicle, found.clear, True)
+        if best.margin >= CLEAR:
+            continue
+        found = try_course(alone, road, others, courses[k], True, trial)
+        longer = found.clear > best.clear or (found.clear == best.clear and found.margin > best.margin)
+        if found.margin >= CLEAR or longer:
+            best = Choice(k, found.count, found.margin, found.vehicle, found.clear, False)
+    if best.course >= 0:
+        try_course(alone, road, others, courses[best.course], True, trial)
+    return best

@@ -1,0 +1,187 @@
+"""How far a path of the ego stays from every place where the others can be, on a network of roads.
+
+Notation
+--------
+As in `dynamics.networks.prediction`. The ego's body with its buffer takes s from `box[0]` to `box[1]` of a lane, and r
+from `box[2]` to `box[3]`. Whoever is at x on the way to that lane has its body between x - FAR - HALF and x - NEAR +
+HALF, within its band. The *separation* is the greater of the gaps along and across, negative where both overlap.
+
+Who owes what: one that comes up from behind in the ego's own lane brakes for it, `Duty.braking` at least, once the ego
+has been visible there for `Duty.reaction` frames, and on a road where nobody looks beyond the end of the own lane no
+sooner than it has come into that lane itself. Nobody else yields: who crosses, joins or comes the other way is where
+the strips say.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dynamics.compiled import uncounted
+from dynamics.networks.prediction import ALWAYS, FAR, HALF, HIGH, LOW, NEAR, START, Conduct
+from dynamics.simulator.layout import LANE_LENGTH
+from dynamics.state import BoolArray, FloatArray, IntArray
+from dynamics.traffic.permits import Ego, gap_between
+from shield.roads.survey import FAR_OFF, Body
+
+__all__ = ["Duty", "Others", "judge"]
+
+
+class Duty(NamedTuple):
+    """How those behind answer to the ego in their lane: deceleration [m/s^2], frames until then, and whether they look
+    beyond the end of their lane."""
+
+    braking: float
+    reaction: int
+    ahead: bool
+
+
+class Others(NamedTuple):
+    """Where the others can be.
+
+    Attributes
+    ----------
+    rows : vehicle rows, (m, 7). things : rows of what stands, (b, 7).
+    marks, numbers : strips, see `dynamics.networks.prediction.spread`; count : how many there are, (1,).
+    drive : (m, 3). least, most : (m, K), see `reach`.
+    owes : whether each vehicle owes the ego its distance in each lane, (m, n).
+    shut : room for whether the ego stands in the way to what comes after a strip, (count,).
+    """
+
+    rows: FloatArray
+    things: FloatArray
+    marks: IntArray
+    numbers: FloatArray
+    count: IntArray
+    drive: FloatArray
+    least: FloatArray
+    most: FloatArray
+    owes: BoolArray
+    shut: BoolArray
+
+
+@uncounted
+def _followed(
+    others: Others,
+    conduct: Conduct,
+    duty: Duty,
+    j: int,
+    since: int,
+    boxes: FloatArray,
+    first: int,
+    last: int,
+    rests: bool,
+    dt: float,
+) -> float:
+    """The least separation of the ego from one that comes up behind it in strip j and brakes for it, which sees it
+    from frame `since` on [m]; anything negative where it is."""
+    i, row, lane = others.marks[j, 0], others.numbers[j], others.marks[j, 1]
+    top, most = max(others.drive[i, 0], others.rows[i, 3]), others.drive[i, 2]
+    v, x, waited, least, k = max(others.rows[i, 3], 0.0), 0.0, 0, np.inf, 0
+    while k <= last or (rests and v > 0.0):
+        box = boxes[lane, min(k, last)]
+        if k >= first and box[0] < FAR_OFF:
+            beside = max(box[2] - row[HIGH], row[LOW] - box[3])
+            # Both move between two frames.
+            least = min(least, max(box[0] - row[HALF] - (x + v * most * dt - row[NEAR]), beside))
+            if least < 0:
+                return least
+        waited = waited + 1 if k >= since and (duty.ahead or x >= row[NEAR]) else 0
+        x += v * most * dt
+        v = max(v - duty.braking * dt, 0.0) if waited > duty.reaction else min(v + conduct.acceleration * dt, top)
+        k += 1
+    return least
+
+
+@uncounted
+def judge(
+    others: Others,
+    rows: FloatArray,
+    after: IntArray,
+    conduct: Conduct,
+    duty: Duty,
+    body: Body,
+    path: FloatArray,
+    count: int,
+    rests: bool,
+    boxes: FloatArray,
+    seen: BoolArray,
+    met: IntArray,
+    dt: float,
+    lenient: bool,
+    margins: FloatArray,
+) -> tuple[float, int, int]:
+    """The least separation from anybody along the first `count` places of a path, surveyed before.
+
+    Parameters
+    ----------
+    rows : of the lanes. after : see `Ways`.
+    rests : whether the ego stays at the last of them for good.
+    lenient : whether those count who owe the ego its distance; they are believed to keep it.
+    margins : the least separation from each vehicle [m], (m,), written.
+
+    Returns
+    -------
+    It [m], the vehicle that it is from (-1 for what stands), and the first frame with less than 0; `count` for none.
+    """
+    worst, who, when = np.inf, -1, count
+    margins[:] = np.inf
+    for j in range(others.things.shape[0]):
+        for k in range(count):
+            ego = Ego(path[k, 0], path[k, 1], path[k, 2], path[k, 3], body.along, body.across, 0.0, 0.0, False)
+            gap = gap_between(ego, body.along, body.across, others.things, j, 0.0)
+            if gap < 0:
+                when = min(when, k)
+            if gap < worst:
+                worst, who = gap, -1
+    for j in range(others.count[0]):
+        i, lane, row = others.marks[j, 0], others.marks[j, 1], others.numbers[j]
+        before, first, last = others.marks[j, 2], met[lane, 0], met[lane, 1]
+        others.shut[j] = before >= 0 and others.shut[before]
+        if others.shut[j]:
+            continue
+        if last < first:
+            continue
+        end = rows[lane, LANE_LENGTH] if after.shape[1] > 0 and after[lane, 0] >= 0 else ALWAYS
+        least, bad, contact = np.inf, count, -1
+        for k in range(first, last + 1):
+            box = boxes[lane, k]
+            if not box[0] < FAR_OFF:
+                continue
+            beside = max(box[2] - row[HIGH], row[LOW] - box[3])
+            back = others.least[i, max(k - 1, 0)] - row[FAR]
+            ahead = others.most[i, k + 1] - row[NEAR]
+            if rests and k == count - 1:
+                ahead = ALWAYS
+            back, ahead = max(back, row[START]), min(ahead, max(end, -row[NEAR]))
+            if back > ahead:
+                continue
+            along = max(box[0] - row[HALF] - ahead, back - row[HALF] - box[1])
+            gap = max(along, beside)
+            least = min(least, gap)
+            if gap < 0:
+                contact, bad = k, min(bad, k)
+        if least < 0:
+            since = contact + 1
+            while since > 0 and seen[lane, since - 1]:
+                since -= 1
+            # Who is behind, and sees the ego from some frame on.
+            box = boxes[lane, bad]
+            if since <= contact:
+                start = -row[NEAR] + row[HALF] <= box[0]
+                owed = others.owes[i, lane] and since == 0 and boxes[lane, 0, 0] < FAR_OFF
+                if owed and lenient:
+                    others.shut[j] = rests and contact == count - 1
+                    least, bad = np.inf, count
+                elif start:
+                    there = rests and last == count - 1
+                    stays = _followed(others, conduct, duty, j, since, boxes, first, last, there, dt)
+                    if stays >= 0:
+                        others.shut[j] = there and contact == count - 1
+                        least, bad = stays, count
+        margins[i] = min(margins[i], least)
+        when = min(when, bad)
+        if least < worst:
+            worst, who = least, i
+    return worst, who, when

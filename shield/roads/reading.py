@@ -1,0 +1,68 @@
+"""The others on a live highway-env's road network, as a certificate sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dynamics.errors import SceneError
+from dynamics.networks.layout import ROAD
+from dynamics.networks.network import Network
+from dynamics.state import FloatArray, IntArray, Vehicle
+
+__all__ = ["Traffic", "read_traffic"]
+
+
+class Traffic(NamedTuple):
+    """The others.
+
+    Attributes
+    ----------
+    who : what they are, to know them again. rows : vehicle rows, (m, 7). own : the lane that each is on, (m,).
+    routes : see `dynamics.networks.prediction.spread`, (m, roads). things : rows of what stands, (b, 7).
+    """
+
+    who: list[Any]
+    rows: FloatArray
+    own: IntArray
+    routes: IntArray
+    things: FloatArray
+
+
+def _row(body: Any) -> list[float]:
+    return [
+        *body.position,
+        body.heading,
+        body.speed,
+        body.LENGTH,
+        body.WIDTH,
+        float(body.crashed),
+    ]
+
+
+def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int], int]) -> Traffic:
+    """Read the simulator's state of an environment, unwrapped.
+
+    Raises
+    ------
+    SceneError
+        If something about a vehicle is not finite.
+    """
+    who = [body for body in base.road.vehicles if body is not base.vehicle]
+    rows = np.array([_row(body) for body in who], float).reshape(-1, len(Vehicle))
+    things = np.array([_row(body) for body in base.road.objects], float).reshape(-1, len(Vehicle))
+    if not (np.isfinite(rows).all() and np.isfinite(things).all()):
+        raise SceneError("a position, heading, speed or size of a vehicle is not finite")
+    own, routes = np.zeros(len(who), np.int64), np.zeros((len(who), len(network.roads)), np.int64)
+    for i, body in enumerate(who):
+        start, end, lane = body.lane_index
+        own[i] = lanes[start, end, lane or 0]
+        route = getattr(body, "route", None) or []
+        for k, (a, b, _) in enumerate(route):
+            routes[i, network.ids[lanes[a, b, 0], ROAD]] = 2 if k == len(route) - 1 else 1
+        if route and route[0][0] == end:
+            # highway-env forgets the road that a vehicle is on a little before its end.
+            routes[i, network.ids[own[i], ROAD]] = 1
+    return Traffic(who, rows, own, routes, things)

@@ -1,0 +1,150 @@
+"""Whether the others keep to what is assumed of them on a network of roads, frame by frame.
+
+What a vehicle may do from one frame to the next (`dynamics.networks.prediction` bounds what comes of it for all time):
+
+1. *speed*: brake and accelerate no harder than `Conduct` says, no further than to the limit of the lanes before it, and
+   not backwards;
+2. *ways*: be where one of its strips says, along it and across, and with its body no further out. It may take another
+   lane where that leaves the room for the ego's fail-safe;
+3. *distance*: stay behind the ego with its buffer, where it owes the ego that;
+4. *no crash* with another than the ego.
+
+Rule 1 is judged alone, the others where the ego's fail-safe suffers. `UNFORESEEN` is for the sake of honesty: the
+fail-safe has come to suffer from one who has broken no rule. That is a hole in the certificate, and a test fails.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from dynamics.networks.prediction import FAR, HALF, HIGH, LOW, NEAR
+from dynamics.state import BoolArray, FloatArray, Vehicle
+from shield.roads.choosing import CLEAR, Road
+from shield.roads.judging import Others
+
+__all__ = ["Breach", "Seen", "Watch", "behind"]
+
+_SLACK, _PLACE = 1e-6, 1e-3
+
+
+class Breach(StrEnum):
+    """The rules that a vehicle can break."""
+
+    SPEED = "speed"
+    WAYS = "ways"
+    DISTANCE = "distance"
+    CRASH = "crash"
+    APPEARED = "appeared"
+    REVERSING = "reversing"
+    UNFORESEEN = "unforeseen"
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A scene: who was there, and where they could be."""
+
+    who: list[Any]
+    others: Others
+
+
+@dataclass(slots=True, eq=False)
+class Watch:
+    """What has been seen of the others in an episode.
+
+    Attributes
+    ----------
+    last : the scene seen last; None before the first.
+    breaking : who was breaking which rule in it. offenders : who has broken one, and is in the way of the fail-safe.
+    by_rule : how often each rule has been broken; frame after frame by the same vehicle counts once.
+    """
+
+    last: Seen | None = None
+    breaking: dict[Any, set[Breach]] = field(default_factory=dict)
+    offenders: set[Any] = field(default_factory=set)
+    by_rule: dict[Breach, int] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        """How often a rule has been broken."""
+        return sum(self.by_rule.values())
+
+    def next(self, now: Seen, clear: set[Any], margins: FloatArray | None, road: Road) -> None:
+        """Take in the scene one frame later.
+
+        Parameters
+        ----------
+        clear : of whom the ego's fail-safe stayed clear when it was chosen, and those who owed it their distance.
+        margins : how far it stays from each now, (m,) [m]; None without one.
+        """
+        last, breaking = self.last, {}
+        self.last = now
+        if last is None:
+            return
+        before = {body: i for i, body in enumerate(last.who)}
+        for i, body in enumerate(now.who):
+            suffers = margins is not None and bool(margins[i] < CLEAR)
+            j = before.get(body)
+            if j is None:
+                broken = {Breach.APPEARED} if suffers else set()
+            else:
+                suffers = suffers and body in clear
+                broken = self._broken(last.others, j, now.others, i, road, suffers)
+                if suffers and not broken and body not in self.offenders:
+                    broken = {Breach.UNFORESEEN}
+            if broken:
+                breaking[body] = broken
+                for rule in broken - self.breaking.get(body, set()):
+                    self.by_rule[rule] = self.by_rule.get(rule, 0) + 1
+            if suffers:
+                self.offenders.add(body)
+            else:
+                self.offenders.discard(body)
+        self.breaking = breaking
+
+    def _broken(self, old: Others, j: int, new: Others, i: int, road: Road, suffers: bool) -> set[Breach]:
+        broken, conduct, dt = set(), road.conduct, road.period
+        v0, v = float(old.rows[j, 3]), float(new.rows[i, 3])
+        wrecked = old.rows[j, Vehicle.CRASHED] > 0
+        if new.rows[i, Vehicle.CRASHED] > 0 and not wrecked:
+            broken.add(Breach.CRASH)
+        elif not wrecked:
+            slowest = v0 - conduct.braking * dt
+            fastest = max(min(v0 + conduct.acceleration * dt, old.drive[j, 0]), v0)
+            if not slowest - _SLACK <= v <= fastest + _SLACK:
+                broken.add(Breach.SPEED)
+        if suffers and v < 0:
+            broken.add(Breach.REVERSING)
+        if suffers and not _inside(old, j, new, i):
+            broken.add(Breach.WAYS)
+        return broken
+
+
+def _inside(old: Others, j: int, new: Others, i: int) -> bool:
+    """Whether each strip of vehicle i now begins inside one that it had before as vehicle j."""
+    count0, count = int(old.count[0]), int(new.count[0])
+    mine, its = np.flatnonzero(old.marks[:count0, 0] == j), np.flatnonzero(new.marks[:count, 0] == i)
+    least, most = old.least[j, 1], old.most[j, 1]
+    for k in its:
+        row = new.numbers[k]
+        rows = old.numbers[mine[old.marks[mine, 1] == new.marks[k, 1]]]
+        along = (-row[FAR] >= least - rows[:, FAR] - _PLACE) & (-row[NEAR] <= most - rows[:, NEAR] + _PLACE)
+        across = (row[LOW] >= rows[:, LOW] - _PLACE) & (row[HIGH] <= rows[:, HIGH] + _PLACE)
+        if not (along & across & (row[HALF] <= rows[:, HALF] + _PLACE)).any():
+            return False
+    return True
+
+
+def behind(others: Others, boxes: FloatArray, seen: BoolArray, ahead: bool, buffer: float) -> BoolArray:
+    """Who is behind the ego in a lane where it is seen, (m, n): see `survey`, of the first frame. Whoever owes it its
+    distance may come into the buffer of so many metres, and owes it still."""
+    out = np.zeros(others.owes.shape, dtype=bool)
+    for j in range(int(others.count[0])):
+        (i, lane), row = others.marks[j, :2], others.numbers[j]
+        rear = boxes[lane, 0, 0] + (buffer if others.owes[i, lane] else 0.0)
+        if seen[lane, 0] and (ahead or row[NEAR] <= 0) and row[HALF] - row[NEAR] <= rear:
+            out[i, lane] = True
+    return out

@@ -31,25 +31,27 @@ __all__ = [
     "FAR",
     "HALF",
     "HIGH",
+    "KEEP",
     "LOW",
     "NEAR",
     "START",
     "STRIP",
     "Conduct",
+    "Strips",
     "Ways",
     "reach",
     "spread",
 ]
 
-NEAR, FAR, LOW, HIGH, HALF, START, BACK = range(7)
+NEAR, FAR, LOW, HIGH, HALF, START, BACK, KEEP = range(8)
 """Columns of the strips' numbers [m]: the way to the start of the lane, at least and at most; the band across it; half
-of the body along it; the least s of the middle of the body; and the way after which it is back in the middle of its
-lanes, which has come from beside them."""
-STRIP = 7
+of the body along it; the least s of the middle of the body; the way after which it is back in the middle of its
+lanes, which has come from beside them; and half of the band in which it is then."""
+STRIP = 8
 ALWAYS = 1e9
 """Stands for as far as the road goes [m]."""
 
-_LENGTH, _WIDTH, _CRASHED = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
+_LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
 _ASKEW = 0.2
 """How far the heading of a body in its lane is off, at most, when it is reckoned with later [rad]."""
 _ALIGNED, _TURNING, _OVERLAY = 0.5, 0.9, 2.0
@@ -63,7 +65,7 @@ _BEFORE = 3.0
 """So far before the start of the next lane one may begin to turn into it [m]."""
 _LAP = 250.0
 """Within this a vehicle may come by a second time [m]."""
-_ROOM = 1e-6
+_ROUNDING = 1e-6
 
 
 class Conduct(NamedTuple):
@@ -101,44 +103,206 @@ class Ways(NamedTuple):
     over: IntArray
 
 
+class Strips(NamedTuple):
+    """Room for strips.
+
+    Attributes
+    ----------
+    marks : vehicle, lane, and the strip that leads to it, -1 where there is none or several, (room, 3).
+    numbers : (room, STRIP).
+    """
+
+    marks: IntArray
+    numbers: FloatArray
+
+
+class _Strip(NamedTuple):
+    """One of them."""
+
+    vehicle: int
+    lane: int
+    parent: int
+    near: float
+    far: float
+    low: float
+    high: float
+    half: float
+    start: float
+    back: float
+    keep: float
+
+
+class _Pose(NamedTuple):
+    """A body on a lane: s and r [m], the angle between them [rad], how far it reaches to either side and how far once
+    it keeps to the middle [m], and whether it is where one may be in that lane, or about to come into it."""
+
+    s: float
+    r: float
+    angle: float
+    across: float
+    keep: float
+    within: bool
+
+
 @uncounted
 def _curvature(lanes: Lanes, lane: int) -> float:
     return 1 / lanes.rows[lane, RADIUS] if lanes.ids[lane, SHAPE] == CIRCULAR else 0.0
 
 
 @uncounted
-def _add(
-    marks: IntArray,
-    numbers: FloatArray,
-    first: int,
-    count: int,
-    vehicle: int,
-    lane: int,
-    near: float,
-    far: float,
-    low: float,
-    high: float,
-    half: float,
-    start: float,
-    back: float,
-    parent: int,
-) -> int:
+def _keep(lanes: Lanes, lane: int, row: FloatArray, conduct: Conduct) -> float:
+    """How far a body reaches to either side that keeps to the middle of a lane, and on an arc how much further its
+    corners do [m]."""
+    length = row[_LENGTH]
+    return 0.5 * row[_WIDTH] + conduct.sway + _curvature(lanes, lane) * length * length / 8
+
+
+@uncounted
+def _pose(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, lane: int) -> _Pose:
+    s, r = local(lanes, lane, row[0], row[1])
+    long, keep = lanes.rows[lane, LANE_LENGTH], _keep(lanes, lane, row, conduct)
+    angle = wrap_to_pi(row[2] - heading_at(lanes, lane, min(max(s, 0.0), long)))
+    across = 0.5 * (row[_LENGTH] * abs(math.sin(angle)) + row[_WIDTH] * abs(math.cos(angle)))
+    across += keep - conduct.sway - 0.5 * row[_WIDTH]
+    return _Pose(s, r, angle, across, keep, ways.entries[lane, 0] - _BEFORE <= s <= long)
+
+
+@uncounted
+def _add(strips: Strips, first: int, count: int, strip: _Strip) -> int:
     """Write a strip down, where no other of the vehicle contains it; how many there are then."""
-    for j in range(first, count):
-        if marks[j, 1] != lane:
+    marks, numbers = strips.marks, strips.numbers
+    for j in range(first, min(count, len(marks))):
+        if marks[j, 1] != strip.lane:
             continue
         row = numbers[j]
-        same = abs(row[NEAR] - near) < _ROOM and abs(row[FAR] - far) < _ROOM
-        if near > _LAP or (same and row[LOW] <= low + _ROOM and row[HIGH] >= high - _ROOM):
-            if marks[j, 2] != parent:
-                marks[j, 2] = -1  # there is more than one way to it
+        same = abs(row[NEAR] - strip.near) < _ROUNDING and abs(row[FAR] - strip.far) < _ROUNDING
+        same = same and row[LOW] <= strip.low + _ROUNDING and row[HIGH] >= strip.high - _ROUNDING
+        if same or strip.near > _LAP:
+            if marks[j, 2] != strip.parent:
+                marks[j, 2] = -1
             return count
-    if count == len(marks):
-        return count + 1
-    marks[count, 0], marks[count, 1], marks[count, 2] = vehicle, lane, parent
-    numbers[count, NEAR], numbers[count, FAR], numbers[count, LOW], numbers[count, HIGH] = near, far, low, high
-    numbers[count, HALF], numbers[count, START], numbers[count, BACK] = half, start, back
+    if count < len(marks):
+        marks[count, 0], marks[count, 1], marks[count, 2] = strip.vehicle, strip.lane, strip.parent
+        numbers[count, NEAR], numbers[count, FAR] = strip.near, strip.far
+        numbers[count, LOW], numbers[count, HIGH] = strip.low, strip.high
+        numbers[count, HALF], numbers[count, START] = strip.half, strip.start
+        numbers[count, BACK], numbers[count, KEEP] = strip.back, strip.keep
     return count + 1
+
+
+@uncounted
+def _stand(row: FloatArray, i: int, lane: int, at: _Pose, low: float, high: float, back: float) -> _Strip:
+    """The strip of a lane that a vehicle is on."""
+    cos, sin = abs(math.cos(at.angle)), abs(math.sin(at.angle))
+    half = max(0.5 * (row[_LENGTH] * cos + row[_WIDTH] * sin), 0.5 * (row[_LENGTH] + row[_WIDTH] * _ASKEW))
+    return _Strip(i, lane, -1, -at.s, -at.s, low, high, half, min(at.s, 0.0), back, at.keep)
+
+
+@uncounted
+def _kept(
+    lanes: Lanes,
+    ways: Ways,
+    conduct: Conduct,
+    row: FloatArray,
+    i: int,
+    own: int,
+    route: IntArray,
+    routed: bool,
+    strips: Strips,
+    first: int,
+) -> int:
+    """The lanes to which a vehicle keeps: of its route, or any; how many strips there are then."""
+    count = first
+    for lane in range(lanes.rows.shape[0]):
+        if routed and route[lanes.ids[lane, ROAD]] == 0:
+            continue
+        at = _pose(lanes, ways, conduct, row, lane)
+        if at.within and abs(at.angle) <= _ALIGNED and abs(at.r) + at.across <= at.keep:
+            count = _add(strips, first, count, _stand(row, i, lane, at, -at.keep, at.keep, 0.0))
+    return count
+
+
+@uncounted
+def _entered(
+    lanes: Lanes,
+    ways: Ways,
+    conduct: Conduct,
+    row: FloatArray,
+    i: int,
+    own: int,
+    route: IntArray,
+    routed: bool,
+    strips: Strips,
+    first: int,
+) -> int:
+    """The lanes into which a vehicle is coming from beside them, and with any such the one that it is on; likewise."""
+    count, some = first, False
+    for lane in range(lanes.rows.shape[0]):
+        if routed and route[lanes.ids[lane, ROAD]] == 0:
+            continue
+        at = _pose(lanes, ways, conduct, row, lane)
+        low, high = at.r - at.across, at.r + at.across
+        if lane == own:
+            low, high = min(low, -at.keep), max(high, at.keep)
+            count = _add(strips, first, count, _stand(row, i, lane, at, low, high, SETTLED))
+            continue
+        least, most = -at.keep + ways.entries[lane, 1], at.keep + ways.entries[lane, 2]
+        if at.within and abs(at.angle) <= _TURNING and low >= least and high <= most:
+            low, high = max(least, min(low - _SWEEP, -at.keep)), min(most, max(high + _SWEEP, at.keep))
+            count = _add(strips, first, count, _stand(row, i, lane, at, low, high, SETTLED))
+            some = True
+    return count if some else first
+
+
+@uncounted
+def _touched(
+    lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, i: int, own: int, strips: Strips, first: int
+) -> int:
+    """The lanes that a vehicle touches, which is between them; likewise."""
+    count = first
+    for lane in range(lanes.rows.shape[0]):
+        at = _pose(lanes, ways, conduct, row, lane)
+        if lane != own:
+            if lanes.ids[lane, ROAD] == lanes.ids[own, ROAD]:
+                if abs(at.r) - at.across >= lanes.rows[lane, LANE_WIDTH] / 2 - conduct.lean:
+                    continue
+            elif not (abs(at.r) <= _OVERLAY and at.within and abs(at.angle) <= _ALIGNED):
+                continue
+        low, high = min(at.r - at.across, -at.keep), max(at.r + at.across, at.keep)
+        count = _add(strips, first, count, _stand(row, i, lane, at, low, high, SETTLED))
+    return count
+
+
+@uncounted
+def _comes_over(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, strips: Strips, j: int) -> _Strip:
+    """The strip of the lane beside one that ends, into which one may come from it anywhere."""
+    lane, numbers = strips.marks[j, 1], strips.numbers[j]
+    beside = ways.over[lane]
+    x, y = place(lanes, lane, 0.0)
+    s, r = local(lanes, beside, x, y)
+    keep = _keep(lanes, beside, row, conduct)
+    low, high = min(-keep, numbers[LOW] + r), max(keep, numbers[HIGH] + r)
+    back = numbers[FAR] + lanes.rows[lane, LANE_LENGTH]
+    near, far, start = numbers[NEAR] - s, numbers[FAR] - s, numbers[START] + s
+    return _Strip(strips.marks[j, 0], beside, j, near, far, low, high, numbers[HALF], start, back, keep)
+
+
+@uncounted
+def _goes_on(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, strips: Strips, j: int, k: int) -> _Strip:
+    """The strip of the k-th lane after that of strip j."""
+    lane, numbers = strips.marks[j, 1], strips.numbers[j]
+    after, long = ways.after[lane, k], lanes.rows[lane, LANE_LENGTH]
+    s, r, slack = ways.ends[lane, k, 0], ways.ends[lane, k, 1], ways.ends[lane, k, 2]
+    near, far, back = numbers[NEAR] + long - s - slack, numbers[FAR] + long - s + slack, numbers[BACK]
+    keep = _keep(lanes, after, row, conduct)
+    low, high = -keep, keep
+    if numbers[FAR] + long < back:
+        low, high = min(low, numbers[LOW]), max(high, numbers[HIGH])
+    if slack > 0:
+        # Who has to come over from beside a lane does so in the course of it.
+        low, high = low + min(r, 0.0) - slack, high + max(r, 0.0) + slack
+        back = numbers[FAR] + long + SETTLED
+    return _Strip(strips.marks[j, 0], after, j, near, far, low, high, numbers[HALF], s - _BEFORE, back, keep)
 
 
 @uncounted
@@ -149,8 +313,7 @@ def spread(
     rows: FloatArray,
     own: IntArray,
     routes: IntArray,
-    marks: IntArray,
-    numbers: FloatArray,
+    strips: Strips,
     drive: FloatArray,
 ) -> int:
     """All strips of all vehicles.
@@ -160,117 +323,54 @@ def spread(
     rows : of the vehicles, (m, 7). own : the lane that each is on, (m,).
     routes : for each road, 1 where it is on a vehicle's route, 2 where it is the last of it, (m, roads); all 0 of whom
         no route is known.
-    marks, numbers : vehicle, lane, and the strip that leads to it, -1 where there is none or several, (room, 3), and
-        the rest, (room, STRIP); written.
+    strips : written.
     drive : speed that it accelerates to [m/s], and the least and the greatest metres of s in a metre driven, (m, 3);
         written.
 
     Returns
     -------
-    How many there are; more than `room` if there was not enough.
+    How many there are; more than there is room for if there was not enough.
     """
-    count, n = 0, lanes.rows.shape[0]
+    count, room = 0, strips.marks.shape[0]
+    marks, numbers = strips.marks, strips.numbers
     for i in range(rows.shape[0]):
-        first = count
-        x, y, heading, length, width = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, _LENGTH], rows[i, _WIDTH]
-        road, routed = lanes.ids[own[i], ROAD], False
+        first, row, route, routed = count, rows[i], routes[i], False
         for k in range(routes.shape[1]):
-            routed = routed or routes[i, k] > 0
-        # Lanes that it keeps to, or comes to from beside them; where there are none of its route, any such; and where
-        # it is between lanes, those that its body touches.
-        for again in range(5):
-            if count > first or (again < 2 and not routed):
-                continue
-            for lane in range(n):
-                if again < 2 and routes[i, lanes.ids[lane, ROAD]] == 0:
-                    continue
-                s, r = local(lanes, lane, x, y)
-                long = lanes.rows[lane, LANE_LENGTH]
-                within = ways.entries[lane, 0] - _BEFORE <= s <= long
-                if again < 4 and not within:
-                    continue
-                angle = wrap_to_pi(heading - heading_at(lanes, lane, min(max(s, 0.0), long)))
-                cos, sin, bend = abs(math.cos(angle)), abs(math.sin(angle)), _curvature(lanes, lane)
-                bulge = bend * length * length / 8
-                across = 0.5 * (length * sin + width * cos) + bulge
-                keep = 0.5 * width + conduct.sway + bulge
-                low, high, come = -keep, keep, again % 2 == 1 and lane != own[i]
-                if again < 4 and not (again % 2 == 1 and lane == own[i]):
-                    if come:
-                        low, high = low + ways.entries[lane, 1], high + ways.entries[lane, 2]
-                    if not (
-                        abs(angle) <= (_TURNING if come else _ALIGNED) and r - across >= low and r + across <= high
-                    ):
-                        continue
-                elif lane != own[i]:
-                    beside = lanes.ids[lane, ROAD] == road
-                    touches = abs(r) - across < lanes.rows[lane, LANE_WIDTH] / 2 - conduct.lean
-                    inside = abs(r) <= _OVERLAY and within and abs(angle) <= _ALIGNED
-                    if not ((beside and touches) or (not beside and inside)):
-                        continue
-                half = max(0.5 * (length * cos + width * sin), 0.5 * (length + width * _ASKEW))
-                if come:
-                    low, high = max(low, min(r - across - _SWEEP, -keep)), min(high, max(r + across + _SWEEP, keep))
-                else:
-                    low, high = min(r - across, -keep), max(r + across, keep)
-                back = 0.0 if again % 2 == 0 and again < 4 else SETTLED
-                count = _add(marks, numbers, first, count, i, lane, -s, -s, low, high, half, min(s, 0.0), back, -1)
-                if count > len(marks):
-                    return count
-        at = first
-        drive[i, 0], drive[i, 1], drive[i, 2] = 0.0, math.cos(_ALIGNED), 1.0
-        while at < count:
-            lane, row = marks[at, 1], numbers[at]
-            limit, off = lanes.rows[lane, LANE_LIMIT], max(-row[LOW], row[HIGH]) - 0.5 * width
+            routed = routed or route[k] > 0
+        for limited in range(2):
+            if count == first and (limited == 1 or routed):
+                count = _kept(lanes, ways, conduct, row, i, own[i], route, limited == 0, strips, first)
+                if count == first:
+                    count = _entered(lanes, ways, conduct, row, i, own[i], route, limited == 0, strips, first)
+        if count == first:
+            count = _touched(lanes, ways, conduct, row, i, own[i], strips, first)
+        j, straight = first, math.cos(_ALIGNED)
+        drive[i, 0], drive[i, 1], drive[i, 2] = 0.0, straight, 1.0
+        while j < min(count, room):
+            lane = marks[j, 1]
+            limit, off = lanes.rows[lane, LANE_LIMIT], max(-numbers[j, LOW], numbers[j, HIGH]) - 0.5 * row[_WIDTH]
             drive[i, 0] = max(drive[i, 0], limit if limit < math.inf else conduct.top)
             share = min(_curvature(lanes, lane) * off, 0.5)
-            drive[i, 1], drive[i, 2] = (
-                min(drive[i, 1], math.cos(_ALIGNED) / (1 + share)),
-                max(drive[i, 2], 1 / (1 - share)),
-            )
+            drive[i, 1], drive[i, 2] = min(drive[i, 1], straight / (1 + share)), max(drive[i, 2], 1 / (1 - share))
             if lanes.ids[lane, SHAPE] == SINE:
                 slope = abs(lanes.rows[lane, AMPLITUDE] * lanes.rows[lane, PULSATION])
-                drive[i, 1] = min(drive[i, 1], math.cos(_ALIGNED) / math.sqrt(1 + slope * slope))
-            beside = ways.over[lane]
-            if beside >= 0 and rows[i, 3] > _STANDS:
-                x0, y0 = place(lanes, lane, 0.0)
-                at_s, at_r = local(lanes, beside, x0, y0)
-                keep = 0.5 * width + conduct.sway
-                low, high = min(-keep, row[LOW] + at_r), max(keep, row[HIGH] + at_r)
-                near, far, back = row[NEAR] - at_s, row[FAR] - at_s, row[FAR] + lanes.rows[lane, LANE_LENGTH]
-                start = row[START] + at_s
-                count = _add(marks, numbers, first, count, i, beside, near, far, low, high, row[HALF], start, back, at)
-                if count > len(marks):
-                    return count
-            known = routed and routes[i, lanes.ids[lane, ROAD]] < 2
-            for again in range(2):
+                drive[i, 1] = min(drive[i, 1], straight / math.sqrt(1 + slope * slope))
+            if ways.over[lane] >= 0 and row[3] > _STANDS:
+                count = _add(strips, first, count, _comes_over(lanes, ways, conduct, row, strips, j))
+            waits = ways.over[lane] >= 0 and row[3] <= _STANDS
+            known = routed and route[lanes.ids[lane, ROAD]] < 2
+            for limited in range(2):
                 some = False
                 for k in range(ways.after.shape[1]):
                     after = ways.after[lane, k]
-                    if after < 0:
-                        break
-                    if known and again == 0 and routes[i, lanes.ids[after, ROAD]] == 0:
-                        continue
-                    some, long, keep = True, lanes.rows[lane, LANE_LENGTH], 0.5 * width + conduct.sway
-                    keep += _curvature(lanes, after) * length * length / 8
-                    at_s, at_r, slack = ways.ends[lane, k, 0], ways.ends[lane, k, 1], ways.ends[lane, k, 2]
-                    near, far, back = row[NEAR] + long - at_s - slack, row[FAR] + long - at_s + slack, row[BACK]
-                    low, high = -keep, keep
-                    if row[FAR] + long < row[BACK]:
-                        low, high = min(low, row[LOW]), max(high, row[HIGH])
-                    if slack > 0:
-                        # Who has to come over from beside a lane does so in the course of it.
-                        low, high = low + min(at_r, 0.0) - slack, high + max(at_r, 0.0) + slack
-                        back = row[FAR] + long + SETTLED
-                    start = at_s - _BEFORE
-                    count = _add(
-                        marks, numbers, first, count, i, after, near, far, low, high, row[HALF], start, back, at
-                    )
-                    if count > len(marks):
-                        return count
+                    if after >= 0 and not waits and not (known and limited == 0 and route[lanes.ids[after, ROAD]] == 0):
+                        some = True
+                        count = _add(strips, first, count, _goes_on(lanes, ways, conduct, row, strips, j, k))
                 if some or not known:
                     break
-            at += 1
+            j += 1
+        if count > room:
+            return count
     return count
 
 
@@ -280,10 +380,7 @@ def reach(
 ) -> None:
     """How far each vehicle may have got by each frame, in metres of s: `least` and `most`, (m, K), from now on."""
     for i in range(rows.shape[0]):
-        speed, wrecked = rows[i, 3], rows[i, _CRASHED] > 0
-        slow, fast, back, ahead = speed, max(speed, 0.0), 0.0, 0.0
-        if wrecked:
-            slow = min(speed, 0.0)
+        slow, fast, back, ahead = rows[i, 3], max(rows[i, 3], 0.0), 0.0, 0.0
         cap = max(drive[i, 0], fast)
         for k in range(least.shape[1]):
             least[i, k], most[i, k] = min(back * drive[i, 1], back * drive[i, 2]), ahead * drive[i, 2]

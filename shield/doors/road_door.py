@@ -15,7 +15,7 @@ from dynamics.networks.engine import command
 from dynamics.networks.lanes import Lanes
 from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of
-from dynamics.networks.prediction import STRIP, Conduct, Ways, reach, spread
+from dynamics.networks.prediction import STRIP, Conduct, Strips, Ways, reach, spread
 from dynamics.simulator.layout import TARGET, TARGET_SPEED
 from dynamics.state import FloatArray
 from shield.config import ShieldConfig
@@ -165,6 +165,7 @@ class RoadDoor:
             raise SceneError(f"have one ego on a road network, not {len(base.controlled_vehicles)}")
         self._alone: Alone = alone_on(base)
         self._network, self._index = base.road.network, index_of(base.road.network)
+        self._names = list(self._index)
         network, machine = self._alone.rules.network, self._alone.machine
         lanes = Lanes(machine.sums, machine.loops, network.lanes, network.ids)
         circles = np.zeros((len(network.lanes), 3))
@@ -182,7 +183,7 @@ class RoadDoor:
         )
         self._frames = int(np.ceil((max(_ON) + _STOP) * self._frequency))
         self._trial: Trial = empty_trial(self._frames, len(network.lanes), 0)
-        self._strips = np.zeros((_ROOM, 3), np.int64), np.zeros((_ROOM, STRIP))
+        self._strips = _room_for(_ROOM)
 
     def _read(self) -> None:
         """Take in the scene."""
@@ -193,29 +194,21 @@ class RoadDoor:
         seen = read_traffic(base, self._alone.rules.network, self._index)
         m, n = len(seen.rows), len(self._road.circles)
         drive = np.zeros((m, 3))
+        road = self._road
         while True:
-            marks, numbers = self._strips
-            count = spread(
-                self._road.lanes,
-                self._road.ways,
-                self._road.conduct,
-                seen.rows,
-                seen.own,
-                seen.routes,
-                marks,
-                numbers,
-                drive,
-            )
-            if count <= len(marks):
+            strips = self._strips
+            given = seen.rows, seen.own, seen.routes
+            count = spread(road.lanes, road.ways, road.conduct, *given, strips, drive)
+            if count <= len(strips.marks):
                 break
-            self._strips = np.zeros((2 * len(marks), 3), np.int64), np.zeros((2 * len(marks), STRIP))
+            self._strips = _room_for(2 * len(strips.marks))
         least, most = np.zeros((2, m, self._frames + 3))
         reach(self._road.conduct, seen.rows, drive, self._road.period, least, most)
         owes = np.zeros((m, n), dtype=bool)
         for i, body in enumerate(seen.who):
             owes[i, list(self._owes.get(body, ()))] = True
-        made = marks[:count].copy(), numbers[:count].copy(), np.array([count])
-        self._others = Others(seen.rows, seen.things, *made, drive, least, most, owes, np.zeros(count, np.bool_))
+        made = strips.marks[:count].copy(), strips.numbers[:count].copy(), np.array([count])
+        self._others = Others(seen.rows, seen.things, *made, drive, least, most, owes, np.zeros(m, np.bool_), np.zeros(count, np.bool_))
         if len(self._trial.margins) != m:
             self._trial = empty_trial(self._frames, n, m)
         self._watch(seen.who)
@@ -227,6 +220,7 @@ class RoadDoor:
             margins = self._trial.margins.copy()
         first = self.watch.last is None
         self.watch.next(Seen(who, self._others), self._clear, margins, self._road)
+        self._others.offends[:] = [body in self.watch.offenders for body in who]
         if first:
             # Whoever is behind when it all begins has seen the ego for long.
             self._owe(True)
@@ -295,7 +289,8 @@ class RoadDoor:
         course, tier = courses[found.course], tiers[found.course]
         reason = Reason.NONE if tier is Tier.PASSED else Reason.UNVERIFIED
         if found.margin < CLEAR:
-            reason, tier = Reason.NO_SAFE_PLAN, Tier.LARGEST_MARGIN
+            reason = Reason.NO_SAFE_PLAN
+            tier = Tier.EVADED if found.innocent >= CLEAR else Tier.LARGEST_MARGIN
         decision = Decision(-1, -1, reason, tier, float(found.margin), 0.0, vehicle=int(found.vehicle))
         return (course, tier), decision
 
@@ -315,9 +310,12 @@ class RoadDoor:
             self._wish = int(bound[0]) if course[3] >= 1 else self._wish[0], self._wish[1]
 
     def _command(self, tier: Tier) -> Command:
-        base, bound = self._base, int(self._trial.bound[0])
-        if tier is Tier.PASSED:
+        ego, lane = self._base.vehicle, self._names[int(self._trial.bound[0])]
+        if tier is Tier.PASSED and self._index[ego.target_lane_index] == int(self._trial.bound[0]):
             return None
-        a, b, k = next(key for key, number in self._index.items() if number == bound)
-        base.vehicle.target_lane_index = (a, b, k)
+        ego.target_lane_index = lane
         return {"acceleration": float(self._trial.first[0]), "steering": float(self._trial.first[1])}
+
+
+def _room_for(count: int) -> Strips:
+    return Strips(np.zeros((count, 3), np.int64), np.zeros((count, STRIP)))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.networks.alone import Alone, Course, drive
 from dynamics.networks.lanes import Lanes
 from dynamics.networks.prediction import Conduct, Ways
@@ -16,6 +16,7 @@ from shield.roads.survey import Body, survey
 
 __all__ = ["CLEAR", "Choice", "Road", "Trial", "choose", "empty_trial", "try_course"]
 
+_OFF = 1e3
 CLEAR = -1e-6
 """The least margin of a path that is clear [m]; less is more than rounding."""
 
@@ -51,7 +52,7 @@ class Choice(NamedTuple):
     ----------
     course : which of those handed in. count : places on its path. margin : least separation [m]. vehicle : from whom,
     -1 for what stands or nobody. clear : frames until it is negative. strict : whether it needs nobody to keep the
-        distance that he owes.
+        distance that he owes. innocent : least separation from those who have broken no rule [m].
     """
 
     course: int
@@ -60,6 +61,7 @@ class Choice(NamedTuple):
     vehicle: int
     clear: int
     strict: bool
+    innocent: float
 
 
 def empty_trial(frames: int, lanes: int, vehicles: int) -> Trial:
@@ -83,7 +85,7 @@ def try_course(alone: Alone, road: Road, others: Others, row: FloatArray, lenien
     count = abs(found)
     rests = found > 0 and abs(trial.path[count - 1, 3]) < 1e-6
     survey(road.lanes, road.circles, trial.path, count, road.body, trial.boxes, trial.seen, trial.met)
-    margin, who, when = judge(
+    margin, who, when, innocent = judge(
         others,
         road.lanes.rows,
         road.ways.after,
@@ -101,26 +103,38 @@ def try_course(alone: Alone, road: Road, others: Others, row: FloatArray, lenien
         trial.margins,
     )
     if found < 0:
-        return Choice(0, count, -np.inf, -1, min(when, count - 1), not lenient)
-    return Choice(0, count, margin, who, when, not lenient)
+        # It leaves the road, at that speed.
+        when = min(when, count - 1)
+        return Choice(0, count, -_OFF - trial.path[when, 3], -1, when, not lenient, -_OFF)
+    return Choice(0, count, margin, who, when, not lenient, innocent)
+
+
+@inlined
+def _better(a: Choice, b: Choice) -> bool:
+    """Whether a course is to be preferred to another: one that is clear of all, or else of all who have broken no rule;
+    that is clear for longer; or has the larger margin."""
+    if (a.margin >= CLEAR) != (b.margin >= CLEAR):
+        return a.margin >= CLEAR
+    if (a.innocent >= CLEAR) != (b.innocent >= CLEAR):
+        return a.innocent >= CLEAR
+    return a.clear > b.clear or (a.clear == b.clear and a.margin > b.margin)
 
 
 @uncounted
 def choose(alone: Alone, road: Road, others: Others, courses: FloatArray, trial: Trial) -> Choice:
     """The first of the courses, rows (c, 6), whose path stays clear of everybody; else the first that does of all but
-    those who owe the ego their distance; else the one that does for longest, with the largest margin. `trial` is then
+    those who owe the ego their distance; else the best of them, see `_better`. `trial` is then
     what comes of it."""
-    best = Choice(-1, 0, -np.inf, -1, -1, False)
+    best = Choice(-1, 0, -np.inf, -1, -1, False, -np.inf)
     for k in range(courses.shape[0]):
         found = try_course(alone, road, others, courses[k], False, trial)
         if found.margin >= CLEAR:
-            return Choice(k, found.count, found.margin, found.vehicle, found.clear, True)
+            return Choice(k, found.count, found.margin, found.vehicle, found.clear, True, found.innocent)
         if best.margin >= CLEAR:
             continue
         found = try_course(alone, road, others, courses[k], True, trial)
-        longer = found.clear > best.clear or (found.clear == best.clear and found.margin > best.margin)
-        if found.margin >= CLEAR or longer:
-            best = Choice(k, found.count, found.margin, found.vehicle, found.clear, False)
+        if _better(found, best):
+            best = Choice(k, found.count, found.margin, found.vehicle, found.clear, False, found.innocent)
     if best.course >= 0:
         try_course(alone, road, others, courses[best.course], True, trial)
     return best

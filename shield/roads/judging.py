@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import uncounted
-from dynamics.networks.prediction import ALWAYS, FAR, HALF, HIGH, LOW, NEAR, START, Conduct
+from dynamics.compiled import inlined, uncounted
+from dynamics.networks.prediction import ALWAYS, BACK, FAR, HALF, HIGH, KEEP, LOW, NEAR, START, Conduct
 from dynamics.simulator.layout import LANE_LENGTH
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.permits import Ego, gap_between
@@ -46,6 +46,7 @@ class Others(NamedTuple):
     marks, numbers : strips, see `dynamics.networks.prediction.spread`; count : how many there are, (1,).
     drive : (m, 3). least, most : (m, K), see `reach`.
     owes : whether each vehicle owes the ego its distance in each lane, (m, n).
+    offends : who has broken a rule, (m,).
     shut : room for whether the ego stands in the way to what comes after a strip, (count,).
     """
 
@@ -58,7 +59,16 @@ class Others(NamedTuple):
     least: FloatArray
     most: FloatArray
     owes: BoolArray
+    offends: BoolArray
     shut: BoolArray
+
+
+@inlined
+def _beside(box: FloatArray, row: FloatArray) -> float:
+    """The gap across a strip [m]: where one gets to it that has come from beside, it is back in the middle by then."""
+    if box[0] - row[HALF] + row[NEAR] >= row[BACK]:
+        return max(box[2] - row[KEEP], -row[KEEP] - box[3])
+    return max(box[2] - row[HIGH], row[LOW] - box[3])
 
 
 @uncounted
@@ -79,15 +89,21 @@ def _followed(
     i, row, lane = others.marks[j, 0], others.numbers[j], others.marks[j, 1]
     top, most = max(others.drive[i, 0], others.rows[i, 3]), others.drive[i, 2]
     v, x, waited, least, k = max(others.rows[i, 3], 0.0), 0.0, 0, np.inf, 0
+    within = row[NEAR] <= 0
     while k <= last or (rests and v > 0.0):
         box = boxes[lane, min(k, last)]
         if k >= first and box[0] < FAR_OFF:
-            beside = max(box[2] - row[HIGH], row[LOW] - box[3])
+            beside = _beside(box, row)
             # Both move between two frames.
             least = min(least, max(box[0] - row[HALF] - (x + v * most * dt - row[NEAR]), beside))
             if least < 0:
                 return least
-        waited = waited + 1 if k >= since and (duty.ahead or x >= row[NEAR]) else 0
+        there = duty.ahead or x >= row[NEAR]
+        if there and not duty.ahead and not within:
+            # One that is slower may be further into the lane in its first frame there.
+            x = row[NEAR] + v * most * dt
+            within = True
+        waited = waited + 1 if k >= since and there else 0
         x += v * most * dt
         v = max(v - duty.braking * dt, 0.0) if waited > duty.reaction else min(v + conduct.acceleration * dt, top)
         k += 1
@@ -111,7 +127,7 @@ def judge(
     dt: float,
     lenient: bool,
     margins: FloatArray,
-) -> tuple[float, int, int]:
+) -> tuple[float, int, int, float]:
     """The least separation from anybody along the first `count` places of a path, surveyed before.
 
     Parameters
@@ -123,9 +139,10 @@ def judge(
 
     Returns
     -------
-    It [m], the vehicle that it is from (-1 for what stands), and the first frame with less than 0; `count` for none.
+    It [m], the vehicle that it is from (-1 for what stands), the first frame with less than 0, `count` for none; and the
+    least separation from those who have broken no rule [m].
     """
-    worst, who, when = np.inf, -1, count
+    worst, who, when, innocent = np.inf, -1, count, np.inf
     margins[:] = np.inf
     for j in range(others.things.shape[0]):
         for k in range(count):
@@ -135,6 +152,7 @@ def judge(
                 when = min(when, k)
             if gap < worst:
                 worst, who = gap, -1
+            innocent = min(innocent, gap)
     for j in range(others.count[0]):
         i, lane, row = others.marks[j, 0], others.marks[j, 1], others.numbers[j]
         before, first, last = others.marks[j, 2], met[lane, 0], met[lane, 1]
@@ -149,7 +167,7 @@ def judge(
             box = boxes[lane, k]
             if not box[0] < FAR_OFF:
                 continue
-            beside = max(box[2] - row[HIGH], row[LOW] - box[3])
+            beside = _beside(box, row)
             back = others.least[i, max(k - 1, 0)] - row[FAR]
             ahead = others.most[i, k + 1] - row[NEAR]
             if rests and k == count - 1:
@@ -182,6 +200,8 @@ def judge(
                         least, bad = stays, count
         margins[i] = min(margins[i], least)
         when = min(when, bad)
+        if not others.offends[i]:
+            innocent = min(innocent, least)
         if least < worst:
             worst, who = least, i
-    return worst, who, when
+    return worst, who, when, innocent

@@ -14,6 +14,9 @@ from dynamics.state import FloatArray, IntArray, Vehicle
 
 __all__ = ["Traffic", "read_traffic"]
 
+_PUSHED = 0.5
+"""How much wider a wreck is taken than it is: those that crash are pushed apart [m]."""
+
 
 class Traffic(NamedTuple):
     """The others.
@@ -21,7 +24,8 @@ class Traffic(NamedTuple):
     Attributes
     ----------
     who : what they are, to know them again. rows : vehicle rows, (m, 7). own : the lane that each is on, (m,).
-    routes : see `dynamics.networks.prediction.spread`, (m, roads). things : rows of what stands, (b, 7).
+    routes : see `dynamics.networks.prediction.spread`, (m, roads). things : rows of what stands, and of wrecks with
+        all of the way that they slide, (b, 7).
     """
 
     who: list[Any]
@@ -42,6 +46,14 @@ def _row(body: Any) -> list[float]:
     ]
 
 
+def _sliding(body: Any) -> list[float]:
+    """Where a wreck may slide to: it does not steer, and brakes at -1 * speed per second."""
+    x, y, heading, speed, length, width, crashed = _row(body)
+    way = 0.5 * speed
+    at = x + way * np.cos(heading), y + way * np.sin(heading)
+    return [*at, heading, 0.0, length + abs(speed), width + _PUSHED, crashed]
+
+
 def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int], int]) -> Traffic:
     """Read the simulator's state of an environment, unwrapped.
 
@@ -50,9 +62,11 @@ def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int
     SceneError
         If something about a vehicle is not finite.
     """
-    who = [body for body in base.road.vehicles if body is not base.vehicle]
+    others = [body for body in base.road.vehicles if body is not base.vehicle]
+    who = [body for body in others if not body.crashed]
     rows = np.array([_row(body) for body in who], float).reshape(-1, len(Vehicle))
-    things = np.array([_row(body) for body in base.road.objects], float).reshape(-1, len(Vehicle))
+    standing = [*map(_row, base.road.objects), *(_sliding(body) for body in others if body.crashed)]
+    things = np.array(standing, float).reshape(-1, len(Vehicle))
     if not (np.isfinite(rows).all() and np.isfinite(things).all()):
         raise SceneError("a position, heading, speed or size of a vehicle is not finite")
     own, routes = np.zeros(len(who), np.int64), np.zeros((len(who), len(network.roads)), np.int64)

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.networks.prediction import FAR, HALF, HIGH, LOW, NEAR
-from dynamics.state import BoolArray, FloatArray, Vehicle
+from dynamics.state import BoolArray, FloatArray
 from shield.roads.choosing import CLEAR, Road
 from shield.roads.judging import Others
 
@@ -85,6 +85,10 @@ class Watch:
         if last is None:
             return
         before = {body: i for i, body in enumerate(last.who)}
+        there = set(now.who)
+        for body in last.who:
+            if body not in there and getattr(body, "crashed", False):
+                self.by_rule[Breach.CRASH] = self.by_rule.get(Breach.CRASH, 0) + 1
         for i, body in enumerate(now.who):
             suffers = margins is not None and bool(margins[i] < CLEAR)
             j = before.get(body)
@@ -108,14 +112,10 @@ class Watch:
     def _broken(self, old: Others, j: int, new: Others, i: int, road: Road, suffers: bool) -> set[Breach]:
         broken, conduct, dt = set(), road.conduct, road.period
         v0, v = float(old.rows[j, 3]), float(new.rows[i, 3])
-        wrecked = old.rows[j, Vehicle.CRASHED] > 0
-        if new.rows[i, Vehicle.CRASHED] > 0 and not wrecked:
-            broken.add(Breach.CRASH)
-        elif not wrecked:
-            slowest = v0 - conduct.braking * dt
-            fastest = max(min(v0 + conduct.acceleration * dt, old.drive[j, 0]), v0)
-            if not slowest - _SLACK <= v <= fastest + _SLACK:
-                broken.add(Breach.SPEED)
+        slowest = v0 - conduct.braking * dt
+        fastest = max(min(v0 + conduct.acceleration * dt, old.drive[j, 0]), v0)
+        if not slowest - _SLACK <= v <= fastest + _SLACK:
+            broken.add(Breach.SPEED)
         if suffers and v < 0:
             broken.add(Breach.REVERSING)
         if suffers and not _inside(old, j, new, i):

@@ -223,14 +223,13 @@ class RoadDoor:
         self._others.offends[:] = [body in self.watch.offenders for body in who]
         if first:
             # Whoever is behind when it all begins has seen the ego for long.
+            stop = np.array([self._alone.worlds.g[0, TARGET, 0], 0.0, _COMMITTED, 0, 0, self.config.braking], float)
+            try_course(self._alone, self._road, self._others, stop, True, self._trial)
             self._owe(True)
 
     def _owe(self, verified: bool) -> None:
         """Who owes the ego its distance from now on: whoever did, and is still behind it in a lane where it is seen;
-        where its path is verified, all who are."""
-        row = np.array([self._alone.worlds.g[0, TARGET, 0], 0.0, _COMMITTED, 0, 0, self.config.braking], float)
-        if not verified or self.watch.last is None or self._stored is None:
-            try_course(self._alone, self._road, self._others, row, True, self._trial)
+        where its path is verified, all who are. `_trial` begins where the ego is."""
         there = behind(
             self._others, self._trial.boxes, self._trial.seen, self._road.duty.ahead, self.config.buffer.longitudinal
         )

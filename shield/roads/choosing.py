@@ -84,7 +84,7 @@ def try_course(alone: Alone, road: Road, others: Others, row: FloatArray, lenien
     found = drive(alone, course, trial.path, trial.first, trial.bound)
     count = abs(found)
     rests = found > 0 and abs(trial.path[count - 1, 3]) < 1e-6
-    survey(road.lanes, road.circles, trial.path, count, road.body, trial.boxes, trial.seen, trial.met)
+    survey(road.lanes, road.circles, trial.path, count, road.body, road.period, trial.boxes, trial.seen, trial.met)
     margin, who, when, innocent = judge(
         others,
         road.lanes.rows,

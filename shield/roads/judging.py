@@ -148,6 +148,7 @@ def judge(
         for k in range(count):
             ego = Ego(path[k, 0], path[k, 1], path[k, 2], path[k, 3], body.along, body.across, 0.0, 0.0, False)
             gap = gap_between(ego, body.along, body.across, others.things, j, 0.0)
+            gap = min(gap, gap_between(ego, body.length, body.width, others.things, j, dt))
             if gap < 0:
                 when = min(when, k)
             if gap < worst:

@@ -57,6 +57,7 @@ def survey(
     path: FloatArray,
     count: int,
     body: Body,
+    period: float,
     boxes: FloatArray,
     seen: BoolArray,
     met: IntArray,
@@ -65,6 +66,7 @@ def survey(
 
     Parameters
     ----------
+    period : of a frame [s].
     boxes : (n, K, 4), written: the least and the greatest s and r of it [m]; the first is `FAR_OFF` where it is not
         near. seen : (n, K), written: whether it drives in the lane, in its direction, where others in it see it.
     met : the first and the last frame in which it is near, (n, 2), written; the last before the first for never.
@@ -91,6 +93,13 @@ def survey(
                 if j == 4:
                     continue
                 a, b = (j // 3 - 1) * body.along, (j % 3 - 1) * body.across
+                at, off = local(lanes, lane, x + cos * a - sin * b, y + sin * a + cos * b)
+                box[0], box[1] = min(box[0], at), max(box[1], at)
+                box[2], box[3] = min(box[2], off), max(box[3], off)
+            # highway-env counts a collision that constant velocities would bring within the coming frame.
+            way = path[k, 3] * period
+            for j in range(4):
+                a, b = (2 * (j // 2) - 1) * body.length + way, (2 * (j % 2) - 1) * body.width
                 at, off = local(lanes, lane, x + cos * a - sin * b, y + sin * a + cos * b)
                 box[0], box[1] = min(box[0], at), max(box[1], at)
                 box[2], box[3] = min(box[2], off), max(box[3], off)

@@ -17,7 +17,7 @@ __all__ = ["MODES", "PROFILES", "Buffer", "ShieldConfig"]
 
 MODES = ("none", "distance", "rss", "ttc", "full")
 """Valid `ShieldConfig.mode`: no shield, one rule alone, or the whole procedure."""
-PROFILES = ("default", "meta-actions", "exact")
+PROFILES = ("default", "meta-actions", "roads", "exact")
 """Names of `ShieldConfig.profile`."""
 REPAIRS = ("hold", "filter")
 """Valid `ShieldConfig.repair`: hold the meta-action back, or take the nearest inputs."""
@@ -124,6 +124,16 @@ class ShieldConfig:
         return cls(assumptions=Assumptions.moderate())
 
     @classmethod
+    def for_roads(cls, acceleration: float = 3.0) -> ShieldConfig:
+        """The defaults on road networks with lanes that cross, join and part: what `Assumptions.roads()` says.
+
+        Parameters
+        ----------
+        acceleration : the hardest of the traffic [m/s^2]: 3 of highway-env's, but at its intersections 6.
+        """
+        return cls(assumptions=replace(Assumptions.roads(), acceleration=acceleration))
+
+    @classmethod
     def exact(cls) -> ShieldConfig:
         """Verification by simulation, for `Shield(policy, env, ShieldConfig.exact())` and `ShieldedEnv`: 30 s ahead.
 
@@ -134,10 +144,12 @@ class ShieldConfig:
 
     @classmethod
     def profile(cls, name: str) -> ShieldConfig:
-        """Settings by name: "default", "meta-actions" or "exact"."""
+        """Settings by name: "default", "meta-actions", "roads" or "exact"."""
         if name not in PROFILES:
             raise ConfigError(f"unknown settings {name!r}; valid are {', '.join(map(repr, PROFILES))}")
-        return cls() if name == "default" else cls.for_meta_actions() if name == "meta-actions" else cls.exact()
+        if name == "meta-actions":
+            return cls.for_meta_actions()
+        return cls.for_roads() if name == "roads" else cls.exact() if name == "exact" else cls()
 
     def replace(self, **changes: Any) -> ShieldConfig:
         """A copy with some settings changed."""
@@ -151,7 +163,7 @@ class ShieldConfig:
     def from_toml(cls, text: str) -> ShieldConfig:
         """Read what `to_toml` wrote; tables and keys may be left out.
 
-        `assumptions` may be a table or the name of a profile ("idm", "moderate", "rss", "exact").
+        `assumptions` may be a table or the name of a profile ("idm", "roads", "moderate", "rss", "exact").
 
         Raises
         ------

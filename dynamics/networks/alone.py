@@ -5,7 +5,7 @@ It answers to nobody, so that what it does follows from what it is told, whateve
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from highway_env.vehicle.controller import MDPVehicle
@@ -34,7 +34,7 @@ from dynamics.simulator.layout import (
 )
 from dynamics.simulator.loops import addresses
 from dynamics.simulator.scenario import ACTIONS
-from dynamics.state import FloatArray
+from dynamics.state import FloatArray, IntArray
 
 __all__ = ["Alone", "Course", "alone_on", "drive"]
 
@@ -107,11 +107,11 @@ def alone_on(base: Any) -> Alone:
     )
     alone = Alone(Machine(sums, products, addresses()), worlds, rules, work)
     load_ego(base, rules, index_of(base.road.network), worlds)
-    return cast(Alone, alone)
+    return alone
 
 
 @uncounted
-def drive(alone: Alone, course: Course, path: FloatArray, first: FloatArray, bound: FloatArray) -> int:
+def drive(alone: Alone, course: Course, path: FloatArray, first: FloatArray, bound: IntArray) -> int:
     """Follow a course from the present.
 
     Parameters

@@ -56,7 +56,7 @@ def _joint(lane: Any, end: FloatArray, heading: float) -> tuple[float, float, fl
 
 
 def leads_over(network: Any) -> IntArray:
-    """The neighbour that one has to come over to from a lane that ends, (n,); -1 where lanes go on, or there is none."""
+    """The neighbour that one has to come over to from a lane that ends, (n,), or -1."""
     graph, numbers = network.graph, index_of(network)
     over = np.full(len(numbers), -1, np.int64)
     for (a, b, k), number in numbers.items():

@@ -130,8 +130,8 @@ class Assumptions:
 
     @classmethod
     def roads(cls) -> Assumptions:
-        """highway-env's IDM traffic on road networks: it accelerates at 3 m/s^2 at most, up to the limit of its lanes, and
-        yields to nobody who crosses or joins."""
+        """highway-env's IDM traffic on road networks: it accelerates at 3 m/s^2 at most, up to the limit of its lanes,
+        and yields to nobody who crosses or joins."""
         return cls(acceleration=3.0, max_speed=30.0, waver=0.6)
 
     @classmethod

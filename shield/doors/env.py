@@ -23,11 +23,13 @@ from shield.doors.meta_door import MetaDoor
 from shield.doors.patience import Patience
 from shield.doors.ranking import normalised, order_from_scores, ranking_of
 from shield.doors.report import Statistics, report, team_report
+from shield.doors.road_door import RoadDoor
 from shield.doors.supervision import Command, Supervision
 from shield.doors.team_door import TeamDoor, is_team
 from shield.doors.warm_doors import warm_up_door
 from shield.errors import ConfigError, SceneError
 from shield.procedures.decide import Core
+from shield.roads.reading import default_on, has_crossings
 from shield.rules import Rule
 
 if TYPE_CHECKING:
@@ -50,9 +52,10 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     Parameters
     ----------
-    env : the environment (`highway-v0`, `highway-fast-v0` or one with the same kind of road; with continuous actions
-        the racetracks and parking lots too; with `ShieldConfig.exact()` every other road).
-    config : settings, or the path of a TOML file with them.
+    env : the environment: with meta-actions on any road; with continuous actions on straight highways, racetracks and
+        parking lots, and with `ShieldConfig.exact()` on every other road.
+    config : settings, or the path of a TOML file with them; by default `ShieldConfig()`, and on a network of several
+        roads `ShieldConfig.for_roads()` for its traffic.
     policy : where given, alternatives are tried in its order of preference (probabilities or Q-values of the
         last observation).
     model : what the predictive filter plans with for `ContinuousAction`, such as
@@ -99,11 +102,12 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             self, _disable_deepcopy=True, config=config, policy=policy, model=model, rule=rule
         )
         gym.Wrapper.__init__(self, env)
-        self.config = ShieldConfig.of(config)
-        self.policy = None if policy is None else as_policy(policy, env)
         self._base: Any = bases[0]
+        self.policy = None if policy is None else as_policy(policy, env)
         kind = "MultiAgentAction" if is_team(self._base) else the_action_type(bases, "ShieldedEnv")
-        self._door: MetaDoor | InputDoor | ExactDoor | ExactInputDoor | TeamDoor
+        on_roads = kind == "DiscreteMetaAction" and rule is None and has_crossings(self._base)
+        self.config = ShieldConfig.of(config, default_on(self._base) if on_roads else None)
+        self._door: MetaDoor | InputDoor | ExactDoor | ExactInputDoor | TeamDoor | RoadDoor
         simulated = self.config.simulates
         if rule is not None and kind == "ContinuousAction":
             raise ConfigError("a rule judges meta-actions; this environment has ContinuousAction")
@@ -119,10 +123,12 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
                 if simulated
                 else InputDoor(self._base, self.config, model=model)
             )
+        elif simulated:
+            self._door = ExactDoor(self._base, self.config)
+        elif on_roads and self.config.mode == "full":
+            self._door = RoadDoor(self._base, self.config)
         else:
-            self._door = (
-                ExactDoor(self._base, self.config) if simulated else MetaDoor(self._base, self.config, rule=rule)
-            )
+            self._door = MetaDoor(self._base, self.config, rule=rule)
         warm_up_door(self._door)
         self._observation: Any = None
         self._supervising = self.latency = 0.0
@@ -189,7 +195,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
         (MaskablePPO cannot handle an empty mask; `step` then falls back whatever is chosen.)
         """
-        if not isinstance(self._door, MetaDoor | ExactDoor):
+        if not isinstance(self._door, MetaDoor | ExactDoor | RoadDoor):
             raise ConfigError("action_masks() needs DiscreteMetaAction of one ego; this environment has other actions")
         return self._door.mask()
 
@@ -200,10 +206,10 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         Raises
         ------
         AttributeError
-            If the traffic is simulated: the doors for that have none.
+            If the traffic is simulated, or on a network of roads: the doors for that have none.
         """
-        if isinstance(self._door, ExactDoor | ExactInputDoor | TeamDoor):
-            raise AttributeError("where the traffic is simulated there is no core")
+        if isinstance(self._door, ExactDoor | ExactInputDoor | TeamDoor | RoadDoor):
+            raise AttributeError("there is no core where the traffic is simulated, and on networks of roads")
         return self._door.core
 
     def _order_of(self, action: Any) -> Callable[[], list[int] | None] | None:

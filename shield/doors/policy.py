@@ -23,9 +23,11 @@ from shield.doors.meta_door import MetaDoor
 from shield.doors.patience import Patience
 from shield.doors.ranking import order_from_scores, ranking_of
 from shield.doors.report import Statistics, report
+from shield.doors.road_door import RoadDoor
 from shield.doors.supervision import Command, Supervision
 from shield.doors.warm_doors import warm_up_door
 from shield.errors import ConfigError
+from shield.roads.reading import default_on, has_crossings
 
 __all__ = ["Shield"]
 
@@ -96,10 +98,12 @@ class Shield:
         self.policy = as_policy(policy, env)
         refuse_misfits(self.policy, env)
         self._frames = frames
-        self._doors: list[MetaDoor | InputDoor | ExactDoor | ExactInputDoor]
+        self._doors: list[MetaDoor | InputDoor | ExactDoor | ExactInputDoor | RoadDoor]
         self._inputs = the_action_type(self._bases, "Shield") == "ContinuousAction"
         meta = ShieldConfig.for_meta_actions()
-        self.config = ShieldConfig.of(config, ShieldConfig() if frames or self._inputs else meta)
+        roads = frames and not self._inputs and all(map(has_crossings, self._bases))
+        default = default_on(self._bases[0]) if roads else ShieldConfig() if frames or self._inputs else meta
+        self.config = ShieldConfig.of(config, default)
         if self.config.simulates and self._inputs:
             if not frames:
                 raise ConfigError("Assumptions.exact() verifies throttle and steering at every frame: frames=True")
@@ -108,6 +112,8 @@ class Shield:
             self._doors = [InputDoor(base, self.config, agent=not frames) for base in self._bases]
         elif self.config.simulates:
             self._doors = [ExactDoor(base, self.config) for base in self._bases]
+        elif roads and self.config.mode == "full":
+            self._doors = [RoadDoor(base, self.config) for base in self._bases]
         else:
             self._doors = [MetaDoor(base, self.config, frames) for base in self._bases]
         warm_up_door(self._doors[0])

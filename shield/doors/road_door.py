@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from time import perf_counter
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
 from dynamics.networks.alone import Alone, alone_on
@@ -24,13 +26,14 @@ from shield.doors.discrete_action import action_index
 from shield.doors.exact_scene import why_unread
 from shield.doors.supervision import Command
 from shield.errors import SceneError
+from shield.procedures.warm_up import announced
 from shield.roads.choosing import CLEAR, Choice, Road, Trial, choose, empty_trial, try_course
 from shield.roads.judging import Duty, Others
 from shield.roads.reading import read_traffic
 from shield.roads.survey import Body, circles_of
 from shield.roads.watch import Seen, Watch, behind
 
-__all__ = ["RoadDoor"]
+__all__ = ["RoadDoor", "warm_up_roads"]
 
 _ON = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0)
 """For how long a course may be kept beyond the coming frame before the ego brakes [s]."""
@@ -115,9 +118,7 @@ class RoadDoor:
             self._read()
             if bad:
                 proposed = self._idle()
-            command(*self._told, proposed)
-            f, g = self._alone.worlds.f[0], self._alone.worlds.g[0]
-            self._wish = int(g[TARGET, 0]), float(f[TARGET_SPEED, 0])
+            self._intend(proposed)
             made = self._choose()
             self._ready = (self._wish, *made)
             decision = made[1]
@@ -150,9 +151,30 @@ class RoadDoor:
             inputs = {"acceleration": brake, "steering": 0.0}
             return inputs, Decision(-1, -1, reason, Tier.EMERGENCY, np.nan, perf_counter() - start)
 
-    @property
-    def _told(self) -> tuple[Any, ...]:
-        return self._alone.machine, self._alone.worlds, self._alone.rules, 0, 0
+    def mask(self) -> np.ndarray[Any, Any]:
+        """Which actions verify now; all True where none does.
+
+        Raises
+        ------
+        SceneError
+            If the scene cannot be read.
+        """
+        kept = self._wish
+        mask = np.zeros(len(self._base.action_type.actions), dtype=bool)
+        self._read()
+        for action in range(len(mask)):
+            load_ego(self._base, self._alone.rules, self._index, self._alone.worlds)
+            self._intend(action)
+            mask[action] = self._choose()[0][1] is Tier.PASSED
+        self._wish = kept
+        return mask if mask.any() else np.ones_like(mask)
+
+    def _intend(self, action: int) -> None:
+        """Take a meta-action for what is wished from now on."""
+        alone = self._alone
+        command(alone.machine, alone.worlds, alone.rules, 0, 0, action)
+        f, g = self._alone.worlds.f[0], self._alone.worlds.g[0]
+        self._wish = int(g[TARGET, 0]), float(f[TARGET_SPEED, 0])
 
     def _idle(self) -> int:
         labels = self._base.action_type.actions_indexes
@@ -207,8 +229,19 @@ class RoadDoor:
         owes = np.zeros((m, n), dtype=bool)
         for i, body in enumerate(seen.who):
             owes[i, list(self._owes.get(body, ()))] = True
-        made = strips.marks[:count].copy(), strips.numbers[:count].copy(), np.array([count])
-        self._others = Others(seen.rows, seen.things, *made, drive, least, most, owes, np.zeros(m, np.bool_), np.zeros(count, np.bool_))
+        self._others = Others(
+            rows=seen.rows,
+            things=seen.things,
+            marks=strips.marks[:count].copy(),
+            numbers=strips.numbers[:count].copy(),
+            found=np.array([count]),
+            drive=drive,
+            least=least,
+            most=most,
+            owes=owes,
+            offends=np.zeros(m, dtype=bool),
+            shut=np.zeros(count, dtype=bool),
+        )
         if len(self._trial.margins) != m:
             self._trial = empty_trial(self._frames, n, m)
         self._watch(seen.who)
@@ -314,6 +347,17 @@ class RoadDoor:
             return None
         ego.target_lane_index = lane
         return {"acceleration": float(self._trial.first[0]), "steering": float(self._trial.first[1])}
+
+
+@cache
+def warm_up_roads() -> None:
+    """What `warm_up` does for the other doors."""
+    with announced(60):
+        env = gym.make("roundabout-v1")
+        env.reset(seed=0)
+        door = RoadDoor(env.unwrapped, ShieldConfig.for_roads())
+        door.decide(1)
+        door.frame()
 
 
 def _room_for(count: int) -> Strips:

@@ -1,4 +1,4 @@
-"""Which course the ego takes: the first of several whose path stays clear of everybody, to the place where it stands."""
+"""Which course the ego takes: the first of several whose path stays clear of everybody until it stands."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ class Choice(NamedTuple):
 
     Attributes
     ----------
-    course : which of those handed in. count : places on its path. margin : least separation [m]. vehicle : from whom,
+    course : which of those handed in. places : on its path. margin : least separation [m]. vehicle : from whom,
     -1 for what stands or nobody. clear : frames until it is negative. strict : whether it needs nobody to keep the
         distance that he owes. innocent : least separation from those who have broken no rule [m].
     """
 
     course: int
-    count: int
+    places: int
     margin: float
     vehicle: int
     clear: int
@@ -129,12 +129,12 @@ def choose(alone: Alone, road: Road, others: Others, courses: FloatArray, trial:
     for k in range(courses.shape[0]):
         found = try_course(alone, road, others, courses[k], False, trial)
         if found.margin >= CLEAR:
-            return Choice(k, found.count, found.margin, found.vehicle, found.clear, True, found.innocent)
+            return Choice(k, found.places, found.margin, found.vehicle, found.clear, True, found.innocent)
         if best.margin >= CLEAR:
             continue
         found = try_course(alone, road, others, courses[k], True, trial)
         if _better(found, best):
-            best = Choice(k, found.count, found.margin, found.vehicle, found.clear, False, found.innocent)
+            best = Choice(k, found.places, found.margin, found.vehicle, found.clear, False, found.innocent)
     if best.course >= 0:
         try_course(alone, road, others, courses[best.course], True, trial)
     return best

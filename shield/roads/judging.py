@@ -43,7 +43,7 @@ class Others(NamedTuple):
     Attributes
     ----------
     rows : vehicle rows, (m, 7). things : rows of what stands, (b, 7).
-    marks, numbers : strips, see `dynamics.networks.prediction.spread`; count : how many there are, (1,).
+    marks, numbers : strips, see `dynamics.networks.prediction.spread`; found : how many there are, (1,).
     drive : (m, 3). least, most : (m, K), see `reach`.
     owes : whether each vehicle owes the ego its distance in each lane, (m, n).
     offends : who has broken a rule, (m,).
@@ -54,7 +54,7 @@ class Others(NamedTuple):
     things: FloatArray
     marks: IntArray
     numbers: FloatArray
-    count: IntArray
+    found: IntArray
     drive: FloatArray
     least: FloatArray
     most: FloatArray
@@ -139,8 +139,8 @@ def judge(
 
     Returns
     -------
-    It [m], the vehicle that it is from (-1 for what stands), the first frame with less than 0, `count` for none; and the
-    least separation from those who have broken no rule [m].
+    It [m], the vehicle that it is from (-1 for what stands), the first frame with less than 0, `count` for none; and
+    the least separation from those who have broken no rule [m].
     """
     worst, who, when, innocent = np.inf, -1, count, np.inf
     margins[:] = np.inf
@@ -154,7 +154,7 @@ def judge(
             if gap < worst:
                 worst, who = gap, -1
             innocent = min(innocent, gap)
-    for j in range(others.count[0]):
+    for j in range(others.found[0]):
         i, lane, row = others.marks[j, 0], others.marks[j, 1], others.numbers[j]
         before, first, last = others.marks[j, 2], met[lane, 0], met[lane, 1]
         others.shut[j] = before >= 0 and others.shut[before]

@@ -11,8 +11,9 @@ from dynamics.errors import SceneError
 from dynamics.networks.layout import ROAD
 from dynamics.networks.network import Network
 from dynamics.state import FloatArray, IntArray, Vehicle
+from shield.config import ShieldConfig
 
-__all__ = ["Traffic", "read_traffic"]
+__all__ = ["Traffic", "default_on", "has_crossings", "read_traffic"]
 
 _PUSHED = 0.5
 """How much wider a wreck is taken than it is: those that crash are pushed apart [m]."""
@@ -33,6 +34,20 @@ class Traffic(NamedTuple):
     own: IntArray
     routes: IntArray
     things: FloatArray
+
+
+def has_crossings(base: Any) -> bool:
+    """Whether an environment, unwrapped, has a network of several roads."""
+    return base.road is not None and sum(map(len, base.road.network.graph.values())) > 1
+
+
+def default_on(base: Any) -> ShieldConfig:
+    """The settings that an environment, unwrapped, gets where none are given: on a network of roads those for its
+    traffic."""
+    if not has_crossings(base):
+        return ShieldConfig()
+    hardest = [float(getattr(type(body), "COMFORT_ACC_MAX", 0.0)) for body in base.road.vehicles]
+    return ShieldConfig.for_roads(max([ShieldConfig.for_roads().assumptions.acceleration, *hardest]))
 
 
 def _row(body: Any) -> list[float]:

@@ -125,7 +125,7 @@ class Watch:
 
 def _inside(old: Others, j: int, new: Others, i: int) -> bool:
     """Whether each strip of vehicle i now begins inside one that it had before as vehicle j."""
-    count0, count = int(old.count[0]), int(new.count[0])
+    count0, count = int(old.found[0]), int(new.found[0])
     mine, its = np.flatnonzero(old.marks[:count0, 0] == j), np.flatnonzero(new.marks[:count, 0] == i)
     least, most = old.least[j, 1], old.most[j, 1]
     for k in its:
@@ -142,7 +142,7 @@ def behind(others: Others, boxes: FloatArray, seen: BoolArray, ahead: bool, buff
     """Who is behind the ego in a lane where it is seen, (m, n): see `survey`, of the first frame. Whoever owes it its
     distance may come into the buffer of so many metres, and owes it still."""
     out = np.zeros(others.owes.shape, dtype=bool)
-    for j in range(int(others.count[0])):
+    for j in range(int(others.found[0])):
         (i, lane), row = others.marks[j, :2], others.numbers[j]
         rear = boxes[lane, 0, 0] + (buffer if others.owes[i, lane] else 0.0)
         if seen[lane, 0] and (ahead or row[NEAR] <= 0) and row[HALF] - row[NEAR] <= rear:

@@ -124,14 +124,17 @@ class ShieldConfig:
         return cls(assumptions=Assumptions.moderate())
 
     @classmethod
-    def for_roads(cls, acceleration: float = 3.0) -> ShieldConfig:
+    def for_roads(cls, acceleration: float = 3.0, looks_ahead: bool = False) -> ShieldConfig:
         """The defaults on road networks with lanes that cross, join and part: what `Assumptions.roads()` says.
 
         Parameters
         ----------
         acceleration : the hardest of the traffic [m/s^2]: 3 of highway-env's, but at its intersections 6.
+        looks_ahead : whether those behind look beyond the end of their own lane, as they do on highway-env's roads with
+            `neighbour_vehicles_connected_lanes`.
         """
-        return cls(assumptions=replace(Assumptions.roads(), acceleration=acceleration))
+        traffic = replace(Assumptions.roads(), acceleration=acceleration, looks_ahead=looks_ahead)
+        return cls(assumptions=traffic)
 
     @classmethod
     def exact(cls) -> ShieldConfig:

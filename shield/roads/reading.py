@@ -47,7 +47,8 @@ def default_on(base: Any) -> ShieldConfig:
     if not has_crossings(base):
         return ShieldConfig()
     hardest = [float(getattr(type(body), "COMFORT_ACC_MAX", 0.0)) for body in base.road.vehicles]
-    return ShieldConfig.for_roads(max([ShieldConfig.for_roads().assumptions.acceleration, *hardest]))
+    looks_ahead = bool(getattr(base.road, "neighbour_vehicles_connected_lanes", False))
+    return ShieldConfig.for_roads(max([ShieldConfig.for_roads().assumptions.acceleration, *hardest]), looks_ahead)
 
 
 def _row(body: Any) -> list[float]:

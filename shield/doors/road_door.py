@@ -248,7 +248,9 @@ class RoadDoor:
 
     def _watch(self, who: list[Any]) -> None:
         margins = None
-        if self._stored is not None:
+        ego = self._base.vehicle
+        # Who has been hit does not do what it is told.
+        if self._stored is not None and not ego.crashed and ego.impact is None:
             try_course(self._alone, self._road, self._others, self._stored, True, self._trial)
             margins = self._trial.margins.copy()
         first = self.watch.last is None

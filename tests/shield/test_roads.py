@@ -197,5 +197,6 @@ def test_masks_are_what_passes():
 def test_settings_for_its_traffic_are_the_default():
     """Those of intersections accelerate harder, and the settings say so."""
     assert isinstance(shielded("roundabout-v1")._door, RoadDoor)
-    assert shielded("intersection-v2").config == ShieldConfig.for_roads(6.0)
+    assert shielded("intersection-v0").config == ShieldConfig.for_roads(6.0)
+    assert shielded("roundabout-v1").config.assumptions.looks_ahead
     assert ShieldConfig.profile("roads") == ShieldConfig.for_roads()

@@ -9,9 +9,10 @@ from mutants.clearance import CLEARANCE
 from mutants.kinds import Edit, Mutant
 from mutants.owed import OWED
 from mutants.places import PLACES
+from mutants.roads import ROADS
 from mutants.simulated import SIMULATED
 from mutants.watched import WATCHED
 
 __all__ = ["MUTANTS", "Edit", "Mutant"]
 
-MUTANTS = (*ACCEPTED, *BATCHED, *CLEARANCE, *OWED, *PLACES, *SIMULATED, *WATCHED)
+MUTANTS = (*ACCEPTED, *BATCHED, *CLEARANCE, *OWED, *PLACES, *ROADS, *SIMULATED, *WATCHED)

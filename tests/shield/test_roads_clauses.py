@@ -1,0 +1,118 @@
+"""What the certificate on road networks asks of a path, one clause at a time, in scenes that are put together."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import highway_env  # noqa: F401
+import numpy as np
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.objects import Obstacle
+
+from shield import ShieldConfig
+from shield.doors.road_door import RoadDoor
+from shield.roads.choosing import CLEAR, try_course
+
+HARD = 9.8
+
+
+def scene(env_id, lane, s, speed, others=(), things=(), config=None):
+    """A door before which the ego is at s [m] of a lane, with others as (lane, s, speed)."""
+    env = gym.make(env_id)
+    env.reset(seed=0)
+    base = env.unwrapped
+    road, ego = base.road, base.vehicle
+    at = road.network.get_lane(lane)
+    ego.position, ego.heading, ego.speed = at.position(s, 0), at.heading_at(s), speed
+    ego.lane_index = ego.target_lane_index = lane
+    ego.lane, ego.route = at, None
+    road.vehicles, road.objects = [ego], []
+    for index, where, fast in others:
+        road.vehicles.append(IDMVehicle.make_on_lane(road, index, where, fast))
+        road.vehicles[-1].route = None
+    for index, where in things:
+        road.objects.append(Obstacle(road, road.network.get_lane(index).position(where, 0)))
+    door = RoadDoor(base, config or ShieldConfig.for_roads())
+    door.reset()
+    door._read()
+    door._others.owes[:] = False
+    return door
+
+
+def margin(door, seconds, speed, lenient=False):
+    """The least separation if the ego keeps a speed for so long, and brakes then [m]."""
+    lane = int(door._alone.worlds.g[0, 2, 0])
+    frames = 1 + round(seconds * door._frequency)
+    row = np.array([lane, speed, 1e3, frames, 0, HARD], float)
+    return try_course(door._alone, door._road, door._others, row, lenient, door._trial).margin
+
+
+RING, NEXT, ENTRY = ("se", "ex", 0), ("ex", "ee", 0), ("ses", "se", 0)
+
+
+def test_those_ahead_may_brake():
+    """Behind one that goes as fast, nearer than the two ways to stop are apart, it is not clear."""
+    where, lane = 60.0, ("a", "b", 0)
+    near = scene("merge-v0", lane, where, 30.0, [(lane, where + 20, 15.0)])
+    assert margin(near, 0.0, 30.0) < CLEAR
+    far = scene("merge-v0", lane, where, 30.0, [(lane, where + 60, 15.0)])
+    assert margin(far, 0.0, 30.0) >= CLEAR
+
+
+def test_whoever_comes_along_the_ring_has_not_to_wait():
+    """An ego that would enter and stop before one that comes along does not: highway-env's traffic does not see it in
+    the lane before; of traffic that looks ahead it may be expected."""
+    before = ("sx", "se", 1)
+    there = [(before, 2.0, 16.0)]
+    blind = scene("roundabout-v0", ENTRY, 5.0, 6.0, there)
+    assert margin(blind, 3.0, 8.0) < CLEAR
+    assert margin(scene("roundabout-v0", ENTRY, 5.0, 6.0), 3.0, 8.0) >= CLEAR
+
+
+def test_those_behind_see_the_ego_in_their_own_lane_only():
+    """The ego stops just behind where the lane of the one behind it ends."""
+    lane, after = ("a", "b", 0), ("b", "c", 0)
+    behind = [(lane, 180.0, 20.0)]
+    door = scene("merge-v0", after, 6.0, 5.0, behind)
+    assert margin(door, 0.0, 0.0) < CLEAR
+    ahead = scene("merge-v0", after, 6.0, 5.0, behind, config=ShieldConfig.for_roads(looks_ahead=True))
+    assert margin(ahead, 0.0, 0.0) >= CLEAR
+    # In its own lane it does.
+    assert margin(scene("merge-v0", after, 60.0, 5.0, [(after, 10.0, 20.0)]), 0.0, 0.0) >= CLEAR
+
+
+def test_they_may_accelerate():
+    """Whoever comes along the ring would be behind the ego at the speed that it has."""
+    before = ("sx", "se", 1)
+    slow = scene("roundabout-v0", ENTRY, 5.0, 8.0, [(before, 0.0, 1.0)])
+    assert margin(slow, 2.0, 8.0) < CLEAR
+    tame = scene("roundabout-v0", ENTRY, 5.0, 8.0, [(before, 0.0, 1.0)], config=ShieldConfig.for_roads(0.0))
+    assert margin(tame, 2.0, 8.0) > margin(slow, 2.0, 8.0)
+
+
+def test_one_that_has_to_come_over_does_not_wait():
+    """Beside the ego on merge's ramp, which ends; beside it in a lane that does not, one stays."""
+    lane = ("b", "c", 1)
+    ramp = scene("merge-v0", lane, 20.0, 20.0, [(("b", "c", 2), 22.0, 20.0)])
+    assert margin(ramp, 0.0, 20.0) < CLEAR
+    road = scene("merge-v0", lane, 20.0, 20.0, [(("b", "c", 0), 22.0, 20.0)])
+    assert margin(road, 0.0, 20.0) >= CLEAR
+
+
+def test_what_stands_is_in_the_way():
+    lane = ("a", "b", 0)
+    assert margin(scene("merge-v0", lane, 60.0, 20.0, things=[(lane, 75.0)]), 0.0, 20.0) < CLEAR
+    assert margin(scene("merge-v0", lane, 60.0, 20.0, things=[(lane, 120.0)]), 0.0, 20.0) >= CLEAR
+
+
+def test_the_buffer_is_kept():
+    """Behind one that stands, the ego comes no nearer than its buffer."""
+    lane = ("a", "b", 0)
+    room = 2.5 + 2.7 + 2.0
+    least = [margin(scene("merge-v0", lane, 60.0, 0.0, [(lane, 60.0 + room + d, 0.0)]), 0.0, 0.0) for d in (-0.3, 0.3)]
+    assert least[0] < CLEAR <= least[1]
+
+
+def test_a_path_off_the_road_is_none():
+    door = scene("roundabout-v0", ("ser", "ses", 0), 40.0, 8.0)
+    door._alone.worlds.f[0, 0, 0] += 300.0
+    assert margin(door, 2.0, 16.0) < -100

@@ -5,9 +5,11 @@ from __future__ import annotations
 import gymnasium as gym
 import highway_env  # noqa: F401
 import numpy as np
+import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.objects import Obstacle
 
+from dynamics.networks.prediction import Conduct, reach
 from shield import ShieldConfig
 from shield.doors.road_door import RoadDoor
 from shield.roads.choosing import CLEAR, try_course
@@ -50,12 +52,10 @@ RING, NEXT, ENTRY = ("se", "ex", 0), ("ex", "ee", 0), ("ses", "se", 0)
 
 
 def test_those_ahead_may_brake():
-    """Behind one that goes as fast, nearer than the two ways to stop are apart, it is not clear."""
-    where, lane = 60.0, ("a", "b", 0)
-    near = scene("merge-v0", lane, where, 30.0, [(lane, where + 20, 15.0)])
-    assert margin(near, 0.0, 30.0) < CLEAR
-    far = scene("merge-v0", lane, where, 30.0, [(lane, where + 60, 15.0)])
-    assert margin(far, 0.0, 30.0) >= CLEAR
+    """Keeping its speed for two seconds behind one as fast, the ego has to be further away than that one may stop."""
+    lane = ("a", "b", 0)
+    assert margin(scene("merge-v0", lane, 60.0, 20.0, [(lane, 90.0, 20.0)]), 2.0, 20.0) < CLEAR
+    assert margin(scene("merge-v0", lane, 60.0, 20.0, [(lane, 115.0, 20.0)]), 2.0, 20.0) >= CLEAR
 
 
 def test_whoever_comes_along_the_ring_has_not_to_wait():
@@ -81,12 +81,15 @@ def test_those_behind_see_the_ego_in_their_own_lane_only():
 
 
 def test_they_may_accelerate():
-    """Whoever comes along the ring would be behind the ego at the speed that it has."""
-    before = ("sx", "se", 1)
-    slow = scene("roundabout-v0", ENTRY, 5.0, 8.0, [(before, 0.0, 1.0)])
-    assert margin(slow, 2.0, 8.0) < CLEAR
-    tame = scene("roundabout-v0", ENTRY, 5.0, 8.0, [(before, 0.0, 1.0)], config=ShieldConfig.for_roads(0.0))
-    assert margin(tame, 2.0, 8.0) > margin(slow, 2.0, 8.0)
+    """Bounds on the way are those of the hardest braking and acceleration, frame by frame."""
+    rows, drive = np.array([[0.0, 0.0, 0.0, 10.0, 5.0, 2.0, 0.0]]), np.array([[14.0, 1.0, 1.0]])
+    least, most = np.zeros((1, 60)), np.zeros((1, 60))
+    reach(Conduct(6.0, 3.0, 30.0, 0.6, 0.15), rows, drive, 0.1, least, most)
+    for rate, low, high, bound in ((3.0, 0.0, 14.0, most), (-6.0, 0.0, 14.0, least)):
+        speed, way = 10.0, 0.0
+        for k in range(60):
+            assert bound[0, k] == pytest.approx(way)
+            way, speed = way + speed * 0.1, min(max(speed + rate * 0.1, low), high)
 
 
 def test_one_that_has_to_come_over_does_not_wait():

@@ -34,8 +34,8 @@ ROADS = (
     off(
         "nobody brakes",
         _PREDICTION,
-        "            slow = max(slow - conduct.braking * dt, 0.0) if slow > 0 else min(slow + conduct.braking * dt, 0.0)\n",
-        "",
+        "            slow = max(slow - conduct.braking * dt, 0.0) if",
+        "            slow = slow if",
         _CLAUSES,
     ),
     off(

@@ -262,6 +262,9 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
                 "intersection-v0 as it comes: slower, idle, faster at 1 Hz, targets 0, 4.5 and 9 m/s, 15 Hz, 13 s",
                 road=False,
             ),
+            Setting("exit", "exit-v0", {}, "exit-v0 as it comes: meta-actions at 1 Hz, 5 Hz, 18 s", road=False),
+            Setting("two-way", "two-way-v0", {}, "two-way-v0 as it comes: meta-actions at 1 Hz, 15 Hz", road=False),
+            Setting("u-turn", "u-turn-v0", {}, "u-turn-v0 as it comes: meta-actions at 1 Hz, 15 Hz, 10 s", road=False),
             *(
                 Setting(
                     f"{road}-continuous",

@@ -96,7 +96,7 @@ def test_assumptions_can_be_a_profile(name):
         ("[extra]\nx = 1", "unknown key 'extra'"),
         ("buffer = 2.0", "buffer must be a table"),
         ("assumptions = 2.0", "assumptions must be a table"),
-        ('assumptions = "reckless"', "valid are 'idm', 'moderate', 'rss'"),
+        ('assumptions = "reckless"', "valid are 'idm', 'roads', 'moderate', 'rss'"),
         ('mode = "off"', "valid are none, distance, rss, ttc, full"),
         ('braking = "hard"', "ShieldConfig.braking must be a finite number above 0"),
         ("braking = 0", "above 0"),

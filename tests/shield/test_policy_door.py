@@ -135,11 +135,14 @@ UNSUPPORTED = [
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(("name", "kind"), UNSUPPORTED)
-@pytest.mark.parametrize("door", [lambda env: Shield(Always(0), env=env), ShieldedEnv], ids=["policy", "env"])
+@pytest.mark.parametrize(
+    "door", [lambda env, config: Shield(Always(0), env=env, config=config), ShieldedEnv], ids=["policy", "env"]
+)
 def test_roads_that_are_not_supported_are_refused_at_once(door, name, kind):
+    """Throttle and steering; and one rule alone, which knows straight roads."""
     env = gym.make(name, config={"action": {"type": kind}})
     with pytest.raises(SceneError, match=r"support"):
-        door(env)
+        door(env, ShieldConfig(mode="rss") if kind == "DiscreteMetaAction" else None)
     assert env.reset(seed=0)  # the environment is none the worse for it
 
 

@@ -24,9 +24,11 @@ from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
 from shield.doors.exact_scene import why_unread
+from shield.doors.input_door import refuse_lots
 from shield.doors.supervision import Command
 from shield.errors import SceneError
 from shield.procedures.warm_up import announced
+from shield.refusals import refuse_simulated
 from shield.roads.choosing import CLEAR, Choice, Road, Trial, choose, empty_trial, try_course
 from shield.roads.judging import Duty, Others
 from shield.roads.reading import read_traffic
@@ -62,7 +64,7 @@ class RoadDoor:
     SceneError
         If the road has lanes of another shape, or there are several egos.
     ConfigError
-        If the actions are no meta-actions.
+        If the actions are no meta-actions, or it is a parking lot.
 
     Attributes
     ----------
@@ -73,6 +75,8 @@ class RoadDoor:
     supervising = True
 
     def __init__(self, base: Any, config: ShieldConfig) -> None:
+        refuse_lots([base])
+        refuse_simulated(config)
         self.config, self._base, self.cause = config, base, ""
         self._frequency = base.config["simulation_frequency"]
         self._past: dict[str, int] = {}

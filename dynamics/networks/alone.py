@@ -12,11 +12,20 @@ from highway_env.vehicle.controller import MDPVehicle
 
 from dynamics.compiled import uncounted
 from dynamics.errors import ConfigError, SceneError
-from dynamics.networks.engine import NetworkRules, NetworkWork, NetworkWorlds, intend, move, on_way
-from dynamics.networks.layout import COUNT, FIRST, ID, ROAD, F, G
+from dynamics.networks.engine import (
+    NetworkRules,
+    NetworkWork,
+    NetworkWorlds,
+    intend,
+    move,
+    new_work,
+    new_worlds,
+    on_way,
+)
+from dynamics.networks.layout import COUNT, FIRST, ID, ROAD
 from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of, network_of
-from dynamics.networks.regulation import INSTANTS, Customs
+from dynamics.networks.regulation import Customs
 from dynamics.simulator.arithmetic import Sums, sums_of_numpy
 from dynamics.simulator.control import KP_A
 from dynamics.simulator.engine import Machine
@@ -28,7 +37,6 @@ from dynamics.simulator.layout import (
     STEERING,
     TARGET,
     TARGET_SPEED,
-    P,
     X,
     Y,
 )
@@ -90,22 +98,8 @@ def alone_on(base: Any) -> Alone:
     sums, products = sums_of_numpy()
     if Sums.OTHER in (sums, products):
         raise SceneError("numpy computes in a way that is not known here")
-    worlds = NetworkWorlds(
-        np.zeros((2, F, 1)),
-        np.zeros((2, G, 1), np.int64),
-        np.zeros((2, P, 1)),
-        np.zeros((2, 1), np.int64),
-        np.full((2, 1, max(1, longest_route(base)), 2), -1, np.int64),
-        np.zeros(2),
-    )
-    work = NetworkWork(
-        np.zeros((4, 1)),
-        np.zeros(1, np.int64),
-        np.zeros((2, 5, 2)),
-        np.zeros(1, np.int64),
-        np.zeros((1, INSTANTS, 6)),
-    )
-    alone = Alone(Machine(sums, products, addresses()), worlds, rules, work)
+    worlds = new_worlds(2, 1, max(1, longest_route(base)))
+    alone = Alone(Machine(sums, products, addresses()), worlds, rules, new_work(1))
     load_ego(base, rules, index_of(base.road.network), worlds)
     return alone
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from dynamics.compiled import inlined, uncounted
 from dynamics.networks.driving import act
 from dynamics.networks.inputs import slide
 from dynamics.networks.lanes import Lanes, after_end, closest, local, on_lane, reachable
-from dynamics.networks.layout import ACROSS, ALONG, COUNT, DYNAMICAL, ENDS, FIRST, FRAMES, ID, LAW
+from dynamics.networks.layout import ACROSS, ALONG, COUNT, DYNAMICAL, ENDS, FIRST, FRAMES, ID, LAW, F, G
 from dynamics.networks.network import Network
-from dynamics.networks.regulation import Customs, clear, regulate
+from dynamics.networks.regulation import INSTANTS, Customs, clear, regulate
 from dynamics.networks.routes import Traffic, follow_road
 from dynamics.simulator.collisions import collide
 from dynamics.simulator.engine import Machine
@@ -27,6 +29,7 @@ from dynamics.simulator.layout import (
     STEERING,
     TARGET,
     TARGET_SPEED,
+    P,
     X,
     Y,
 )
@@ -46,6 +49,8 @@ __all__ = [
     "hold",
     "intend",
     "move",
+    "new_work",
+    "new_worlds",
     "on_way",
 ]
 
@@ -98,6 +103,29 @@ class NetworkWork(NamedTuple):
     corners: FloatArray
     pairs: IntArray
     paths: FloatArray
+
+
+def new_worlds(count: int, bodies: int, entries: int) -> NetworkWorlds:
+    """Room for so many scenes of so many bodies, with routes of so many entries."""
+    return NetworkWorlds(
+        np.zeros((count, F, bodies)),
+        np.zeros((count, G, bodies), np.int64),
+        np.zeros((count, P, bodies)),
+        np.zeros((count, bodies), np.int64),
+        np.full((count, bodies, entries, 2), -1, np.int64),
+        np.zeros(count),
+    )
+
+
+def new_work(bodies: int) -> NetworkWork:
+    """Room for the kernels of one thread."""
+    return NetworkWork(
+        np.zeros((4, bodies)),
+        np.zeros(bodies, np.int64),
+        np.zeros((2, 5, 2)),
+        np.zeros(max(1, bodies * (bodies - 1) // 2), np.int64),
+        np.zeros((bodies, INSTANTS, 6)),
+    )
 
 
 @inlined

@@ -10,15 +10,21 @@ from highway_env.envs.common.action import ContinuousAction, MultiAgentAction
 
 from dynamics.compiled import uncounted
 from dynamics.errors import ConfigError, SceneError
-from dynamics.networks.engine import NetworkRules, NetworkWork, NetworkWorlds, advance, begin, hold
-from dynamics.networks.layout import F, G
+from dynamics.networks.engine import (
+    NetworkRules,
+    NetworkWork,
+    NetworkWorlds,
+    advance,
+    begin,
+    hold,
+    new_work,
+    new_worlds,
+)
 from dynamics.networks.live import load, longest_route
 from dynamics.networks.network import index_of, network_of
 from dynamics.networks.refusals import customs_of, exits_of
-from dynamics.networks.regulation import INSTANTS
 from dynamics.simulator.arithmetic import Sums, sums_of_numpy
 from dynamics.simulator.engine import Machine, write_row
-from dynamics.simulator.layout import P
 from dynamics.simulator.live import bodies_of
 from dynamics.simulator.loops import addresses
 from dynamics.simulator.scenario import ACTIONS
@@ -110,26 +116,11 @@ class NetworkSimulator:
 
     def new_worlds(self, count: int) -> NetworkWorlds:
         """Room for so many more scenes of the same bodies."""
-        m = self._bodies
-        return NetworkWorlds(
-            np.zeros((count, F, m)),
-            np.zeros((count, G, m), np.int64),
-            np.zeros((count, P, m)),
-            np.zeros((count, m), np.int64),
-            np.full((count, m, self._entries, 2), -1, np.int64),
-            np.zeros(count),
-        )
+        return new_worlds(count, self._bodies, self._entries)
 
     def new_work(self) -> NetworkWork:
         """Room for the kernels of one more thread."""
-        m = self._bodies
-        return NetworkWork(
-            np.zeros((4, m)),
-            np.zeros(m, np.int64),
-            np.zeros((2, 5, 2)),
-            np.zeros(max(1, m * (m - 1) // 2), np.int64),
-            np.zeros((m, INSTANTS, 6)),
-        )
+        return new_work(self._bodies)
 
     def step(self, action: int, e: int = 0) -> FloatArray:
         """A meta-action, and all of its frames.

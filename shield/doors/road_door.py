@@ -94,7 +94,7 @@ class RoadDoor:
         self._stored: FloatArray | None = None
         self._clear: set[Any] = set()
         self._wish: tuple[int, float] | None = None
-        self._ready: tuple[Any, ...] | None = None
+        self._ready: tuple[tuple[FloatArray, Tier], Decision] | None = None
 
     @property
     def violations(self) -> int:
@@ -124,7 +124,7 @@ class RoadDoor:
                 proposed = self._idle()
             self._intend(proposed)
             made = self._choose()
-            self._ready = (self._wish, *made)
+            self._ready = made
             decision = made[1]
             if bad:
                 decision = replace(decision, reason=Reason.BAD_ACTION, tier=Tier.ALTERNATIVE)
@@ -140,9 +140,7 @@ class RoadDoor:
         try:
             if self._ready is None:
                 self._read()
-                made = self._choose()
-            else:
-                made = self._ready[1:]
+            made = self._choose() if self._ready is None else self._ready
             self._ready = None
             (choice, tier), decision = made
             self._go(choice, tier)
@@ -256,7 +254,7 @@ class RoadDoor:
         # Who has been hit does not do what it is told.
         if self._stored is not None and not ego.crashed and ego.impact is None:
             try_course(self._alone, self._road, self._others, self._stored, True, self._trial)
-            margins = self._trial.margins.copy()
+            margins = self._trial.margins
         first = self.watch.last is None
         self.watch.next(Seen(who, self._others), self._clear, margins, self._road)
         self._others.offends[:] = [body in self.watch.offenders for body in who]

@@ -50,17 +50,14 @@ class Choice(NamedTuple):
 
     Attributes
     ----------
-    course : which of those handed in. places : on its path. margin : least separation [m]. vehicle : from whom,
-    -1 for what stands or nobody. clear : frames until it is negative. strict : whether it needs nobody to keep the
-        distance that he owes. innocent : least separation from those who have broken no rule [m].
+    course : which of those handed in. margin : least separation [m]. vehicle : from whom, -1 for what stands or nobody.
+    clear : frames until it is negative. innocent : least separation from those who have broken no rule [m].
     """
 
     course: int
-    places: int
     margin: float
     vehicle: int
     clear: int
-    strict: bool
     innocent: float
 
 
@@ -78,13 +75,19 @@ def empty_trial(frames: int, lanes: int, vehicles: int) -> Trial:
 
 
 @uncounted
-def try_course(alone: Alone, road: Road, others: Others, row: FloatArray, lenient: bool, trial: Trial) -> Choice:
-    """What comes of one course, a row of `Course`."""
+def _follow(alone: Alone, road: Road, row: FloatArray, trial: Trial) -> int:
+    """Drive a course, a row of `Course`, and survey its path; what `drive` returns."""
     course = Course(int(row[0]), row[1], row[2], int(row[3]), int(row[4]), row[5])
     found = drive(alone, course, trial.path, trial.first, trial.bound)
+    survey(road.lanes, road.circles, trial.path, abs(found), road.body, road.period, trial.boxes, trial.seen, trial.met)
+    return found
+
+
+@uncounted
+def _weigh(road: Road, others: Others, found: int, lenient: bool, trial: Trial) -> Choice:
+    """What becomes of the course that `_follow` has driven."""
     count = abs(found)
     rests = found > 0 and abs(trial.path[count - 1, 3]) < 1e-6
-    survey(road.lanes, road.circles, trial.path, count, road.body, road.period, trial.boxes, trial.seen, trial.met)
     margin, who, when, innocent = judge(
         others,
         road.lanes.rows,
@@ -105,8 +108,14 @@ def try_course(alone: Alone, road: Road, others: Others, row: FloatArray, lenien
     if found < 0:
         # It leaves the road, at that speed.
         when = min(when, count - 1)
-        return Choice(0, count, -_OFF - trial.path[when, 3], -1, when, not lenient, -_OFF)
-    return Choice(0, count, margin, who, when, not lenient, innocent)
+        return Choice(0, -_OFF - trial.path[when, 3], -1, when, -_OFF)
+    return Choice(0, margin, who, when, innocent)
+
+
+@uncounted
+def try_course(alone: Alone, road: Road, others: Others, row: FloatArray, lenient: bool, trial: Trial) -> Choice:
+    """What comes of one course, a row of `Course`; `lenient` as in `judge`."""
+    return _weigh(road, others, _follow(alone, road, row, trial), lenient, trial)
 
 
 @inlined
@@ -125,16 +134,17 @@ def choose(alone: Alone, road: Road, others: Others, courses: FloatArray, trial:
     """The first of the courses, rows (c, 6), whose path stays clear of everybody; else the first that does of all but
     those who owe the ego their distance; else the best of them, see `_better`. `trial` is then
     what comes of it."""
-    best = Choice(-1, 0, -np.inf, -1, -1, False, -np.inf)
+    best = Choice(-1, -np.inf, -1, -1, -np.inf)
     for k in range(courses.shape[0]):
-        found = try_course(alone, road, others, courses[k], False, trial)
+        way = _follow(alone, road, courses[k], trial)
+        found = _weigh(road, others, way, False, trial)
         if found.margin >= CLEAR:
-            return Choice(k, found.places, found.margin, found.vehicle, found.clear, True, found.innocent)
+            return Choice(k, found.margin, found.vehicle, found.clear, found.innocent)
         if best.margin >= CLEAR:
             continue
-        found = try_course(alone, road, others, courses[k], True, trial)
+        found = _weigh(road, others, way, True, trial)
         if _better(found, best):
-            best = Choice(k, found.places, found.margin, found.vehicle, found.clear, False, found.innocent)
+            best = Choice(k, found.margin, found.vehicle, found.clear, found.innocent)
     if best.course >= 0:
         try_course(alone, road, others, courses[best.course], True, trial)
     return best

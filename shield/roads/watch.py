@@ -2,15 +2,15 @@
 
 What a vehicle may do from one frame to the next (`dynamics.networks.prediction` bounds what comes of it for all time):
 
-1. *speed*: brake and accelerate no harder than `Conduct` says, no further than to the limit of the lanes before it, and
-   not backwards;
+1. *speed*: brake and accelerate no harder than `Conduct` says, and no further than to the limit of the lanes before it;
 2. *ways*: be where one of its strips says, along it and across, and with its body no further out. It may take another
    lane where that leaves the room for the ego's fail-safe;
-3. *distance*: stay behind the ego with its buffer, where it owes the ego that;
-4. *no crash* with another than the ego.
+3. *reversing*: not go backwards where the ego's fail-safe suffers;
+4. *no crash*.
 
-Rule 1 is judged alone, the others where the ego's fail-safe suffers. `UNFORESEEN` is for the sake of honesty: the
-fail-safe has come to suffer from one who has broken no rule. That is a hole in the certificate, and a test fails.
+Rules 1 and 4 are judged alone, the others where the ego's fail-safe suffers; so is who has *appeared*. `UNFORESEEN` is
+for the sake of honesty: the fail-safe has come to suffer from one who has broken no rule. That is a hole in the
+certificate, and a test fails.
 """
 
 from __future__ import annotations
@@ -36,7 +36,6 @@ class Breach(StrEnum):
 
     SPEED = "speed"
     WAYS = "ways"
-    DISTANCE = "distance"
     CRASH = "crash"
     APPEARED = "appeared"
     REVERSING = "reversing"

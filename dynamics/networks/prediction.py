@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.networks.continuations import SETTLED
 from dynamics.networks.lanes import Lanes, heading_at, local, place
 from dynamics.networks.layout import AMPLITUDE, CIRCULAR, PULSATION, RADIUS, ROAD, SHAPE, SINE
@@ -132,6 +132,17 @@ class _Strip(NamedTuple):
     keep: float
 
 
+class _Subject(NamedTuple):
+    """A vehicle: its number, its row (7,), the lane that it is on, and which roads its route has, (roads,), where it is
+    `limited` to them."""
+
+    number: int
+    row: FloatArray
+    own: int
+    route: IntArray
+    limited: bool
+
+
 class _Pose(NamedTuple):
     """A body on a lane: s and r [m], the angle between them [rad], how far it reaches to either side and how far once
     it keeps to the middle [m], and whether it is where one may be in that lane, or about to come into it."""
@@ -190,86 +201,68 @@ def _add(strips: Strips, first: int, count: int, strip: _Strip) -> int:
     return count + 1
 
 
+@inlined
+def _off_route(lanes: Lanes, subject: _Subject, lane: int) -> bool:
+    return subject.limited and subject.route[lanes.ids[lane, ROAD]] == 0
+
+
 @uncounted
-def _stand(row: FloatArray, i: int, lane: int, at: _Pose, low: float, high: float, back: float) -> _Strip:
+def _stand(subject: _Subject, lane: int, at: _Pose, low: float, high: float, back: float) -> _Strip:
     """The strip of a lane that a vehicle is on."""
+    row = subject.row
     cos, sin = abs(math.cos(at.angle)), abs(math.sin(at.angle))
     half = max(0.5 * (row[_LENGTH] * cos + row[_WIDTH] * sin), 0.5 * (row[_LENGTH] + row[_WIDTH] * _ASKEW))
-    return _Strip(i, lane, -1, -at.s, -at.s, low, high, half, min(at.s, 0.0), back, at.keep)
+    return _Strip(subject.number, lane, -1, -at.s, -at.s, low, high, half, min(at.s, 0.0), back, at.keep)
 
 
 @uncounted
-def _kept(
-    lanes: Lanes,
-    ways: Ways,
-    conduct: Conduct,
-    row: FloatArray,
-    i: int,
-    own: int,
-    route: IntArray,
-    routed: bool,
-    strips: Strips,
-    first: int,
-) -> int:
+def _kept(lanes: Lanes, ways: Ways, conduct: Conduct, subject: _Subject, strips: Strips, first: int) -> int:
     """The lanes to which a vehicle keeps: of its route, or any; how many strips there are then."""
     count = first
     for lane in range(lanes.rows.shape[0]):
-        if routed and route[lanes.ids[lane, ROAD]] == 0:
+        if _off_route(lanes, subject, lane):
             continue
-        at = _pose(lanes, ways, conduct, row, lane)
+        at = _pose(lanes, ways, conduct, subject.row, lane)
         if at.within and abs(at.angle) <= _ALIGNED and abs(at.r) + at.across <= at.keep:
-            count = _add(strips, first, count, _stand(row, i, lane, at, -at.keep, at.keep, 0.0))
+            count = _add(strips, first, count, _stand(subject, lane, at, -at.keep, at.keep, 0.0))
     return count
 
 
 @uncounted
-def _entered(
-    lanes: Lanes,
-    ways: Ways,
-    conduct: Conduct,
-    row: FloatArray,
-    i: int,
-    own: int,
-    route: IntArray,
-    routed: bool,
-    strips: Strips,
-    first: int,
-) -> int:
+def _entered(lanes: Lanes, ways: Ways, conduct: Conduct, subject: _Subject, strips: Strips, first: int) -> int:
     """The lanes into which a vehicle is coming from beside them, and with any such the one that it is on; likewise."""
     count, some = first, False
     for lane in range(lanes.rows.shape[0]):
-        if routed and route[lanes.ids[lane, ROAD]] == 0:
+        if _off_route(lanes, subject, lane):
             continue
-        at = _pose(lanes, ways, conduct, row, lane)
+        at = _pose(lanes, ways, conduct, subject.row, lane)
         low, high = at.r - at.across, at.r + at.across
-        if lane == own:
+        if lane == subject.own:
             low, high = min(low, -at.keep), max(high, at.keep)
-            count = _add(strips, first, count, _stand(row, i, lane, at, low, high, SETTLED))
+            count = _add(strips, first, count, _stand(subject, lane, at, low, high, SETTLED))
             continue
         least, most = -at.keep + ways.entries[lane, 1], at.keep + ways.entries[lane, 2]
         if at.within and abs(at.angle) <= _TURNING and low >= least and high <= most:
             low, high = max(least, min(low - _SWEEP, -at.keep)), min(most, max(high + _SWEEP, at.keep))
-            count = _add(strips, first, count, _stand(row, i, lane, at, low, high, SETTLED))
+            count = _add(strips, first, count, _stand(subject, lane, at, low, high, SETTLED))
             some = True
     return count if some else first
 
 
 @uncounted
-def _touched(
-    lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, i: int, own: int, strips: Strips, first: int
-) -> int:
+def _touched(lanes: Lanes, ways: Ways, conduct: Conduct, subject: _Subject, strips: Strips, first: int) -> int:
     """The lanes that a vehicle touches, which is between them; likewise."""
     count = first
     for lane in range(lanes.rows.shape[0]):
-        at = _pose(lanes, ways, conduct, row, lane)
-        if lane != own:
-            if lanes.ids[lane, ROAD] == lanes.ids[own, ROAD]:
+        at = _pose(lanes, ways, conduct, subject.row, lane)
+        if lane != subject.own:
+            if lanes.ids[lane, ROAD] == lanes.ids[subject.own, ROAD]:
                 if abs(at.r) - at.across >= lanes.rows[lane, LANE_WIDTH] / 2 - conduct.lean:
                     continue
             elif not (abs(at.r) <= _OVERLAY and at.within and abs(at.angle) <= _ALIGNED):
                 continue
         low, high = min(at.r - at.across, -at.keep), max(at.r + at.across, at.keep)
-        count = _add(strips, first, count, _stand(row, i, lane, at, low, high, SETTLED))
+        count = _add(strips, first, count, _stand(subject, lane, at, low, high, SETTLED))
     return count
 
 
@@ -337,13 +330,14 @@ def spread(
         first, row, route, routed = count, rows[i], routes[i], False
         for k in range(routes.shape[1]):
             routed = routed or route[k] > 0
-        for limited in range(2):
-            if count == first and (limited == 1 or routed):
-                count = _kept(lanes, ways, conduct, row, i, own[i], route, limited == 0, strips, first)
-                if count == first:
-                    count = _entered(lanes, ways, conduct, row, i, own[i], route, limited == 0, strips, first)
+        for anywhere in range(0 if routed else 1, 2):
+            subject = _Subject(i, row, own[i], route, anywhere == 0)
+            if count == first:
+                count = _kept(lanes, ways, conduct, subject, strips, first)
+            if count == first:
+                count = _entered(lanes, ways, conduct, subject, strips, first)
         if count == first:
-            count = _touched(lanes, ways, conduct, row, i, own[i], strips, first)
+            count = _touched(lanes, ways, conduct, _Subject(i, row, own[i], route, False), strips, first)
         j, straight = first, math.cos(_ALIGNED)
         drive[i, 0], drive[i, 1], drive[i, 2] = 0.0, straight, 1.0
         while j < min(count, room):

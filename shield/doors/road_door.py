@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -15,10 +16,11 @@ from dynamics.networks.alone import Alone, alone_on
 from dynamics.networks.continuations import continuations_of, leads_over
 from dynamics.networks.engine import command
 from dynamics.networks.lanes import Lanes
+from dynamics.networks.layout import COUNT
 from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of
 from dynamics.networks.prediction import STRIP, Conduct, Strips, Ways, reach, spread
-from dynamics.simulator.layout import TARGET, TARGET_SPEED
+from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.state import FloatArray
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
@@ -29,11 +31,11 @@ from shield.doors.supervision import Command
 from shield.errors import SceneError
 from shield.procedures.warm_up import announced
 from shield.refusals import refuse_simulated
-from shield.roads.choosing import CLEAR, Choice, Road, Trial, choose, empty_trial, try_course
-from shield.roads.judging import Duty, Others
+from shield.roads.choosing import CLEAR, Choice, choose, try_course
 from shield.roads.reading import read_traffic
+from shield.roads.room import Duty, Others, Road, Trial, empty_trial
 from shield.roads.survey import Body, circles_of
-from shield.roads.watch import Seen, Watch, behind
+from shield.roads.watch import Breach, Seen, Watch, behind
 
 __all__ = ["RoadDoor", "warm_up_roads"]
 
@@ -79,15 +81,14 @@ class RoadDoor:
         refuse_simulated(config)
         self.config, self._base, self.cause = config, base, ""
         self._frequency = base.config["simulation_frequency"]
-        self._past: dict[str, int] = {}
+        self._past: Counter[Breach] = Counter()
         self.watch = Watch()
         self._forget()
         if base.road is not None:
             self._furnish()
 
     def _forget(self) -> None:
-        for rule, count in self.watch.by_rule.items():
-            self._past[rule] = self._past.get(rule, 0) + count
+        self._past.update(self.watch.by_rule)
         self.watch = Watch()
         self._network: Any = None
         self._owes: dict[Any, set[int]] = {}
@@ -99,13 +100,12 @@ class RoadDoor:
     @property
     def violations(self) -> int:
         """How often the traffic has broken the assumptions."""
-        return sum(self._past.values()) + self.watch.count
+        return self._past.total() + self.watch.count
 
     @property
     def by_rule(self) -> dict[str, int]:
         """The same by the rule that was broken."""
-        rules = {*self._past, *self.watch.by_rule}
-        return {str(rule): self._past.get(rule, 0) + self.watch.by_rule.get(rule, 0) for rule in rules}  # type: ignore[call-overload]
+        return {str(rule): count for rule, count in (self._past + Counter(self.watch.by_rule)).items()}
 
     def reset(self) -> None:
         """Forget everything about the episode."""
@@ -282,7 +282,7 @@ class RoadDoor:
         lane, speed = self._wish
         hard, f = self.config.braking, self._frequency
         frames = [1 + round(t * f) for t in _ON]
-        count = int(self._road.lanes.ids[lane, 2])
+        count = int(self._road.lanes.ids[lane, COUNT])
         rows: list[tuple[float, ...]] = []
         tiers: list[Tier] = []
         stored = self._stored
@@ -295,7 +295,7 @@ class RoadDoor:
             for n in frames:
                 rows.append((lane, speed, _COMMITTED, n, aside, hard))
                 tiers.append(Tier.PASSED)
-        now = float(self._alone.worlds.f[0, 3, 0])
+        now = float(self._alone.worlds.f[0, SPEED, 0])
         top = max(min(speed, now + 5.0), 0.0)
         lanes = [lane]
         bound = int(self._alone.worlds.g[0, TARGET, 0])

@@ -8,41 +8,16 @@ import numpy as np
 
 from dynamics.compiled import inlined, uncounted
 from dynamics.networks.alone import Alone, Course, drive
-from dynamics.networks.lanes import Lanes
-from dynamics.networks.prediction import Conduct, Ways
-from dynamics.state import BoolArray, FloatArray, IntArray
-from shield.roads.judging import Duty, Others, judge
-from shield.roads.survey import Body, survey
+from dynamics.state import FloatArray
+from shield.roads.judging import judge
+from shield.roads.room import Others, Road, Trial
+from shield.roads.survey import survey
 
-__all__ = ["CLEAR", "Choice", "Road", "Trial", "choose", "empty_trial", "try_course"]
+__all__ = ["CLEAR", "Choice", "choose", "try_course"]
 
 _OFF = 1e3
 CLEAR = -1e-6
 """The least margin of a path that is clear [m]; less is more than rounding."""
-
-
-class Road(NamedTuple):
-    """What is the same in all scenes of an episode: its lanes and circles around them, and who drives on them how."""
-
-    lanes: Lanes
-    circles: FloatArray
-    ways: Ways
-    conduct: Conduct
-    duty: Duty
-    body: Body
-    period: float
-
-
-class Trial(NamedTuple):
-    """Room for what comes of a course, for K frames, n lanes and m vehicles: see `drive`, `survey` and `judge`."""
-
-    path: FloatArray
-    first: FloatArray
-    bound: IntArray
-    boxes: FloatArray
-    seen: BoolArray
-    met: IntArray
-    margins: FloatArray
 
 
 class Choice(NamedTuple):
@@ -61,19 +36,6 @@ class Choice(NamedTuple):
     innocent: float
 
 
-def empty_trial(frames: int, lanes: int, vehicles: int) -> Trial:
-    """Room for paths of so many frames."""
-    return Trial(
-        np.zeros((frames + 1, 4)),
-        np.zeros(2),
-        np.zeros(frames + 1, np.int64),
-        np.zeros((lanes, frames + 1, 4)),
-        np.zeros((lanes, frames + 1), np.bool_),
-        np.zeros((lanes, 2), np.int64),
-        np.zeros(vehicles),
-    )
-
-
 @uncounted
 def _follow(alone: Alone, road: Road, row: FloatArray, trial: Trial) -> int:
     """Drive a course, a row of `Course`, and survey its path; what `drive` returns."""
@@ -88,23 +50,7 @@ def _weigh(road: Road, others: Others, found: int, lenient: bool, trial: Trial) 
     """What becomes of the course that `_follow` has driven."""
     count = abs(found)
     rests = found > 0 and abs(trial.path[count - 1, 3]) < 1e-6
-    margin, who, when, innocent = judge(
-        others,
-        road.lanes.rows,
-        road.ways.after,
-        road.conduct,
-        road.duty,
-        road.body,
-        trial.path,
-        count,
-        rests,
-        trial.boxes,
-        trial.seen,
-        trial.met,
-        road.period,
-        lenient,
-        trial.margins,
-    )
+    margin, who, when, innocent = judge(others, road, trial, count, rests, lenient)
     if found < 0:
         # It leaves the road, at that speed.
         when = min(when, count - 1)

@@ -14,53 +14,17 @@ the strips say.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from dynamics.compiled import inlined, uncounted
-from dynamics.networks.prediction import ALWAYS, BACK, FAR, HALF, HIGH, KEEP, LOW, NEAR, START, Conduct
+from dynamics.networks.prediction import ALWAYS, BACK, FAR, HALF, HIGH, KEEP, LOW, NEAR, START
 from dynamics.simulator.layout import LANE_LENGTH
-from dynamics.state import BoolArray, FloatArray, IntArray
+from dynamics.state import FloatArray
 from dynamics.traffic.permits import Ego, gap_between
-from shield.roads.survey import FAR_OFF, Body
+from shield.roads.room import Others, Road, Trial
+from shield.roads.survey import FAR_OFF
 
-__all__ = ["Duty", "Others", "judge"]
-
-
-class Duty(NamedTuple):
-    """How those behind answer to the ego in their lane: deceleration [m/s^2], frames until then, and whether they look
-    beyond the end of their lane."""
-
-    braking: float
-    reaction: int
-    ahead: bool
-
-
-class Others(NamedTuple):
-    """Where the others can be.
-
-    Attributes
-    ----------
-    rows : vehicle rows, (m, 7). things : rows of what stands, (b, 7).
-    marks, numbers : strips, see `dynamics.networks.prediction.spread`; found : how many there are, (1,).
-    drive : (m, 3). least, most : (m, K), see `reach`.
-    owes : whether each vehicle owes the ego its distance in each lane, (m, n).
-    offends : who has broken a rule, (m,).
-    shut : room for whether the ego stands in the way to what comes after a strip, (count,).
-    """
-
-    rows: FloatArray
-    things: FloatArray
-    marks: IntArray
-    numbers: FloatArray
-    found: IntArray
-    drive: FloatArray
-    least: FloatArray
-    most: FloatArray
-    owes: BoolArray
-    offends: BoolArray
-    shut: BoolArray
+__all__ = ["judge"]
 
 
 @inlined
@@ -72,21 +36,12 @@ def _beside(box: FloatArray, row: FloatArray) -> float:
 
 
 @uncounted
-def _followed(
-    others: Others,
-    conduct: Conduct,
-    duty: Duty,
-    j: int,
-    since: int,
-    boxes: FloatArray,
-    first: int,
-    last: int,
-    rests: bool,
-    dt: float,
-) -> float:
+def _followed(others: Others, road: Road, trial: Trial, j: int, since: int, rests: bool) -> float:
     """The least separation of the ego from one that comes up behind it in strip j and brakes for it, which sees it
     from frame `since` on [m]; anything negative where it is."""
+    conduct, duty, dt = road.conduct, road.duty, road.period
     i, row, lane = others.marks[j, 0], others.numbers[j], others.marks[j, 1]
+    boxes, first, last = trial.boxes, trial.met[lane, 0], trial.met[lane, 1]
     top, most = max(others.drive[i, 0], others.rows[i, 3]), others.drive[i, 2]
     v, x, waited, least, k = max(others.rows[i, 3], 0.0), 0.0, 0, np.inf, 0
     within = row[NEAR] <= 0
@@ -112,36 +67,23 @@ def _followed(
 
 @uncounted
 def judge(
-    others: Others,
-    rows: FloatArray,
-    after: IntArray,
-    conduct: Conduct,
-    duty: Duty,
-    body: Body,
-    path: FloatArray,
-    count: int,
-    rests: bool,
-    boxes: FloatArray,
-    seen: BoolArray,
-    met: IntArray,
-    dt: float,
-    lenient: bool,
-    margins: FloatArray,
+    others: Others, road: Road, trial: Trial, count: int, rests: bool, lenient: bool
 ) -> tuple[float, int, int, float]:
     """The least separation from anybody along the first `count` places of a path, surveyed before.
 
     Parameters
     ----------
-    rows : of the lanes. after : see `Ways`.
+    trial : the path, and where it is on the lanes; its `margins`, from each vehicle, are written.
     rests : whether the ego stays at the last of them for good.
     lenient : whether those count who owe the ego its distance; they are believed to keep it.
-    margins : the least separation from each vehicle [m], (m,), written.
 
     Returns
     -------
     It [m], the vehicle that it is from (-1 for what stands), the first frame with less than 0, `count` for none; and
     the least separation from those who have broken no rule [m].
     """
+    path, boxes, seen, met, margins = trial.path, trial.boxes, trial.seen, trial.met, trial.margins
+    rows, after, body, dt = road.lanes.rows, road.ways.after, road.body, road.period
     worst, who, when, innocent = np.inf, -1, count, np.inf
     margins[:] = np.inf
     for j in range(others.things.shape[0]):
@@ -158,9 +100,7 @@ def judge(
         i, lane, row = others.marks[j, 0], others.marks[j, 1], others.numbers[j]
         before, first, last = others.marks[j, 2], met[lane, 0], met[lane, 1]
         others.shut[j] = before >= 0 and others.shut[before]
-        if others.shut[j]:
-            continue
-        if last < first:
+        if others.shut[j] or last < first:
             continue
         end = rows[lane, LANE_LENGTH] if after.shape[1] > 0 and after[lane, 0] >= 0 else ALWAYS
         least, bad, contact = np.inf, count, -1
@@ -195,7 +135,7 @@ def judge(
                     least, bad = np.inf, count
                 elif start:
                     there = rests and last == count - 1
-                    stays = _followed(others, conduct, duty, j, since, boxes, first, last, there, dt)
+                    stays = _followed(others, road, trial, j, since, there)
                     if stays >= 0:
                         others.shut[j] = there and contact == count - 1
                         least, bad = stays, count

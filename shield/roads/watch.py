@@ -23,8 +23,8 @@ import numpy as np
 
 from dynamics.networks.prediction import FAR, HALF, HIGH, LOW, NEAR
 from dynamics.state import BoolArray, FloatArray
-from shield.roads.choosing import CLEAR, Road
-from shield.roads.judging import Others
+from shield.roads.choosing import CLEAR
+from shield.roads.room import Others, Road
 
 __all__ = ["Breach", "Seen", "Watch", "behind"]
 

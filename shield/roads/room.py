@@ -1,0 +1,86 @@
+"""What a judgement of paths is made from on a network of roads, and the room that it works in."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dynamics.networks.lanes import Lanes
+from dynamics.networks.prediction import Conduct, Ways
+from dynamics.state import BoolArray, FloatArray, IntArray
+from shield.roads.survey import Body
+
+__all__ = ["Duty", "Others", "Road", "Trial", "empty_trial"]
+
+
+class Duty(NamedTuple):
+    """How those behind answer to the ego in their lane: deceleration [m/s^2], frames until then, and whether they look
+    beyond the end of their lane."""
+
+    braking: float
+    reaction: int
+    ahead: bool
+
+
+class Others(NamedTuple):
+    """Where the others can be.
+
+    Attributes
+    ----------
+    rows : vehicle rows, (m, 7). things : rows of what stands, (b, 7).
+    marks, numbers : strips, see `dynamics.networks.prediction.spread`; found : how many there are, (1,).
+    drive : (m, 3). least, most : (m, K), see `reach`.
+    owes : whether each vehicle owes the ego its distance in each lane, (m, n).
+    offends : who has broken a rule, (m,).
+    shut : room for whether the ego stands in the way to what comes after a strip, (count,).
+    """
+
+    rows: FloatArray
+    things: FloatArray
+    marks: IntArray
+    numbers: FloatArray
+    found: IntArray
+    drive: FloatArray
+    least: FloatArray
+    most: FloatArray
+    owes: BoolArray
+    offends: BoolArray
+    shut: BoolArray
+
+
+class Road(NamedTuple):
+    """What is the same in all scenes of an episode: its lanes and circles around them, and who drives on them how."""
+
+    lanes: Lanes
+    circles: FloatArray
+    ways: Ways
+    conduct: Conduct
+    duty: Duty
+    body: Body
+    period: float
+
+
+class Trial(NamedTuple):
+    """Room for what comes of a course, for K frames, n lanes and m vehicles: see `drive`, `survey` and `judge`."""
+
+    path: FloatArray
+    first: FloatArray
+    bound: IntArray
+    boxes: FloatArray
+    seen: BoolArray
+    met: IntArray
+    margins: FloatArray
+
+
+def empty_trial(frames: int, lanes: int, vehicles: int) -> Trial:
+    """Room for paths of so many frames."""
+    return Trial(
+        np.zeros((frames + 1, 4)),
+        np.zeros(2),
+        np.zeros(frames + 1, np.int64),
+        np.zeros((lanes, frames + 1, 4)),
+        np.zeros((lanes, frames + 1), np.bool_),
+        np.zeros((lanes, 2), np.int64),
+        np.zeros(vehicles),
+    )

@@ -16,7 +16,7 @@ from dynamics.networks.alone import Alone, alone_on
 from dynamics.networks.continuations import continuations_of, leads_over
 from dynamics.networks.engine import command
 from dynamics.networks.lanes import Lanes
-from dynamics.networks.layout import COUNT
+from dynamics.networks.layout import ID
 from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of
 from dynamics.networks.prediction import STRIP, Conduct, Strips, Ways, reach, spread
@@ -282,7 +282,6 @@ class RoadDoor:
         lane, speed = self._wish
         hard, f = self.config.braking, self._frequency
         frames = [1 + round(t * f) for t in _ON]
-        count = int(self._road.lanes.ids[lane, COUNT])
         rows: list[tuple[float, ...]] = []
         tiers: list[Tier] = []
         stored = self._stored
@@ -290,7 +289,8 @@ class RoadDoor:
         if same and stored is not None and stored[3] >= 1:
             rows.append(tuple(stored))
             tiers.append(Tier.PASSED)
-        asides = (0, -1, 1) if count > 1 else (0,)
+        # Known limit: turning aside is tried from the third lane of a road on, and not from the first two.
+        asides = (0, -1, 1) if self._road.lanes.ids[lane, ID] > 1 else (0,)
         for aside in asides:
             for n in frames:
                 rows.append((lane, speed, _COMMITTED, n, aside, hard))

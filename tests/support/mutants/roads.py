@@ -48,8 +48,8 @@ ROADS = (
     off(
         "those behind see the ego before they are in its lane",
         _JUDGING,
-        "        there = duty.ahead or x >= row[NEAR]\n",
-        "        there = True\n",
+        "if k >= since and there else 0",
+        "if k >= since else 0",
         _CLAUSES,
     ),
     off(

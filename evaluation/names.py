@@ -6,7 +6,7 @@ __all__ = ["BASELINES", "FIRST_EVALUATION_SEED", "MODELS", "SIMULATORS", "TRAINA
 
 FIRST_EVALUATION_SEED = 10_000
 """Seeds below it are for training and choosing, from it on for evaluation."""
-TRAINABLE = ("a2c", "dqn", "ppo", "sac", "td3")
+TRAINABLE = ("a2c", "dqn", "ppo", "sac", "td3", "trpo")
 """The algorithms that `shield train` knows."""
 SIMULATORS = ("auto", "compiled", "highway-env")
 """What episodes are driven in: highway-env's own code, its compiled copy, or that one where it serves."""

@@ -316,6 +316,13 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
                 "HanoiWorld's roundabout: meta-actions at 5 Hz, 15 Hz, 15 s",
                 road=False,
             ),
+            Setting(
+                "complex-roads",
+                "evaluation.scenarios:ComplexRoads-v0",
+                {"random_start": True, "offroad_terminal": True, "duration": 120},
+                "ComplexRoads-v0: 5x9 throttle and steering at 5 Hz, 15 Hz, any spawn, ends off the road, 120 s",
+                road=False,
+            ),
             Setting("racetrack", "racetrack-v0", {}, "racetrack-v0 as it comes: steering alone, 5 Hz, 15 Hz, 300 s"),
             Setting("racetrack-minute", "racetrack-v0", {"duration": 60}, "the first 60 s of racetrack-v0"),
         )

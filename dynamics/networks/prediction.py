@@ -267,6 +267,31 @@ def _touched(lanes: Lanes, ways: Ways, conduct: Conduct, subject: _Subject, stri
 
 
 @uncounted
+def _swap(strips: Strips, j: int, k: int) -> None:
+    marks, numbers = strips.marks, strips.numbers
+    for c in range(marks.shape[1]):
+        marks[j, c], marks[k, c] = marks[k, c], marks[j, c]
+    for c in range(numbers.shape[1]):
+        numbers[j, c], numbers[k, c] = numbers[k, c], numbers[j, c]
+
+
+@uncounted
+def _chain(ways: Ways, strips: Strips, first: int, count: int) -> None:
+    """Who is just before a lane, and in one that leads to it, comes into it from there."""
+    marks, numbers = strips.marks, strips.numbers
+    last = count
+    for j in range(count - 1, first - 1, -1):
+        if numbers[j, START] < 0:
+            last -= 1
+            _swap(strips, j, last)
+    for j in range(last, count):
+        for k in range(first, j):
+            for after in ways.after[marks[k, 1]]:
+                if after == marks[j, 1]:
+                    marks[j, 2] = k
+
+
+@uncounted
 def _comes_over(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, strips: Strips, j: int) -> _Strip:
     """The strip of the lane beside one that ends, into which one may come from it anywhere."""
     lane, numbers = strips.marks[j, 1], strips.numbers[j]
@@ -338,6 +363,7 @@ def spread(
                 count = _entered(lanes, ways, conduct, subject, strips, first)
         if count == first:
             count = _touched(lanes, ways, conduct, _Subject(i, row, own[i], route, False), strips, first)
+        _chain(ways, strips, first, min(count, room))
         j, straight = first, math.cos(_ALIGNED)
         drive[i, 0], drive[i, 1], drive[i, 2] = 0.0, straight, 1.0
         while j < min(count, room):

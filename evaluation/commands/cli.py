@@ -19,7 +19,7 @@ from evaluation.commands.showing import add_showing
 from evaluation.learning.algorithms import ALGORITHMS
 from evaluation.learning.recipes import RECIPES
 from evaluation.names import BASELINES, FIRST_EVALUATION_SEED, MODELS, SIMULATORS, TRAINABLE
-from shield.config import MODES, ShieldConfig
+from shield.config import MODES, PROFILES, ShieldConfig
 from shield.errors import ConfigError, ShieldError
 
 if TYPE_CHECKING:
@@ -79,10 +79,15 @@ def train_command(
         str,
         typer.Option(help=f"One of {', '.join(SIMULATORS)}; the compiled highway teaches the same, bit for bit."),
     ] = SIMULATORS[0],
+    shield: Annotated[
+        str, typer.Option(help=f"Train inside the shield: {', '.join(PROFILES)}; or none. A recipe says itself.")
+    ] = "none",
 ) -> None:
     """Train a policy on one core and save it with a manifest that says how."""
     if (recipe is None) == (setting is None):
         raise ConfigError("give either --recipe or --setting")
+    if recipe is not None and shield != "none":
+        raise ConfigError("a recipe says itself whether it trains inside the shield; give --setting with --shield")
     from evaluation.learning.training import train, train_recipe
 
     if recipe is not None:
@@ -91,7 +96,7 @@ def train_command(
         assert setting is not None
         path = output or Path("runs", "policies", f"{algorithm}-{setting}.zip")
         decisions = 10_000 if steps is None else steps
-        trained = train(setting, algorithm, decisions, seed, output=path, simulator=simulator)
+        trained = train(setting, algorithm, decisions, seed, output=path, simulator=simulator, shield=shield)
     told = f"{trained.manifest['training_seconds']} s in {trained.manifest['simulator']}"
     _out.print(f"wrote {trained.path} ({told})")
 

@@ -24,7 +24,7 @@ class Recipe:
         seed: the training seed.
         hyperparameters: keyword arguments of the algorithm.
         description: one line for people.
-        normalise, exploration, fast: as in `train`.
+        normalise, exploration, fast, shield: as in `train`.
     """
 
     name: str
@@ -37,6 +37,7 @@ class Recipe:
     normalise: tuple[str, ...] = ()
     exploration: tuple[float, ...] = ()
     fast: bool = False
+    shield: str = "none"
 
 
 # The hyperparameters that highway-env's own examples use, but for the discount factor of the DQNs.
@@ -90,6 +91,10 @@ _PPO_ROADS: dict[str, Any] = {
     "learning_rate": 5e-4,
     "gamma": 0.9,
 }
+
+# What Dong et al. 2023 train with; what they do not name is Stable-Baselines3's own.
+_DQN_COMPLEX: dict[str, Any] = {"learning_rate": 1e-4, "buffer_size": 50_000}
+_TRPO_COMPLEX: dict[str, Any] = {"gamma": 0.99, "n_steps": 1024, "target_kl": 0.01}
 
 RECIPES: Mapping[str, Recipe] = MappingProxyType(
     {
@@ -163,6 +168,20 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
                 0,
                 _PPO_ROADS,
                 "PPO on intersection-v0 as it comes",
+            ),
+            *(
+                Recipe(
+                    f"{algorithm}-complex-roads" + ("" if shield == "none" else "-shielded"),
+                    "complex-roads",
+                    algorithm,
+                    100_000,
+                    0,
+                    parameters,
+                    f"{algorithm.upper()} on ComplexRoads-v0" + ("" if shield == "none" else ", inside the shield"),
+                    shield=shield,
+                )
+                for algorithm, parameters in (("dqn", _DQN_COMPLEX), ("trpo", _TRPO_COMPLEX))
+                for shield in ("none", "exact")
             ),
         )
     }

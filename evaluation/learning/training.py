@@ -32,6 +32,7 @@ from evaluation.names import FIRST_EVALUATION_SEED, TRAINABLE
 from evaluation.settings import Setting, get_setting
 from evaluation.simulators import compiled_where_it_serves
 from evaluation.threads import one_thread
+from shield import ShieldConfig, ShieldedEnv
 from shield.errors import ConfigError
 
 __all__ = [
@@ -47,6 +48,7 @@ _ACTION_SPACES: dict[str, tuple[type[gym.Space[Any]], ...]] = {
     "ppo": (gym.spaces.Discrete, gym.spaces.Box),
     "sac": (gym.spaces.Box,),
     "td3": (gym.spaces.Box,),
+    "trpo": (gym.spaces.Discrete, gym.spaces.Box),
 }
 _ON_POLICY = ("a2c", "ppo")
 _PACKAGES = ("highway-shield", "highway-env", "gymnasium", "stable-baselines3", "torch", "numpy")
@@ -82,6 +84,7 @@ def train(
     exploration: Sequence[float] = (),
     fast: bool = False,
     simulator: str = "auto",
+    shield: str = "none",
     progress: bool = True,
     command: str | None = None,
 ) -> TrainedPolicy:
@@ -104,6 +107,8 @@ def train(
     fast : whether to compute observations at once (see `FastObservations`); they are the same.
     simulator : one of `SIMULATORS`. In the compiled copy of highway-env's highway the model becomes the same, bit for
         bit; "auto" takes it where it serves. The manifest says which it was.
+    shield : a profile of `ShieldConfig`, to learn inside the shield, in highway-env's own simulator; or "none". What is
+        learned from is what the policy asked for, whatever was driven.
     progress : whether to show a progress bar.
     command : the shell command that repeats this; by default one that calls this function.
 
@@ -124,7 +129,9 @@ def train(
             f"{algorithm} cannot normalise {', '.join(normalise)}; {' and '.join(_ON_POLICY)} can normalise"
             f" {' and '.join(NORMALISABLE)}"
         )
-    driven_in, env = _world(setting, simulator, fast)
+    driven_in, env = (
+        _world(setting, simulator, fast) if shield == "none" else _shielded(setting, simulator, fast, shield)
+    )
     try:
         accepted = _ACTION_SPACES[algorithm]
         if not isinstance(env.action_space, accepted):
@@ -153,6 +160,8 @@ def train(
     options = {name: value for name, value in options.items() if value}
     if simulator != "auto":
         options["simulator"] = simulator
+    if shield != "none":
+        options["shield"] = shield
     manifest = {
         "command": command or _call(setting, algorithm, steps, seed, parameters, path, options),
         "algorithm": algorithm,
@@ -204,6 +213,7 @@ def train_recipe(
         exploration=recipe.exploration,
         fast=recipe.fast,
         simulator=simulator,
+        shield=recipe.shield,
         output=output if output is not None else Path("runs", "policies", f"{name}.zip"),
         progress=progress,
         command=f"shield train --recipe {name}" + ("" if steps == recipe.steps else f" --steps {steps}"),
@@ -223,6 +233,14 @@ def _world(setting: Setting, simulator: str, fast: bool) -> tuple[str, gym.Env[A
     if world is not None:
         return "compiled", world
     made = setting.make()
+    return "highway-env", Monitor(FastObservations(made) if fast else made)
+
+
+def _shielded(setting: Setting, simulator: str, fast: bool, profile: str) -> tuple[str, gym.Env[Any, Any]]:
+    """Likewise, inside the shield."""
+    if simulator == "compiled":
+        raise ConfigError("inside the shield one trains in highway-env itself: simulator 'auto' or 'highway-env'")
+    made = ShieldedEnv(setting.make(), ShieldConfig.profile(profile))
     return "highway-env", Monitor(FastObservations(made) if fast else made)
 
 

@@ -200,6 +200,11 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return self._door.mask()
 
     @property
+    def door(self) -> MetaDoor | InputDoor | ExactDoor | ExactInputDoor | TeamDoor | RoadDoor:
+        """What filters: its class says what is verified and how."""
+        return self._door
+
+    @property
     def core(self) -> Core[Any]:
         """What decides, and remembers.
 

@@ -16,7 +16,7 @@ from dynamics.networks.alone import Alone, alone_on
 from dynamics.networks.continuations import continuations_of, leads_over
 from dynamics.networks.engine import command
 from dynamics.networks.lanes import Lanes
-from dynamics.networks.layout import ID
+from dynamics.networks.layout import COUNT
 from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of
 from dynamics.networks.prediction import STRIP, Conduct, Strips, Ways, reach, spread
@@ -243,6 +243,7 @@ class RoadDoor:
             owes=owes,
             offends=np.zeros(m, dtype=bool),
             shut=np.zeros(count, dtype=bool),
+            lanes=np.unique(strips.marks[:count, 1]),
         )
         if len(self._trial.margins) != m:
             self._trial = empty_trial(self._frames, n, m)
@@ -289,8 +290,7 @@ class RoadDoor:
         if same and stored is not None and stored[3] >= 1:
             rows.append(tuple(stored))
             tiers.append(Tier.PASSED)
-        # Known limit: turning aside is tried from the third lane of a road on, and not from the first two.
-        asides = (0, -1, 1) if self._road.lanes.ids[lane, ID] > 1 else (0,)
+        asides = (0, -1, 1) if self._road.lanes.ids[lane, COUNT] > 1 else (0,)
         for aside in asides:
             for n in frames:
                 rows.append((lane, speed, _COMMITTED, n, aside, hard))

@@ -37,11 +37,12 @@ class Choice(NamedTuple):
 
 
 @uncounted
-def _follow(alone: Alone, road: Road, row: FloatArray, trial: Trial) -> int:
+def _follow(alone: Alone, road: Road, others: Others, row: FloatArray, trial: Trial) -> int:
     """Drive a course, a row of `Course`, and survey its path; what `drive` returns."""
     course = Course(int(row[0]), row[1], row[2], int(row[3]), int(row[4]), row[5])
     found = drive(alone, course, trial.path, trial.first, trial.bound)
-    survey(road.lanes, road.circles, trial.path, abs(found), road.body, road.period, trial.boxes, trial.seen, trial.met)
+    count, room = abs(found), (trial.points, trial.boxes, trial.seen, trial.met)
+    survey(road.lanes, road.circles, others.lanes, trial.path, count, road.body, road.period, *room)
     return found
 
 
@@ -61,7 +62,7 @@ def _weigh(road: Road, others: Others, found: int, lenient: bool, trial: Trial) 
 @uncounted
 def try_course(alone: Alone, road: Road, others: Others, row: FloatArray, lenient: bool, trial: Trial) -> Choice:
     """What comes of one course, a row of `Course`; `lenient` as in `judge`."""
-    return _weigh(road, others, _follow(alone, road, row, trial), lenient, trial)
+    return _weigh(road, others, _follow(alone, road, others, row, trial), lenient, trial)
 
 
 @inlined
@@ -82,7 +83,7 @@ def choose(alone: Alone, road: Road, others: Others, courses: FloatArray, trial:
     what comes of it."""
     best = Choice(-1, -np.inf, -1, -1, -np.inf)
     for k in range(courses.shape[0]):
-        way = _follow(alone, road, courses[k], trial)
+        way = _follow(alone, road, others, courses[k], trial)
         found = _weigh(road, others, way, False, trial)
         if found.margin >= CLEAR:
             return Choice(k, found.margin, found.vehicle, found.clear, found.innocent)

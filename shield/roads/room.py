@@ -34,6 +34,7 @@ class Others(NamedTuple):
     owes : whether each vehicle owes the ego its distance in each lane, (m, n).
     offends : who has broken a rule, (m,).
     shut : room for whether the ego stands in the way to what comes after a strip, (count,).
+    lanes : that have strips.
     """
 
     rows: FloatArray
@@ -47,6 +48,7 @@ class Others(NamedTuple):
     owes: BoolArray
     offends: BoolArray
     shut: BoolArray
+    lanes: IntArray
 
 
 class Road(NamedTuple):
@@ -67,6 +69,7 @@ class Trial(NamedTuple):
     path: FloatArray
     first: FloatArray
     bound: IntArray
+    points: FloatArray
     boxes: FloatArray
     seen: BoolArray
     met: IntArray
@@ -79,6 +82,7 @@ def empty_trial(frames: int, lanes: int, vehicles: int) -> Trial:
         np.zeros((frames + 1, 4)),
         np.zeros(2),
         np.zeros(frames + 1, np.int64),
+        np.zeros((12, 2)),
         np.zeros((lanes, frames + 1, 4)),
         np.zeros((lanes, frames + 1), np.bool_),
         np.zeros((lanes, 2), np.int64),

@@ -1,0 +1,182 @@
+"""Traffic that is driven against the certificate on road networks, in highway-env itself.
+
+Two kinds of drivers take the places of the others. *Wild* ones are vehicles with throttle and steering at random, and
+break every rule there is. *Bold* ones keep to every rule that `shield.roads.watch` knows and are otherwise as reckless
+as the rules permit: from one moment to the next they brake or accelerate as hard as the assumptions allow, turn
+wherever the road leads, and answer to nobody but to whoever is before them in their own lane. What comes of the first
+has to be flagged; of the second there is nothing to flag, and nothing may happen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from highway_env.vehicle.controller import ControlledVehicle
+from highway_env.vehicle.kinematics import Vehicle
+
+from evaluation.settings import Setting
+from evaluation.threads import one_thread
+from shield import ShieldConfig, ShieldedEnv
+from dynamics.traffic.assumptions import Assumptions
+from shield.doors.road_door import RoadDoor
+from shield.errors import ConfigError
+from shield.roads.watch import Breach
+
+__all__ = ["DRIVERS", "Attack", "attack", "man"]
+
+DRIVERS = ("wild", "bold", "mixed")
+_HELD = 2, 20
+_CAUTION = 1.0
+"""What a bold driver keeps to the one before it beside its own way to a standstill [m]."""
+
+
+class Wild(Vehicle):  # type: ignore[misc]
+    """Throttle and steering at random, each held for a while; nothing else decides what it does."""
+
+    def take(self, draw: np.random.Generator, assumptions: Assumptions, period: float) -> None:
+        """Be driven by these numbers, in frames of so long [s]."""
+        self.draw, self.left, self.route = draw, 0, ()
+
+    def act(self, action: Any = None) -> None:
+        """For the coming frame."""
+        if self.left == 0:
+            self.left = int(self.draw.integers(*_HELD))
+            hard = self.draw.random() < 0.2
+            self.held = {
+                "acceleration": self.draw.uniform(-8, 8) if hard else self.draw.uniform(-3, 3),
+                "steering": self.draw.normal(0, 0.3 if hard else 0.03),
+            }
+        self.left -= 1
+        super().act(self.held)
+
+
+class Bold(ControlledVehicle):  # type: ignore[misc]
+    """As reckless as the rules permit."""
+
+    def take(self, draw: np.random.Generator, assumptions: Assumptions, period: float) -> None:
+        """Be driven by these numbers, in frames of so long [s]."""
+        self.draw, self.left, self.assumptions, self.held, self.period = draw, 0, assumptions, 0.0, period
+        self.route = None
+
+    def act(self, action: Any = None) -> None:
+        """For the coming frame."""
+        if self.left == 0:
+            self.left = int(self.draw.integers(*_HELD))
+            a = self.assumptions
+            self.held = float(self.draw.choice([-a.braking, 0.0, a.acceleration, a.acceleration]))
+        self.left -= 1
+        self._turn_anywhere()
+        self.target_speed = self.speed
+        steering = float(
+            np.clip(self.steering_control(self.target_lane_index), -self.MAX_STEERING_ANGLE, self.MAX_STEERING_ANGLE)
+        )
+        Vehicle.act(self, {"acceleration": self._permitted(), "steering": steering})
+
+    def _turn_anywhere(self) -> None:
+        network, (_, end, lane) = self.road.network, self.target_lane_index
+        if not network.get_lane(self.target_lane_index).after_end(self.position):
+            return
+        ahead, heading = [], self.lane.heading_at(self.lane.length)
+        for to, road in network.graph.get(end, {}).items():
+            k = min(lane, len(road) - 1)
+            if np.cos(road[k].heading_at(0.0) - heading) > 0:
+                ahead.append((end, to, k))
+        if ahead:
+            self.target_lane_index = ahead[int(self.draw.integers(len(ahead)))]
+
+    def _permitted(self) -> float:
+        """No faster than its lane, and no nearer to the one before it than it can stop behind."""
+        rules, dt = self.assumptions, self.period
+        limit = self.lane.speed_limit or rules.max_speed
+        held = min(self.held, max(limit - self.speed, -rules.braking * dt) / dt)
+        first, _ = self.road.neighbour_vehicles(self, self.lane_index)
+        if first is not None:
+            gap = self.lane_distance_to(first) - self.LENGTH / 2 - first.LENGTH / 2 - _CAUTION
+            speed, other = max(self.speed, 0.0), max(first.speed, 0.0)
+            way = speed * 2 * dt + (speed + rules.acceleration * dt) ** 2 / (2 * rules.braking)
+            if gap < way - other * other / (2 * 9.8):
+                held = -rules.braking
+        return max(held, -max(self.speed, 0.0) / dt)
+
+
+@dataclass(frozen=True, slots=True)
+class Attack:
+    """What came of one episode.
+
+    Attributes
+    ----------
+    env_id, seed, drivers : to drive it again. frames : how many there were.
+    crashed : whether the ego was. by_rule : how often each rule was broken.
+    """
+
+    env_id: str
+    seed: int
+    drivers: str
+    frames: int
+    crashed: bool
+    by_rule: dict[str, int]
+
+    @property
+    def unforeseen(self) -> bool:
+        """Whether the certificate had a hole: the fail-safe suffered, or the ego crashed, and nobody broke a rule."""
+        return Breach.UNFORESEEN in self.by_rule or (self.crashed and not self.by_rule)
+
+
+def man(env: ShieldedEnv, drivers: str, vehicles: int, seed: int) -> None:
+    """Put drivers into the first so many of the others.
+
+    Raises
+    ------
+    ConfigError
+        If there are none of that name.
+    """
+    if drivers not in DRIVERS:
+        raise ConfigError(f"unknown drivers {drivers!r}; have {', '.join(DRIVERS)}")
+    base: Any = env.unwrapped
+    kinds: Sequence[type[Any]] = {"wild": (Wild,), "bold": (Bold,), "mixed": (Wild, Bold)}[drivers]
+    left = vehicles
+    for k, body in enumerate(base.road.vehicles):
+        if body is base.vehicle or left == 0:
+            continue
+        driven = kinds[left % len(kinds)](body.road, body.position.copy(), body.heading, body.speed)
+        period = 1 / base.config["simulation_frequency"]
+        driven.take(np.random.default_rng([seed, k]), env.config.assumptions, period)
+        driven.crashed = body.crashed
+        base.road.vehicles[k], left = driven, left - 1
+
+
+def attack(
+    setting: Setting, seed: int, drivers: str, vehicles: int = 8, decisions: int = 20, config: ShieldConfig | None = None
+) -> Attack:
+    """One episode of a shielded ego with actions at random among such drivers.
+
+    Parameters
+    ----------
+    drivers : of `DRIVERS`. vehicles : how many of the others they take. decisions : how many at most.
+    config : settings; those for the road's traffic by default.
+
+    Raises
+    ------
+    ConfigError
+        If there are none of that name, or the environment is none of a road network with meta-actions.
+    """
+    with one_thread():
+        env = ShieldedEnv(setting.make(), config)
+        door = env.door
+        if not isinstance(door, RoadDoor):
+            raise ConfigError(f"{setting.name} is no road network with meta-actions, which this attacks")
+        base: Any = env.unwrapped
+        env.reset(seed=seed)
+        env.action_space.seed(seed)
+        man(env, drivers, vehicles, seed)
+        each, frames = int(base.config["simulation_frequency"] // base.config["policy_frequency"]), 0
+        for _ in range(decisions):
+            *_, terminated, truncated, _ = env.step(env.action_space.sample())
+            frames += each
+            if terminated or truncated:
+                break
+        return Attack(setting.env_id, seed, drivers, frames, bool(base.vehicle.crashed), door.by_rule)

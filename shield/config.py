@@ -124,7 +124,7 @@ class ShieldConfig:
         return cls(assumptions=Assumptions.moderate())
 
     @classmethod
-    def for_roads(cls, acceleration: float = 3.0, looks_ahead: bool = False) -> ShieldConfig:
+    def for_roads(cls, acceleration: float = 3.0, looks_ahead: bool = False, gives_way: bool = False) -> ShieldConfig:
         """The defaults on road networks with lanes that cross, join and part: what `Assumptions.roads()` says.
 
         Parameters
@@ -132,8 +132,9 @@ class ShieldConfig:
         acceleration : the hardest of the traffic [m/s^2]: 3 of highway-env's, but at its intersections 6.
         looks_ahead : whether those behind look beyond the end of their own lane, as they do on highway-env's roads with
             `neighbour_vehicles_connected_lanes`.
+        gives_way : whether whoever has less right of way than the ego waits for it.
         """
-        traffic = replace(Assumptions.roads(), acceleration=acceleration, looks_ahead=looks_ahead)
+        traffic = replace(Assumptions.roads(), acceleration=acceleration, looks_ahead=looks_ahead, gives_way=gives_way)
         return cls(assumptions=traffic)
 
     @classmethod

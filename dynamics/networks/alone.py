@@ -105,14 +105,14 @@ def alone_on(base: Any) -> Alone:
 
 
 @uncounted
-def drive(alone: Alone, course: Course, path: FloatArray, first: FloatArray, bound: IntArray) -> int:
+def drive(alone: Alone, course: Course, path: FloatArray, first: FloatArray, bound: IntArray, own: IntArray) -> int:
     """Follow a course from the present.
 
     Parameters
     ----------
     path : (K + 1, 4), written: x, y [m], heading [rad], speed [m/s].
     first : acceleration [m/s^2] and front wheel angle [rad] in the first frame, (2,), written.
-    bound : the lane that it is bound for in each frame, (K + 1,), written.
+    bound, own : the lane that it is bound for in each frame, and the one that it is on, (K + 1,), written.
 
     Returns
     -------
@@ -128,6 +128,7 @@ def drive(alone: Alone, course: Course, path: FloatArray, first: FloatArray, bou
     worlds.order[1, 0] = 0
     g[TARGET, 0], f[TARGET_SPEED, 0] = course.lane, course.speed
     path[0, 0], path[0, 1], path[0, 2], path[0, 3] = f[X, 0], f[Y, 0], f[HEADING, 0], f[SPEED, 0]
+    own[0] = g[LANE, 0]
     for k in range(1, path.shape[0]):
         if k - 1 == course.frames and course.aside != 0:
             lane = g[TARGET, 0]
@@ -146,7 +147,7 @@ def drive(alone: Alone, course: Course, path: FloatArray, first: FloatArray, bou
         bound[k - 1] = g[TARGET, 0]
         move(alone.machine, worlds, rules, alone.work, 1)
         path[k, 0], path[k, 1], path[k, 2], path[k, 3] = f[X, 0], f[Y, 0], f[HEADING, 0], f[SPEED, 0]
-        bound[k] = g[TARGET, 0]
+        bound[k], own[k] = g[TARGET, 0], g[LANE, 0]
         on, at_end = on_way(rules, f, g)
         if not on:
             return -k - 1

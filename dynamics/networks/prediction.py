@@ -34,6 +34,7 @@ __all__ = [
     "KEEP",
     "LOW",
     "NEAR",
+    "SEVERAL",
     "START",
     "STRIP",
     "Conduct",
@@ -48,6 +49,7 @@ NEAR, FAR, LOW, HIGH, HALF, START, BACK, KEEP = range(8)
 of the body along it; the least s of the middle of the body; the way after which it is back in the middle of its
 lanes, which has come from beside them; and half of the band in which it is then."""
 STRIP = 8
+SEVERAL = -2
 ALWAYS = 1e9
 """Stands for as far as the road goes [m]."""
 
@@ -108,7 +110,8 @@ class Strips(NamedTuple):
 
     Attributes
     ----------
-    marks : vehicle, lane, and the strip that leads to it, -1 where there is none or several, (room, 3).
+    marks : vehicle, lane, and the strip that leads to it, -1 where a vehicle is there now and `SEVERAL` where several
+        do, (room, 3).
     numbers : (room, STRIP).
     """
 
@@ -189,8 +192,8 @@ def _add(strips: Strips, first: int, count: int, strip: _Strip) -> int:
         same = abs(row[NEAR] - strip.near) < _ROUNDING and abs(row[FAR] - strip.far) < _ROUNDING
         same = same and row[LOW] <= strip.low + _ROUNDING and row[HIGH] >= strip.high - _ROUNDING
         if same or strip.near > _LAP:
-            if marks[j, 2] != strip.parent:
-                marks[j, 2] = -1
+            if marks[j, 2] >= 0 and marks[j, 2] != strip.parent:
+                marks[j, 2] = SEVERAL
             return count
     if count < len(marks):
         marks[count, 0], marks[count, 1], marks[count, 2] = strip.vehicle, strip.lane, strip.parent

@@ -54,6 +54,8 @@ class Assumptions:
         (`shield.certificate.clauses.slip_in`).
     looks_ahead : on road networks, whether those behind look beyond the end of their own lane; highway-env's traffic
         does not, but where its road is told to.
+    gives_way : on road networks, whether whoever has less right of way than the ego waits for it
+        (`dynamics.networks.rights`); highway-env's traffic does not always.
     simulated : whether the others are highway-env's own and are simulated, so that nothing above is asked; see `exact`.
     """
 
@@ -82,12 +84,13 @@ class Assumptions:
     blind_merge: bool = True
     slip_in: bool = True
     looks_ahead: bool = False
+    gives_way: bool = False
     simulated: bool = False
 
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            if f.name in ("blind_merge", "slip_in", "looks_ahead", "simulated"):
+            if f.name in ("blind_merge", "slip_in", "looks_ahead", "gives_way", "simulated"):
                 if not isinstance(value, bool):
                     raise ConfigError(f"Assumptions.{f.name} must be true or false, got {value!r}")
             elif isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):

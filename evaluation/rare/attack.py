@@ -13,15 +13,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
+from dynamics.networks.continuations import continuations_of
+from dynamics.networks.network import index_of
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
 from shield import ShieldConfig, ShieldedEnv
-from dynamics.traffic.assumptions import Assumptions
 from shield.doors.road_door import RoadDoor
 from shield.errors import ConfigError
 from shield.roads.watch import Breach
@@ -37,7 +37,7 @@ _CAUTION = 1.0
 class Wild(Vehicle):  # type: ignore[misc]
     """Throttle and steering at random, each held for a while; nothing else decides what it does."""
 
-    def take(self, draw: np.random.Generator, assumptions: Assumptions, period: float) -> None:
+    def take(self, draw: np.random.Generator, door: RoadDoor, period: float) -> None:
         """Be driven by these numbers, in frames of so long [s]."""
         self.draw, self.left, self.route = draw, 0, ()
 
@@ -57,10 +57,15 @@ class Wild(Vehicle):  # type: ignore[misc]
 class Bold(ControlledVehicle):  # type: ignore[misc]
     """As reckless as the rules permit."""
 
-    def take(self, draw: np.random.Generator, assumptions: Assumptions, period: float) -> None:
+    target_lane_index: Any
+
+    def take(self, draw: np.random.Generator, door: RoadDoor, period: float) -> None:
         """Be driven by these numbers, in frames of so long [s]."""
-        self.draw, self.left, self.assumptions, self.held, self.period = draw, 0, assumptions, 0.0, period
-        self.route = None
+        self.draw, self.left, self.held, self.period = draw, 0, 0.0, period
+        self.door, self.assumptions, self.route = door, door.config.assumptions, None
+        lanes = list(index_of(self.road.network))
+        after, _, _ = continuations_of(self.road.network)
+        self.ahead = {lane: [lanes[k] for k in row if k >= 0] for lane, row in zip(lanes, after, strict=True)}
 
     def act(self, action: Any = None) -> None:
         """For the coming frame."""
@@ -77,16 +82,10 @@ class Bold(ControlledVehicle):  # type: ignore[misc]
         Vehicle.act(self, {"acceleration": self._permitted(), "steering": steering})
 
     def _turn_anywhere(self) -> None:
-        network, (_, end, lane) = self.road.network, self.target_lane_index
-        if not network.get_lane(self.target_lane_index).after_end(self.position):
-            return
-        ahead, heading = [], self.lane.heading_at(self.lane.length)
-        for to, road in network.graph.get(end, {}).items():
-            k = min(lane, len(road) - 1)
-            if np.cos(road[k].heading_at(0.0) - heading) > 0:
-                ahead.append((end, to, k))
-        if ahead:
-            self.target_lane_index = ahead[int(self.draw.integers(len(ahead)))]
+        if self.road.network.get_lane(self.target_lane_index).after_end(self.position):
+            ahead = self.ahead[self.target_lane_index]
+            if ahead:
+                self.target_lane_index = ahead[int(self.draw.integers(len(ahead)))]
 
     def _permitted(self) -> float:
         """No faster than its lane, and no nearer to the one before it than it can stop behind."""
@@ -100,6 +99,8 @@ class Bold(ControlledVehicle):  # type: ignore[misc]
             way = speed * 2 * dt + (speed + rules.acceleration * dt) ** 2 / (2 * rules.braking)
             if gap < way - other * other / (2 * 9.8):
                 held = -rules.braking
+        if self.door.counts_on(self):
+            held = -rules.braking
         return max(held, -max(self.speed, 0.0) / dt)
 
 
@@ -137,6 +138,7 @@ def man(env: ShieldedEnv, drivers: str, vehicles: int, seed: int) -> None:
     if drivers not in DRIVERS:
         raise ConfigError(f"unknown drivers {drivers!r}; have {', '.join(DRIVERS)}")
     base: Any = env.unwrapped
+    assert isinstance(env.door, RoadDoor)
     kinds: Sequence[type[Any]] = {"wild": (Wild,), "bold": (Bold,), "mixed": (Wild, Bold)}[drivers]
     left = vehicles
     for k, body in enumerate(base.road.vehicles):
@@ -144,13 +146,18 @@ def man(env: ShieldedEnv, drivers: str, vehicles: int, seed: int) -> None:
             continue
         driven = kinds[left % len(kinds)](body.road, body.position.copy(), body.heading, body.speed)
         period = 1 / base.config["simulation_frequency"]
-        driven.take(np.random.default_rng([seed, k]), env.config.assumptions, period)
+        driven.take(np.random.default_rng([seed, k]), env.door, period)
         driven.crashed = body.crashed
         base.road.vehicles[k], left = driven, left - 1
 
 
 def attack(
-    setting: Setting, seed: int, drivers: str, vehicles: int = 8, decisions: int = 20, config: ShieldConfig | None = None
+    setting: Setting,
+    seed: int,
+    drivers: str,
+    vehicles: int = 8,
+    decisions: int = 20,
+    config: ShieldConfig | None = None,
 ) -> Attack:
     """One episode of a shielded ego with actions at random among such drivers.
 

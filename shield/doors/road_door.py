@@ -20,6 +20,7 @@ from dynamics.networks.layout import COUNT
 from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of
 from dynamics.networks.prediction import STRIP, Conduct, Strips, Ways, reach, spread
+from dynamics.networks.rights import ranks_of, rights_of
 from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.state import FloatArray
 from shield.config import ShieldConfig
@@ -92,6 +93,7 @@ class RoadDoor:
         self.watch = Watch()
         self._network: Any = None
         self._owes: dict[Any, set[int]] = {}
+        self._gives: dict[Any, dict[int, int]] = {}
         self._stored: FloatArray | None = None
         self._clear: set[Any] = set()
         self._wish: tuple[int, float] | None = None
@@ -106,6 +108,11 @@ class RoadDoor:
     def by_rule(self) -> dict[str, int]:
         """The same by the rule that was broken."""
         return {str(rule): count for rule, count in (self._past + Counter(self.watch.by_rule)).items()}
+
+    def counts_on(self, body: Any) -> bool:
+        """Whether another vehicle has been counted on to wait for the ego, and has had the time to react: unless it
+        brakes now, it may break the rule of the right of way (`shield.roads.watch`)."""
+        return max(self._gives.get(body, {}).values(), default=0) > self._road.duty.reaction
 
     def reset(self) -> None:
         """Forget everything about the episode."""
@@ -199,9 +206,15 @@ class RoadDoor:
         self._road = Road(
             lanes=lanes,
             circles=circles,
+            rights=rights_of(base.road.network),
             ways=Ways(*continuations_of(base.road.network), leads_over(base.road.network)),
             conduct=Conduct(a.braking, a.acceleration, a.max_speed, a.waver, a.lean),
-            duty=Duty(a.follower_braking, int(np.ceil(a.reaction_time * self._frequency - 1e-9)), a.looks_ahead),
+            duty=Duty(
+                a.follower_braking,
+                int(np.ceil(a.reaction_time * self._frequency - 1e-9)),
+                a.looks_ahead,
+                a.gives_way,
+            ),
             body=body,
             period=1 / self._frequency,
         )
@@ -228,9 +241,14 @@ class RoadDoor:
             self._strips = _room_for(2 * len(strips.marks))
         least, most = np.zeros((2, m, self._frames + 3))
         reach(self._road.conduct, seen.rows, drive, self._road.period, least, most)
-        owes = np.zeros((m, n), dtype=bool)
+        owes, gives = np.zeros((m, n), dtype=bool), np.zeros((m, n), np.int64)
         for i, body in enumerate(seen.who):
             owes[i, list(self._owes.get(body, ()))] = True
+            for lane, since in self._gives.get(body, {}).items():
+                gives[i, lane] = since
+        ranks = np.zeros(count, np.int64)
+        if road.duty.gives_way:
+            ranks_of(road.ways, road.rights, strips.marks[:count], ranks)
         self._others = Others(
             rows=seen.rows,
             things=seen.things,
@@ -242,6 +260,9 @@ class RoadDoor:
             most=most,
             owes=owes,
             offends=np.zeros(m, dtype=bool),
+            gives=gives,
+            ranks=ranks,
+            waits=np.zeros(count, dtype=bool),
             shut=np.zeros(count, dtype=bool),
             lanes=np.unique(strips.marks[:count, 1]),
         )
@@ -276,6 +297,19 @@ class RoadDoor:
         self._others.owes[:] = there
         who = self.watch.last.who if self.watch.last is not None else []
         self._owes = {body: set(np.flatnonzero(there[i]).tolist()) for i, body in enumerate(who) if there[i].any()}
+
+    def _give_way(self, verified: bool) -> None:
+        """Who is counted on to wait from now on: `Others.waits` is of the path that is taken. Where it is not verified,
+        nobody is of whom it was not known before."""
+        others = self._others
+        gives: dict[Any, dict[int, int]] = {}
+        who = self.watch.last.who if self.watch.last is not None else []
+        for j in np.flatnonzero(others.waits & (others.ranks < self._road.rights[self._trial.own[0]])):
+            i, lane = others.marks[j, :2]
+            since = int(others.gives[i, lane])
+            if verified or since > 0:
+                gives.setdefault(who[i], {})[int(lane)] = since + 1
+        self._gives = gives
 
     def _courses(self) -> tuple[FloatArray, list[Tier]]:
         """What is tried, in order."""
@@ -336,6 +370,8 @@ class RoadDoor:
         who = self.watch.last.who if self.watch.last is not None else []
         self._clear = set(who) if tier.verified else set()
         self._owe(tier.verified)
+        if self._road.duty.gives_way:
+            self._give_way(tier.verified)
         self._stored = course.copy()
         self._stored[3] = max(course[3] - 1, 0)
         bound = self._trial.bound

@@ -8,8 +8,9 @@ HALF, within its band. The *separation* is the greater of the gaps along and acr
 
 Who owes what: one that comes up from behind in the ego's own lane brakes for it, `Duty.braking` at least, once the ego
 has been visible there for `Duty.reaction` frames, and on a road where nobody looks beyond the end of the own lane no
-sooner than it has come into that lane itself. Nobody else yields: who crosses, joins or comes the other way is where
-the strips say.
+sooner than it has come into that lane itself. With `Duty.gives_way`, one with less right of way than the ego has does
+the same before any lane, from when the ego has it: if it can stay behind the ego's body by braking so, it does. Nobody
+else yields: who crosses, joins or comes the other way is where the strips say.
 """
 
 from __future__ import annotations
@@ -36,9 +37,12 @@ def _beside(box: FloatArray, row: FloatArray) -> float:
 
 
 @uncounted
-def _followed(others: Others, road: Road, trial: Trial, j: int, since: int, rests: bool) -> float:
-    """The least separation of the ego from one that comes up behind it in strip j and brakes for it, which sees it
-    from frame `since` on [m]; anything negative where it is."""
+def _followed(
+    others: Others, road: Road, trial: Trial, j: int, since: int, delay: int, anywhere: bool, rests: bool
+) -> float:
+    """The least separation of the ego from one that comes up behind it in strip j and brakes for it, `delay` frames
+    after it sees it, which it does from frame `since` on, `anywhere` or as `Duty.ahead` says [m]; anything negative
+    where it is."""
     conduct, duty, dt = road.conduct, road.duty, road.period
     i, row, lane = others.marks[j, 0], others.numbers[j], others.marks[j, 1]
     boxes, first, last = trial.boxes, trial.met[lane, 0], trial.met[lane, 1]
@@ -53,16 +57,34 @@ def _followed(others: Others, road: Road, trial: Trial, j: int, since: int, rest
             least = min(least, max(box[0] - row[HALF] - (x + v * most * dt - row[NEAR]), beside))
             if least < 0:
                 return least
-        there = duty.ahead or x >= row[NEAR]
-        if there and not duty.ahead and not within:
+        there = anywhere or x >= row[NEAR]
+        if there and not anywhere and not within:
             # One that is slower may be further into the lane in its first frame there.
             x = row[NEAR] + v * most * dt
             within = True
         waited = waited + 1 if k >= since and there else 0
         x += v * most * dt
-        v = max(v - duty.braking * dt, 0.0) if waited > duty.reaction else min(v + conduct.acceleration * dt, top)
+        v = max(v - duty.braking * dt, 0.0) if waited > delay else min(v + conduct.acceleration * dt, top)
         k += 1
     return least
+
+
+@uncounted
+def _waits(
+    others: Others, road: Road, trial: Trial, j: int, contact: int, bad: int, there: bool, lenient: bool
+) -> float:
+    """The least separation from one with less right of way that waits before strip j [m]; negative where it need not or
+    cannot."""
+    i, row, lane = others.marks[j, 0], others.numbers[j], others.marks[j, 1]
+    since = contact + 1
+    while since > 0 and road.rights[trial.own[since - 1]] > others.ranks[j]:
+        since -= 1
+    if since > bad or row[HALF] - row[NEAR] > trial.boxes[lane, bad, 0]:
+        return -1.0
+    delay, given = road.duty.reaction, others.gives[i, lane]
+    if lenient and given > 0 and since == 0:
+        delay = max(delay - given, 0)
+    return _followed(others, road, trial, j, since, delay, True, there)
 
 
 @uncounted
@@ -99,7 +121,7 @@ def judge(
     for j in range(others.found[0]):
         i, lane, row = others.marks[j, 0], others.marks[j, 1], others.numbers[j]
         before, first, last = others.marks[j, 2], met[lane, 0], met[lane, 1]
-        others.shut[j] = before >= 0 and others.shut[before]
+        others.shut[j], others.waits[j] = before >= 0 and others.shut[before], False
         if others.shut[j] or last < first:
             continue
         end = rows[lane, LANE_LENGTH] if after.shape[1] > 0 and after[lane, 0] >= 0 else ALWAYS
@@ -135,10 +157,16 @@ def judge(
                     least, bad = np.inf, count
                 elif start:
                     there = rests and last == count - 1
-                    stays = _followed(others, road, trial, j, since, there)
+                    stays = _followed(others, road, trial, j, since, road.duty.reaction, road.duty.ahead, there)
                     if stays >= 0:
                         others.shut[j] = there and contact == count - 1
                         least, bad = stays, count
+            if least < 0 and road.duty.gives_way:
+                there = rests and last == count - 1
+                stays = _waits(others, road, trial, j, contact, bad, there, lenient)
+                if stays >= 0:
+                    others.shut[j], others.waits[j] = there and contact == count - 1, True
+                    least, bad = stays, count
         margins[i] = min(margins[i], least)
         when = min(when, bad)
         if not others.offends[i]:

@@ -15,12 +15,13 @@ __all__ = ["Duty", "Others", "Road", "Trial", "empty_trial"]
 
 
 class Duty(NamedTuple):
-    """How those behind answer to the ego in their lane: deceleration [m/s^2], frames until then, and whether they look
-    beyond the end of their lane."""
+    """How those behind answer to the ego in their lane: deceleration [m/s^2], frames until then, whether they look
+    beyond the end of their lane; and whether those with less right of way answer likewise."""
 
     braking: float
     reaction: int
     ahead: bool
+    gives_way: bool
 
 
 class Others(NamedTuple):
@@ -33,6 +34,10 @@ class Others(NamedTuple):
     drive : (m, 3). least, most : (m, K), see `reach`.
     owes : whether each vehicle owes the ego its distance in each lane, (m, n).
     offends : who has broken a rule, (m,).
+    gives : for how many frames each vehicle has been counted on to wait for an ego with more right of way before each
+        lane, (m, n).
+    ranks : the right of way on the way to each strip, (count,). waits : whether a path counts on its vehicle to wait
+        before it, (count,), written by `judge`.
     shut : room for whether the ego stands in the way to what comes after a strip, (count,).
     lanes : that have strips.
     """
@@ -47,15 +52,20 @@ class Others(NamedTuple):
     most: FloatArray
     owes: BoolArray
     offends: BoolArray
+    gives: IntArray
+    ranks: IntArray
+    waits: BoolArray
     shut: BoolArray
     lanes: IntArray
 
 
 class Road(NamedTuple):
-    """What is the same in all scenes of an episode: its lanes and circles around them, and who drives on them how."""
+    """What is the same in all scenes of an episode: its lanes and circles around them, how much right of way one has in
+    each, and who drives on them how."""
 
     lanes: Lanes
     circles: FloatArray
+    rights: IntArray
     ways: Ways
     conduct: Conduct
     duty: Duty
@@ -69,6 +79,7 @@ class Trial(NamedTuple):
     path: FloatArray
     first: FloatArray
     bound: IntArray
+    own: IntArray
     points: FloatArray
     boxes: FloatArray
     seen: BoolArray
@@ -81,6 +92,7 @@ def empty_trial(frames: int, lanes: int, vehicles: int) -> Trial:
     return Trial(
         np.zeros((frames + 1, 4)),
         np.zeros(2),
+        np.zeros(frames + 1, np.int64),
         np.zeros(frames + 1, np.int64),
         np.zeros((12, 2)),
         np.zeros((lanes, frames + 1, 4)),

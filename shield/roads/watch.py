@@ -6,7 +6,9 @@ What a vehicle may do from one frame to the next (`dynamics.networks.prediction`
 2. *ways*: be where one of its strips says, along it and across, and with its body no further out. It may take another
    lane where that leaves the room for the ego's fail-safe;
 3. *reversing*: not go backwards where the ego's fail-safe suffers;
-4. *no crash*.
+4. *no crash*;
+5. *right of way*: where that is assumed, whoever has been counted on to wait for the ego, and has had the time to
+   react, brakes for it where the fail-safe suffers otherwise.
 
 Rules 1 and 4 are judged alone, the others where the ego's fail-safe suffers; so is who has *appeared*. `UNFORESEEN` is
 for the sake of honesty: the fail-safe has come to suffer from one who has broken no rule. That is a hole in the
@@ -39,6 +41,7 @@ class Breach(StrEnum):
     CRASH = "crash"
     APPEARED = "appeared"
     REVERSING = "reversing"
+    RIGHT_OF_WAY = "right of way"
     UNFORESEEN = "unforeseen"
 
 
@@ -119,6 +122,9 @@ class Watch:
             broken.add(Breach.REVERSING)
         if suffers and not _inside(old, j, new, i):
             broken.add(Breach.WAYS)
+        waits = suffers and new.gives[i].max(initial=0) > road.duty.reaction
+        if waits and v > max(v0 - road.duty.braking * dt, 0.0) + _SLACK:
+            broken.add(Breach.RIGHT_OF_WAY)
         return broken
 
 

@@ -75,7 +75,6 @@ class Bold(ControlledVehicle):  # type: ignore[misc]
             self.held = float(self.draw.choice([-a.braking, 0.0, a.acceleration, a.acceleration]))
         self.left -= 1
         self._turn_anywhere()
-        self.target_speed = self.speed
         steering = float(
             np.clip(self.steering_control(self.target_lane_index), -self.MAX_STEERING_ANGLE, self.MAX_STEERING_ANGLE)
         )

@@ -51,10 +51,10 @@ def _followed(
     within = row[NEAR] <= 0
     while k <= last or (rests and v > 0.0):
         box = boxes[lane, min(k, last)]
-        if k >= first and box[0] < FAR_OFF:
-            beside = _beside(box, row)
-            # Both move between two frames.
-            least = min(least, max(box[0] - row[HALF] - (x + v * most * dt - row[NEAR]), beside))
+        # Both move between two frames.
+        ahead = x + v * most * dt - row[NEAR]
+        if k >= first and box[0] < FAR_OFF and ahead >= row[START]:
+            least = min(least, max(box[0] - row[HALF] - ahead, _beside(box, row)))
             if least < 0:
                 return least
         there = anywhere or x >= row[NEAR]

@@ -11,6 +11,7 @@ import pytest
 from highway_env.vehicle.kinematics import Vehicle
 from input_scenes import gap
 
+from evaluation.rare.attack import man
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.decision import Reason, Tier
 from shield.doors.road_door import RoadDoor
@@ -20,39 +21,12 @@ ROADS = ("roundabout-v1", "merge-v1", "exit-v0", "two-way-v0", "u-turn-v1", "int
 STEPS = 15
 
 
-class Wild(Vehicle):
-    """Throttle and steering at random, held for a while; nothing else decides what it does."""
-
-    draw = None
-
-    @classmethod
-    def instead_of(cls, body, seed):
-        wild = cls(body.road, body.position.copy(), body.heading, body.speed)
-        wild.draw, wild.left = np.random.default_rng(seed), 0
-        wild.crashed, wild.route = body.crashed, ()
-        return wild
-
-    def act(self, action=None):
-        if self.left == 0:
-            self.left = int(self.draw.integers(2, 20))
-            hard = self.draw.random() < 0.2
-            self.held = {
-                "acceleration": self.draw.uniform(-8, 8) if hard else self.draw.uniform(-3, 3),
-                "steering": self.draw.normal(0, 0.3 if hard else 0.03),
-            }
-        self.left -= 1
-        super().act(self.held)
-
-
-def shielded(env_id, seed=0, wild=0, config=None):
-    """A reset environment; the first so many of the others are wild."""
+def shielded(env_id, seed=0, wild=0, config=None, drivers="wild"):
+    """A reset environment; so many of the others are driven against the certificate."""
     env = ShieldedEnv(gym.make(env_id), config)
     env.reset(seed=seed)
     env.action_space.seed(seed)
-    road, left = env.unwrapped.road, wild
-    for k, body in enumerate(road.vehicles):
-        if body is not env.unwrapped.vehicle and left > 0:
-            road.vehicles[k], left = Wild.instead_of(body, 100 * seed + k), left - 1
+    man(env, drivers, wild, seed)
     return env
 
 
@@ -76,11 +50,11 @@ def frames(env, action=None):
 
 
 @pytest.mark.parametrize("env_id", ROADS)
-@pytest.mark.parametrize("seed", range(2))
-def test_any_behaviour_is_flagged_or_leaves_the_plan_clear(env_id, seed):
+@pytest.mark.parametrize(("seed", "drivers"), [(0, "wild"), (1, "wild"), (2, "bold"), (3, "mixed")])
+def test_any_behaviour_is_flagged_or_leaves_the_plan_clear(env_id, seed, drivers):
     """What was verified a frame before stays clear of whoever has broken no rule, whatever the others do: nothing is
     unforeseen, and the ego is hit only where somebody has broken one."""
-    env = shielded(env_id, seed, wild=6)
+    env = shielded(env_id, seed, wild=6, drivers=drivers)
     seen = frames(env)
     watch = env._door.watch
     assert Breach.UNFORESEEN not in watch.by_rule
@@ -88,6 +62,49 @@ def test_any_behaviour_is_flagged_or_leaves_the_plan_clear(env_id, seed):
     for _, decision, _ in seen:
         assert decision.tier is not Tier.EMERGENCY
         assert decision.tier.verified == (decision.margin >= -1e-6)
+
+
+@pytest.mark.parametrize("env_id", ["roundabout-v1", "merge-v1", "intersection-v2"])
+@pytest.mark.parametrize("drivers", ["wild", "bold"])
+def test_so_it_is_where_right_of_way_is_counted_on(env_id, drivers):
+    """Who breaks it is named; who waits as late as may be does not come into the way."""
+    for seed in range(3):
+        env = shielded(env_id, seed, 8, ShieldConfig.for_roads(6.0, env_id != "merge-v1", True), drivers)
+        frames(env)
+        by_rule = env.door.by_rule
+        assert Breach.UNFORESEEN not in by_rule
+        assert not env.unwrapped.vehicle.crashed or by_rule
+        assert drivers == "wild" or Breach.RIGHT_OF_WAY not in by_rule
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_who_has_to_wait_and_does_not_is_named(waits):
+    """The ego goes round the ring; one comes up to it, and brakes when it must, or never."""
+    env = ShieldedEnv(gym.make("roundabout-v1"), ShieldConfig.for_roads(gives_way=True))
+    env.reset(seed=0)
+    base = env.unwrapped
+    ego, road = base.vehicle, base.road
+    ring, entry = road.network.get_lane(("se", "ex", 0)), road.network.get_lane(("eer", "ees", 0))
+    ego.position, ego.heading, ego.speed = ring.position(2.0, 0.0), ring.heading_at(2.0), 8.0
+    ego.lane_index = ego.target_lane_index = ("se", "ex", 0)
+    ego.lane, ego.route = ring, None
+    comes = Comes(road, entry.position(112.0, 0.0), entry.heading_at(0.0), 8.0)
+    comes.door, comes.waits = env.door, waits
+    road.vehicles = [ego, comes]
+    env.door.reset()
+    for _ in range(4):
+        env.step(1)
+    assert (env.door.by_rule.get(Breach.RIGHT_OF_WAY, 0) > 0) != waits
+    assert Breach.UNFORESEEN not in env.door.by_rule
+    assert not ego.crashed or not waits
+
+
+class Comes(Vehicle):
+    """Straight on at constant speed, and where it `waits` braking when it must."""
+
+    def act(self, action=None):
+        brakes = self.waits and self.door.counts_on(self)
+        super().act({"acceleration": max(-6.0, -15 * self.speed) if brakes else 0.0, "steering": 0.0})
 
 
 @pytest.mark.parametrize("env_id", ROADS)

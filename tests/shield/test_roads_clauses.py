@@ -119,3 +119,53 @@ def test_a_path_off_the_road_is_none():
     door = scene("roundabout-v0", ("ser", "ses", 0), 40.0, 8.0)
     door._alone.worlds.f[0, 0, 0] += 300.0
     assert margin(door, 2.0, 16.0) < -100
+
+
+WAITS = ShieldConfig.for_roads(gives_way=True)
+BEFORE, RING_AFTER = ("ees", "ee", 0), ("ee", "nx", 0)
+
+
+def on_ring(others, config=None):
+    """The ego on the ring, before an entry, at 8 m/s."""
+    return margin(scene("roundabout-v0", RING, 8.0, 8.0, others, config=config), 3.0, 8.0)
+
+
+def test_who_enters_a_roundabout_waits_where_that_is_assumed():
+    """And not where it is not, or one that cannot any more."""
+    comes, late = [(("eer", "ees", 0), 100.0, 8.0)], [(BEFORE, 14.0, 12.0)]
+    assert on_ring(comes) < CLEAR <= on_ring(comes, WAITS)
+    assert on_ring(late, WAITS) < CLEAR
+
+
+def test_those_with_as_much_right_of_way_or_more_do_not_wait():
+    """Who comes along the ring does not wait for an ego that enters; nor does one on the ring for one ahead of it that
+    it does not see."""
+    there = [(("sx", "se", 1), 2.0, 16.0)]
+    assert margin(scene("roundabout-v0", ENTRY, 5.0, 6.0, there, config=WAITS), 3.0, 8.0) < CLEAR
+    assert on_ring([(("we", "sx", 0), 10.0, 16.0)], WAITS) == on_ring([(("we", "sx", 0), 10.0, 16.0)])
+
+
+@pytest.mark.parametrize(("ego", "other", "waits"), [("1", "0", True), ("0", "1", False), ("0", "2", True)])
+def test_priorities_of_an_intersection_count(ego, other, waits):
+    """The road across has the right of way, and whoever comes the other way waits before it turns left."""
+    there = [((f"o{other}", f"ir{other}", 0), 60.0, 9.0)]
+    config = ShieldConfig.for_roads(6.0, gives_way=True)
+    door = scene("intersection-v0", (f"o{ego}", f"ir{ego}", 0), 99.0, 9.0, there, config=config)
+    alone = scene("intersection-v0", (f"o{ego}", f"ir{ego}", 0), 99.0, 9.0, there, config=ShieldConfig.for_roads(6.0))
+    seconds = 1.0
+    assert margin(alone, seconds, 9.0) < CLEAR
+    assert (margin(door, seconds, 9.0) >= CLEAR) == waits
+
+
+def test_they_have_time_to_react():
+    """Who has waited to react already stops where one that has not does not; who is at rest need not."""
+    clear = None
+    for s in np.arange(0.0, 3.0, 0.25):
+        door = scene("roundabout-v0", RING, 8.0, 8.0, [(BEFORE, s, 8.0)], config=WAITS)
+        fresh = margin(door, 3.0, 8.0, lenient=True)
+        door._others.gives[:] = door._road.duty.reaction
+        known = margin(door, 3.0, 8.0, lenient=True)
+        assert known >= CLEAR or fresh < CLEAR
+        if known >= CLEAR > fresh:
+            clear = s
+    assert clear is not None

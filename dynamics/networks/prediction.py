@@ -68,6 +68,8 @@ _BEFORE = 3.0
 _LAP = 250.0
 """Within this a vehicle may come by a second time [m]."""
 _ROUNDING = 1e-6
+_CREEPS, _GAIN = 3.0, 0.34
+"""Who is slower than that [m/s] can steer so hard that it gains this share of what others do, along its lane."""
 
 
 class Conduct(NamedTuple):
@@ -220,15 +222,17 @@ def _stand(subject: _Subject, lane: int, at: _Pose, low: float, high: float, bac
 
 @uncounted
 def _kept(lanes: Lanes, ways: Ways, conduct: Conduct, subject: _Subject, strips: Strips, first: int) -> int:
-    """The lanes to which a vehicle keeps: of its route, or any; how many strips there are then."""
-    count = first
+    """The lanes to which a vehicle keeps: of its route, or any; how many strips there are then. Who keeps to none but
+    such as it has not come to is still between lanes."""
+    count, some = first, False
     for lane in range(lanes.rows.shape[0]):
         if _off_route(lanes, subject, lane):
             continue
         at = _pose(lanes, ways, conduct, subject.row, lane)
         if at.within and abs(at.angle) <= _ALIGNED and abs(at.r) + at.across <= at.keep:
             count = _add(strips, first, count, _stand(subject, lane, at, -at.keep, at.keep, 0.0))
-    return count
+            some = some or at.s >= 0.0
+    return count if some else first
 
 
 @uncounted
@@ -407,7 +411,7 @@ def reach(
         cap = max(drive[i, 0], fast)
         for k in range(least.shape[1]):
             least[i, k], most[i, k] = min(back * drive[i, 1], back * drive[i, 2]), ahead * drive[i, 2]
-            back += slow * dt
+            back += slow * dt * (_GAIN if 0.0 < slow < _CREEPS else 1.0)
             ahead += fast * dt
             slow = max(slow - conduct.braking * dt, 0.0) if slow > 0 else min(slow + conduct.braking * dt, 0.0)
             fast = min(fast + conduct.acceleration * dt, cap)

@@ -1,4 +1,4 @@
-"""The commands about what hardly ever happens: certify, replay, falsify, rare."""
+"""The commands about what hardly ever happens: certify, replay, falsify, rare, attack."""
 
 from __future__ import annotations
 
@@ -163,9 +163,50 @@ def rare_command(
     )
 
 
+def attack_command(
+    setting: Annotated[str, typer.Option(help="Named environments on road networks, with commas between.")] = (
+        "roundabout,merge,exit,two-way,u-turn,intersection"
+    ),
+    drivers: Annotated[
+        str,
+        typer.Option(help="wild: throttle and steering at random; bold: as reckless as the rules permit; mixed."),
+    ] = "mixed",
+    vehicles: Annotated[int, typer.Option(min=1, help="How many of the others they drive.")] = 8,
+    episodes: Annotated[int, typer.Option(min=1, help="How many on each.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first; the others follow.")] = 0,
+    jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
+    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML; by default the road's own.")] = None,
+) -> None:
+    """Drive the traffic of road networks against the certificate, in highway-env itself.
+
+    Whatever it does is to be named by the monitor, or to do no harm. Ends with 1, and the
+    seeds, where it is not.
+    """
+    from collections import Counter
+
+    from evaluation.rare.attack import attack_many
+    from evaluation.settings import get_setting
+
+    shield_config = None if config is None else ShieldConfig.load(config)
+    table = Table("environment", "drivers", "episodes", "frames", "crashes", "rules broken", "unforeseen")
+    holes = False
+    for each in map(get_setting, setting.split(",")):
+        found = attack_many(each, drivers, episodes, seed, vehicles, jobs, shield_config)
+        rules: Counter[str] = sum((Counter(one.by_rule) for one in found), Counter())
+        seeds = [one.seed for one in found if one.unforeseen]
+        holes = holes or bool(seeds)
+        numbers = len(found), sum(one.frames for one in found), sum(one.crashed for one in found)
+        broken = ", ".join(f"{rule} {count}" for rule, count in rules.most_common())
+        table.add_row(each.name, drivers, *map(str, numbers), broken, ", ".join(map(str, seeds)) or "0")
+    _out.print(table)
+    if holes:
+        raise typer.Exit(1)
+
+
 def add_certifying(app: typer.Typer) -> None:
     """Give the application these commands."""
     app.command("certify")(certify_command)
     app.command("replay")(replay_command)
     app.command("falsify")(falsify_command)
     app.command("rare")(rare_command)
+    app.command("attack")(attack_command)

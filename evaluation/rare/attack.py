@@ -11,11 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import count
 from typing import Any
 
 import numpy as np
 from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.kinematics import Vehicle
+from joblib import Parallel, delayed
 
 from dynamics.networks.continuations import continuations_of
 from dynamics.networks.network import index_of
@@ -26,10 +28,14 @@ from shield.doors.road_door import RoadDoor
 from shield.errors import ConfigError
 from shield.roads.watch import Breach
 
-__all__ = ["DRIVERS", "Attack", "attack", "man"]
+__all__ = ["DRIVERS", "Attack", "attack", "attack_many", "man"]
 
 DRIVERS = ("wild", "bold", "mixed")
 _HELD = 2, 20
+_HIT = 8.0
+"""Whoever has crashed and is nearer to the ego was in it [m]."""
+_FRESH = 3.0
+"""A wreck of fewer seconds counts as its own doing [s]."""
 _CAUTION = 1.0
 """What a bold driver keeps to the one before it beside its own way to a standstill [m]."""
 
@@ -110,7 +116,8 @@ class Attack:
     Attributes
     ----------
     env_id, seed, drivers : to drive it again. frames : how many there were.
-    crashed : whether the ego was. by_rule : how often each rule was broken.
+    crashed : whether the ego was. blameless : whether nobody that it crashed with had broken a rule.
+    by_rule : how often each was broken.
     """
 
     env_id: str
@@ -118,12 +125,13 @@ class Attack:
     drivers: str
     frames: int
     crashed: bool
+    blameless: bool
     by_rule: dict[str, int]
 
     @property
     def unforeseen(self) -> bool:
-        """Whether the certificate had a hole: the fail-safe suffered, or the ego crashed, and nobody broke a rule."""
-        return Breach.UNFORESEEN in self.by_rule or (self.crashed and not self.by_rule)
+        """Whether the certificate had a hole: who broke no rule made the fail-safe suffer, or the ego crash."""
+        return Breach.UNFORESEEN in self.by_rule or self.blameless
 
 
 def man(env: ShieldedEnv, drivers: str, vehicles: int, seed: int) -> None:
@@ -148,6 +156,30 @@ def man(env: ShieldedEnv, drivers: str, vehicles: int, seed: int) -> None:
         driven.take(np.random.default_rng([seed, k]), env.door, period)
         driven.crashed = body.crashed
         base.road.vehicles[k], left = driven, left - 1
+
+
+def _watch_for_a_crash(base: Any, door: RoadDoor) -> list[bool]:
+    """Where, after a frame, the ego has crashed: whether nobody that it crashed with has broken a rule, in a list that
+    is empty until then."""
+    found: list[bool] = []
+    wrecks: dict[Any, int] = {}
+    step, ego, frame = base.road.step, base.vehicle, count()
+
+    def watched(dt: float) -> None:
+        now = next(frame)
+        for body in base.road.vehicles:
+            if body.crashed:
+                wrecks.setdefault(body, now)
+        step(dt)
+        if ego.crashed and not found:
+            near = [b for b in base.road.vehicles if b is not ego and np.hypot(*(b.position - ego.position)) < _HIT]
+            hit = [body for body in near if body.crashed]
+            # Who had its crash just before has slid into the way; what has lain there for long was to be seen.
+            fresh = any(now - wrecks.get(body, -np.inf) <= _FRESH / dt for body in hit)
+            found.append(not fresh and not door.culprits(hit))
+
+    base.road.step = watched
+    return found
 
 
 def attack(
@@ -179,10 +211,25 @@ def attack(
         env.reset(seed=seed)
         env.action_space.seed(seed)
         man(env, drivers, vehicles, seed)
+        blameless = _watch_for_a_crash(base, door)
         each, frames = int(base.config["simulation_frequency"] // base.config["policy_frequency"]), 0
         for _ in range(decisions):
             *_, terminated, truncated, _ = env.step(env.action_space.sample())
             frames += each
             if terminated or truncated:
                 break
-        return Attack(setting.env_id, seed, drivers, frames, bool(base.vehicle.crashed), door.by_rule)
+        return Attack(setting.env_id, seed, drivers, frames, bool(base.vehicle.crashed), any(blameless), door.by_rule)
+
+
+def attack_many(
+    setting: Setting,
+    drivers: str,
+    episodes: int,
+    seed: int,
+    vehicles: int = 8,
+    jobs: int = -1,
+    config: ShieldConfig | None = None,
+) -> list[Attack]:
+    """So many episodes of `attack`, on the seeds from one on, in so many processes (-1: one for each core)."""
+    seeds = range(seed, seed + episodes)
+    return list(Parallel(n_jobs=jobs)(delayed(attack)(setting, s, drivers, vehicles, config=config) for s in seeds))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache
 from time import perf_counter
@@ -114,6 +114,17 @@ class RoadDoor:
         brakes now, it may break the rule of the right of way (`shield.roads.watch`)."""
         return max(self._gives.get(body, {}).values(), default=0) > self._road.duty.reaction
 
+    def culprits(self, bodies: Iterable[Any]) -> set[Any]:
+        """Who of those that the ego has just crashed with had broken a rule, or has since the last frame."""
+        hit = set(bodies)
+        for body in hit:
+            body.crashed = False
+        try:
+            return self.watch.judge(self._look(), hit, self._road)
+        finally:
+            for body in hit:
+                body.crashed = True
+
     def reset(self) -> None:
         """Forget everything about the episode."""
         self._forget()
@@ -218,6 +229,8 @@ class RoadDoor:
             body=body,
             period=1 / self._frequency,
         )
+        bare = body._replace(along=length, across=width)
+        self._bare = self._road._replace(body=bare)
         self._frames = int(np.ceil((max(_ON) + _STOP) * self._frequency))
         self._trial: Trial = empty_trial(self._frames, len(network.lanes), 0)
         self._strips = _room_for(_ROOM)
@@ -228,7 +241,15 @@ class RoadDoor:
         if base.road.network is not self._network or longest_route(base) > self._alone.worlds.routes.shape[2]:
             self._furnish()
         load_ego(base, self._alone.rules, self._index, self._alone.worlds)
-        seen = read_traffic(base, self._alone.rules.network, self._index)
+        seen = self._look()
+        self._others = seen.others
+        if len(self._trial.margins) != len(seen.who):
+            self._trial = empty_trial(self._frames, len(self._road.circles), len(seen.who))
+        self._watch(seen.who)
+
+    def _look(self) -> Seen:
+        """The others, and where they can be."""
+        seen = read_traffic(self._base, self._alone.rules.network, self._index)
         m, n = len(seen.rows), len(self._road.circles)
         drive = np.zeros((m, 3))
         road = self._road
@@ -249,7 +270,7 @@ class RoadDoor:
         ranks = np.zeros(count, np.int64)
         if road.duty.gives_way:
             ranks_of(road.ways, road.rights, strips.marks[:count], ranks)
-        self._others = Others(
+        others = Others(
             rows=seen.rows,
             things=seen.things,
             marks=strips.marks[:count].copy(),
@@ -266,9 +287,7 @@ class RoadDoor:
             shut=np.zeros(count, dtype=bool),
             lanes=np.unique(strips.marks[:count, 1]),
         )
-        if len(self._trial.margins) != m:
-            self._trial = empty_trial(self._frames, n, m)
-        self._watch(seen.who)
+        return Seen(seen.who, others)
 
     def _watch(self, who: list[Any]) -> None:
         margins = None
@@ -356,12 +375,16 @@ class RoadDoor:
             self._wish = int(self._alone.worlds.g[0, TARGET, 0]), float(self._alone.worlds.f[0, TARGET_SPEED, 0])
         courses, tiers = self._courses()
         found: Choice = choose(self._alone, self._road, self._others, courses, self._trial)
+        margin, who, evades = found.margin, found.vehicle, found.innocent >= CLEAR
+        if margin < CLEAR and found.clear == 0:
+            # The buffer is gone: what is left to save is the body.
+            evades, found = False, choose(self._alone, self._bare, self._others, courses, self._trial)
         course, tier = courses[found.course], tiers[found.course]
         reason = Reason.NONE if tier is Tier.PASSED else Reason.UNVERIFIED
-        if found.margin < CLEAR:
+        if margin < CLEAR:
             reason = Reason.NO_SAFE_PLAN
-            tier = Tier.EVADED if found.innocent >= CLEAR else Tier.LARGEST_MARGIN
-        decision = Decision(-1, -1, reason, tier, float(found.margin), 0.0, vehicle=int(found.vehicle))
+            tier = Tier.EVADED if evades else Tier.LARGEST_MARGIN
+        decision = Decision(-1, -1, reason, tier, float(margin), 0.0, vehicle=int(who))
         return (course, tier), decision
 
     def _go(self, course: FloatArray, tier: Tier) -> None:

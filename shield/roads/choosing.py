@@ -15,7 +15,7 @@ from shield.roads.survey import survey
 
 __all__ = ["CLEAR", "Choice", "choose", "try_course"]
 
-_OFF = 1e3
+_OFF, _SAME = 1e3, 1e-6
 CLEAR = -1e-6
 """The least margin of a path that is clear [m]; less is more than rounding."""
 
@@ -27,6 +27,7 @@ class Choice(NamedTuple):
     ----------
     course : which of those handed in. margin : least separation [m]. vehicle : from whom, -1 for what stands or nobody.
     clear : frames until it is negative. innocent : least separation from those who have broken no rule [m].
+    speed : of the ego then, 0 where it never is [m/s].
     """
 
     course: int
@@ -34,6 +35,7 @@ class Choice(NamedTuple):
     vehicle: int
     clear: int
     innocent: float
+    speed: float
 
 
 @uncounted
@@ -55,8 +57,8 @@ def _weigh(road: Road, others: Others, found: int, lenient: bool, trial: Trial) 
     if found < 0:
         # It leaves the road, at that speed.
         when = min(when, count - 1)
-        return Choice(0, -_OFF - trial.path[when, 3], -1, when, -_OFF)
-    return Choice(0, margin, who, when, innocent)
+        return Choice(0, -_OFF - trial.path[when, 3], -1, when, -_OFF, trial.path[when, 3])
+    return Choice(0, margin, who, when, innocent, abs(trial.path[when, 3]) if when < count else 0.0)
 
 
 @uncounted
@@ -68,12 +70,21 @@ def try_course(alone: Alone, road: Road, others: Others, row: FloatArray, lenien
 @inlined
 def _better(a: Choice, b: Choice) -> bool:
     """Whether a course is to be preferred to another: one that is clear of all, or else of all who have broken no rule;
-    that is clear for longer; or has the larger margin."""
+    that is clear for longer; that is slower when it is no longer; or has the larger margin."""
     if (a.margin >= CLEAR) != (b.margin >= CLEAR):
         return a.margin >= CLEAR
     if (a.innocent >= CLEAR) != (b.innocent >= CLEAR):
         return a.innocent >= CLEAR
-    return a.clear > b.clear or (a.clear == b.clear and a.margin > b.margin)
+    if a.clear != b.clear:
+        return a.clear > b.clear
+    if abs(a.speed - b.speed) > _SAME:
+        return a.speed < b.speed
+    return a.margin > b.margin
+
+
+@inlined
+def _at(found: Choice, k: int) -> Choice:
+    return Choice(k, found.margin, found.vehicle, found.clear, found.innocent, found.speed)
 
 
 @uncounted
@@ -81,17 +92,17 @@ def choose(alone: Alone, road: Road, others: Others, courses: FloatArray, trial:
     """The first of the courses, rows (c, 6), whose path stays clear of everybody; else the first that does of all but
     those who owe the ego their distance; else the best of them, see `_better`. `trial` is then
     what comes of it."""
-    best = Choice(-1, -np.inf, -1, -1, -np.inf)
+    best = Choice(-1, -np.inf, -1, -1, -np.inf, np.inf)
     for k in range(courses.shape[0]):
         way = _follow(alone, road, others, courses[k], trial)
         found = _weigh(road, others, way, False, trial)
         if found.margin >= CLEAR:
-            return Choice(k, found.margin, found.vehicle, found.clear, found.innocent)
+            return _at(found, k)
         if best.margin >= CLEAR:
             continue
         found = _weigh(road, others, way, True, trial)
         if _better(found, best):
-            best = Choice(k, found.margin, found.vehicle, found.clear, found.innocent)
+            best = _at(found, k)
     if best.course >= 0:
         try_course(alone, road, others, courses[best.course], True, trial)
     return best

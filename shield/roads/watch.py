@@ -3,8 +3,8 @@
 What a vehicle may do from one frame to the next (`dynamics.networks.prediction` bounds what comes of it for all time):
 
 1. *speed*: brake and accelerate no harder than `Conduct` says, and no further than to the limit of the lanes before it;
-2. *ways*: be where one of its strips says, along it and across, and with its body no further out. It may take another
-   lane where that leaves the room for the ego's fail-safe;
+2. *ways*: be where one of its strips says, along it and across, with its body no further out, and on the way back to
+   the middle. It may take another lane where that leaves the room for the ego's fail-safe;
 3. *reversing*: not go backwards where the ego's fail-safe suffers;
 4. *no crash*;
 5. *right of way*: where that is assumed, whoever has been counted on to wait for the ego, and has had the time to
@@ -23,14 +23,14 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.networks.prediction import FAR, HALF, HIGH, LOW, NEAR
+from dynamics.networks.prediction import BACK, FAR, HALF, HIGH, KEEP, LOW, NEAR
 from dynamics.state import BoolArray, FloatArray
 from shield.roads.choosing import CLEAR
 from shield.roads.room import Others, Road
 
 __all__ = ["Breach", "Seen", "Watch", "behind"]
 
-_SLACK, _PLACE = 1e-6, 1e-3
+_SLACK, _PLACE = 1e-6, 1e-6
 
 
 class Breach(StrEnum):
@@ -62,12 +62,14 @@ class Watch:
     last : the scene seen last; None before the first.
     breaking : who was breaking which rule in it. offenders : who has broken one, and is in the way of the fail-safe.
     by_rule : how often each rule has been broken; frame after frame by the same vehicle counts once.
+    culprits : who has ever broken one.
     """
 
     last: Seen | None = None
     breaking: dict[Any, set[Breach]] = field(default_factory=dict)
     offenders: set[Any] = field(default_factory=set)
     by_rule: dict[Breach, int] = field(default_factory=dict)
+    culprits: set[Any] = field(default_factory=set)
 
     @property
     def count(self) -> int:
@@ -91,6 +93,7 @@ class Watch:
         for body in last.who:
             if body not in there and getattr(body, "crashed", False):
                 self.by_rule[Breach.CRASH] = self.by_rule.get(Breach.CRASH, 0) + 1
+                self.culprits.add(body)
         for i, body in enumerate(now.who):
             suffers = margins is not None and bool(margins[i] < CLEAR)
             j = before.get(body)
@@ -103,6 +106,7 @@ class Watch:
                     broken = {Breach.UNFORESEEN}
             if broken:
                 breaking[body] = broken
+                self.culprits.add(body)
                 for rule in broken - self.breaking.get(body, set()):
                     self.by_rule[rule] = self.by_rule.get(rule, 0) + 1
             if suffers:
@@ -110,6 +114,17 @@ class Watch:
             else:
                 self.offenders.discard(body)
         self.breaking = breaking
+
+    def judge(self, now: Seen, who: set[Any], road: Road) -> set[Any]:
+        """Who of these has broken a rule so far, or does from the scene seen last to this one, wherever it is."""
+        found = who & self.culprits
+        if self.last is not None:
+            before = {body: i for i, body in enumerate(self.last.who)}
+            for i, body in enumerate(now.who):
+                j = before.get(body)
+                if body in who and (j is None or self._broken(self.last.others, j, now.others, i, road, True)):
+                    found.add(body)
+        return found
 
     def _broken(self, old: Others, j: int, new: Others, i: int, road: Road, suffers: bool) -> set[Breach]:
         broken, conduct, dt = set(), road.conduct, road.period
@@ -138,7 +153,11 @@ def _inside(old: Others, j: int, new: Others, i: int) -> bool:
         rows = old.numbers[mine[old.marks[mine, 1] == new.marks[k, 1]]]
         along = (-row[FAR] >= least - rows[:, FAR] - _PLACE) & (-row[NEAR] <= most - rows[:, NEAR] + _PLACE)
         across = (row[LOW] >= rows[:, LOW] - _PLACE) & (row[HIGH] <= rows[:, HIGH] + _PLACE)
-        if not (along & across & (row[HALF] <= rows[:, HALF] + _PLACE)).any():
+        # Who is beside the middle has to be back there after as much way as before.
+        settles = (max(row[HIGH], -row[LOW]) <= row[KEEP]) | (
+            row[BACK] - row[NEAR] <= rows[:, BACK] - rows[:, NEAR] + _PLACE
+        )
+        if not (along & across & settles & (row[HALF] <= rows[:, HALF] + _PLACE)).any():
             return False
     return True
 

@@ -193,9 +193,10 @@ def _add(strips: Strips, first: int, count: int, strip: _Strip) -> int:
         row = numbers[j]
         same = abs(row[NEAR] - strip.near) < _ROUNDING and abs(row[FAR] - strip.far) < _ROUNDING
         same = same and row[LOW] <= strip.low + _ROUNDING and row[HIGH] >= strip.high - _ROUNDING
+        if same and marks[j, 2] >= 0 and marks[j, 2] != strip.parent:
+            marks[j, 2] = SEVERAL
+        # Who comes by after a lap has come by before.
         if same or strip.near > _LAP:
-            if marks[j, 2] >= 0 and marks[j, 2] != strip.parent:
-                marks[j, 2] = SEVERAL
             return count
     if count < len(marks):
         marks[count, 0], marks[count, 1], marks[count, 2] = strip.vehicle, strip.lane, strip.parent

@@ -10,11 +10,15 @@ import numpy as np
 import pytest
 from highway_env.vehicle.kinematics import Vehicle
 from input_scenes import gap
+from typer.testing import CliRunner
 
-from evaluation.rare.attack import man
+from evaluation.commands.cli import app
+from evaluation.rare.attack import attack, man
+from evaluation.settings import Setting
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.decision import Reason, Tier
 from shield.doors.road_door import RoadDoor
+from shield.errors import ConfigError
 from shield.roads.watch import Breach
 
 ROADS = ("roundabout-v1", "merge-v1", "exit-v0", "two-way-v0", "u-turn-v1", "intersection-v2")
@@ -166,6 +170,35 @@ def test_both_doors_decide_alike():
             obs, *_ = env.step(policy.predict(obs)[0])
         driven.append(env.unwrapped.vehicle.position.tolist())
     assert driven[0] == driven[1]
+
+
+@pytest.mark.parametrize(
+    ("env_id", "seed", "drivers"),
+    [
+        ("two-way-v0", 125, "bold"),
+        ("u-turn-v1", 111, "bold"),
+        ("roundabout-v1", 131, "mixed"),
+        ("intersection-v2", 128, "mixed"),
+        ("roundabout-v1", 241, "bold"),
+    ],
+)
+def test_holes_that_attacks_have_found_are_closed(env_id, seed, drivers):
+    found = attack(Setting(env_id, env_id), seed, drivers)
+    assert not found.unforeseen
+    assert found.frames > 0
+
+
+def test_an_attack_asks_for_what_it_can_drive():
+    with pytest.raises(ConfigError, match="have wild, bold, mixed"):
+        attack(Setting("merge", "merge-v1"), 0, "tame")
+    with pytest.raises(ConfigError, match="no road network with meta-actions"):
+        attack(Setting("highway", "highway-fast-v0"), 0, "wild")
+
+
+def test_the_command_says_what_came_of_it():
+    result = CliRunner().invoke(app, ["attack", "--setting", "merge", "--episodes", "1", "--jobs", "1"])
+    assert result.exit_code == 0, result.output
+    assert "merge" in result.output
 
 
 class Always:

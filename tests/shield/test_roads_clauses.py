@@ -13,6 +13,7 @@ from dynamics.networks.prediction import Conduct, reach
 from shield import ShieldConfig
 from shield.doors.road_door import RoadDoor
 from shield.roads.choosing import CLEAR, try_course
+from shield.roads.watch import Breach, Watch
 
 HARD = 9.8
 
@@ -81,7 +82,8 @@ def test_those_behind_see_the_ego_in_their_own_lane_only():
 
 
 def test_they_may_accelerate():
-    """Bounds on the way are those of the hardest braking and acceleration, frame by frame."""
+    """Bounds on the way are those of the hardest braking and acceleration, frame by frame; one that creeps may steer so
+    hard that it gains less."""
     rows, drive = np.array([[0.0, 0.0, 0.0, 10.0, 5.0, 2.0, 0.0]]), np.array([[14.0, 1.0, 1.0]])
     least, most = np.zeros((1, 60)), np.zeros((1, 60))
     reach(Conduct(6.0, 3.0, 30.0, 0.6, 0.15), rows, drive, 0.1, least, most)
@@ -89,7 +91,8 @@ def test_they_may_accelerate():
         speed, way = 10.0, 0.0
         for k in range(60):
             assert bound[0, k] == pytest.approx(way)
-            way, speed = way + speed * 0.1, min(max(speed + rate * 0.1, low), high)
+            gained = 0.34 if bound is least and speed < 3.0 else 1.0
+            way, speed = way + gained * speed * 0.1, min(max(speed + rate * 0.1, low), high)
 
 
 def test_one_that_has_to_come_over_does_not_wait():
@@ -113,6 +116,44 @@ def test_the_buffer_is_kept():
     room = 2.5 + 2.7 + 2.0
     least = [margin(scene("merge-v0", lane, 60.0, 0.0, [(lane, 60.0 + room + d, 0.0)]), 0.0, 0.0) for d in (-0.3, 0.3)]
     assert least[0] < CLEAR <= least[1]
+
+
+def test_who_is_about_to_leave_its_lane_is_still_in_it():
+    """Two metres before the end of its lane a vehicle may begin to turn into the next, and comes into it from there."""
+    door = scene("intersection-v0", ("o1", "ir1", 0), 10.0, 0.0, [(("o0", "ir0", 0), 98.0, 1.0)])
+    marks = door._others.marks
+    lanes = [door._names[lane] for lane in marks[:, 1]]
+    own = lanes.index(("o0", "ir0", 0))
+    assert marks[own, 2] == -1
+    for lane in ("il1", "il2", "il3"):
+        assert marks[lanes.index(("ir0", lane, 0)), 2] == own
+
+
+def test_who_is_beside_its_lane_comes_back():
+    """One that stays astride, straight on, has not broken any other rule."""
+    lane, seen = ("a", "b", 0), []
+    door = scene("merge-v0", lane, 150.0, 0.0, [(lane, 20.0, 15.0)])
+    base = door._base
+    body = base.road.vehicles[1]
+    for k in range(2):
+        body.position = base.road.network.get_lane(lane).position(20.0 + k, -1.2)
+        seen.append(door._look())
+    for clear, broken in (({body}, {Breach.WAYS: 1}), (set(), {})):
+        watch = Watch()
+        for k in range(2):
+            watch.next(seen[k], clear, np.array([-1.0]), door._road)
+        assert watch.by_rule == broken
+
+
+@pytest.mark.parametrize("gap", [9.0, 12.0, 15.0])
+def test_the_last_resort_brakes(gap):
+    """So near behind a slower one that nothing is verified, the buffer gone or not."""
+    lane = ("a", "b", 1)
+    door = scene("two-way-v0", lane, 60.0, 30.0, [(lane, 60.0 + gap, 20.0)])
+    assert not door.decide(3).tier.verified
+    command, decision = door.frame()
+    assert not decision.tier.verified
+    assert command["acceleration"] < -9.0
 
 
 def test_a_path_off_the_road_is_none():

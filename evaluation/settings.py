@@ -57,8 +57,9 @@ class Setting:
         config: what differs from the environment's default configuration; in highway-env's units
             (speeds in m/s, frequencies in Hz, durations in s). Read-only.
         description: one line for people.
-        road: whether it is a road or a parking lot that shields can read, so that none and full are compared on it
-            unless others are asked for; on roads that branch (a roundabout) they stop with an error.
+        road: whether it is a road or a parking lot that shields can read by their own settings, so that none and full
+            are compared on it unless others are asked for; on networks with throttle and steering they stop with an
+            error.
     """
 
     name: str
@@ -252,19 +253,17 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
                 "roundabout-v0",
                 {},
                 "roundabout-v0 as it comes: meta-actions at 1 Hz, target speeds 0, 8 and 16 m/s, 15 Hz, 11 s",
-                road=False,
             ),
-            Setting("merge", "merge-v0", {}, "merge-v0 as it comes: meta-actions at 1 Hz, 15 Hz, to 370 m", road=False),
+            Setting("merge", "merge-v0", {}, "merge-v0 as it comes: meta-actions at 1 Hz, 15 Hz, to 370 m"),
             Setting(
                 "intersection",
                 "intersection-v0",
                 {},
                 "intersection-v0 as it comes: slower, idle, faster at 1 Hz, targets 0, 4.5 and 9 m/s, 15 Hz, 13 s",
-                road=False,
             ),
-            Setting("exit", "exit-v0", {}, "exit-v0 as it comes: meta-actions at 1 Hz, 5 Hz, 18 s", road=False),
-            Setting("two-way", "two-way-v0", {}, "two-way-v0 as it comes: meta-actions at 1 Hz, 15 Hz", road=False),
-            Setting("u-turn", "u-turn-v0", {}, "u-turn-v0 as it comes: meta-actions at 1 Hz, 15 Hz, 10 s", road=False),
+            Setting("exit", "exit-v0", {}, "exit-v0 as it comes: meta-actions at 1 Hz, 5 Hz, 18 s"),
+            Setting("two-way", "two-way-v0", {}, "two-way-v0 as it comes: meta-actions at 1 Hz, 15 Hz"),
+            Setting("u-turn", "u-turn-v0", {}, "u-turn-v0 as it comes: meta-actions at 1 Hz, 15 Hz, 10 s"),
             *(
                 Setting(
                     f"{road}-continuous",
@@ -307,14 +306,12 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
                 "merge-v0",
                 {**_HANOI, "duration": 50},
                 "HanoiWorld's merge: meta-actions at 5 Hz, 15 Hz",
-                road=False,
             ),
             Setting(
                 "hanoi-roundabout",
                 "roundabout-v0",
                 {**_HANOI, "duration": 15},
                 "HanoiWorld's roundabout: meta-actions at 5 Hz, 15 Hz, 15 s",
-                road=False,
             ),
             Setting(
                 "complex-roads",

@@ -177,7 +177,7 @@ def evaluate(
 
     from evaluation.learning.normalised_model import statistics_beside
     from evaluation.running.episodes import run_paired
-    from evaluation.running.records import make_variants
+    from evaluation.running.records import config_on, make_variants
     from evaluation.running.store import Store, provenance
 
     shield_config = None if config is None else ShieldConfig.load(config)
@@ -210,7 +210,7 @@ def evaluate(
             run_paired(
                 each,
                 driver,
-                make_variants(_shields(shield, each.road), doors, shield_config),
+                make_variants(_shields(shield, each.road), doors, shield_config or config_on(each)),
                 range(seed, seed + episodes),
                 jobs=jobs,
                 algorithm=algorithm,

@@ -6,11 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from evaluation.settings import Setting
 from shield.config import ShieldConfig
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError
+from shield.roads.reading import default_on, has_crossings
 
-__all__ = ["DOORS", "EpisodeRecord", "Variant", "make_variants", "variant_for"]
+__all__ = ["DOORS", "EpisodeRecord", "Variant", "config_on", "make_variants", "variant_for"]
 
 DOORS = ("none", "env", "policy", "actions")
 """No shield; `ShieldedEnv`; `Shield`; `Shield` with actions alone, `frames=False`."""
@@ -43,6 +45,19 @@ def variant_for(config: ShieldConfig) -> Variant:
     """The shield that a configuration is made for: `ShieldedEnv`, or `Shield` with actions alone where the traffic is
     simulated."""
     return Variant("actions" if config.assumptions.simulated else "env", config)
+
+
+def config_on(setting: Setting) -> ShieldConfig | None:
+    """What a shield has on a network of roads with meta-actions where no settings are given: those for its traffic.
+    None elsewhere."""
+    env = setting.make()
+    try:
+        base: Any = env.unwrapped
+        if base.road is None:
+            env.reset(seed=0)
+        return default_on(base) if has_crossings(base) and hasattr(base.action_type, "actions_indexes") else None
+    finally:
+        env.close()
 
 
 def make_variants(modes: Sequence[str], doors: Sequence[str], config: ShieldConfig | None = None) -> list[Variant]:

@@ -105,11 +105,15 @@ def alone_on(base: Any) -> Alone:
 
 
 @uncounted
-def drive(alone: Alone, course: Course, path: FloatArray, first: FloatArray, bound: IntArray, own: IntArray) -> int:
+def drive(
+    alone: Alone, course: Course, over: IntArray, path: FloatArray, first: FloatArray, bound: IntArray, own: IntArray
+) -> int:
     """Follow a course from the present.
 
     Parameters
     ----------
+    over : for each lane the one that one has to come over to, because it ends, -1 for none (`Ways`); nobody turns
+        aside into one that ends.
     path : (K + 1, 4), written: x, y [m], heading [rad], speed [m/s].
     first : acceleration [m/s^2] and front wheel angle [rad] in the first frame, (2,), written.
     bound, own : the lane that it is bound for in each frame, and the one that it is on, (K + 1,), written.
@@ -134,8 +138,9 @@ def drive(alone: Alone, course: Course, path: FloatArray, first: FloatArray, bou
             lane = g[TARGET, 0]
             ids = rules.network.ids
             index = ids[lane, ID] + course.aside
-            if 0 <= index < ids[lane, COUNT] and ids[lane, ROAD] == ids[g[LANE, 0], ROAD]:
-                g[TARGET, 0] = ids[lane, FIRST] + index
+            beside = ids[lane, FIRST] + index
+            if 0 <= index < ids[lane, COUNT] and ids[lane, ROAD] == ids[g[LANE, 0], ROAD] and over[beside] < 0:
+                g[TARGET, 0] = beside
         intend(alone.machine, worlds, rules, alone.work, 1)
         speed = f[SPEED, 0]
         if k - 1 >= course.frames:

@@ -42,7 +42,7 @@ class Choice(NamedTuple):
 def _follow(alone: Alone, road: Road, others: Others, row: FloatArray, trial: Trial) -> int:
     """Drive a course, a row of `Course`, and survey its path; what `drive` returns."""
     course = Course(int(row[0]), row[1], row[2], int(row[3]), int(row[4]), row[5])
-    found = drive(alone, course, trial.path, trial.first, trial.bound, trial.own)
+    found = drive(alone, course, road.ways.over, trial.path, trial.first, trial.bound, trial.own)
     count, room = abs(found), (trial.points, trial.boxes, trial.seen, trial.met)
     survey(road.lanes, road.circles, others.lanes, trial.path, count, road.body, road.period, *room)
     return found

@@ -152,6 +152,15 @@ def test_the_ego_drives():
     assert env.unwrapped.vehicle.position[0] > 250
 
 
+@pytest.mark.parametrize("action", [3, None])
+def test_it_does_not_stand_for_good(action):
+    """merge-v1 has no time limit: it ends where the road does."""
+    for seed in (6002, 6012):
+        env = shielded("merge-v1", seed)
+        ended = (any(env.step(env.action_space.sample() if action is None else action)[2:4]) for _ in range(60))
+        assert any(ended)
+
+
 def test_what_is_taken_instead_is_verified_too():
     tiers = {decision.tier for seed in range(3) for _, decision, _ in frames(shielded("roundabout-v1", seed), 3)}
     assert {Tier.PASSED, Tier.GOVERNED} <= tiers

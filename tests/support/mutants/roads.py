@@ -115,5 +115,12 @@ ROADS = (
         "        return False\n",
         _CLAUSES,
     ),
+    off(
+        "it turns into a lane that ends",
+        "shield/doors/road_door.py",
+        "self._refused = bool(over[lane] >= 0 > over[before])",
+        "self._refused = False",
+        _CLAUSES,
+    ),
     off("the ego leaves the road", "shield/roads/choosing.py", "    if found < 0:\n", "    if False:\n", _CLAUSES),
 )

@@ -97,7 +97,6 @@ class RoadDoor:
         self._stored: FloatArray | None = None
         self._clear: set[Any] = set()
         self._wish: tuple[int, float] | None = None
-        self._refused = False
         self._ready: tuple[tuple[FloatArray, Tier], Decision] | None = None
 
     @property
@@ -149,7 +148,7 @@ class RoadDoor:
                 decision = replace(decision, reason=Reason.BAD_ACTION, tier=Tier.ALTERNATIVE)
         except Exception as error:
             reason, self.cause = why_unread(error)
-            self._wish, self._refused, proposed = None, False, self._idle()
+            self._wish, proposed = None, self._idle()
             decision = Decision(shown, proposed, reason, Tier.EMERGENCY, np.nan, 0.0)
         return replace(decision, proposed=shown, executed=proposed, latency=perf_counter() - start)
 
@@ -180,26 +179,21 @@ class RoadDoor:
         SceneError
             If the scene cannot be read.
         """
-        kept = self._wish, self._refused
+        kept = self._wish
         mask = np.zeros(len(self._base.action_type.actions), dtype=bool)
         self._read()
         for action in range(len(mask)):
             load_ego(self._base, self._alone.rules, self._index, self._alone.worlds)
             self._intend(action)
             mask[action] = self._choose()[0][1] is Tier.PASSED
-        self._wish, self._refused = kept
+        self._wish = kept
         return mask if mask.any() else np.ones_like(mask)
 
     def _intend(self, action: int) -> None:
-        """Take a meta-action for what is wished from now on; not a turn into a lane that ends, from one that does not:
-        before its end the ego would stand for good."""
-        alone, over = self._alone, self._road.ways.over
-        f, g = alone.worlds.f[0], alone.worlds.g[0]
-        before = int(g[TARGET, 0])
+        """Take a meta-action for what is wished from now on."""
+        alone = self._alone
         command(alone.machine, alone.worlds, alone.rules, 0, 0, action)
-        lane, speed = int(g[TARGET, 0]), float(f[TARGET_SPEED, 0])
-        self._refused = bool(over[lane] >= 0 > over[before])
-        self._wish = before if self._refused else lane, speed
+        self._wish = int(alone.worlds.g[0, TARGET, 0]), float(alone.worlds.f[0, TARGET_SPEED, 0])
 
     def _idle(self) -> int:
         labels = self._base.action_type.actions_indexes
@@ -379,8 +373,6 @@ class RoadDoor:
         if self._wish is None:
             self._wish = int(self._alone.worlds.g[0, TARGET, 0]), float(self._alone.worlds.f[0, TARGET_SPEED, 0])
         courses, tiers = self._courses()
-        if self._refused:
-            tiers = [Tier.GOVERNED] * len(tiers)
         found: Choice = choose(self._alone, self._road, self._others, courses, self._trial)
         margin, who, evades = found.margin, found.vehicle, found.innocent >= CLEAR
         if margin < CLEAR and found.clear == 0:

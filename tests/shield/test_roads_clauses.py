@@ -11,7 +11,6 @@ from highway_env.vehicle.objects import Obstacle
 
 from dynamics.networks.prediction import Conduct, reach
 from shield import ShieldConfig
-from shield.decision import Tier
 from shield.doors.road_door import RoadDoor
 from shield.roads.choosing import CLEAR, try_course
 from shield.roads.watch import Breach, Watch
@@ -146,16 +145,15 @@ def test_who_is_beside_its_lane_comes_back():
         assert watch.by_rule == broken
 
 
-def test_it_does_not_turn_into_a_lane_that_ends():
-    """Before its end the ego would stand for good; in the lane beside it may be."""
-    lane, right = ("b", "c", 1), 2
-    door = scene("merge-v0", lane, 20.0, 20.0)
-    assert door.decide(right).tier is Tier.GOVERNED
-    door.frame()
-    assert door._base.vehicle.target_lane_index == lane
-    assert not door.mask()[right]
-    free = scene("merge-v0", ("b", "c", 0), 20.0, 20.0)
-    assert free.decide(right).tier is Tier.PASSED
+def test_it_does_not_turn_aside_into_a_lane_that_ends():
+    """Before its end the ego would stand for good."""
+    door = scene("merge-v0", ("b", "c", 1), 20.0, 20.0)
+    lanes = []
+    for aside in (-1, 1):
+        row = np.array([door._index["b", "c", 1], 20.0, 1e3, 5, aside, HARD], float)
+        try_course(door._alone, door._road, door._others, row, False, door._trial)
+        lanes.append(door._names[int(door._trial.bound[10])])
+    assert lanes == [("b", "c", 0), ("b", "c", 1)]
 
 
 @pytest.mark.parametrize("gap", [9.0, 12.0, 15.0])

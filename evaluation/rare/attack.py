@@ -116,7 +116,8 @@ class Attack:
     Attributes
     ----------
     env_id, seed, drivers : to drive it again. frames : how many there were.
-    crashed : whether the ego was. blameless : whether nobody that it crashed with had broken a rule.
+    crashed : whether the ego was. blameless : whether nobody that it crashed with had broken a rule, nor had anybody
+        else come into the way of what was verified last.
     by_rule : how often each was broken.
     """
 
@@ -159,8 +160,7 @@ def man(env: ShieldedEnv, drivers: str, vehicles: int, seed: int) -> None:
 
 
 def _watch_for_a_crash(base: Any, door: RoadDoor) -> list[bool]:
-    """Where, after a frame, the ego has crashed: whether nobody that it crashed with has broken a rule, in a list that
-    is empty until then."""
+    """Whether the ego was `Attack.blameless`, in a list that is empty until it crashes."""
     found: list[bool] = []
     wrecks: dict[Any, int] = {}
     step, ego, frame = base.road.step, base.vehicle, count()
@@ -176,7 +176,7 @@ def _watch_for_a_crash(base: Any, door: RoadDoor) -> list[bool]:
             hit = [body for body in near if body.crashed]
             # Who had its crash just before has slid into the way; what has lain there for long was to be seen.
             fresh = any(now - wrecks.get(body, -np.inf) <= _FRESH / dt for body in hit)
-            found.append(not fresh and not door.culprits(hit))
+            found.append(not (fresh or door.disturbed or door.culprits(hit)))
 
     base.road.step = watched
     return found

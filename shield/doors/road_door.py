@@ -73,6 +73,7 @@ class RoadDoor:
     ----------
     cause : why the scene of the last decision could not be read, "" where it could.
     watch : what has been seen of the others.
+    disturbed : whether one who has broken a rule has been in the way of what was verified last.
     """
 
     supervising = True
@@ -97,6 +98,7 @@ class RoadDoor:
         self._stored: FloatArray | None = None
         self._clear: set[Any] = set()
         self._wish: tuple[int, float] | None = None
+        self.disturbed = False
         self._ready: tuple[tuple[FloatArray, Tier], Decision] | None = None
 
     @property
@@ -297,6 +299,7 @@ class RoadDoor:
             margins = self._trial.margins
         first = self.watch.last is None
         self.watch.next(Seen(who, self._others), self._clear, margins, self._road)
+        self.disturbed = self.disturbed or bool(self.watch.offenders)
         self._others.offends[:] = [body in self.watch.offenders for body in who]
         if first:
             # Whoever is behind when it all begins has seen the ego for long.
@@ -391,6 +394,7 @@ class RoadDoor:
         # trial holds what comes of the course that was chosen.
         who = self.watch.last.who if self.watch.last is not None else []
         self._clear = set(who) if tier.verified else set()
+        self.disturbed = self.disturbed and not tier.verified
         self._owe(tier.verified)
         if self._road.duty.gives_way:
             self._give_way(tier.verified)

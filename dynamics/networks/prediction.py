@@ -68,6 +68,8 @@ _BEFORE = 3.0
 _LAP = 250.0
 """Within this a vehicle may come by a second time [m]."""
 _ROUNDING = 1e-6
+_DRIFT = 6.0
+"""How far out of the middle of an arc one drifts, times its radius [m^2]."""
 _CREEPS, _GAIN = 3.0, 0.34
 """Who is slower than that [m/s] can steer so hard that it gains this share of what others do, along its lane."""
 
@@ -170,7 +172,7 @@ def _keep(lanes: Lanes, lane: int, row: FloatArray, conduct: Conduct) -> float:
     """How far a body reaches to either side that keeps to the middle of a lane, and on an arc how much further its
     corners do [m]."""
     length = row[_LENGTH]
-    return 0.5 * row[_WIDTH] + conduct.sway + _curvature(lanes, lane) * length * length / 8
+    return 0.5 * row[_WIDTH] + conduct.sway + _curvature(lanes, lane) * (length * length / 8 + _DRIFT)
 
 
 @uncounted
@@ -179,7 +181,7 @@ def _pose(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, lane: int
     long, keep = lanes.rows[lane, LANE_LENGTH], _keep(lanes, lane, row, conduct)
     angle = wrap_to_pi(row[2] - heading_at(lanes, lane, min(max(s, 0.0), long)))
     across = 0.5 * (row[_LENGTH] * abs(math.sin(angle)) + row[_WIDTH] * abs(math.cos(angle)))
-    across += keep - conduct.sway - 0.5 * row[_WIDTH]
+    across += _curvature(lanes, lane) * row[_LENGTH] * row[_LENGTH] / 8
     return _Pose(s, r, angle, across, keep, ways.entries[lane, 0] - _BEFORE <= s <= long)
 
 

@@ -1,0 +1,44 @@
+"""How often highway-env's own traffic breaks the right of way where a shield counts on it.
+
+Run `python benchmarks/right_of_way.py`; it takes a minute.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+
+from evaluation.measuring.statistics import wilson
+from shield import ShieldConfig, ShieldedEnv
+from shield.doors.road_door import RoadDoor
+from shield.roads.watch import Breach
+
+EPISODES, FIRST, LONGEST = 25, 5_200, 40
+ROADS = (("roundabout-v1", 3.0, 3), ("merge-v1", 3.0, 3), ("intersection-v2", 6.0, 2))
+"""Environment, the hardest acceleration of its traffic [m/s^2], and the number of FASTER."""
+
+
+def main() -> None:
+    """Drive always FASTER, and print the share of episodes with a breach."""
+    for env_id, acceleration, faster in ROADS:
+        looks_ahead = env_id != "merge-v1"
+        env = ShieldedEnv(gym.make(env_id), ShieldConfig.for_roads(acceleration, looks_ahead, gives_way=True))
+        door, broken, rules = env.door, 0, Counter[str]()
+        assert isinstance(door, RoadDoor)
+        for seed in range(FIRST, FIRST + EPISODES):
+            env.reset(seed=seed)
+            for _ in range(LONGEST):
+                *_, terminated, truncated, _ = env.step(faster)
+                if terminated or truncated:
+                    break
+            found = door.watch.by_rule
+            broken += Breach.RIGHT_OF_WAY in found
+            rules.update({str(rule): count for rule, count in found.items()})
+        share = wilson(broken, EPISODES)
+        print(f"{env_id}: {broken} of {EPISODES} episodes [{share.low:.0%}, {share.high:.0%}]; {dict(rules)}")
+
+
+if __name__ == "__main__":
+    main()

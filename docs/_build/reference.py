@@ -55,6 +55,7 @@ INTERNAL = frozenset(
         "dynamics.networks.live",
         "dynamics.networks.network",
         "dynamics.networks.refusals",
+        "dynamics.networks.rights",
         "dynamics.networks.routes",
         "dynamics.slices",
         "dynamics.simulator.arithmetic",

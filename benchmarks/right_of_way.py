@@ -6,25 +6,28 @@ Run `python benchmarks/right_of_way.py`; it takes a minute.
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 
 from evaluation.measuring.statistics import wilson
-from shield import ShieldConfig, ShieldedEnv
+from shield import ShieldedEnv
 from shield.doors.road_door import RoadDoor
+from shield.roads.reading import default_on
 from shield.roads.watch import Breach
 
 EPISODES, FIRST, LONGEST = 25, 5_200, 40
-ROADS = (("roundabout-v1", 3.0, 3), ("merge-v1", 3.0, 3), ("intersection-v2", 6.0, 2))
-"""Environment, the hardest acceleration of its traffic [m/s^2], and the number of FASTER."""
+ROADS = (("roundabout-v1", 3), ("merge-v1", 3), ("intersection-v2", 2))
+"""Environment, and the number of FASTER."""
 
 
 def main() -> None:
     """Drive always FASTER, and print the share of episodes with a breach."""
-    for env_id, acceleration, faster in ROADS:
-        looks_ahead = env_id != "merge-v1"
-        env = ShieldedEnv(gym.make(env_id), ShieldConfig.for_roads(acceleration, looks_ahead, gives_way=True))
+    for env_id, faster in ROADS:
+        raw = gym.make(env_id)
+        config = default_on(raw.unwrapped)
+        env = ShieldedEnv(raw, config.replace(assumptions=replace(config.assumptions, gives_way=True)))
         door, broken, rules = env.door, 0, Counter[str]()
         assert isinstance(door, RoadDoor)
         for seed in range(FIRST, FIRST + EPISODES):

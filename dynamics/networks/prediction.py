@@ -50,6 +50,7 @@ of the body along it; the least s of the middle of the body; the way after which
 lanes, which has come from beside them; and half of the band in which it is then."""
 STRIP = 8
 SEVERAL = -2
+"""Stands for several strips that lead to one."""
 ALWAYS = 1e9
 """Stands for as far as the road goes [m]."""
 
@@ -168,11 +169,15 @@ def _curvature(lanes: Lanes, lane: int) -> float:
 
 
 @uncounted
+def _bulge(lanes: Lanes, lane: int, row: FloatArray) -> float:
+    """How much further the corners of a body reach on an arc [m]."""
+    return _curvature(lanes, lane) * row[_LENGTH] * row[_LENGTH] / 8
+
+
+@uncounted
 def _keep(lanes: Lanes, lane: int, row: FloatArray, conduct: Conduct) -> float:
-    """How far a body reaches to either side that keeps to the middle of a lane, and on an arc how much further its
-    corners do [m]."""
-    length = row[_LENGTH]
-    return 0.5 * row[_WIDTH] + conduct.sway + _curvature(lanes, lane) * (length * length / 8 + _DRIFT)
+    """How far a body reaches to either side that keeps to the middle of a lane; on an arc it drifts, too [m]."""
+    return 0.5 * row[_WIDTH] + conduct.sway + _bulge(lanes, lane, row) + _curvature(lanes, lane) * _DRIFT
 
 
 @uncounted
@@ -181,7 +186,7 @@ def _pose(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, lane: int
     long, keep = lanes.rows[lane, LANE_LENGTH], _keep(lanes, lane, row, conduct)
     angle = wrap_to_pi(row[2] - heading_at(lanes, lane, min(max(s, 0.0), long)))
     across = 0.5 * (row[_LENGTH] * abs(math.sin(angle)) + row[_WIDTH] * abs(math.cos(angle)))
-    across += _curvature(lanes, lane) * row[_LENGTH] * row[_LENGTH] / 8
+    across += _bulge(lanes, lane, row)
     return _Pose(s, r, angle, across, keep, ways.entries[lane, 0] - _BEFORE <= s <= long)
 
 

@@ -204,13 +204,16 @@ def evaluate(
     for name in policies:
         if name.endswith(".zip") and (statistics := statistics_beside(Path(name))):
             _err.print(f"{name}: observations are normalised by {statistics.name} beside it")
+    compared = [
+        (each, make_variants(_shields(shield, each.road), doors, shield_config or config_on(each))) for each in settings
+    ]
     store = Store(output, asked, resume)
     try:
         parts = [
             run_paired(
                 each,
                 driver,
-                make_variants(_shields(shield, each.road), doors, shield_config or config_on(each)),
+                variants,
                 range(seed, seed + episodes),
                 jobs=jobs,
                 algorithm=algorithm,
@@ -219,7 +222,7 @@ def evaluate(
                 progress=True,
                 store=store,
             )
-            for each in settings
+            for each, variants in compared
             for driver in policies
         ]
     except KeyboardInterrupt:

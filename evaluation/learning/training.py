@@ -129,9 +129,7 @@ def train(
             f"{algorithm} cannot normalise {', '.join(normalise)}; {' and '.join(_ON_POLICY)} can normalise"
             f" {' and '.join(NORMALISABLE)}"
         )
-    driven_in, env = (
-        _world(setting, simulator, fast) if shield == "none" else _shielded(setting, simulator, fast, shield)
-    )
+    driven_in, env = _world(setting, simulator, fast, shield)
     try:
         accepted = _ACTION_SPACES[algorithm]
         if not isinstance(env.action_space, accepted):
@@ -220,8 +218,12 @@ def train_recipe(
     )
 
 
-def _world(setting: Setting, simulator: str, fast: bool) -> tuple[str, gym.Env[Any, Any] | VecEnv]:
-    """The environment to train in, and the name of what simulates it."""
+def _world(setting: Setting, simulator: str, fast: bool, shield: str) -> tuple[str, gym.Env[Any, Any] | VecEnv]:
+    """The environment to train in, inside a shield of that profile or "none", and the name of what simulates it."""
+    if shield != "none":
+        if simulator == "compiled":
+            raise ConfigError("inside the shield one trains in highway-env itself: simulator 'auto' or 'highway-env'")
+        simulator = "highway-env" if simulator == "auto" else simulator
 
     def compiled() -> tuple[VecEnv, bool]:
         from evaluation.learning.fast_vec_env import FastHighwayVecEnv
@@ -233,14 +235,8 @@ def _world(setting: Setting, simulator: str, fast: bool) -> tuple[str, gym.Env[A
     if world is not None:
         return "compiled", world
     made = setting.make()
-    return "highway-env", Monitor(FastObservations(made) if fast else made)
-
-
-def _shielded(setting: Setting, simulator: str, fast: bool, profile: str) -> tuple[str, gym.Env[Any, Any]]:
-    """Likewise, inside the shield."""
-    if simulator == "compiled":
-        raise ConfigError("inside the shield one trains in highway-env itself: simulator 'auto' or 'highway-env'")
-    made = ShieldedEnv(setting.make(), ShieldConfig.profile(profile))
+    if shield != "none":
+        made = ShieldedEnv(made, ShieldConfig.profile(shield))
     return "highway-env", Monitor(FastObservations(made) if fast else made)
 
 

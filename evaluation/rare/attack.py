@@ -19,8 +19,6 @@ from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from joblib import Parallel, delayed
 
-from dynamics.networks.continuations import continuations_of
-from dynamics.networks.network import index_of
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
 from shield import ShieldConfig, ShieldedEnv
@@ -31,6 +29,7 @@ from shield.roads.watch import Breach
 __all__ = ["DRIVERS", "Attack", "attack", "attack_many", "man"]
 
 DRIVERS = ("wild", "bold", "mixed")
+Ahead = dict[tuple[str, str, int], list[tuple[str, str, int]]]
 _HELD = 2, 20
 _HIT = 8.0
 """Whoever has crashed and is nearer to the ego was in it [m]."""
@@ -43,8 +42,8 @@ _CAUTION = 1.0
 class Wild(Vehicle):  # type: ignore[misc]
     """Throttle and steering at random, each held for a while; nothing else decides what it does."""
 
-    def take(self, draw: np.random.Generator, door: RoadDoor, period: float) -> None:
-        """Be driven by these numbers, in frames of so long [s]."""
+    def take(self, draw: np.random.Generator, door: RoadDoor, period: float, ahead: Ahead) -> None:
+        """Be driven by these numbers, in frames of so long [s], on lanes that lead to these."""
         self.draw, self.left, self.route = draw, 0, ()
 
     def act(self, action: Any = None) -> None:
@@ -65,13 +64,11 @@ class Bold(ControlledVehicle):  # type: ignore[misc]
 
     target_lane_index: Any
 
-    def take(self, draw: np.random.Generator, door: RoadDoor, period: float) -> None:
-        """Be driven by these numbers, in frames of so long [s]."""
+    def take(self, draw: np.random.Generator, door: RoadDoor, period: float, ahead: Ahead) -> None:
+        """Be driven by these numbers, in frames of so long [s], on lanes that lead to these."""
         self.draw, self.left, self.held, self.period = draw, 0, 0.0, period
+        self.ahead = ahead
         self.door, self.assumptions, self.route = door, door.config.assumptions, None
-        lanes = list(index_of(self.road.network))
-        after, _, _ = continuations_of(self.road.network)
-        self.ahead = {lane: [lanes[k] for k in row if k >= 0] for lane, row in zip(lanes, after, strict=True)}
 
     def act(self, action: Any = None) -> None:
         """For the coming frame."""
@@ -148,13 +145,12 @@ def man(env: ShieldedEnv, drivers: str, vehicles: int, seed: int) -> None:
     base: Any = env.unwrapped
     assert isinstance(env.door, RoadDoor)
     kinds: Sequence[type[Any]] = {"wild": (Wild,), "bold": (Bold,), "mixed": (Wild, Bold)}[drivers]
-    left = vehicles
+    left, ahead, period = vehicles, env.door.ahead, 1 / base.config["simulation_frequency"]
     for k, body in enumerate(base.road.vehicles):
         if body is base.vehicle or left == 0:
             continue
         driven = kinds[left % len(kinds)](body.road, body.position.copy(), body.heading, body.speed)
-        period = 1 / base.config["simulation_frequency"]
-        driven.take(np.random.default_rng([seed, k]), env.door, period)
+        driven.take(np.random.default_rng([seed, k]), env.door, period, ahead)
         driven.crashed = body.crashed
         base.road.vehicles[k], left = driven, left - 1
 

@@ -16,7 +16,7 @@ from dynamics.networks.alone import Alone, alone_on
 from dynamics.networks.continuations import continuations_of, leads_over
 from dynamics.networks.engine import command
 from dynamics.networks.lanes import Lanes
-from dynamics.networks.layout import COUNT
+from dynamics.networks.layout import COUNT, PRIORITY
 from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of
 from dynamics.networks.prediction import STRIP, Conduct, Strips, Ways, reach, spread
@@ -110,6 +110,14 @@ class RoadDoor:
     def by_rule(self) -> dict[str, int]:
         """The same by the rule that was broken."""
         return {str(rule): count for rule, count in (self._past + Counter(self.watch.by_rule)).items()}
+
+    @property
+    def ahead(self) -> dict[tuple[str, str, int], list[tuple[str, str, int]]]:
+        """The lanes that each lane of the road leads to."""
+        return {
+            lane: [self._names[k] for k in row if k >= 0]
+            for lane, row in zip(self._names, self._road.ways.after, strict=True)
+        }
 
     def counts_on(self, body: Any) -> bool:
         """Whether another vehicle has been counted on to wait for the ego, and has had the time to react: unless it
@@ -211,6 +219,7 @@ class RoadDoor:
         self._names = list(self._index)
         network, machine = self._alone.rules.network, self._alone.machine
         lanes = Lanes(machine.sums, machine.loops, network.lanes, network.ids)
+        ways = Ways(*continuations_of(base.road.network), leads_over(base.road.network))
         circles = np.zeros((len(network.lanes), 3))
         circles_of(lanes, circles)
         length, width = base.vehicle.LENGTH / 2, base.vehicle.WIDTH / 2
@@ -218,8 +227,8 @@ class RoadDoor:
         self._road = Road(
             lanes=lanes,
             circles=circles,
-            rights=rights_of(base.road.network),
-            ways=Ways(*continuations_of(base.road.network), leads_over(base.road.network)),
+            rights=rights_of(network.ids[:, PRIORITY], ways),
+            ways=ways,
             conduct=Conduct(a.braking, a.acceleration, a.max_speed, a.waver, a.lean),
             duty=Duty(
                 a.follower_braking,

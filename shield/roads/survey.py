@@ -143,8 +143,9 @@ def survey(
         cos, sin, way = math.cos(heading), math.sin(heading), path[k, 3] * period
         for j in range(12):
             if j < 8:
-                place = j if j < 4 else j + 1
-                a, b = (place // 3 - 1) * body.along, (place % 3 - 1) * body.across
+                # Eight of nine places on a grid: not the middle.
+                cell = j if j < 4 else j + 1
+                a, b = (cell // 3 - 1) * body.along, (cell % 3 - 1) * body.across
             else:
                 # highway-env counts a collision that constant velocities would bring within the coming frame.
                 a, b = (2 * (j // 2 % 2) - 1) * body.length + way, (2 * (j % 2) - 1) * body.width

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
+import gymnasium as gym
+
+from dynamics.networks.compiled_frames import CompiledFrames
 from evaluation.names import SIMULATORS
-from shield.errors import ConfigError, PlatformError
+from shield.errors import ConfigError, PlatformError, SceneError
 
-__all__ = ["compiled_where_it_serves"]
+__all__ = ["compiled_where_it_serves", "with_compiled_frames"]
 
 T = TypeVar("T")
 
@@ -39,3 +42,21 @@ def compiled_where_it_serves(simulator: str, make: Callable[[], tuple[T, bool]])
             raise
         return None
     return made if exact or simulator == "compiled" else None
+
+
+def with_compiled_frames(env: gym.Env[Any, Any]) -> CompiledFrames:
+    """An environment on a network of roads, reset, with its frames compiled.
+
+    Raises
+    ------
+    ConfigError
+        If its traffic or its actions are not known.
+    PlatformError
+        If numpy's own loops cannot be had here.
+    """
+    compiled = CompiledFrames(env)
+    try:
+        compiled.reset(seed=0)
+    except SceneError as error:
+        raise ConfigError(str(error)) from None
+    return compiled

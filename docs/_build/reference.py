@@ -50,6 +50,7 @@ INTERNAL = frozenset(
         "dynamics.networks.driving",
         "dynamics.networks.engine",
         "dynamics.networks.inputs",
+        "dynamics.networks.kinematics",
         "dynamics.networks.lanes",
         "dynamics.networks.layout",
         "dynamics.networks.live",

@@ -1,12 +1,12 @@
-"""A live highway-env on any road network, into the arrays."""
+"""A live highway-env on any road network, in and out of the arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from highway_env.vehicle.controller import MDPVehicle
+from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.dynamics import BicycleVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
@@ -19,27 +19,40 @@ from dynamics.networks.layout import (
     FRAMES,
     LATERAL_SPEED,
     ROAD,
+    ROUTE,
     ROUTE_END,
     YAW_RATE,
     YIELDS,
 )
 from dynamics.simulator.layout import (
     ACC_MAX,
+    ACCELERATION,
     ALLY,
     COMFORT,
     CONTINUOUS,
+    CRASHED,
     EGO,
+    HEADING,
+    IMPACT_X,
+    IMPACT_Y,
+    IMPACTED,
     KIND,
     LANE,
     LINEAR,
     MAX_SPEED,
     MIN_SPEED,
     OBSTACLE,
+    SPEED,
+    STEERING,
     TARGET,
+    TARGET_SPEED,
+    TIMER,
+    X,
+    Y,
 )
 from dynamics.simulator.live import bodies_of, check_body, kind_in_scene, load_body
 
-__all__ = ["load", "load_ego", "longest_route"]
+__all__ = ["load", "load_ego", "longest_route", "store"]
 
 Lanes = Mapping[tuple[str, str, int], int]
 
@@ -101,6 +114,46 @@ def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: 
         raise SceneError("a position, heading, speed, target, timer or action of the scene is not finite")
     worlds.order[e] = np.arange(f.shape[1])
     worlds.clock[e] = base.time
+
+
+def store(base: Any, keys: Sequence[tuple[str, str, int]], worlds: NetworkWorlds, e: int) -> None:
+    """Copy one of the scenes back into the environment, unwrapped, that it was loaded from: the same bodies, and nobody
+    else has touched them since.
+
+    Parameters
+    ----------
+    keys : highway-env's index of each lane, by number.
+    """
+    f, g = worlds.f[e].T.tolist(), worlds.g[e].T.tolist()
+    lanes = base.road.network.graph
+    for i, (body, row, has) in enumerate(zip([*base.road.vehicles, *base.road.objects], f, g, strict=True)):
+        body.crashed = bool(has[CRASHED])
+        if has[KIND] == OBSTACLE:
+            continue
+        body.position, body.heading, body.speed = worlds.f[e, [X, Y], i], row[HEADING], row[SPEED]
+        start, end, k = body.lane_index = keys[has[LANE]]
+        body.lane = lanes[start][end][k]
+        body.action = {"steering": row[STEERING], "acceleration": row[ACCELERATION]}
+        body.impact = worlds.f[e, [IMPACT_X, IMPACT_Y], i] if has[IMPACTED] else None
+        if has[DYNAMICAL]:
+            body.lateral_speed, body.yaw_rate = row[LATERAL_SPEED], row[YAW_RATE]
+        if isinstance(body, ControlledVehicle):
+            body.target_lane_index, body.target_speed = keys[has[TARGET]], row[TARGET_SPEED]
+            if body.route:
+                del body.route[: len(body.route) - (has[ROUTE_END] - has[ROUTE])]
+        if hasattr(body, "timer"):
+            body.timer = row[TIMER]
+        _store_yielding(base.road, body, bool(has[YIELDS]))
+    if hasattr(base.road, "steps"):
+        base.road.steps = int(worlds.g[e, FRAMES, 0])
+
+
+def _store_yielding(road: Any, body: Any, yields: bool) -> None:
+    if yields:
+        body.color, body.is_yielding, body.yield_timer = road.YIELDING_COLOR, True, 0
+    elif getattr(body, "is_yielding", False):
+        del body.color
+        body.is_yielding = False
 
 
 def load_ego(base: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds) -> None:

@@ -16,19 +16,23 @@ from dynamics.networks.engine import (
     NetworkWorlds,
     advance,
     begin,
+    ego_of,
     hold,
     new_work,
     new_worlds,
 )
-from dynamics.networks.live import load, longest_route
+from dynamics.networks.lanes import on_lane
+from dynamics.networks.layout import ACROSS, ALONG
+from dynamics.networks.live import load, longest_route, store
 from dynamics.networks.network import index_of, network_of
 from dynamics.networks.refusals import customs_of, exits_of
 from dynamics.simulator.arithmetic import Sums, sums_of_numpy
 from dynamics.simulator.engine import Machine, write_row
+from dynamics.simulator.layout import LANE
 from dynamics.simulator.live import bodies_of
 from dynamics.simulator.loops import addresses
 from dynamics.simulator.scenario import ACTIONS
-from dynamics.state import FloatArray
+from dynamics.state import BoolArray, FloatArray
 
 __all__ = ["NetworkSimulator"]
 
@@ -49,6 +53,7 @@ class NetworkSimulator:
     num_envs : how many copies.
     law : for an ego with throttle and steering, how hard the law that carries out meta-actions brakes and accelerates
         [m/s^2], and the time for which it carries out each [s].
+    like : another of the same environment since its reset, whose road is not read again.
 
     Raises
     ------
@@ -64,7 +69,11 @@ class NetworkSimulator:
     """
 
     def __init__(
-        self, env: gym.Env[Any, Any], num_envs: int = 1, law: tuple[float, float, float] = (9.8, 5.0, 1.0)
+        self,
+        env: gym.Env[Any, Any],
+        num_envs: int = 1,
+        law: tuple[float, float, float] = (9.8, 5.0, 1.0),
+        like: NetworkSimulator | None = None,
     ) -> None:
         base = cast(Any, env.unwrapped)
         vehicles, obstacles = bodies_of(env, first=False, team=True)
@@ -81,10 +90,15 @@ class NetworkSimulator:
             raise ConfigError(
                 f"a network's ego takes meta-actions or throttle and steering, not {type(action_type).__name__}"
             )
-        self._network, leaves = road.network, exits_of(base)
-        self._lanes = index_of(road.network)
-        self.rules = NetworkRules(
-            network=network_of(road.network, bool(road.neighbour_vehicles_connected_lanes), leaves),
+        self._network = road.network
+        if like is None or like._network is not road.network:
+            self._lanes = index_of(road.network)
+            network = network_of(road.network, bool(road.neighbour_vehicles_connected_lanes), exits_of(base))
+        else:
+            self._lanes, network = like._lanes, like.rules.network
+        self._keys = tuple(self._lanes)
+        self.rules: NetworkRules = NetworkRules(
+            network=network,
             customs=customs_of(base),
             numbers=(int(frames), len(vehicles)),
             times=(1 / frequency, frames / frequency if self._inputs else 1 / config["policy_frequency"]),
@@ -99,6 +113,7 @@ class NetworkSimulator:
         self._entries = max(1, longest_route(env))
         self.worlds, self._work, self._given = self.new_worlds(num_envs), self.new_work(), np.zeros(2)
         self._rows = np.zeros((self.rules.numbers[0], self._bodies, 7))
+        self._on_road = np.zeros(self.rules.numbers[0], np.bool_)
         for e in range(num_envs):
             self.load(env, e)
 
@@ -113,6 +128,11 @@ class NetworkSimulator:
         if cast(Any, env.unwrapped).road.network is not self._network:
             raise SceneError("the environment has another road than the simulator; make a new one")
         load(env, self.rules, self._lanes, self.worlds, e)
+
+    def store(self, env: gym.Env[Any, Any], e: int = 0) -> None:
+        """Copy copy `e` back into the environment that it was loaded from, of which nobody has changed anything
+        since; its clock and its decisions' frames are not counted on."""
+        store(env.unwrapped, self._keys, self.worlds, e)
 
     def new_worlds(self, count: int) -> NetworkWorlds:
         """Room for so many more scenes of the same bodies."""
@@ -133,8 +153,19 @@ class NetworkSimulator:
         if not 0 <= action < len(self.rules.labels):
             raise ConfigError(f"have actions 0 to {len(self.rules.labels) - 1}, not {action}")
         self._given[0] = action
-        _step(self.machine, self.worlds, self.rules, self._work, e, self._given, self._rows)
+        _step(self.machine, self.worlds, self.rules, self._work, e, self._given, self._rows, self._on_road)
         return self._rows
+
+    def go_on(self, frames: int, e: int = 0) -> tuple[FloatArray, BoolArray]:
+        """So many frames in which everybody drives as it was told, or by itself.
+
+        Returns
+        -------
+        As of `step`, (frames, m, 7), and whether the ego is on the road after each, (frames,).
+        """
+        rows, on_road = np.zeros((frames, self._bodies, 7)), np.zeros(frames, np.bool_)
+        _go_on(self.machine, self.worlds, self.rules, self._work, e, rows, on_road)
+        return rows, on_road
 
     def hold(self, throttle: float, wheel: float, frames: int, e: int = 0) -> FloatArray:
         """So many frames of an ego that keeps an acceleration [m/s^2] and a front wheel angle [rad].
@@ -145,10 +176,8 @@ class NetworkSimulator:
         """
         if not self._inputs:
             raise ConfigError("the ego takes meta-actions; use step")
-        rows = np.zeros((frames, self._bodies, 7))
         hold(self.worlds, e, throttle, wheel)
-        _go_on(self.machine, self.worlds, self.rules, self._work, e, rows)
-        return rows
+        return self.go_on(frames, e)[0]
 
 
 def _speeds(network: Any) -> FloatArray:
@@ -159,11 +188,19 @@ def _speeds(network: Any) -> FloatArray:
 
 @uncounted
 def _go_on(
-    machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int, rows: FloatArray
+    machine: Machine,
+    worlds: NetworkWorlds,
+    rules: NetworkRules,
+    work: NetworkWork,
+    e: int,
+    rows: FloatArray,
+    on_road: BoolArray,
 ) -> None:
     f, g, p = worlds.f[e], worlds.g[e], worlds.p[e]
+    ego = ego_of(g)
     for k in range(rows.shape[0]):
         advance(machine, worlds, rules, work, e)
+        on_road[k] = on_lane(rules.network.lanes, g[LANE, ego], f[ALONG, ego], f[ACROSS, ego], 0.0)
         for i in range(f.shape[1]):
             write_row(f, g, p, i, rows[k, i])
 
@@ -177,6 +214,7 @@ def _step(
     e: int,
     action: FloatArray,
     rows: FloatArray,
+    on_road: BoolArray,
 ) -> None:
     begin(machine, worlds, rules, e, action)
-    _go_on(machine, worlds, rules, work, e, rows)
+    _go_on(machine, worlds, rules, work, e, rows, on_road)

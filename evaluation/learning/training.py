@@ -24,13 +24,14 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
+from dynamics.networks.refusals import on_network
 from evaluation.learning.algorithms import get_algorithm
 from evaluation.learning.normalisation import NORMALISABLE, fold, normalised
 from evaluation.learning.observations import FastObservations
 from evaluation.learning.recipes import get_recipe
 from evaluation.names import FIRST_EVALUATION_SEED, TRAINABLE
 from evaluation.settings import Setting, get_setting
-from evaluation.simulators import compiled_where_it_serves
+from evaluation.simulators import compiled_where_it_serves, with_compiled_frames
 from evaluation.threads import one_thread
 from shield import ShieldConfig, ShieldedEnv
 from shield.errors import ConfigError
@@ -220,24 +221,27 @@ def train_recipe(
 
 def _world(setting: Setting, simulator: str, fast: bool, shield: str) -> tuple[str, gym.Env[Any, Any] | VecEnv]:
     """The environment to train in, inside a shield of that profile or "none", and the name of what simulates it."""
-    if shield != "none":
-        if simulator == "compiled":
-            raise ConfigError("inside the shield one trains in highway-env itself: simulator 'auto' or 'highway-env'")
-        simulator = "highway-env" if simulator == "auto" else simulator
 
-    def compiled() -> tuple[VecEnv, bool]:
+    def made() -> gym.Env[Any, Any]:
+        return FastObservations(setting.make()) if fast else setting.make()
+
+    if shield != "none":
+        if simulator not in ("auto", "highway-env"):
+            raise ConfigError("inside the shield one trains in highway-env itself: simulator 'auto' or 'highway-env'")
+        return "highway-env", Monitor(ShieldedEnv(made(), ShieldConfig.profile(shield)))
+
+    def compiled() -> tuple[gym.Env[Any, Any] | VecEnv, bool]:
         from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 
+        env = made()
+        if on_network(env.unwrapped):
+            frames = with_compiled_frames(env)
+            return Monitor(frames), frames.exact
         world = FastHighwayVecEnv(1, setting.env_id, setting.config)
         return world, world.simulator.exact
 
     world = compiled_where_it_serves(simulator, compiled)
-    if world is not None:
-        return "compiled", world
-    made = setting.make()
-    if shield != "none":
-        made = ShieldedEnv(made, ShieldConfig.profile(shield))
-    return "highway-env", Monitor(FastObservations(made) if fast else made)
+    return ("highway-env", Monitor(made())) if world is None else ("compiled", world)
 
 
 def _check(steps: int, seed: int, output: str | Path) -> Path:

@@ -1,7 +1,7 @@
 """What everybody did in an episode, frame by frame, read from the simulator's state.
 
-The recorder wraps `road.step` on the instance: it reads after each simulation frame and changes
-nothing, so an episode with it and one without are the same.
+The recorder wraps `road.step` on the instance (or watches the compiled frames): it reads after each simulation frame
+and changes nothing, so an episode with it and one without are the same.
 """
 
 from __future__ import annotations
@@ -11,15 +11,17 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from highway_env.envs.parking_env import ParkingEnv
 
 from dynamics.errors import SceneError
+from dynamics.networks.compiled_frames import CompiledFrames
 from dynamics.roads.network import read_network
 from dynamics.roads.path import PathRoad
 from dynamics.roads.straight import Road, StraightRoad
 from dynamics.simulator.env import CompiledHighwayEnv
-from dynamics.state import FloatArray, wrap_to_pi
+from dynamics.state import BoolArray, FloatArray, wrap_to_pi
 from evaluation.measuring.jerk import jerk
 from evaluation.measuring.rectangles import separation
 
@@ -153,6 +155,11 @@ class Recorder:
         # Landmarks, such as the spot that is to be reached, are nothing to collide with.
         self._vehicles = [base.vehicle, *others, *(thing for thing in road.objects if thing.solid)]
         self._rows, self._off_road = [], []
+        self._sample()
+        compiled = _compiled_frames(env)
+        if compiled is not None:
+            compiled.watchers.append(self._take)
+            return
         inner = road.step
 
         def step(dt: float) -> None:
@@ -160,7 +167,15 @@ class Recorder:
             self._sample()
 
         road.step = step
-        self._sample()
+
+    def _take(self, bodies: list[Any], rows: FloatArray, on_road: BoolArray) -> None:
+        """The frames of a decision, compiled; who has left stays where it was seen last."""
+        column = {body: k for k, body in enumerate(bodies)}
+        of = [column.get(body) for body in self._vehicles]
+        for frame, on in zip(rows.tolist(), on_road.tolist(), strict=True):
+            before = self._rows[-1]
+            self._rows.append([before[i] if k is None else frame[k] for i, k in enumerate(of)])
+            self._off_road.append(not on)
 
     def _sample(self) -> None:
         self._rows.append(
@@ -185,6 +200,15 @@ class Recorder:
         states[:, 0, :4] = ego
         states[:, 1:, :4] = self._map.to_road(world[:, 1:, :4], near=ego[:, None, Track.S])
         return History(states, self._map, self._dt, world=world)
+
+
+def _compiled_frames(env: Any) -> CompiledFrames | None:
+    """The wrapper that drives the frames, if there is one."""
+    while not isinstance(env, CompiledFrames):
+        if not isinstance(env, gym.Wrapper):
+            return None
+        env = env.env
+    return env
 
 
 def is_off_road(base: Any) -> bool:

@@ -1,4 +1,5 @@
-"""What episodes are driven in: highway-env, or its compiled copy where that serves."""
+"""What episodes are driven in: highway-env, or its compiled copy where that serves; on networks of roads highway-env
+with its frames compiled."""
 
 from __future__ import annotations
 
@@ -7,11 +8,12 @@ from typing import Any
 import gymnasium as gym
 from highway_env.envs.common.action import ContinuousAction
 
+from dynamics.networks.refusals import on_network
 from dynamics.simulator.env import CompiledHighwayEnv
 from evaluation.policies import list_references
 from evaluation.running.records import Variant, variant_for
 from evaluation.settings import Setting
-from evaluation.simulators import compiled_where_it_serves
+from evaluation.simulators import compiled_where_it_serves, with_compiled_frames
 from shield.errors import ConfigError
 
 __all__ = ["environment"]
@@ -42,7 +44,10 @@ def environment(
         If it is asked for, and numpy's own loops cannot be had here.
     """
 
-    def compiled() -> tuple[CompiledHighwayEnv, bool]:
+    def compiled() -> tuple[gym.Env[Any, Any], bool]:
+        made = setting.make()
+        if on_network(made.unwrapped):
+            return _with_compiled_frames(made, variant)
         _check(policy, variant, model)
         env = CompiledHighwayEnv(setting.env_id, setting.config)
         if variant.door != "none" and variant.config.simulates and isinstance(env.action_type, ContinuousAction):
@@ -51,6 +56,15 @@ def environment(
 
     env = compiled_where_it_serves(simulator, compiled)
     return ("highway-env", setting.make()) if env is None else ("compiled", env)
+
+
+def _with_compiled_frames(made: gym.Env[Any, Any], variant: Variant) -> tuple[gym.Env[Any, Any], bool]:
+    """An environment on a network of roads where nobody has a say between two decisions."""
+    meta = made.unwrapped.config["action"]["type"] == "DiscreteMetaAction"  # type: ignore[attr-defined]
+    if variant.door == "policy" or (variant.door == "env" and not (meta and variant.config.simulates)):
+        raise ConfigError("frames are supervised one by one in highway-env itself")
+    env = with_compiled_frames(made)
+    return env, env.exact
 
 
 def _check(policy: Any, variant: Variant, model: str | None) -> None:

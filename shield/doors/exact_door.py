@@ -137,8 +137,8 @@ class ExactDoor:
         return simulator, search
 
 
-def _simulate(base: Any) -> Simulator | NetworkSimulator:
-    return NetworkSimulator(base) if on_network(base) else Simulator.of(base)
+def _simulate(base: Any, like: Any) -> Simulator | NetworkSimulator:
+    return NetworkSimulator(base, like=like) if on_network(base) else Simulator.of(base)
 
 
 @cache

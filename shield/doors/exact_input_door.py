@@ -65,7 +65,7 @@ class ExactInputDoor(InputFrames):
             check_network(base)
         super().__init__(base, config)
         law = config.braking, self.actuators.acceleration[1], _HOLD
-        self._scene = ExactScene(base, config, lambda env: NetworkSimulator(env, law=law))
+        self._scene = ExactScene(base, config, lambda env, like: NetworkSimulator(env, law=law, like=like))
         self._inputs = np.zeros(2)
         self.reset()
         if base.road is not None:

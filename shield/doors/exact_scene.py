@@ -49,7 +49,8 @@ class ExactScene:
     ----------
     base : the environment, unwrapped: highway-env's own, or a `CompiledHighwayEnv`.
     config : settings with `Assumptions.exact()`.
-    simulate : makes a simulator of the environment as it is.
+    simulate : makes a simulator of the environment as it is; it is handed one that it has made of the same road, or
+        None.
 
     Attributes
     ----------
@@ -58,7 +59,7 @@ class ExactScene:
     """
 
     def __init__(
-        self, base: Any, config: ShieldConfig, simulate: Callable[[Any], Simulator | NetworkSimulator]
+        self, base: Any, config: ShieldConfig, simulate: Callable[[Any, Any], Simulator | NetworkSimulator]
     ) -> None:
         self._base, self._config, self._simulate = base, config, simulate
         self.violations = 0
@@ -99,7 +100,8 @@ class ExactScene:
             bodies = 0 if base.road is None else len(base.road.vehicles) + len(base.road.objects)
             known = self._rooms.get(bodies)
             if known is None or not known[0].fits(base):
-                room = self._furnish(bodies, self._simulate(base))
+                like = next((simulator for simulator, _ in self._rooms.values()), None)
+                room = self._furnish(bodies, self._simulate(base, like))
             else:
                 known[0].load(base)
                 room = known

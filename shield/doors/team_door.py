@@ -76,7 +76,7 @@ class TeamDoor:
             )
         check_network(base)
         self.config, self._base = config, base
-        self._scene = ExactScene(base, config, NetworkSimulator)
+        self._scene = ExactScene(base, config, lambda env, like: NetworkSimulator(env, like=like))
         self.cause = ""
         self.reset()
 

@@ -44,7 +44,6 @@ def test_it_goes_on_after_a_reset():
     ("observation", "message"),
     [
         ({"type": "TimeToCollision"}, "KinematicObservation"),
-        ({"type": "Kinematics", "absolute": True}, "relative"),
         ({"type": "OccupancyGrid"}, "vehicle's axes"),
     ],
 )

@@ -1,0 +1,151 @@
+"""highway-env with its frames compiled is highway-env, bit for bit: whatever it returns, and whatever it is."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import evaluation.scenarios
+import evaluation.wrappers  # noqa: F401  (registers environments)
+from dynamics.errors import ConfigError, SceneError
+from dynamics.networks.compiled_frames import CompiledFrames
+from dynamics.networks.kinematics import without_data_frames
+
+ROADS = (
+    "merge-v0",
+    "merge-generic-v1",
+    "roundabout-v1",
+    "exit-v1",
+    "two-way-v0",
+    "u-turn-v0",
+    "intersection-v0",
+    "intersection-v1",
+    "intersection-v2",
+    "intersection-multi-agent-v0",
+    "racetrack-v0",
+    "roundabout-continuous-v1",
+    "evaluation.scenarios:ComplexRoads-v0",
+)
+FEATURES = (
+    *("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d"),
+    *("long_off", "lat_off", "ang_off"),
+)
+
+
+def contents(env):
+    """All that an environment is, but for the road map and what it makes anew."""
+    base = env.unwrapped
+    bodies = []
+    for body in [*base.road.vehicles, *base.road.objects]:
+        row = {k: plain(x) for k, x in vars(body).items() if k not in ("road", "lane", "history", "log")}
+        if not row.get("is_yielding", True):  # highway-env leaves a False behind where somebody had yielded
+            row.pop("is_yielding")
+        row.pop("yield_timer", None)
+        bodies.append((type(body).__name__, row, body.lane is base.road.network.get_lane(body.lane_index)))
+    return bodies, base.steps, base.time, getattr(base.road, "steps", None), base.np_random.bit_generator.state
+
+
+def plain(value):
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, dict):
+        return {k: float(x) for k, x in value.items()}
+    if isinstance(value, tuple) and len(value) == 3 and isinstance(value[0], str):
+        return (*value[:2], int(value[2] or 0))
+    return value
+
+
+def assert_same(one, other, name):
+    np.testing.assert_equal(one, other, err_msg=name)
+
+
+def drive_both(env_id, seeds, decisions=12):
+    plain_env, compiled = gym.make(env_id), CompiledFrames(gym.make(env_id))
+    if not compiled.exact:
+        pytest.skip("this machine's numpy adds in a way of its own")
+    for seed in seeds:
+        assert_same(plain_env.reset(seed=seed)[0], compiled.reset(seed=seed)[0], env_id)
+        plain_env.action_space.seed(seed)
+        for k in range(decisions):
+            action = plain_env.action_space.sample()
+            one, other = plain_env.step(action), compiled.step(action)
+            name = f"{env_id} seed {seed} decision {k}"
+            assert_same(one, other, name)
+            assert_same(contents(plain_env), contents(compiled), name)
+            if np.any(one[2]) or one[3]:
+                break
+
+
+@pytest.mark.parametrize("env_id", ROADS)
+def test_an_episode_is_the_same(env_id):
+    drive_both(env_id, [31, 32])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("env_id", ROADS)
+def test_fifty_episodes_are_the_same(env_id):
+    drive_both(env_id, range(1_000, 1_050), decisions=60)
+
+
+@given(
+    features=st.lists(st.sampled_from(FEATURES), min_size=1, max_size=8, unique=True),
+    count=st.integers(1, 16),
+    options=st.fixed_dictionaries(
+        {
+            **{k: st.booleans() for k in ("absolute", "normalize", "clip", "see_behind", "observe_intentions")},
+            "include_obstacles": st.booleans(),
+            "order": st.sampled_from(["sorted", "shuffled"]),
+        }
+    ),
+    env_id=st.sampled_from(["merge-v0", "roundabout-v1", "intersection-v0"]),
+    seed=st.integers(0, 50),
+)
+@settings(max_examples=40, deadline=None)
+def test_kinematics_without_a_data_frame_is_the_same(features, count, options, env_id, seed):
+    observation = {"type": "Kinematics", "features": features, "vehicles_count": count, **options}
+    env = gym.make(env_id, config={"observation": observation}).unwrapped
+    env.reset(seed=seed)
+    state = env.np_random.bit_generator.state
+    expected, after = env.observation_type.observe(), env.np_random.bit_generator.state
+    env.np_random.bit_generator.state = state
+    without_data_frames(env.observation_type)
+    seen = env.observation_type.observe()
+    np.testing.assert_array_equal(seen, expected)
+    assert seen.dtype == expected.dtype
+    assert env.np_random.bit_generator.state == after
+
+
+def test_what_watches_gets_each_frame_and_whether_the_ego_is_on_the_road():
+    env, seen = CompiledFrames(gym.make("roundabout-continuous-v1")), []
+    env.reset(seed=0)
+    env.watchers.append(lambda bodies, rows, on_road: seen.append((len(bodies), rows, on_road)))
+    for _ in range(5):
+        env.step(np.array([1.0, 0.6]))
+    bodies, rows, on_road = seen[0]
+    assert rows.shape == (len(on_road), bodies, 7)
+    assert seen[0][2][0]
+    assert not seen[-1][2][-1]
+    ego = env.unwrapped.road.vehicles.index(env.unwrapped.vehicle)
+    np.testing.assert_array_equal(seen[-1][1][-1, ego, :2], env.unwrapped.vehicle.position)
+
+
+def test_closing_gives_the_environment_its_own_frames_back():
+    env = gym.make("merge-v0")
+    compiled = CompiledFrames(env)
+    compiled.reset(seed=0)
+    assert "_simulate" in vars(env.unwrapped)
+    compiled.close()
+    assert "_simulate" not in vars(env.unwrapped)
+
+
+def test_what_is_not_known_is_refused():
+    with pytest.raises(ConfigError, match="does not follow from its state"):
+        CompiledFrames(gym.make("parking-v0"))
+    with pytest.raises(ConfigError, match="show_trajectories"):
+        CompiledFrames(gym.make("merge-v0", config={"show_trajectories": True}))
+    linear = {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}
+    with pytest.raises(SceneError, match="linear"):
+        CompiledFrames(gym.make("roundabout-v0", config=linear)).reset(seed=0)

@@ -188,6 +188,12 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
         setting.name: setting
         for setting in (
             Setting("highway-fast", "highway-fast-v0", {}, "highway-fast-v0 as it comes: 5 Hz"),
+            Setting(
+                "highway-fast-seen",
+                "highway-fast-v0",
+                {"observation": {"type": "Kinematics", "vehicles_count": 15, "see_behind": True}},
+                "highway-fast, of which 15 vehicles are observed, those behind too",
+            ),
             Setting("highway", "highway-v0", {}, "highway-v0 as it comes: 15 Hz"),
             Setting(
                 "highway-trucks",

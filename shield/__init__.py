@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from shield.doors.env import ShieldedEnv
     from shield.doors.policy import Shield
     from shield.errors import ActionError, ConfigError, PolicyError, SceneError, ShieldError
+    from shield.perception.perceiving import PerceptionConfig
+    from shield.perception.unseen import Unseen
 
 __all__ = [
     "ActionError",
@@ -24,6 +26,7 @@ __all__ = [
     "Buffer",
     "ConfigError",
     "Decision",
+    "PerceptionConfig",
     "PolicyError",
     "Reason",
     "SceneError",
@@ -33,6 +36,7 @@ __all__ = [
     "ShieldError",
     "ShieldedEnv",
     "Tier",
+    "Unseen",
 ]
 
 __getattr__, __dir__, _ = lazy_loader.attach(
@@ -44,5 +48,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
         "doors.env": ["ShieldedEnv"],
         "doors.policy": ["Shield"],
         "errors": ["ActionError", "ConfigError", "PolicyError", "SceneError", "ShieldError"],
+        "perception.perceiving": ["PerceptionConfig"],
+        "perception.unseen": ["Unseen"],
     },
 )

@@ -13,7 +13,7 @@ import tomli_w
 from dynamics.traffic.assumptions import Assumptions
 from shield.errors import ConfigError
 
-__all__ = ["MODES", "PROFILES", "Buffer", "ShieldConfig"]
+__all__ = ["MODES", "PERCEPTIONS", "PROFILES", "Buffer", "ShieldConfig"]
 
 MODES = ("none", "distance", "rss", "ttc", "full")
 """Valid `ShieldConfig.mode`: no shield, one rule alone, or the whole procedure."""
@@ -22,6 +22,8 @@ PROFILES = ("default", "meta-actions", "roads", "exact")
 REPAIRS = ("hold", "filter")
 """Valid `ShieldConfig.repair`: hold the meta-action back, or take the nearest inputs."""
 
+PERCEPTIONS = ("simulator", "observation")
+"""What scenes can be read from: the simulator's true state, or nothing of the traffic but what a policy observes."""
 NORMS = ("range", "acceleration")
 """Valid `ShieldConfig.norm`."""
 

@@ -16,7 +16,7 @@ from dynamics.compiled import uncounted
 from dynamics.errors import ActionError, SceneError
 from dynamics.roads.network import read_network
 from dynamics.roads.straight import Road, StraightRoad
-from dynamics.state import FloatArray, State, Vehicle
+from dynamics.state import FloatArray, IntArray, State, Vehicle
 from dynamics.vehicle.controllers import speed_to_index
 
 __all__ = ["EgoControl", "Scene", "SceneReader", "Target"]
@@ -60,6 +60,8 @@ class Scene:
     frames_per_decision : simulation frames in one decision period.
     frame : index of the simulation frame since the episode began, which tells one instant from the next; None where it
         is not known, and each scene is the next.
+    ids : which of the others is which, (n,), -1 for those who may be somebody else in each scene; None where they are
+        the same in every scene, in the same order, and their states are exact.
     """
 
     ego: FloatArray
@@ -69,6 +71,7 @@ class Scene:
     dt: float
     frames_per_decision: int
     frame: int | None = None
+    ids: IntArray | None = None
     ego_road: FloatArray = field(init=False, repr=False)
     others_road: FloatArray = field(init=False, repr=False)
 
@@ -77,6 +80,8 @@ class Scene:
             raise SceneError(f"Scene.ego must have shape ({len(Vehicle)},), got {self.ego.shape}")
         if self.others.ndim != 2 or self.others.shape[1] != len(Vehicle):
             raise SceneError(f"Scene.others must have shape (n, {len(Vehicle)}), got {self.others.shape}")
+        if self.ids is not None and self.ids.shape != (len(self.others),):
+            raise SceneError(f"Scene.ids must have shape ({len(self.others)},), got {self.ids.shape}")
         if not self.dt > 0 or self.frames_per_decision < 1:
             raise SceneError(
                 f"dt and frames_per_decision must be positive, got {self.dt} s and {self.frames_per_decision}"
@@ -174,6 +179,24 @@ class SceneReader:
         """Labels of the meta-actions, by index."""
         return tuple(getattr(self._env.action_type, "actions", {}).values())
 
+    @property
+    def map(self) -> Any:
+        """The static road map that was read last, a `Road`; None before."""
+        return self._road
+
+    @property
+    def control(self) -> EgoControl:
+        """What the ego has been told, and what it can be told."""
+        ego = self._env.vehicle
+        return EgoControl(
+            target=Target(
+                int(getattr(ego, "target_lane_index", ego.lane_index)[2]),
+                float(getattr(ego, "target_speed", ego.speed)),
+            ),
+            target_speeds=tuple(map(float, getattr(ego, "target_speeds", ()))),
+            actions=self.actions,
+        )
+
     def check(self) -> None:
         """Read the road map.
 
@@ -209,19 +232,11 @@ class SceneReader:
             flat = np.fromiter(chain.from_iterable((_row(ego), *others)), float)
             rows = flat.reshape(-1, len(Vehicle))
         config = env.config
-        control = EgoControl(
-            target=Target(
-                int(getattr(ego, "target_lane_index", ego.lane_index)[2]),
-                float(getattr(ego, "target_speed", ego.speed)),
-            ),
-            target_speeds=tuple(map(float, getattr(ego, "target_speeds", ()))),
-            actions=self.actions,
-        )
         return Scene(
             ego=rows[0],
             others=rows[1:],
             road=self._road,
-            control=control,
+            control=self.control,
             dt=1 / config["simulation_frequency"],
             frames_per_decision=int(config["simulation_frequency"] // config["policy_frequency"]),
             frame=int(env.steps),

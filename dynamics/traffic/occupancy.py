@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,7 +36,16 @@ from dynamics.traffic.occupancy_kernels import Lanes, floors, front_of, fronts, 
 from dynamics.traffic.reaction import brakings
 from dynamics.traffic.tables import Bodies, Motion, Tables, bodies_of, motion_of
 
-__all__ = ["Occupancy", "Surroundings", "constant_velocity", "horizons", "look", "motion_settings", "room_for"]
+__all__ = [
+    "Before",
+    "Occupancy",
+    "Surroundings",
+    "constant_velocity",
+    "horizons",
+    "look",
+    "motion_settings",
+    "room_for",
+]
 
 
 _STRAIGHT, _NO_GROWTH = np.zeros((2, 0)), np.zeros((0, 2))
@@ -172,6 +181,14 @@ def room_for(m: int, frames: int) -> tuple[int, int, int]:
     return 7, max(m, 6), max(frames, m, 2)
 
 
+class Before(NamedTuple):
+    """What has to be known of the others a frame before: `states` (m, 4), and their `Tables.numbers` and `recent`."""
+
+    states: FloatArray
+    numbers: FloatArray
+    recent: FloatArray
+
+
 class Surroundings:
     """The others of one scene, and where they can come to be.
 
@@ -201,7 +218,7 @@ class Surroundings:
         road: Road,
         assumptions: Assumptions,
         dt: float = 1 / 15,
-        before: Surroundings | None = None,
+        before: Surroundings | Before | None = None,
         ego: float = float("nan"),
     ) -> None:
         others, states = np.ascontiguousarray(others, float), np.ascontiguousarray(states, float)
@@ -216,8 +233,10 @@ class Surroundings:
             strips(others, states, growth, lanes, self.bodies)
             ends = bends.stretch(self.low), bends.stretch(self.high)
             self.stretch = np.stack([np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])])
-        last = (_NOBODY, self.tables.numbers, self.tables.recent)
-        if before is not None:
+        last: tuple[FloatArray, FloatArray, FloatArray] = (_NOBODY, self.tables.numbers, self.tables.recent)
+        if isinstance(before, Before):
+            last = before
+        elif before is not None:
             last = (before.states, before.tables.numbers, before.tables.recent)
         scene = (others, states, growth, self.stretch, centers, width, self.settings, self.lap, float(ego))
         marks, numbers, brakes, recent = self.tables

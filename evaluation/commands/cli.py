@@ -19,7 +19,7 @@ from evaluation.commands.showing import add_showing
 from evaluation.learning.algorithms import ALGORITHMS
 from evaluation.learning.recipes import RECIPES
 from evaluation.names import BASELINES, FIRST_EVALUATION_SEED, MODELS, SIMULATORS, TRAINABLE
-from shield.config import MODES, PROFILES, ShieldConfig
+from shield.config import MODES, PERCEPTIONS, PROFILES, ShieldConfig
 from shield.errors import ConfigError, ShieldError
 
 if TYPE_CHECKING:
@@ -135,6 +135,13 @@ def evaluate(
             " other."
         ),
     ] = Door.ENV,
+    perception: Annotated[
+        str,
+        typer.Option(
+            help=f"What the shield reads scenes from, of {', '.join(PERCEPTIONS)} (or both): the simulator's true"
+            " state, or nothing of the traffic but what the policy observes."
+        ),
+    ] = PERCEPTIONS[0],
     episodes: Annotated[int, typer.Option(min=1, help="Episodes for each row.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; the others follow.")] = EVALUATION_SEED,
     jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
@@ -194,6 +201,7 @@ def evaluate(
         "policies": policies,
         "shields": shield,
         "doors": doors,
+        "perception": perception,
         "episodes": episodes,
         "seed": seed,
         "algorithm": algorithm,
@@ -205,7 +213,11 @@ def evaluate(
         if name.endswith(".zip") and (statistics := statistics_beside(Path(name))):
             _err.print(f"{name}: observations are normalised by {statistics.name} beside it")
     compared = [
-        (each, make_variants(_shields(shield, each.road), doors, shield_config or config_on(each))) for each in settings
+        (
+            each,
+            make_variants(_shields(shield, each.road), doors, shield_config or config_on(each), _split([perception])),
+        )
+        for each in settings
     ]
     store = Store(output, asked, resume)
     try:

@@ -100,9 +100,12 @@ class _Driver:
         self.driver: Policy = self.policy
         self.shield: Shield | None = None
         if variant.door == "env":
-            self.env = ShieldedEnv(self.env, variant.config, policy=self.policy, model=learned)
+            self.env = ShieldedEnv(
+                self.env, variant.config, policy=self.policy, model=learned, perception=variant.perception
+            )
         elif variant.door in ("policy", "actions"):
-            self.shield = Shield(self.policy, self.env, variant.config, frames=variant.door == "policy")
+            frames = variant.door == "policy"
+            self.shield = Shield(self.policy, self.env, variant.config, frames, variant.perception)
             self.driver = self.shield
         self.rules = AttributionRules(assumptions=variant.config.assumptions, braking=variant.config.braking)
 
@@ -125,7 +128,7 @@ class _Driver:
         return EpisodeRecord(
             setting=self.setting.name,
             policy=self.label,
-            door=self.variant.door,
+            door=self.variant.place,
             mode=self.variant.mode,
             seed=seed,
             crashed=history.crash_frame is not None,
@@ -270,7 +273,7 @@ def run_paired(
     size = 1 if store is not None else min(_CHUNK, -(-len(seeds) // workers))
     calls = []
     for variant in variants:
-        left = [seed for seed in seeds if (variant.door, variant.mode, seed) not in done]
+        left = [seed for seed in seeds if (variant.place, variant.mode, seed) not in done]
         calls += [
             (setting, policy, variant, left[i : i + size], algorithm, model, simulator)
             for i in range(0, len(left), size)
@@ -287,7 +290,7 @@ def run_paired(
                 said = 10 * len(rows) // total
                 text = f"{setting.name}: {len(rows)} of {total} episodes ({_crashes(rows)})"
                 console.print(text, highlight=False, soft_wrap=True)
-    order = {(v.door, v.mode): i for i, v in enumerate(variants)}
+    order = {(v.place, v.mode): i for i, v in enumerate(variants)}
     place = {seed: i for i, seed in enumerate(seeds)}
     rows.sort(key=lambda row: (order[row["door"], row["mode"]], place[row["seed"]]))
     return pd.DataFrame(rows)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from evaluation.settings import Setting
-from shield.config import ShieldConfig
+from shield.config import PERCEPTIONS, ShieldConfig
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError
 from shield.roads.reading import default_on, has_crossings
@@ -26,14 +26,23 @@ class Variant:
     ----------
     door : one of `DOORS`.
     config : the shield's settings; not looked at without a shield.
+    perception : one of `shield.config.PERCEPTIONS`, what it reads scenes from.
     """
 
     door: str = "none"
     config: ShieldConfig = field(default_factory=ShieldConfig)
+    perception: str = "simulator"
 
     def __post_init__(self) -> None:
         if self.door not in DOORS:
             raise ConfigError(f"unknown door {self.door!r}; valid are {', '.join(DOORS)}")
+        if self.perception not in PERCEPTIONS:
+            raise ConfigError(f"unknown perception {self.perception!r}; valid are {', '.join(PERCEPTIONS)}")
+
+    @property
+    def place(self) -> str:
+        """The door, and what scenes are read from where that is not the simulator's state: "env, observation"."""
+        return self.door if self.perception == "simulator" else f"{self.door}, {self.perception}"
 
     @property
     def mode(self) -> str:
@@ -60,8 +69,14 @@ def config_on(setting: Setting) -> ShieldConfig | None:
         env.close()
 
 
-def make_variants(modes: Sequence[str], doors: Sequence[str], config: ShieldConfig | None = None) -> list[Variant]:
-    """Each mode behind each door; the mode "none" stands for driving without any shield.
+def make_variants(
+    modes: Sequence[str],
+    doors: Sequence[str],
+    config: ShieldConfig | None = None,
+    perceptions: Sequence[str] = ("simulator",),
+) -> list[Variant]:
+    """Each mode behind each door, with scenes from each of `perceptions`; the mode "none" stands for driving without
+    any shield.
 
     Without a config, each door has its own defaults.
 
@@ -74,9 +89,10 @@ def make_variants(modes: Sequence[str], doors: Sequence[str], config: ShieldConf
     for mode in modes:
         for door in ["none"] if mode == "none" else doors:
             chosen = config or (ShieldConfig.for_meta_actions() if door == "actions" else ShieldConfig())
-            variant = Variant(door, chosen if door == "none" else chosen.replace(mode=mode))
-            if variant not in variants:
-                variants.append(variant)
+            for perception in ["simulator"] if mode == "none" else perceptions:
+                variant = Variant(door, chosen if door == "none" else chosen.replace(mode=mode), perception)
+                if variant not in variants:
+                    variants.append(variant)
     return variants
 
 
@@ -87,7 +103,7 @@ class EpisodeRecord:
     Attributes
     ----------
     setting, policy : names.
-    door, mode : what stood between the two (see `Variant`).
+    door, mode : what stood between the two (see `Variant`; the door is its `place`).
     seed : seed of the episode.
     crashed : whether the ego crashed.
     off_road : whether the ego's centre left the road.

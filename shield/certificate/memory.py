@@ -11,8 +11,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from dynamics.scenes.scene import Scene
-from dynamics.state import FloatArray, RoadState, State, Vehicle
-from dynamics.traffic.occupancy import Surroundings
+from dynamics.state import FloatArray, IntArray, RoadState, State, Vehicle
+from dynamics.traffic.occupancy import Before, Surroundings
 from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.rollouts import Rollouts
 from shield.certificate.clauses.duties import lanes_held
@@ -124,11 +124,18 @@ def observe(
         return Instant(scene, config, memory, rollouts, memory.survey)
     watch = memory.watch if isinstance(memory.watch, Watch) else Watch()
     last, lane = memory.survey, memory.stored if isinstance(memory.stored, int) else None
-    before = watch.before(scene) if frames == 1 else None
+    same = None if last is None or scene.ids is None else _same(last.scene, scene)
     ego = float(scene.ego_road[RoadState.S])
+    before: Surroundings | Before | None = watch.before(scene) if frames == 1 else None
+    if same is not None:
+        assert last is not None
+        before = _before(last.around, same, scene, config, ego) if frames == 1 else None
     around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, before, ego)
-    visible, owned, coming = _lanes(last, scene, config, frames, lane)
-    survey = Surveyor(scene, config, visible, owned, around, None, watch.followers(scene), coming, lane)
+    visible, owned, coming = _lanes(last, scene, config, frames, lane, same)
+    followers = watch.followers(scene)
+    if same is not None and (same >= 0).any():
+        followers = np.where(same >= 0, watch.owing[same], False)
+    survey = Surveyor(scene, config, visible, owned, around, None, followers, coming, lane)
 
     def separations() -> FloatArray:
         if fail_safe is not None:
@@ -142,11 +149,48 @@ def observe(
     return Instant(scene, config, memory, rollouts, survey)
 
 
-def _lanes(last: Surveyor | None, scene: Scene, config: ShieldConfig, frames: int, stored: int | None) -> Any:
-    """Frames for which the ego has been visible in each lane, which it owns, and who could enter which before."""
+def _same(last: Scene, scene: Scene) -> IntArray:
+    """Which of the others in the last scene each is now, (m,); -1 for newcomers."""
+    assert scene.ids is not None
+    if last.ids is None or not len(last.ids):
+        return np.full(len(scene.others), -1)
+    same = (scene.ids[:, None] == last.ids) & (scene.ids[:, None] >= 0)
+    return np.where(same.any(axis=1), same.argmax(axis=1), -1)
+
+
+def _before(last: Surroundings, same: IntArray, scene: Scene, config: ShieldConfig, ego: float) -> Before | None:
+    """What was known of the others a frame before; newcomers have kept their speed, and lost nothing by turning."""
+    known = same >= 0
+    if not known.any():
+        return None
+    fresh = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, None, ego)
+    states, numbers, recent = scene.others_road.copy(), fresh.tables.numbers.copy(), fresh.tables.recent.copy()
+    way = states[:, RoadState.SPEED] * scene.dt
+    states[:, RoadState.S] -= way * np.cos(states[:, RoadState.HEADING])
+    states[:, RoadState.R] -= way * np.sin(states[:, RoadState.HEADING])
+    states[known], recent[known] = last.states[same[known]], last.tables.recent[same[known]]
+    numbers[:, known] = last.tables.numbers[:, same[known]]
+    return Before(states, numbers, recent)
+
+
+def _lanes(
+    last: Surveyor | None,
+    scene: Scene,
+    config: ShieldConfig,
+    frames: int,
+    stored: int | None,
+    same: IntArray | None = None,
+) -> Any:
+    """Frames for which the ego has been visible in each lane, which it owns, and who could enter which before: any
+    newcomer."""
     before = _FIRST
     if last is not None and last.visible is not None and last.visible.shape == scene.road.centers.shape:
-        before = last.visible, last.owned, last.comes
+        comes = last.comes
+        if same is not None and len(last.scene.others):
+            comes = np.where(same >= 0, last.comes[:, same], True)
+        elif same is not None:
+            comes = np.ones((len(last.visible), len(same)), dtype=bool)
+        before = last.visible, last.owned, comes
     swing = 0.5 * float(scene.ego[Vehicle.LENGTH]) * abs(math.sin(scene.ego_road[RoadState.HEADING]))
     touch, sight = TOUCH + 0.5 * float(scene.ego[Vehicle.WIDTH]) + swing, config.assumptions.visible_distance
     r = float(scene.ego_road[RoadState.R])

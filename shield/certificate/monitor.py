@@ -77,8 +77,8 @@ class Watch:
         return replace(self, offenders=np.zeros(self.offenders.shape, dtype=bool)) if self.violated else self
 
     def before(self, scene: Scene) -> Surroundings | None:
-        """The surroundings that were seen last, where the others are the same as in `scene`."""
-        if self.around is None or len(self.around.states) != len(scene.others):
+        """The surroundings that were seen last, where the others are the same as in `scene`, and their states exact."""
+        if self.around is None or scene.ids is not None or len(self.around.states) != len(scene.others):
             return None
         return self.around
 

@@ -28,6 +28,8 @@ from shield.doors.supervision import Command, Supervision
 from shield.doors.team_door import TeamDoor, is_team
 from shield.doors.warm_doors import warm_up_door
 from shield.errors import ConfigError, SceneError
+from shield.perception.perceiving import PerceptionConfig
+from shield.perception.scenes import NO_OBSERVED_SCENES, scenes_of
 from shield.procedures.decide import Core
 from shield.roads.reading import default_on, has_crossings
 from shield.rules import Rule
@@ -63,6 +65,10 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     rule : a rule of one's own (`shield.rules.Rule`), which decides alone, as the modes "distance", "rss" and "ttc" do:
         nothing is verified then, and no frame supervised. `shield.testing.check_rule` tries it.
 
+    perception : what scenes are read from: "simulator", its true state, or "observation", nothing of the traffic but
+        what the policy observes (Kinematics, meta-actions, a straight highway), sensed anew at each frame; or a
+        `PerceptionConfig`, which has the settings of the latter.
+
     Raises
     ------
     SceneError
@@ -96,10 +102,11 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         policy: Any = None,
         model: StageModel | None = None,
         rule: Rule | None = None,
+        perception: str | PerceptionConfig = "simulator",
     ) -> None:
         bases = base_environments(env, "ShieldedEnv")
         RecordConstructorArgs.__init__(
-            self, _disable_deepcopy=True, config=config, policy=policy, model=model, rule=rule
+            self, _disable_deepcopy=True, config=config, policy=policy, model=model, rule=rule, perception=perception
         )
         gym.Wrapper.__init__(self, env)
         self._base: Any = bases[0]
@@ -128,7 +135,9 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         elif on_roads and self.config.mode == "full":
             self._door = RoadDoor(self._base, self.config)
         else:
-            self._door = MetaDoor(self._base, self.config, rule=rule)
+            self._door = MetaDoor(self._base, self.config, rule=rule, scenes=scenes_of(perception, env))
+        if perception != "simulator" and not isinstance(self._door, MetaDoor):
+            raise ConfigError(NO_OBSERVED_SCENES)
         warm_up_door(self._door)
         self._observation: Any = None
         self._supervising = self.latency = 0.0
@@ -163,6 +172,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             decisions = self._door.decide(action)
             executed = tuple(int(each.executed) for each in decisions)
         else:
+            if isinstance(self._door, MetaDoor):
+                self._door.show(self._observation)
             decisions = [self._door.decide(action, self._order_of(action))]
             executed = decisions[0].executed
         self._patience.check(decisions[0], self._door.cause)

@@ -15,6 +15,7 @@ from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
 from shield.doors.input_door import refuse_lots
 from shield.doors.supervision import Command
+from shield.perception.scenes import ObservedScenes
 from shield.procedures.decide import Core, Unreadable, read
 from shield.procedures.frames import Frames
 from shield.procedures.meta_actions import MetaActions
@@ -37,6 +38,7 @@ class MetaDoor:
     frames : whether the frames between two decisions are supervised, with `frame`. Without, a meta-action has to last
         until the next decision, and the shield's look-ahead ends with its horizon.
     rule : what decides alone, as the modes "distance", "rss" and "ttc" do.
+    scenes : what reads scenes; the simulator's true state by default.
 
     Raises
     ------
@@ -50,10 +52,18 @@ class MetaDoor:
     core : what decides, and remembers. cause : why the scene of the last decision could not be read, "" where it could.
     """
 
-    def __init__(self, base: Any, config: ShieldConfig, frames: bool = True, rule: Rule | None = None) -> None:
+    def __init__(
+        self,
+        base: Any,
+        config: ShieldConfig,
+        frames: bool = True,
+        rule: Rule | None = None,
+        scenes: ObservedScenes | None = None,
+    ) -> None:
         refuse_lots([base])
         refuse_simulated(config)
-        self.config, self.reader, self._base = config, SceneReader(base), base
+        self.config, self._base = config, base
+        self.reader: SceneReader | ObservedScenes = SceneReader(base) if scenes is None else scenes
         self._meta: Any = MetaActions(config) if frames else MetaActionsOnly(config)
         self._frames = Frames(config, NearestInputs(config) if config.repair == "filter" else None)
         self._alone = rule is not None or config.mode in ("distance", "rss", "ttc")
@@ -85,6 +95,11 @@ class MetaDoor:
         if self.config.mode != "none":
             self.reader.check()
         self._passed = None
+
+    def show(self, observation: Any) -> None:
+        """What the policy sees, before it is decided about: nothing to one that reads the simulator's state."""
+        if isinstance(self.reader, ObservedScenes):
+            self.reader.show(observation)
 
     def decide(self, action: Any, order: Callable[[], list[int] | None] | None = None) -> Decision:
         """Filter one meta-action; `order` gives the policy's order of preference over the others."""

@@ -27,6 +27,9 @@ from shield.doors.road_door import RoadDoor
 from shield.doors.supervision import Command, Supervision
 from shield.doors.warm_doors import warm_up_door
 from shield.errors import ConfigError
+from shield.perception.perceiving import PerceptionConfig
+from shield.perception.scenes import NO_OBSERVED_SCENES, ObservedScenes, scenes_of
+from shield.perception.undoing import as_shown
 from shield.roads.reading import default_on, has_crossings
 
 __all__ = ["Shield"]
@@ -37,9 +40,9 @@ _log = logging.getLogger(__name__)
 class Shield:
     """Wraps a policy; `predict` returns its action where that verifies, and an alternative otherwise.
 
-    The shield reads the simulator's true state: the observation alone does not show who drives behind. It also has the
-    last word at each simulation frame between two calls of `predict`, as `ShieldedEnv` does: a meta-action lasts for
-    many frames, in which the world moves on.
+    The shield reads the simulator's true state unless `perception` says otherwise: the observation alone does not show
+    who drives behind. It also has the last word at each simulation frame between two calls of `predict`, as
+    `ShieldedEnv` does: a meta-action lasts for many frames, in which the world moves on.
 
     Parameters
     ----------
@@ -52,6 +55,9 @@ class Shield:
     frames : whether the frames between two decisions are supervised. Without, `Shield` is a pure filter of actions: it
         touches nothing but what `predict` returns, and has to look seconds ahead with what it assumes. With
         `ShieldConfig.exact()` it simulates the traffic instead, and meta-actions need no supervision either way.
+    perception : what scenes are read from: "simulator", its true state, or "observation", nothing of the traffic but
+        what reaches `predict` (Kinematics, meta-actions, a straight highway), and at the frames between what the
+        environment would show then; or a `PerceptionConfig`, which has the settings of the latter.
 
     Raises
     ------
@@ -84,7 +90,12 @@ class Shield:
     """
 
     def __init__(
-        self, policy: Any, env: Any = None, config: ShieldConfig | str | Path | None = None, frames: bool = True
+        self,
+        policy: Any,
+        env: Any = None,
+        config: ShieldConfig | str | Path | None = None,
+        frames: bool = True,
+        perception: str | PerceptionConfig = "simulator",
     ) -> None:
         if env is None:
             env = policy.get_env() if callable(getattr(policy, "get_env", None)) else None
@@ -115,7 +126,13 @@ class Shield:
         elif roads and self.config.mode == "full":
             self._doors = [RoadDoor(base, self.config) for base in self._bases]
         else:
-            self._doors = [MetaDoor(base, self.config, frames) for base in self._bases]
+            each = getattr(env, "envs", [env])
+            self._doors = [
+                MetaDoor(base, self.config, frames, scenes=scenes_of(perception, one))
+                for base, one in zip(self._bases, each, strict=True)
+            ]
+        if perception != "simulator" and not isinstance(self._doors[0], MetaDoor):
+            raise ConfigError(NO_OBSERVED_SCENES)
         warm_up_door(self._doors[0])
         n = len(self._bases)
         self._roads: list[Any] = [None] * n
@@ -239,6 +256,7 @@ class Shield:
             reason = Reason.POLICY_FAILED
         rows = flat if numbers else np.asarray(proposals).reshape(len(self._doors), -1)
         ranking = _Ranking(self.policy, observation)
+        self._show(observation)
         self.last_decisions = [self._decide(i, row, ranking, reason) for i, row in enumerate(rows)]
         for patience, decision, door in zip(self._patience, self.last_decisions, self._doors, strict=True):
             patience.check(decision, cause or door.cause)
@@ -273,6 +291,14 @@ class Shield:
         if self._frames and door.supervising and (supervision is None or not supervision.supervises(base.vehicle)):
             self._supervisions[i] = Supervision(base, lambda: self._frame(i)).install()
         return decision
+
+    def _show(self, observation: Any) -> None:
+        """Hand each environment's observation to what makes a scene of it."""
+        if isinstance(self._doors[0], MetaDoor) and isinstance(self._doors[0].reader, ObservedScenes):
+            shown, n = as_shown(self._env, observation), len(self._doors)
+            for i, door in enumerate(self._doors):
+                assert isinstance(door, MetaDoor)
+                door.show(shown[0] if n == 1 and np.ndim(shown) == 3 else _row(shown, i, n))
 
     def _frame(self, i: int) -> Command:
         door = self._doors[i]

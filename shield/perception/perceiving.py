@@ -1,0 +1,187 @@
+"""`ObservationPerception`: the scene as an observation shows it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dynamics.scenes.scene import EgoControl, Scene
+from dynamics.state import FloatArray, State, Vehicle
+from shield.errors import ConfigError
+from shield.perception.sighting import Sighting, decode
+from shield.perception.spec import ObservationSpec
+from shield.perception.tracking import Tracks, follow
+from shield.perception.unseen import Behind, Unseen, ahead, edges
+
+__all__ = ["ObservationPerception", "PerceptionConfig"]
+
+_X, _Y, _HEADING, _SPEED = int(State.X), int(State.Y), int(State.HEADING), int(State.SPEED)
+_RESOLUTION = (1e-4, 1e-4, 1e-4, 1e-4)
+"""What 32 bits leave of a number in an observation [m], [m/s]."""
+_STANDING = 0.05
+"""Below this speed [m/s] a velocity says nothing of a heading."""
+
+
+@dataclass(frozen=True, slots=True)
+class PerceptionConfig:
+    """Settings of `ObservationPerception`.
+
+    Attributes
+    ----------
+    unseen : what is assumed of those who are not seen.
+    accelerations : standard deviations of the others' accelerations along and across the road [m/s^2], by which they
+        are known again.
+
+    Raises
+    ------
+    ConfigError
+        If the accelerations are not above 0.
+    """
+
+    unseen: Unseen = field(default_factory=Unseen)
+    accelerations: tuple[float, float] = (4.0, 4.0)
+
+    def __post_init__(self) -> None:
+        if not all(math.isfinite(a) and a > 0 for a in self.accelerations):
+            raise ConfigError(f"accelerations are above 0, got {self.accelerations}")
+
+
+class ObservationPerception:
+    """Makes scenes of Kinematics observations: nothing of the traffic is read but these.
+
+    The road map is known, and what the ego itself has been told (its target lane and speed). Sizes are not observed:
+    every body is taken to be `ObservationSpec.body`. In each lane somebody unseen is assumed at either edge of sight
+    (`shield.perception.unseen`).
+
+    Parameters
+    ----------
+    spec : what the observations mean.
+    road : the static road map, a `dynamics.roads.straight.StraightRoad`.
+    timing : duration of a simulation frame [s], and simulation frames in a decision.
+    config : settings.
+
+    Attributes
+    ----------
+    tracks : who is followed. behind : who may be there unseen.
+    """
+
+    def __init__(
+        self,
+        spec: ObservationSpec,
+        road: Any,
+        timing: tuple[float, int],
+        config: PerceptionConfig | None = None,
+    ) -> None:
+        self.spec, self._road, self._timing = spec, road, timing
+        self.config = PerceptionConfig() if config is None else config
+        self._noise = np.diag(np.square(_RESOLUTION))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything about the episode."""
+        self.tracks, self.behind = Tracks(), Behind()
+        self._edges = self.spec.distance, self.spec.distance
+        self._ego: FloatArray | None = None
+        self._frame = -1
+
+    def see(self, observation: Any, frame: int, control: EgoControl) -> Scene:
+        """The scene that an observation shows.
+
+        Parameters
+        ----------
+        observation : of shape `spec.shape`, or flattened.
+        frame : index of the simulation frame since the episode began; one that has been seen already is the same
+            instant.
+        control : what the ego has been told, and what it can be told.
+
+        Raises
+        ------
+        SceneError
+            If the observation cannot be read.
+        """
+        if frame != self._frame:
+            sighting, dt = decode(self.spec, observation), self._timing[0]
+            passed = max(frame - self._frame, 1) * dt
+            self._ego, before = _ego_row(sighting, self._ego, passed, self.spec.body), self._ego
+            if before is None:
+                self.tracks = Tracks()
+            states = sighting.others.copy()
+            states[:, 0] += self._ego[_X]
+            last = self.tracks
+            self.tracks = follow(last, states, self._noise, passed, self.config.accelerations)
+            self._edges, self._frame = edges(self.spec, sighting), frame
+            self._look_behind(last, passed)
+        return self._scene(control)
+
+    def _look_behind(self, last: Tracks, passed: float) -> None:
+        """Keep in mind who has got out of sight behind."""
+        assert self._ego is not None
+        gone = ~np.isin(last.ids, self.tracks.ids)
+        lost, new = last.mean[gone].copy(), self.tracks.mean[~np.isin(self.tracks.ids, last.ids)].copy()
+        lost[:, :2] += passed * lost[:, 2:]
+        along = float(self._ego[_SPEED] * math.cos(self._ego[_HEADING]))
+        seen = [np.column_stack([each[:, 0] - self._ego[_X], each[:, 1], each[:, 2]]) for each in (lost, new)]
+        self.behind.go_on(self.config.unseen, self._edges[1], along, passed, *seen)
+
+    def _scene(self, control: EgoControl) -> Scene:
+        assert self._ego is not None
+        dt, frames = self._timing
+        rows = _rows(self.tracks.mean, self.spec.body)
+        ego_road, others_road = self._road.to_road(self._ego), self._road.to_road(rows)
+        unseen, far = self.config.unseen, self._edges[0]
+        ghosts = np.concatenate(
+            [
+                ahead(self.spec, far, unseen, self._road, ego_road, others_road),
+                self.behind.states(unseen, self._road, ego_road, self.spec.distance),
+            ]
+        )
+        ghost_rows = np.zeros((len(ghosts), len(Vehicle)))
+        ghost_rows[:, : len(State)] = self._road.to_world(ghosts)
+        ghost_rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] = self.spec.body
+        return Scene(
+            ego=self._ego,
+            others=np.concatenate([rows, ghost_rows]),
+            road=self._road,
+            control=control,
+            dt=dt,
+            frames_per_decision=frames,
+            frame=self._frame,
+            ids=np.concatenate([self.tracks.ids, np.full(len(ghosts), -1)]),
+        )
+
+
+def _ego_row(sighting: Sighting, before: FloatArray | None, passed: float, body: tuple[float, float]) -> FloatArray:
+    """The ego, (7,). Where it has left the range of x, it is where its speed has brought it."""
+    x, y, vx, vy = sighting.ego
+    heading, speed = _polar(vx, vy, sighting.heading, 0.0 if before is None else float(before[_HEADING]))
+    if math.isnan(x):
+        x = 0.0
+        if before is not None:
+            x = before[_X] + before[_SPEED] * math.cos(before[_HEADING]) * passed
+    return np.array([x, y, heading, speed, *body, 0.0])
+
+
+def _polar(vx: float, vy: float, heading: float, last: float) -> tuple[float, float]:
+    """Heading [rad] and speed [m/s] of a velocity; nobody is turned by more than a quarter from the road."""
+    size = math.hypot(vx, vy)
+    if math.isfinite(heading):
+        return heading, math.copysign(size, vx * math.cos(heading) + vy * math.sin(heading)) if size else 0.0
+    if size < _STANDING:
+        return last, math.copysign(size, vx)
+    sign = math.copysign(1.0, vx)
+    return math.atan2(sign * vy, sign * vx), sign * size
+
+
+def _rows(states: FloatArray, body: tuple[float, float]) -> FloatArray:
+    """Vehicle rows (n, 7) of states x, y, vx, vy (n, 4)."""
+    out = np.zeros((len(states), len(Vehicle)))
+    size, sign = np.hypot(states[:, 2], states[:, 3]), np.where(states[:, 2] < 0, -1.0, 1.0)
+    out[:, [_X, _Y]] = states[:, :2]
+    moving = size >= _STANDING
+    out[moving, _HEADING] = np.arctan2(sign * states[:, 3], sign * states[:, 2])[moving]
+    out[:, _SPEED] = sign * size
+    out[:, [Vehicle.LENGTH, Vehicle.WIDTH]] = body
+    return out

@@ -1,0 +1,115 @@
+"""What one observation shows, in metres and in the world's directions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynamics.state import BoolArray, FloatArray
+from shield.errors import SceneError
+from shield.perception.spec import ObservationSpec
+
+__all__ = ["Sighting", "decode"]
+
+_STATE = ("x", "y", "vx", "vy")
+_EDGE = 1.0 - 1e-6
+"""A normalised and clipped number from here on may stand for anything beyond its range."""
+_FULL = 1e-3
+"""Rows whose numbers are all smaller than this, with no presence to go by, are empty."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """One observation, decoded.
+
+    Attributes
+    ----------
+    ego : x, y [m], vx, vy [m/s] of the ego, (4,); x is NaN where it has left the range.
+    others : the same of those seen, (m, 4), relative in x to the ego, absolute in y, vx and vy.
+    heading, headings : of the ego and of those seen [rad], NaN and (m,) of NaN where it is not a feature.
+    full : whether there is no empty row, so that more may be there than are shown.
+    cut : whether some row is at the edge of a range: somebody is there, and nobody knows where.
+    """
+
+    ego: FloatArray
+    others: FloatArray
+    heading: float
+    headings: FloatArray
+    full: bool
+    cut: bool
+
+
+def decode(spec: ObservationSpec, observation: object) -> Sighting:
+    """Read an observation.
+
+    Parameters
+    ----------
+    observation : of shape `spec.shape`, or the same flattened.
+
+    Raises
+    ------
+    SceneError
+        If it has another shape, or is not finite, or does not show the ego.
+    """
+    try:
+        rows: FloatArray = np.array(observation, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError(f"an observation is an array of numbers, not {type(observation).__name__}") from None
+    if rows.size != spec.rows * len(spec.features):
+        raise SceneError(f"an observation of shape {spec.shape} is expected, got {rows.shape}")
+    rows = rows.reshape(spec.shape)
+    if not np.isfinite(rows).all():
+        raise SceneError("the observation is not finite")
+    there = _there(spec, rows)
+    if not there[0]:
+        raise SceneError("the observation does not show the ego: its first row is empty")
+    seen = rows[there]
+    columns = {name: _in_units(spec, name, seen[:, k]) for k, name in enumerate(spec.features)}
+    at_edge = {name: _at_edge(spec, name, seen[:, k]) for k, name in enumerate(spec.features)}
+    lost = [name for name in _STATE[1:] if at_edge[name][0]]
+    if lost:
+        raise SceneError(f"the ego's {', '.join(lost)} is at the edge of its range: nobody knows what it is")
+    state = np.stack([columns[name] for name in _STATE], axis=1)
+    ego, others = state[0], state[1:].copy()
+    if spec.absolute:
+        others[:, 0] -= ego[0]
+    else:
+        others[:, 1:] += ego[1:]
+    if at_edge["x"][0]:
+        ego[0] = np.nan
+    headings = _headings(columns, len(seen))
+    known = ~np.any([at_edge[name][1:] for name in _STATE], axis=0)
+    return Sighting(
+        ego, others[known], float(headings[0]), headings[1:][known], bool(there.all()), not bool(known.all())
+    )
+
+
+def _in_units(spec: ObservationSpec, name: str, column: FloatArray) -> FloatArray:
+    """A feature in its own unit."""
+    if name not in spec.ranges:  # type: ignore[operator]
+        return column
+    low, high = spec.ranges[name]  # type: ignore[index]
+    return low + (column + 1.0) * (high - low) / 2.0
+
+
+def _at_edge(spec: ObservationSpec, name: str, column: FloatArray) -> BoolArray:
+    """Where a feature may be anything beyond its range."""
+    clipped = spec.clip and name in spec.ranges  # type: ignore[operator]
+    return np.abs(column) >= _EDGE if clipped else np.zeros(len(column), dtype=bool)
+
+
+def _there(spec: ObservationSpec, rows: FloatArray) -> BoolArray:
+    """Which rows show a vehicle, (rows,)."""
+    if "presence" in spec.features:
+        there: BoolArray = rows[:, spec.features.index("presence")] > 0.5
+        return there
+    filled: BoolArray = np.any(np.abs(rows) > _FULL, axis=1)
+    filled[0] = True
+    return filled
+
+
+def _headings(columns: dict[str, FloatArray], n: int) -> FloatArray:
+    if "cos_h" in columns and "sin_h" in columns:
+        return np.arctan2(columns["sin_h"], columns["cos_h"])
+    return columns["heading"] if "heading" in columns else np.full(n, np.nan)

@@ -1,0 +1,155 @@
+"""What a Kinematics observation means: which number is what, in which unit, and what it leaves out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf, isfinite
+from typing import Any
+
+from highway_env.road.lane import AbstractLane
+from highway_env.vehicle.kinematics import Vehicle
+
+from shield.errors import ConfigError
+
+__all__ = ["ObservationSpec"]
+
+_NEEDED = ("x", "y", "vx", "vy")
+_KNOWN = ("presence", *_NEEDED, "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off")
+_ORDERS = ("sorted", "shuffled")
+
+
+@dataclass(frozen=True, slots=True)
+class ObservationSpec:
+    """A Kinematics observation of highway-env: a row for the ego, and one for each vehicle that it sees.
+
+    Attributes
+    ----------
+    features : columns, in order; x, y, vx and vy have to be among them.
+    rows : vehicles, the ego included.
+    ranges : of each normalised feature the values that -1 and 1 stand for [m], [m/s]; no entries where nothing is
+        normalised.
+    absolute : whether the others are in the world frame, and not relative to the ego.
+    clip : whether what is outside its range is shown at its edge.
+    sorted : whether those in the rows are the nearest along the road; shuffled rows of too many vehicles say nothing
+        of who is left out.
+    see_behind : whether vehicles more than `behind` behind the ego are seen.
+    distance : how far the ego sees [m].
+    behind : how far back it sees without `see_behind`, from centre to centre [m].
+    body : length and width that are assumed of each vehicle, for none is observed [m].
+
+    Raises
+    ------
+    ConfigError
+        If a feature is unknown, or one that is needed is missing; the message says what to add to the environment's
+        configuration.
+
+    Examples
+    --------
+    >>> spec = ObservationSpec(rows=15, see_behind=True, ranges={})
+    >>> spec.features.index("vx")
+    3
+    """
+
+    features: tuple[str, ...] = ("presence", *_NEEDED)
+    rows: int = 5
+    ranges: Mapping[str, tuple[float, float]] | None = None
+    absolute: bool = False
+    clip: bool = True
+    sorted: bool = True
+    see_behind: bool = False
+    distance: float = 5.0 * Vehicle.MAX_SPEED
+    behind: float = 2.0 * Vehicle.LENGTH
+    body: tuple[float, float] = (Vehicle.LENGTH, Vehicle.WIDTH)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ranges", dict(self.ranges or {}))
+        unknown = [name for name in self.features if name not in _KNOWN]
+        if unknown:
+            raise ConfigError(f"unknown features {', '.join(map(repr, unknown))}; have {', '.join(_KNOWN)}")
+        missing = [name for name in _NEEDED if name not in self.features]
+        if missing:
+            raise ConfigError(
+                f"the observation lacks {', '.join(missing)}: add them to config['observation']['features'], which is "
+                f"{list(self.features)}"
+            )
+        if len(set(self.features)) != len(self.features):
+            raise ConfigError(f"each feature may be there once, not {list(self.features)}")
+        if self.rows < 2:
+            raise ConfigError("an observation of nobody but the ego shows no traffic: set vehicles_count to at least 2")
+        if not all(isfinite(x) and x > 0 for x in (*self.body, self.distance)):
+            raise ConfigError(f"distance and the sides of a body are above 0, got {self.distance}, {self.body}")
+        for name, (low, high) in self.ranges.items():  # type: ignore[union-attr]
+            if not -inf < low < high < inf:
+                raise ConfigError(f"the range of {name!r} has to ascend, got {low} to {high}")
+        if self.clip and self.absolute and "x" in self.ranges:  # type: ignore[operator]
+            raise ConfigError(
+                "absolute x that is clipped says nothing once the ego has left its range: set 'absolute' or 'clip' "
+                "of config['observation'] to False"
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.rows, len(self.features)
+
+    @classmethod
+    def of(cls, env: Any) -> ObservationSpec:
+        """What an environment of highway-env shows; it has to be reset.
+
+        Raises
+        ------
+        ConfigError
+            If it shows anything but Kinematics, or that cannot be used.
+        """
+        base = env.unwrapped
+        kind = base.observation_type
+        if type(kind).__name__ != "KinematicObservation":
+            raise ConfigError(
+                f"scenes are made from Kinematics observations, not {type(kind).__name__}: set "
+                'config["observation"] = {"type": "Kinematics", "vehicles_count": 15, "see_behind": True}'
+            )
+        ranges: Mapping[str, Any] = {}
+        if kind.normalize:
+            kind.normalize_obs({})  # settles the ranges, of nothing
+            ranges = {name: (float(low), float(high)) for name, (low, high) in kind.features_range.items()}
+        return cls(
+            features=tuple(kind.features),
+            rows=int(kind.vehicles_count),
+            ranges={name: each for name, each in ranges.items() if name in kind.features},
+            absolute=bool(kind.absolute),
+            clip=bool(kind.clip),
+            sorted=kind.order == _ORDERS[0],
+            see_behind=bool(kind.see_behind),
+            distance=float(base.PERCEPTION_DISTANCE),
+        )
+
+    @classmethod
+    def from_config(cls, observation: Mapping[str, Any], lanes: int) -> ObservationSpec:
+        """The same from highway-env's configuration of a straight highway of so many lanes, for an environment that is
+        out of reach.
+
+        Raises
+        ------
+        ConfigError
+            As of `of`.
+        """
+        given = dict(observation)
+        if given.get("type") != "Kinematics":
+            raise ConfigError(f"scenes are made from Kinematics observations, not {given.get('type')!r}")
+        features = tuple(given.get("features") or cls().features)
+        wide = AbstractLane.DEFAULT_WIDTH * lanes
+        far, fast = 5.0 * Vehicle.MAX_SPEED, 2.0 * Vehicle.MAX_SPEED
+        usual = {"x": (-far, far), "y": (-wide, wide), "vx": (-fast, fast), "vy": (-fast, fast)}
+        ranges = given.get("features_range") or usual
+        return cls(
+            features=features,
+            rows=int(given.get("vehicles_count", 5)),
+            ranges={k: (float(a), float(b)) for k, (a, b) in ranges.items() if k in features}
+            if given.get("normalize", True)
+            else {},
+            absolute=bool(given.get("absolute", False)),
+            clip=bool(given.get("clip", True)),
+            sorted=given.get("order", "sorted") == _ORDERS[0],
+            see_behind=bool(given.get("see_behind", False)),
+        )

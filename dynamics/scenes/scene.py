@@ -62,6 +62,8 @@ class Scene:
         is not known, and each scene is the next.
     ids : which of the others is which, (n,), -1 for those who may be somebody else in each scene; None where they are
         the same in every scene, in the same order, and their states are exact.
+    blurred : whether the rows of the others are bounds: bodies as far as they may reach, speeds as low ahead of the ego
+        and as high behind it as they may be.
     """
 
     ego: FloatArray
@@ -72,6 +74,7 @@ class Scene:
     frames_per_decision: int
     frame: int | None = None
     ids: IntArray | None = None
+    blurred: bool = False
     ego_road: FloatArray = field(init=False, repr=False)
     others_road: FloatArray = field(init=False, repr=False)
 

@@ -142,6 +142,13 @@ def evaluate(
             " state, or nothing of the traffic but what the policy observes."
         ),
     ] = PERCEPTIONS[0],
+    sensor: Annotated[
+        str,
+        typer.Option(
+            help="Through which sensors the policy sees, and a shield that reads observations: one or more of"
+            " exact, metric-0.5, metric-2, metric-2-late, normalised-0.2, normalised-0.5."
+        ),
+    ] = "exact",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes for each row.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; the others follow.")] = EVALUATION_SEED,
     jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
@@ -202,6 +209,7 @@ def evaluate(
         "shields": shield,
         "doors": doors,
         "perception": perception,
+        "sensor": sensor,
         "episodes": episodes,
         "seed": seed,
         "algorithm": algorithm,
@@ -223,7 +231,7 @@ def evaluate(
     try:
         parts = [
             run_paired(
-                each,
+                each if through == "exact" else each.override({}, name=f"{each.name}, {through}"),
                 driver,
                 variants,
                 range(seed, seed + episodes),
@@ -231,10 +239,12 @@ def evaluate(
                 algorithm=algorithm,
                 model=model,
                 simulator=simulator,
+                sensor=through,
                 progress=True,
                 store=store,
             )
             for each, variants in compared
+            for through in _split([sensor])
             for driver in policies
         ]
     except KeyboardInterrupt:

@@ -91,9 +91,10 @@ class _Driver:
         algorithm: str | None,
         model: str | None,
         simulator: str,
+        sensor: str = "exact",
     ) -> None:
         self.setting, self.variant = setting, variant
-        self.simulator, self.env = environment(setting, policy, variant, model, simulator)
+        self.simulator, self.env = environment(setting, policy, variant, model, simulator, sensor)
         self.label = _label(policy, model)
         learned = driving_model(model, self.env)
         self.policy: Policy = make_policy(policy, self.env, algorithm, learned) if isinstance(policy, str) else policy
@@ -208,6 +209,7 @@ def run_episode(
     algorithm: str | None = None,
     model: str | None = None,
     simulator: str = "auto",
+    sensor: str = "exact",
 ) -> EpisodeRecord:
     """Drive one episode.
 
@@ -219,10 +221,11 @@ def run_episode(
     algorithm : the SB3 algorithm of a zip file without a manifest.
     model : what `mpc` and the predictive filter of door "env" plan with (see
         `evaluation.running.driving_model.driving_model`).
-    simulator : one of `SIMULATORS` (see `evaluation.running.simulators.environment`).
+    simulator : one of `SIMULATORS`. sensor : a name in `evaluation.wrappers.SENSORS`. Of both see
+        `evaluation.running.simulators.environment`.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
-    driver = _Driver(setting, policy, variant or Variant(), algorithm, model, simulator)
+    driver = _Driver(setting, policy, variant or Variant(), algorithm, model, simulator, sensor)
     try:
         with one_thread():
             return driver.run(seed)
@@ -240,6 +243,7 @@ def run_paired(
     algorithm: str | None = None,
     model: str | None = None,
     simulator: str = "auto",
+    sensor: str = "exact",
     progress: bool = False,
     store: Store | None = None,
 ) -> pd.DataFrame:
@@ -247,7 +251,7 @@ def run_paired(
 
     Parameters
     ----------
-    setting, policy, algorithm, model, simulator : as in `run_episode`.
+    setting, policy, algorithm, model, simulator, sensor : as in `run_episode`.
     variants : what to compare.
     seeds : seeds of the episodes.
     jobs : processes; -1 for one per core.
@@ -275,7 +279,7 @@ def run_paired(
     for variant in variants:
         left = [seed for seed in seeds if (variant.place, variant.mode, seed) not in done]
         calls += [
-            (setting, policy, variant, left[i : i + size], algorithm, model, simulator)
+            (setting, policy, variant, left[i : i + size], algorithm, model, simulator, sensor)
             for i in range(0, len(left), size)
         ]
     console, total, said = Console(stderr=True), len(seeds) * len(variants), 0
@@ -346,11 +350,12 @@ def _run_chunk(
     algorithm: str | None,
     model: str | None,
     simulator: str,
+    sensor: str,
 ) -> list[dict[str, Any]]:
     with one_thread():
         if len(seeds) == 1 and isinstance(policy, str):
-            return [_kept(setting, policy, variant, algorithm, model, simulator).run(seeds[0]).row()]
-        driver = _Driver(setting, policy, variant, algorithm, model, simulator)
+            return [_kept(setting, policy, variant, algorithm, model, simulator, sensor).run(seeds[0]).row()]
+        driver = _Driver(setting, policy, variant, algorithm, model, simulator, sensor)
         try:
             return [driver.run(seed).row() for seed in seeds]
         finally:
@@ -359,7 +364,13 @@ def _run_chunk(
 
 @lru_cache(maxsize=4)
 def _kept(
-    setting: Setting, policy: str, variant: Variant, algorithm: str | None, model: str | None, simulator: str
+    setting: Setting,
+    policy: str,
+    variant: Variant,
+    algorithm: str | None,
+    model: str | None,
+    simulator: str,
+    sensor: str,
 ) -> _Driver:
     """A driver that is kept from one episode to the next."""
-    return _Driver(setting, policy, variant, algorithm, model, simulator)
+    return _Driver(setting, policy, variant, algorithm, model, simulator, sensor)

@@ -6,10 +6,12 @@ from evaluation.wrappers.hanoi_reward import HanoiWeights, HanoiWorldReward
 from evaluation.wrappers.off_road import OffRoadWrapper
 from evaluation.wrappers.on_lane_reward import OnLane, OnLaneReward
 from evaluation.wrappers.performance_logger import PerformanceLogger
+from evaluation.wrappers.sensor_noise import SENSORS, SensorModel, SensorNoise
 from evaluation.wrappers.signed_lane import LaneOffset, SignedLaneObservation
 from evaluation.wrappers.throttle_and_steering import ThrottleAndSteering
 
 __all__ = [
+    "SENSORS",
     "HanoiWeights",
     "HanoiWorldReward",
     "LaneOffset",
@@ -17,6 +19,8 @@ __all__ = [
     "OnLane",
     "OnLaneReward",
     "PerformanceLogger",
+    "SensorModel",
+    "SensorNoise",
     "SignedLaneObservation",
     "ThrottleAndSteering",
 ]

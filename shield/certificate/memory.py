@@ -19,6 +19,7 @@ from shield.certificate.clauses.duties import lanes_held
 from shield.certificate.clauses.others import TOUCH
 from shield.certificate.manoeuvres import Manoeuvres, brake_candidates
 from shield.certificate.monitor import Stillness, Watch
+from shield.certificate.nesting import nested
 from shield.certificate.verify import Binding, Clearance, Surveyor
 from shield.config import ShieldConfig
 
@@ -125,11 +126,15 @@ def observe(
     watch = memory.watch if isinstance(memory.watch, Watch) else Watch()
     last, lane = memory.survey, memory.stored if isinstance(memory.stored, int) else None
     same = None if last is None or scene.ids is None else _same(last.scene, scene)
+    if same is not None and scene.blurred and frames == 1:
+        assert last is not None
+        scene = nested(last.scene, last.around, same, scene)
     ego = float(scene.ego_road[RoadState.S])
     before: Surroundings | Before | None = watch.before(scene) if frames == 1 else None
     if same is not None:
         assert last is not None
-        before = _before(last.around, same, scene, config, ego) if frames == 1 else None
+        exact = frames == 1 and not scene.blurred
+        before = _before(last.around, same, scene, config, ego) if exact else None
     around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, before, ego)
     visible, owned, coming = _lanes(last, scene, config, frames, lane, same)
     followers = watch.followers(scene)

@@ -13,7 +13,7 @@ from dynamics.state import FloatArray, State, Vehicle
 from shield.errors import ConfigError
 from shield.perception.sighting import Sighting, decode
 from shield.perception.spec import ObservationSpec
-from shield.perception.tracking import Tracks, follow
+from shield.perception.tracking import Motions, Tracks, follow
 from shield.perception.unseen import Behind, Unseen, ahead, edges
 
 __all__ = ["ObservationPerception", "PerceptionConfig"]
@@ -32,21 +32,34 @@ class PerceptionConfig:
     Attributes
     ----------
     unseen : what is assumed of those who are not seen.
-    accelerations : standard deviations of the others' accelerations along and across the road [m/s^2], by which they
-        are known again.
+    calm, brisk : standard deviations of the others' accelerations along and across the road [m/s^2], of those who drive
+        on, by which what is seen of them is smoothed, and of those who do something else (see `tracking`).
+    noise : standard deviations of x, y [m], vx and vy [m/s] of those observed; None for what the sensor says of itself
+        (its attribute `sensor_noise`), and without that what 32 bits leave of a number.
+    bound : a body is taken to reach so many standard deviations further than it is thought to be, and to be so many
+        faster behind the ego, and slower ahead.
+    patience : for how many observations in a row somebody may be missing who has been seen.
 
     Raises
     ------
     ConfigError
-        If the accelerations are not above 0.
+        If one is out of range.
     """
 
     unseen: Unseen = field(default_factory=Unseen)
-    accelerations: tuple[float, float] = (4.0, 4.0)
+    calm: tuple[float, float] = (2.0, 1.0)
+    brisk: tuple[float, float] = (8.0, 40.0)
+    noise: tuple[float, float, float, float] | None = None
+    bound: float = 2.5
+    patience: int = 0
 
     def __post_init__(self) -> None:
-        if not all(math.isfinite(a) and a > 0 for a in self.accelerations):
-            raise ConfigError(f"accelerations are above 0, got {self.accelerations}")
+        if not all(math.isfinite(a) and a > 0 for a in (*self.calm, *self.brisk)):
+            raise ConfigError(f"accelerations are above 0, got calm {self.calm} and brisk {self.brisk}")
+        if self.noise is not None and (np.shape(self.noise) != (4,) or not all(0 <= s < math.inf for s in self.noise)):
+            raise ConfigError(f"noise is of x, y, vx and vy, four numbers from 0 on, not {self.noise!r}")
+        if not 0 <= self.bound < math.inf or type(self.patience) is not int or self.patience < 0:
+            raise ConfigError(f"bound and patience are from 0 on, got {self.bound!r} and {self.patience!r}")
 
 
 class ObservationPerception:
@@ -77,7 +90,9 @@ class ObservationPerception:
     ) -> None:
         self.spec, self._road, self._timing = spec, road, timing
         self.config = PerceptionConfig() if config is None else config
-        self._noise = np.diag(np.square(_RESOLUTION))
+        noise = _RESOLUTION if self.config.noise is None else np.maximum(self.config.noise, _RESOLUTION)
+        self._noise = np.diag(np.square(noise))
+        self._motions = Motions(self.config.calm, self.config.brisk, road.centers + road.origin[1])
         self.reset()
 
     def reset(self) -> None:
@@ -111,7 +126,7 @@ class ObservationPerception:
             states = sighting.others.copy()
             states[:, 0] += self._ego[_X]
             last = self.tracks
-            self.tracks = follow(last, states, self._noise, passed, self.config.accelerations)
+            self.tracks = follow(last, states, self._noise, passed, self._motions, self.config.patience)
             self._edges, self._frame = edges(self.spec, sighting), frame
             self._look_behind(last, passed)
         return self._scene(control)
@@ -129,7 +144,7 @@ class ObservationPerception:
     def _scene(self, control: EgoControl) -> Scene:
         assert self._ego is not None
         dt, frames = self._timing
-        rows = _rows(self.tracks.mean, self.spec.body)
+        rows = _bounded(self.tracks, self.spec.body, float(self._ego[_X]), self.config.bound)
         ego_road, others_road = self._road.to_road(self._ego), self._road.to_road(rows)
         unseen, far = self.config.unseen, self._edges[0]
         ghosts = np.concatenate(
@@ -150,17 +165,18 @@ class ObservationPerception:
             frames_per_decision=frames,
             frame=self._frame,
             ids=np.concatenate([self.tracks.ids, np.full(len(ghosts), -1)]),
+            blurred=self.config.noise is not None,
         )
 
 
 def _ego_row(sighting: Sighting, before: FloatArray | None, passed: float, body: tuple[float, float]) -> FloatArray:
-    """The ego, (7,). Where it has left the range of x, it is where its speed has brought it."""
+    """The ego, (7,). Along the road it is where its speed has brought it: it may have left the range of x."""
     x, y, vx, vy = sighting.ego
     heading, speed = _polar(vx, vy, sighting.heading, 0.0 if before is None else float(before[_HEADING]))
-    if math.isnan(x):
+    if before is not None:
+        x = before[_X] + before[_SPEED] * math.cos(before[_HEADING]) * passed
+    elif math.isnan(x):
         x = 0.0
-        if before is not None:
-            x = before[_X] + before[_SPEED] * math.cos(before[_HEADING]) * passed
     return np.array([x, y, heading, speed, *body, 0.0])
 
 
@@ -173,6 +189,17 @@ def _polar(vx: float, vy: float, heading: float, last: float) -> tuple[float, fl
         return last, math.copysign(size, vx)
     sign = math.copysign(1.0, vx)
     return math.atan2(sign * vy, sign * vx), sign * size
+
+
+def _bounded(tracks: Tracks, body: tuple[float, float], x: float, bound: float) -> FloatArray:
+    """Vehicle rows (n, 7) that reach as far as those followed may be, with an ego at x [m]."""
+    spread = bound * np.sqrt(np.einsum("nii->ni", tracks.covariance))
+    states = tracks.mean.copy()
+    # Who is faster behind, and slower ahead, is more in the way.
+    states[:, 2] += np.where(states[:, 0] < x, 1.0, -1.0) * spread[:, 2]
+    rows = _rows(states, body)
+    rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] += 2 * spread[:, :2]
+    return rows
 
 
 def _rows(states: FloatArray, body: tuple[float, float]) -> FloatArray:

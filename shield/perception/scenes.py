@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -27,13 +27,14 @@ class ObservedScenes:
 
     Parameters
     ----------
-    base : the environment, unwrapped; of it are read the road map, the clock and what the ego has been told.
-    sense : the observation now; asked for at frames between two decisions.
+    env : the environment; of it are read the road map, the clock and what the ego has been told, and at frames between
+        two decisions what it shows then.
     config : settings.
     """
 
-    def __init__(self, base: Any, sense: Callable[[], Any], config: PerceptionConfig | None = None) -> None:
-        self._base, self._sense, self._config = base, sense, config
+    def __init__(self, env: Any, config: PerceptionConfig | None = None) -> None:
+        base = env.unwrapped
+        self._base, self._env, self._config = base, env, PerceptionConfig() if config is None else config
         self._inner = SceneReader(base)
         self._perception: ObservationPerception | None = None
         self._shown: tuple[int, Any] | None = None
@@ -60,7 +61,11 @@ class ObservedScenes:
         frames = int(config["simulation_frequency"] // config["policy_frequency"])
         spec = ObservationSpec.of(base)
         without_data_frames(base.observation_type)  # it is asked at each frame
-        self._perception = ObservationPerception(spec, self._inner.map, (dt, frames), self._config)
+        settings, noise = self._config, _noise_of(self._env)
+        if noise is not None:
+            # What is noisy may be beyond the range that it was clipped to.
+            spec, settings = replace(spec, clip=False), replace(settings, noise=settings.noise or noise)
+        self._perception = ObservationPerception(spec, self._inner.map, (dt, frames), settings)
         self._shown = None
 
     def show(self, observation: Any) -> None:
@@ -77,7 +82,7 @@ class ObservedScenes:
         """
         frame = int(self._base.steps)
         if self._shown is None or self._shown[0] != frame:
-            self._shown = frame, self._sense()
+            self._shown = frame, sense(self._env)
         return self.perception.see(self._shown[1], frame, self._inner.control)
 
 
@@ -87,6 +92,17 @@ def sense(env: Any) -> Any:
         return env.observation_type.observe()
     seen = sense(env.env)
     return env.observation(seen) if isinstance(env, gym.ObservationWrapper) else seen
+
+
+def _noise_of(env: Any) -> tuple[float, float, float, float] | None:
+    """What the outermost sensor that says so says of its own noise (see `PerceptionConfig.noise`)."""
+    while env is not env.unwrapped:
+        told = vars(env).get("sensor_noise")
+        if told is not None:
+            x, y, vx, vy = (float(sigma) for sigma in told)
+            return x, y, vx, vy
+        env = env.env
+    return None
 
 
 def scenes_of(perception: str | PerceptionConfig, env: Any) -> ObservedScenes | None:
@@ -102,7 +118,7 @@ def scenes_of(perception: str | PerceptionConfig, env: Any) -> ObservedScenes | 
         If there is no such perception.
     """
     if isinstance(perception, PerceptionConfig):
-        return ObservedScenes(env.unwrapped, lambda: sense(env), perception)
+        return ObservedScenes(env, perception)
     if perception not in PERCEPTIONS:
         raise ConfigError(f"unknown perception {perception!r}; have {', '.join(PERCEPTIONS)}, or a PerceptionConfig")
-    return None if perception == "simulator" else ObservedScenes(env.unwrapped, lambda: sense(env))
+    return None if perception == "simulator" else ObservedScenes(env)

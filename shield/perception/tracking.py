@@ -1,31 +1,55 @@
-"""Who is who from one observation to the next, and what each is doing: assignment, and a Kalman filter for each.
+"""Who is who from one observation to the next, and what each is doing: assignment, and two Kalman filters for each.
 
 Notation
 --------
-State of a vehicle: x [m], y [m], vx, vy [m/s] in the world's directions, with mean (n, 4) and covariance (n, 4, 4).
-Between two observations everybody keeps its velocity, but for an acceleration that is white noise:
+State of a vehicle: x [m], y [m], vx, vy [m/s] in the world's directions. Lanes lie along x. From one observation to the
+next a vehicle does one of two things, which change at random:
 
-    x' = x + vx dt        P' = F P F^T + G diag(a_x^2, a_y^2) G^T        G = (dt^2 / 2, dt)
+- *calm*, it drives on: along x it keeps its velocity, but for an acceleration that is white noise, and across it is
+  drawn to the middle of the nearest lane;
+- *brisk*, it does something else: both are white noise, and large. In frames of 0.2 s highway-env's cars swing to and
+  fro by 1 m as they change lanes.
 
-Which row of an observation is whom is the assignment of least total Mahalanobis distance (Bar-Shalom and Li 1995),
-with those further apart than a gate left over: they are new, or out of sight.
+So each vehicle has an estimate for either, and the probability of either (the interacting multiple model of Blom and
+Bar-Shalom 1988); mean and covariance are those of the mixture. Which row of an observation is whom is the assignment of
+least total Mahalanobis distance, with those further apart than a gate left over: they are new, or out of sight.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from dynamics.state import BoolArray, FloatArray, IntArray
+from dynamics.state import FloatArray, IntArray
 
-__all__ = ["Tracks", "follow"]
+__all__ = ["Motions", "Tracks", "follow"]
 
 _GATE = 36.0
 """Squared Mahalanobis distance beyond which two are not the same: chi^2 with 4 degrees exceeds it once in 4 million."""
 _FAR = 1e6
 """What it costs to be matched beyond the gate."""
+_SETTLING, _WAVER = 1.0, 0.15
+"""One that keeps to its lane is drawn to its middle within this [s], and strays from it by this [m]."""
+_STARTS, _ENDS = 0.1, 1.0
+"""How often a calm one becomes brisk, and a brisk one calm [1/s]."""
+
+
+class Motions(NamedTuple):
+    """How vehicles move.
+
+    Attributes
+    ----------
+    calm, brisk : standard deviations of the accelerations along x and y [m/s^2].
+    centers : of the lanes, along y, (lanes,) [m]; without any, a calm one keeps its velocity across as well.
+    """
+
+    calm: tuple[float, float] = (2.0, 1.0)
+    brisk: tuple[float, float] = (8.0, 40.0)
+    centers: FloatArray | None = None
 
 
 def _none(*shape: int) -> FloatArray:
@@ -38,28 +62,35 @@ class Tracks:
 
     Attributes
     ----------
-    ids : which is which, (n,); never given twice. mean, covariance : (n, 4) and (n, 4, 4).
+    ids : which is which, (n,); never given twice.
+    means, covariances : of either estimate, calm and brisk, (n, 2, 4) and (n, 2, 4, 4). chances : of either, (n, 2).
     missed : for how many observations in a row each has not been seen, (n,).
     next_id : of the next newcomer.
-    innovation : squared Mahalanobis distance between what was expected of each and what was seen, (n,); NaN of who has
-        just come or was not seen.
+    innovation : squared Mahalanobis distance between what was expected of each and what was seen, the less of the two,
+        (n,); NaN of who has just come or was not seen.
     """
 
     ids: IntArray = field(default_factory=lambda: np.zeros(0, np.intp))
-    mean: FloatArray = field(default_factory=lambda: _none(4))
-    covariance: FloatArray = field(default_factory=lambda: _none(4, 4))
+    means: FloatArray = field(default_factory=lambda: _none(2, 4))
+    covariances: FloatArray = field(default_factory=lambda: _none(2, 4, 4))
+    chances: FloatArray = field(default_factory=lambda: _none(2))
     missed: IntArray = field(default_factory=lambda: np.zeros(0, np.intp))
     next_id: int = 1
     innovation: FloatArray = field(default_factory=lambda: np.zeros(0))
 
+    @property
+    def mean(self) -> FloatArray:
+        """Of both estimates together, (n, 4)."""
+        return np.einsum("nj,nji->ni", self.chances, self.means)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of both together, (n, 4, 4)."""
+        return _mixed(self.chances, self.means, self.covariances, self.mean)
+
 
 def follow(
-    tracks: Tracks,
-    seen: FloatArray,
-    noise: FloatArray,
-    dt: float,
-    accelerations: tuple[float, float],
-    patience: int = 0,
+    tracks: Tracks, seen: FloatArray, noise: FloatArray, dt: float, motions: Motions, patience: int = 0
 ) -> Tracks:
     """The tracks after one more observation.
 
@@ -67,59 +98,96 @@ def follow(
     ----------
     tracks : before it. seen : states of those seen, (m, 4), in any order.
     noise : covariance of one of these, (4, 4). dt : time since the observation before [s].
-    accelerations : standard deviations along x and y [m/s^2].
     patience : for how many observations in a row somebody may be missing.
     """
-    mean, covariance = _predict(tracks.mean, tracks.covariance, dt, accelerations)
-    apart = _distances(mean, covariance + noise, seen)
-    rows, columns = linear_sum_assignment(np.minimum(apart, _FAR))
-    matched = apart[rows, columns] <= _GATE
+    chances, means, covariances = _predict(tracks, dt, motions)
+    spread = covariances + noise
+    apart = seen[None, None] - means[:, :, None]
+    away = np.einsum("njmk,njkm->njm", apart, np.linalg.solve(spread, np.swapaxes(apart, 2, 3)))
+    least = away.min(axis=1, initial=np.inf) if len(means) else np.zeros((0, len(seen)))
+    rows, columns = linear_sum_assignment(np.minimum(least, _FAR))
+    matched = least[rows, columns] <= _GATE
     rows, columns = rows[matched], columns[matched]
-    innovation = np.full(len(mean), np.nan)
-    innovation[rows] = apart[rows, columns]
-    mean[rows], covariance[rows] = _update(mean[rows], covariance[rows], seen[columns], noise)
+    innovation = np.full(len(means), np.nan)
+    innovation[rows] = least[rows, columns]
+    # What is so unlikely that it is 0 would never come back.
+    size = np.linalg.slogdet(spread[rows])[1]
+    likely = np.log(chances[rows]) - 0.5 * (away[rows, :, columns] + size)
+    likely = np.exp(likely - likely.max(axis=1, keepdims=True, initial=-np.inf)) + 1e-12
+    chances[rows] = likely / likely.sum(axis=1, keepdims=True)
+    means[rows], covariances[rows] = _update(means[rows], covariances[rows], seen[columns], noise)
     missed = tracks.missed + 1
     missed[rows] = 0
-    kept: BoolArray = missed <= patience
+    kept = missed <= patience
     new = np.setdiff1d(np.arange(len(seen)), columns)
     n = len(new)
     return Tracks(
         np.concatenate([tracks.ids[kept], tracks.next_id + np.arange(n)]),
-        np.concatenate([mean[kept], seen[new]]),
-        np.concatenate([covariance[kept], np.broadcast_to(noise, (n, 4, 4))]),
+        np.concatenate([means[kept], np.repeat(seen[new, None], 2, axis=1)]),
+        np.concatenate([covariances[kept], np.broadcast_to(noise, (n, 2, 4, 4))]),
+        np.concatenate([chances[kept], np.full((n, 2), 0.5)]),
         np.concatenate([missed[kept], np.zeros(n, np.intp)]),
         tracks.next_id + n,
         np.concatenate([innovation[kept], np.full(n, np.nan)]),
     )
 
 
-def _predict(
-    mean: FloatArray, covariance: FloatArray, dt: float, accelerations: tuple[float, float]
-) -> tuple[FloatArray, FloatArray]:
+def _predict(tracks: Tracks, dt: float, motions: Motions) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Chances, means and covariances of either estimate before anything more is seen."""
+    starts, ends = 1 - math.exp(-_STARTS * dt), 1 - math.exp(-_ENDS * dt)
+    changes = np.array([[1 - starts, starts], [ends, 1 - ends]])
+    chances = tracks.chances @ changes
+    # Either estimate begins from both, as likely as each has led there.
+    led = np.swapaxes(tracks.chances[:, :, None] * changes / chances[:, None, :], 1, 2)
+    means = np.einsum("nji,nik->njk", led, tracks.means)
+    begun = np.stack([_mixed(led[:, j], tracks.means, tracks.covariances, means[:, j]) for j in (0, 1)], axis=1)
     step = np.eye(4)
     step[0, 2] = step[1, 3] = dt
+    covariances = step @ begun @ step.T
+    for j, accelerations in enumerate((motions.calm, motions.brisk)):
+        covariances[:, j] += _pushed(dt, accelerations)
+    after = means @ step.T
+    if motions.centers is not None and len(means):
+        _keep_lane(means[:, 0, 1], begun[:, 0, 1, 1], dt, motions.centers, after[:, 0], covariances[:, 0])
+    return chances, after, covariances
+
+
+def _mixed(chances: FloatArray, means: FloatArray, covariances: FloatArray, mean: FloatArray) -> FloatArray:
+    """Covariance (n, 4, 4) of a mixture of two, with its `mean`."""
+    apart = means - mean[:, None]
+    return np.einsum("nj,njik->nik", chances, covariances + apart[..., :, None] * apart[..., None, :])
+
+
+def _pushed(dt: float, accelerations: tuple[float, float]) -> FloatArray:
+    """What white accelerations of a frame add to a covariance."""
     pushed = np.zeros((4, 4))
     for axis, a in enumerate(accelerations):
         g = np.zeros(4)
         g[axis], g[axis + 2] = dt * dt / 2, dt
         pushed += a * a * np.outer(g, g)
-        # Nobody's mean acceleration of a frame moves it to the last digit.
+        # highway-env moves by the speed of before, another half of it.
         pushed[axis, axis] += (a * dt * dt / 4) ** 2
-    return mean @ step.T, step @ covariance @ step.T + pushed
+    return pushed
 
 
-def _distances(mean: FloatArray, spread: FloatArray, seen: FloatArray) -> FloatArray:
-    """Squared Mahalanobis distances, (n, m)."""
-    apart = seen[None] - mean[:, None]
-    solved = np.linalg.solve(spread, np.swapaxes(apart, 1, 2))
-    return np.einsum("nmk,nkm->nm", apart, solved)
+def _keep_lane(
+    y: FloatArray, spread: FloatArray, dt: float, centers: FloatArray, mean: FloatArray, covariance: FloatArray
+) -> None:
+    """Have what is expected across of those at `y` (n,), with variance `spread`, be drawn to the middle of their
+    lanes: fills in y and vy of `mean` (n, 4) and `covariance` (n, 4, 4)."""
+    left = math.exp(-dt / _SETTLING)
+    middle = centers[np.abs(y[:, None] - centers).argmin(axis=1)]
+    mean[:, 1], mean[:, 3] = middle + left * (y - middle), 0.0
+    covariance[:, [1, 3], :] = covariance[:, :, [1, 3]] = 0.0
+    covariance[:, 1, 1] = left**2 * spread + (1 - left**2) * _WAVER**2
+    covariance[:, 3, 3] = (_WAVER / _SETTLING) ** 2 + 1e-2
 
 
 def _update(
-    mean: FloatArray, covariance: FloatArray, seen: FloatArray, noise: FloatArray
+    means: FloatArray, covariances: FloatArray, seen: FloatArray, noise: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Joseph's form, which stays symmetric and positive."""
-    gain = np.swapaxes(np.linalg.solve(covariance + noise, covariance), 1, 2)
+    gain = np.swapaxes(np.linalg.solve(covariances + noise, covariances), -1, -2)
     rest = np.eye(4) - gain
-    updated = mean + np.einsum("nij,nj->ni", gain, seen - mean)
-    return updated, rest @ covariance @ np.swapaxes(rest, 1, 2) + gain @ noise @ np.swapaxes(gain, 1, 2)
+    updated = means + np.einsum("njik,njk->nji", gain, seen[:, None] - means)
+    return updated, rest @ covariances @ np.swapaxes(rest, -1, -2) + gain @ noise @ np.swapaxes(gain, -1, -2)

@@ -39,6 +39,7 @@ class Unseen:
     room : nobody unseen is nearer behind the ego at the reset [m].
     surge : by how much one that was passed may come to drive faster than it did when it was seen last [m/s].
     acceleration : how fast it comes to do so [m/s^2].
+    strays : whether it may have changed lanes since.
 
     Raises
     ------
@@ -46,11 +47,12 @@ class Unseen:
         If one is no number from 0 on, or `slowest` is above `fastest`.
     """
 
-    slowest: float = 15.0
+    slowest: float = 18.0
     fastest: float = 30.0
     room: float = 200.0
-    surge: float = 2.0
+    surge: float = 1.0
     acceleration: float = 3.0
+    strays: bool = False
 
     def __post_init__(self) -> None:
         for name in ("slowest", "fastest", "room", "surge", "acceleration"):
@@ -63,7 +65,7 @@ class Unseen:
     @classmethod
     def worst(cls) -> Unseen:
         """Anybody may be right beyond each edge of sight at any time: standing ahead, at 40 m/s behind."""
-        return cls(slowest=0.0, fastest=40.0, room=0.0, surge=40.0, acceleration=1e3)
+        return cls(slowest=0.0, fastest=40.0, room=0.0, surge=40.0, acceleration=1e3, strays=True)
 
 
 def edges(spec: ObservationSpec, sighting: Sighting) -> tuple[float, float]:
@@ -150,5 +152,11 @@ class Behind:
         """States on the road of those who may be there, (n, 4), no further than `reach` behind the ego [m]."""
         s, lanes = float(ego[RoadState.S]), road.centers
         rows = [(s + self.stranger, r, 0.0, unseen.fastest) for r in lanes if self.stranger > -reach]
-        rows += [(s + gap, r, 0.0, speed) for gap, r, speed, _ in self.passed if gap > -reach]
+        beside = (1.5 if unseen.strays else 0.5) * road.width
+        rows += [
+            (s + gap, center, 0.0, speed)
+            for gap, r, speed, _ in self.passed
+            for center in lanes
+            if gap > -reach and abs(center - r) <= beside
+        ]
         return np.array(rows, float).reshape(-1, 4)

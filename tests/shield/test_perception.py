@@ -20,7 +20,7 @@ from shield.decision import Reason, Tier
 from shield.perception.perceiving import ObservationPerception, PerceptionConfig
 from shield.perception.sighting import decode
 from shield.perception.spec import ObservationSpec
-from shield.perception.tracking import Tracks, follow
+from shield.perception.tracking import Motions, Tracks, follow
 from shield.perception.undoing import as_shown
 from shield.perception.unseen import Behind, Unseen, ahead, edges
 from shield.procedures.decide import Core
@@ -290,7 +290,7 @@ def test_the_filter_is_calibrated():
     tracks, found, outside = Tracks(), [], 0
     for k in range(60):
         seen = truth + rng.multivariate_normal(np.zeros(4), noise, n)
-        tracks = follow(tracks, seen, noise, dt, a)
+        tracks = follow(tracks, seen, noise, dt, Motions(a, a))
         if k > 20:
             found.append(tracks.innovation)
             spread = np.sqrt(np.einsum("nii->ni", tracks.covariance))
@@ -310,20 +310,20 @@ def test_the_filter_is_calibrated():
 def test_who_leaves_is_forgotten_and_who_comes_is_new():
     noise = np.eye(4) * 1e-4
     one, two = [0.0, 0.0, 20.0, 0.0], [30.0, 4.0, 20.0, 0.0]
-    tracks = follow(Tracks(), np.array([one, two]), noise, 0.1, (4.0, 4.0))
+    tracks = follow(Tracks(), np.array([one, two]), noise, 0.1, Motions())
     assert tracks.ids.tolist() == [1, 2]
-    tracks = follow(tracks, np.array([[33.0, 4.0, 20.0, 0.0]]) - [1.0, 0, 0, 0], noise, 0.1, (4.0, 4.0))
+    tracks = follow(tracks, np.array([[33.0, 4.0, 20.0, 0.0]]) - [1.0, 0, 0, 0], noise, 0.1, Motions())
     assert tracks.ids.tolist() == [2]
-    tracks = follow(tracks, np.array([[34.0, 4.0, 20.0, 0.0], [2.0, 0.0, 20.0, 0.0]]), noise, 0.1, (4.0, 4.0))
+    tracks = follow(tracks, np.array([[34.0, 4.0, 20.0, 0.0], [2.0, 0.0, 20.0, 0.0]]), noise, 0.1, Motions())
     assert tracks.ids.tolist() == [2, 3]
 
 
 @given(patience=st.integers(0, 4), gone=st.integers(1, 6))
 def test_somebody_may_be_missing_for_as_long_as_there_is_patience(patience, gone):
     noise, state = np.eye(4) * 0.01, np.array([[0.0, 0.0, 20.0, 0.0]])
-    tracks = follow(Tracks(), state, noise, 0.1, (4.0, 4.0), patience)
+    tracks = follow(Tracks(), state, noise, 0.1, Motions(), patience)
     for _ in range(gone):
-        tracks = follow(tracks, np.zeros((0, 4)), noise, 0.1, (4.0, 4.0), patience)
+        tracks = follow(tracks, np.zeros((0, 4)), noise, 0.1, Motions(), patience)
     assert len(tracks.ids) == (gone <= patience)
     if gone <= patience:
         assert tracks.mean[0, 0] == pytest.approx(2.0 * gone)

@@ -92,7 +92,7 @@ class ObservationPerception:
         self.config = PerceptionConfig() if config is None else config
         noise = _RESOLUTION if self.config.noise is None else np.maximum(self.config.noise, _RESOLUTION)
         self._noise = np.diag(np.square(noise))
-        self._motions = Motions(self.config.calm, self.config.brisk, road.centers + road.origin[1])
+        self._motions = Motions(calm=self.config.calm, brisk=self.config.brisk, centers=road.centers + road.origin[1])
         self.reset()
 
     def reset(self) -> None:

@@ -1,16 +1,17 @@
-"""Who is who from one observation to the next, and what each is doing: assignment, and two Kalman filters for each.
+"""Who is who from one observation to the next, and what each is doing: assignment, and three Kalman filters for each.
 
 Notation
 --------
 State of a vehicle: x [m], y [m], vx, vy [m/s] in the world's directions. Lanes lie along x. From one observation to the
-next a vehicle does one of two things, which change at random:
+next a vehicle does one of three things, which change at random:
 
 - *calm*, it drives on: along x it keeps its velocity, but for an acceleration that is white noise, and across it is
   drawn to the middle of the nearest lane;
-- *brisk*, it does something else: both are white noise, and large. In frames of 0.2 s highway-env's cars swing to and
-  fro by 1 m as they change lanes.
+- *free*, it does not keep to a lane: across, too, it keeps its velocity but for white noise;
+- *brisk*: both accelerations are large. In frames of 0.2 s highway-env's cars swing to and fro by 1 m as they change
+  lanes.
 
-So each vehicle has an estimate for either, and the probability of either (the interacting multiple model of Blom and
+So each vehicle has an estimate for each, and the probability of each (the interacting multiple model of Blom and
 Bar-Shalom 1988); mean and covariance are those of the mixture. Which row of an observation is whom is the assignment of
 least total Mahalanobis distance, with those further apart than a gate left over: they are new, or out of sight.
 """
@@ -19,9 +20,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import expm
 from scipy.optimize import linear_sum_assignment
 
 from dynamics.state import FloatArray, IntArray
@@ -34,8 +37,9 @@ _FAR = 1e6
 """What it costs to be matched beyond the gate."""
 _SETTLING, _WAVER = 1.0, 0.15
 """One that keeps to its lane is drawn to its middle within this [s], and strays from it by this [m]."""
-_STARTS, _ENDS = 0.1, 1.0
-"""How often a calm one becomes brisk, and a brisk one calm [1/s]."""
+_RATES = np.array([[-0.2, 0.1, 0.1], [0.5, -0.6, 0.1], [0.5, 0.5, -1.0]])
+"""How often one that does this does that instead [1/s]."""
+_MODES = 3
 
 
 class Motions(NamedTuple):
@@ -43,11 +47,12 @@ class Motions(NamedTuple):
 
     Attributes
     ----------
-    calm, brisk : standard deviations of the accelerations along x and y [m/s^2].
+    calm, free, brisk : standard deviations of the accelerations along x and y [m/s^2].
     centers : of the lanes, along y, (lanes,) [m]; without any, a calm one keeps its velocity across as well.
     """
 
     calm: tuple[float, float] = (2.0, 1.0)
+    free: tuple[float, float] = (2.0, 3.0)
     brisk: tuple[float, float] = (8.0, 40.0)
     centers: FloatArray | None = None
 
@@ -63,29 +68,29 @@ class Tracks:
     Attributes
     ----------
     ids : which is which, (n,); never given twice.
-    means, covariances : of either estimate, calm and brisk, (n, 2, 4) and (n, 2, 4, 4). chances : of either, (n, 2).
+    means, covariances : of each estimate, calm, free and brisk, (n, 3, 4) and (n, 3, 4, 4). chances : of each, (n, 3).
     missed : for how many observations in a row each has not been seen, (n,).
     next_id : of the next newcomer.
-    innovation : squared Mahalanobis distance between what was expected of each and what was seen, the less of the two,
-        (n,); NaN of who has just come or was not seen.
+    innovation : squared Mahalanobis distance between what was expected of each and what was seen, the least of the
+        three, (n,); NaN of who has just come or was not seen.
     """
 
     ids: IntArray = field(default_factory=lambda: np.zeros(0, np.intp))
-    means: FloatArray = field(default_factory=lambda: _none(2, 4))
-    covariances: FloatArray = field(default_factory=lambda: _none(2, 4, 4))
-    chances: FloatArray = field(default_factory=lambda: _none(2))
+    means: FloatArray = field(default_factory=lambda: _none(_MODES, 4))
+    covariances: FloatArray = field(default_factory=lambda: _none(_MODES, 4, 4))
+    chances: FloatArray = field(default_factory=lambda: _none(_MODES))
     missed: IntArray = field(default_factory=lambda: np.zeros(0, np.intp))
     next_id: int = 1
     innovation: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def mean(self) -> FloatArray:
-        """Of both estimates together, (n, 4)."""
+        """Of all estimates together, (n, 4)."""
         return np.einsum("nj,nji->ni", self.chances, self.means)
 
     @property
     def covariance(self) -> FloatArray:
-        """Of both together, (n, 4, 4)."""
+        """Of all together, (n, 4, 4)."""
         return _mixed(self.chances, self.means, self.covariances, self.mean)
 
 
@@ -123,9 +128,9 @@ def follow(
     n = len(new)
     return Tracks(
         np.concatenate([tracks.ids[kept], tracks.next_id + np.arange(n)]),
-        np.concatenate([means[kept], np.repeat(seen[new, None], 2, axis=1)]),
-        np.concatenate([covariances[kept], np.broadcast_to(noise, (n, 2, 4, 4))]),
-        np.concatenate([chances[kept], np.full((n, 2), 0.5)]),
+        np.concatenate([means[kept], np.repeat(seen[new, None], _MODES, axis=1)]),
+        np.concatenate([covariances[kept], np.broadcast_to(noise, (n, _MODES, 4, 4))]),
+        np.concatenate([chances[kept], np.full((n, _MODES), 1 / _MODES)]),
         np.concatenate([missed[kept], np.zeros(n, np.intp)]),
         tracks.next_id + n,
         np.concatenate([innovation[kept], np.full(n, np.nan)]),
@@ -133,18 +138,17 @@ def follow(
 
 
 def _predict(tracks: Tracks, dt: float, motions: Motions) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Chances, means and covariances of either estimate before anything more is seen."""
-    starts, ends = 1 - math.exp(-_STARTS * dt), 1 - math.exp(-_ENDS * dt)
-    changes = np.array([[1 - starts, starts], [ends, 1 - ends]])
+    """Chances, means and covariances of each estimate before anything more is seen."""
+    changes = _changes(dt)
     chances = tracks.chances @ changes
-    # Either estimate begins from both, as likely as each has led there.
+    # Each estimate begins from all, as likely as each has led there.
     led = np.swapaxes(tracks.chances[:, :, None] * changes / chances[:, None, :], 1, 2)
     means = np.einsum("nji,nik->njk", led, tracks.means)
-    begun = np.stack([_mixed(led[:, j], tracks.means, tracks.covariances, means[:, j]) for j in (0, 1)], axis=1)
+    begun = np.stack([_mixed(led[:, j], tracks.means, tracks.covariances, means[:, j]) for j in range(_MODES)], axis=1)
     step = np.eye(4)
     step[0, 2] = step[1, 3] = dt
     covariances = step @ begun @ step.T
-    for j, accelerations in enumerate((motions.calm, motions.brisk)):
+    for j, accelerations in enumerate((motions.calm, motions.free, motions.brisk)):
         covariances[:, j] += _pushed(dt, accelerations)
     after = means @ step.T
     if motions.centers is not None and len(means):
@@ -152,8 +156,15 @@ def _predict(tracks: Tracks, dt: float, motions: Motions) -> tuple[FloatArray, F
     return chances, after, covariances
 
 
+@lru_cache(maxsize=16)
+def _changes(dt: float) -> FloatArray:
+    """Probabilities of doing this and, `dt` later, that, (3, 3)."""
+    changes: FloatArray = expm(_RATES * dt)
+    return changes
+
+
 def _mixed(chances: FloatArray, means: FloatArray, covariances: FloatArray, mean: FloatArray) -> FloatArray:
-    """Covariance (n, 4, 4) of a mixture of two, with its `mean`."""
+    """Covariance (n, 4, 4) of a mixture, with its `mean`."""
     apart = means - mean[:, None]
     return np.einsum("nj,njik->nik", chances, covariances + apart[..., :, None] * apart[..., None, :])
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
 from dynamics.roads.straight import StraightRoad
-from dynamics.scenes.scene import EgoControl, SceneReader, Target
+from dynamics.scenes.scene import EgoControl, Scene, SceneReader, Target
 from shield import ConfigError, SceneError, Shield, ShieldConfig, ShieldedEnv
 from shield.decision import Reason, Tier
 from shield.perception.perceiving import ObservationPerception, PerceptionConfig
@@ -290,7 +290,7 @@ def test_the_filter_is_calibrated():
     tracks, found, outside = Tracks(), [], 0
     for k in range(60):
         seen = truth + rng.multivariate_normal(np.zeros(4), noise, n)
-        tracks = follow(tracks, seen, noise, dt, Motions(a, a))
+        tracks = follow(tracks, seen, noise, dt, Motions(a, a, a))
         if k > 20:
             found.append(tracks.innovation)
             spread = np.sqrt(np.einsum("nii->ni", tracks.covariance))
@@ -389,3 +389,58 @@ def test_in_the_worst_case_somebody_fast_is_right_behind():
 def test_assumptions_about_the_unseen_are_checked(bad):
     with pytest.raises(ConfigError):
         Unseen(**bad)
+
+
+# -- what is seen through noise --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sigma", [0.5, 2.0])
+def test_a_lane_change_is_found_under_noise(sigma):
+    """One who has left its lane is not thought to be in it because it is likely to be."""
+    rng, noise, dt = np.random.default_rng(1), np.eye(4) * sigma**2, 0.2
+    motions, found = Motions(centers=np.array([0.0, 4.0, 8.0])), []
+    for _ in range(30):
+        tracks, y = Tracks(), 0.0
+        for k in range(50):
+            vy = 2.0 if 10 <= k < 20 else 0.0
+            y += vy * dt
+            seen = np.array([[20.0 * k * dt, y, 20.0, vy]]) + rng.normal(0, sigma, (1, 4))
+            tracks = follow(tracks, seen, noise, dt, motions, patience=3)
+        found.append(abs(tracks.mean[0, 1] - 4.0))
+        assert len(tracks.ids) == 1
+    assert np.mean(found) < 0.7
+    assert max(found) < 2.0
+
+
+def test_bounds_are_no_wider_than_what_was_known_before():
+    """A leader of constant speed, shown with noise: its rear is never thought further back than it can have come."""
+    rng, config = np.random.default_rng(2), ShieldConfig()
+    core, control = Core(MetaActions(config)), EgoControl(Target(0, 25.0))
+    wish, back = Wish(1, control.actions, None), None
+    widest = 0.0
+    for k in range(60):
+        ego = np.array([25.0 * 0.2 * k, 0.0, 0.0, 25.0, 5.0, 2.0, 0.0])
+        shift, slower = rng.normal(0, 0.3), rng.normal(0, 0.4)
+        row = np.array([[60.0 + 25.0 * 0.2 * k + shift, 0.0, 0.0, 24.0 + slower, 6.0, 2.5, 0.0]])
+        scene = Scene(ego, row, ROAD, control, 0.2, 5, k, np.array([1]), blurred=True)
+        core.decide(scene, wish)
+        survey = core.memory.survey
+        rear = float(survey.around.states[0, 0]) - 3.0
+        if back is not None:
+            assert rear >= back - 1e-9
+            assert rear >= row[0, 0] - 3.0 - 1e-9
+        widest = max(widest, rear - (row[0, 0] - 3.0))
+        back = float(survey.around.rear(1)[0, 0])
+    assert widest > 0.1
+
+
+def test_newcomers_and_scenes_that_are_exact_are_not_narrowed():
+    control, around = EgoControl(Target(0, 25.0)), []
+    for blurred, ids in ((True, [1]), (True, [2]), (False, [2])):
+        row = np.array([[60.0, 0.0, 0.0, 24.0, 6.0, 2.5, 0.0]])
+        ego = np.array([0.0, 0.0, 0.0, 25.0, 5.0, 2.0, 0.0])
+        around.append(Scene(ego, row, ROAD, control, 0.2, 5, len(around), np.array(ids), blurred))
+    core = Core(MetaActions(ShieldConfig()))
+    for scene in around:
+        core.decide(scene, Wish(1, control.actions, None))
+        assert float(core.memory.survey.around.states[0, 0]) == 60.0

@@ -30,7 +30,7 @@ class SensorModel:
     normalised : whether these are in normalised units, a share of half the feature's range, and not in m and m/s.
     dropout : probability with which each row is empty.
     delay : for how many decisions what is shown is out of date.
-    ego : whether the ego's own row is as bad as the others'.
+    ego : whether the ego's own row is as noisy and late as the others'; what is relative is to where the ego was.
 
     Raises
     ------
@@ -128,7 +128,10 @@ class SensorNoise(gym.ObservationWrapper[Any, Any, Any]):
     def observation(self, observation: Any) -> Any:
         """What the sensor shows of what is there."""
         now = int(self.unwrapped.steps)  # type: ignore[attr-defined]
-        shown = self._late(now, np.array(observation))
+        exact = np.array(observation)
+        shown = self._late(now, exact).copy()
+        if not self.model.ego:
+            shown[0] = exact[0]
         rng, first = self._rng, 0 if self.model.ego else 1
         there = np.abs(shown).max(axis=1) > 0
         shown = (shown + there[:, None] * self._shares * self._drawn(rng, shown.shape, first)).astype(shown.dtype)

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from dynamics.scenes.scene import EgoControl, Scene
-from dynamics.state import FloatArray, State, Vehicle
+from dynamics.state import FloatArray, RoadState, State, Vehicle
 from shield.errors import ConfigError
 from shield.perception.sighting import Sighting, decode
 from shield.perception.spec import ObservationSpec
-from shield.perception.tracking import Motions, Tracks, follow
+from shield.perception.tracking import Motions, Tracks, ahead_of, follow
 from shield.perception.unseen import Behind, Unseen, ahead, edges
 
 __all__ = ["ObservationPerception", "PerceptionConfig"]
@@ -39,6 +40,8 @@ class PerceptionConfig:
     bound : a body is taken to reach so many standard deviations further than it is thought to be, and to be so many
         faster behind the ego, and slower ahead.
     patience : for how many observations in a row somebody may be missing who has been seen.
+    delay : for how many simulation frames what is shown of the others is out of date, beyond what the sensor says of
+        itself (its attribute `sensor_delay`); the ego's own row is not.
 
     Raises
     ------
@@ -52,14 +55,18 @@ class PerceptionConfig:
     noise: tuple[float, float, float, float] | None = None
     bound: float = 2.5
     patience: int = 0
+    delay: int = 0
 
     def __post_init__(self) -> None:
         if not all(math.isfinite(a) and a > 0 for a in (*self.calm, *self.brisk)):
             raise ConfigError(f"accelerations are above 0, got calm {self.calm} and brisk {self.brisk}")
         if self.noise is not None and (np.shape(self.noise) != (4,) or not all(0 <= s < math.inf for s in self.noise)):
             raise ConfigError(f"noise is of x, y, vx and vy, four numbers from 0 on, not {self.noise!r}")
-        if not 0 <= self.bound < math.inf or type(self.patience) is not int or self.patience < 0:
-            raise ConfigError(f"bound and patience are from 0 on, got {self.bound!r} and {self.patience!r}")
+        counts = self.patience, self.delay
+        if not 0 <= self.bound < math.inf or any(type(n) is not int or n < 0 for n in counts):
+            raise ConfigError(
+                f"bound, patience and delay are from 0 on, got {self.bound!r}, {counts[0]!r}, {counts[1]!r}"
+            )
 
 
 class ObservationPerception:
@@ -99,8 +106,7 @@ class ObservationPerception:
         """Forget everything about the episode."""
         self.tracks, self.behind = Tracks(), Behind()
         self._edges = self.spec.distance, self.spec.distance
-        self._ego: FloatArray | None = None
-        self._frame = -1
+        self._egos: deque[tuple[int, FloatArray]] = deque()
 
     def see(self, observation: Any, frame: int, control: EgoControl) -> Scene:
         """The scene that an observation shows.
@@ -117,64 +123,91 @@ class ObservationPerception:
         SceneError
             If the observation cannot be read.
         """
-        if frame != self._frame:
-            sighting, dt = decode(self.spec, observation), self._timing[0]
-            passed = max(frame - self._frame, 1) * dt
-            self._ego, before = _ego_row(sighting, self._ego, passed, self.spec.body), self._ego
-            if before is None:
-                self.tracks = Tracks()
-            states = sighting.others.copy()
-            states[:, 0] += self._ego[_X]
-            last = self.tracks
-            self.tracks = follow(last, states, self._noise, passed, self._motions, self.config.patience)
-            self._edges, self._frame = edges(self.spec, sighting), frame
-            self._look_behind(last, passed)
+        if not self._egos or frame != self._egos[-1][0]:
+            sighting = decode(self.spec, observation)
+            self._look(sighting, *self._move(sighting, frame))
         return self._scene(control)
 
-    def _look_behind(self, last: Tracks, passed: float) -> None:
-        """Keep in mind who has got out of sight behind."""
-        assert self._ego is not None
+    def _move(self, sighting: Sighting, frame: int) -> tuple[FloatArray, float]:
+        """Take in where the ego is now; returns where it was when what is shown was seen, and the time between that and
+        what was shown before [s]."""
+        egos, dt, before = self._egos, self._timing[0], self._egos[-1] if self._egos else None
+        then = self._then() if egos else frame
+        row = None if before is None else before[1]
+        passed = dt if before is None else (frame - before[0]) * dt
+        egos.append((frame, _ego_row(sighting, row, passed, self.spec.body, frame - (before or (0,))[0] > 1)))
+        while len(egos) > 1 and egos[1][0] <= frame - self.config.delay:
+            egos.popleft()
+        return egos[0][1], (egos[0][0] - then) * dt
+
+    def _then(self) -> int:
+        """The frame at which what was shown last was seen."""
+        return self._egos[0][0]
+
+    def _look(self, sighting: Sighting, then: FloatArray, passed: float) -> None:
+        """Take in who is shown, as seen by the ego `then`."""
+        states, now = sighting.others.copy(), self._egos[-1][1]
+        if self.spec.absolute:
+            states[:, 0] += now[_X]
+        else:
+            # What is relative is relative to where the ego was.
+            states += _cartesian(then)
+            states[:, 1:] -= sighting.ego[1:]
+        last = self.tracks
+        if passed or not len(last.ids):
+            self.tracks = follow(last, states, self._noise, passed, self._motions, self.config.patience)
+        self._edges = edges(self.spec, sighting)
         gone = ~np.isin(last.ids, self.tracks.ids)
         lost, new = last.mean[gone].copy(), self.tracks.mean[~np.isin(self.tracks.ids, last.ids)].copy()
         lost[:, :2] += passed * lost[:, 2:]
-        along = float(self._ego[_SPEED] * math.cos(self._ego[_HEADING]))
-        seen = [np.column_stack([each[:, 0] - self._ego[_X], each[:, 1], each[:, 2]]) for each in (lost, new)]
-        self.behind.go_on(self.config.unseen, self._edges[1], along, passed, *seen)
+        seen = [np.column_stack([each[:, 0] - then[_X], each[:, 1], each[:, 2]]) for each in (lost, new)]
+        self.behind.go_on(self.config.unseen, self._edges[1], float(_cartesian(then)[2]), passed, *seen)
 
     def _scene(self, control: EgoControl) -> Scene:
-        assert self._ego is not None
         dt, frames = self._timing
-        rows = _bounded(self.tracks, self.spec.body, float(self._ego[_X]), self.config.bound)
-        ego_road, others_road = self._road.to_road(self._ego), self._road.to_road(rows)
-        unseen, far = self.config.unseen, self._edges[0]
+        (frame_then, then), (frame, ego) = self._egos[0], self._egos[-1]
+        late, road, unseen = (frame - frame_then) * dt, self._road, self.config.unseen
+        rows = _bounded(ahead_of(self.tracks, late, self._motions), self.spec.body, float(ego[_X]), self.config.bound)
+        ego_road, seen = road.to_road(then), road.to_road(_rows(self.tracks.mean, self.spec.body))
         ghosts = np.concatenate(
             [
-                ahead(self.spec, far, unseen, self._road, ego_road, others_road),
-                self.behind.states(unseen, self._road, ego_road, self.spec.distance),
+                ahead(self.spec, self._edges[0], unseen, road, ego_road, seen),
+                self.behind.states(unseen, road, ego_road, self.spec.distance),
             ]
         )
+        ghosts[:, RoadState.S] += late * ghosts[:, RoadState.SPEED]
         ghost_rows = np.zeros((len(ghosts), len(Vehicle)))
-        ghost_rows[:, : len(State)] = self._road.to_world(ghosts)
+        ghost_rows[:, : len(State)] = road.to_world(ghosts)
         ghost_rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] = self.spec.body
         return Scene(
-            ego=self._ego,
+            ego=ego,
             others=np.concatenate([rows, ghost_rows]),
-            road=self._road,
+            road=road,
             control=control,
             dt=dt,
             frames_per_decision=frames,
-            frame=self._frame,
+            frame=frame,
             ids=np.concatenate([self.tracks.ids, np.full(len(ghosts), -1)]),
             blurred=self.config.noise is not None,
         )
 
 
-def _ego_row(sighting: Sighting, before: FloatArray | None, passed: float, body: tuple[float, float]) -> FloatArray:
-    """The ego, (7,). Along the road it is where its speed has brought it: it may have left the range of x."""
+def _cartesian(row: FloatArray) -> FloatArray:
+    """x, y, vx, vy of a vehicle row, (4,)."""
+    x, y, heading, speed = row[: len(State)]
+    return np.array([x, y, speed * math.cos(heading), speed * math.sin(heading)])
+
+
+def _ego_row(
+    sighting: Sighting, before: FloatArray | None, passed: float, body: tuple[float, float], between: bool
+) -> FloatArray:
+    """The ego, (7,). Along the road it is where its speed has brought it, in the mean of both where there are frames
+    `between`: it may have left the range of x."""
     x, y, vx, vy = sighting.ego
     heading, speed = _polar(vx, vy, sighting.heading, 0.0 if before is None else float(before[_HEADING]))
     if before is not None:
-        x = before[_X] + before[_SPEED] * math.cos(before[_HEADING]) * passed
+        along = float(_cartesian(before)[2])
+        x = before[_X] + (0.5 * (along + vx) if between else along) * passed
     elif math.isnan(x):
         x = 0.0
     return np.array([x, y, heading, speed, *body, 0.0])

@@ -61,10 +61,13 @@ class ObservedScenes:
         frames = int(config["simulation_frequency"] // config["policy_frequency"])
         spec = ObservationSpec.of(base)
         without_data_frames(base.observation_type)  # it is asked at each frame
-        settings, noise = self._config, _noise_of(self._env)
-        if noise is not None:
+        settings, sensor = self._config, _sensor_of(self._env)
+        if sensor is not None:
+            x, y, vx, vy = (float(sigma) for sigma in sensor.sensor_noise)
+            settings = replace(settings, noise=settings.noise or (x, y, vx, vy))
+            settings = replace(settings, delay=settings.delay + sensor.sensor_delay)
             # What is noisy may be beyond the range that it was clipped to.
-            spec, settings = replace(spec, clip=False), replace(settings, noise=settings.noise or noise)
+            spec = replace(spec, clip=False)
         self._perception = ObservationPerception(spec, self._inner.map, (dt, frames), settings)
         self._shown = None
 
@@ -94,13 +97,11 @@ def sense(env: Any) -> Any:
     return env.observation(seen) if isinstance(env, gym.ObservationWrapper) else seen
 
 
-def _noise_of(env: Any) -> tuple[float, float, float, float] | None:
-    """What the outermost sensor that says so says of its own noise (see `PerceptionConfig.noise`)."""
+def _sensor_of(env: Any) -> Any:
+    """The outermost wrapper that says of its own noise and delay; None without one."""
     while env is not env.unwrapped:
-        told = vars(env).get("sensor_noise")
-        if told is not None:
-            x, y, vx, vy = (float(sigma) for sigma in told)
-            return x, y, vx, vy
+        if hasattr(type(env), "sensor_noise") or "sensor_noise" in vars(env):
+            return env
         env = env.env
     return None
 

@@ -19,7 +19,7 @@ least total Mahalanobis distance, with those further apart than a gate left over
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -29,7 +29,7 @@ from scipy.optimize import linear_sum_assignment
 
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["Motions", "Tracks", "follow"]
+__all__ = ["Motions", "Tracks", "ahead_of", "follow"]
 
 _GATE = 36.0
 """Squared Mahalanobis distance beyond which two are not the same: chi^2 with 4 degrees exceeds it once in 4 million."""
@@ -135,6 +135,22 @@ def follow(
         tracks.next_id + n,
         np.concatenate([innovation[kept], np.full(n, np.nan)]),
     )
+
+
+def ahead_of(tracks: Tracks, late: float, motions: Motions) -> Tracks:
+    """Where those who are followed are `late` [s] after they were seen, with nothing seen since: calm ones go on as
+    such, and all others as free ones (nobody swings for so long)."""
+    if not late or not len(tracks.ids):
+        return tracks
+    step = np.eye(4)
+    step[0, 2] = step[1, 3] = late
+    means, covariances = tracks.means @ step.T, step @ tracks.covariances @ step.T
+    for j, accelerations in enumerate((motions.calm, motions.free, motions.free)):
+        covariances[:, j] += _pushed(late, accelerations)
+    if motions.centers is not None:
+        y, spread = tracks.means[:, 0, 1], tracks.covariances[:, 0, 1, 1]
+        _keep_lane(y, spread, late, motions.centers, means[:, 0], covariances[:, 0])
+    return replace(tracks, means=means, covariances=covariances)
 
 
 def _predict(tracks: Tracks, dt: float, motions: Motions) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -444,3 +444,47 @@ def test_newcomers_and_scenes_that_are_exact_are_not_narrowed():
     for scene in around:
         core.decide(scene, Wish(1, control.actions, None))
         assert float(core.memory.survey.around.states[0, 0]) == 60.0
+
+
+def test_what_is_late_is_taken_to_where_it_is_by_now():
+    """Others that keep their speed, shown relative to where the ego was 5 frames ago, while the ego accelerates."""
+    spec = ObservationSpec(rows=3, see_behind=True)
+    perception = ObservationPerception(spec, ROAD, (0.2, 5), PerceptionConfig(delay=5))
+    control, egos, x = EgoControl(Target(1, 25.0)), [], 0.0
+    start, speeds = np.array([40.0, -30.0]), np.array([22.0, 18.0])
+    for k in range(40):
+        v = 20.0 + 0.1 * k
+        egos.append((x, v))
+        then = max(k - 5, 0)
+        place, speed = egos[then]
+        obs = np.zeros((3, 5))
+        obs[0] = [1, 0.0, 4.0, v, 0.0]
+        obs[1:, 0] = 1
+        obs[1:, 1], obs[1:, 3] = start + speeds * 0.2 * then - place, speeds - speed
+        obs[1:, 2] = [0.0, 4.0]
+        scene = perception.see(obs, k, control)
+        seen = scene.others[scene.ids >= 0]
+        truth = start + speeds * 0.2 * k
+        if k > 8:
+            order = np.argsort(-seen[:, 0])
+            np.testing.assert_allclose(seen[order, 0], truth, atol=0.05)
+            np.testing.assert_allclose(seen[order, 1], [4.0, 8.0], atol=0.05)
+            assert (seen[:, 4] > 6.0).all()
+            assert seen[order[0], 3] < 22.0
+            assert seen[order[1], 3] > 18.0
+        assert scene.ego[3] == pytest.approx(v)
+        x += v * 0.2
+
+
+def test_a_stranger_comes_nearer_as_fast_as_it_may():
+    unseen, behind, nobody = Unseen(fastest=30.0, room=100.0), Behind(), np.zeros((0, 3))
+    behind.go_on(unseen, 10.0, 20.0, 0.0, nobody, nobody)
+    for _ in range(20):
+        behind.go_on(unseen, 10.0, 20.0, 0.2, nobody, nobody)
+    assert behind.stranger == pytest.approx(-60.0)
+    states = behind.states(unseen, ROAD, np.array([500.0, 4.0, 0.0, 20.0]), 200.0)
+    assert states[:, 0].tolist() == pytest.approx([440.0] * 4)
+    assert not len(behind.states(unseen, ROAD, np.array([500.0, 4.0, 0.0, 20.0]), 50.0))
+    for _ in range(100):
+        behind.go_on(unseen, 10.0, 20.0, 0.2, nobody, nobody)
+    assert behind.stranger == -10.0

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from math import isnan
 from typing import Any
 
 from dynamics.state import FloatArray
 
-__all__ = ["Decision", "Reason", "Tier"]
+__all__ = ["Decision", "Guarantee", "Reason", "Tier"]
 
 
 class Reason(StrEnum):
@@ -77,6 +78,20 @@ class Tier(StrEnum):
         return self in (Tier.STORED_PLAN, Tier.EVADED, Tier.LARGEST_MARGIN, Tier.EMERGENCY)
 
 
+class Guarantee(StrEnum):
+    """What a certificate rests on beside the assumptions about the others' behaviour.
+
+    `FULL`: nothing, for everybody was seen as they are. `ASSUMED`: on what is assumed of those who may be there unseen
+    (`shield.Unseen`). `PROBABILISTIC`: on everybody being within the bounds of what was seen, besides. `NONE`: there is
+    no certificate.
+    """
+
+    FULL = "full"
+    ASSUMED = "assumed"
+    PROBABILISTIC = "probabilistic"
+    NONE = "none"
+
+
 @dataclass(frozen=True, slots=True)
 class Decision:
     """One decision of the shield.
@@ -96,6 +111,8 @@ class Decision:
     clause : which clause of the certificate the margin comes from: "separation", "slip-in", "room", "edge", "gap of the
         map", "rollback"; "" where none binds, or none was asked.
     vehicle : row of the vehicle that binds among the scene's others, -1 without one.
+    sight : what a certificate made for this scene rests on. level : probability with which each side of each body is
+        within its bounds there, 1 where the states are exact.
     """
 
     proposed: Any
@@ -108,6 +125,14 @@ class Decision:
     occupancy: FloatArray | None = field(default=None, repr=False, compare=False)
     clause: str = ""
     vehicle: int = -1
+    sight: Guarantee = Guarantee.FULL
+    level: float = 1.0
+
+    @property
+    def guarantee(self) -> Guarantee:
+        """Which guarantee what is executed has: none, where nothing was verified, at this frame or an earlier one."""
+        without = self.tier in (Tier.OFF, Tier.LARGEST_MARGIN, Tier.EMERGENCY) or isnan(self.margin)
+        return Guarantee.NONE if without else self.sight
 
     @property
     def overridden(self) -> bool:

@@ -79,11 +79,12 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     Notes
     -----
-    `info["shield"]` holds `overridden`, `reason`, `tier`, `margin` [m], `frames_overridden` and `violations` (of the
-    assumptions, by the traffic), and of several egos `agents`, the same of each; `latency` is all the time that the
-    shield took in the last step [s]. With an episode's last step comes `info["shield_episode"]`: `decisions`, how many
-    were `overridden`, `frames_overridden`, `violations`, the smallest `margin` [m], the mean `latency_ms`, and
-    `reasons`, how often each was one.
+    `info["shield"]` holds `overridden`, `reason`, `tier`, `margin` [m], `frames_overridden`, `violations` (of the
+    assumptions, by the traffic) and `guarantee` (a `shield.decision.Guarantee`, the weakest of the decision and its
+    frames), and of several egos `agents`, the same of each; `latency` is all the time that the shield took in the last
+    step [s]. With an episode's last step comes `info["shield_episode"]`: `decisions`, how many were `overridden`,
+    `frames_overridden`, `violations`, the smallest `margin` [m], the mean `latency_ms`, and `reasons`, how often each
+    was one.
 
     Examples
     --------

@@ -112,8 +112,8 @@ class MetaDoor:
         self.cause = scene.cause if isinstance(scene, Unreadable) else ""
         decision = self.core.decide(scene, Wish(proposed, labels, order))
         if decision.tier is Tier.PASSED and isinstance(scene, Scene):
-            self._passed = replace(decision, latency=0.0), scene.target_of(proposed)
-        return replace(decision, proposed=shown, latency=perf_counter() - start)
+            self._passed = replace(self._rated(decision, scene), latency=0.0), scene.target_of(proposed)
+        return replace(self._rated(decision, scene), proposed=shown, latency=perf_counter() - start)
 
     def frame(self) -> tuple[Command, Decision]:
         """What the actuators get for the next frame, None where the environment's own stands; and the record."""
@@ -124,13 +124,20 @@ class MetaDoor:
         scene = read(self.reader)
         blind = Target(int(self._base.vehicle.lane_index[2]), 0.0)
         target = blind if isinstance(scene, Unreadable) else scene.control.target
-        decision = self.core.decide(scene, target, self._frames)
+        decision = self._rated(self.core.decide(scene, target, self._frames), scene)
         return (None if decision.tier is Tier.PASSED else decision.executed), decision
 
     def mask(self) -> np.ndarray[Any, Any]:
         """Which actions verify now; all True where none does."""
         mask: np.ndarray[Any, Any] = self._meta.mask(self.core.memory, self.reader.read())
         return mask if mask.any() else np.ones_like(mask)
+
+    def _rated(self, decision: Decision, scene: Any) -> Decision:
+        """The same with what its certificate rests on."""
+        if not isinstance(self.reader, ObservedScenes) or isinstance(scene, Unreadable):
+            return decision
+        sight, level = self.reader.perception.rating
+        return replace(decision, sight=sight, level=level)
 
     def _tracked(self) -> Target:
         """What the ego's controllers track."""

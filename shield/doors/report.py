@@ -9,9 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from shield.decision import Decision
+from shield.decision import Decision, Guarantee
 
 __all__ = ["Statistics", "report", "team_report"]
+
+_WEAKER = list(Guarantee)
+"""From the strongest to none."""
 
 
 @dataclass(slots=True)
@@ -60,7 +63,7 @@ class Statistics:
 
 def report(decision: Decision, frames: Sequence[Decision], violations: int) -> dict[str, Any]:
     """A decision and those about its frames as one: overridden where one of them is, with the reason of a fallback
-    before that of any other.
+    before that of any other, and the weakest guarantee of them all.
 
     Parameters
     ----------
@@ -77,6 +80,7 @@ def report(decision: Decision, frames: Sequence[Decision], violations: int) -> d
         "margin": min(margins, default=float("inf")),
         "frames_overridden": len(held),
         "violations": violations,
+        "guarantee": max((d.guarantee for d in (decision, *frames)), key=_WEAKER.index).value,
     }
 
 

@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm
 
 from dynamics.scenes.scene import EgoControl, Scene
 from dynamics.state import FloatArray, RoadState, State, Vehicle
+from shield.decision import Guarantee
 from shield.errors import ConfigError
 from shield.perception.sighting import Sighting, decode
 from shield.perception.spec import ObservationSpec
@@ -108,6 +110,14 @@ class ObservationPerception:
         self._edges = self.spec.distance, self.spec.distance
         self._egos: deque[tuple[int, FloatArray]] = deque()
 
+    @property
+    def rating(self) -> tuple[Guarantee, float]:
+        """What a certificate for the scene seen last rests on, and the level of its bounds (see `Decision`)."""
+        if self.config.noise is not None or self.config.delay:
+            return Guarantee.PROBABILISTIC, float(norm.cdf(self.config.bound))
+        everybody = min(self._edges) >= self.spec.distance
+        return (Guarantee.FULL if everybody else Guarantee.ASSUMED), 1.0
+
     def see(self, observation: Any, frame: int, control: EgoControl) -> Scene:
         """The scene that an observation shows.
 
@@ -188,7 +198,7 @@ class ObservationPerception:
             frames_per_decision=frames,
             frame=frame,
             ids=np.concatenate([self.tracks.ids, np.full(len(ghosts), -1)]),
-            blurred=self.config.noise is not None,
+            blurred=self.config.noise is not None or self.config.delay > 0,
         )
 
 

@@ -488,3 +488,32 @@ def test_a_stranger_comes_nearer_as_fast_as_it_may():
     for _ in range(100):
         behind.go_on(unseen, 10.0, 20.0, 0.2, nobody, nobody)
     assert behind.stranger == -10.0
+
+
+def test_a_decision_says_which_guarantee_it_has():
+    def guarantees(observation, perception, action=3, mode="full"):
+        env = ShieldedEnv(make(observation, vehicles_count=20), ShieldConfig(mode=mode), perception=perception)
+        env.reset(seed=0)
+        return {env.step(action)[4]["shield"]["guarantee"] for _ in range(4)}
+
+    assert guarantees(SEEN, "simulator") == {"full"}
+    assert guarantees({**SEEN, "vehicles_count": 50}, "observation") == {"full"}
+    assert guarantees({"type": "Kinematics"}, "observation") == {"assumed"}
+    noisy = PerceptionConfig(noise=(0.5, 0.5, 0.5, 0.5), bound=2.0)
+    assert guarantees({**SEEN, "vehicles_count": 50}, noisy) <= {"probabilistic", "none"}
+    assert guarantees(SEEN, "simulator", action=9) == {"none"}
+    assert guarantees(SEEN, "simulator", mode="distance") == {"none"}
+    env = ShieldedEnv(make(SEEN), perception=noisy)
+    env.reset(seed=0)
+    env.step(1)
+    assert env.last_decision.level == pytest.approx(0.9772, abs=1e-4)
+
+
+def test_shuffled_rows_of_too_many_say_nothing_of_who_is_left_out():
+    seen = np.zeros((3, 5))
+    seen[:, 0], seen[1:, 1] = 1, [60.0, -40.0]
+    known, shuffled = ObservationSpec(rows=3, see_behind=True), ObservationSpec(rows=3, see_behind=True, sorted=False)
+    assert edges(known, decode(known, seen)) == (60.0, 60.0)
+    assert edges(shuffled, decode(shuffled, seen)) == (5.0, 5.0)
+    seen[2] = 0.0
+    assert edges(shuffled, decode(shuffled, seen)) == (200.0, 200.0)

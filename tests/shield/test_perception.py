@@ -517,3 +517,36 @@ def test_shuffled_rows_of_too_many_say_nothing_of_who_is_left_out():
     assert edges(shuffled, decode(shuffled, seen)) == (5.0, 5.0)
     seen[2] = 0.0
     assert edges(shuffled, decode(shuffled, seen)) == (200.0, 200.0)
+
+
+def test_somebody_slow_beyond_the_edge_is_in_the_scene():
+    seen = np.zeros((2, 5))
+    seen[:, 0], seen[0, 2:4], seen[1, 1:4] = 1, [4.0, 25.0], [50.0, 0.0, -3.0]
+    spec, control = ObservationSpec(rows=2, see_behind=True), EgoControl(Target(1, 25.0))
+    scene = ObservationPerception(spec, ROAD, (0.2, 5)).see(seen, 0, control)
+    far = scene.others[(scene.ids < 0) & (scene.others[:, 0] > scene.ego[0])]
+    assert sorted(far[:, 0].tolist()) == pytest.approx([50.0, 50.0, 50.0, 55.5])
+    assert set(far[:, 3].tolist()) == {18.0}
+    assert (scene.ids >= 0).sum() == 1
+
+
+def test_what_is_remembered_of_those_known_again_is_what_is_remembered_in_exact_scenes():
+    base = gym.make("highway-fast-v0").unwrapped
+    base.reset(seed=4)
+    reader = SceneReader(base)
+    exact, known = (Core(MetaActions(ShieldConfig())) for _ in range(2))
+    spent = 0.0
+    for k in range(30):
+        scene = reader.read()
+        mixed = np.random.default_rng(k).permutation(len(scene.others))
+        wish = Wish(1, reader.actions, None)
+        exact.decide(scene, wish)
+        known.decide(replace(scene, others=scene.others[mixed], ids=mixed), wish)
+        one, other = exact.memory.survey.around.tables, known.memory.survey.around.tables
+        np.testing.assert_allclose(one.numbers[:, mixed], other.numbers, atol=1e-9)
+        np.testing.assert_allclose(one.recent[mixed], other.recent, atol=1e-9)
+        spent = max(spent, float(one.recent.max(initial=0.0)))
+        base.road.act()
+        base.road.step(0.2)
+        base.steps += 1
+    assert spent > 0.1

@@ -7,6 +7,7 @@ from mutants.accepted import ACCEPTED
 from mutants.batched import BATCHED
 from mutants.clearance import CLEARANCE
 from mutants.kinds import Edit, Mutant
+from mutants.observed import OBSERVED
 from mutants.owed import OWED
 from mutants.places import PLACES
 from mutants.roads import ROADS
@@ -15,4 +16,4 @@ from mutants.watched import WATCHED
 
 __all__ = ["MUTANTS", "Edit", "Mutant"]
 
-MUTANTS = (*ACCEPTED, *BATCHED, *CLEARANCE, *OWED, *PLACES, *ROADS, *SIMULATED, *WATCHED)
+MUTANTS = (*ACCEPTED, *BATCHED, *CLEARANCE, *OBSERVED, *OWED, *PLACES, *ROADS, *SIMULATED, *WATCHED)

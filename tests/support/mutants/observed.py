@@ -1,0 +1,95 @@
+"""Scenes of observations: what the shield would overlook if a line were missing."""
+
+from __future__ import annotations
+
+from mutants.kinds import off
+
+__all__ = ["OBSERVED"]
+
+_TESTS = "tests/shield/test_perception.py"
+_UNSEEN, _PERCEIVING, _MEMORY = (
+    "shield/perception/unseen.py",
+    "shield/perception/perceiving.py",
+    "shield/certificate/memory.py",
+)
+
+OBSERVED = (
+    off(
+        "nobody comes up who has never been seen",
+        _UNSEEN,
+        "for r in lanes if self.stranger > -reach]",
+        "for r in lanes if False]",
+        f"{_TESTS}::test_a_stranger_comes_nearer_as_fast_as_it_may",
+    ),
+    off(
+        "a stranger stays where it was",
+        _UNSEEN,
+        "self.stranger += (unseen.fastest - ego_speed) * passed",
+        "pass",
+        f"{_TESTS}::test_a_stranger_comes_nearer_as_fast_as_it_may",
+    ),
+    off(
+        "who was passed stands still",
+        _UNSEEN,
+        "pool[:, 0] += (pool[:, 2] - ego_speed) * passed",
+        "pool[:, 0] -= ego_speed * passed",
+        f"{_TESTS}::test_who_was_passed_is_never_nearer_than_it_is_thought_to_be",
+    ),
+    off(
+        "everybody is shown where all rows are full",
+        _UNSEEN,
+        "far, back = min(far, furthest), min(back, furthest)",
+        "pass",
+        f"{_TESTS}::test_what_is_decoded_is_the_simulator_s_truth",
+    ),
+    off(
+        "shuffled rows are the nearest",
+        _UNSEEN,
+        "if not spec.sorted or sighting.cut:",
+        "if sighting.cut:",
+        f"{_TESTS}::test_shuffled_rows_of_too_many_say_nothing_of_who_is_left_out",
+    ),
+    off(
+        "nobody slow is beyond the edge",
+        _PERCEIVING,
+        "ahead(self.spec, self._edges[0], unseen, road, ego_road, seen),\n",
+        "np.zeros((0, 4)),\n",
+        f"{_TESTS}::test_somebody_slow_beyond_the_edge_is_in_the_scene",
+    ),
+    off(
+        "bodies reach no further than they are thought to be",
+        _PERCEIVING,
+        "rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] += 2 * spread[:, :2]",
+        "pass",
+        f"{_TESTS}::test_what_is_late_is_taken_to_where_it_is_by_now",
+    ),
+    off(
+        "speeds are what they are thought to be",
+        _PERCEIVING,
+        "states[:, 2] += np.where(states[:, 0] < x, 1.0, -1.0) * spread[:, 2]",
+        "pass",
+        f"{_TESTS}::test_what_is_late_is_taken_to_where_it_is_by_now",
+    ),
+    off(
+        "noise widens what was known",
+        _MEMORY,
+        "scene = nested(last.scene, last.around, same, scene)",
+        "pass",
+        f"{_TESTS}::test_bounds_are_no_wider_than_what_was_known_before",
+    ),
+    off(
+        "who may come is told by the row",
+        _MEMORY,
+        "comes = np.where(same >= 0, last.comes[:, same], True)",
+        "comes = last.comes",
+        f"{_TESTS}::test_the_order_of_the_rows_changes_nothing",
+    ),
+    off(
+        "what was lost by turning is forgotten",
+        _MEMORY,
+        "numbers[:, known] = last.tables.numbers[:, same[known]]",
+        "pass",
+        f"{_TESTS}::test_what_is_remembered_of_those_known_again_is_what_is_remembered_in_exact_scenes",
+    ),
+)
+"""Each of a line."""

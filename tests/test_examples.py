@@ -23,5 +23,5 @@ def test_an_example_runs(path, tmp_path):
     assert done.stdout.strip()
 
 
-def test_there_are_eleven():
-    assert len(EXAMPLES) == 11
+def test_there_are_twelve():
+    assert len(EXAMPLES) == 12

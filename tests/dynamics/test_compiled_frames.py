@@ -81,7 +81,7 @@ def drive_both(env_id, seeds, decisions=12):
 
 @pytest.mark.parametrize("env_id", ROADS)
 def test_an_episode_is_the_same(env_id):
-    drive_both(env_id, [31, 32])
+    drive_both(env_id, [31])
 
 
 @pytest.mark.slow
@@ -103,7 +103,7 @@ def test_fifty_episodes_are_the_same(env_id):
     env_id=st.sampled_from(["merge-v0", "roundabout-v1", "intersection-v0"]),
     seed=st.integers(0, 50),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_kinematics_without_a_data_frame_is_the_same(features, count, options, env_id, seed):
     observation = {"type": "Kinematics", "features": features, "vehicles_count": count, **options}
     env = gym.make(env_id, config={"observation": observation}).unwrapped

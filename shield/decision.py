@@ -73,6 +73,11 @@ class Tier(StrEnum):
         return self in (Tier.PASSED, Tier.GOVERNED, Tier.ALTERNATIVE)
 
     @property
+    def certified(self) -> bool:
+        """Whether what was executed was verified, at this frame or an earlier one, or evades who has broken a rule."""
+        return self not in (Tier.OFF, Tier.LARGEST_MARGIN, Tier.EMERGENCY)
+
+    @property
     def fallback(self) -> bool:
         """Whether what was executed was not verified for the present scene."""
         return self in (Tier.STORED_PLAN, Tier.EVADED, Tier.LARGEST_MARGIN, Tier.EMERGENCY)
@@ -131,8 +136,7 @@ class Decision:
     @property
     def guarantee(self) -> Guarantee:
         """Which guarantee what is executed has: none, where nothing was verified, at this frame or an earlier one."""
-        without = self.tier in (Tier.OFF, Tier.LARGEST_MARGIN, Tier.EMERGENCY) or isnan(self.margin)
-        return Guarantee.NONE if without else self.sight
+        return self.sight if self.tier.certified and not isnan(self.margin) else Guarantee.NONE
 
     @property
     def overridden(self) -> bool:

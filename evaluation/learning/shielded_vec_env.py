@@ -12,6 +12,7 @@ from dynamics.simulator.simulator import Simulator
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 from shield.batch.vocabulary import FALLBACKS, OVERRIDES, REASONS, TIERS
 from shield.config import ShieldConfig
+from shield.decision import Guarantee, Tier
 from shield.exact.highways import highways_for
 
 __all__ = ["ShieldedVecEnv"]
@@ -88,6 +89,9 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         held = [k for k, tier in enumerate(tiers) if OVERRIDES[tier]]
         shown = next((k for k in held if FALLBACKS[tiers[k]]), held[0] if held else 0)
         margins = np.array([records.margin[i], *records.margins[i]])
+        # Frames that are not supervised are off.
+        supervised = [TIERS[tier] for tier in tiers[1:] if TIERS[tier] is not Tier.OFF]
+        certified = all(tier.certified for tier in (TIERS[tiers[0]], *supervised))
         return {
             "overridden": bool(held),
             "reason": REASONS[reasons[shown]].value,
@@ -95,4 +99,5 @@ class ShieldedVecEnv(FastHighwayVecEnv):
             "margin": float(margins[np.isfinite(margins)].min(initial=np.inf)),
             "frames_overridden": sum(k > 0 for k in held),
             "violations": int(records.violations[i]),
+            "guarantee": (Guarantee.FULL if certified else Guarantee.NONE).value,
         }

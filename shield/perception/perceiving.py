@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
 from dynamics.scenes.scene import EgoControl, Scene
 from dynamics.state import FloatArray, RoadState, State, Vehicle
@@ -114,7 +113,7 @@ class ObservationPerception:
     def rating(self) -> tuple[Guarantee, float]:
         """What a certificate for the scene seen last rests on, and the level of its bounds (see `Decision`)."""
         if self.config.noise is not None or self.config.delay:
-            return Guarantee.PROBABILISTIC, float(norm.cdf(self.config.bound))
+            return Guarantee.PROBABILISTIC, 0.5 * (1 + math.erf(self.config.bound / math.sqrt(2)))
         everybody = min(self._edges) >= self.spec.distance
         return (Guarantee.FULL if everybody else Guarantee.ASSUMED), 1.0
 

@@ -169,7 +169,7 @@ def test_nobody_is_lost_when_rows_are_shuffled():
 def test_everybody_is_seen_as_by_the_simulator_s_state():
     """With everything observed, the shield does what it does with the simulator's state."""
     same = total = 0
-    for seed in range(2):
+    for seed in range(1):
         executed = []
         for perception in ("simulator", "observation"):
             env = ShieldedEnv(make({**SEEN, "vehicles_count": 40}), perception=perception)
@@ -227,7 +227,7 @@ def test_nothing_but_the_observation_is_read_and_nobody_is_hit(observation, acti
 
     monkeypatch.setattr(SceneReader, "read", forbidden)
     env = ShieldedEnv(make(observation), perception="observation")
-    for seed in range(300, 302):
+    for seed in range(300, 301):
         env.reset(seed=seed)
         over = False
         while not over:

@@ -45,12 +45,13 @@ def same(one, two):
     pd.testing.assert_frame_equal(one.drop(columns=times), two.drop(columns=times), check_dtype=False)
 
 
-def test_a_run_that_is_killed_at_ten_moments_ends_as_if_it_had_not_been(tmp_path):
+@pytest.mark.parametrize("moments", [4, pytest.param(10, marks=pytest.mark.slow)])
+def test_a_run_that_is_killed_at_some_moments_ends_as_if_it_had_not_been(moments, tmp_path):
     whole = tmp_path / "whole"
     whole.mkdir()
     subprocess.run(command(whole), check=True, capture_output=True)
     chance, killed = random.Random(0), 0
-    while killed < 10:
+    while killed < moments:
         run = subprocess.Popen(command(tmp_path, "--resume"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         before = lines(tmp_path)
         while run.poll() is None and lines(tmp_path) <= before:
@@ -61,8 +62,8 @@ def test_a_run_that_is_killed_at_ten_moments_ends_as_if_it_had_not_been(tmp_path
         run.kill()
         run.wait()
         killed += 1
-    assert killed == 10
-    assert lines(tmp_path) > 10
+    assert killed == moments
+    assert lines(tmp_path) > moments
     done = subprocess.run(command(tmp_path, "--resume"), capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     same(pd.read_parquet(whole / "x.parquet"), pd.read_parquet(tmp_path / "x.parquet"))

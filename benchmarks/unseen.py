@@ -23,9 +23,8 @@ NEAR = 60.0
 
 def count(perception: ObservationPerception, base: Any, unseen: Unseen, found: Counter[str]) -> None:
     """Compare who is there with who may be there, as far as it is not seen."""
-    ego, (far, _) = base.vehicle, perception._edges
-    states, place = perception.tracks.mean, perception._ego
-    assert place is not None
+    ego, (far, _) = base.vehicle, perception.edges
+    states, place = perception.tracks.mean, perception.ego
     for vehicle in base.road.vehicles:
         ahead_by = vehicle.position[0] - ego.position[0]
         away = np.abs(states[:, 0] - place[0] - ahead_by) + np.abs(states[:, 1] - vehicle.position[1])

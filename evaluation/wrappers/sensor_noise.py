@@ -13,11 +13,9 @@ import numpy as np
 
 from dynamics.state import FloatArray
 from shield.errors import ConfigError
-from shield.perception.spec import ObservationSpec
+from shield.perception.spec import STATE, ObservationSpec
 
 __all__ = ["SENSORS", "SensorModel", "SensorNoise", "get_sensor"]
-
-_STATE = ("x", "y", "vx", "vy")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +44,14 @@ class SensorModel:
 
     def __post_init__(self) -> None:
         for name, value in self.sigma.items():
-            if name not in _STATE or not 0 <= value < np.inf:
-                raise ConfigError(f"noise is from 0 on, of {', '.join(_STATE)}; got {name!r}: {value!r}")
+            if name not in STATE or not 0 <= value < np.inf:
+                raise ConfigError(f"noise is from 0 on, of {', '.join(STATE)}; got {name!r}: {value!r}")
         if not 0 <= self.dropout < 1 or type(self.delay) is not int or self.delay < 0:
             raise ConfigError(f"dropout is in [0, 1) and delay a whole number, got {self.dropout!r}, {self.delay!r}")
 
 
 def _all(sigma: float) -> dict[str, float]:
-    return dict.fromkeys(_STATE, sigma)
+    return dict.fromkeys(STATE, sigma)
 
 
 SENSORS: Mapping[str, SensorModel] = MappingProxyType(
@@ -105,7 +103,7 @@ class SensorNoise(gym.ObservationWrapper[Any, Any, Any]):
         self.model, self._rng = model, np.random.default_rng(0)
         self._past: deque[tuple[int, Any]] = deque()
         self._shares: FloatArray = np.zeros(0)
-        self.sensor_noise: FloatArray = np.zeros(len(_STATE))
+        self.sensor_noise: FloatArray = np.zeros(len(STATE))
         self.sensor_delay = 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -122,7 +120,7 @@ class SensorNoise(gym.ObservationWrapper[Any, Any, Any]):
         half.update({name: (high - low) / 2 for name, (low, high) in spec.ranges.items()})  # type: ignore[union-attr]
         told = {name: model.sigma.get(name, 0.0) for name in spec.features}
         self._shares = np.array([told[n] if model.normalised else told[n] / half[n] for n in spec.features])
-        self.sensor_noise = np.array([self._shares[spec.features.index(n)] * half[n] for n in _STATE])
+        self.sensor_noise = np.array([self._shares[spec.features.index(n)] * half[n] for n in STATE])
         return self.observation(observation), info
 
     def observation(self, observation: Any) -> Any:

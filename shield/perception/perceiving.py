@@ -86,7 +86,7 @@ class ObservationPerception:
 
     Attributes
     ----------
-    tracks : who is followed. behind : who may be there unseen.
+    tracks : who is followed. behind : who may be there unseen. edges : how far ahead and behind everybody is seen [m].
     """
 
     def __init__(
@@ -106,15 +106,20 @@ class ObservationPerception:
     def reset(self) -> None:
         """Forget everything about the episode."""
         self.tracks, self.behind = Tracks(), Behind()
-        self._edges = self.spec.distance, self.spec.distance
+        self.edges = self.spec.distance, self.spec.distance
         self._egos: deque[tuple[int, FloatArray]] = deque()
+
+    @property
+    def ego(self) -> FloatArray:
+        """The ego as it was seen last, (7,)."""
+        return self._egos[-1][1]
 
     @property
     def rating(self) -> tuple[Guarantee, float]:
         """What a certificate for the scene seen last rests on, and the level of its bounds (see `Decision`)."""
         if self.config.noise is not None or self.config.delay:
             return Guarantee.PROBABILISTIC, 0.5 * (1 + math.erf(self.config.bound / math.sqrt(2)))
-        everybody = min(self._edges) >= self.spec.distance
+        everybody = min(self.edges) >= self.spec.distance
         return (Guarantee.FULL if everybody else Guarantee.ASSUMED), 1.0
 
     def see(self, observation: Any, frame: int, control: EgoControl) -> Scene:
@@ -165,12 +170,12 @@ class ObservationPerception:
         last = self.tracks
         if passed or not len(last.ids):
             self.tracks = follow(last, states, self._noise, passed, self._motions, self.config.patience)
-        self._edges = edges(self.spec, sighting)
+        self.edges = edges(self.spec, sighting)
         gone = ~np.isin(last.ids, self.tracks.ids)
         lost, new = last.mean[gone].copy(), self.tracks.mean[~np.isin(self.tracks.ids, last.ids)].copy()
         lost[:, :2] += passed * lost[:, 2:]
         seen = [np.column_stack([each[:, 0] - then[_X], each[:, 1], each[:, 2]]) for each in (lost, new)]
-        self.behind.go_on(self.config.unseen, self._edges[1], float(_cartesian(then)[2]), passed, *seen)
+        self.behind.go_on(self.config.unseen, self.edges[1], float(_cartesian(then)[2]), passed, *seen)
 
     def _scene(self, control: EgoControl) -> Scene:
         dt, frames = self._timing
@@ -180,7 +185,7 @@ class ObservationPerception:
         ego_road, seen = road.to_road(then), road.to_road(_rows(self.tracks.mean, self.spec.body))
         ghosts = np.concatenate(
             [
-                ahead(self.spec, self._edges[0], unseen, road, ego_road, seen),
+                ahead(self.spec, self.edges[0], unseen, road, ego_road, seen),
                 self.behind.states(unseen, road, ego_road, self.spec.distance),
             ]
         )

@@ -8,11 +8,10 @@ import numpy as np
 
 from dynamics.state import BoolArray, FloatArray
 from shield.errors import SceneError
-from shield.perception.spec import ObservationSpec
+from shield.perception.spec import STATE, ObservationSpec
 
 __all__ = ["Sighting", "decode"]
 
-_STATE = ("x", "y", "vx", "vy")
 _EDGE = 1.0 - 1e-6
 """A normalised and clipped number from here on may stand for anything beyond its range."""
 _FULL = 1e-3
@@ -27,7 +26,7 @@ class Sighting:
     ----------
     ego : x, y [m], vx, vy [m/s] of the ego, (4,); x is NaN where it has left the range.
     others : the same of those seen, (m, 4), relative in x to the ego, absolute in y, vx and vy.
-    heading, headings : of the ego and of those seen [rad], NaN and (m,) of NaN where it is not a feature.
+    heading : of the ego [rad], NaN where it is not a feature.
     full : whether there is no empty row, so that more may be there than are shown.
     cut : whether some row is at the edge of a range: somebody is there, and nobody knows where.
     """
@@ -35,7 +34,6 @@ class Sighting:
     ego: FloatArray
     others: FloatArray
     heading: float
-    headings: FloatArray
     full: bool
     cut: bool
 
@@ -67,10 +65,10 @@ def decode(spec: ObservationSpec, observation: object) -> Sighting:
     seen = rows[there]
     columns = {name: _in_units(spec, name, seen[:, k]) for k, name in enumerate(spec.features)}
     at_edge = {name: _at_edge(spec, name, seen[:, k]) for k, name in enumerate(spec.features)}
-    lost = [name for name in _STATE[1:] if at_edge[name][0]]
+    lost = [name for name in STATE[1:] if at_edge[name][0]]
     if lost:
         raise SceneError(f"the ego's {', '.join(lost)} is at the edge of its range: nobody knows what it is")
-    state = np.stack([columns[name] for name in _STATE], axis=1)
+    state = np.stack([columns[name] for name in STATE], axis=1)
     ego, others = state[0], state[1:].copy()
     if spec.absolute:
         others[:, 0] -= ego[0]
@@ -78,11 +76,8 @@ def decode(spec: ObservationSpec, observation: object) -> Sighting:
         others[:, 1:] += ego[1:]
     if at_edge["x"][0]:
         ego[0] = np.nan
-    headings = _headings(columns, len(seen))
-    known = ~np.any([at_edge[name][1:] for name in _STATE], axis=0)
-    return Sighting(
-        ego, others[known], float(headings[0]), headings[1:][known], bool(there.all()), not bool(known.all())
-    )
+    known = ~np.any([at_edge[name][1:] for name in STATE], axis=0)
+    return Sighting(ego, others[known], _heading(columns), bool(there.all()), not bool(known.all()))
 
 
 def _in_units(spec: ObservationSpec, name: str, column: FloatArray) -> FloatArray:
@@ -109,7 +104,7 @@ def _there(spec: ObservationSpec, rows: FloatArray) -> BoolArray:
     return filled
 
 
-def _headings(columns: dict[str, FloatArray], n: int) -> FloatArray:
+def _heading(columns: dict[str, FloatArray]) -> float:
     if "cos_h" in columns and "sin_h" in columns:
-        return np.arctan2(columns["sin_h"], columns["cos_h"])
-    return columns["heading"] if "heading" in columns else np.full(n, np.nan)
+        return float(np.arctan2(columns["sin_h"][0], columns["cos_h"][0]))
+    return float(columns["heading"][0]) if "heading" in columns else float("nan")

@@ -12,10 +12,11 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from shield.errors import ConfigError
 
-__all__ = ["ObservationSpec"]
+__all__ = ["STATE", "ObservationSpec"]
 
-_NEEDED = ("x", "y", "vx", "vy")
-_KNOWN = ("presence", *_NEEDED, "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off")
+STATE = ("x", "y", "vx", "vy")
+"""The features that are needed."""
+_KNOWN = ("presence", *STATE, "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off")
 _ORDERS = ("sorted", "shuffled")
 
 
@@ -51,7 +52,7 @@ class ObservationSpec:
     3
     """
 
-    features: tuple[str, ...] = ("presence", *_NEEDED)
+    features: tuple[str, ...] = ("presence", *STATE)
     rows: int = 5
     ranges: Mapping[str, tuple[float, float]] | None = None
     absolute: bool = False
@@ -67,7 +68,7 @@ class ObservationSpec:
         unknown = [name for name in self.features if name not in _KNOWN]
         if unknown:
             raise ConfigError(f"unknown features {', '.join(map(repr, unknown))}; have {', '.join(_KNOWN)}")
-        missing = [name for name in _NEEDED if name not in self.features]
+        missing = [name for name in STATE if name not in self.features]
         if missing:
             raise ConfigError(
                 f"the observation lacks {', '.join(missing)}: add them to config['observation']['features'], which is "

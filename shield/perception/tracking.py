@@ -142,14 +142,8 @@ def ahead_of(tracks: Tracks, late: float, motions: Motions) -> Tracks:
     such, and all others as free ones (nobody swings for so long)."""
     if not late or not len(tracks.ids):
         return tracks
-    step = np.eye(4)
-    step[0, 2] = step[1, 3] = late
-    means, covariances = tracks.means @ step.T, step @ tracks.covariances @ step.T
-    for j, accelerations in enumerate((motions.calm, motions.free, motions.free)):
-        covariances[:, j] += _pushed(late, accelerations)
-    if motions.centers is not None:
-        y, spread = tracks.means[:, 0, 1], tracks.covariances[:, 0, 1, 1]
-        _keep_lane(y, spread, late, motions.centers, means[:, 0], covariances[:, 0])
+    modes = motions.calm, motions.free, motions.free
+    means, covariances = _moved(tracks.means, tracks.covariances, late, modes, motions.centers)
     return replace(tracks, means=means, covariances=covariances)
 
 
@@ -161,15 +155,26 @@ def _predict(tracks: Tracks, dt: float, motions: Motions) -> tuple[FloatArray, F
     led = np.swapaxes(tracks.chances[:, :, None] * changes / chances[:, None, :], 1, 2)
     means = np.einsum("nji,nik->njk", led, tracks.means)
     begun = np.stack([_mixed(led[:, j], tracks.means, tracks.covariances, means[:, j]) for j in range(_MODES)], axis=1)
+    modes = motions.calm, motions.free, motions.brisk
+    return chances, *_moved(means, begun, dt, modes, motions.centers)
+
+
+def _moved(
+    means: FloatArray,
+    covariances: FloatArray,
+    dt: float,
+    modes: tuple[tuple[float, float], ...],
+    centers: FloatArray | None,
+) -> tuple[FloatArray, FloatArray]:
+    """Estimates `dt` later, each with the accelerations of its mode; the first keeps to the lanes at `centers`."""
     step = np.eye(4)
     step[0, 2] = step[1, 3] = dt
-    covariances = step @ begun @ step.T
-    for j, accelerations in enumerate((motions.calm, motions.free, motions.brisk)):
-        covariances[:, j] += _pushed(dt, accelerations)
-    after = means @ step.T
-    if motions.centers is not None and len(means):
-        _keep_lane(means[:, 0, 1], begun[:, 0, 1, 1], dt, motions.centers, after[:, 0], covariances[:, 0])
-    return chances, after, covariances
+    after, spread = means @ step.T, step @ covariances @ step.T
+    for j, accelerations in enumerate(modes):
+        spread[:, j] += _pushed(dt, accelerations)
+    if centers is not None and len(means):
+        _keep_lane(means[:, 0, 1], covariances[:, 0, 1, 1], dt, centers, after[:, 0], spread[:, 0])
+    return after, spread
 
 
 @lru_cache(maxsize=16)

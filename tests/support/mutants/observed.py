@@ -52,7 +52,7 @@ OBSERVED = (
     off(
         "nobody slow is beyond the edge",
         _PERCEIVING,
-        "ahead(self.spec, self._edges[0], unseen, road, ego_road, seen),\n",
+        "ahead(self.spec, self.edges[0], unseen, road, ego_road, seen),\n",
         "np.zeros((0, 4)),\n",
         f"{_TESTS}::test_somebody_slow_beyond_the_edge_is_in_the_scene",
     ),

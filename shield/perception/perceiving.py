@@ -15,7 +15,7 @@ from shield.decision import Guarantee
 from shield.errors import ConfigError
 from shield.perception.sighting import Sighting, decode
 from shield.perception.spec import ObservationSpec
-from shield.perception.tracking import Motions, Tracks, ahead_of, follow
+from shield.perception.tracking import Motions, Tracks, ahead_of, follow, sides
 from shield.perception.unseen import Behind, Unseen, ahead, edges
 
 __all__ = ["ObservationPerception", "PerceptionConfig"]
@@ -23,6 +23,8 @@ __all__ = ["ObservationPerception", "PerceptionConfig"]
 _X, _Y, _HEADING, _SPEED = int(State.X), int(State.Y), int(State.HEADING), int(State.SPEED)
 _RESOLUTION = (1e-4, 1e-4, 1e-4, 1e-4)
 """What 32 bits leave of a number in an observation [m], [m/s]."""
+_PATIENCE = 3
+"""Observations in a row that somebody may be missing for, through noise."""
 _STANDING = 0.05
 """Below this speed [m/s] a velocity says nothing of a heading."""
 
@@ -38,9 +40,12 @@ class PerceptionConfig:
         on, by which what is seen of them is smoothed, and of those who do something else (see `tracking`).
     noise : standard deviations of x, y [m], vx and vy [m/s] of those observed; None for what the sensor says of itself
         (its attribute `sensor_noise`), and without that what 32 bits leave of a number.
-    bound : a body is taken to reach so many standard deviations further than it is thought to be, and to be so many
-        faster behind the ego, and slower ahead.
-    patience : for how many observations in a row somebody may be missing who has been seen.
+    bound : a body is taken to reach as far, and to be as fast behind the ego and as slow ahead, as is exceeded no more
+        often than so many standard deviations of a normal distribution.
+    patience : for how many observations in a row somebody may be missing who has been seen; None for 3 where noise is
+        told, and 0 elsewhere.
+    cruise : the speed that traffic has, by how much it differs [m/s], and how slowly everybody comes to it [s]; it says
+        something only where the sensor says little.
     delay : for how many simulation frames what is shown of the others is out of date, beyond what the sensor says of
         itself (its attribute `sensor_delay`); the ego's own row is not.
 
@@ -52,18 +57,21 @@ class PerceptionConfig:
 
     unseen: Unseen = field(default_factory=Unseen)
     calm: tuple[float, float] = (2.0, 1.0)
-    brisk: tuple[float, float] = (8.0, 40.0)
+    brisk: tuple[float, float] = (4.0, 20.0)
+    cruise: tuple[float, float, float] = (21.0, 2.5, 10.0)
     noise: tuple[float, float, float, float] | None = None
-    bound: float = 2.5
-    patience: int = 0
+    bound: float = 2.0
+    patience: int | None = None
     delay: int = 0
 
     def __post_init__(self) -> None:
         if not all(math.isfinite(a) and a > 0 for a in (*self.calm, *self.brisk)):
             raise ConfigError(f"accelerations are above 0, got calm {self.calm} and brisk {self.brisk}")
+        if np.shape(self.cruise) != (3,) or not all(math.isfinite(a) and a > 0 for a in self.cruise):
+            raise ConfigError(f"cruise is a speed, a deviation and a time, three numbers above 0, got {self.cruise!r}")
         if self.noise is not None and (np.shape(self.noise) != (4,) or not all(0 <= s < math.inf for s in self.noise)):
             raise ConfigError(f"noise is of x, y, vx and vy, four numbers from 0 on, not {self.noise!r}")
-        counts = self.patience, self.delay
+        counts = 0 if self.patience is None else self.patience, self.delay
         if not 0 <= self.bound < math.inf or any(type(n) is not int or n < 0 for n in counts):
             raise ConfigError(
                 f"bound, patience and delay are from 0 on, got {self.bound!r}, {counts[0]!r}, {counts[1]!r}"
@@ -100,7 +108,10 @@ class ObservationPerception:
         self.config = PerceptionConfig() if config is None else config
         noise = _RESOLUTION if self.config.noise is None else np.maximum(self.config.noise, _RESOLUTION)
         self._noise = np.diag(np.square(noise))
-        self._motions = Motions(calm=self.config.calm, brisk=self.config.brisk, centers=road.centers + road.origin[1])
+        centers = road.centers + road.origin[1]
+        self._motions = Motions(self.config.calm, brisk=self.config.brisk, centers=centers, cruise=self.config.cruise)
+        usual = 0 if self.config.noise is None else _PATIENCE
+        self._patience = usual if self.config.patience is None else self.config.patience
         self.reset()
 
     def reset(self) -> None:
@@ -169,7 +180,8 @@ class ObservationPerception:
             states[:, 1:] -= sighting.ego[1:]
         last = self.tracks
         if passed or not len(last.ids):
-            self.tracks = follow(last, states, self._noise, passed, self._motions, self.config.patience)
+            places = sighting.places if self.spec.sorted else None
+            self.tracks = follow(last, states, self._noise, passed, self._motions, self._patience, places)
         self.edges = edges(self.spec, sighting)
         gone = ~np.isin(last.ids, self.tracks.ids)
         lost, new = last.mean[gone].copy(), self.tracks.mean[~np.isin(self.tracks.ids, last.ids)].copy()
@@ -240,12 +252,13 @@ def _polar(vx: float, vy: float, heading: float, last: float) -> tuple[float, fl
 
 def _bounded(tracks: Tracks, body: tuple[float, float], x: float, bound: float) -> FloatArray:
     """Vehicle rows (n, 7) that reach as far as those followed may be, with an ego at x [m]."""
-    spread = bound * np.sqrt(np.einsum("nii->ni", tracks.covariance))
-    states = tracks.mean.copy()
+    low, high = sides(tracks, bound)
+    states = tracks.mean
     # Who is faster behind, and slower ahead, is more in the way.
-    states[:, 2] += np.where(states[:, 0] < x, 1.0, -1.0) * spread[:, 2]
+    states[:, 2] = np.where(states[:, 0] < x, high[:, 2], low[:, 2])
+    states[:, :2] = 0.5 * (low + high)[:, :2]
     rows = _rows(states, body)
-    rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] += 2 * spread[:, :2]
+    rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] += (high - low)[:, :2]
     return rows
 
 

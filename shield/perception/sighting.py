@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynamics.state import BoolArray, FloatArray
+from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.errors import SceneError
 from shield.perception.spec import STATE, ObservationSpec
 
@@ -27,6 +27,7 @@ class Sighting:
     ego : x, y [m], vx, vy [m/s] of the ego, (4,); x is NaN where it has left the range.
     others : the same of those seen, (m, 4), relative in x to the ego, absolute in y, vx and vy.
     heading : of the ego [rad], NaN where it is not a feature.
+    places : row of each of the others, (m,).
     full : whether there is no empty row, so that more may be there than are shown.
     cut : whether some row is at the edge of a range: somebody is there, and nobody knows where.
     """
@@ -34,6 +35,7 @@ class Sighting:
     ego: FloatArray
     others: FloatArray
     heading: float
+    places: IntArray
     full: bool
     cut: bool
 
@@ -77,7 +79,14 @@ def decode(spec: ObservationSpec, observation: object) -> Sighting:
     if at_edge["x"][0]:
         ego[0] = np.nan
     known = ~np.any([at_edge[name][1:] for name in STATE], axis=0)
-    return Sighting(ego, others[known], _heading(columns), bool(there.all()), not bool(known.all()))
+    return Sighting(
+        ego,
+        others[known],
+        _heading(columns),
+        np.flatnonzero(there)[1:][known],
+        bool(there.all()),
+        not bool(known.all()),
+    )
 
 
 def _in_units(spec: ObservationSpec, name: str, column: FloatArray) -> FloatArray:

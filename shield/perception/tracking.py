@@ -11,9 +11,11 @@ next a vehicle does one of three things, which change at random:
 - *brisk*: both accelerations are large. In frames of 0.2 s highway-env's cars swing to and fro by 1 m as they change
   lanes.
 
-So each vehicle has an estimate for each, and the probability of each (the interacting multiple model of Blom and
-Bar-Shalom 1988); mean and covariance are those of the mixture. Which row of an observation is whom is the assignment of
-least total Mahalanobis distance, with those further apart than a gate left over: they are new, or out of sight.
+All are drawn, slowly, to the speed that traffic has. So each vehicle has an estimate for each, and the probability of
+each (the interacting multiple model of Blom and Bar-Shalom 1988); mean and covariance are those of the mixture. Which
+row of an observation is whom is the assignment of least total Mahalanobis distance, and a little for each row that
+somebody is further up or down than before, with those further apart than a gate left over: they are new, or out of
+sight.
 """
 
 from __future__ import annotations
@@ -26,10 +28,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import linear_sum_assignment
+from scipy.special import ndtr
 
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["Motions", "Tracks", "ahead_of", "follow"]
+__all__ = ["Motions", "Tracks", "ahead_of", "follow", "sides"]
 
 _GATE = 36.0
 """Squared Mahalanobis distance beyond which two are not the same: chi^2 with 4 degrees exceeds it once in 4 million."""
@@ -37,9 +40,18 @@ _FAR = 1e6
 """What it costs to be matched beyond the gate."""
 _SETTLING, _WAVER = 1.0, 0.15
 """One that keeps to its lane is drawn to its middle within this [s], and strays from it by this [m]."""
-_RATES = np.array([[-0.2, 0.1, 0.1], [0.5, -0.6, 0.1], [0.5, 0.5, -1.0]])
+_RATES = np.array([[-0.1, 0.05, 0.05], [1.0, -1.1, 0.1], [0.5, 1.0, -1.5]])
 """How often one that does this does that instead [1/s]."""
 _MODES = 3
+_USUAL = np.array([0.8, 0.1, 0.1])
+"""How likely each is of somebody who has never been seen."""
+_SWAP, _SWAPS = 2.0, 3.0
+"""What it costs, as a squared distance, to be a row further up or down than before, and for how many rows at most:
+rows that are sorted by what is there say who is who, where what they show says little."""
+_FRAME = 0.2
+"""Accelerations last for this [s] where more than one frame is foreseen at once."""
+_HALVINGS, _TAIL = 16, 8.0
+"""A quantile is searched for so many times, up to so many standard deviations away."""
 
 
 class Motions(NamedTuple):
@@ -49,12 +61,17 @@ class Motions(NamedTuple):
     ----------
     calm, free, brisk : standard deviations of the accelerations along x and y [m/s^2].
     centers : of the lanes, along y, (lanes,) [m]; without any, a calm one keeps its velocity across as well.
+    cruise : the speed along the road that everybody is drawn to, by how much they differ in it [m/s], and how slowly
+        they are drawn [s] (an Ornstein-Uhlenbeck process). It says something only where the sensor says little.
+    sideways : standard deviation of the velocity across of somebody who has never been seen [m/s].
     """
 
     calm: tuple[float, float] = (2.0, 1.0)
     free: tuple[float, float] = (2.0, 3.0)
-    brisk: tuple[float, float] = (8.0, 40.0)
+    brisk: tuple[float, float] = (4.0, 20.0)
     centers: FloatArray | None = None
+    cruise: tuple[float, float, float] = (21.0, 2.5, 10.0)
+    sideways: float = 1.5
 
 
 def _none(*shape: int) -> FloatArray:
@@ -69,7 +86,8 @@ class Tracks:
     ----------
     ids : which is which, (n,); never given twice.
     means, covariances : of each estimate, calm, free and brisk, (n, 3, 4) and (n, 3, 4, 4). chances : of each, (n, 3).
-    missed : for how many observations in a row each has not been seen, (n,).
+    missed : for how many observations in a row each has not been seen, (n,). places : row in which each was seen last,
+        (n,); NaN where rows say nothing.
     next_id : of the next newcomer.
     innovation : squared Mahalanobis distance between what was expected of each and what was seen, the least of the
         three, (n,); NaN of who has just come or was not seen.
@@ -80,6 +98,7 @@ class Tracks:
     covariances: FloatArray = field(default_factory=lambda: _none(_MODES, 4, 4))
     chances: FloatArray = field(default_factory=lambda: _none(_MODES))
     missed: IntArray = field(default_factory=lambda: np.zeros(0, np.intp))
+    places: FloatArray = field(default_factory=lambda: np.zeros(0))
     next_id: int = 1
     innovation: FloatArray = field(default_factory=lambda: np.zeros(0))
 
@@ -95,7 +114,13 @@ class Tracks:
 
 
 def follow(
-    tracks: Tracks, seen: FloatArray, noise: FloatArray, dt: float, motions: Motions, patience: int = 0
+    tracks: Tracks,
+    seen: FloatArray,
+    noise: FloatArray,
+    dt: float,
+    motions: Motions,
+    patience: int = 0,
+    places: IntArray | None = None,
 ) -> Tracks:
     """The tracks after one more observation.
 
@@ -104,13 +129,16 @@ def follow(
     tracks : before it. seen : states of those seen, (m, 4), in any order.
     noise : covariance of one of these, (4, 4). dt : time since the observation before [s].
     patience : for how many observations in a row somebody may be missing.
+    places : rows in which those seen are, (m,), where these are sorted by what is there; None where they say nothing.
     """
+    at = np.full(len(seen), np.nan) if places is None else places.astype(float)
     chances, means, covariances = _predict(tracks, dt, motions)
     spread = covariances + noise
     apart = seen[None, None] - means[:, :, None]
     away = np.einsum("njmk,njkm->njm", apart, np.linalg.solve(spread, np.swapaxes(apart, 2, 3)))
     least = away.min(axis=1, initial=np.inf) if len(means) else np.zeros((0, len(seen)))
-    rows, columns = linear_sum_assignment(np.minimum(least, _FAR))
+    swaps = np.nan_to_num(np.minimum(np.abs(tracks.places[:, None] - at), _SWAPS))
+    rows, columns = linear_sum_assignment(np.minimum(least, _FAR) + _SWAP * swaps)
     matched = least[rows, columns] <= _GATE
     rows, columns = rows[matched], columns[matched]
     innovation = np.full(len(means), np.nan)
@@ -126,15 +154,46 @@ def follow(
     kept = missed <= patience
     new = np.setdiff1d(np.arange(len(seen)), columns)
     n = len(new)
+    last = tracks.places.copy()
+    last[rows] = at[columns]
+    born, about = _born(seen[new], noise, motions)
     return Tracks(
         np.concatenate([tracks.ids[kept], tracks.next_id + np.arange(n)]),
-        np.concatenate([means[kept], np.repeat(seen[new, None], _MODES, axis=1)]),
-        np.concatenate([covariances[kept], np.broadcast_to(noise, (n, _MODES, 4, 4))]),
-        np.concatenate([chances[kept], np.full((n, _MODES), 1 / _MODES)]),
+        np.concatenate([means[kept], np.repeat(born[:, None], _MODES, axis=1)]),
+        np.concatenate([covariances[kept], np.broadcast_to(about, (n, _MODES, 4, 4))]),
+        np.concatenate([chances[kept], np.broadcast_to(_USUAL, (n, _MODES))]),
         np.concatenate([missed[kept], np.zeros(n, np.intp)]),
+        np.concatenate([last[kept], at[new]]),
         tracks.next_id + n,
         np.concatenate([innovation[kept], np.full(n, np.nan)]),
     )
+
+
+def _born(seen: FloatArray, noise: FloatArray, motions: Motions) -> tuple[FloatArray, FloatArray]:
+    """Means (n, 4) and covariance (4, 4) of newcomers: what is seen of them, and how fast somebody drives. The noise of
+    a velocity is taken to be no one else's."""
+    mean, about = seen.copy(), noise.copy()
+    for k, (usual, spread) in ((2, motions.cruise[:2]), (3, (0.0, motions.sideways))):
+        seen_by = noise[k, k]
+        about[k, k] = seen_by * spread**2 / (seen_by + spread**2)
+        mean[:, k] += seen_by / (seen_by + spread**2) * (usual - seen[:, k])
+    return mean, about
+
+
+def sides(tracks: Tracks, bound: float) -> tuple[FloatArray, FloatArray]:
+    """Between what each of x, y, vx and vy is, (n, 4) and (n, 4): quantiles of the mixture, so likely to be exceeded as
+    `bound` standard deviations of one normal distribution are."""
+    spread = np.sqrt(np.einsum("njii->nji", tracks.covariances))
+    chances, level, found = tracks.chances[:, :, None], ndtr(-bound), []
+    for sign in (-1.0, 1.0):
+        means = sign * tracks.means
+        inside, outside = means.min(axis=1), (means + _TAIL * spread).max(axis=1)
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (inside + outside)
+            exceeded = (chances * ndtr((means - middle[:, None]) / spread)).sum(axis=1) > level
+            inside, outside = np.where(exceeded, middle, inside), np.where(exceeded, outside, middle)
+        found.append(sign * outside)
+    return found[0], found[1]
 
 
 def ahead_of(tracks: Tracks, late: float, motions: Motions) -> Tracks:
@@ -142,8 +201,10 @@ def ahead_of(tracks: Tracks, late: float, motions: Motions) -> Tracks:
     such, and all others as free ones (nobody swings for so long)."""
     if not late or not len(tracks.ids):
         return tracks
-    modes = motions.calm, motions.free, motions.free
-    means, covariances = _moved(tracks.means, tracks.covariances, late, modes, motions.centers)
+    share = math.sqrt(min(_FRAME / late, 1.0))
+    calm, free = ((share * a, share * b) for a, b in (motions.calm, motions.free))
+    modes = calm, free, free
+    means, covariances = _moved(tracks.means, tracks.covariances, late, modes, motions)
     return replace(tracks, means=means, covariances=covariances)
 
 
@@ -156,7 +217,7 @@ def _predict(tracks: Tracks, dt: float, motions: Motions) -> tuple[FloatArray, F
     means = np.einsum("nji,nik->njk", led, tracks.means)
     begun = np.stack([_mixed(led[:, j], tracks.means, tracks.covariances, means[:, j]) for j in range(_MODES)], axis=1)
     modes = motions.calm, motions.free, motions.brisk
-    return chances, *_moved(means, begun, dt, modes, motions.centers)
+    return chances, *_moved(means, begun, dt, modes, motions)
 
 
 def _moved(
@@ -164,16 +225,21 @@ def _moved(
     covariances: FloatArray,
     dt: float,
     modes: tuple[tuple[float, float], ...],
-    centers: FloatArray | None,
+    motions: Motions,
 ) -> tuple[FloatArray, FloatArray]:
-    """Estimates `dt` later, each with the accelerations of its mode; the first keeps to the lanes at `centers`."""
-    step = np.eye(4)
-    step[0, 2] = step[1, 3] = dt
+    """Estimates `dt` later, each with the accelerations of its mode; the first keeps to its lane, and all are drawn to
+    the usual speed."""
+    cruise, _, slowly = motions.cruise
+    keep = math.exp(-dt / slowly)
+    step = np.diag([1.0, 1.0, keep, 1.0])
+    step[0, 2], step[1, 3] = slowly * (1 - keep), dt
     after, spread = means @ step.T, step @ covariances @ step.T
+    after[..., 0] += cruise * (dt - step[0, 2])
+    after[..., 2] += cruise * (1 - keep)
     for j, accelerations in enumerate(modes):
         spread[:, j] += _pushed(dt, accelerations)
-    if centers is not None and len(means):
-        _keep_lane(means[:, 0, 1], covariances[:, 0, 1, 1], dt, centers, after[:, 0], spread[:, 0])
+    if motions.centers is not None and len(means):
+        _keep_lane(means[:, 0, 1], covariances[:, 0, 1, 1], dt, motions.centers, after[:, 0], spread[:, 0])
     return after, spread
 
 

@@ -211,7 +211,7 @@ def test_one_may_train_inside_the_shield(tmp_path):
 
 def test_every_recipe_has_its_reference_policy_or_is_left_to_train():
     """An hour and more each: they are not bundled."""
-    left = {"dqn-complex-roads-shielded"}
+    left: set[str] = set()
     assert list_references() == sorted(set(RECIPES) - left)
 
 

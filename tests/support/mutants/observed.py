@@ -7,7 +7,8 @@ from mutants.kinds import off
 __all__ = ["OBSERVED"]
 
 _TESTS = "tests/shield/test_perception.py"
-_UNSEEN, _PERCEIVING, _MEMORY = (
+_TRACKING, _UNSEEN, _PERCEIVING, _MEMORY = (
+    "shield/perception/tracking.py",
     "shield/perception/unseen.py",
     "shield/perception/perceiving.py",
     "shield/certificate/memory.py",
@@ -59,16 +60,37 @@ OBSERVED = (
     off(
         "bodies reach no further than they are thought to be",
         _PERCEIVING,
-        "rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] += 2 * spread[:, :2]",
+        "rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] += (high - low)[:, :2]",
         "pass",
         f"{_TESTS}::test_what_is_late_is_taken_to_where_it_is_by_now",
     ),
     off(
         "speeds are what they are thought to be",
         _PERCEIVING,
-        "states[:, 2] += np.where(states[:, 0] < x, 1.0, -1.0) * spread[:, 2]",
+        "states[:, 2] = np.where(states[:, 0] < x, high[:, 2], low[:, 2])",
         "pass",
         f"{_TESTS}::test_what_is_late_is_taken_to_where_it_is_by_now",
+    ),
+    off(
+        "rows say nothing of who is who",
+        _TRACKING,
+        " + _SWAP * swaps)",
+        ")",
+        f"{_TESTS}::test_rows_that_are_sorted_say_who_is_who_where_what_they_show_does_not",
+    ),
+    off(
+        "a bad sensor is believed of newcomers",
+        _TRACKING,
+        "mean[:, k] += seen_by / (seen_by + spread**2) * (usual - seen[:, k])",
+        "pass",
+        f"{_TESTS}::test_nobody_is_taken_to_be_as_fast_as_a_bad_sensor_shows",
+    ),
+    off(
+        "a side is the middle",
+        _TRACKING,
+        "chances, level, found = tracks.chances[:, :, None], ndtr(-bound), []",
+        "chances, level, found = tracks.chances[:, :, None], 0.5, []",
+        f"{_TESTS}::test_the_sides_of_a_mixture_are_exceeded_as_often_as_they_say",
     ),
     off(
         "noise widens what was known",

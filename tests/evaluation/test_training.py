@@ -209,10 +209,8 @@ def test_one_may_train_inside_the_shield(tmp_path):
         train(TINY, "ppo", 16, 1, output=tmp_path / "policy", shield="default", simulator="compiled", **options)
 
 
-def test_every_recipe_has_its_reference_policy_or_is_left_to_train():
-    """An hour and more each: they are not bundled."""
-    left: set[str] = set()
-    assert list_references() == sorted(set(RECIPES) - left)
+def test_every_recipe_has_its_reference_policy():
+    assert list_references() == sorted(RECIPES)
 
 
 @pytest.mark.parametrize("name", list_references())

@@ -17,10 +17,12 @@ _RELATIVE = ("x", "y", "vx", "vy")
 def without_data_frames(observation_type: Any) -> None:
     """Have a live observation type, and whatever it is made of, observe in the quick way.
 
-    Of Kinematics only; any other is left as it is. One that wraps another has it as `_inner`.
+    Of Kinematics only; any other is left as it is, and so is one that has a quick way of its own. One that wraps
+    another has it as `_inner`.
     """
     for kind in _kinematics_in(observation_type):
-        kind.observe = _observer(kind)
+        if "observe" not in vars(kind):
+            kind.observe = _observer(kind)
 
 
 def _kinematics_in(kind: Any) -> Iterator[Any]:

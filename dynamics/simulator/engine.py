@@ -278,6 +278,12 @@ def finish(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Wor
 
 
 @uncounted
+def observe(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
+    """What the ego of one environment sees at any frame, to `seen.observations`; nothing else is touched."""
+    _show(machine, worlds, rules, view, work, e, seen.observations[e])
+
+
+@uncounted
 def follow(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
     """Begin the next episode in one environment; `seen.terminal` keeps what was last seen of this one."""
     for k in range(seen.observations.shape[1]):

@@ -8,7 +8,9 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import action_factory
+from highway_env.envs.common.observation import ObservationType, observation_factory
 from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
@@ -26,7 +28,7 @@ class CompiledHighwayEnv(gym.Env[Any, Any]):
     """`highway-v0` or `highway-fast-v0`, compiled; the same to the last bit. Nothing is drawn.
 
     It has of highway-env's interface what a shield asks for: the road map, the configuration, the ego and its `act`,
-    and the scene as rows.
+    the scene as rows, and `observation_type`, which observes at any frame.
 
     Parameters
     ----------
@@ -48,6 +50,7 @@ class CompiledHighwayEnv(gym.Env[Any, Any]):
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
+    PERCEPTION_DISTANCE = AbstractEnv.PERCEPTION_DISTANCE
 
     def __init__(self, env_id: str = "highway-fast-v0", config: Mapping[str, Any] | None = None) -> None:
         self.simulator = Simulator(env_id, 1, config)
@@ -58,6 +61,8 @@ class CompiledHighwayEnv(gym.Env[Any, Any]):
         self.road: Any = None
         self.controlled_vehicles: list[_Ego] = [_Ego(self)]
         self.action_type = action_factory(self, self.config["action"])
+        self.observation_type: ObservationType = observation_factory(self, self.config["observation"])
+        self.observation_type.observe = self._observe
         self._network = RoadNetwork.straight_road_network(self.config["lanes_count"], speed_limit=30)
         self._frames_per_decision = scenario.rules.numbers[0]
         self.frames: list[FloatArray] = []
@@ -103,6 +108,9 @@ class CompiledHighwayEnv(gym.Env[Any, Any]):
         }
         ended = bool(seen.terminated[0]), bool(seen.truncated[0])
         return seen.observations[0].copy(), float(seen.reward[0]), *ended, info
+
+    def _observe(self) -> Any:
+        return self.simulator.observe().copy()
 
     def _keep(self, look: Any) -> None:
         rows = np.empty((self.simulator.scenario.bodies, _COLUMNS))

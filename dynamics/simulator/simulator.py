@@ -22,6 +22,7 @@ from dynamics.simulator.engine import (
     finish,
     frame,
     look,
+    observe,
     reset_all,
     step_all,
 )
@@ -303,6 +304,14 @@ class Simulator:
     def look(self, rows: FloatArray) -> bool:
         """The bodies of the only copy as rows; see `engine.look`."""
         return bool(look(self.worlds, self.scenario.rules, 0, rows))
+
+    def observe(self) -> NDArray[np.float32]:
+        """What the ego of the only copy sees now, between two frames as well, (bodies, features); the array is written
+        over by the next call."""
+        scenario, work = self.scenario, self._works[0]
+        observe(self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, 0)
+        seen: NDArray[np.float32] = self.seen.observations[0]
+        return seen
 
     def finish(self) -> Seen:
         """End the decision that `begin` began: what it has led to."""

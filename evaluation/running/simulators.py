@@ -37,7 +37,7 @@ def environment(
     setting, policy, variant, model : what is to be driven (see `evaluation.running.episodes.run_episode`).
     simulator : one of `SIMULATORS`; "auto" for the compiled copy where it serves, which is the same bit for bit.
     sensor : through what the policy, and a shield that reads observations, see it: a name in
-        `evaluation.wrappers.SENSORS`; in highway-env itself unless it is "exact".
+        `evaluation.wrappers.SENSORS`.
 
     Raises
     ------
@@ -49,23 +49,25 @@ def environment(
 
     model_of_sensor = get_sensor(sensor)
 
+    def seen(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+        return env if model_of_sensor == SensorModel() else SensorNoise(env, model_of_sensor)
+
     def compiled() -> tuple[gym.Env[Any, Any], bool]:
-        if model_of_sensor != SensorModel():
-            raise ConfigError(f"the sensor {sensor!r} observes highway-env itself")
         made = setting.make()
         if on_network(made.unwrapped):
+            if model_of_sensor != SensorModel():
+                raise ConfigError(f"the sensor {sensor!r} observes highway-env itself on this road")
             return _with_compiled_frames(made, variant)
         _check(policy, variant, model)
         env = CompiledHighwayEnv(setting.env_id, setting.config)
         if variant.door != "none" and variant.config.simulates and isinstance(env.action_type, ContinuousAction):
             raise ConfigError("throttle and steering are verified by simulation in highway-env itself")
-        return env, env.simulator.exact
+        return seen(env), env.simulator.exact
 
     env = compiled_where_it_serves(simulator, compiled)
     if env is not None:
         return "compiled", env
-    made = setting.make()
-    return "highway-env", made if model_of_sensor == SensorModel() else SensorNoise(made, model_of_sensor)
+    return "highway-env", seen(setting.make())
 
 
 def _with_compiled_frames(made: gym.Env[Any, Any], variant: Variant) -> tuple[gym.Env[Any, Any], bool]:
@@ -79,8 +81,6 @@ def _with_compiled_frames(made: gym.Env[Any, Any], variant: Variant) -> tuple[gy
 
 def _check(policy: Any, variant: Variant, model: str | None) -> None:
     """Raise where something reads more of highway-env than there is of it in the compiled copy."""
-    if variant.perception != "simulator":
-        raise ConfigError("what is observed at each frame is observed in highway-env itself")
     if variant.door not in ("none", "env") and variant != variant_for(variant.config):
         raise ConfigError(f"door {variant.door!r} stands around highway-env; the compiled highway has none and env")
     if model not in (None, "bicycle"):

@@ -24,6 +24,20 @@ def test_rows_are_the_same_in_both(policy):
     assert tables[0]["crashed"].any(), "nothing to tell apart happens on these seeds"
 
 
+@pytest.mark.parametrize("order", ["sorted", "shuffled"])
+@pytest.mark.parametrize("sensor", ["exact", "metric-2-late"])
+def test_what_is_observed_at_each_frame_is_the_same_in_both(sensor, order):
+    kinematics = {"type": "Kinematics", "vehicles_count": 8, "see_behind": True, "order": order}
+    setting = Setting("observed", "highway-fast-v0", {"duration": 10, "observation": kinematics})
+    variant, tables = Variant("env", ShieldConfig(), "observation"), []
+    for simulator in ("highway-env", "compiled"):
+        table = run_paired(setting, "faster", [variant], (0, 26), simulator=simulator, sensor=sensor)
+        assert set(table.pop("simulator")) == {simulator}
+        tables.append(table.drop(columns="latencies_ms"))
+    pd.testing.assert_frame_equal(*tables, check_exact=True)
+    assert (tables[0]["frames_overridden"] > 0).all()
+
+
 @pytest.mark.parametrize(
     ("setting", "policy", "variant"),
     [

@@ -24,7 +24,7 @@ class Recipe:
         seed: the training seed.
         hyperparameters: keyword arguments of the algorithm.
         description: one line for people.
-        normalise, exploration, fast, shield: as in `train`.
+        normalise, exploration, fast, shield, sensor: as in `train`.
     """
 
     name: str
@@ -38,6 +38,7 @@ class Recipe:
     exploration: tuple[float, ...] = ()
     fast: bool = False
     shield: str = "none"
+    sensor: str = "exact"
 
 
 # The hyperparameters that highway-env's own examples use, but for the discount factor of the DQNs.
@@ -168,6 +169,19 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
                 0,
                 _PPO_ROADS,
                 "PPO on intersection-v0 as it comes",
+            ),
+            *(
+                Recipe(
+                    f"ppo-{sensor}",
+                    "highway-fast-seen",
+                    "ppo",
+                    20_000,
+                    0,
+                    {**_PPO_HIGHWAY, "policy_kwargs": {"net_arch": [64, 64]}},
+                    f"PPO on highway-fast-v0 that sees 15 vehicles, the sensor {sensor}",
+                    sensor=sensor,
+                )
+                for sensor in ("exact", "metric-0.5", "metric-2-late", "normalised-0.2", "normalised-0.5")
             ),
             *(
                 Recipe(

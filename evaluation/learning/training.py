@@ -25,6 +25,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from dynamics.networks.refusals import on_network
+from dynamics.simulator.env import CompiledHighwayEnv
 from evaluation.learning.algorithms import get_algorithm
 from evaluation.learning.normalisation import NORMALISABLE, fold, normalised
 from evaluation.learning.observations import FastObservations
@@ -33,6 +34,7 @@ from evaluation.names import FIRST_EVALUATION_SEED, TRAINABLE
 from evaluation.settings import Setting, get_setting
 from evaluation.simulators import compiled_where_it_serves, with_compiled_frames
 from evaluation.threads import one_thread
+from evaluation.wrappers.sensor_noise import SensorModel, SensorNoise, get_sensor
 from shield import ShieldConfig, ShieldedEnv
 from shield.errors import ConfigError
 
@@ -86,6 +88,7 @@ def train(
     fast: bool = False,
     simulator: str = "auto",
     shield: str = "none",
+    sensor: str = "exact",
     progress: bool = True,
     command: str | None = None,
 ) -> TrainedPolicy:
@@ -110,6 +113,7 @@ def train(
         bit; "auto" takes it where it serves. The manifest says which it was.
     shield : a profile of `ShieldConfig`, to learn inside the shield, in highway-env's own simulator; or "none". What is
         learned from is what the policy asked for, whatever was driven.
+    sensor : through what the policy sees: a name in `evaluation.wrappers.SENSORS`; without a shield or `fast`.
     progress : whether to show a progress bar.
     command : the shell command that repeats this; by default one that calls this function.
 
@@ -130,7 +134,7 @@ def train(
             f"{algorithm} cannot normalise {', '.join(normalise)}; {' and '.join(_ON_POLICY)} can normalise"
             f" {' and '.join(NORMALISABLE)}"
         )
-    driven_in, env = _world(setting, simulator, fast, shield)
+    driven_in, env = _world(setting, simulator, fast, shield, sensor)
     try:
         accepted = _ACTION_SPACES[algorithm]
         if not isinstance(env.action_space, accepted):
@@ -161,6 +165,8 @@ def train(
         options["simulator"] = simulator
     if shield != "none":
         options["shield"] = shield
+    if sensor != "exact":
+        options["sensor"] = sensor
     manifest = {
         "command": command or _call(setting, algorithm, steps, seed, parameters, path, options),
         "algorithm": algorithm,
@@ -213,17 +219,26 @@ def train_recipe(
         fast=recipe.fast,
         simulator=simulator,
         shield=recipe.shield,
+        sensor=recipe.sensor,
         output=output if output is not None else Path("runs", "policies", f"{name}.zip"),
         progress=progress,
         command=f"shield train --recipe {name}" + ("" if steps == recipe.steps else f" --steps {steps}"),
     )
 
 
-def _world(setting: Setting, simulator: str, fast: bool, shield: str) -> tuple[str, gym.Env[Any, Any] | VecEnv]:
-    """The environment to train in, inside a shield of that profile or "none", and the name of what simulates it."""
+def _world(
+    setting: Setting, simulator: str, fast: bool, shield: str, sensor: str
+) -> tuple[str, gym.Env[Any, Any] | VecEnv]:
+    """The environment to train in, inside a shield of that profile or "none", seen through a sensor, and the name of
+    what simulates it."""
+    noise = get_sensor(sensor)
+    bad = noise != SensorModel()
+    if bad and (fast or shield != "none"):
+        raise ConfigError(f"through the sensor {sensor!r} one trains without a shield, and not with fast=True")
 
     def made() -> gym.Env[Any, Any]:
-        return FastObservations(setting.make()) if fast else setting.make()
+        env = FastObservations(setting.make()) if fast else setting.make()
+        return SensorNoise(env, noise) if bad else env
 
     if shield != "none":
         if simulator not in ("auto", "highway-env"):
@@ -233,10 +248,15 @@ def _world(setting: Setting, simulator: str, fast: bool, shield: str) -> tuple[s
     def compiled() -> tuple[gym.Env[Any, Any] | VecEnv, bool]:
         from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 
-        env = made()
+        env = setting.make() if bad else made()
         if on_network(env.unwrapped):
+            if bad:
+                raise ConfigError(f"the sensor {sensor!r} observes highway-env itself on this road")
             frames = with_compiled_frames(env)
             return Monitor(frames), frames.exact
+        if bad:
+            alone = CompiledHighwayEnv(setting.env_id, setting.config)
+            return Monitor(SensorNoise(alone, noise)), alone.simulator.exact
         world = FastHighwayVecEnv(1, setting.env_id, setting.config)
         return world, world.simulator.exact
 

@@ -7,6 +7,7 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
 
+from evaluation.names import SENSOR_NAMES
 from evaluation.running.episodes import run_episode
 from evaluation.running.records import Variant
 from evaluation.wrappers import SENSORS, SensorModel, SensorNoise
@@ -116,6 +117,10 @@ def test_nobody_is_hit_through_half_a_metre_of_noise(seed):
 def test_sensors_that_there_cannot_be_are_refused(options, match):
     with pytest.raises(ConfigError, match=match):
         SensorModel(**options)
+
+
+def test_the_command_line_names_every_sensor():
+    assert tuple(SENSORS) == SENSOR_NAMES
 
 
 def test_an_unknown_sensor_is_answered_with_those_that_there_are():

@@ -228,6 +228,7 @@ def test_a_reference_policy_is_small_and_its_manifest_repeats_its_recipe(name):
     assert manifest.get("exploration", []) == list(recipe.exploration)
     assert manifest.get("fast", False) == recipe.fast
     assert manifest.get("shield", "none") == recipe.shield
+    assert manifest.get("sensor", "exact") == recipe.sensor
     setting = get_setting(recipe.setting)
     assert manifest["setting"] == {
         "name": setting.name,

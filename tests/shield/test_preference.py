@@ -1,6 +1,7 @@
 """Alternatives are tried in the order of the policy's own scores."""
 
 from collections import Counter
+from dataclasses import replace
 
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
@@ -9,7 +10,7 @@ import torch
 from cores import MetaCore
 from policies import Always, Ranked, make
 
-from dynamics.scenes.scene import Scene
+from dynamics.scenes.scene import Scene, Target
 from shield import Shield, ShieldedEnv
 from shield.doors.ranking import order_from_scores, ranking_of
 from shield.repair.order import default_order
@@ -41,6 +42,27 @@ def test_scores_that_are_not_numbers_come_last():
 
 def test_an_object_without_scores_has_no_ranking(env):
     assert ranking_of(Always(3), env.reset(seed=0)[0]) is None
+
+
+@pytest.mark.parametrize(
+    ("room", "doubt", "blurred", "first"),
+    [
+        ((90.0, 60.0, 50.0), 0.0, False, "LANE_LEFT"),  # more room on the left
+        ((90.0, 60.0, 50.0), 2.0, True, "LANE_LEFT"),  # and nobody doubts it
+        ((90.0, 60.0, 50.0), 40.0, True, "LANE_RIGHT"),  # who cannot tell keeps right
+        ((90.0, 60.0, 10.0), 40.0, True, "FASTER"),  # but not where there is less of it for certain
+    ],
+)
+def test_who_cannot_tell_which_lane_is_better_keeps_right(env, room, doubt, blurred, first):
+    env.reset(seed=0)
+    scene = Scene.from_env(env)
+    x, y = scene.road.to_world(np.array([100.0, scene.road.centers[1], 0.0, 25.0]))[:2]
+    others = np.array([[x + d, y + 4.0 * k, 0.0, 25.0, 5.0 + 2 * doubt, 2.0, 0.0] for k, d in enumerate(room, -1)])
+    told = replace(scene.control, target=Target(1, 25.0))
+    ego = np.array([x, y, 0.0, 25.0, 5.0, 2.0, 0.0])
+    scene = replace(scene, ego=ego, others=others, control=told, blurred=blurred, ids=None)
+    order = default_order(scene, 1, [scene.target_of(a) for a in range(5)])
+    assert scene.control.actions[order[0]] == first
 
 
 @pytest.mark.parametrize("scores", [None, [4, 3, 2, 0, 1], [0, 1, 4, 0, 3], [0, 2, 1, 0, 4]])

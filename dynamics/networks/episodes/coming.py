@@ -22,7 +22,6 @@ from dynamics.simulator.layout import (
     LANE_LENGTH,
     LANE_LIMIT,
     LENGTH,
-    SPEED,
     TARGET_SPEED,
     P,
     X,
@@ -189,8 +188,8 @@ def leave_and_come(
     row: Row,
     e: int,
 ) -> bool:
-    """What happens between two decisions: those near the end of a lane that leaves, or without a route, go, and somebody
-    may come. Whether there is room for whoever comes next."""
+    """What happens between two decisions: those near the end of a lane that leaves, or without a route, go, and then
+    somebody may come. Whether there was room for that."""
     lanes, g, p, busy = rules.network.lanes, worlds.g[e], worlds.p[e], work.busy
     for i in range(worlds.counts[e, 0]):
         lane = g[LANE, i]

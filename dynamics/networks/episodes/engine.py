@@ -166,9 +166,7 @@ def finish(
     cut = worth.decisions > 0 and episodes.decisions[e] >= worth.decisions
     seen.truncated[e] = cut or worlds.clock[e] >= worth.duration
     if len(rules.coming.arms) > 0:
-        room = leave_and_come(
-            machine, worlds, rules.drive, rules.scene, rules.coming, work.drive, episodes.rows[e], e
-        )
+        room = leave_and_come(machine, worlds, rules.drive, rules.scene, rules.coming, work.drive, episodes.rows[e], e)
         seen.full[e] = seen.full[e] or not room
 
 

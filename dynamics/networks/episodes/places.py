@@ -91,7 +91,7 @@ def _merge_generic(base: Any, numbers: Mapping[Lane, int]) -> Places:
     count = int(config["lanes_count"])
     lanes = [numbers["a", "b", k] for k in range(count)]
     length = config["before_merge_length"] + config["converge_merge_length"] + config["parallel_merge_length"]
-    scattered = {"law": SCATTERED, "many": int(config["vehicles_count"]), "tries": 10}
+    scattered: dict[str, Any] = {"law": SCATTERED, "many": max(0, int(config["vehicles_count"])), "tries": 10}
     return Places(
         [
             _row(lanes[-1], 30.0, 30.0, ego=True, headed=False),
@@ -131,7 +131,7 @@ def _roundabout_generic(base: Any, numbers: Mapping[Lane, int]) -> Places:
     roads = [(numbers[a, b, 0], len(graph[a][b])) for a, b in _DEPARTURES]
     lengths = {numbers[a, b, k]: lane.length for a, b in _DEPARTURES for k, lane in enumerate(graph[a][b])}
     drawn: dict[str, Any] = {"drawn": NORMAL, "spreads": (0.0, 2.0), "varies": True}
-    scattered = {"law": SCATTERED, "many": int(config["vehicles_count"]), "tries": 10}
+    scattered: dict[str, Any] = {"law": SCATTERED, "many": max(0, int(config["vehicles_count"])), "tries": 10}
     return Places(
         [
             _row(numbers["ser", "ses", 0], own, 8.0, ego=True, goals=(4, 1)),
@@ -150,7 +150,7 @@ def _exit(base: Any, numbers: Mapping[Lane, int]) -> Places:
     lanes = np.arange(count)
     odds = (lanes / lanes.sum()).cumsum()
     odds /= odds[-1]
-    spacing, many = 1 / config["vehicles_density"], int(config["vehicles_count"])
+    spacing, many = 1 / config["vehicles_density"], max(0, int(config["vehicles_count"]))
     queued: dict[str, Any] = {"lanes": count, "goals": (0, 1), "changes": False}
     return Places(
         [

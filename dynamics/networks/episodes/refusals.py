@@ -73,6 +73,8 @@ def refusals(kind: type[Any], config: Mapping[str, Any]) -> list[str]:
             refused.append(f"other_vehicles_type={traffic.__name__}")
     except (ConfigError, AttributeError, ImportError, ValueError) as error:
         refused.append(f"other_vehicles_type={config['other_vehicles_type']} ({error})")
+    if config["observation"].get("type") == "ExitObservation" and kind_of_world(kind) != EXITING:
+        refused.append("an ExitObservation where there is no exit")
     return [*refused, *_observation(config), *_action(config)]
 
 

@@ -10,7 +10,7 @@ from dynamics.networks.layout import ACROSS, ALONG, COUNT, ID, LEAVES
 from dynamics.networks.routes import Traffic
 from dynamics.simulator.arithmetic import clip
 from dynamics.simulator.layout import CRASHED, KIND, LANE, OBSTACLE, SPEED, TARGET, TARGET_SPEED, X
-from dynamics.state import FloatArray, IntArray
+from dynamics.state import FloatArray
 
 __all__ = ["CROSSING", "EXITING", "MERGING", "NAMES", "ROUND", "TURNING", "TWO_WAY", "Worth", "index_of_speed", "judge"]
 
@@ -149,6 +149,6 @@ def judge(
         reward = _share(reward, worth.rewards)
     if kind == EXITING and worth.normalised:
         reward = clip(reward, 0.0, 1.0)
-    if kind == ROUND or kind == TURNING:
+    if kind in (ROUND, TURNING):
         reward *= on_road
     return reward, over

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
+from itertools import pairwise
 from typing import Any, cast
 
 import gymnasium as gym
@@ -25,7 +26,7 @@ from dynamics.networks.episodes.places import Places, places_of
 from dynamics.networks.episodes.placing import Scene
 from dynamics.networks.episodes.refusals import kind_of_world, refusals
 from dynamics.networks.episodes.rewards import CROSSING, EXITING, MERGING, NAMES, TURNING, Worth
-from dynamics.networks.layout import ACROSS, ALONG, F, G
+from dynamics.networks.layout import ACROSS, ALONG, ROAD, F, G
 from dynamics.networks.network import Network, index_of, network_of
 from dynamics.networks.refusals import customs_of, exits_of
 from dynamics.simulator.kinds import constants_of, ranges_of
@@ -38,7 +39,7 @@ from dynamics.state import FloatArray, IntArray
 __all__ = ["RoadScenario", "road_scenario_of"]
 
 _MOST = 64
-"""As many vehicles as an intersection may have."""
+"""As many vehicles as may come to an intersection."""
 _LAW = (9.8, 5.0)
 
 
@@ -172,8 +173,7 @@ def _ways(roads: Any, network: Network, lanes: Mapping[tuple[str, str, int], int
                 path = roads.shortest_path(node, goal)
             except KeyError:
                 path = []
-            steps = zip(path[:-1], path[1:], strict=True)
-            found[n, k] = [int(network.ids[lanes[a, b, 0], 1]) for a, b in steps]
+            found[n, k] = [int(network.ids[lanes[a, b, 0], ROAD]) for a, b in pairwise(path)]
     table = np.full((len(nodes), max(len(goals), 1), max([1, *map(len, found.values())]) + 1), -1, np.int64)
     for (n, k), path in found.items():
         table[n, k, : len(path)] = path
@@ -185,11 +185,15 @@ def _bodies(base: Any, places: Places | None) -> int:
     if places is not None:
         return sum(integers[2] for _, integers in places.rows) + len(base.road.objects)
     comers = math.ceil(base.config["duration"] * base.config["policy_frequency"]) + 2
-    return int(min(max(base.config["initial_vehicle_count"], 1) + 1 + comers, _MOST))
+    return int(max(base.config["initial_vehicle_count"], 1) + 1 + min(comers, _MOST))
 
 
 def _scene(
-    base: Any, lanes: Mapping[tuple[str, str, int], int], places: Places | None, ways: IntArray, target_speeds: FloatArray
+    base: Any,
+    lanes: Mapping[tuple[str, str, int], int],
+    places: Places | None,
+    ways: IntArray,
+    target_speeds: FloatArray,
 ) -> Scene:
     traffic = next(type(v) for v in base.road.vehicles if v is not base.vehicle)
     places = places or Places([])
@@ -275,11 +279,11 @@ def _worth(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> Worth:
 
 def _view(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> tuple[View, tuple[int, int]]:
     seen = base.observation_type
-    nowhere = np.zeros(0, np.int64), np.zeros((0, 2)), (False,) * 8
     if isinstance(seen, TimeToCollisionObservation):
         step = 1 / base.config["policy_frequency"]
         steps = int(seen.horizon / step)
-        return View(AHEAD, *cast(Any, nowhere), -1, steps, step), (ROWS, steps)
+        nothing_else = np.zeros(0, np.int64), np.zeros((0, 2)), cast(Any, (False,) * 8)
+        return View(AHEAD, *nothing_else, -1, steps, step), (ROWS, steps)
     is_exit = base.config["observation"]["type"] == "ExitObservation"
     ranges, nothing = seen.features_range or {}, (math.nan, math.nan)
     table = np.array([ranges.get(name, nothing)[:2] for name in seen.features], float)
@@ -296,9 +300,6 @@ def _view(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> tuple[View, t
     features = np.array([FEATURES.index(name) for name in seen.features], np.int64)
     exit_lane = -1
     if is_exit:
-        key = max(key for key in lanes if key[:2] == ("1", "2")) if ("1", "2", 0) in lanes else None
-        if key is None:
-            raise ConfigError("an ExitObservation needs the road of exit-v0")
-        exit_lane = lanes[key]
+        exit_lane = lanes[max(key for key in lanes if key[:2] == ("1", "2"))]
     view = View(EXIT if is_exit else KINEMATICS, features, table, switches, exit_lane, 0, 0.0)
     return view, (int(seen.vehicles_count), len(seen.features))

@@ -91,9 +91,7 @@ class RoadSimulator:
         )
         shape = (num_envs, *scenario.observation_space.shape)
         flat = self._flat
-        self.seen = flat._replace(
-            observations=flat.observations.reshape(shape), terminal=flat.terminal.reshape(shape)
-        )
+        self.seen = flat._replace(observations=flat.observations.reshape(shape), terminal=flat.terminal.reshape(shape))
         entropy = np.random.SeedSequence().generate_state(num_envs, np.uint64) >> np.uint64(1)
         self.reset(entropy.astype(np.int64))
 

@@ -98,7 +98,7 @@ def alone_on(base: Any) -> Alone:
     sums, products = sums_of_numpy()
     if Sums.OTHER in (sums, products):
         raise SceneError("numpy computes in a way that is not known here")
-    worlds = new_worlds(2, 1, max(1, longest_route(base)))
+    worlds = new_worlds(2, 1, max(1, longest_route(base)), 1)
     alone = Alone(Machine(sums, products, addresses()), worlds, rules, new_work(1))
     load_ego(base, rules, index_of(base.road.network), worlds)
     return alone

@@ -52,7 +52,7 @@ def _neighbours(traffic: Traffic, i: int, lane: int) -> tuple[int, int]:
     lanes, f, linked = traffic.lanes, traffic.f, traffic.network.linked
     s = on_lane_of(traffic, i, lane)[0]
     front, rear, ahead, behind = -1, -1, 0.0, 0.0
-    for v in range(f.shape[1]):
+    for v in range(traffic.bodies):
         if v == i:
             continue
         for k in range(-1, linked.shape[1]):

@@ -52,6 +52,7 @@ __all__ = [
     "new_work",
     "new_worlds",
     "on_way",
+    "traffic_of",
 ]
 
 
@@ -64,6 +65,7 @@ class NetworkWorlds(NamedTuple):
     order : (e, m), bodies by x.
     routes : (e, m, entries, 2): roads, and their lanes or -1.
     clock : (e,), time since the reset [s].
+    counts : (e, 2), how many vehicles there are, and how many bodies: what stands comes after them, and then nothing.
     """
 
     f: FloatArray
@@ -72,6 +74,7 @@ class NetworkWorlds(NamedTuple):
     order: IntArray
     routes: IntArray
     clock: FloatArray
+    counts: IntArray
 
 
 class NetworkRules(NamedTuple):
@@ -80,7 +83,7 @@ class NetworkRules(NamedTuple):
     Attributes
     ----------
     network : the road.
-    numbers : frames of a decision, vehicles.
+    numbers : frames of a decision, vehicles that a scene is loaded with, -1 for any number.
     times : duration of a frame and of a decision [s].
     target_speeds : of the ego [m/s]. labels : of each action: 0 left, 1 none, 2 right, 3 faster, 4 slower.
     law : how hard the law of an ego with throttle and steering brakes and accelerates [m/s^2].
@@ -105,8 +108,8 @@ class NetworkWork(NamedTuple):
     paths: FloatArray
 
 
-def new_worlds(count: int, bodies: int, entries: int) -> NetworkWorlds:
-    """Room for so many scenes of so many bodies, with routes of so many entries."""
+def new_worlds(count: int, bodies: int, entries: int, vehicles: int) -> NetworkWorlds:
+    """Room for so many scenes of so many bodies, of which so many are vehicles, with routes of so many entries."""
     return NetworkWorlds(
         np.zeros((count, F, bodies)),
         np.zeros((count, G, bodies), np.int64),
@@ -114,6 +117,7 @@ def new_worlds(count: int, bodies: int, entries: int) -> NetworkWorlds:
         np.zeros((count, bodies), np.int64),
         np.full((count, bodies, entries, 2), -1, np.int64),
         np.zeros(count),
+        np.tile([vehicles, bodies], (count, 1)),
     )
 
 
@@ -151,16 +155,17 @@ def _lanes(machine: Machine, network: Network) -> Lanes:
 
 
 @inlined
-def _traffic(machine: Machine, worlds: NetworkWorlds, network: Network, e: int) -> Traffic:
+def traffic_of(machine: Machine, worlds: NetworkWorlds, network: Network, e: int) -> Traffic:
     """What drives in one scene."""
-    return Traffic(_lanes(machine, network), network, worlds.f[e], worlds.g[e], worlds.p[e], worlds.routes[e])
+    lanes, bodies = _lanes(machine, network), worlds.counts[e, 1]
+    return Traffic(lanes, network, worlds.f[e], worlds.g[e], worlds.p[e], worlds.routes[e], bodies)
 
 
 @uncounted
 def command(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, ego: int, action: int) -> None:
     """What a meta-action changes at once of the ego in a column, or of an ally."""
     f, g, network, label = worlds.f[e], worlds.g[e], rules.network, rules.labels[action]
-    traffic = _traffic(machine, worlds, network, e)
+    traffic = traffic_of(machine, worlds, network, e)
     if g[KIND, ego] == CONTINUOUS and not g[LAW, ego]:
         g[LAW, ego], g[TARGET, ego], f[TARGET_SPEED, ego] = 1, g[LANE, ego], f[SPEED, ego]
     follow_road(traffic, ego)
@@ -187,8 +192,8 @@ def begin(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, 
 @uncounted
 def intend(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int) -> None:
     """What everybody in one scene is about to do in the coming frame."""
-    g, vehicles = worlds.g[e], rules.numbers[1]
-    traffic = _traffic(machine, worlds, rules.network, e)
+    g, vehicles = worlds.g[e], worlds.counts[e, 0]
+    traffic = traffic_of(machine, worlds, rules.network, e)
     clear(traffic, rules.customs, vehicles)
     act(traffic, work.numbers, work.busy, vehicles)
     g[FRAMES, 0] += 1
@@ -199,8 +204,8 @@ def intend(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: N
 @uncounted
 def move(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int) -> None:
     """Move everybody in one scene by a frame."""
-    f, g, p, vehicles, dt = worlds.f[e], worlds.g[e], worlds.p[e], rules.numbers[1], rules.times[0]
-    lanes, n = _lanes(machine, rules.network), 0
+    f, g, p, vehicles, dt = worlds.f[e], worlds.g[e], worlds.p[e], worlds.counts[e, 0], rules.times[0]
+    lanes, order, n = _lanes(machine, rules.network), worlds.order[e][: worlds.counts[e, 1]], 0
     for i in range(vehicles):
         limit(f, g, p, i, dt)
         if g[DYNAMICAL, i]:
@@ -216,8 +221,8 @@ def move(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: Net
         lane = closest(lanes, x, y, f[HEADING, i], lane)
         f[ALONG, i], f[ACROSS, i] = local(lanes, lane, x, y)
         g[LANE, i] = lane
-    sort(f, worlds.order[e])
-    collide(machine.sums, machine.products, f, g, p, worlds.order[e], work.corners, work.pairs, vehicles, dt)
+    sort(f, order)
+    collide(machine.sums, machine.products, f, g, p, order, work.corners, work.pairs, vehicles, dt)
 
 
 @uncounted

@@ -81,8 +81,13 @@ def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: 
     inputs = type(base.vehicle) in (Vehicle, BicycleVehicle)
     if not inputs and type(base.vehicle) is not MDPVehicle:
         raise SceneError(f"the ego is a {type(base.vehicle).__name__}, and no MDPVehicle, Vehicle or BicycleVehicle")
-    if len(vehicles) != rules.numbers[1] or len(vehicles) + len(obstacles) != f.shape[1]:
-        raise SceneError(f"have {rules.numbers[1]} vehicles of {f.shape[1]} bodies, not {len(vehicles)} vehicles")
+    bodies = len(vehicles) + len(obstacles)
+    any_number = rules.numbers[1] < 0
+    if bodies > f.shape[1] or (not any_number and (len(vehicles), bodies) != (rules.numbers[1], f.shape[1])):
+        raise SceneError(
+            f"have {'room for' if any_number else f'{rules.numbers[1]} vehicles of'} {f.shape[1]} bodies, not "
+            f"{len(vehicles)} vehicles and {len(obstacles)} obstacles"
+        )
     if not inputs and base.steps % rules.numbers[0]:
         raise SceneError("the environment is amid a decision")
     f[:], g[:], routes[:] = 0.0, 0, -1
@@ -113,7 +118,7 @@ def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: 
     if not np.isfinite(f).all():
         raise SceneError("a position, heading, speed, target, timer or action of the scene is not finite")
     worlds.order[e] = np.arange(f.shape[1])
-    worlds.clock[e] = base.time
+    worlds.clock[e], worlds.counts[e] = base.time, (len(vehicles), bodies)
 
 
 def store(base: Any, keys: Sequence[tuple[str, str, int]], worlds: NetworkWorlds, e: int) -> None:

@@ -21,6 +21,7 @@ class Traffic(NamedTuple):
     ----------
     f, g, p : (F, m), (G, m) and (P, m), see `layout`.
     routes : (m, entries, 2): roads, and their lanes or -1.
+    bodies : how many of the m there are.
     """
 
     lanes: Lanes
@@ -29,6 +30,7 @@ class Traffic(NamedTuple):
     g: IntArray
     p: FloatArray
     routes: IntArray
+    bodies: int
 
 
 @inlined

@@ -136,7 +136,7 @@ class NetworkSimulator:
 
     def new_worlds(self, count: int) -> NetworkWorlds:
         """Room for so many more scenes of the same bodies."""
-        return new_worlds(count, self._bodies, self._entries)
+        return new_worlds(count, self._bodies, self._entries, self.rules.numbers[1])
 
     def new_work(self) -> NetworkWork:
         """Room for the kernels of one more thread."""

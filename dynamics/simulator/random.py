@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dynamics.compiled import inlined, uncounted
 
-__all__ = ["TAPE", "WORDS", "below", "from_generator", "interval", "seed_row", "to_generator", "uniform"]
+__all__ = ["TAPE", "WORDS", "below", "from_generator", "interval", "next_64", "seed_row", "to_generator", "uniform"]
 
 Row = NDArray[np.uint64]
 
@@ -52,7 +52,8 @@ def _advance(row: Row) -> None:
 
 
 @inlined
-def _next_64(row: Row) -> Any:
+def next_64(row: Row) -> Any:
+    """The next 64 bits."""
     _advance(row)
     mixed, turn = row[0] ^ row[1], row[0] >> _FIFTYEIGHT
     return (mixed >> turn) | (mixed << ((_SIXTYFOUR - turn) & _SIXTYTHREE))
@@ -63,7 +64,7 @@ def _next_32(row: Row) -> Any:
     if row[4]:
         row[4] = _ZERO
         return row[5]
-    drawn = _next_64(row)
+    drawn = next_64(row)
     row[4], row[5] = _ONE, drawn >> _32
     return drawn & _LOW
 
@@ -90,7 +91,7 @@ def _next_taped(row: Row) -> float:
 @inlined
 def uniform(row: Row, low: float, high: float) -> float:
     """`Generator.uniform(low, high)`; or from the tape."""
-    return low + (high - low) * (_next_taped(row) if _taped(row) else _share(_next_64(row)))
+    return low + (high - low) * (_next_taped(row) if _taped(row) else _share(next_64(row)))
 
 
 @inlined

@@ -61,7 +61,7 @@ class FastHighwayVecEnv(VecEnv):
         self._start = time.time()
         super().__init__(num_envs, scenario.observation_space, scenario.action_space)
 
-    def _made(self, num_envs: int, env_id: str, config: Mapping[str, Any] | None, threads: int) -> Simulator:
+    def _made(self, num_envs: int, env_id: str, config: Mapping[str, Any] | None, threads: int) -> Any:
         """What simulates the environments."""
         return Simulator(env_id, num_envs, config, threads)
 
@@ -100,25 +100,29 @@ class FastHighwayVecEnv(VecEnv):
         return observations.copy(), reward.astype(np.float32), done, infos
 
     def _infos(self, terminated: Any, done: Any) -> list[dict[str, Any]]:
+        seen, infos = self.simulator.seen, self._told()
+        elapsed = round(time.time() - self._start, _DIGITS)
+        for info, over, crashed in zip(infos, done, terminated, strict=True):
+            info["TimeLimit.truncated"] = bool(over and not crashed)
+        for i in np.flatnonzero(done):
+            infos[i]["terminal_observation"] = seen.terminal[i].copy()
+            total = round(float(self._returns[i]), _DIGITS)
+            infos[i]["episode"] = {"r": total, "l": int(self._lengths[i]), "t": elapsed}
+        return infos
+
+    def _told(self) -> list[dict[str, Any]]:
+        """highway-env's own `info` of each environment."""
         seen, actions = self.simulator.seen, self._actions
         speeds, parts = seen.speed.tolist(), seen.parts.tolist()
-        infos: list[dict[str, Any]] = [
+        return [
             {
                 "speed": speeds[i],
                 "crashed": parts[i][0] != 0,
                 "action": actions[i],
                 "rewards": dict(zip(REWARDS, parts[i], strict=True)),
-                "TimeLimit.truncated": False,
             }
             for i in range(self.num_envs)
         ]
-        elapsed = round(time.time() - self._start, _DIGITS)
-        for i in np.flatnonzero(done):
-            infos[i]["TimeLimit.truncated"] = not terminated[i]
-            infos[i]["terminal_observation"] = seen.terminal[i].copy()
-            total = round(float(self._returns[i]), _DIGITS)
-            infos[i]["episode"] = {"r": total, "l": int(self._lengths[i]), "t": elapsed}
-        return infos
 
     def close(self) -> None:
         """Nothing is held."""
@@ -127,14 +131,14 @@ class FastHighwayVecEnv(VecEnv):
         """`config`, `spec`, `render_mode`, `action_space`, `observation_space` of each environment."""
         if attr_name not in ("config", "spec", "render_mode", "action_space", "observation_space"):
             raise ConfigError(
-                f"a compiled highway has no {attr_name!r}; have config, spec, render_mode, action_space, "
-                "observation_space, or .simulator.worlds, the state of all of them"
+                f"a compiled environment has no {attr_name!r}; have config, spec, render_mode, action_space, "
+                "observation_space, or .simulator, with the state of all of them"
             )
         return [getattr(self, attr_name) for _ in self._indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Refused: the environments are made at once, from one configuration."""
-        raise ConfigError(f"{attr_name!r} cannot be set on a compiled highway; make another one with config=")
+        raise ConfigError(f"{attr_name!r} cannot be set on a compiled environment; make another one with config=")
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
         """Refused: there are no environment objects behind it."""

@@ -252,6 +252,9 @@ def _world(
         if on_network(env.unwrapped):
             if bad:
                 raise ConfigError(f"the sensor {sensor!r} observes highway-env itself on this road")
+            whole = _whole_episodes(setting)
+            if whole is not None:
+                return whole
             frames = with_compiled_frames(env)
             return Monitor(frames), frames.exact
         if bad:
@@ -262,6 +265,18 @@ def _world(
 
     world = compiled_where_it_serves(simulator, compiled)
     return ("highway-env", Monitor(made())) if world is None else ("compiled", world)
+
+
+def _whole_episodes(setting: Setting) -> tuple[VecEnv, bool] | None:
+    """An environment on a road network compiled altogether, and whether that is exact; None where only its frames are
+    compiled."""
+    from evaluation.learning.fast_road_vec_env import FastRoadVecEnv
+
+    try:
+        world = FastRoadVecEnv(1, setting.env_id, setting.config)
+    except ConfigError:
+        return None
+    return world, world.simulator.exact
 
 
 def _check(steps: int, seed: int, output: str | Path) -> Path:

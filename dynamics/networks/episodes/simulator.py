@@ -1,0 +1,204 @@
+"""`RoadSimulator`: highway-env's environments on road networks, compiled, many episodes at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.errors import ActionError, ConfigError, SceneError
+from dynamics.networks.engine import new_work, new_worlds
+from dynamics.networks.episodes.engine import Episodes, EpisodeWork, RoadsSeen, reset_all, step_all
+from dynamics.networks.episodes.scenario import RoadScenario, road_scenario_of
+from dynamics.networks.layout import COUNT
+from dynamics.networks.live import load
+from dynamics.simulator.arithmetic import Sums, sums_of_numpy
+from dynamics.simulator.engine import Machine
+from dynamics.simulator.loops import addresses
+from dynamics.simulator.random import WORDS, from_generator
+from dynamics.slices import Slices
+from dynamics.state import FloatArray
+
+__all__ = ["RoadSimulator"]
+
+
+class RoadSimulator:
+    """So many copies of an environment on a road network, stepped together; the same to the last bit.
+
+    Parameters
+    ----------
+    env_id : merge, merge-generic, roundabout, roundabout-generic, exit, two-way, u-turn or intersection, any version.
+    num_envs : how many copies.
+    config : what differs from its default configuration.
+    threads : how many of them share the environments of a step.
+
+    Raises
+    ------
+    ConfigError
+        If the environment needs what the simulator cannot do.
+    PlatformError
+        If numpy's own loops are not where they are known to be, or another version of highway-env is installed.
+
+    Attributes
+    ----------
+    scenario : what is simulated.
+    episodes : the state of all copies (see `engine.Episodes`).
+    seen : what the last call found (see `engine.RoadsSeen`).
+    exact : whether this machine's numpy makes sums of products in a way that is known here.
+
+    Notes
+    -----
+    The constants of the traffic's class are those that it has when the simulator is made. highway-env's intersections
+    change them, for all environments of the process that have the same class.
+
+    Examples
+    --------
+    >>> simulator = RoadSimulator("merge-v0", 2)
+    >>> observations = simulator.reset([0, 1])
+    >>> observations, reward, terminated, truncated = simulator.step([3, 1])
+    >>> observations.shape, reward.shape
+    ((2, 5, 5), (2,))
+    """
+
+    def __init__(
+        self, env_id: str, num_envs: int = 1, config: Mapping[str, Any] | None = None, threads: int = 1
+    ) -> None:
+        if num_envs < 1 or threads < 1:
+            raise ConfigError(f"num_envs and threads must be at least 1, not {num_envs} and {threads}")
+        self.scenario: RoadScenario = road_scenario_of(env_id, config)
+        self.num_envs, scenario = num_envs, self.scenario
+        sums, products = sums_of_numpy()
+        self.exact = Sums.OTHER not in (sums, products)
+        self.machine = Machine(sums, products, addresses())
+        worlds = new_worlds(num_envs, scenario.bodies, scenario.entries, 0)
+        self.episodes = Episodes(worlds, np.zeros((num_envs, WORDS), np.uint64), np.zeros(num_envs, np.int64))
+        self._slices = Slices(num_envs, threads)
+        self._works = [self._new_work() for _ in self._slices.bounds]
+        rows, features = scenario.shape
+        self._flat = RoadsSeen(
+            np.zeros((num_envs, rows, features), np.float32),
+            np.zeros((num_envs, rows, features), np.float32),
+            np.zeros(num_envs),
+            np.zeros(num_envs, np.bool_),
+            np.zeros(num_envs, np.bool_),
+            np.zeros((num_envs, 5)),
+            np.zeros(num_envs),
+            np.zeros(num_envs, np.bool_),
+            np.zeros(num_envs, np.bool_),
+        )
+        shape = (num_envs, *scenario.observation_space.shape)
+        flat = self._flat
+        self.seen = flat._replace(observations=flat.observations.reshape(shape), terminal=flat.terminal.reshape(shape))
+        entropy = np.random.SeedSequence().generate_state(num_envs, np.uint64) >> np.uint64(1)
+        self.reset(entropy.astype(np.int64))
+
+    def _new_work(self) -> EpisodeWork:
+        scenario = self.scenario
+        network, bodies = scenario.rules.drive.network, scenario.bodies
+        lanes = int(network.ids[:, COUNT].max())
+        return EpisodeWork(
+            new_work(bodies),
+            np.zeros(bodies, np.int64),
+            np.zeros(bodies),
+            np.zeros(scenario.shape),
+            np.zeros((3 * network.outs.shape[1] + 1, 3), np.int64),
+            np.zeros((lanes, max(1, scenario.rules.sight.steps))),
+        )
+
+    def reset(
+        self, seeds: Sequence[int] | NDArray[Any] | None = None, which: Sequence[int] | None = None
+    ) -> NDArray[np.float32]:
+        """Start new episodes.
+
+        Parameters
+        ----------
+        seeds : one for each environment, as of `env.reset(seed=...)`; None goes on with the generators that there are.
+        which : the environments to reset; all by default.
+
+        Returns
+        -------
+        The observations of all environments, (e, *shape) float32; the array is written over by the next call.
+        """
+        chosen = np.arange(self.num_envs) if which is None else np.asarray(which, dtype=np.int64)
+        if chosen.ndim != 1 or ((chosen < 0) | (chosen >= self.num_envs)).any():
+            raise ConfigError(f"there are environments 0 to {self.num_envs - 1}, not {which!r}")
+        numbers = np.full(len(chosen), -1)
+        if seeds is not None:
+            given = list(seeds)
+            if len(given) != len(chosen) or not all(isinstance(s, int | np.integer) and 0 <= s < 2**63 for s in given):
+                raise ConfigError(
+                    f"have a seed from 0 to 2^63 - 1 for each of {len(chosen)} environments, not {seeds!r}"
+                )
+            numbers = np.array(given, dtype=np.int64)
+        self._flat.full[chosen] = False
+        reset_all(self.machine, self.episodes, self.scenario.rules, self._works[0], self._flat, chosen, numbers)
+        return self.seen.observations
+
+    def step(
+        self, actions: Any, again: bool = False
+    ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+        """One decision in each environment.
+
+        Parameters
+        ----------
+        actions : (e,) meta-actions, or (e, size) throttle and steering.
+        again : whether episodes that end are followed by new ones at once; `seen.terminal` has their last
+            observations then.
+
+        Returns
+        -------
+        Observations (e, *shape), rewards (e,), terminated (e,) and truncated (e,): arrays that the next call writes
+        over.
+
+        Raises
+        ------
+        ActionError
+            If there is not an action for each environment, or one is none of the action space.
+        SceneError
+            If more vehicles came to an intersection than there is room for.
+        """
+        given, seen = self._given(actions), self.seen
+
+        def part(k: int, first: int, last: int) -> None:
+            rules, work = self.scenario.rules, self._works[k]
+            step_all(self.machine, self.episodes, rules, work, self._flat, given, first, last, again)
+
+        self._slices.run(part)
+        if seen.full.any():
+            raise SceneError(f"{self.scenario.env_id} has room for {self.scenario.bodies} vehicles, and more came")
+        return seen.observations, seen.reward, seen.terminated, seen.truncated
+
+    def load(self, env: gym.Env[Any, Any], e: int = 0) -> None:
+        """Copy a live environment of the same configuration, between two decisions, into copy `e`.
+
+        Raises
+        ------
+        SceneError
+            If it has more bodies or longer routes than there is room for, or vehicles that drive in another way.
+        """
+        if not 0 <= e < self.num_envs:
+            raise ConfigError(f"there are environments 0 to {self.num_envs - 1}, not {e}")
+        base, scenario = cast(Any, env.unwrapped), self.scenario
+        if base.config != scenario.config:
+            raise SceneError("the environment has another configuration than the simulator")
+        load(env, scenario.rules.drive, scenario.lanes, self.episodes.worlds, e)
+        self.episodes.rows[e] = from_generator(base.np_random)
+        self.episodes.decisions[e] = base.steps // scenario.rules.drive.numbers[0]
+
+    def _given(self, actions: Any) -> FloatArray:
+        """Actions as the kernels take them, (e, 2)."""
+        inputs, e = self.scenario.inputs, self.num_envs
+        actions = np.asarray(actions)
+        if inputs is not None:
+            if actions.shape != (e, inputs.size) or not np.isfinite(actions).all():
+                raise ActionError(f"have finite actions of shape {(e, inputs.size)}, not {actions.shape}")
+            return inputs(actions)
+        n = len(self.scenario.rules.drive.labels)
+        if actions.shape != (e,) or not ((actions >= 0) & (actions < n)).all():
+            raise ActionError(f"have {e} meta-actions from 0 to {n - 1}, not {actions!r}")
+        given = np.zeros((e, 2))
+        given[:, 0] = actions
+        return given

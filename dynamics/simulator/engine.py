@@ -193,7 +193,7 @@ def _command(rules: Rules, f: FloatArray, g: IntArray, action: FloatArray) -> No
             g[TARGET, 0] = lane
 
 
-@uncounted
+@inlined
 def advance(
     machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, level: bool, throttle: float, wheel: float
 ) -> bool:
@@ -307,7 +307,7 @@ def write_row(f: FloatArray, g: IntArray, p: FloatArray, i: int, row: FloatArray
     row[4], row[5], row[6] = p[LENGTH, i], p[WIDTH, i], float(g[CRASHED, i])
 
 
-@uncounted
+@inlined
 def look(worlds: Worlds, rules: Rules, e: int, rows: FloatArray) -> bool:
     """The bodies of one environment as rows, (m, 7), see `frame`; whether the ego is on the road."""
     f, g, p, lanes = worlds.f[e], worlds.g[e], worlds.p[e], rules.lanes

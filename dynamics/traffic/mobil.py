@@ -56,20 +56,17 @@ def _pays(v: float, now: float, gap: float, speed: float, back: float, behind: f
 
 
 @inlined
-def _stays(states: FloatArray, i: int, center: float, sight: float) -> bool:
+def _stays(r: float, across: float, center: float, sight: float) -> bool:
     """Whether a vehicle counts in a lane: one that is leaving it is nobody's leader there by the time that somebody
     enters it."""
-    r = states[i, 1]
-    if not abs(r - center) <= sight:
-        return False
-    later = r + _LEAVES * states[i, 3] * math.sin(states[i, 2])
-    return abs(later - center) <= sight
+    return abs(r - center) <= sight and abs(r + _LEAVES * across - center) <= sight
 
 
-@uncounted
+@inlined
 def gain_of(
     j: int,
     states: FloatArray,
+    across: FloatArray,
     lane: IntArray,
     low: FloatArray,
     high: FloatArray,
@@ -97,12 +94,12 @@ def gain_of(
         ahead, r = states[i, 0] - s, states[i, 1]
         if ahead >= 0 and (abs(r - own) <= sight or low[i] < own < high[i]):
             now = max(now, _held_up(v, v - states[i, 3], ahead) ** 2)
-        if _stays(states, i, low0, sight):
+        if _stays(r, across[i], low0, sight):
             if 0 <= ahead < gap0:
                 gap0, speed0 = ahead, states[i, 3]
             elif -back0 < ahead < 0:
                 back0, behind0 = -ahead, states[i, 3]
-        if _stays(states, i, high1, sight):
+        if _stays(r, across[i], high1, sight):
             if 0 <= ahead < gap1:
                 gap1, speed1 = ahead, states[i, 3]
             elif -back1 < ahead < 0:
@@ -114,6 +111,7 @@ def gain_of(
 @uncounted
 def gains(
     states: FloatArray,
+    across: FloatArray,
     lane: IntArray,
     low: FloatArray,
     high: FloatArray,
@@ -129,7 +127,7 @@ def gains(
 
     Parameters
     ----------
-    states : road states (m, 4). lane : the nearest lane of each, (m,). centers : of the lanes [m].
+    states : road states (m, 4). across : speed of each across the road, (m,) [m/s]. lane : the nearest lane of each, (m,). centers : of the lanes [m].
     low, high : edges of the lanes that each touches, (m,) [m]: whoever touches a vehicle's own may be its leader soon.
     sight : how near to a lane's centre a vehicle counts as being in it [m].
     slack : what the gain may lack [m/s^2]; and, as a share of the distance, what the new follower may.
@@ -139,4 +137,4 @@ def gains(
     for j in range(states.shape[0]):
         out[j, 0] = out[j, 1] = False
         if asked[j, 0] or asked[j, 1]:
-            gain_of(j, states, lane, low, high, centers, sight, slack, ego, asked[j], out[j])
+            gain_of(j, states, across, lane, low, high, centers, sight, slack, ego, asked[j], out[j])

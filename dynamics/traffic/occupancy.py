@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.roads.straight import Road
 from dynamics.state import FloatArray, IntArray, RoadState, Vehicle
 from dynamics.traffic.assumptions import Assumptions
@@ -129,7 +129,7 @@ def _rearmost_last(states: FloatArray, order: IntArray) -> None:
         order[k] = i
 
 
-@uncounted
+@inlined
 def look(
     others: FloatArray,
     states: FloatArray,
@@ -178,7 +178,7 @@ def look(
 
 def room_for(m: int, frames: int) -> tuple[int, int, int]:
     """Shape of the room in which `look` works, for m vehicles and so many coming frames."""
-    return 7, max(m, 6), max(frames, m, 2)
+    return 7, max(frames, 3), max(frames, m, 2)
 
 
 class Before(NamedTuple):

@@ -49,6 +49,7 @@ def strips(others: FloatArray, states: FloatArray, growth: FloatArray, lanes: La
         bodies.high,
         bodies.reach,
     )
+    shape = (np.nan, np.nan, np.nan)
     for i in range(states.shape[0]):
         s, r, psi, v = states[i, 0], states[i, 1], states[i, 2], states[i, 3]
         length, width = others[i, _LENGTH], others[i, _WIDTH]
@@ -78,7 +79,9 @@ def strips(others: FloatArray, states: FloatArray, growth: FloatArray, lanes: La
             low, high = min(low, least), max(high, most)
         along, across = (growth[i, 0], growth[i, 1]) if growth.shape[0] > 0 else (0.0, 0.0)
         lows[i], highs[i] = low - across, high + across
-        reach[i] = 0.5 * math.hypot(length, width) + along
+        if length != shape[0] or width != shape[1]:  # most are alike
+            shape = (length, width, 0.5 * math.hypot(length, width))
+        reach[i] = shape[2] + along
 
 
 @uncounted

@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import numbers_of, uncounted
+from dynamics.compiled import inlined, numbers_of, uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Surroundings
@@ -123,7 +123,7 @@ def gap_between(ego: Ego, along: float, across: float, rows: FloatArray, i: int,
     return max(max(mine, beside), max(theirs, by))
 
 
-@uncounted
+@inlined
 def judge_motions(
     rows0: FloatArray,
     states0: FloatArray,

@@ -94,7 +94,7 @@ def _lets_in(v: float, closing: float, far: float) -> bool:
 
 
 class _Extremes(NamedTuple):
-    """Speeds of each vehicle at each of the coming frames, and how far they have led by then, each (m, K): as fast, and
+    """Speeds of each vehicle at each of the coming frames, and how far they have led by then, each (K, m): as fast, and
     as slow, as it may be; and as slow as anybody could be that goes forwards."""
 
     fast: FloatArray
@@ -103,6 +103,13 @@ class _Extremes(NamedTuple):
     slow_way: FloatArray
     slowest: FloatArray
     slowest_way: FloatArray
+
+
+@inlined
+def _little(d: float, fast: float, slow: float, motion: Motion) -> bool:
+    """Whether `_asked` is less than `Motion.calm` for sure, by more than rounding could take from it."""
+    wanted = GAP + TIME * fast + fast * max(fast - slow, 0.0) * _PER_TWICE_ROOT
+    return d > 1.0 and wanted * wanted < (motion.calm - _SLACK) * _PER_SCALE * (d * d) * (1 - _ROUNDING)
 
 
 @inlined
@@ -116,11 +123,9 @@ def _press(
     motion: Motion,
     brakes: FloatArray,
     end: int,
-    rates: FloatArray,
 ) -> int:
     """Raise `brakes` (K,) of vehicle i to what vehicle j may ask for that is `ahead` of it, and no nearer than `near`
     [m]: at once where `first` is negative, and else from the frame at which it may move in, no sooner than `first`.
-    `rates` (K,) are written over.
 
     Returns how many frames there are before i may brake as hard as can be, `end` at most.
     """
@@ -128,53 +133,54 @@ def _press(
     if first >= 0:
         begin = end
         for k in range(first, end):
-            far, v = ahead + x.fast_way[j, k] - x.slowest_way[i, k], x.slowest[i, k]
+            far, v = ahead + x.fast_way[k, j] - x.slowest_way[k, i], x.slowest[k, i]
             # One from beyond the next lane looks out for those who are in that lane now, and not for who enters it too.
-            if far > 0 and (first > 0 or _lets_in(v, v - x.fast[j, k], far)):
+            if far > 0 and (first > 0 or _lets_in(v, v - x.fast[k, j], far)):
                 begin = k
                 break
-    slow_way, fast_way, fast, slow = x.slow_way[j], x.fast_way[i], x.fast[i], x.slow[j]
     for k in range(begin, end):
-        rates[k] = _asked(near + slow_way[k] - fast_way[k] - back * k, fast[k], slow[k], motion)
-    for k in range(begin, end):
-        brakes[k] = max(brakes[k], rates[k])
-        if rates[k] >= motion.braking:
+        d = near + x.slow_way[k, j] - x.fast_way[k, i] - back * k
+        rate = _asked(d, x.fast[k, i], x.slow[k, j], motion)
+        brakes[k] = max(brakes[k], rate)
+        if rate >= motion.braking:
             return k + 1
     return end
 
 
 @uncounted
-def _extremes(
-    others: FloatArray, states: FloatArray, stretch: FloatArray, motion: Motion, frames: int, ways: FloatArray
-) -> None:
-    """Fill in `_Extremes` for so many frames, the first six of `ways` (see `brakings`), where everybody may brake as
-    hard as can be at once.
+def _extremes(others: FloatArray, states: FloatArray, stretch: FloatArray, motion: Motion, ways: FloatArray) -> None:
+    """Fill in `_Extremes`, the first six of `ways` (see `brakings`), where everybody may brake as hard as can be at
+    once.
 
     It goes frame by frame over all vehicles: none of them waits for what comes of another's last frame.
     """
-    m, dt, curved = states.shape[0], motion.dt, stretch.shape[1] > 0
-    fast, slow, slowest = ways[6, 0, :m], ways[6, 1, :m], ways[6, 2, :m]
-    fast_way, slow_way, slowest_way = ways[6, 3, :m], ways[6, 4, :m], ways[6, 5, :m]
+    m, dt, curved, frames = states.shape[0], motion.dt, stretch.shape[1] > 0, ways.shape[1]
+    fast, fast_way, slow, slow_way, slowest, slowest_way = ways[0], ways[1], ways[2], ways[3], ways[4], ways[5]
+    top, kept, backwards = ways[6, 0], ways[6, 1], ways[6, 2]
     for i in range(m):
-        fast[i] = slow[i] = slowest[i] = max(states[i, 3], 0.0)
-        fast_way[i] = slow_way[i] = slowest_way[i] = 0.0
-    for k in range(frames):
+        v, wrecked = states[i, 3], others[i, _CRASHED] > 0
+        fast[0, i] = slow[0, i] = slowest[0, i] = max(v, 0.0)
+        fast_way[0, i] = slow_way[0, i] = slowest_way[0, i] = 0.0
+        top[i], backwards[i] = max(v, motion.max_speed), min(v, 0.0 if wrecked else -motion.reversing)
+        kept[i] = 1 - dt if wrecked else 1.0
+    for k in range(1, frames):
         for i in range(m):
-            least, most = (stretch[0, i], stretch[1, i]) if curved else (1.0, 1.0)
-            ways[0, i, k], ways[1, i, k] = fast[i], fast_way[i] * most
-            ways[2, i, k], ways[3, i, k] = slow[i], min(slow_way[i] * least, slow_way[i] * most)
-            ways[4, i, k], ways[5, i, k] = slowest[i], min(slowest_way[i] * least, slowest_way[i] * most)
-        for i in range(m):
-            v, top = fast[i], max(states[i, 3], motion.max_speed)
-            fast_way[i] += v * dt
-            fast[i] = min(v + min(motion.acceleration, motion.power / max(v, 1e-3)) * dt, top)
-            v = slowest[i]
-            slowest_way[i] += v * dt
-            slowest[i] = max(v - motion.braking * dt, 0.0)
-            v, wrecked = slow[i], others[i, _CRASHED] > 0
-            slow_way[i] += v * dt
-            backwards = min(states[i, 3], 0.0 if wrecked else -motion.reversing)
-            slow[i] = max(min(v - motion.braking * dt, v * (1 - dt) if wrecked else v), backwards)
+            v = fast[k - 1, i]
+            fast_way[k, i] = fast_way[k - 1, i] + v * dt
+            fast[k, i] = min(v + min(motion.acceleration, motion.power / max(v, 1e-3)) * dt, top[i])
+            v = slowest[k - 1, i]
+            slowest_way[k, i] = slowest_way[k - 1, i] + v * dt
+            slowest[k, i] = max(v - motion.braking * dt, 0.0)
+            v = slow[k - 1, i]
+            slow_way[k, i] = slow_way[k - 1, i] + v * dt
+            slow[k, i] = max(min(v - motion.braking * dt, v * kept[i]), backwards[i])
+    if curved:
+        for k in range(frames):
+            for i in range(m):
+                least, most = stretch[0, i], stretch[1, i]
+                fast_way[k, i] *= most
+                slow_way[k, i] = min(slow_way[k, i] * least, slow_way[k, i] * most)
+                slowest_way[k, i] = min(slowest_way[k, i] * least, slowest_way[k, i] * most)
 
 
 @uncounted
@@ -197,58 +203,65 @@ def brakings(
     lap : length of a closed road, 0 of an open one [m].
     ego : where the ego is along the road [m]; whoever is behind it may have it to brake for. NaN without one.
     order : the vehicles from the first along the road to the last, (m,).
-    ways : room that is written over, (7, at least m and 6, at least K and m).
+    ways : room that is written over, (7, K or 3, at least m and K).
     """
     m, frames, last = states.shape[0], bodies.brakes.shape[1], bodies.brakes.shape[1] - 1
-    curved = stretch.shape[1] > 0
-    for i in range(m):
-        for k in range(frames):
-            bodies.brakes[i, k] = motion.braking
+    curved, all_brakes, budget = stretch.shape[1] > 0, bodies.brakes, bodies.budget
     if not motion.calm < motion.braking:
+        for i in range(m):
+            for k in range(frames):
+                all_brakes[i, k] = motion.braking
         return
     low, high, starts, ends = bodies.low, bodies.high, bodies.first, bodies.last
-    all_brakes, budget = bodies.brakes, bodies.budget
-    x = _Extremes(ways[0], ways[1], ways[2], ways[3], ways[4], ways[5])
-    _extremes(others, states, stretch, motion, frames, ways)
+    ways = ways[:, :frames]
+    x, back = _Extremes(ways[0], ways[1], ways[2], ways[3], ways[4], ways[5]), motion.loss_back * motion.dt
+    _extremes(others, states, stretch, motion, ways)
+    gets, slows, goes = x.fast_way[last], x.slow[last], x.slow_way[last]
     furthest = 0.0
     for j in range(m):
-        way = x.fast_way[j, last]
-        furthest = max(furthest, way) if way == way else np.inf
+        furthest = max(furthest, gets[j]) if gets[j] == gets[j] else np.inf
     for n in range(m):
         i, end = order[n], frames
         behind, brakes = ego - states[i, 0], all_brakes[i]
         if lap > 0:
             behind -= lap * np.rint(behind / lap)
         if behind > 0 or others[i, _CRASHED] > 0:
+            for k in range(frames):
+                brakes[k] = motion.braking
             continue
         for k in range(frames):
             brakes[k] = motion.calm
+        least, most, fast = x.slowest_way[last, i], gets[i], x.fast[last, i]
         # The nearest first: what may make it brake as hard as can be leaves less to be looked at in the others.
         for other in range(m):
             j = order[n - 1 - other] if other < n else order[other]
             ahead = states[j, 0] - states[i, 0]
             if lap > 0:
                 ahead -= lap * np.rint(ahead / lap)
-            if other >= n and lap == 0 and ahead + furthest - x.slowest_way[i, last] <= 0:
+            if other >= n and lap == 0 and ahead + furthest - least <= 0:
                 break  # nor does anybody get ahead who is further behind
             if i == j or not abs(ahead) <= _FAR:
                 continue
-            if ahead <= 0 and ahead + x.fast_way[j, last] - x.slowest_way[i, last] <= 0:
+            if ahead <= 0 and ahead + gets[j] - least <= 0:
                 continue  # it does not get ahead
             # The distance is least at one of its ends: it falls ever faster. What is wanted grows.
-            near = ahead - max(budget[j], 0.0)
-            d = near + x.slow_way[j, last] - x.fast_way[i, last] - motion.loss_back * motion.dt * last
-            if not _asks(min(near, d), x.fast[i, last], x.slow[j, last], motion):
+            near, k = ahead - max(budget[j], 0.0), end - 1
+            d = near + x.slow_way[k, j] - x.fast_way[k, i] - back * k
+            if _little(min(near, d), x.fast[k, i], x.slow[k, j], motion):
+                continue  # it asks for nothing before this one may brake as hard as can be anyway
+            d = near + goes[j] - most - back * last
+            if not _asks(min(near, d), fast, slows[j], motion):
                 continue  # nor does it ask for anything
             first = -1
             if apart(starts, ends, low, high, i, j):
                 first = max(int((abs(states[j, 1] - states[i, 1]) - _LANE) / (_TOWARDS * motion.dt)), 0)
             if first < end and (first >= 0 or ahead >= 0):
-                end = _press(i, j, ahead, near, first, x, motion, brakes, end, ways[6, 0])
+                end = _press(i, j, ahead, near, first, x, motion, brakes, end)
                 if end == 1 and brakes[0] >= motion.braking:
                     break
         for k in range(end, frames):
             brakes[k] = motion.braking
         # Those behind count on it.
-        v, least, most = states[i, 3], stretch[0, i] if curved else 1.0, stretch[1, i] if curved else 1.0
-        _slowest(v, min(v, -motion.reversing), brakes, False, least, most, motion, x.slow[i], x.slow_way[i])
+        v, shortest, longest = states[i, 3], stretch[0, i] if curved else 1.0, stretch[1, i] if curved else 1.0
+        speeds, way = x.slow[:, i], x.slow_way[:, i]
+        _slowest(v, min(v, -motion.reversing), brakes, False, shortest, longest, motion, speeds, way)

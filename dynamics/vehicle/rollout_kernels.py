@@ -26,6 +26,7 @@ __all__ = [
     "NO_LIMIT",
     "roll_brakes",
     "roll_commands",
+    "roll_frame",
     "roll_inputs",
     "roll_stop",
     "roll_stops",
@@ -85,16 +86,26 @@ def _project(x: float, y: float, k: float) -> tuple[float, float]:
     return s, (2 * y - k * (x * x + y * y)) / (1 + math.sqrt(rest * rest + bent * bent))
 
 
-@uncounted
-def _step(
-    s: float, r: float, psi: float, v: float, a: float, slip: float, table: FloatArray, dt: float
+@inlined
+def roll_frame(
+    s: float,
+    r: float,
+    psi: float,
+    v: float,
+    sin: float,
+    cos: float,
+    a: float,
+    slip: float,
+    table: FloatArray,
+    dt: float,
 ) -> tuple[float, float, float, float]:
-    """One simulation frame: `bicycle.slip_step`, and on a path the projection of `curved.curved_step`."""
+    """One simulation frame: `bicycle.slip_step`, and on a path the projection of `curved.curved_step`; `sin` and `cos`
+    are those of the heading `psi`."""
     if v > MAX_SPEED:
         a = min(a, MAX_SPEED - v)
     if v < -MAX_SPEED:
         a = max(a, -MAX_SPEED - v)
-    sin, cos, way, ahead = math.sin(psi), math.cos(psi), v * dt, math.sqrt(1 - slip * slip)
+    way, ahead = v * dt, math.sqrt(1 - slip * slip)
     dx, y = way * (cos * ahead - sin * slip), r + way * (sin * ahead + cos * slip)
     heading, speed = psi + way * slip * (2 / LENGTH), v + a * dt
     if table.shape[1] == 0:
@@ -117,7 +128,7 @@ def _step(
     return s + joint + along, across, heading - turn - next_k * along, speed
 
 
-@uncounted
+@inlined
 def slip_at(s: float, r: float, psi: float, v: float, goal: float, table: FloatArray, dt: float) -> float:
     """Sine of the slip angle that leads a road state to lateral position `goal` [m].
 
@@ -137,6 +148,14 @@ def slip_at(s: float, r: float, psi: float, v: float, goal: float, table: FloatA
     if abs(angle) > 3.0:  # within, nothing changes: one division less
         angle = angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))
     return min(max((LENGTH / 2 * KP_HEADING) * angle / v + bend, -MAX_SLIP), MAX_SLIP)
+
+
+@uncounted
+def _step(
+    s: float, r: float, psi: float, v: float, a: float, slip: float, table: FloatArray, dt: float
+) -> tuple[float, float, float, float]:
+    """`roll_frame` of a heading alone."""
+    return roll_frame(s, r, psi, v, math.sin(psi), math.cos(psi), a, slip, table, dt)
 
 
 @uncounted
@@ -162,17 +181,11 @@ def roll_stop(
     table: FloatArray,
     dt: float,
     path: FloatArray,
-    begin: int,
-    end: int,
 ) -> None:
     """A state (4,) that tracks a line [m] and a speed [m/s] for `commit` frames, and then brakes to a stop on the way
-    to another line, to the states after each frame, `path` (frames, 4): those from `begin` to `end`, the ones before
-    being there already."""
-    if begin == 0:
-        s, r, psi, v = start[0], start[1], start[2], start[3]
-    else:
-        s, r, psi, v = path[begin - 1, 0], path[begin - 1, 1], path[begin - 1, 2], path[begin - 1, 3]
-    for f in range(begin, end):
+    to another line, to the states after each frame, `path` (frames, 4)."""
+    s, r, psi, v = start[0], start[1], start[2], start[3]
+    for f in range(path.shape[0]):
         to, a = goal, KP_SPEED * (speed - v)
         if f >= commit:
             to, a = last_goal, -braking
@@ -198,7 +211,7 @@ def roll_targets(
     to `paths` (n, frames, 4)."""
     for i in range(paths.shape[0]):
         goals = centers[lanes[i]], centers[fails[i]]
-        roll_stop(start, goals[0], goals[1], speeds[i], commit, braking, table, dt, paths[i], 0, paths.shape[1])
+        roll_stop(start, goals[0], goals[1], speeds[i], commit, braking, table, dt, paths[i])
 
 
 @uncounted

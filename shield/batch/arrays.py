@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dynamics.compiled import inlined, numbers_of
+from dynamics.lending import Lent
+from dynamics.simulator.engine import Worlds
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.occupancy import horizons, room_for
 from dynamics.traffic.permits import Rule
@@ -24,6 +26,7 @@ from shield.certificate.clauses.others import Others, others_from
 from shield.certificate.clauses.settings import Settings, settings_from
 
 __all__ = [
+    "Bench",
     "Plans",
     "Records",
     "Room",
@@ -101,7 +104,7 @@ class Plans(NamedTuple):
 
 
 class Room(NamedTuple):
-    """What one thread writes over: the `desk`, a `path` (1, K, 4), candidates, `ways` (`room_for`), and rows of others.
+    """What one thread writes over: the `desk`, a `path` (K, 4), candidates, `ways` (`room_for`), and rows of others.
 
     `suspect` (2,): who was in the way of the last candidate in this scene, and the frame.
     """
@@ -141,6 +144,16 @@ class Records(NamedTuple):
     vehicles: IntArray
     lanes: IntArray
     accelerations: FloatArray
+
+
+class Bench(NamedTuple):
+    """What decisions work with, each where it lies: the arrays of all environments, and of one thread."""
+
+    shields: Lent[Shields]
+    law: Lent[Law]
+    worlds: Lent[Worlds]
+    room: Lent[Room]
+    records: Lent[Records]
 
 
 class Scene(NamedTuple):
@@ -228,7 +241,7 @@ def new_room(m: int, law: Law, candidates: int) -> Room:
     )
     return Room(
         desk=new_desk(m, frames, numbers.dt),
-        path=np.zeros((1, frames, 4)),
+        path=np.zeros((frames, 4)),
         plans=plans,
         ways=np.zeros(room_for(m, coming)),
         order=np.zeros(m, index),

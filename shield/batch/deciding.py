@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 from dynamics.compiled import inlined, uncounted
+from dynamics.lending import Lent, held, lent
 from dynamics.roads.straight import nearest
 from dynamics.simulator.engine import Worlds
 from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED, X, Y
 from dynamics.simulator.scene import next_target_speed
 from dynamics.state import FloatArray, IntArray
-from shield.batch.arrays import Records, Room, Shields, scene_of
+from shield.batch.arrays import Bench, Records, Room, Scene, Shields, scene_of
 from shield.batch.law import NOBODY, Law
 from shield.batch.observing import observe
 from shield.batch.repairing import fail_lanes, hold_back
@@ -54,7 +55,7 @@ def _objects(shields: Shields, law: Law, e: int, lane: int) -> bool:
     return alongside(shields.ego[e], shields.state[e], rows, states, law.centers, lane, law.numbers.longitudinal)
 
 
-@uncounted
+@inlined
 def _why(shields: Shields, law: Law, e: int, lane: int, speed: float) -> int:
     """The reason to record for a target that did not verify."""
     now, x = shields.now[e], law.numbers
@@ -68,7 +69,7 @@ def _why(shields: Shields, law: Law, e: int, lane: int, speed: float) -> int:
     return _UNVERIFIED
 
 
-@uncounted
+@inlined
 def _progress(shields: Shields, law: Law, e: int, lane: int) -> float:
     """See `shield.repair.order.lane_progress`."""
     states, state, room, faster = shields.states[e, shields.now[e]], shields.state[e], math.inf, 0.0
@@ -80,7 +81,7 @@ def _progress(shields: Shields, law: Law, e: int, lane: int) -> float:
     return CLEAR if room == math.inf else room + OUTLOOK * faster
 
 
-@uncounted
+@inlined
 def _default_order(shields: Shields, law: Law, worlds: Worlds, e: int, proposed: int, room: Room, out: IntArray) -> int:
     """See `shield.repair.order.default_order`; how many there are."""
     labels, numbers, targets = law.labels, law.numbers, room.marks[5]
@@ -110,28 +111,28 @@ def _default_order(shields: Shields, law: Law, worlds: Worlds, e: int, proposed:
 
 @uncounted
 def _best(
-    shields: Shields,
-    law: Law,
+    bench: Bench,
+    scene: Lent[Scene],
     e: int,
     lane: int,
     speed: float,
     frames: int,
     lasting: int,
-    room: Room,
     found: FloatArray,
 ) -> bool:
     """Whether a target verifies, in the first lane to stop in that does: its margin, that lane, the clause and the
     vehicle, to `found` (4,). With `lasting` frames, those that are expected to need holding back within the decision
     period do not."""
-    plans, fails, scene = room.plans, room.marks[2], scene_of(shields, law, e)
-    n, x = fail_lanes(shields, law, e, lane, fails), law.numbers
+    law, room = held(bench.law), held(bench.room)
+    plans, fails, x = room.plans, room.marks[2], law.numbers
+    n = fail_lanes(held(bench.shields), law, e, lane, fails)
     for i in range(n):
         plans.lanes[0], plans.fails[0], plans.speeds[0] = lane, fails[i], speed
-        if verify(scene, law, x.one, x.one, frames, x.none, room.nobody, x.one, room) == NOBODY:
+        if verify(bench, scene, x.one, x.one, frames, x.none, room.nobody, x.one) == NOBODY:
             continue
         found[0], found[1], found[2], found[3] = plans.margins[0], fails[i], plans.clauses[0], plans.vehicles[0]
         if lasting > 0:
-            if verify(scene, law, x.one, x.period, lasting, x.period, room.nobody, x.one, room) == NOBODY:
+            if verify(bench, scene, x.one, x.period, lasting, x.period, room.nobody, x.one) == NOBODY:
                 continue
             if plans.margins[0] < found[0]:
                 found[0], found[2], found[3] = plans.margins[0], plans.clauses[0], plans.vehicles[0]
@@ -159,9 +160,10 @@ def _speeds(law: Law, v: float, label: int, speed: float, out: FloatArray) -> in
 
 @uncounted
 def _first_action(
-    shields: Shields, law: Law, e: int, actions: IntArray, count: int, forecast: int, room: Room, found: FloatArray
+    bench: Bench, scene: Lent[Scene], e: int, actions: IntArray, count: int, forecast: int, found: FloatArray
 ) -> int:
     """The first of some actions that verifies, at the speed with the largest margin; else -1. `found` as in `_best`."""
+    shields, law, room = held(bench.shields), held(bench.law), held(bench.room)
     v, most, tried, wanted = shields.ego[e, 3], -math.inf, room.grid[1], room.numbers[0]
     for k in range(count):
         a = actions[k]
@@ -181,7 +183,7 @@ def _first_action(
             continue
         n = _speeds(law, v, law.labels[a], wanted[a], tried)
         for i in range(n):
-            if _best(shields, law, e, lane, tried[i], frames, lasting, room, one) and (not best or one[0] > found[0]):
+            if _best(bench, scene, e, lane, tried[i], frames, lasting, one) and (not best or one[0] > found[0]):
                 best = True
                 for c in range(4):
                     found[c] = one[c]
@@ -207,7 +209,7 @@ def _give_up(shields: Shields, law: Law, records: Records, e: int, reason: int) 
     records.margin[e], records.clause[e], records.vehicle[e] = math.nan, NOTHING_BINDS, NOBODY
 
 
-@uncounted
+@inlined
 def _alternatives(
     shields: Shields,
     law: Law,
@@ -243,9 +245,7 @@ def _alternatives(
 
 
 @uncounted
-def decide(
-    shields: Shields, law: Law, worlds: Worlds, e: int, proposed: int, order: IntArray, room: Room, records: Records
-) -> None:
+def decide(bench: Bench, e: int, proposed: int, order: IntArray) -> None:
     """Decide about one meta-action, to `records`.
 
     Parameters
@@ -254,6 +254,8 @@ def decide(
     order : the policy's order of preference over the others, up to the first negative one; with nothing in it the
         documented one.
     """
+    shields, law, worlds = held(bench.shields), held(bench.law), held(bench.worlds)
+    room, records = held(bench.room), held(bench.records)
     labels, numbers, wanted = law.labels, law.numbers, room.numbers[0]
     lanes, actions, found = room.marks[5], room.marks[4], room.grid[2, 4:8]
     count = labels.shape[0]
@@ -261,9 +263,10 @@ def decide(
     if not 0 <= proposed < count:
         _give_up(shields, law, records, e, _BAD_ACTION)
         return
-    if not observe(shields, law, worlds, e, room):
+    if not observe(bench, e):
         _give_up(shields, law, records, e, _BAD_SCENE)
         return
+    scene = lent(scene_of(shields, law, e))
     for a in range(count):
         lanes[a], wanted[a] = target_of(worlds, law, e, a)
     lane, speed, v = lanes[proposed], wanted[proposed], shields.ego[e, 3]
@@ -271,18 +274,18 @@ def decide(
     if not _objects(shields, law, e, lane):
         # A longitudinal proposal can be held back by the frames; a lane change should be able to end well.
         lasting = frames_of(law, v, speed, numbers.period) if changes else 0
-        if _best(shields, law, e, lane, speed, frames_of(law, v, speed, numbers.one), lasting, room, found):
+        if _best(bench, scene, e, lane, speed, frames_of(law, v, speed, numbers.one), lasting, found):
             _keep(shields, records, e, _PASSED, _NONE, proposed, found)
             return
         reason = _why(shields, law, e, lane, speed)
     if changes:
         # A lane change that only its speed stands in the way of.
         actions[0] = proposed
-        if _first_action(shields, law, e, actions, numbers.one, numbers.one, room, found) != NOBODY:
+        if _first_action(bench, scene, e, actions, numbers.one, numbers.one, found) != NOBODY:
             _keep(shields, records, e, _GOVERNED, reason, proposed, found)
             return
     n = _alternatives(shields, law, worlds, e, proposed, order, changes, room, actions)
-    executed = _first_action(shields, law, e, actions, n, numbers.one, room, found)
+    executed = _first_action(bench, scene, e, actions, n, numbers.one, found)
     if executed != NOBODY:
         _keep(shields, records, e, _ALTERNATIVE, reason, executed, found)
         return
@@ -294,11 +297,11 @@ def decide(
     ):
         if executed == NOBODY:
             continue
-        held = hold_back(shields, law, e, lanes[executed], wanted[executed], room)
-        if held != NOBODY:
+        kept = hold_back(bench, scene, e, lanes[executed], wanted[executed])
+        if kept != NOBODY:
             plans = room.plans
-            found[0], found[1] = plans.margins[held], plans.fails[held]
-            found[2], found[3] = plans.clauses[held], plans.vehicles[held]
+            found[0], found[1] = plans.margins[kept], plans.fails[kept]
+            found[2], found[3] = plans.clauses[kept], plans.vehicles[kept]
             _keep(shields, records, e, _GOVERNED, reason, executed, found)
             return
     # Whatever is left, whether or not it is expected to last: the certificate needs one frame only.
@@ -307,7 +310,7 @@ def decide(
         if a != proposed:
             actions[n] = a
             n += 1
-    executed = _first_action(shields, law, e, actions, n, numbers.none, room, found)
+    executed = _first_action(bench, scene, e, actions, n, numbers.none, found)
     if executed != NOBODY:
         _keep(shields, records, e, _ALTERNATIVE, reason, executed, found)
         return

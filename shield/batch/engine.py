@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from dynamics.compiled import uncounted
+from dynamics.lending import lent
 from dynamics.simulator.engine import (
     Machine,
     Rules,
@@ -21,7 +22,7 @@ from dynamics.simulator.engine import (
 from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.simulator.neighbours import sort
 from dynamics.state import BoolArray, FloatArray, IntArray
-from shield.batch.arrays import Records, Room, Shields
+from shield.batch.arrays import Bench, Records, Room, Shields
 from shield.batch.deciding import decide, target_of
 from shield.batch.law import Law
 from shield.batch.observing import forget
@@ -79,12 +80,13 @@ def step_all_shielded(
         results.
     frequency : frames a second.
     """
+    bench = Bench(lent(shields), lent(law), lent(worlds), lent(room), lent(records))
     for e in range(first, last):
         before, proposed, off = shields.offences[e], actions[e], law.numbers.off
         if off:
             _pass(records, e, proposed)
         else:
-            decide(shields, law, worlds, e, proposed, orders[e], room, records)
+            decide(bench, e, proposed, orders[e])
         lane, speed = _NO_TARGET
         if records.tier[e] == _PASSED:
             lane, speed = target_of(worlds, law, e, proposed)
@@ -101,7 +103,7 @@ def step_all_shielded(
                 records.clauses[e, 0], records.vehicles[e, 0] = records.clause[e], records.vehicle[e]
                 records.lanes[e, 0], records.accelerations[e, 0] = lane, 0.0
             else:
-                supervise(shields, law, worlds, e, k, room, records)
+                supervise(bench, e, k)
                 if records.tiers[e, k] != _PASSED:
                     worlds.g[e, TARGET, 0] = records.lanes[e, k]
                     throttle = max(records.accelerations[e, k], -max(worlds.f[e, SPEED, 0], 0.0) * frequency)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from dynamics.compiled import inlined, uncounted
+from dynamics.lending import held, lent
 from dynamics.roads.straight import nearest
 from dynamics.simulator.engine import Worlds, write_row
 from dynamics.simulator.layout import TARGET_SPEED
@@ -12,7 +13,7 @@ from dynamics.state import FloatArray
 from dynamics.traffic.occupancy import look
 from dynamics.traffic.permits import Ego, Rule, judge_motions
 from dynamics.vehicle.controllers import KP_SPEED
-from shield.batch.arrays import Room, Shields, scene_of
+from shield.batch.arrays import Bench, Room, Shields, scene_of
 from shield.batch.law import NOBODY, Law
 from shield.batch.verifying import frames_of, verify
 from shield.certificate.clauses.duties import hold_lanes
@@ -43,7 +44,7 @@ def forget(shields: Shields, e: int) -> None:
         shields.by_rule[e, k] = 0
 
 
-@uncounted
+@inlined
 def stop_in(shields: Shields, law: Law, e: int, lane: int, room: Room) -> int:
     """Candidate 0: braking to a stop in a lane from now on; and for how many frames."""
     plans, numbers, v = room.plans, law.numbers, shields.state[e, 3]
@@ -52,8 +53,9 @@ def stop_in(shields: Shields, law: Law, e: int, lane: int, room: Room) -> int:
 
 
 @uncounted
-def observe(shields: Shields, law: Law, worlds: Worlds, e: int, room: Room) -> bool:
+def observe(bench: Bench, e: int) -> bool:
     """Take in the scene of one environment, once a frame; False where it is not finite, and nothing is taken in."""
+    shields, law, worlds, room = held(bench.shields), held(bench.law), held(bench.worlds), held(bench.room)
     if shields.frame[e] == shields.clock[e]:
         return True
     old = shields.now[e]
@@ -174,11 +176,11 @@ def observe(shields: Shields, law: Law, worlds: Worlds, e: int, room: Room) -> b
     if more:
         # Who takes more room than before has to leave it to the ego's fail-safe.
         frames = stop_in(shields, law, e, nearest(centers, state[1]) if stored == NOBODY else stored, room)
-        scene, one, none = scene_of(shields, law, e), numbers.one, numbers.none
-        verify(scene, law, one, one, frames, none, room.nobody, none, room)
+        scene, one, none = lent(scene_of(shields, law, e)), numbers.one, numbers.none
+        verify(bench, scene, one, one, frames, none, room.nobody, none)
         for n in range(room.desk.found[0]):
             j = room.desk.near[n]
-            if room.desk.floats[9, n] < 0:
+            if room.desk.apart[n] < 0:
                 broken[j] |= grown[j]
                 some = some or broken[j] != 0
     for i in range(m):

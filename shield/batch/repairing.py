@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 from dynamics.compiled import inlined, uncounted
+from dynamics.lending import Lent, held
 from dynamics.roads.straight import nearest
 from dynamics.state import IntArray
 from dynamics.vehicle.controllers import KP_SPEED
-from shield.batch.arrays import Room, Shields, scene_of
+from shield.batch.arrays import Bench, Room, Scene, Shields
 from shield.batch.law import NOBODY, Law
 from shield.batch.verifying import frames_of, verify
 from shield.procedures.frames import ACCELERATIONS, GREATEST, LANE_PENALTY
@@ -27,7 +28,7 @@ def _grid(law: Law, v: float, speed: float, room: Room) -> None:
     room.grid[0, ACCELERATIONS - 1] = high
 
 
-@uncounted
+@inlined
 def fail_lanes(shields: Shields, law: Law, e: int, lane: int, out: IntArray) -> int:
     """`shield.procedures.frames.fail_lanes`, filled in; and how many they are."""
     here, stored = nearest(law.centers, shields.state[e, 1]), shields.stored[e]
@@ -44,11 +45,11 @@ def fail_lanes(shields: Shields, law: Law, e: int, lane: int, out: IntArray) -> 
 
 
 @uncounted
-def hold_back(shields: Shields, law: Law, e: int, lane: int, speed: float, room: Room) -> int:
+def hold_back(bench: Bench, scene: Lent[Scene], e: int, lane: int, speed: float) -> int:
     """The candidate with the greatest acceleration that verifies, committed lane first, or -1."""
+    law, room = held(bench.law), held(bench.room)
     lanes, plans, grid = room.marks[2], room.plans, room.grid
-    count, scene = fail_lanes(shields, law, e, lane, lanes), scene_of(shields, law, e)
-    v = scene.ego[3]
+    count, v = fail_lanes(held(bench.shields), law, e, lane, lanes), held(scene).ego[3]
     _grid(law, v, speed, room)
     most = -math.inf
     for i in range(ACCELERATIONS):
@@ -66,7 +67,7 @@ def hold_back(shields: Shields, law: Law, e: int, lane: int, speed: float, room:
                 best = max(best, grid[0, nexts[k]] - (0.0 if lanes[k] == lane else LANE_PENALTY))
         if best == -math.inf:
             x = law.numbers
-            return verify(scene, law, at, x.one, frames, x.none, room.nobody, x.one, room)
+            return verify(bench, scene, at, x.one, frames, x.none, room.nobody, x.one)
         for k in range(count):
             if nexts[k] >= 0 and grid[0, nexts[k]] - (0.0 if lanes[k] == lane else LANE_PENALTY) == best:
                 tied[n] = k
@@ -81,7 +82,7 @@ def hold_back(shields: Shields, law: Law, e: int, lane: int, speed: float, room:
             nexts[tied[t]] -= 1
 
 
-@uncounted
+@inlined
 def _least_bad(room: Room, n: int, lawful: bool) -> int:
     """Of those that clear who has broken no rule (with `lawful`), or all: what is expected to stay clear longest, then
     has the largest margin, the last of equals."""
@@ -93,17 +94,18 @@ def _least_bad(room: Room, n: int, lawful: bool) -> int:
         if best == NOBODY:
             best = i
             continue
-        held = -math.inf if math.isnan(plans.expected[best]) else plans.expected[best]
-        if plans.lasting[i] > plans.lasting[best] or (plans.lasting[i] == plans.lasting[best] and margin >= held):
+        other = -math.inf if math.isnan(plans.expected[best]) else plans.expected[best]
+        if plans.lasting[i] > plans.lasting[best] or (plans.lasting[i] == plans.lasting[best] and margin >= other):
             best = i
     return best
 
 
 @uncounted
-def evade(shields: Shields, law: Law, e: int, speed: float, violated: bool, room: Room) -> int:
+def evade(bench: Bench, lent: Lent[Scene], e: int, speed: float, violated: bool) -> int:
     """The candidate that is expected to clear everybody longest among those that clear who has broken no rule; see
     `lawful` of it."""
-    scene, plans, lanes, x = scene_of(shields, law, e), room.plans, room.marks[2], law.numbers
+    shields, law, room, scene = held(bench.shields), held(bench.law), held(bench.room), held(lent)
+    plans, lanes, x = room.plans, room.marks[2], law.numbers
     here, stored, n = nearest(law.centers, scene.state[1]), shields.stored[e], 0
     for lane in (here, here - 1, here + 1):
         if 0 <= lane < law.centers.shape[0]:
@@ -123,16 +125,16 @@ def evade(shields: Shields, law: Law, e: int, speed: float, violated: bool, room
             at += 1
     frames = frames_of(law, v, most, law.numbers.one)
     if violated:
-        verify(scene, law, at, x.one, frames, x.none, shields.offenders[e], x.none, room)
+        verify(bench, lent, at, x.one, frames, x.none, shields.offenders[e], x.none)
         for i in range(at):
             plans.lawful[i] = plans.margins[i]
         # The desk may have what another forecast in this scene has expected.
         for j in range(scene.around.states.shape[0]):
             room.desk.done[1, j] = 0
-        verify(scene, law, at, x.one, frames, frames, room.nobody, x.none, room)
+        verify(bench, lent, at, x.one, frames, frames, room.nobody, x.none)
         for i in range(at):
             plans.expected[i], plans.lasting[i] = plans.margins[i], plans.clear[i]
-    verify(scene, law, at, x.one, frames, x.none, room.nobody, x.none, room)
+    verify(bench, lent, at, x.one, frames, x.none, room.nobody, x.none)
     keeps = False
     for i in range(at):
         if not violated:

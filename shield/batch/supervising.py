@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dynamics.compiled import inlined, uncounted
-from dynamics.simulator.engine import Worlds
+from dynamics.lending import Lent, held, lent
 from dynamics.simulator.layout import TARGET, TARGET_SPEED
-from shield.batch.arrays import Records, Room, Shields, scene_of
-from shield.batch.law import NOBODY, Law
+from shield.batch.arrays import Bench, Records, Room, Scene, Shields, scene_of
+from shield.batch.law import NOBODY
 from shield.batch.observing import observe, stop_in
 from shield.batch.repairing import evade, fail_lanes, hold_back
 from shield.batch.verifying import frames_of, verify
@@ -27,7 +27,7 @@ _NONE, _UNVERIFIED = REASONS.index(Reason.NONE), REASONS.index(Reason.UNVERIFIED
 _NO_PLAN, _BAD_SCENE = REASONS.index(Reason.NO_SAFE_PLAN), REASONS.index(Reason.BAD_SCENE)
 
 
-@uncounted
+@inlined
 def violated(shields: Shields, e: int) -> bool:
     """Whether anybody who has broken a rule may still be in the way."""
     some = False
@@ -36,7 +36,7 @@ def violated(shields: Shields, e: int) -> bool:
     return some
 
 
-@uncounted
+@inlined
 def forgive(shields: Shields, e: int) -> None:
     """A plan clears everybody again."""
     for i in range(shields.offenders.shape[1]):
@@ -61,18 +61,18 @@ def _note(records: Records, e: int, k: int, room: Room, i: int) -> None:
 
 
 @uncounted
-def _fall_back(shields: Shields, law: Law, e: int, k: int, speed: float, room: Room, records: Records) -> None:
+def _fall_back(bench: Bench, scene: Lent[Scene], e: int, k: int, speed: float) -> None:
     """The stored plan is kept as long as it clears those who have broken no rule; among what clears them, what clears
     the others longest is taken."""
+    shields, law, room, records = held(bench.shields), held(bench.law), held(bench.room), held(bench.records)
     offended, stored, plans, braking = violated(shields, e), shields.stored[e], room.plans, law.numbers.braking
     if stored != NOBODY:
-        frames, scene = stop_in(shields, law, e, stored, room), scene_of(shields, law, e)
-        x = law.numbers
-        verify(scene, law, x.one, x.one, frames, x.none, shields.offenders[e], x.none, room)
+        frames, x = stop_in(shields, law, e, stored, room), law.numbers
+        verify(bench, scene, x.one, x.one, frames, x.none, shields.offenders[e], x.none)
         margin, clause, vehicle = plans.margins[0], plans.clauses[0], plans.vehicles[0]
         if margin >= -ROUNDING or not offended:
             if offended:
-                found = evade(shields, law, e, speed, offended, room)
+                found = evade(bench, scene, e, speed, offended)
                 if plans.lawful[found] >= 0:
                     _keep(records, e, k, _EVADED, _NO_PLAN, plans.lanes[found], plans.accelerations[found])
                     _note(records, e, k, room, found)
@@ -81,39 +81,41 @@ def _fall_back(shields: Shields, law: Law, e: int, k: int, speed: float, room: R
             _keep(records, e, k, _STORED, _NO_PLAN, stored, -braking)
             records.margins[e, k], records.clauses[e, k], records.vehicles[e, k] = margin, clause, vehicle
             return
-    found = evade(shields, law, e, speed, offended, room)
+    found = evade(bench, scene, e, speed, offended)
     _keep(records, e, k, _LARGEST, _NO_PLAN, plans.lanes[found], plans.accelerations[found])
     _note(records, e, k, room, found)
     shields.stored[e] = NOBODY
 
 
 @uncounted
-def supervise(shields: Shields, law: Law, worlds: Worlds, e: int, k: int, room: Room, records: Records) -> None:
+def supervise(bench: Bench, e: int, k: int) -> None:
     """Decide about frame `k` of a decision, to `records`: where its tier is not `PASSED`, a lane and an acceleration
     take the place of what the ego's controllers ask for."""
+    shields, law, worlds = held(bench.shields), held(bench.law), held(bench.worlds)
+    room, records = held(bench.room), held(bench.records)
     lane, speed, braking = worlds.g[e, TARGET, 0], worlds.f[e, TARGET_SPEED, 0], law.numbers.braking
-    if not observe(shields, law, worlds, e, room):
+    if not observe(bench, e):
         stop = lane if shields.stored[e] == NOBODY else shields.stored[e]
         _keep(records, e, k, _EMERGENCY, _BAD_SCENE, stop, -braking)
         return
     plans, fails, v = room.plans, room.marks[2], shields.ego[e, 3]
-    n, scene = fail_lanes(shields, law, e, lane, fails), scene_of(shields, law, e)
+    n, scene = fail_lanes(shields, law, e, lane, fails), lent(scene_of(shields, law, e))
     for i in range(n):
         plans.lanes[i], plans.fails[i], plans.speeds[i] = lane, fails[i], speed
     x = law.numbers
     frames = frames_of(law, v, speed, x.one)
-    found = verify(scene, law, n, x.one, frames, x.none, room.nobody, x.one, room)
+    found = verify(bench, scene, n, x.one, frames, x.none, room.nobody, x.one)
     if found != NOBODY:
         _keep(records, e, k, _PASSED, _NONE, lane, 0.0)
         _note(records, e, k, room, found)
         shields.stored[e] = plans.fails[found]
         forgive(shields, e)
         return
-    found = hold_back(shields, law, e, lane, speed, room)
+    found = hold_back(bench, scene, e, lane, speed)
     if found != NOBODY:
         _keep(records, e, k, _GOVERNED, _UNVERIFIED, plans.lanes[found], plans.accelerations[found])
         _note(records, e, k, room, found)
         shields.stored[e] = plans.fails[found]
         forgive(shields, e)
         return
-    _fall_back(shields, law, e, k, speed, room, records)
+    _fall_back(bench, scene, e, k, speed)

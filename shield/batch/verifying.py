@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
+from dynamics.lending import Lent, held
 from dynamics.state import BoolArray, FloatArray
 from dynamics.vehicle.controllers import KP_SPEED
-from dynamics.vehicle.rollout_kernels import roll_stop
-from shield.batch.arrays import Room, Scene
+from dynamics.vehicle.rollout_kernels import roll_frame, slip_at
+from shield.batch.arrays import Bench, Scene
 from shield.batch.law import NOBODY, Law
-from shield.certificate.clauses.footprint import reach_across, reach_along
+from shield.certificate.clauses.footprint import across_of, along_of
 from shield.certificate.clauses.together import SEPARATION_BINDS, judge
 
 __all__ = ["frames_of", "verify"]
 
 
-@uncounted
+@inlined
 def frames_of(law: Law, v: float, most: float, commit: int) -> int:
     """Frames after which every candidate stands that commits, at speed `v`, to `most` at the most [m/s]; see
     `shield.certificate.manoeuvres.brake_candidates`."""
@@ -26,58 +27,84 @@ def frames_of(law: Law, v: float, most: float, commit: int) -> int:
     return commit + math.ceil(top / (numbers.braking * numbers.dt)) + 1
 
 
-@uncounted
-def _touches(state: FloatArray, rear: float, j: int, scene: Scene) -> bool:
+@inlined
+def _touches(s: float, r: float, sin: float, cos: float, rear: float, j: int, scene: Scene) -> bool:
     """Whether the ego's buffer overlaps for sure with where vehicle `j` can be, whose body is no further back than
     `rear` [m]."""
-    s, r, foot, others = state[0], state[1], scene.foot, scene.around.others
-    half = reach_across(foot, state[2])
+    foot, others = scene.foot, scene.around.others
+    half = across_of(foot, sin, cos)
     beside = others.low[j] - (r + half) < 0 and (r - half) - others.high[j] < 0
-    return beside and rear - (s + reach_along(foot, state[2])) < 0
+    return beside and rear - (s + along_of(foot, sin, cos)) < 0
+
+
+@inlined
+def _roll(
+    scene: Scene,
+    law: Law,
+    lines: tuple[float, float],
+    speed: float,
+    commit: int,
+    path: FloatArray,
+    turned: FloatArray,
+    rears: FloatArray,
+    suspect: int,
+    reached: int,
+) -> bool:
+    """Roll a candidate to a path (K, 4), see `dynamics.vehicle.rollout_kernels.roll_stop`, with sine and cosine of its
+    headings, `turned`. False as soon as it `_touches` the suspect, after frame `reached` at the least; `rears` (2, m,
+    K) are those of the desk."""
+    braking, dt, state, frames = law.numbers.braking, law.numbers.dt, scene.state, path.shape[0]
+    s, r, psi, v = state[0], state[1], state[2], state[3]
+    sin, cos = math.sin(psi), math.cos(psi)
+    for f in range(frames):
+        to, a = lines[0], KP_SPEED * (speed - v)
+        if f >= commit:
+            to, a = lines[1], -braking
+        a, slip = max(a, max(v, 0.0) * (-1 / dt)), slip_at(s, r, psi, v, to, law.table, dt)
+        s, r, psi, v = roll_frame(s, r, psi, v, sin, cos, a, slip, law.table, dt)
+        sin, cos = math.sin(psi), math.cos(psi)
+        path[f, 0], path[f, 1], path[f, 2], path[f, 3] = s, r, psi, v
+        turned[0, f], turned[1, f] = sin, cos
+        asked = suspect != NOBODY and reached <= f < frames - 1
+        if asked and _touches(s, r, sin, cos, rears[0, suspect, f], suspect, scene):
+            return False
+    return True
 
 
 @uncounted
 def verify(
-    scene: Scene, law: Law, n: int, commit: int, frames: int, hold: int, ignored: BoolArray, first: int, room: Room
+    bench: Bench, lent: Lent[Scene], n: int, commit: int, frames: int, hold: int, ignored: BoolArray, first: int
 ) -> int:
     """Judge the first `n` candidates of the room; where `first` is 1, none after one that verifies, and of those before
     it only that they do not.
 
     Parameters
     ----------
-    commit, frames : of commitment to the target, and in all. hold, ignored : see `judge`.
+    lent : the scene. commit, frames : of commitment to the target, and in all. hold, ignored : see `judge`.
 
     Returns
     -------
     The first candidate that verifies, or -1.
     """
-    plans, path, found, behind = room.plans, room.path[:, :frames], NOBODY, scene.around.others.behind
+    scene, law, room = held(lent), held(bench.law), held(bench.room)
+    plans, desk, found, behind = room.plans, room.desk, NOBODY, scene.around.others.behind
     suspect, reached = NOBODY, 0
-    if first > 0 and hold == 0 and room.suspect[0] != NOBODY and room.desk.done[0, room.suspect[0]] >= frames:
+    if first > 0 and hold == 0 and room.suspect[0] != NOBODY and desk.done[0, room.suspect[0]] >= frames:
         suspect, reached = room.suspect[0], room.suspect[1]
-    if frames > room.path.shape[1]:
+    if frames > room.path.shape[0]:
         # Faster than there is room for: nothing is verified.
         for i in range(n):
             plans.margins[i], plans.clear[i], plans.clauses[i], plans.vehicles[i] = -math.inf, 0, 0, NOBODY
-        room.desk.found[0] = 0
+        desk.found[0] = 0
         return NOBODY
+    path = room.path[:frames]
     for i in range(n):
-        lane, fail = plans.lanes[i : i + 1], plans.fails[i : i + 1]
-        goal, last_goal = law.centers[lane[0]], law.centers[fail[0]]
-        braking, dt, speed = law.numbers.braking, law.numbers.dt, plans.speeds[i]
-        begin, struck = 0, False
-        if suspect != NOBODY:
-            # Whoever was in the way of the last one is asked first, while the path is being rolled.
-            for f in range(reached, frames - 1):
-                roll_stop(scene.state, goal, last_goal, speed, commit, braking, law.table, dt, path[0], begin, f + 1)
-                begin = f + 1
-                if _touches(path[0, f], room.desk.rears[0, suspect, f], suspect, scene):
-                    struck = True
-                    break
-        if struck:
+        lane, fail = plans.lanes[i], plans.fails[i]
+        lines = law.centers[lane], law.centers[fail]
+        # Whoever was in the way of the last one is asked first, while the path is being rolled.
+        if not _roll(scene, law, lines, plans.speeds[i], commit, path, desk.turned, desk.rears, suspect, reached):
             plans.margins[i] = -math.inf
             continue
-        roll_stop(scene.state, goal, last_goal, speed, commit, braking, law.table, dt, path[0], begin, frames)
         margin, clear, clause, vehicle = judge(
             path,
             lane,
@@ -91,7 +118,7 @@ def verify(
             ignored,
             scene.around,
             scene.slipping,
-            room.desk,
+            desk,
         )
         plans.margins[i], plans.clear[i], plans.clauses[i], plans.vehicles[i] = margin, clear, clause, vehicle
         if margin >= 0 and found == NOBODY:

@@ -15,7 +15,7 @@ def gains(states, *args, ego=None):
     """Who gains by a change to either side, (m, 2) bool."""
     out = np.empty((len(states), 2), dtype=bool)
     nobody = np.array([-np.inf, 0.0, 0.0, 0.0]) if ego is None else ego
-    mobil.gains(states, *args, nobody, np.ones_like(out), out)
+    mobil.gains(states, states[:, 3] * np.sin(states[:, 2]), *args, nobody, np.ones_like(out), out)
     return out
 
 

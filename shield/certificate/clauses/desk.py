@@ -42,32 +42,32 @@ class Desk(NamedTuple):
 
     Attributes
     ----------
-    near : the vehicles in reach, (m,), of which there are `found` (1,). floats, ints, bools : of each, (10, m),
-        (3, 2 m) and (2, m).
+    near : the vehicles in reach, (m,), of which there are `found` (1,). sides : where each can be across the road,
+        (2, m) [m], and `home` (m,): its lane. apart : separation from each, (m,) [m].
     rears : least s of each vehicle (by row), (2, m, K) [m], as a bound and as a forecast; `done` (2, m): of how many
-        frames, 0 in a new scene. rear : of those in reach, (m, K).
-    bounds : of the ego, (9, K). reached : (1,). room, margin : (1,) [m].
-    slips, ways, sweep, turns, apart : of those that may slip in, (6, 2 m), (2, 2 m, K), (2 m, T, 2), (2 m, T, 4) and
-        (1, 2 m). swept : for how many frames these are known, (1,); 0 in a new scene.
+        frames, 0 in a new scene. rear : of one of those in reach, (1, K).
+    turned : sine and cosine of the path's headings, (2, K). bounds : of the ego, (9, K). room : (1,) [m].
+    slipping, slips, ways, sweep, turns, away : of those that may slip in, (2 m,), (6, 2 m), (2, 2 m, K), (2 m, T, 2),
+        (2 m, T, 4) and (2 m,). swept : for how many frames these are known, (1,); 0 in a new scene.
     """
 
     near: IntArray
     found: IntArray
-    floats: FloatArray
-    ints: IntArray
-    bools: BoolArray
+    sides: FloatArray
+    home: IntArray
+    apart: FloatArray
     rears: FloatArray
     done: IntArray
     rear: FloatArray
+    turned: FloatArray
     bounds: FloatArray
-    reached: IntArray
     room: FloatArray
-    margin: FloatArray
+    slipping: IntArray
     slips: FloatArray
     ways: FloatArray
     sweep: FloatArray
     turns: FloatArray
-    apart: FloatArray
+    away: FloatArray
     swept: IntArray
 
 
@@ -78,20 +78,20 @@ def new_desk(m: int, frames: int, dt: float) -> Desk:
     return Desk(
         np.empty(m, np.intp),
         np.zeros(1, np.intp),
-        np.empty((10, m)),
-        np.empty((3, 2 * m), np.intp),
-        np.empty((2, m), np.bool_),
+        np.empty((2, m)),
+        np.empty(m, np.intp),
+        np.empty(m),
         np.empty((2, m, frames)),
         np.zeros((2, m), np.intp),
-        np.empty((m, frames)),
+        np.empty((1, frames)),
+        np.empty((2, frames)),
         np.empty((9, frames)),
-        np.empty(1, np.intp),
         np.empty(1),
-        np.empty(1),
+        np.empty(2 * m, np.intp),
         np.empty((6, 2 * m)),
         np.empty((2, 2 * m, frames)),
         np.empty((2 * m, last, 2)),
         np.empty((2 * m, last, 4)),
-        np.empty((1, 2 * m)),
+        np.empty(2 * m),
         np.zeros(1, np.intp),
     )

@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import compiled, uncounted
+from dynamics.compiled import compiled, inlined, uncounted
 from dynamics.roads.straight import nearest
 from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
 from dynamics.traffic.mobil import gains
 from dynamics.traffic.permits import Ego, gap_between
 from dynamics.traffic.tables import Bodies
 from shield.certificate.clauses.entering import entrants, neighbours
-from shield.certificate.clauses.footprint import Footprint, reach_across, reach_along
+from shield.certificate.clauses.footprint import Footprint, across_of, reach_across, reach_along
 from shield.certificate.clauses.others import TOUCH, Others
 
 __all__ = ["Sight", "Standing", "hold_lanes", "in_reach", "lanes_held", "others_of", "threats"]
@@ -42,7 +42,7 @@ class Sight(NamedTuple):
     width: float
 
 
-@uncounted
+@inlined
 def in_reach(others: Others, limits: tuple[float, float], followers: bool, rows: IntArray) -> int:
     """How many vehicles can come into reach of the ego; the first of `rows` (v,) are theirs, in order.
 
@@ -67,21 +67,20 @@ def in_reach(others: Others, limits: tuple[float, float], followers: bool, rows:
     return count
 
 
-@uncounted
-def _comes_back(paths: FloatArray, i: int, size: Footprint, low: float, high: float) -> bool:
+@inlined
+def _comes_back(path: FloatArray, turned: FloatArray, size: Footprint, low: float, high: float) -> bool:
     """Whether a path leaves the strip from `low` to `high` [m] with its buffer, and is in it again later: nobody keeps
     a place free that the ego has left."""
-    lat, frames = size.across, paths.shape[1]
+    lat, frames = size.across, path.shape[0]
     least, most = np.inf, -np.inf
     for k in range(frames):
-        least, most = min(least, paths[i, k, 1]), max(most, paths[i, k, 1])
+        least, most = min(least, path[k, 1]), max(most, path[k, 1])
     # The ego reaches as far to either side as its own width at any heading that a path has.
     if most - lat < high and least + lat > low:
         return False
     left = False
     for k in range(frames):
-        r, psi = paths[i, k, 1], paths[i, k, 2]
-        half = reach_across(size, psi)
+        r, half = path[k, 1], across_of(size, turned[0, k], turned[1, k])
         inside = r - half < high and r + half > low
         if inside and left:
             return True
@@ -89,21 +88,20 @@ def _comes_back(paths: FloatArray, i: int, size: Footprint, low: float, high: fl
     return False
 
 
-@uncounted
+@inlined
 def threats(
     others: Others,
     limits: tuple[float, float],
-    lanes: IntArray,
-    fails: IntArray,
+    lane: int,
+    fail: int,
     owned: BoolArray,
     centers: FloatArray,
-    paths: FloatArray,
+    path: FloatArray,
+    turned: FloatArray,
     size: Footprint,
     rows: IntArray,
-    owed: BoolArray,
 ) -> int:
-    """How many of those in reach do not owe the ego their distance on every path. The first of `rows` (v,) are theirs,
-    and in `owed` (n, v) it says who of them owes it on which path.
+    """How many of those in reach do not owe the ego their distance on a path. The first of `rows` (v,) are theirs.
 
     Whoever is behind the ego with its buffer, in a lane that it owns, owes it the distance, but for a path that enters
     a lane that the ego does not own and that this vehicle touches or may enter too, and for one that leaves its strip
@@ -112,24 +110,22 @@ def threats(
     Parameters
     ----------
     others, limits : as in `in_reach`.
-    lanes, fails : what each path commits to and stops in, (n,). owned : which lanes the ego owns, (lanes,) bool.
-    centers : of the lanes [m]. paths, size : (n, K, 4), and as in `least_separations`.
+    lane, fail : what the path commits to and stops in. owned : which lanes the ego owns, (lanes,) bool.
+    centers : of the lanes [m]. path, turned, size : as in `extents`.
     """
-    n, low, high, behind, held = lanes.shape[0], others.low, others.high, others.behind, others.held
+    low, high, behind, held = others.low, others.high, others.behind, others.held
     reached, count = in_reach(others, limits, True, rows), 0
     for place in range(reached):
-        j, kept = rows[place], False
-        for i in range(n):
-            entered = False
-            for lane in (lanes[i], fails[i]):
-                if not owned[lane]:
-                    touches = low[j] < centers[lane] + TOUCH and high[j] > centers[lane] - TOUCH
-                    entered = entered or touches or others.comes[lane, j]
-            owed[i, count] = behind[j] and held[j] and not entered
-            if owed[i, count] and _comes_back(paths, i, size, low[j], high[j]):
-                owed[i, count] = False
-            kept = kept or not owed[i, count]
-        if kept:
+        j = rows[place]
+        owes = behind[j] and held[j]
+        if owes:
+            for entered in (lane, fail):
+                if not owned[entered]:
+                    touches = low[j] < centers[entered] + TOUCH and high[j] > centers[entered] - TOUCH
+                    owes = owes and not (touches or others.comes[entered, j])
+        if owes and _comes_back(path, turned, size, low[j], high[j]):
+            owes = False
+        if not owes:
             rows[count] = j
             count += 1
     return count
@@ -265,5 +261,6 @@ def others_of(
         return
     asked, tempted = room[:, :2], room[:, 2:]
     neighbours(others, centers, sight.width, before, ego.visible, ego.stored, asked)
-    gains(states, bodies.lane, bodies.low, bodies.high, centers, sight.distance, sight.slack, state, asked, tempted)
+    strip = (bodies.lane, bodies.low, bodies.high)
+    gains(states, across, *strip, centers, sight.distance, sight.slack, state, asked, tempted)
     entrants(others, tempted, centers, before, ego.visible, ego.stored, sight.reaction, sight.settled)

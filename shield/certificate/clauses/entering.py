@@ -6,11 +6,10 @@ import math
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.vehicle.controllers import KP_HEADING, KP_LATERAL
 from shield.certificate.clauses.others import Others
-from shield.certificate.clauses.plans import Plans
 
 __all__ = ["entrants", "neighbours", "sides_taken"]
 
@@ -92,9 +91,11 @@ def entrants(
             comes[k, j] = may
 
 
-@uncounted
+@inlined
 def sides_taken(
-    plans: Plans,
+    path: FloatArray,
+    lane: int,
+    fail: int,
     rows: IntArray,
     others: Others,
     centers: FloatArray,
@@ -103,37 +104,36 @@ def sides_taken(
     high: FloatArray,
     home: IntArray,
 ) -> None:
-    """Where each vehicle can be across the road, for each path: `low`, `high` (n, m) [m], and its lane `home` (n, m).
+    """Where each vehicle can be across the road, for a path: `low`, `high` (m,) [m], and its lane `home` (m,).
 
     Parameters
     ----------
+    path, lane, fail : (K, 4), and the lane that it commits to, and stops in.
     rows : the vehicles, (m,). others : all of them, (v,).
     centers : of the lanes [m].
     settings : the ego's lateral position now, the distance within which it is seen, the width of a lane, and how far a
         body may lean over a marking, (4,) [m].
     """
-    paths, lanes, fails = plans.paths, plans.lanes, plans.fails
-    lows, highs, lane, comes, beside = others.low, others.high, others.lane, others.comes, others.beside
+    lows, highs, lanes, comes, beside = others.low, others.high, others.lane, others.comes, others.beside
     r, sight, width, lean = settings[0], settings[1], settings[2], settings[3]
-    for i in range(paths.shape[0]):
-        least, most = np.inf, -np.inf
-        for k in range(paths.shape[1]):
-            least, most = min(least, paths[i, k, 1]), max(most, paths[i, k, 1])
+    least, most = np.inf, -np.inf
+    for k in range(path.shape[0]):
+        least, most = min(least, path[k, 1]), max(most, path[k, 1])
+    for j in range(rows.shape[0]):
+        row = rows[j]
+        low[j], high[j], home[j] = lows[row], highs[row], lanes[row]
+    for step in range(2 if fail != lane else 1):
+        entered = lane if step == 0 else fail
+        goal = centers[entered]
+        # Once the ego is out of sight there, anybody may come.
+        leaves = abs(r - goal) <= sight < max(abs(least - goal), abs(most - goal))
         for j in range(rows.shape[0]):
             row = rows[j]
-            low[i, j], high[i, j], home[i, j] = lows[row], highs[row], lane[row]
-        for step in range(2 if fails[i] != lanes[i] else 1):
-            entered = lanes[i] if step == 0 else fails[i]
-            goal = centers[entered]
-            # Once the ego is out of sight there, anybody may come.
-            leaves = abs(r - goal) <= sight < max(abs(least - goal), abs(most - goal))
-            for j in range(rows.shape[0]):
-                row = rows[j]
-                if max(lows[row] - goal, goal - highs[row]) <= 0:
-                    home[i, j] = entered  # it is there already, and sees the ego there
-                enters = comes[entered, row] or (leaves and beside[entered, row])
-                if not enters or not math.isfinite(low[i, j] + high[i, j]):
-                    continue
-                low[i, j] = min(low[i, j], goal - 0.5 * width - lean)
-                high[i, j] = max(high[i, j], goal + 0.5 * width + lean)
-                home[i, j] = entered
+            if max(lows[row] - goal, goal - highs[row]) <= 0:
+                home[j] = entered  # it is there already, and sees the ego there
+            enters = comes[entered, row] or (leaves and beside[entered, row])
+            if not enters or not math.isfinite(low[j] + high[j]):
+                continue
+            low[j] = min(low[j], goal - 0.5 * width - lean)
+            high[j] = max(high[j], goal + 0.5 * width + lean)
+            home[j] = entered

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from dynamics.compiled import inlined
 
-__all__ = ["Footprint", "reach_across", "reach_along"]
+__all__ = ["Footprint", "across_of", "along_of", "reach_across", "reach_along"]
 
 
 class Footprint(NamedTuple):
@@ -28,12 +28,24 @@ class Footprint(NamedTuple):
 
 
 @inlined
+def along_of(size: Footprint, sin: float, cos: float) -> float:
+    """Half of what the footprint with its buffer covers along the road, at a heading of this sine and cosine [m]."""
+    return size.along * abs(cos) + size.across * abs(sin) + size.growth_along
+
+
+@inlined
+def across_of(size: Footprint, sin: float, cos: float) -> float:
+    """The same across the road [m]."""
+    return size.along * abs(sin) + size.across * abs(cos) + size.growth_across
+
+
+@inlined
 def reach_along(size: Footprint, psi: float) -> float:
-    """Half of what the footprint with its buffer covers along the road at heading psi [m]."""
-    return size.along * abs(math.cos(psi)) + size.across * abs(math.sin(psi)) + size.growth_along
+    """`along_of` at heading psi [m]."""
+    return along_of(size, math.sin(psi), math.cos(psi))
 
 
 @inlined
 def reach_across(size: Footprint, psi: float) -> float:
-    """The same across the road [m]."""
-    return size.along * abs(math.sin(psi)) + size.across * abs(math.cos(psi)) + size.growth_across
+    """`across_of` at heading psi [m]."""
+    return across_of(size, math.sin(psi), math.cos(psi))

@@ -6,55 +6,48 @@ import math
 
 import numpy as np
 
-from dynamics.compiled import uncounted
-from dynamics.state import FloatArray, IntArray
+from dynamics.compiled import inlined
+from dynamics.state import FloatArray
 from shield.certificate.clauses.footprint import Footprint
 
-__all__ = ["margins", "rooms"]
+__all__ = ["margin_of", "room_of"]
 
 
-@uncounted
-def rooms(
-    paths: FloatArray,
+@inlined
+def room_of(
+    path: FloatArray,
+    turned: FloatArray,
     size: Footprint,
-    centers: FloatArray,
-    fails: IntArray,
+    center: float,
     side: float,
     bent: bool,
-    out: FloatArray,
-) -> None:
-    """What is left beside the ego with its buffer in the lane that each path stops in, `out` (n,) [m]; negative where
-    it reaches out. `size` as in `least_separations`."""
-    last = paths.shape[1] - 1
-    for i in range(paths.shape[0]):
-        r, psi = paths[i, last, 1], paths[i, last, 2]
-        sin, cos = abs(math.sin(psi)), abs(math.cos(psi))
-        # On a bend, what lies ahead and behind in the lane bends with the road: only the body has to fit.
-        half = (
-            0.5 * size.length * sin + size.across * cos + size.bare_across
-            if bent
-            else size.along * sin + size.across * cos
-        )
-        out[i] = side - abs(r - centers[fails[i]]) - half
+) -> float:
+    """What is left beside the ego with its buffer in the lane that a path (K, 4) stops in [m]; negative where it
+    reaches out. `center` and `side`: of the lane, and half its width [m]; `turned`, `size` as in `extents`."""
+    last = path.shape[0] - 1
+    sin, cos = abs(turned[0, last]), abs(turned[1, last])
+    # On a bend, what lies ahead and behind in the lane bends with the road: only the body has to fit.
+    half = (
+        0.5 * size.length * sin + size.across * cos + size.bare_across if bent else size.along * sin + size.across * cos
+    )
+    return side - abs(path[last, 1] - center) - half
 
 
-@uncounted
-def margins(separations: FloatArray, slipping: FloatArray, room: FloatArray, out: FloatArray) -> None:
-    """The least separation of each path, and what it lacks of room where it does, `out` (n,) [m]; NaN where anything
-    is.
+@inlined
+def margin_of(separations: FloatArray, slipping: FloatArray, room: float) -> float:
+    """The least separation of a path, and what it lacks of room where it does [m]; NaN where anything is.
 
     Parameters
     ----------
-    separations, slipping : from vehicles in reach (n, m), and from those that may slip in (n, q) [m]. room : (n,) [m].
+    separations, slipping : from vehicles in reach (m,), and from those that may slip in (q,) [m]. room : [m].
     """
-    for i in range(room.shape[0]):
-        least, known = np.inf, not math.isnan(room[i])
-        if room[i] < 0:
-            least = room[i]
-        for j in range(separations.shape[1]):
-            known = known and not math.isnan(separations[i, j])
-            least = min(least, separations[i, j])
-        for j in range(slipping.shape[1]):
-            known = known and not math.isnan(slipping[i, j])
-            least = min(least, slipping[i, j])
-        out[i] = least if known else np.nan
+    least, known = np.inf, not math.isnan(room)
+    if room < 0:
+        least = room
+    for j in range(separations.shape[0]):
+        known = known and not math.isnan(separations[j])
+        least = min(least, separations[j])
+    for j in range(slipping.shape[0]):
+        known = known and not math.isnan(slipping[j])
+        least = min(least, slipping[j])
+    return least if known else np.nan

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dynamics.compiled import numbers_of, uncounted
+from dynamics.compiled import inlined, numbers_of
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.permits import Ego
 from dynamics.traffic.tables import bodies_of
@@ -15,7 +15,7 @@ from shield.certificate.clauses.slip_in import may_slip
 __all__ = ["seen"]
 
 
-@uncounted
+@inlined
 def seen(
     rows: FloatArray,
     states: FloatArray,

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import uncounted
-from dynamics.state import BoolArray, FloatArray, IntArray
+from dynamics.compiled import inlined, uncounted
+from dynamics.state import FloatArray
 from shield.certificate.clauses.footprint import Footprint
 
-__all__ = ["Duty", "Extents", "coming_frame", "least_separations"]
+__all__ = ["Duty", "Path", "Vehicle", "coming_frame", "extents", "separation", "turns"]
 
 _STRAIGHT = 0.01
 """Sine of the heading below which a path's own next frame is where constant velocity leads."""
@@ -32,25 +32,77 @@ class Duty(NamedTuple):
     dt: float
 
 
-@uncounted
-def _extents(paths: FloatArray, i: int, size: Footprint, dt: float, coming: bool, bounds: FloatArray) -> bool:
-    """Where the ego's rectangle is in each frame: s and r from `bounds[0]`, `[2]` to `bounds[1]`, `[3]` with the
-    buffer; and, with `coming`, its body one frame later at constant velocity, `bounds[4:8]`. False if not finite."""
+class Path(NamedTuple):
+    """What a path comes to: whether it is `finite`; whether it is `turned`, so that where constant velocity leads to
+    counts; and how far it reaches across the road, from `lowest` to `highest` [m]."""
+
+    finite: bool
+    turned: bool
+    lowest: float
+    highest: float
+
+
+class Vehicle(NamedTuple):
+    """A vehicle that does not owe the ego its distance.
+
+    `left`, `right` [m]: where it can be across the road; `length` [m]: half of what it covers along it; `nose`,
+    `next_nose` [m]: how far its body gets in one frame and in two; `behind`: whether it is behind the ego. Such a one
+    has a `center` [m], of the lane that it would see the ego in, `at_once`, after how many frames it reacts if it sees
+    the ego all the time, or -1, its `speed` [m/s], its `front` [m], and greatest metres of s in a metre driven,
+    `stretch`.
+    """
+
+    left: float
+    right: float
+    length: float
+    nose: float
+    next_nose: float
+    behind: bool
+    center: float
+    at_once: int
+    speed: float
+    front: float
+    stretch: float
+
+
+@inlined
+def turns(path: FloatArray, turned: FloatArray) -> None:
+    """Sine and cosine of the headings of a path (K, 4), to `turned` (2, at least K)."""
+    for k in range(path.shape[0]):
+        turned[0, k], turned[1, k] = math.sin(path[k, 2]), math.cos(path[k, 2])
+
+
+@inlined
+def extents(path: FloatArray, turned: FloatArray, size: Footprint, dt: float, bounds: FloatArray) -> Path:
+    """Where the ego's rectangle is in each frame of a path (K, 4): s and r from `bounds[0]`, `[2]` to `bounds[1]`,
+    `[3]` with the buffer; and, where the path is turned, its body one frame later at constant velocity, `bounds[4:8]`.
+
+    Parameters
+    ----------
+    turned : see `turns`. size : the ego's footprint. bounds : (8, K) [m], result.
+    """
     lon, lat, length, width = size.along, size.across, size.length, size.width
-    for k in range(paths.shape[1]):
-        s, r, psi, v = paths[i, k, 0], paths[i, k, 1], paths[i, k, 2], paths[i, k, 3]
+    coming, lowest, highest = False, np.inf, -np.inf
+    for k in range(path.shape[0]):
+        if not abs(path[k, 2]) < _STRAIGHT and not abs(turned[0, k]) < _STRAIGHT:
+            coming = True
+            break
+    for k in range(path.shape[0]):
+        s, r, psi, v = path[k, 0], path[k, 1], path[k, 2], path[k, 3]
         if not (math.isfinite(s) and math.isfinite(r) and math.isfinite(psi) and math.isfinite(v)):
-            return False
-        sin, cos = math.sin(psi), math.cos(psi)
+            return Path(False, coming, lowest, highest)
+        sin, cos = turned[0, k], turned[1, k]
         half_s = lon * abs(cos) + lat * abs(sin) + size.growth_along
         half_r = lon * abs(sin) + lat * abs(cos) + size.growth_across
         bounds[0, k], bounds[1, k], bounds[2, k], bounds[3, k] = s - half_s, s + half_s, r - half_r, r + half_r
+        lowest, highest = min(lowest, bounds[2, k]), max(highest, bounds[3, k])
         if coming:
             s, r = s + v * cos * dt, r + v * sin * dt
             half_s = 0.5 * (length * abs(cos) + width * abs(sin)) + size.bare_along
             half_r = 0.5 * (length * abs(sin) + width * abs(cos)) + size.bare_across
             bounds[4, k], bounds[5, k], bounds[6, k], bounds[7, k] = s - half_s, s + half_s, r - half_r, r + half_r
-    return True
+            lowest, highest = min(lowest, bounds[6, k]), max(highest, bounds[7, k])
+    return Path(True, coming, lowest, highest)
 
 
 @uncounted
@@ -95,19 +147,16 @@ def coming_frame(
     return apart if apart < 0 else np.inf
 
 
-@uncounted
-def _front(
-    paths: FloatArray, i: int, center: float, at_once: int, follower: FloatArray, duty: Duty, front: FloatArray
-) -> None:
+@inlined
+def _front(path: FloatArray, frames: int, other: Vehicle, duty: Duty, front: FloatArray) -> None:
     """Greatest s of a vehicle behind after each frame: it accelerates until it owes the ego its braking."""
-    v0, start, stretch = follower[0], follower[1], follower[2]
+    v0, start, stretch, center, at_once = other.speed, other.front, other.stretch, other.center, other.at_once
     seen, reaction, gain, loss, most = duty.seen, duty.reaction, duty.acceleration, duty.braking, duty.max_speed
     hold, dt, power = duty.hold, duty.dt, duty.power
-    frames = paths.shape[1]
     # The duty starts when the ego has come into sight for good; losing sight of it starts the clock again.
     first = 1
     for k in range(frames - 1, -1, -1):
-        if not abs(paths[i, k, 1] - center) <= seen:
+        if not abs(path[k, 1] - center) <= seen:
             first = k + 2
             break
     turn = at_once if first == 1 and at_once >= 0 else first + reaction
@@ -119,115 +168,57 @@ def _front(
         if hold <= k < turn:
             speed = min(speed + min(gain, power / max(speed, 1e-3)) * dt, top)
     # Where the ego has come to rest at the last frame, its follower may still be doing so.
-    if paths[i, frames - 1, 3] < 0.5:
+    if path[frames - 1, 3] < 0.5:
         front[frames - 1] += (v * v / (2 * loss) + 0.5 * v * dt) * stretch
 
 
-class Extents(NamedTuple):
-    """Where m vehicles can be, for each of n paths.
-
-    `low`, `high` (n or 1, m) [m]: across the road; `rear` (m, K) [m]: least s of each; `lengths` (m,), `noses` (2, m)
-    [m]: half the length that each covers along the road, and how far its body gets in one frame and in two; `owed`
-    (n, m): who owes each path its distance, no rows where nobody does; `follows` (m,): who is behind and does not. Of
-    those, `centers` (n or 1, m) [m] is the lane that they would see the ego in, `at_once` (n or 1, m) after how many
-    frames they react if they see it all the time, or -1, and `followers` (3, m) are speed, front and stretch.
-    """
-
-    low: FloatArray
-    high: FloatArray
-    rear: FloatArray
-    lengths: FloatArray
-    noses: FloatArray
-    owed: BoolArray
-    follows: BoolArray
-    centers: FloatArray
-    at_once: IntArray
-    followers: FloatArray
-
-
-@uncounted
-def least_separations(
-    paths: FloatArray,
-    size: Footprint,
-    others: Extents,
-    duty: Duty,
-    separations: FloatArray,
-    reached: IntArray,
+@inlined
+def separation(
+    path: FloatArray,
+    ego: Path,
     bounds: FloatArray,
+    size: Footprint,
+    other: Vehicle,
+    rear: FloatArray,
+    duty: Duty,
     front: FloatArray,
-) -> None:
-    """The least separation of each path from each vehicle, and the first frame in which one is negative.
+) -> tuple[float, int]:
+    """The least separation of a path (K, 4) from a vehicle that does not owe it [m], and the first frame in which it is
+    negative, K without one; NaN and 0 for a vehicle that is not finite (`rear` adds up: its last frame tells).
 
     Parameters
     ----------
-    paths : (n, K, 4). size : the ego's footprint. others : where they can be. duty : what a vehicle behind owes.
-    separations : (n, m) [m], result; +inf for who owes it, NaN for a path or a vehicle that is not finite (`rear` adds
-        up: its last frame tells).
-    reached : frames before the first violation, (n,), result.
-    bounds, front : room that is written over, (8, K) and (K,).
+    ego, bounds : its `extents`. size : the ego's footprint. other : where the vehicle can be.
+    rear : least s of its body after each frame, (at least K,) [m]. duty : what a vehicle behind owes.
+    front : room that is written over, (at least K,).
     """
-    low, high, rear, lengths, noses = others.low, others.high, others.rear, others.lengths, others.noses
-    owed, follows, centers, at_once, followers = (
-        others.owed,
-        others.follows,
-        others.centers,
-        others.at_once,
-        others.followers,
-    )
-    n, frames, m = paths.shape[0], paths.shape[1], rear.shape[0]
-    dt = duty.dt
-    for i in range(n):
-        coming = False
-        for k in range(frames):
-            psi = paths[i, k, 2]
-            if not abs(psi) < _STRAIGHT and not abs(math.sin(psi)) < _STRAIGHT:
-                coming = True
-                break
-        reached[i] = frames
-        if not _extents(paths, i, size, dt, coming, bounds):
-            reached[i] = 0
-            for j in range(m):
-                separations[i, j] = np.nan
-            continue
-        lowest, highest = np.inf, -np.inf
-        for k in range(frames):
-            lowest, highest = min(lowest, bounds[2, k]), max(highest, bounds[3, k])
-            if coming:
-                lowest, highest = min(lowest, bounds[6, k]), max(highest, bounds[7, k])
-        for j in range(m):
-            if owed.shape[0] > 0 and owed[i, j]:
-                separations[i, j] = np.inf
-                continue
-            of = min(i, low.shape[0] - 1)
-            least, left, right, behind = np.inf, low[of, j], high[of, j], follows[j]
-            known = math.isfinite(left + right + rear[j, frames - 1])
-            if not known or (behind and not math.isfinite(followers[0, j] + followers[1, j] + followers[2, j])):
-                separations[i, j], reached[i] = np.nan, 0
-                continue
-            beside = max(left - highest, lowest - right)
-            if beside >= 0:
-                separations[i, j] = beside
-                continue
+    frames, left, right, behind, dt = path.shape[0], other.left, other.right, other.behind, duty.dt
+    known = math.isfinite(left + right + rear[frames - 1])
+    if not known or (behind and not math.isfinite(other.speed + other.front + other.stretch)):
+        return np.nan, 0
+    beside = max(left - ego.highest, ego.lowest - right)
+    if beside >= 0:
+        return beside, frames
+    if behind:
+        _front(path, frames, other, duty, front)
+    least, first = np.inf, frames
+    for k in range(frames):
+        along = rear[k] - bounds[1, k]
+        if behind:
+            along = max(along, bounds[0, k] - front[k])
+        apart = max(along, max(left - bounds[3, k], bounds[2, k] - right))
+        # Nothing is said about the frame after the last: an ego that brakes stands by then.
+        if ego.turned and k == 0 and frames > 1:
+            ends = (rear[0], rear[1], other.nose, other.next_nose)
+            apart = min(apart, coming_frame(path[0], size, ends, left, right, other.length, dt))
+        elif ego.turned and k < frames - 1:
+            along = rear[k + 1] - bounds[5, k]
             if behind:
-                of = min(i, centers.shape[0] - 1)
-                _front(paths, i, centers[of, j], at_once[of, j], followers[:, j], duty, front)
-            for k in range(frames):
-                along = rear[j, k] - bounds[1, k]
-                if behind:
-                    along = max(along, bounds[0, k] - front[k])
-                apart = max(along, max(left - bounds[3, k], bounds[2, k] - right))
-                # Nothing is said about the frame after the last: an ego that brakes stands by then.
-                if coming and k == 0 and frames > 1:
-                    ends = (rear[j, 0], rear[j, 1], noses[0, j], noses[1, j])
-                    apart = min(apart, coming_frame(paths[i, 0], size, ends, left, right, lengths[j], dt))
-                elif coming and k < frames - 1:
-                    along = rear[j, k + 1] - bounds[5, k]
-                    if behind:
-                        along = max(along, bounds[4, k] - front[k + 1])
-                    later = max(along, max(left - bounds[7, k], bounds[6, k] - right))
-                    if later < 0:
-                        apart = min(apart, later)
-                least = min(least, apart)
-                if apart < 0:
-                    reached[i] = min(reached[i], k)
-            separations[i, j] = least
+                along = max(along, bounds[4, k] - front[k + 1])
+            later = max(along, max(left - bounds[7, k], bounds[6, k] - right))
+            if later < 0:
+                apart = min(apart, later)
+        least = min(least, apart)
+        if apart < 0:
+            first = min(first, k)
+    return least, first

@@ -147,7 +147,7 @@ def sweeps(
     for k in range(rows.shape[0]):
         j = rows[k]
         goal = slips.goals[k]
-        roll_stop(states[j], goal, goal, slips.speeds[k], frames, 0.0, table, dt, paths[k], 0, frames)
+        roll_stop(states[j], goal, goal, slips.speeds[k], frames, 0.0, table, dt, paths[k])
         low, high, length, width = bodies.low[j], bodies.high[j], others[j, 4], others[j, 5]
         for f in range(frames):
             r, sin, cos = paths[k, f, 1], abs(math.sin(paths[k, f, 2])), abs(math.cos(paths[k, f, 2]))
@@ -156,7 +156,7 @@ def sweeps(
             out[k, f, 0], out[k, f, 1] = low, high
 
 
-@uncounted
+@inlined
 def _begins(
     s: float, r: float, u: float, k: int, j: int, slips: Slips, sight: float, dt: float
 ) -> tuple[bool, bool, bool]:
@@ -187,25 +187,24 @@ def _offset(r: float, centers: FloatArray) -> float:
 
 
 @uncounted
-def anybody(paths: FloatArray, slips: Slips, centers: FloatArray, sight: float, dt: float) -> bool:
-    """Whether anybody may slip in where that counts (`least_separations_of_slips`); or a path is not finite."""
-    for i in range(paths.shape[0]):
-        for j in range(slips.goals.shape[0]):
-            began = False
-            for k in range(paths.shape[1]):
-                s, r, u = paths[i, k, 0], paths[i, k, 1], paths[i, k, 3]
-                if not math.isfinite(s + r + paths[i, k, 2] + u):
-                    return True
-                may, at_once, _ = _begins(s, r, u, k, j, slips, sight, dt)
-                began = began or may
-                if began and (at_once or _offset(r, centers) > _CENTRED):
-                    return True
+def anybody(path: FloatArray, slips: Slips, centers: FloatArray, sight: float, dt: float) -> bool:
+    """Whether anybody may slip in where that counts (`least_separations_of_slips`); or a path (K, 4) is not finite."""
+    for j in range(slips.goals.shape[0]):
+        began = False
+        for k in range(path.shape[0]):
+            s, r, u = path[k, 0], path[k, 1], path[k, 3]
+            if not math.isfinite(s + r + path[k, 2] + u):
+                return True
+            may, at_once, _ = _begins(s, r, u, k, j, slips, sight, dt)
+            began = began or may
+            if began and (at_once or _offset(r, centers) > _CENTRED):
+                return True
     return False
 
 
 @uncounted
 def least_separations_of_slips(
-    paths: FloatArray,
+    path: FloatArray,
     size: Footprint,
     slips: Slips,
     rear: FloatArray,
@@ -216,44 +215,44 @@ def least_separations_of_slips(
     dt: float,
     out: FloatArray,
 ) -> None:
-    """Least separation of each path from each vehicle that slips in, `out` (n, m) [m]; +inf where it does not.
+    """Least separation of a path (K, 4) from each vehicle that slips in, `out` (m,) [m]; +inf where it does not.
 
-    The first frame at which it may start to is the worst: afterwards it reaches furthest. `sweep` (m, T, 2) is where
-    its body is across the road after so many frames [m]; it owes the ego its distance once it has no overlap with it.
+    The first frame at which it may start to is the worst: afterwards it reaches furthest. `rear` and `front` (m, at
+    least K) are least and greatest s of its body after each frame [m], and `sweep` (m, T, 2) is where it is across the
+    road after so many frames [m]; it owes the ego its distance once it has no overlap with it.
     """
     lon, lat = size.along, size.across
-    for i in range(paths.shape[0]):
-        for j in range(slips.goals.shape[0]):
-            began, begun, leads, least = -1, -1, False, np.inf
-            for k in range(paths.shape[1]):
-                s, r, psi, u = paths[i, k, 0], paths[i, k, 1], paths[i, k, 2], paths[i, k, 3]
-                if not math.isfinite(s + r + psi + u):
-                    least = np.nan
-                    break
+    for j in range(slips.goals.shape[0]):
+        began, begun, leads, least = -1, -1, False, np.inf
+        for k in range(path.shape[0]):
+            s, r, psi, u = path[k, 0], path[k, 1], path[k, 2], path[k, 3]
+            if not math.isfinite(s + r + psi + u):
+                least = np.nan
+                break
+            if begun < 0:
+                may, at_once, ahead_of = _begins(s, r, u, k, j, slips, sight, dt)
+                if began < 0 and may:
+                    began, leads = k, ahead_of
+                if at_once:
+                    begun = k
+            if began < 0:
+                continue
+            sin, cos = abs(math.sin(psi)), abs(math.cos(psi))
+            half_s, half_r = lon * cos + lat * sin + size.growth_along, lon * sin + lat * cos + size.growth_across
+            past = s - half_s - front[j, k] if leads else rear[j, k] - s - half_s
+            if past >= 0 or k - began >= sweep.shape[1]:
+                break
+            offset, since = _offset(r, centers), k - began
+            if offset <= _CENTRED:
+                # Beside an ego that keeps to the middle it needs more than that: it has to be blocked as it is.
                 if begun < 0:
-                    may, at_once, ahead_of = _begins(s, r, u, k, j, slips, sight, dt)
-                    if began < 0 and may:
-                        began, leads = k, ahead_of
-                    if at_once:
-                        begun = k
-                if began < 0:
                     continue
-                sin, cos = abs(math.sin(psi)), abs(math.cos(psi))
-                half_s, half_r = lon * cos + lat * sin + size.growth_along, lon * sin + lat * cos + size.growth_across
-                past = s - half_s - front[j, k] if leads else rear[j, k] - s - half_s
-                if past >= 0 or k - began >= sweep.shape[1]:
-                    break
-                offset, since = _offset(r, centers), k - began
-                if offset <= _CENTRED:
-                    # Beside an ego that keeps to the middle it needs more than that: it has to be blocked as it is.
-                    if begun < 0:
-                        continue
-                    since = k - begun
-                across = max(sweep[j, since, 0] - r - half_r, r - half_r - sweep[j, since, 1])
-                along = max(rear[j, k] - s - half_s, s - half_s - front[j, k])
-                if offset <= _CENTRED:
-                    nose = slips.starts[j] + slips.speeds[j] * dt * (k + 1) + slips.reaches[j]
-                    nose += 0.5 * slips.gain * (since * dt) ** 2
-                    along = s - half_s - nose
-                least = min(least, max(along, across))
-            out[i, j] = least
+                since = k - begun
+            across = max(sweep[j, since, 0] - r - half_r, r - half_r - sweep[j, since, 1])
+            along = max(rear[j, k] - s - half_s, s - half_s - front[j, k])
+            if offset <= _CENTRED:
+                nose = slips.starts[j] + slips.speeds[j] * dt * (k + 1) + slips.reaches[j]
+                nose += 0.5 * slips.gain * (since * dt) ** 2
+                along = s - half_s - nose
+            least = min(least, max(along, across))
+        out[j] = least

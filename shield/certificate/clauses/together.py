@@ -18,9 +18,8 @@ from shield.certificate.clauses.duties import threats
 from shield.certificate.clauses.entering import sides_taken
 from shield.certificate.clauses.footprint import Footprint
 from shield.certificate.clauses.others import others_from
-from shield.certificate.clauses.plans import Plans
-from shield.certificate.clauses.room import margins, rooms
-from shield.certificate.clauses.separation import Extents, least_separations
+from shield.certificate.clauses.room import margin_of, room_of
+from shield.certificate.clauses.separation import Vehicle, extents, separation, turns
 from shield.certificate.clauses.settings import Settings, duty_of, settings_from
 from shield.certificate.clauses.slip_in import (
     anybody,
@@ -69,7 +68,9 @@ def _rears(
 
 @inlined
 def _separations(
-    plan: Plans,
+    path: FloatArray,
+    lane: int,
+    fail: int,
     r: float,
     foot: Footprint,
     ground: Ground,
@@ -81,39 +82,43 @@ def _separations(
 ) -> int:
     """The least separation of a path from each of the `q` vehicles on the desk that does not owe it; `r` is where the
     ego is across the road. Returns the frames before the first that is negative."""
-    frames, near, visible = plan.paths.shape[1], desk.near, ground.visible
-    others, centers, duty = around.others, ground.centers, duty_of(x, hold)
-    low, high, home = desk.floats[0:1, :q], desk.floats[1:2, :q], desk.ints[0:1, :q]
+    frames, near, visible, home, found = path.shape[0], desk.near, ground.visible, desk.home, desk.apart
+    others, centers, duty, low, high = around.others, ground.centers, duty_of(x, hold), desk.sides[0], desk.sides[1]
     if x.blind > 0 and hold == 0:
         settings = (r, x.seen, x.width, x.lean)
-        sides_taken(plan, near[:q], others, centers, settings, low, high, home)
+        sides_taken(path, lane, fail, near[:q], others, centers, settings, low, high, home)
     else:
         for j in range(q):
-            low[0, j], high[0, j], home[0, j] = others.low[near[j]], others.high[near[j]], others.lane[near[j]]
-    _rears(desk, q, frames, around, hold, near, desk.rear, True)
-    goals, at_once, follows = desk.floats[2:3, :q], desk.ints[1:2, :q], desk.bools[1, :q]
-    lengths, noses, followers = desk.floats[3, :q], desk.floats[4:6, :q], desk.floats[6:9, :q]
-    reach, ends, states, stretch = around.bodies.reach, around.bodies.noses, around.states, around.stretch
+            low[j], high[j], home[j] = others.low[near[j]], others.high[near[j]], others.lane[near[j]]
+    ego = extents(path, desk.turned, foot, x.dt, desk.bounds)
+    if not ego.finite:
+        for j in range(q):
+            found[j] = np.nan
+        return 0
+    bodies, states, stretch, reached = around.bodies, around.states, around.stretch, frames
     for j in range(q):
-        k = near[j]
-        goals[0, j], at_once[0, j] = centers[home[0, j]], -1
-        already = visible[home[0, j]]
+        k, left, right = near[j], low[j], high[j]
+        s, v, length = states[k, 0], states[k, 3], bodies.reach[k]
+        beside = max(left - ego.highest, ego.lowest - right)
+        about = s + v + length + bodies.floor[k] + bodies.budget[k] + bodies.action[k]
+        if beside >= 0 and math.isfinite(left + right + about):
+            # Wherever it gets along the road makes no difference.
+            found[j] = beside
+            continue
+        _rears(desk, 1, frames, around, hold, near[j : j + 1], desk.rear, True)
+        goal, at_once, already = centers[home[j]], -1, visible[home[j]]
         if already > 0:
-            at_once[0, j] = max(duty.reaction + 1 - already, 0)
-        lengths[j], noses[0, j], noses[1, j] = reach[k], ends[0, k], ends[1, k]
-        followers[0, j], followers[1, j] = states[k, 3], states[k, 0] + lengths[j]
-        followers[2, j] = stretch[1, k] if stretch.shape[1] > 0 else 1.0
-        follows[j] = others.behind[k]
-    rear, owed = desk.rear[:q, :frames], desk.bools[0:1, :q]
-    extents = Extents(low, high, rear, lengths, noses, owed, follows, goals, at_once, followers)
-    found, bounds = desk.floats[9:10, :q], desk.bounds[:8, :frames]
-    least_separations(plan.paths, foot, extents, duty, found, desk.reached, bounds, desk.bounds[8, :frames])
-    return desk.reached[0]
+            at_once = max(duty.reaction + 1 - already, 0)
+        most, nose, later = stretch[1, k] if stretch.shape[1] > 0 else 1.0, bodies.noses[0, k], bodies.noses[1, k]
+        other = Vehicle(left, right, length, nose, later, others.behind[k], goal, at_once, v, s + length, most)
+        found[j], first = separation(path, ego, desk.bounds, foot, other, desk.rear[0], duty, desk.bounds[8])
+        reached = min(reached, first)
+    return reached
 
 
 @inlined
 def _slips(
-    paths: FloatArray,
+    path: FloatArray,
     foot: Footprint,
     centers: FloatArray,
     table: FloatArray,
@@ -125,15 +130,15 @@ def _slips(
 ) -> None:
     """The least separation of a path from each of those `found` that may slip in, on the desk [m]; +inf where it does
     not."""
-    frames, c, out = paths.shape[1], found.shape[0], desk.apart
+    frames, c, out = path.shape[0], found.shape[0], desk.away
     for k in range(c):
-        out[0, k] = np.inf
+        out[k] = np.inf
     if c == 0:
         return
-    rows, numbers = desk.ints[2, :c], desk.slips
+    rows, numbers = desk.slipping[:c], desk.slips
     bodies, states = around.bodies, around.states
     slips = slips_of(found, states, bodies, centers, x.acceleration, x.hardest, rows, numbers[:4, :c], numbers[4:6, :c])
-    if not anybody(paths, slips, centers, x.seen, x.dt):
+    if not anybody(path, slips, centers, x.seen, x.dt):
         return
     # None of the frames that are asked for is the one that stands for all that follow.
     rear, front, sweep = desk.ways[0, :c], desk.ways[1, :c], desk.sweep[:c]
@@ -144,11 +149,11 @@ def _slips(
             front_of(rows[k], states, around.stretch, around.motion, bodies, 0, enough, front[k])
         sweeps(rows, slips, around.rows, states, bodies, table, x.dt, desk.turns[:c], sweep)
         desk.swept[0] = enough
-    least_separations_of_slips(paths, foot, slips, rear, front, sweep, centers, x.seen, x.dt, out)
+    least_separations_of_slips(path, foot, slips, rear, front, sweep, centers, x.seen, x.dt, out)
     if ignored.shape[0] > 0:
         for k in range(c):
             if ignored[rows[k]]:
-                out[0, k] = np.inf
+                out[k] = np.inf
 
 
 @inlined
@@ -156,14 +161,14 @@ def _binding(margin: float, q: int, c: int, slips: FloatArray, desk: Desk) -> tu
     """What a margin comes from, and which vehicle."""
     least, at = np.inf, -1
     for j in range(q):
-        if at < 0 or desk.floats[9, j] < least:
-            least, at = desk.floats[9, j], j
+        if at < 0 or desk.apart[j] < least:
+            least, at = desk.apart[j], j
     if at >= 0 and least <= margin:
         return SEPARATION_BINDS, desk.near[at]
     least, at = np.inf, -1
     for k in range(c):
-        if at < 0 or desk.apart[0, k] < least:
-            least, at = desk.apart[0, k], k
+        if at < 0 or desk.away[k] < least:
+            least, at = desk.away[k], k
     if at >= 0 and least <= margin:
         return SLIP_IN_BINDS, int(slips[at, 0])
     return (NOTHING_BINDS if margin == np.inf else ROOM_BINDS), -1
@@ -172,8 +177,8 @@ def _binding(margin: float, q: int, c: int, slips: FloatArray, desk: Desk) -> tu
 @inlined
 def judge(
     path: FloatArray,
-    lane: IntArray,
-    fail: IntArray,
+    lane: int,
+    fail: int,
     state: FloatArray,
     foot: Footprint,
     x: Settings,
@@ -185,35 +190,35 @@ def judge(
     slipping: FloatArray,
     desk: Desk,
 ) -> tuple[float, int, int, int]:
-    """What is said against one path, (1, K, 4), that commits to `lane` (1,) and stops in `fail` (1,).
+    """What is said against one path, (K, 4), that commits to `lane` and stops in `fail`; the desk has sine and cosine
+    of its headings, `turned`.
 
     Returns its margin [m], frames before the first separation that is negative, what the margin comes from, and the
-    vehicle. The desk has who is in reach, `near`, the separation from each, `floats[9]`, from each that slips in,
-    `apart`, and the room, `room`.
+    vehicle. The desk has who is in reach, `near`, the separation from each, `apart`, from each that slips in, `away`,
+    and the room, `room`.
     """
-    frames, others = path.shape[1], around.others
-    rooms(path, foot, ground.centers, fail, 0.5 * x.width, x.bent > 0, desk.room)
-    way = path[0, frames - 1, 0] - state[0]
+    frames, others, centers = path.shape[0], around.others, ground.centers
+    desk.room[0] = room_of(path, desk.turned, foot, centers[fail], 0.5 * x.width, x.bent > 0)
+    way = path[frames - 1, 0] - state[0]
     # A way that is not a number drops nobody.
     reach = (way if way == way else np.inf, x.perception)
-    q = threats(others, reach, lane, fail, ground.owned, ground.centers, path, foot, desk.near, desk.bools[0:1])
+    q = threats(others, reach, lane, fail, ground.owned, centers, path, desk.turned, foot, desk.near)
     if ignored.shape[0] > 0:
         kept = 0
         for j in range(q):
             if not ignored[desk.near[j]]:
-                desk.near[kept], desk.bools[0, kept] = desk.near[j], desk.bools[0, j]
+                desk.near[kept] = desk.near[j]
                 kept += 1
         q = kept
     reached = frames
     if q > 0:
-        reached = _separations(Plans(path, lane, fail), state[1], foot, ground, around, q, x, hold, desk)
+        reached = _separations(path, lane, fail, state[1], foot, ground, around, q, x, hold, desk)
     c = slipping.shape[0] if hold == 0 else 0
-    _slips(path, foot, ground.centers, table, ignored, around, slipping[:c], x, desk)
-    margins(desk.floats[9:10, :q], desk.apart[:, :c], desk.room, desk.margin)
-    margin = desk.margin[0]
+    _slips(path, foot, centers, table, ignored, around, slipping[:c], x, desk)
+    margin = margin_of(desk.apart[:q], desk.away[:c], desk.room[0])
     if q == 0:
         for k in range(frames):
-            if not math.isfinite(path[0, k, 0] + path[0, k, 1] + path[0, k, 2] + path[0, k, 3]):
+            if not math.isfinite(path[k, 0] + path[k, 1] + path[k, 2] + path[k, 3]):
                 margin = np.nan
     clause, vehicle = _binding(margin, q, c, slipping, desk)
     desk.found[0] = q
@@ -256,17 +261,17 @@ def _judge_each(
     around = Around(rows, states, stretch, bodies, motion_of(motion), others_from(bodies, of_others, flags))
     ground = Ground(centers, owned, visible)
     for i in range(paths.shape[0]):
-        one, lane, fail = paths[i : i + 1], lanes[i : i + 1], fails[i : i + 1]
+        turns(paths[i], desk.turned)
         margin, reached, clause, vehicle = judge(
-            one, lane, fail, state, foot, x, table, hold, ground, ignored, around, slipping, desk
+            paths[i], lanes[i], fails[i], state, foot, x, table, hold, ground, ignored, around, slipping, desk
         )
         found[0, i], found[1, i] = margin, desk.room[0]
         marked[0, i], marked[1, i], marked[2, i] = reached, clause, vehicle
         for j in range(desk.found[0]):
             near[desk.near[j]] = True
-            found[2 + desk.near[j], i] = desk.floats[9, j]
+            found[2 + desk.near[j], i] = desk.apart[j]
         for k in range(found.shape[0] - 2 - m):
-            found[2 + m + k, i] = desk.apart[0, k]
+            found[2 + m + k, i] = desk.away[k]
 
 
 @compiled

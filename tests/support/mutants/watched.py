@@ -99,7 +99,7 @@ WATCHED = (
     off(
         "nobody ahead asks for braking",
         REACTION,
-        "        brakes[k] = max(brakes[k], rates[k])",
+        "        brakes[k] = max(brakes[k], rate)",
         "        brakes[k] = motion.calm",
         TESTS_OF_REACTION,
     ),

@@ -1,0 +1,363 @@
+"""The Kalman filters of those who are followed, as compiled loops; `shield.perception.filters` says what they are."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.state import FloatArray, IntArray
+from shield.perception.filters import LEAST, Course, side
+
+__all__ = ["distances", "expected", "mixture", "moved", "quantiles", "scores", "taken_in"]
+
+_SHARP = 1e-11
+"""A quantile is found to within this, relative to what it is a quantile of."""
+_ROUNDS = 100
+_ROOT = math.sqrt(0.5)
+_DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
+
+
+def moved(
+    means: FloatArray, covariances: FloatArray, course: Course, pushed: FloatArray, centers: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """See `filters.moved`."""
+    means, covariances = means.copy(), covariances.copy()
+    _move(means, covariances, course, pushed, centers)
+    return means, covariances
+
+
+def expected(
+    chances: FloatArray,
+    means: FloatArray,
+    covariances: FloatArray,
+    changes: FloatArray,
+    course: Course,
+    pushed: FloatArray,
+    centers: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """See `filters.expected`."""
+    after, mixed, spread = np.empty_like(chances), np.empty_like(means), np.empty_like(covariances)
+    _begin(chances, means, covariances, changes, after, mixed, spread)
+    _move(mixed, spread, course, pushed, centers)
+    return after, mixed, spread
+
+
+def mixture(chances: FloatArray, means: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """See `filters.mixture`."""
+    n = len(means)
+    mean, covariance = np.empty((n, 4)), np.empty((n, 4, 4))
+    _mix_all(chances, means, covariances, mean, covariance)
+    return mean, covariance
+
+
+def distances(
+    means: FloatArray, covariances: FloatArray, seen: FloatArray, noise: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """See `filters.distances`."""
+    n = len(means)
+    away, size = np.empty((n, 3, len(seen))), np.empty((n, 3))
+    _measure(means, covariances, seen, noise, np.empty((4, 4)), away, size)
+    return away, size
+
+
+def taken_in(
+    chances: FloatArray,
+    means: FloatArray,
+    covariances: FloatArray,
+    seen: FloatArray,
+    noise: FloatArray,
+    away: FloatArray,
+    size: FloatArray,
+    rows: IntArray,
+    columns: IntArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """See `filters.taken_in`."""
+    chances, means, covariances = chances.copy(), means.copy(), covariances.copy()
+    _take_in(chances, means, covariances, seen, noise, away, size, rows, columns, np.empty((4, 4, 4)))
+    return chances, means, covariances
+
+
+def quantiles(
+    chances: FloatArray, means: FloatArray, covariances: FloatArray, bounds: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """See `filters.quantiles`."""
+    found = np.empty((2, len(means), 4))
+    _find(chances, means, covariances, bounds, found)
+    return found[0], found[1]
+
+
+def scores(
+    chances: FloatArray,
+    means: FloatArray,
+    covariances: FloatArray,
+    seen: FloatArray,
+    noise: FloatArray,
+    rows: IntArray,
+    columns: IntArray,
+) -> FloatArray:
+    """See `filters.scores`."""
+    shares = np.empty((2, len(rows), 4))
+    _divide(chances, means, covariances, seen, noise, rows, columns, shares)
+    return side(shares[0], shares[1])
+
+
+@inlined
+def _mix(
+    shares: FloatArray, means: FloatArray, covariances: FloatArray, mean: FloatArray, covariance: FloatArray
+) -> None:
+    """Mean (4,) and covariance (4, 4) of a mixture of three, (3, 4) and (3, 4, 4)."""
+    for k in range(4):
+        mean[k] = shares[0] * means[0, k] + shares[1] * means[1, k] + shares[2] * means[2, k]
+    for k in range(4):
+        for i in range(k + 1):
+            total = 0.0
+            for j in range(3):
+                apart = (means[j, k] - mean[k]) * (means[j, i] - mean[i])
+                total += shares[j] * (covariances[j, k, i] + apart)
+            covariance[k, i] = covariance[i, k] = total
+
+
+@uncounted
+def _mix_all(
+    chances: FloatArray, means: FloatArray, covariances: FloatArray, mean: FloatArray, covariance: FloatArray
+) -> None:
+    for a in range(len(means)):
+        _mix(chances[a], means[a], covariances[a], mean[a], covariance[a])
+
+
+@uncounted
+def _begin(
+    chances: FloatArray,
+    means: FloatArray,
+    covariances: FloatArray,
+    changes: FloatArray,
+    after: FloatArray,
+    mixed: FloatArray,
+    spread: FloatArray,
+) -> None:
+    """Chances a step later, and what each filter begins with."""
+    for a in range(len(means)):
+        for j in range(3):
+            # The place of the chance is where its share of each is kept, until it is known.
+            total = 0.0
+            for i in range(3):
+                total += chances[a, i] * changes[i, j]
+            after[a, j] = total
+        for j in range(3):
+            first = chances[a, 0] * changes[0, j] / after[a, j]
+            second = chances[a, 1] * changes[1, j] / after[a, j]
+            third = chances[a, 2] * changes[2, j] / after[a, j]
+            _mix((first, second, third), means[a], covariances[a], mixed[a, j], spread[a, j])
+
+
+@uncounted
+def _move(means: FloatArray, covariances: FloatArray, course: Course, pushed: FloatArray, centers: FloatArray) -> None:
+    for a in range(len(means)):
+        for j in range(3):
+            mean, p = means[a, j], covariances[a, j]
+            y, across = mean[1], p[1, 1]
+            mean[0] += course.reach * mean[2] + course.along
+            mean[1] += course.dt * mean[3]
+            mean[2] = course.keep * mean[2] + course.faster
+            for i in range(4):
+                p[0, i] += course.reach * p[2, i]
+                p[1, i] += course.dt * p[3, i]
+                p[2, i] *= course.keep
+            for i in range(4):
+                p[i, 0] += course.reach * p[i, 2]
+                p[i, 1] += course.dt * p[i, 3]
+                p[i, 2] *= course.keep
+            for i in range(4):
+                for k in range(4):
+                    p[i, k] += pushed[j, i, k]
+            if j == 0 and len(centers):
+                middle = centers[0]
+                for center in centers:
+                    if abs(y - center) < abs(y - middle):
+                        middle = center
+                mean[1], mean[3] = middle + course.left * (y - middle), 0.0
+                for i in range(4):
+                    p[1, i] = p[i, 1] = p[3, i] = p[i, 3] = 0.0
+                p[1, 1] = course.left * course.left * across + course.stray
+                p[3, 3] = course.sway
+
+
+@inlined
+def _root(p: FloatArray, noise: FloatArray, root: FloatArray) -> None:
+    """The lower triangle (4, 4) of which p + noise is the square (Cholesky); the diagonal is inverted."""
+    for k in range(4):
+        for i in range(k + 1):
+            total = p[k, i] + noise[k, i]
+            for j in range(i):
+                total -= root[k, j] * root[i, j]
+            root[k, i] = 1.0 / math.sqrt(total) if k == i else total * root[i, i]
+
+
+@uncounted
+def _measure(
+    means: FloatArray,
+    covariances: FloatArray,
+    seen: FloatArray,
+    noise: FloatArray,
+    root: FloatArray,
+    away: FloatArray,
+    size: FloatArray,
+) -> None:
+    for a in range(len(means)):
+        for j in range(3):
+            _root(covariances[a, j], noise, root)
+            size[a, j] = -2.0 * math.log(root[0, 0] * root[1, 1] * root[2, 2] * root[3, 3])
+            mean = means[a, j]
+            for b in range(len(seen)):
+                z0 = (seen[b, 0] - mean[0]) * root[0, 0]
+                z1 = (seen[b, 1] - mean[1] - root[1, 0] * z0) * root[1, 1]
+                z2 = (seen[b, 2] - mean[2] - root[2, 0] * z0 - root[2, 1] * z1) * root[2, 2]
+                z3 = (seen[b, 3] - mean[3] - root[3, 0] * z0 - root[3, 1] * z1 - root[3, 2] * z2) * root[3, 3]
+                away[a, j, b] = z0 * z0 + z1 * z1 + z2 * z2 + z3 * z3
+
+
+@inlined
+def _gains(p: FloatArray, noise: FloatArray, root: FloatArray, gain: FloatArray) -> None:
+    """p times the inverse of p + noise, (4, 4)."""
+    _root(p, noise, root)
+    for i in range(4):
+        for k in range(4):
+            total = p[k, i]
+            for j in range(k):
+                total -= root[k, j] * gain[i, j]
+            gain[i, k] = total * root[k, k]
+        for k in range(3, -1, -1):
+            total = gain[i, k]
+            for j in range(k + 1, 4):
+                total -= root[j, k] * gain[i, j]
+            gain[i, k] = total * root[k, k]
+
+
+@inlined
+def _around(left: FloatArray, middle: FloatArray, half: FloatArray, found: FloatArray) -> None:
+    """left @ middle @ left.T, for a symmetric `middle`."""
+    for i in range(4):
+        for k in range(4):
+            half[i, k] = (
+                left[i, 0] * middle[0, k]
+                + left[i, 1] * middle[1, k]
+                + left[i, 2] * middle[2, k]
+                + left[i, 3] * middle[3, k]
+            )
+    for i in range(4):
+        for k in range(i + 1):
+            found[i, k] = found[k, i] = (
+                half[i, 0] * left[k, 0] + half[i, 1] * left[k, 1] + half[i, 2] * left[k, 2] + half[i, 3] * left[k, 3]
+            )
+
+
+@uncounted
+def _take_in(
+    chances: FloatArray,
+    means: FloatArray,
+    covariances: FloatArray,
+    seen: FloatArray,
+    noise: FloatArray,
+    away: FloatArray,
+    size: FloatArray,
+    rows: IntArray,
+    columns: IntArray,
+    work: FloatArray,
+) -> None:
+    root, gain, rest, half = work[0], work[1], work[2], work[3]
+    for pair in range(len(rows)):
+        a, b = rows[pair], columns[pair]
+        best = -math.inf
+        for j in range(3):
+            likely = math.log(chances[a, j]) - 0.5 * (away[a, j, b] + size[a, j])
+            chances[a, j] = likely
+            best = max(best, likely)
+        total = 0.0
+        for j in range(3):
+            chances[a, j] = math.exp(chances[a, j] - best) + LEAST
+            total += chances[a, j]
+        for j in range(3):
+            chances[a, j] /= total
+            mean, p = means[a, j], covariances[a, j]
+            _gains(p, noise, root, gain)
+            d0, d1, d2, d3 = seen[b, 0] - mean[0], seen[b, 1] - mean[1], seen[b, 2] - mean[2], seen[b, 3] - mean[3]
+            for i in range(4):
+                mean[i] += gain[i, 0] * d0 + gain[i, 1] * d1 + gain[i, 2] * d2 + gain[i, 3] * d3
+                for k in range(4):
+                    rest[i, k] = (1.0 if i == k else 0.0) - gain[i, k]
+            _around(rest, p, half, root)
+            _around(gain, noise, half, rest)
+            for i in range(4):
+                for k in range(4):
+                    p[i, k] = root[i, k] + rest[i, k]
+
+
+@inlined
+def _tail(z: float) -> float:
+    """Probability of a normal distribution being above z."""
+    return 0.5 * math.erfc(z * _ROOT)
+
+
+@uncounted
+def _find(
+    chances: FloatArray, means: FloatArray, covariances: FloatArray, bounds: FloatArray, found: FloatArray
+) -> None:
+    for k in range(4):
+        for way in range(2):
+            sign, bound = 2.0 * way - 1.0, bounds[way, k]
+            level = _tail(bound)
+            for a in range(len(means)):
+                # A quantile of the mixture is between those of its parts.
+                inside, outside, widest = math.inf, -math.inf, 0.0
+                for j in range(3):
+                    spread = math.sqrt(covariances[a, j, k, k])
+                    each = sign * means[a, j, k] + bound * spread
+                    inside, outside, widest = min(inside, each), max(outside, each), max(widest, spread)
+                sharp = _SHARP * (widest + outside - inside)
+                edge = inside
+                # Newton's way to the logarithm, which comes from outside, held between what is known to be in and out.
+                for _ in range(_ROUNDS):
+                    if outside - inside <= sharp:
+                        break
+                    beyond = slope = 0.0
+                    for j in range(3):
+                        spread = math.sqrt(covariances[a, j, k, k])
+                        z = (edge - sign * means[a, j, k]) / spread
+                        beyond += chances[a, j] * _tail(z)
+                        slope += chances[a, j] * _DENSITY * math.exp(-0.5 * z * z) / spread
+                    step = math.log(beyond / level) * beyond / slope
+                    if beyond > level:
+                        inside = edge
+                    else:
+                        outside = edge
+                        if -step <= sharp:
+                            break
+                    edge += step
+                    if not inside < edge < outside:
+                        edge = 0.5 * (inside + outside)
+                found[way, a, k] = sign * outside
+
+
+@uncounted
+def _divide(
+    chances: FloatArray,
+    means: FloatArray,
+    covariances: FloatArray,
+    seen: FloatArray,
+    noise: FloatArray,
+    rows: IntArray,
+    columns: IntArray,
+    shares: FloatArray,
+) -> None:
+    """How likely it was to be seen further below, and further above, (2, k, 4)."""
+    for pair in range(len(rows)):
+        a, b = rows[pair], columns[pair]
+        for k in range(4):
+            below = above = 0.0
+            for j in range(3):
+                z = (seen[b, k] - means[a, j, k]) / math.sqrt(covariances[a, j, k, k] + noise[k, k])
+                below += chances[a, j] * _tail(-z)
+                above += chances[a, j] * _tail(z)
+            shares[0, pair, k], shares[1, pair, k] = below, above

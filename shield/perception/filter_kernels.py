@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from dynamics.compiled import inlined, uncounted
 from dynamics.state import FloatArray, IntArray
-from shield.perception.filters import LEAST, Course, side
+from shield.perception.filters import FAR, LEAST, SWAP, SWAPS, Course, side
 
-__all__ = ["distances", "expected", "mixture", "moved", "quantiles", "scores", "taken_in"]
+__all__ = ["costs", "distances", "expected", "mixture", "moved", "quantiles", "scores", "taken_in"]
 
-_SHARP = 1e-11
-"""A quantile is found to within this, relative to what it is a quantile of."""
+_SHARP, _NEAR = 1e-11, 1e-6
+"""A quantile is found to within this, and is nearly so after a step of no more than that, in standard deviations."""
 _ROUNDS = 100
 _ROOT = math.sqrt(0.5)
 _DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
@@ -62,6 +63,13 @@ def distances(
     return away, size
 
 
+def costs(away: FloatArray, places: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """See `filters.costs`."""
+    found = np.empty((2, len(places), len(at)))
+    _price(away, places, at, found[0], found[1])
+    return found[0], found[1]
+
+
 def taken_in(
     chances: FloatArray,
     means: FloatArray,
@@ -104,9 +112,7 @@ def scores(
 
 
 @inlined
-def _mix(
-    shares: FloatArray, means: FloatArray, covariances: FloatArray, mean: FloatArray, covariance: FloatArray
-) -> None:
+def _mix(shares: Any, means: FloatArray, covariances: FloatArray, mean: FloatArray, covariance: FloatArray) -> None:
     """Mean (4,) and covariance (4, 4) of a mixture of three, (3, 4) and (3, 4, 4)."""
     for k in range(4):
         mean[k] = shares[0] * means[0, k] + shares[1] * means[1, k] + shares[2] * means[2, k]
@@ -140,7 +146,6 @@ def _begin(
     """Chances a step later, and what each filter begins with."""
     for a in range(len(means)):
         for j in range(3):
-            # The place of the chance is where its share of each is kept, until it is known.
             total = 0.0
             for i in range(3):
                 total += chances[a, i] * changes[i, j]
@@ -216,6 +221,15 @@ def _measure(
                 z2 = (seen[b, 2] - mean[2] - root[2, 0] * z0 - root[2, 1] * z1) * root[2, 2]
                 z3 = (seen[b, 3] - mean[3] - root[3, 0] * z0 - root[3, 1] * z1 - root[3, 2] * z2) * root[3, 3]
                 away[a, j, b] = z0 * z0 + z1 * z1 + z2 * z2 + z3 * z3
+
+
+@uncounted
+def _price(away: FloatArray, places: FloatArray, at: FloatArray, least: FloatArray, cost: FloatArray) -> None:
+    for a in range(len(places)):
+        for b in range(len(at)):
+            least[a, b] = min(away[a, 0, b], away[a, 1, b], away[a, 2, b])
+            swaps = abs(places[a] - at[b])
+            cost[a, b] = min(least[a, b], FAR) + (SWAP * min(swaps, SWAPS) if swaps == swaps else 0.0)
 
 
 @inlined
@@ -300,44 +314,55 @@ def _tail(z: float) -> float:
     return 0.5 * math.erfc(z * _ROOT)
 
 
+@inlined
+def _edge(
+    chances: FloatArray, m: tuple[float, float, float], s: tuple[float, float, float], bound: float, level: float
+) -> float:
+    """What a mixture of three normal distributions is above with probability `level`, that of being `bound` standard
+    deviations above the mean of one."""
+    c0, c1, c2 = chances[0], chances[1], chances[2]
+    # A quantile of the mixture is between those of its parts.
+    q0, q1, q2 = m[0] + bound * s[0], m[1] + bound * s[1], m[2] + bound * s[2]
+    inside, outside = min(q0, q1, q2), max(q0, q1, q2)
+    widest = max(s[0], s[1], s[2])
+    edge = c0 * q0 + c1 * q1 + c2 * q2
+    # Newton's way to the logarithm, which comes from outside, held between what is known to be in and out.
+    for _ in range(_ROUNDS):
+        if outside - inside <= _SHARP * widest:
+            break
+        z0, z1, z2 = (edge - m[0]) / s[0], (edge - m[1]) / s[1], (edge - m[2]) / s[2]
+        beyond = c0 * _tail(z0) + c1 * _tail(z1) + c2 * _tail(z2)
+        slope = _DENSITY * (
+            c0 * math.exp(-0.5 * z0 * z0) / s[0]
+            + c1 * math.exp(-0.5 * z1 * z1) / s[1]
+            + c2 * math.exp(-0.5 * z2 * z2) / s[2]
+        )
+        step = math.log(beyond / level) * beyond / slope
+        if beyond > level:
+            inside = edge
+        else:
+            outside = edge
+        edge += step
+        if abs(step) <= _NEAR * widest:
+            # What is left of the error is of the order of its square.
+            return min(edge + _SHARP * widest, outside)
+        if not inside < edge < outside:
+            edge = 0.5 * (inside + outside)
+    return outside
+
+
 @uncounted
 def _find(
     chances: FloatArray, means: FloatArray, covariances: FloatArray, bounds: FloatArray, found: FloatArray
 ) -> None:
     for k in range(4):
-        for way in range(2):
-            sign, bound = 2.0 * way - 1.0, bounds[way, k]
-            level = _tail(bound)
-            for a in range(len(means)):
-                # A quantile of the mixture is between those of its parts.
-                inside, outside, widest = math.inf, -math.inf, 0.0
-                for j in range(3):
-                    spread = math.sqrt(covariances[a, j, k, k])
-                    each = sign * means[a, j, k] + bound * spread
-                    inside, outside, widest = min(inside, each), max(outside, each), max(widest, spread)
-                sharp = _SHARP * (widest + outside - inside)
-                edge = inside
-                # Newton's way to the logarithm, which comes from outside, held between what is known to be in and out.
-                for _ in range(_ROUNDS):
-                    if outside - inside <= sharp:
-                        break
-                    beyond = slope = 0.0
-                    for j in range(3):
-                        spread = math.sqrt(covariances[a, j, k, k])
-                        z = (edge - sign * means[a, j, k]) / spread
-                        beyond += chances[a, j] * _tail(z)
-                        slope += chances[a, j] * _DENSITY * math.exp(-0.5 * z * z) / spread
-                    step = math.log(beyond / level) * beyond / slope
-                    if beyond > level:
-                        inside = edge
-                    else:
-                        outside = edge
-                        if -step <= sharp:
-                            break
-                    edge += step
-                    if not inside < edge < outside:
-                        edge = 0.5 * (inside + outside)
-                found[way, a, k] = sign * outside
+        below, above = _tail(bounds[0, k]), _tail(bounds[1, k])
+        for a in range(len(means)):
+            m, p = means[a], covariances[a]
+            s = math.sqrt(p[0, k, k]), math.sqrt(p[1, k, k]), math.sqrt(p[2, k, k])
+            low = -m[0, k], -m[1, k], -m[2, k]
+            found[0, a, k] = -_edge(chances[a], low, s, bounds[0, k], below)
+            found[1, a, k] = _edge(chances[a], (m[0, k], m[1, k], m[2, k]), s, bounds[1, k], above)
 
 
 @uncounted

@@ -17,9 +17,13 @@ from scipy.special import ndtr, ndtri
 from dynamics.state import FloatArray, IntArray
 
 __all__ = [
+    "FAR",
     "FARTHEST",
     "LEAST",
+    "SWAP",
+    "SWAPS",
     "Course",
+    "costs",
     "distances",
     "expected",
     "mixture",
@@ -34,6 +38,11 @@ LEAST = 1e-12
 """What is so unlikely that it is 0 would never come back."""
 FARTHEST = 8.0
 """Nobody is further from where it is expected than so many standard deviations, as far as bounds and scores go."""
+FAR = 1e6
+"""What it costs to be matched beyond every gate."""
+SWAP, SWAPS = 2.0, 3.0
+"""What it costs, as a squared distance, to be a row further up or down than before, and for how many rows at most:
+rows that are sorted by what is there say who is who, where what they show says little."""
 _HALVINGS = 48
 
 
@@ -130,6 +139,20 @@ def distances(
     return away, np.linalg.slogdet(spread)[1]
 
 
+def costs(away: FloatArray, places: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The least of the squared distances of three filters, (n, m), and what it costs to take the one for the other,
+    (n, m).
+
+    Parameters
+    ----------
+    away : as of `distances`. places, at : rows of those who are followed, when they were seen last, (n,), and of those
+        who are seen, (m,); NaN where rows say nothing.
+    """
+    least = away.min(axis=1, initial=np.inf)
+    swaps = np.nan_to_num(np.minimum(np.abs(places[:, None] - at), SWAPS))
+    return least, np.minimum(least, FAR) + SWAP * swaps
+
+
 def taken_in(
     chances: FloatArray,
     means: FloatArray,
@@ -194,7 +217,7 @@ def scores(
     rows: IntArray,
     columns: IntArray,
 ) -> FloatArray:
-    """How far from where they were expected the k vehicles `rows` (k,) are, seen as `columns` (k,) of `seen`, (k, 4): in
+    """How far k vehicles, `rows` (k,), are from where they were expected, seen as `columns` (k,) of `seen`: (k, 4), in
     standard deviations of a normal distribution that is as likely to be exceeded, from -`FARTHEST` to `FARTHEST`.
 
     A score is above b where, and only where, what is seen is beyond the quantile of what was expected to be seen that

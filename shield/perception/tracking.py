@@ -29,7 +29,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import linear_sum_assignment
 
-from dynamics.state import FloatArray, IntArray
+from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.perception import filter_kernels as filters
 from shield.perception.filters import Course
 
@@ -37,8 +37,6 @@ __all__ = ["Motions", "Tracks", "ahead_of", "follow", "sides"]
 
 _GATE = 36.0
 """Squared Mahalanobis distance beyond which two are not the same: chi^2 with 4 degrees exceeds it once in 4 million."""
-_FAR = 1e6
-"""What it costs to be matched beyond the gate."""
 _SETTLING, _WAVER = 1.0, 0.15
 """One that keeps to its lane is drawn to its middle within this [s], and strays from it by this [m]."""
 _RATES = np.array([[-0.1, 0.05, 0.05], [1.0, -1.1, 0.1], [0.5, 1.0, -1.5]])
@@ -46,9 +44,6 @@ _RATES = np.array([[-0.1, 0.05, 0.05], [1.0, -1.1, 0.1], [0.5, 1.0, -1.5]])
 _MODES = 3
 _USUAL = np.array([0.8, 0.1, 0.1])
 """How likely each is of somebody who has never been seen."""
-_SWAP, _SWAPS = 2.0, 3.0
-"""What it costs, as a squared distance, to be a row further up or down than before, and for how many rows at most:
-rows that are sorted by what is there say who is who, where what they show says little."""
 _FRAME = 0.2
 """Accelerations last for this [s] where more than one frame is foreseen at once."""
 
@@ -135,32 +130,45 @@ def follow(
     before = tracks.chances, tracks.means, tracks.covariances
     chances, means, covariances = filters.expected(*before, changes, course, pushed, centers)
     away, size = filters.distances(means, covariances, seen, noise)
-    least = away.min(axis=1, initial=np.inf)
-    swaps = np.nan_to_num(np.minimum(np.abs(tracks.places[:, None] - at), _SWAPS))
-    rows, columns = linear_sum_assignment(np.minimum(least, _FAR) + _SWAP * swaps)
+    least, cost = filters.costs(away, tracks.places, at)
+    rows, columns = linear_sum_assignment(cost)
     matched = least[rows, columns] <= _GATE
     rows, columns = rows[matched], columns[matched]
     innovation = np.full(len(means), np.nan)
     innovation[rows] = least[rows, columns]
     expected = chances, means, covariances
     chances, means, covariances = filters.taken_in(*expected, seen, noise, away, size, rows, columns)
-    missed = tracks.missed + 1
-    missed[rows] = 0
+    missed, last = tracks.missed + 1, tracks.places.copy()
+    missed[rows], last[rows] = 0, at[columns]
+    unknown = np.ones(len(seen), bool)
+    unknown[columns] = False
     kept = missed <= patience
-    new = np.setdiff1d(np.arange(len(seen)), columns)
-    n = len(new)
-    last = tracks.places.copy()
-    last[rows] = at[columns]
-    born, about = _born(seen[new], noise, motions)
+    everybody = Tracks(tracks.ids, means, covariances, chances, missed, last, tracks.next_id, innovation)
+    if kept.all() and not unknown.any():
+        return everybody
+    return _joined(everybody, kept, _newcomers(tracks.next_id, seen[unknown], at[unknown], noise, motions))
+
+
+def _joined(one: Tracks, kept: BoolArray, other: Tracks) -> Tracks:
+    """Those who are kept of one, and the other."""
+    names = "ids", "means", "covariances", "chances", "missed", "places", "innovation"
+    joined = {name: np.concatenate([getattr(one, name)[kept], getattr(other, name)]) for name in names}
+    return Tracks(**joined, next_id=other.next_id)
+
+
+def _newcomers(first_id: int, seen: FloatArray, at: FloatArray, noise: FloatArray, motions: Motions) -> Tracks:
+    """Those who are seen for the first time."""
+    n = len(seen)
+    mean, about = _born(seen, noise, motions)
     return Tracks(
-        np.concatenate([tracks.ids[kept], tracks.next_id + np.arange(n)]),
-        np.concatenate([means[kept], np.repeat(born[:, None], _MODES, axis=1)]),
-        np.concatenate([covariances[kept], np.broadcast_to(about, (n, _MODES, 4, 4))]),
-        np.concatenate([chances[kept], np.broadcast_to(_USUAL, (n, _MODES))]),
-        np.concatenate([missed[kept], np.zeros(n, np.intp)]),
-        np.concatenate([last[kept], at[new]]),
-        tracks.next_id + n,
-        np.concatenate([innovation[kept], np.full(n, np.nan)]),
+        first_id + np.arange(n),
+        np.repeat(mean[:, None], _MODES, axis=1),
+        np.broadcast_to(about, (n, _MODES, 4, 4)),
+        np.broadcast_to(_USUAL, (n, _MODES)),
+        np.zeros(n, np.intp),
+        at,
+        first_id + n,
+        np.full(n, np.nan),
     )
 
 

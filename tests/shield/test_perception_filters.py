@@ -14,8 +14,12 @@ from shield import ShieldedEnv
 from shield.perception import filter_kernels, filters, tracking
 from shield.perception.tracking import Motions
 
-ALMOST = {"rtol": 1e-9, "atol": 1e-9}
 CENTERS = np.array([0.0, 4.0, 8.0, 12.0])
+
+
+def agree(one, other):
+    """To nine digits of the largest number."""
+    np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * max(np.abs(other).max(initial=0.0), 1.0))
 
 
 @st.composite
@@ -40,24 +44,29 @@ def test_the_compiled_filters_are_the_formulas(case, dt, lanes):
     step = course, pushed, centers
     both = filters, filter_kernels
     for one, other in zip(*(each.moved(means, covariances, *step) for each in both), strict=True):
-        np.testing.assert_allclose(other, one, **ALMOST)
+        agree(other, one)
     for one, other in zip(*(each.mixture(chances, means, covariances) for each in both), strict=True):
-        np.testing.assert_allclose(other, one, **ALMOST)
+        agree(other, one)
     ahead = filters.expected(chances, means, covariances, changes, *step)
     for one, other in zip(ahead, filter_kernels.expected(chances, means, covariances, changes, *step), strict=True):
-        np.testing.assert_allclose(other, one, **ALMOST)
+        agree(other, one)
     for one, other in zip(*(each.distances(*ahead[1:], seen, noise) for each in both), strict=True):
-        np.testing.assert_allclose(other, one, **ALMOST)
+        agree(other, one)
+    places = rng.integers(0, 15, len(means)).astype(float), rng.integers(0, 15, len(seen)).astype(float)
+    places[0][:1] = np.nan
+    away = filters.distances(*ahead[1:], seen, noise)[0]
+    for one, other in zip(*(each.costs(away, *places) for each in both), strict=True):
+        agree(other, one)
     k = min(len(means), len(seen))
     rows, columns = rng.permutation(len(means))[:k], rng.permutation(len(seen))[:k]
     given = *ahead, seen, noise, *filters.distances(*ahead[1:], seen, noise), rows, columns
     for one, other in zip(*(each.taken_in(*given) for each in both), strict=True):
-        np.testing.assert_allclose(other, one, **ALMOST)
+        agree(other, one)
     for one, other in zip(*(each.scores(*ahead, seen, noise, rows, columns) for each in both), strict=True):
-        np.testing.assert_allclose(other, one, **ALMOST)
+        agree(other, one)
     bounds = rng.uniform(0.0, 5.0, (2, 4))
     for one, other in zip(*(each.quantiles(*ahead, bounds) for each in both), strict=True):
-        np.testing.assert_allclose(other, one, **ALMOST)
+        agree(other, one)
 
 
 @given(followed())

@@ -10,12 +10,9 @@ _DECODING_TESTS = "tests/shield/test_perception_decoding.py"
 _TRACKING_TESTS = "tests/shield/test_perception_tracking.py"
 _UNSEEN_TESTS = "tests/shield/test_perception_unseen.py"
 _NOISE_TESTS = "tests/shield/test_perception_noise.py"
-_TRACKING, _UNSEEN, _PERCEIVING, _MEMORY = (
-    "shield/perception/tracking.py",
-    "shield/perception/unseen.py",
-    "shield/perception/perceiving.py",
-    "shield/certificate/memory.py",
-)
+_TRACKING, _KERNELS = "shield/perception/tracking.py", "shield/perception/filter_kernels.py"
+_UNSEEN, _PERCEIVING = "shield/perception/unseen.py", "shield/perception/perceiving.py"
+_BODIES, _MEMORY = "shield/perception/bodies.py", "shield/certificate/memory.py"
 
 OBSERVED = (
     off(
@@ -56,29 +53,29 @@ OBSERVED = (
     off(
         "nobody slow is beyond the edge",
         _PERCEIVING,
-        "ahead(self.spec, self.edges[0], unseen, road, ego_road, seen),\n",
-        "np.zeros((0, 4)),\n",
+        "np.concatenate([ahead(spec, far, unseen, road, ego, seen), behind])",
+        "behind",
         f"{_UNSEEN_TESTS}::test_somebody_slow_beyond_the_edge_is_in_the_scene",
     ),
     off(
         "bodies reach no further than they are thought to be",
-        _PERCEIVING,
-        "rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] += (high - low)[:, :2]",
+        _BODIES,
+        "rows[:, _LENGTH] += high[:, 0] - low[:, 0]",
         "pass",
         f"{_NOISE_TESTS}::test_what_is_late_is_taken_to_where_it_is_by_now",
     ),
     off(
         "speeds are what they are thought to be",
-        _PERCEIVING,
-        "states[:, 2] = np.where(states[:, 0] < x, high[:, 2], low[:, 2])",
-        "pass",
+        _BODIES,
+        "states[a, 2] = high[a, 2] if mean[a, 0] < x else low[a, 2]",
+        "states[a, 2] = mean[a, 2]",
         f"{_NOISE_TESTS}::test_what_is_late_is_taken_to_where_it_is_by_now",
     ),
     off(
         "rows say nothing of who is who",
-        _TRACKING,
-        " + _SWAP * swaps)",
-        ")",
+        _KERNELS,
+        " + (SWAP * min(swaps, SWAPS) if swaps == swaps else 0.0)",
+        "",
         f"{_TRACKING_TESTS}::test_rows_that_are_sorted_say_who_is_who_where_what_they_show_does_not",
     ),
     off(
@@ -90,9 +87,9 @@ OBSERVED = (
     ),
     off(
         "a side is the middle",
-        _TRACKING,
-        "chances, level, found = tracks.chances[:, :, None], ndtr(-bound), []",
-        "chances, level, found = tracks.chances[:, :, None], 0.5, []",
+        _KERNELS,
+        "found[1, a, k] = _edge(chances[a], (m[0, k], m[1, k], m[2, k]), s, bounds[1, k], above)",
+        "found[1, a, k] = _edge(chances[a], (m[0, k], m[1, k], m[2, k]), s, 0.0, 0.5)",
         f"{_TRACKING_TESTS}::test_the_sides_of_a_mixture_are_exceeded_as_often_as_they_say",
     ),
     off(

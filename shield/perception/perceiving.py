@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from dynamics.scenes.scene import EgoControl, Scene
-from dynamics.state import FloatArray, RoadState, State, Vehicle
+from dynamics.state import BoolArray, FloatArray, RoadState, State, Vehicle
 from shield.decision import Guarantee
 from shield.errors import ConfigError
+from shield.perception.bodies import STANDING, bodies, bounded
 from shield.perception.sighting import Sighting, decode
 from shield.perception.spec import ObservationSpec
 from shield.perception.tracking import Motions, Tracks, ahead_of, follow, sides
@@ -25,8 +26,6 @@ _RESOLUTION = (1e-4, 1e-4, 1e-4, 1e-4)
 """What 32 bits leave of a number in an observation [m], [m/s]."""
 _PATIENCE = 3
 """Observations in a row that somebody may be missing for, through noise."""
-_STANDING = 0.05
-"""Below this speed [m/s] a velocity says nothing of a heading."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,39 +182,61 @@ class ObservationPerception:
             places = sighting.places if self.spec.sorted else None
             self.tracks = follow(last, states, self._noise, passed, self._motions, self._patience, places)
         self.edges = edges(self.spec, sighting)
-        gone = ~np.isin(last.ids, self.tracks.ids)
-        lost, new = last.mean[gone].copy(), self.tracks.mean[~np.isin(self.tracks.ids, last.ids)].copy()
-        lost[:, :2] += passed * lost[:, 2:]
-        seen = [np.column_stack([each[:, 0] - then[_X], each[:, 1], each[:, 2]]) for each in (lost, new)]
-        self.behind.go_on(self.config.unseen, self.edges[1], float(_cartesian(then)[2]), passed, *seen)
+        x, _, along, _ = _cartesian(then)
+        lost = _around(last, _gone(last, self.tracks), x, passed)
+        new = _around(self.tracks, self.tracks.ids >= last.next_id, x)
+        self.behind.go_on(self.config.unseen, self.edges[1], float(along), passed, lost, new)
 
     def _scene(self, control: EgoControl) -> Scene:
         dt, frames = self._timing
         (frame_then, then), (frame, ego) = self._egos[0], self._egos[-1]
-        late, road, unseen = (frame - frame_then) * dt, self._road, self.config.unseen
-        rows = _bounded(ahead_of(self.tracks, late, self._motions), self.spec.body, float(ego[_X]), self.config.bound)
-        ego_road, seen = road.to_road(then), road.to_road(_rows(self.tracks.mean, self.spec.body))
-        ghosts = np.concatenate(
-            [
-                ahead(self.spec, self.edges[0], unseen, road, ego_road, seen),
-                self.behind.states(unseen, road, ego_road, self.spec.distance),
-            ]
-        )
-        ghosts[:, RoadState.S] += late * ghosts[:, RoadState.SPEED]
-        ghost_rows = np.zeros((len(ghosts), len(Vehicle)))
-        ghost_rows[:, : len(State)] = road.to_world(ghosts)
-        ghost_rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] = self.spec.body
+        late, road = (frame - frame_then) * dt, self._road
+        now = ahead_of(self.tracks, late, self._motions)
+        rows = bounded(now.mean, *sides(now, self.config.bound), self.spec.body, float(ego[_X]))
+        ids, ghosts = self.tracks.ids, self._ghosts(road.to_road(then))
+        if len(ghosts):
+            ghosts[:, RoadState.S] += late * ghosts[:, RoadState.SPEED]
+            ghost_rows = np.zeros((len(ghosts), rows.shape[1]))
+            ghost_rows[:, : ghosts.shape[1]] = road.to_world(ghosts)
+            ghost_rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] = self.spec.body
+            rows, ids = np.concatenate([rows, ghost_rows]), np.concatenate([ids, np.full(len(ghosts), -1)])
         return Scene(
             ego=ego,
-            others=np.concatenate([rows, ghost_rows]),
+            others=rows,
             road=road,
             control=control,
             dt=dt,
             frames_per_decision=frames,
             frame=frame,
-            ids=np.concatenate([self.tracks.ids, np.full(len(ghosts), -1)]),
+            ids=ids,
             blurred=self.config.noise is not None or self.config.delay > 0,
         )
+
+    def _ghosts(self, ego: FloatArray) -> FloatArray:
+        """States on the road of those who may be there unseen, (n, 4), around an ego at such a state."""
+        spec, road, unseen, far = self.spec, self._road, self.config.unseen, self.edges[0]
+        behind = self.behind.states(unseen, road, ego, spec.distance)
+        if far >= spec.distance:
+            return behind
+        seen = road.to_road(bodies(self.tracks.mean, spec.body))
+        return np.concatenate([ahead(spec, far, unseen, road, ego, seen), behind])
+
+
+def _around(tracks: Tracks, chosen: BoolArray, x: float, passed: float = 0.0) -> FloatArray:
+    """How far ahead of x those who are chosen are, some time after they have been followed, where across, and how fast
+    along the road, (n, 3)."""
+    if not chosen.any():
+        return np.zeros((0, 3))
+    states = tracks.mean[chosen]
+    states[:, :2] += passed * states[:, 2:]
+    states[:, 0] -= x
+    return states[:, :3]
+
+
+def _gone(last: Tracks, tracks: Tracks) -> BoolArray:
+    """Who is followed no longer, (n,)."""
+    here = tracks.ids[tracks.ids < last.next_id]
+    return np.zeros(len(last.ids), bool) if len(here) == len(last.ids) else ~np.isin(last.ids, here)
 
 
 def _cartesian(row: FloatArray) -> FloatArray:
@@ -244,31 +265,7 @@ def _polar(vx: float, vy: float, heading: float, last: float) -> tuple[float, fl
     size = math.hypot(vx, vy)
     if math.isfinite(heading):
         return heading, math.copysign(size, vx * math.cos(heading) + vy * math.sin(heading)) if size else 0.0
-    if size < _STANDING:
+    if size < STANDING:
         return last, math.copysign(size, vx)
     sign = math.copysign(1.0, vx)
     return math.atan2(sign * vy, sign * vx), sign * size
-
-
-def _bounded(tracks: Tracks, body: tuple[float, float], x: float, bound: float) -> FloatArray:
-    """Vehicle rows (n, 7) that reach as far as those followed may be, with an ego at x [m]."""
-    low, high = sides(tracks, bound)
-    states = tracks.mean
-    # Who is faster behind, and slower ahead, is more in the way.
-    states[:, 2] = np.where(states[:, 0] < x, high[:, 2], low[:, 2])
-    states[:, :2] = 0.5 * (low + high)[:, :2]
-    rows = _rows(states, body)
-    rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] += (high - low)[:, :2]
-    return rows
-
-
-def _rows(states: FloatArray, body: tuple[float, float]) -> FloatArray:
-    """Vehicle rows (n, 7) of states x, y, vx, vy (n, 4)."""
-    out = np.zeros((len(states), len(Vehicle)))
-    size, sign = np.hypot(states[:, 2], states[:, 3]), np.where(states[:, 2] < 0, -1.0, 1.0)
-    out[:, [_X, _Y]] = states[:, :2]
-    moving = size >= _STANDING
-    out[moving, _HEADING] = np.arctan2(sign * states[:, 3], sign * states[:, 2])[moving]
-    out[:, _SPEED] = sign * size
-    out[:, [Vehicle.LENGTH, Vehicle.WIDTH]] = body
-    return out

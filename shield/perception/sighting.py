@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -65,42 +67,45 @@ def decode(spec: ObservationSpec, observation: object) -> Sighting:
     if not there[0]:
         raise SceneError("the observation does not show the ego: its first row is empty")
     seen = rows[there]
-    columns = {name: _in_units(spec, name, seen[:, k]) for k, name in enumerate(spec.features)}
-    at_edge = {name: _at_edge(spec, name, seen[:, k]) for k, name in enumerate(spec.features)}
-    lost = [name for name in STATE[1:] if at_edge[name][0]]
-    if lost:
+    columns = _in_units(spec, seen)
+    x, *others_at = where = [spec.features.index(name) for name in STATE]
+    ranged = [name in spec.ranges for name in spec.features]  # type: ignore[operator]
+    at_edge = (np.abs(seen) >= _EDGE) & ranged if spec.clip else None
+    if at_edge is not None and at_edge[0, others_at].any():
+        lost = [name for name, k in zip(STATE[1:], others_at, strict=True) if at_edge[0, k]]
         raise SceneError(f"the ego's {', '.join(lost)} is at the edge of its range: nobody knows what it is")
-    state = np.stack([columns[name] for name in STATE], axis=1)
-    ego, others = state[0], state[1:].copy()
+    state = columns[:, where]
+    ego, others, places = state[0], state[1:], np.flatnonzero(there)[1:]
     if spec.absolute:
         others[:, 0] -= ego[0]
     else:
         others[:, 1:] += ego[1:]
-    if at_edge["x"][0]:
-        ego[0] = np.nan
-    known = ~np.any([at_edge[name][1:] for name in STATE], axis=0)
-    return Sighting(
-        ego,
-        others[known],
-        _heading(columns),
-        np.flatnonzero(there)[1:][known],
-        bool(there.all()),
-        not bool(known.all()),
-    )
+    full, cut = len(seen) == len(rows), False
+    if at_edge is not None:
+        if at_edge[0, x]:
+            ego[0] = np.nan
+        known = ~at_edge[1:, where].any(axis=1)
+        cut = not known.all()
+        others, places = others[known], places[known]
+    return Sighting(ego, others, _heading(spec, columns[0]), places, full, cut)
 
 
-def _in_units(spec: ObservationSpec, name: str, column: FloatArray) -> FloatArray:
-    """A feature in its own unit."""
-    if name not in spec.ranges:  # type: ignore[operator]
-        return column
-    low, high = spec.ranges[name]  # type: ignore[index]
-    return low + (column + 1.0) * (high - low) / 2.0
+def _in_units(spec: ObservationSpec, rows: FloatArray) -> FloatArray:
+    """Features in their own units."""
+    low, half, ranged = _scales(spec.features, tuple(spec.ranges.items()))  # type: ignore[union-attr]
+    found: FloatArray = low + (rows + 1.0) * half
+    # What is in its own units already keeps every digit.
+    return found if ranged.all() else np.where(ranged, found, rows)
 
 
-def _at_edge(spec: ObservationSpec, name: str, column: FloatArray) -> BoolArray:
-    """Where a feature may be anything beyond its range."""
-    clipped = spec.clip and name in spec.ranges  # type: ignore[operator]
-    return np.abs(column) >= _EDGE if clipped else np.zeros(len(column), dtype=bool)
+@lru_cache(maxsize=16)
+def _scales(
+    features: tuple[str, ...], ranges: tuple[tuple[str, tuple[float, float]], ...]
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """The lower end of the range of each feature, half of how far it is to the upper one, and whether it has one."""
+    ends = dict(ranges)
+    low, high = np.array([ends.get(name, (-1.0, 1.0)) for name in features]).T
+    return low, (high - low) / 2.0, np.array([name in ends for name in features])
 
 
 def _there(spec: ObservationSpec, rows: FloatArray) -> BoolArray:
@@ -113,7 +118,8 @@ def _there(spec: ObservationSpec, rows: FloatArray) -> BoolArray:
     return filled
 
 
-def _heading(columns: dict[str, FloatArray]) -> float:
-    if "cos_h" in columns and "sin_h" in columns:
-        return float(np.arctan2(columns["sin_h"][0], columns["cos_h"][0]))
-    return float(columns["heading"][0]) if "heading" in columns else float("nan")
+def _heading(spec: ObservationSpec, ego: FloatArray) -> float:
+    of = dict(zip(spec.features, ego.tolist(), strict=True))
+    if "cos_h" in of and "sin_h" in of:
+        return math.atan2(of["sin_h"], of["cos_h"])
+    return of.get("heading", math.nan)

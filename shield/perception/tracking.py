@@ -28,16 +28,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import linear_sum_assignment
-from scipy.special import ndtr
 
-from dynamics.state import FloatArray, IntArray
+from dynamics.state import BoolArray, FloatArray, IntArray
+from shield.perception import filter_kernels as filters
+from shield.perception.filters import Course
 
 __all__ = ["Motions", "Tracks", "ahead_of", "follow", "sides"]
 
 _GATE = 36.0
 """Squared Mahalanobis distance beyond which two are not the same: chi^2 with 4 degrees exceeds it once in 4 million."""
-_FAR = 1e6
-"""What it costs to be matched beyond the gate."""
 _SETTLING, _WAVER = 1.0, 0.15
 """One that keeps to its lane is drawn to its middle within this [s], and strays from it by this [m]."""
 _RATES = np.array([[-0.1, 0.05, 0.05], [1.0, -1.1, 0.1], [0.5, 1.0, -1.5]])
@@ -45,13 +44,8 @@ _RATES = np.array([[-0.1, 0.05, 0.05], [1.0, -1.1, 0.1], [0.5, 1.0, -1.5]])
 _MODES = 3
 _USUAL = np.array([0.8, 0.1, 0.1])
 """How likely each is of somebody who has never been seen."""
-_SWAP, _SWAPS = 2.0, 3.0
-"""What it costs, as a squared distance, to be a row further up or down than before, and for how many rows at most:
-rows that are sorted by what is there say who is who, where what they show says little."""
 _FRAME = 0.2
 """Accelerations last for this [s] where more than one frame is foreseen at once."""
-_HALVINGS, _TAIL = 16, 8.0
-"""A quantile is searched for so many times, up to so many standard deviations away."""
 
 
 class Motions(NamedTuple):
@@ -105,12 +99,12 @@ class Tracks:
     @property
     def mean(self) -> FloatArray:
         """Of all estimates together, (n, 4)."""
-        return np.einsum("nj,nji->ni", self.chances, self.means)
+        return filters.mixture(self.chances, self.means, self.covariances)[0]
 
     @property
     def covariance(self) -> FloatArray:
         """Of all together, (n, 4, 4)."""
-        return _mixed(self.chances, self.means, self.covariances, self.mean)
+        return filters.mixture(self.chances, self.means, self.covariances)[1]
 
 
 def follow(
@@ -132,40 +126,49 @@ def follow(
     places : rows in which those seen are, (m,), where these are sorted by what is there; None where they say nothing.
     """
     at = np.full(len(seen), np.nan) if places is None else places.astype(float)
-    chances, means, covariances = _predict(tracks, dt, motions)
-    spread = covariances + noise
-    apart = seen[None, None] - means[:, :, None]
-    away = np.einsum("njmk,njkm->njm", apart, np.linalg.solve(spread, np.swapaxes(apart, 2, 3)))
-    least = away.min(axis=1, initial=np.inf) if len(means) else np.zeros((0, len(seen)))
-    swaps = np.nan_to_num(np.minimum(np.abs(tracks.places[:, None] - at), _SWAPS))
-    rows, columns = linear_sum_assignment(np.minimum(least, _FAR) + _SWAP * swaps)
+    changes, course, pushed, centers = _foreseen(dt, motions)
+    before = tracks.chances, tracks.means, tracks.covariances
+    chances, means, covariances = filters.expected(*before, changes, course, pushed, centers)
+    away, size = filters.distances(means, covariances, seen, noise)
+    least, cost = filters.costs(away, tracks.places, at)
+    rows, columns = linear_sum_assignment(cost)
     matched = least[rows, columns] <= _GATE
     rows, columns = rows[matched], columns[matched]
     innovation = np.full(len(means), np.nan)
     innovation[rows] = least[rows, columns]
-    # What is so unlikely that it is 0 would never come back.
-    size = np.linalg.slogdet(spread[rows])[1]
-    likely = np.log(chances[rows]) - 0.5 * (away[rows, :, columns] + size)
-    likely = np.exp(likely - likely.max(axis=1, keepdims=True, initial=-np.inf)) + 1e-12
-    chances[rows] = likely / likely.sum(axis=1, keepdims=True)
-    means[rows], covariances[rows] = _update(means[rows], covariances[rows], seen[columns], noise)
-    missed = tracks.missed + 1
-    missed[rows] = 0
+    expected = chances, means, covariances
+    chances, means, covariances = filters.taken_in(*expected, seen, noise, away, size, rows, columns)
+    missed, last = tracks.missed + 1, tracks.places.copy()
+    missed[rows], last[rows] = 0, at[columns]
+    unknown = np.ones(len(seen), bool)
+    unknown[columns] = False
     kept = missed <= patience
-    new = np.setdiff1d(np.arange(len(seen)), columns)
-    n = len(new)
-    last = tracks.places.copy()
-    last[rows] = at[columns]
-    born, about = _born(seen[new], noise, motions)
+    everybody = Tracks(tracks.ids, means, covariances, chances, missed, last, tracks.next_id, innovation)
+    if kept.all() and not unknown.any():
+        return everybody
+    return _joined(everybody, kept, _newcomers(tracks.next_id, seen[unknown], at[unknown], noise, motions))
+
+
+def _joined(one: Tracks, kept: BoolArray, other: Tracks) -> Tracks:
+    """Those who are kept of one, and the other."""
+    names = "ids", "means", "covariances", "chances", "missed", "places", "innovation"
+    joined = {name: np.concatenate([getattr(one, name)[kept], getattr(other, name)]) for name in names}
+    return Tracks(**joined, next_id=other.next_id)
+
+
+def _newcomers(first_id: int, seen: FloatArray, at: FloatArray, noise: FloatArray, motions: Motions) -> Tracks:
+    """Those who are seen for the first time."""
+    n = len(seen)
+    mean, about = _born(seen, noise, motions)
     return Tracks(
-        np.concatenate([tracks.ids[kept], tracks.next_id + np.arange(n)]),
-        np.concatenate([means[kept], np.repeat(born[:, None], _MODES, axis=1)]),
-        np.concatenate([covariances[kept], np.broadcast_to(about, (n, _MODES, 4, 4))]),
-        np.concatenate([chances[kept], np.broadcast_to(_USUAL, (n, _MODES))]),
-        np.concatenate([missed[kept], np.zeros(n, np.intp)]),
-        np.concatenate([last[kept], at[new]]),
-        tracks.next_id + n,
-        np.concatenate([innovation[kept], np.full(n, np.nan)]),
+        first_id + np.arange(n),
+        np.repeat(mean[:, None], _MODES, axis=1),
+        np.broadcast_to(about, (n, _MODES, 4, 4)),
+        np.broadcast_to(_USUAL, (n, _MODES)),
+        np.zeros(n, np.intp),
+        at,
+        first_id + n,
+        np.full(n, np.nan),
     )
 
 
@@ -183,17 +186,8 @@ def _born(seen: FloatArray, noise: FloatArray, motions: Motions) -> tuple[FloatA
 def sides(tracks: Tracks, bound: float) -> tuple[FloatArray, FloatArray]:
     """Between what each of x, y, vx and vy is, (n, 4) and (n, 4): quantiles of the mixture, so likely to be exceeded as
     `bound` standard deviations of one normal distribution are."""
-    spread = np.sqrt(np.einsum("njii->nji", tracks.covariances))
-    chances, level, found = tracks.chances[:, :, None], ndtr(-bound), []
-    for sign in (-1.0, 1.0):
-        means = sign * tracks.means
-        inside, outside = means.min(axis=1), (means + _TAIL * spread).max(axis=1)
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (inside + outside)
-            exceeded = (chances * ndtr((means - middle[:, None]) / spread)).sum(axis=1) > level
-            inside, outside = np.where(exceeded, middle, inside), np.where(exceeded, outside, middle)
-        found.append(sign * outside)
-    return found[0], found[1]
+    bounds = np.full((2, 4), float(bound))
+    return filters.quantiles(tracks.chances, tracks.means, tracks.covariances, bounds)
 
 
 def ahead_of(tracks: Tracks, late: float, motions: Motions) -> Tracks:
@@ -203,44 +197,26 @@ def ahead_of(tracks: Tracks, late: float, motions: Motions) -> Tracks:
         return tracks
     share = math.sqrt(min(_FRAME / late, 1.0))
     calm, free = ((share * a, share * b) for a, b in (motions.calm, motions.free))
-    modes = calm, free, free
-    means, covariances = _moved(tracks.means, tracks.covariances, late, modes, motions)
+    _, course, pushed, centers = _foreseen(late, motions._replace(calm=calm, free=free, brisk=free))
+    means, covariances = filters.moved(tracks.means, tracks.covariances, course, pushed, centers)
     return replace(tracks, means=means, covariances=covariances)
 
 
-def _predict(tracks: Tracks, dt: float, motions: Motions) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Chances, means and covariances of each estimate before anything more is seen."""
-    changes = _changes(dt)
-    chances = tracks.chances @ changes
-    # Each estimate begins from all, as likely as each has led there.
-    led = np.swapaxes(tracks.chances[:, :, None] * changes / chances[:, None, :], 1, 2)
-    means = np.einsum("nji,nik->njk", led, tracks.means)
-    begun = np.stack([_mixed(led[:, j], tracks.means, tracks.covariances, means[:, j]) for j in range(_MODES)], axis=1)
+def _foreseen(dt: float, motions: Motions) -> tuple[FloatArray, Course, FloatArray, FloatArray]:
+    """How likely each change is within a step, (3, 3), what is foreseen of it, what the accelerations of each filter
+    add, (3, 4, 4), and the centres of the lanes."""
+    centers = np.zeros(0) if motions.centers is None else motions.centers
     modes = motions.calm, motions.free, motions.brisk
-    return chances, *_moved(means, begun, dt, modes, motions)
+    return _changes(dt), _course(dt, motions.cruise), _pushed(dt, modes), centers
 
 
-def _moved(
-    means: FloatArray,
-    covariances: FloatArray,
-    dt: float,
-    modes: tuple[tuple[float, float], ...],
-    motions: Motions,
-) -> tuple[FloatArray, FloatArray]:
-    """Estimates `dt` later, each with the accelerations of its mode; the first keeps to its lane, and all are drawn to
-    the usual speed."""
-    cruise, _, slowly = motions.cruise
-    keep = math.exp(-dt / slowly)
-    step = np.diag([1.0, 1.0, keep, 1.0])
-    step[0, 2], step[1, 3] = slowly * (1 - keep), dt
-    after, spread = means @ step.T, step @ covariances @ step.T
-    after[..., 0] += cruise * (dt - step[0, 2])
-    after[..., 2] += cruise * (1 - keep)
-    for j, accelerations in enumerate(modes):
-        spread[:, j] += _pushed(dt, accelerations)
-    if motions.centers is not None and len(means):
-        _keep_lane(means[:, 0, 1], covariances[:, 0, 1, 1], dt, motions.centers, after[:, 0], spread[:, 0])
-    return after, spread
+@lru_cache(maxsize=16)
+def _course(dt: float, usual: tuple[float, float, float]) -> Course:
+    cruise, _, slowly = usual
+    keep, left = math.exp(-dt / slowly), math.exp(-dt / _SETTLING)
+    reach = slowly * (1 - keep)
+    stray, sway = (1 - left**2) * _WAVER**2, (_WAVER / _SETTLING) ** 2 + 1e-2
+    return Course(dt, keep, reach, cruise * (dt - reach), cruise * (1 - keep), left, stray, sway)
 
 
 @lru_cache(maxsize=16)
@@ -250,42 +226,15 @@ def _changes(dt: float) -> FloatArray:
     return changes
 
 
-def _mixed(chances: FloatArray, means: FloatArray, covariances: FloatArray, mean: FloatArray) -> FloatArray:
-    """Covariance (n, 4, 4) of a mixture, with its `mean`."""
-    apart = means - mean[:, None]
-    return np.einsum("nj,njik->nik", chances, covariances + apart[..., :, None] * apart[..., None, :])
-
-
-def _pushed(dt: float, accelerations: tuple[float, float]) -> FloatArray:
-    """What white accelerations of a frame add to a covariance."""
-    pushed = np.zeros((4, 4))
-    for axis, a in enumerate(accelerations):
-        g = np.zeros(4)
-        g[axis], g[axis + 2] = dt * dt / 2, dt
-        pushed += a * a * np.outer(g, g)
-        # highway-env moves by the speed of before, another half of it.
-        pushed[axis, axis] += (a * dt * dt / 4) ** 2
+@lru_cache(maxsize=16)
+def _pushed(dt: float, modes: tuple[tuple[float, float], ...]) -> FloatArray:
+    """What white accelerations of a frame add to the covariance of each filter, (filters, 4, 4)."""
+    pushed = np.zeros((len(modes), 4, 4))
+    for each, accelerations in zip(pushed, modes, strict=True):
+        for axis, a in enumerate(accelerations):
+            g = np.zeros(4)
+            g[axis], g[axis + 2] = dt * dt / 2, dt
+            each += a * a * np.outer(g, g)
+            # highway-env moves by the speed of before, another half of it.
+            each[axis, axis] += (a * dt * dt / 4) ** 2
     return pushed
-
-
-def _keep_lane(
-    y: FloatArray, spread: FloatArray, dt: float, centers: FloatArray, mean: FloatArray, covariance: FloatArray
-) -> None:
-    """Have what is expected across of those at `y` (n,), with variance `spread`, be drawn to the middle of their
-    lanes: fills in y and vy of `mean` (n, 4) and `covariance` (n, 4, 4)."""
-    left = math.exp(-dt / _SETTLING)
-    middle = centers[np.abs(y[:, None] - centers).argmin(axis=1)]
-    mean[:, 1], mean[:, 3] = middle + left * (y - middle), 0.0
-    covariance[:, [1, 3], :] = covariance[:, :, [1, 3]] = 0.0
-    covariance[:, 1, 1] = left**2 * spread + (1 - left**2) * _WAVER**2
-    covariance[:, 3, 3] = (_WAVER / _SETTLING) ** 2 + 1e-2
-
-
-def _update(
-    means: FloatArray, covariances: FloatArray, seen: FloatArray, noise: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Joseph's form, which stays symmetric and positive."""
-    gain = np.swapaxes(np.linalg.solve(covariances + noise, covariances), -1, -2)
-    rest = np.eye(4) - gain
-    updated = means + np.einsum("njik,njk->nji", gain, seen[:, None] - means)
-    return updated, rest @ covariances @ np.swapaxes(rest, -1, -2) + gain @ noise @ np.swapaxes(gain, -1, -2)

@@ -134,6 +134,9 @@ class Behind:
         else:
             self.stranger += (unseen.fastest - ego_speed) * passed
         pool = self.passed
+        if not (len(pool) or len(lost)):
+            self.stranger = min(self.stranger, -back)
+            return
         pool[:, 2] = np.minimum(pool[:, 2] + unseen.acceleration * passed, pool[:, 3])
         pool[:, 0] += (pool[:, 2] - ego_speed) * passed
         for ahead_by, r, _ in new[new[:, 0] < 0]:

@@ -6,13 +6,13 @@ from mutants.kinds import off
 
 __all__ = ["OBSERVED"]
 
-_TESTS = "tests/shield/test_perception.py"
-_TRACKING, _UNSEEN, _PERCEIVING, _MEMORY = (
-    "shield/perception/tracking.py",
-    "shield/perception/unseen.py",
-    "shield/perception/perceiving.py",
-    "shield/certificate/memory.py",
-)
+_DECODING_TESTS = "tests/shield/test_perception_decoding.py"
+_TRACKING_TESTS = "tests/shield/test_perception_tracking.py"
+_UNSEEN_TESTS = "tests/shield/test_perception_unseen.py"
+_NOISE_TESTS = "tests/shield/test_perception_noise.py"
+_TRACKING, _KERNELS = "shield/perception/tracking.py", "shield/perception/filter_kernels.py"
+_UNSEEN, _PERCEIVING = "shield/perception/unseen.py", "shield/perception/perceiving.py"
+_BODIES, _MEMORY = "shield/perception/bodies.py", "shield/certificate/memory.py"
 
 OBSERVED = (
     off(
@@ -20,98 +20,98 @@ OBSERVED = (
         _UNSEEN,
         "for r in lanes if self.stranger > -reach]",
         "for r in lanes if False]",
-        f"{_TESTS}::test_a_stranger_comes_nearer_as_fast_as_it_may",
+        f"{_UNSEEN_TESTS}::test_a_stranger_comes_nearer_as_fast_as_it_may",
     ),
     off(
         "a stranger stays where it was",
         _UNSEEN,
         "self.stranger += (unseen.fastest - ego_speed) * passed",
         "pass",
-        f"{_TESTS}::test_a_stranger_comes_nearer_as_fast_as_it_may",
+        f"{_UNSEEN_TESTS}::test_a_stranger_comes_nearer_as_fast_as_it_may",
     ),
     off(
         "who was passed stands still",
         _UNSEEN,
         "pool[:, 0] += (pool[:, 2] - ego_speed) * passed",
         "pool[:, 0] -= ego_speed * passed",
-        f"{_TESTS}::test_who_was_passed_is_never_nearer_than_it_is_thought_to_be",
+        f"{_UNSEEN_TESTS}::test_who_was_passed_is_never_nearer_than_it_is_thought_to_be",
     ),
     off(
         "everybody is shown where all rows are full",
         _UNSEEN,
         "far, back = min(far, furthest), min(back, furthest)",
         "pass",
-        f"{_TESTS}::test_what_is_decoded_is_the_simulator_s_truth",
+        f"{_DECODING_TESTS}::test_what_is_decoded_is_the_simulator_s_truth",
     ),
     off(
         "shuffled rows are the nearest",
         _UNSEEN,
         "if not spec.sorted or sighting.cut:",
         "if sighting.cut:",
-        f"{_TESTS}::test_shuffled_rows_of_too_many_say_nothing_of_who_is_left_out",
+        f"{_UNSEEN_TESTS}::test_shuffled_rows_of_too_many_say_nothing_of_who_is_left_out",
     ),
     off(
         "nobody slow is beyond the edge",
         _PERCEIVING,
-        "ahead(self.spec, self.edges[0], unseen, road, ego_road, seen),\n",
-        "np.zeros((0, 4)),\n",
-        f"{_TESTS}::test_somebody_slow_beyond_the_edge_is_in_the_scene",
+        "np.concatenate([ahead(spec, far, unseen, road, ego, seen), behind])",
+        "behind",
+        f"{_UNSEEN_TESTS}::test_somebody_slow_beyond_the_edge_is_in_the_scene",
     ),
     off(
         "bodies reach no further than they are thought to be",
-        _PERCEIVING,
-        "rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] += (high - low)[:, :2]",
+        _BODIES,
+        "rows[:, _LENGTH] += high[:, 0] - low[:, 0]",
         "pass",
-        f"{_TESTS}::test_what_is_late_is_taken_to_where_it_is_by_now",
+        f"{_NOISE_TESTS}::test_what_is_late_is_taken_to_where_it_is_by_now",
     ),
     off(
         "speeds are what they are thought to be",
-        _PERCEIVING,
-        "states[:, 2] = np.where(states[:, 0] < x, high[:, 2], low[:, 2])",
-        "pass",
-        f"{_TESTS}::test_what_is_late_is_taken_to_where_it_is_by_now",
+        _BODIES,
+        "states[a, 2] = high[a, 2] if mean[a, 0] < x else low[a, 2]",
+        "states[a, 2] = mean[a, 2]",
+        f"{_NOISE_TESTS}::test_what_is_late_is_taken_to_where_it_is_by_now",
     ),
     off(
         "rows say nothing of who is who",
-        _TRACKING,
-        " + _SWAP * swaps)",
-        ")",
-        f"{_TESTS}::test_rows_that_are_sorted_say_who_is_who_where_what_they_show_does_not",
+        _KERNELS,
+        " + (SWAP * min(swaps, SWAPS) if swaps == swaps else 0.0)",
+        "",
+        f"{_TRACKING_TESTS}::test_rows_that_are_sorted_say_who_is_who_where_what_they_show_does_not",
     ),
     off(
         "a bad sensor is believed of newcomers",
         _TRACKING,
         "mean[:, k] += seen_by / (seen_by + spread**2) * (usual - seen[:, k])",
         "pass",
-        f"{_TESTS}::test_nobody_is_taken_to_be_as_fast_as_a_bad_sensor_shows",
+        f"{_TRACKING_TESTS}::test_nobody_is_taken_to_be_as_fast_as_a_bad_sensor_shows",
     ),
     off(
         "a side is the middle",
-        _TRACKING,
-        "chances, level, found = tracks.chances[:, :, None], ndtr(-bound), []",
-        "chances, level, found = tracks.chances[:, :, None], 0.5, []",
-        f"{_TESTS}::test_the_sides_of_a_mixture_are_exceeded_as_often_as_they_say",
+        _KERNELS,
+        "found[1, a, k] = _edge(chances[a], (m[0, k], m[1, k], m[2, k]), s, bounds[1, k], above)",
+        "found[1, a, k] = _edge(chances[a], (m[0, k], m[1, k], m[2, k]), s, 0.0, 0.5)",
+        f"{_TRACKING_TESTS}::test_the_sides_of_a_mixture_are_exceeded_as_often_as_they_say",
     ),
     off(
         "noise widens what was known",
         _MEMORY,
         "scene = nested(last.scene, last.around, same, scene)",
         "pass",
-        f"{_TESTS}::test_bounds_are_no_wider_than_what_was_known_before",
+        f"{_NOISE_TESTS}::test_bounds_are_no_wider_than_what_was_known_before",
     ),
     off(
         "who may come is told by the row",
         _MEMORY,
         "comes = np.where(same >= 0, last.comes[:, same], True)",
         "comes = last.comes",
-        f"{_TESTS}::test_the_order_of_the_rows_changes_nothing",
+        f"{_TRACKING_TESTS}::test_the_order_of_the_rows_changes_nothing",
     ),
     off(
         "what was lost by turning is forgotten",
         _MEMORY,
         "numbers[:, known] = last.tables.numbers[:, same[known]]",
         "pass",
-        f"{_TESTS}::test_what_is_remembered_of_those_known_again_is_what_is_remembered_in_exact_scenes",
+        f"{_TRACKING_TESTS}::test_what_is_remembered_of_those_known_again_is_what_is_remembered_in_exact_scenes",
     ),
 )
 """Each of a line."""

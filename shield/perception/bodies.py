@@ -1,0 +1,65 @@
+"""Vehicle rows of those who are followed: where they are, and as far as they may reach."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dynamics.compiled import uncounted
+from dynamics.state import FloatArray, Vehicle
+
+__all__ = ["STANDING", "bodies", "bounded"]
+
+STANDING = 0.05
+"""Below this speed [m/s] a velocity says nothing of a heading."""
+_X, _Y, _HEADING, _SPEED = int(Vehicle.X), int(Vehicle.Y), int(Vehicle.HEADING), int(Vehicle.SPEED)
+_LENGTH, _WIDTH, _COLUMNS = int(Vehicle.LENGTH), int(Vehicle.WIDTH), len(Vehicle)
+
+
+def bodies(states: FloatArray, body: tuple[float, float]) -> FloatArray:
+    """Vehicle rows (n, 7) of states x, y, vx, vy (n, 4); nobody is turned by more than a quarter from the road.
+
+    Parameters
+    ----------
+    body : length and width of each [m].
+    """
+    rows = np.zeros((len(states), _COLUMNS))
+    _fill(states, body[0], body[1], rows)
+    return rows
+
+
+def bounded(mean: FloatArray, low: FloatArray, high: FloatArray, body: tuple[float, float], x: float) -> FloatArray:
+    """Vehicle rows (n, 7) that reach as far as those followed may be; who is faster behind the ego, and slower ahead of
+    it, is more in the way.
+
+    Parameters
+    ----------
+    mean, low, high : states x, y, vx, vy (n, 4), as they are thought to be, and between what.
+    body : length and width of each [m]. x : where the ego is [m].
+    """
+    states = np.empty((len(mean), 4))
+    _widen(mean, low, high, x, states)
+    rows = bodies(states, body)
+    rows[:, _LENGTH] += high[:, 0] - low[:, 0]
+    rows[:, _WIDTH] += high[:, 1] - low[:, 1]
+    return rows
+
+
+@uncounted
+def _widen(mean: FloatArray, low: FloatArray, high: FloatArray, x: float, states: FloatArray) -> None:
+    for a in range(len(mean)):
+        states[a, 2] = high[a, 2] if mean[a, 0] < x else low[a, 2]
+        states[a, 3] = mean[a, 3]
+        states[a, 0], states[a, 1] = 0.5 * (low[a, 0] + high[a, 0]), 0.5 * (low[a, 1] + high[a, 1])
+
+
+@uncounted
+def _fill(states: FloatArray, length: float, width: float, rows: FloatArray) -> None:
+    for a in range(len(states)):
+        x, y, vx, vy = states[a, 0], states[a, 1], states[a, 2], states[a, 3]
+        size, sign = math.hypot(vx, vy), -1.0 if vx < 0.0 else 1.0
+        rows[a, _X], rows[a, _Y], rows[a, _SPEED] = x, y, sign * size
+        if size >= STANDING:
+            rows[a, _HEADING] = math.atan2(sign * vy, sign * vx)
+        rows[a, _LENGTH], rows[a, _WIDTH] = length, width

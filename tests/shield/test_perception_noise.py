@@ -1,0 +1,117 @@
+"""What is seen through noise, and late."""
+
+from __future__ import annotations
+
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+import pytest
+from observed_roads import ANY, ROAD
+
+from dynamics.scenes.scene import EgoControl, Scene, Target
+from shield import ShieldConfig
+from shield.perception.perceiving import ObservationPerception, PerceptionConfig
+from shield.perception.spec import ObservationSpec
+from shield.perception.tracking import Motions, Tracks, follow
+from shield.procedures.decide import Core
+from shield.procedures.meta_actions import MetaActions
+from shield.procedures.screen import Wish
+
+
+@pytest.mark.parametrize("sigma", [0.5, 2.0])
+def test_a_lane_change_is_found_under_noise(sigma):
+    """One who has left its lane is not thought to be in it because it is likely to be."""
+    rng, noise, dt = np.random.default_rng(1), np.eye(4) * sigma**2, 0.2
+    motions, found = Motions(centers=np.array([0.0, 4.0, 8.0])), []
+    for _ in range(30):
+        tracks, y = Tracks(), 0.0
+        for k in range(50):
+            vy = 2.0 if 10 <= k < 20 else 0.0
+            y += vy * dt
+            seen = np.array([[20.0 * k * dt, y, 20.0, vy]]) + rng.normal(0, sigma, (1, 4))
+            tracks = follow(tracks, seen, noise, dt, motions, patience=3)
+        found.append(abs(tracks.mean[0, 1] - 4.0))
+        assert len(tracks.ids) == 1
+    assert np.mean(found) < 0.7
+    assert max(found) < 2.0
+
+
+def test_bounds_are_no_wider_than_what_was_known_before():
+    """A leader of constant speed, shown with noise: its rear is never thought further back than it can have come."""
+    rng, config = np.random.default_rng(2), ShieldConfig()
+    core, control = Core(MetaActions(config)), EgoControl(Target(0, 25.0))
+    wish, back = Wish(1, control.actions, None), None
+    widest = 0.0
+    for k in range(60):
+        ego = np.array([25.0 * 0.2 * k, 0.0, 0.0, 25.0, 5.0, 2.0, 0.0])
+        shift, slower = rng.normal(0, 0.3), rng.normal(0, 0.4)
+        row = np.array([[60.0 + 25.0 * 0.2 * k + shift, 0.0, 0.0, 24.0 + slower, 6.0, 2.5, 0.0]])
+        scene = Scene(ego, row, ROAD, control, 0.2, 5, k, np.array([1]), blurred=True)
+        core.decide(scene, wish)
+        survey = core.memory.survey
+        rear = float(survey.around.states[0, 0]) - 3.0
+        if back is not None:
+            assert rear >= back - 1e-9
+            assert rear >= row[0, 0] - 3.0 - 1e-9
+        widest = max(widest, rear - (row[0, 0] - 3.0))
+        back = float(survey.around.rear(1)[0, 0])
+    assert widest > 0.1
+
+
+def test_newcomers_and_scenes_that_are_exact_are_not_narrowed():
+    control, around = EgoControl(Target(0, 25.0)), []
+    for blurred, ids in ((True, [1]), (True, [2]), (False, [2])):
+        row = np.array([[60.0, 0.0, 0.0, 24.0, 6.0, 2.5, 0.0]])
+        ego = np.array([0.0, 0.0, 0.0, 25.0, 5.0, 2.0, 0.0])
+        around.append(Scene(ego, row, ROAD, control, 0.2, 5, len(around), np.array(ids), blurred))
+    core = Core(MetaActions(ShieldConfig()))
+    for scene in around:
+        core.decide(scene, Wish(1, control.actions, None))
+        assert float(core.memory.survey.around.states[0, 0]) == 60.0
+
+
+def test_what_is_late_is_taken_to_where_it_is_by_now():
+    """Others that keep their speed, shown relative to where the ego was 5 frames ago, while the ego accelerates."""
+    spec = ObservationSpec(rows=3, see_behind=True)
+    perception = ObservationPerception(spec, ROAD, (0.2, 5), PerceptionConfig(delay=5, cruise=ANY))
+    control, egos, x = EgoControl(Target(1, 25.0)), [], 0.0
+    start, speeds = np.array([40.0, -30.0]), np.array([22.0, 18.0])
+    for k in range(40):
+        v = 20.0 + 0.1 * k
+        egos.append((x, v))
+        then = max(k - 5, 0)
+        place, speed = egos[then]
+        obs = np.zeros((3, 5))
+        obs[0] = [1, 0.0, 4.0, v, 0.0]
+        obs[1:, 0] = 1
+        obs[1:, 1], obs[1:, 3] = start + speeds * 0.2 * then - place, speeds - speed
+        obs[1:, 2] = [0.0, 4.0]
+        scene = perception.see(obs, k, control)
+        seen = scene.others[scene.ids >= 0]
+        truth = start + speeds * 0.2 * k
+        if k > 8:
+            order = np.argsort(-seen[:, 0])
+            np.testing.assert_allclose(seen[order, 0], truth, atol=0.05)
+            np.testing.assert_allclose(seen[order, 1], [4.0, 8.0], atol=0.05)
+            assert (seen[:, 4] > 6.0).all()
+            assert seen[order[0], 3] < 22.0
+            assert seen[order[1], 3] > 18.0
+        assert scene.ego[3] == pytest.approx(v)
+        x += v * 0.2
+
+
+def test_bounds_grow_with_the_noise():
+    """The same draws, larger: bodies are never taken to reach less far."""
+    control, last = EgoControl(Target(1, 25.0)), None
+    for sigma in (0.1, 0.5, 1.0, 2.0, 4.0):
+        rng, spec = np.random.default_rng(3), ObservationSpec(rows=2, see_behind=True)
+        config = PerceptionConfig(noise=(sigma,) * 4)
+        perception = ObservationPerception(spec, ROAD, (0.2, 5), config)
+        for k in range(20):
+            seen = np.zeros((2, 5))
+            seen[0], seen[1] = [1, 0.0, 4.0, 21.0, 0.0], [1, 40.0, 0.0, 0.0, 0.0]
+            seen[1, 1:] += 0.05 * sigma * rng.standard_normal(4)
+            scene = perception.see(seen, k, control)
+        size = scene.others[scene.ids >= 0, 4:6][0]
+        if last is not None:
+            assert (size > last).all()
+        last = size

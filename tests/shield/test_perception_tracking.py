@@ -1,0 +1,208 @@
+"""Who is who from one observation to the next."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from observed_roads import ANY, SEEN, make
+
+from dynamics.scenes.scene import SceneReader
+from shield import ShieldConfig
+from shield.perception.perceiving import ObservationPerception
+from shield.perception.spec import ObservationSpec
+from shield.perception.tracking import Motions, Tracks, follow, sides
+from shield.procedures.decide import Core
+from shield.procedures.meta_actions import MetaActions
+from shield.procedures.screen import Wish
+
+
+def test_nobody_is_lost_when_rows_are_shuffled():
+    """Who has been given a number keeps it, and the same scene is seen as of sorted rows."""
+    observation = {**SEEN, "vehicles_count": 30, "order": "shuffled"}
+    env = make(observation)
+    for seed in range(4):
+        obs, _ = env.reset(seed=seed)
+        base, known = env.unwrapped, {}
+        reader = SceneReader(base)
+        reader.check()
+        perception = ObservationPerception(ObservationSpec.of(env), reader.map, (0.2, 5))
+        for _ in range(8):
+            scene = perception.see(obs, base.steps, reader.control)
+            real = [v for v in base.road.vehicles if v is not base.vehicle]
+            places = np.array([v.position for v in real]) - base.vehicle.position + scene.ego[:2]
+            for row, who in zip(scene.others, scene.ids.tolist(), strict=True):
+                if who < 0:
+                    continue
+                apart = np.hypot(*(places - row[:2]).T)
+                assert apart.min() < 1e-3
+                assert known.setdefault(who, real[int(apart.argmin())]) is real[int(apart.argmin())]
+            obs, _, over, _, _ = env.step(int(base.np_random.integers(5)))
+            if over:
+                break
+        assert len(known) >= 5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_order_of_the_rows_changes_nothing(seed):
+    """Whoever has a number is the same in every scene, wherever its row is."""
+    rng, base = np.random.default_rng(seed), gym.make("highway-fast-v0").unwrapped
+    base.reset(seed=seed)
+    reader, config = SceneReader(base), ShieldConfig()
+    cores = [Core(MetaActions(config)), Core(MetaActions(config))]
+    lost = 0
+    for k in range(40):
+        scene = reader.read()
+        many = len(scene.others)
+        # Somebody is out of sight now and then.
+        seen = np.sort(rng.permutation(many)[: many - (k % 7 == 3)])
+        mixed = rng.permutation(seen)
+        scenes = [replace(scene, others=scene.others[rows], ids=rows) for rows in (seen, mixed)]
+        wish = Wish(3 if k % 9 else 0, reader.actions, None)
+        one, other = (core.decide(each, wish) for core, each in zip(cores, scenes, strict=True))
+        assert (one.executed, one.tier, one.reason) == (other.executed, other.tier, other.reason)
+        assert one.margin == pytest.approx(other.margin, abs=1e-9, nan_ok=True)
+        left, right = (core.memory.survey for core in cores)
+        back = np.argsort(mixed)
+        np.testing.assert_allclose(left.around.tables.numbers, right.around.tables.numbers[:, back])
+        np.testing.assert_array_equal(left.comes, right.comes[:, back])
+        np.testing.assert_array_equal(left.held, right.held[back])
+        lost += many - len(seen)
+        if k % 5 == 0:
+            base.action_type.act(one.executed)
+        base.road.act()
+        base.road.step(0.2)
+        base.steps += 1
+    assert lost
+
+
+def test_the_filter_is_calibrated():
+    """The squared distance between what is expected and seen has the mean that its covariance says: 4."""
+    rng, noise = np.random.default_rng(0), np.diag(np.square([0.5, 0.4, 0.6, 0.3]))
+    a, dt, n = (2.0, 1.0), 0.2, 40
+    truth = rng.normal(0, 50, (n, 4)) + np.array([0, 0, 25, 0])
+    truth[:, 0] += 1_000 * np.arange(n)  # so far apart that nobody is taken for another
+    tracks, found, outside = Tracks(), [], 0
+    for k in range(60):
+        seen = truth + rng.multivariate_normal(np.zeros(4), noise, n)
+        tracks = follow(tracks, seen, noise, dt, Motions(a, a, a, cruise=ANY, sideways=1e3))
+        if k > 20:
+            found.append(tracks.innovation)
+            spread = np.sqrt(np.einsum("nii->ni", tracks.covariance))
+            outside += int((np.abs(tracks.mean - truth) > 3 * spread).sum())
+        push = rng.normal(0, a, (n, 2))
+        extra = rng.normal(0, np.array(a) * dt * dt / 4, (n, 2))
+        truth[:, :2] += truth[:, 2:] * dt + push * dt * dt / 2 + extra
+        truth[:, 2:] += push * dt
+    values = np.concatenate(found)
+    assert len(tracks.ids) == n
+    assert not np.isnan(values).any()
+    # The mean of so many chi^2 with 4 degrees is within this of 4 in 95 % of the cases; 1.5 times as wide.
+    assert abs(values.mean() - 4) < 1.5 * 1.96 * math.sqrt(8 / len(values))
+    assert outside <= 0.01 * 4 * len(values)
+
+
+def test_who_leaves_is_forgotten_and_who_comes_is_new():
+    noise = np.eye(4) * 1e-4
+    one, two = [0.0, 0.0, 20.0, 0.0], [30.0, 4.0, 20.0, 0.0]
+    tracks = follow(Tracks(), np.array([one, two]), noise, 0.1, Motions())
+    assert tracks.ids.tolist() == [1, 2]
+    tracks = follow(tracks, np.array([[33.0, 4.0, 20.0, 0.0]]) - [1.0, 0, 0, 0], noise, 0.1, Motions())
+    assert tracks.ids.tolist() == [2]
+    tracks = follow(tracks, np.array([[34.0, 4.0, 20.0, 0.0], [2.0, 0.0, 20.0, 0.0]]), noise, 0.1, Motions())
+    assert tracks.ids.tolist() == [2, 3]
+
+
+@given(patience=st.integers(0, 4), gone=st.integers(1, 6))
+def test_somebody_may_be_missing_for_as_long_as_there_is_patience(patience, gone):
+    noise, state = np.eye(4) * 0.01, np.array([[0.0, 0.0, 20.0, 0.0]])
+    motions = Motions(cruise=ANY)
+    tracks = follow(Tracks(), state, noise, 0.1, motions, patience)
+    for _ in range(gone):
+        tracks = follow(tracks, np.zeros((0, 4)), noise, 0.1, motions, patience)
+    assert len(tracks.ids) == (gone <= patience)
+    if gone <= patience:
+        assert tracks.mean[0, 0] == pytest.approx(2.0 * gone)
+
+
+def test_what_is_remembered_of_those_known_again_is_what_is_remembered_in_exact_scenes():
+    base = gym.make("highway-fast-v0").unwrapped
+    base.reset(seed=4)
+    reader = SceneReader(base)
+    exact, known = (Core(MetaActions(ShieldConfig())) for _ in range(2))
+    spent = 0.0
+    for k in range(30):
+        scene = reader.read()
+        mixed = np.random.default_rng(k).permutation(len(scene.others))
+        wish = Wish(1, reader.actions, None)
+        exact.decide(scene, wish)
+        known.decide(replace(scene, others=scene.others[mixed], ids=mixed), wish)
+        one, other = exact.memory.survey.around.tables, known.memory.survey.around.tables
+        np.testing.assert_allclose(one.numbers[:, mixed], other.numbers, atol=1e-9)
+        np.testing.assert_allclose(one.recent[mixed], other.recent, atol=1e-9)
+        spent = max(spent, float(one.recent.max(initial=0.0)))
+        base.road.act()
+        base.road.step(0.2)
+        base.steps += 1
+    assert spent > 0.1
+
+
+def _mistakes(places):
+    """How far two who drive 25 m apart in one lane are thought to be from where they are, through noise of 40 m."""
+    rng, sigma, dt, found = np.random.default_rng(5), np.array([40.0, 2.4, 16.0, 16.0]), 0.2, []
+    noise, motions = np.diag(sigma**2), Motions(centers=np.array([0.0, 4.0, 8.0]))
+    for _ in range(20):
+        tracks = Tracks()
+        for k in range(50):
+            truth = np.array([[30.0, 4.0, 21.0, 0.0], [55.0, 4.0, 21.0, 0.0]])
+            truth[:, 0] += 21.0 * k * dt
+            seen = truth + rng.normal(0, sigma, (2, 4))
+            tracks = follow(tracks, seen, noise, dt, motions, 3, np.arange(2) if places else None)
+        if len(tracks.ids) == 2:
+            found.append(np.diff(np.sort(tracks.mean[:, 0]))[0] - 25.0)
+    return np.sqrt(np.mean(np.square(found)))
+
+
+def test_rows_that_are_sorted_say_who_is_who_where_what_they_show_does_not():
+    assert _mistakes(places=True) < 0.7 * _mistakes(places=False)
+
+
+def test_nobody_is_taken_to_be_as_fast_as_a_bad_sensor_shows():
+    """A velocity through noise of 16 m/s says less than how fast somebody drives."""
+    noise = np.diag(np.square([40.0, 2.4, 16.0, 16.0]))
+    seen = np.array([[50.0, 4.0, 40.0, -12.0]])
+    tracks = follow(Tracks(), seen, noise, 0.2, Motions())
+    assert abs(tracks.mean[0, 2] - 21.0) < 1.0
+    assert abs(tracks.mean[0, 3]) < 0.2
+    exact = follow(Tracks(), seen, np.eye(4) * 1e-8, 0.2, Motions())
+    np.testing.assert_allclose(exact.mean, seen, atol=1e-6)
+
+
+@given(
+    chances=st.tuples(st.floats(0.01, 1), st.floats(0.01, 1), st.floats(0.01, 1)),
+    means=st.tuples(*[st.floats(-5, 5)] * 3),
+    spread=st.tuples(*[st.floats(0.1, 4)] * 3),
+    bound=st.floats(0.5, 3),
+)
+@settings(max_examples=40, deadline=None)
+def test_the_sides_of_a_mixture_are_exceeded_as_often_as_they_say(chances, means, spread, bound):
+    weights = np.array(chances) / sum(chances)
+    tracks = Tracks(
+        ids=np.array([1]),
+        means=np.repeat(np.array(means)[None, :, None], 4, axis=2),
+        covariances=(np.array(spread) ** 2)[None, :, None, None] * np.eye(4),
+        chances=weights[None],
+        missed=np.array([0]),
+    )
+    low, high = sides(tracks, bound)
+    for edge, sign in ((low[0, 0], -1), (high[0, 0], 1)):
+        beyond = [0.5 * math.erfc(sign * (edge - m) / s / math.sqrt(2)) for m, s in zip(means, spread, strict=True)]
+        wanted = 0.5 * math.erfc(bound / math.sqrt(2))
+        assert weights @ beyond == pytest.approx(wanted, rel=0.02)
+        assert weights @ beyond <= wanted + 1e-12

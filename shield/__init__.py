@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from shield.doors.env import ShieldedEnv
     from shield.doors.policy import Shield
     from shield.errors import ActionError, ConfigError, PolicyError, SceneError, ShieldError
+    from shield.perception.known import Known
     from shield.perception.perceiving import PerceptionConfig
+    from shield.perception.spec import ObservationSpec
     from shield.perception.unseen import Unseen
 
 __all__ = [
@@ -26,6 +28,8 @@ __all__ = [
     "Buffer",
     "ConfigError",
     "Decision",
+    "Known",
+    "ObservationSpec",
     "PerceptionConfig",
     "PolicyError",
     "Reason",
@@ -48,7 +52,9 @@ __getattr__, __dir__, _ = lazy_loader.attach(
         "doors.env": ["ShieldedEnv"],
         "doors.policy": ["Shield"],
         "errors": ["ActionError", "ConfigError", "PolicyError", "SceneError", "ShieldError"],
+        "perception.known": ["Known"],
         "perception.perceiving": ["PerceptionConfig"],
+        "perception.spec": ["ObservationSpec"],
         "perception.unseen": ["Unseen"],
     },
 )

@@ -13,6 +13,7 @@ from shield.config import PERCEPTIONS
 from shield.errors import ConfigError, SceneError
 from shield.perception.perceiving import ObservationPerception, PerceptionConfig
 from shield.perception.spec import ObservationSpec
+from shield.perception.undoing import check_wrappers, latest, stacked_in
 
 __all__ = ["NO_OBSERVED_SCENES", "ObservedScenes", "scenes_of", "sense"]
 
@@ -59,6 +60,7 @@ class ObservedScenes:
         base, config = self._base, self._base.config
         dt = 1 / config["simulation_frequency"]
         frames = int(config["simulation_frequency"] // config["policy_frequency"])
+        check_wrappers(self._env)
         spec = ObservationSpec.of(base)
         without_data_frames(base.observation_type)  # it is asked at each frame
         settings, sensor = self._config, _sensor_of(self._env)
@@ -86,11 +88,13 @@ class ObservedScenes:
         frame = int(self._base.steps)
         if self._shown is None or self._shown[0] != frame:
             self._shown = frame, sense(self._env)
-        return self.perception.see(self._shown[1], frame, self._inner.control)
+        shown = latest(self._shown[1], self.perception.spec.shape, stacked_in(self._env))
+        return self.perception.see(shown, frame, self._inner.control)
 
 
 def sense(env: Any) -> Any:
-    """What an environment would observe now: what highway-env shows, seen through each `ObservationWrapper`."""
+    """What an environment would observe now: what highway-env shows, seen through each `ObservationWrapper`; nothing is
+    stacked."""
     if env is env.unwrapped:
         return env.observation_type.observe()
     seen = sense(env.env)

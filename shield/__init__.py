@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from shield.doors.env import ShieldedEnv
     from shield.doors.policy import Shield
     from shield.errors import ActionError, ConfigError, PolicyError, SceneError, ShieldError
+    from shield.perception.grid_spec import GridSpec
     from shield.perception.known import Known
     from shield.perception.perceiving import PerceptionConfig
     from shield.perception.spec import ObservationSpec
@@ -28,6 +29,7 @@ __all__ = [
     "Buffer",
     "ConfigError",
     "Decision",
+    "GridSpec",
     "Known",
     "ObservationSpec",
     "PerceptionConfig",
@@ -52,6 +54,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
         "doors.env": ["ShieldedEnv"],
         "doors.policy": ["Shield"],
         "errors": ["ActionError", "ConfigError", "PolicyError", "SceneError", "ShieldError"],
+        "perception.grid_spec": ["GridSpec"],
         "perception.known": ["Known"],
         "perception.perceiving": ["PerceptionConfig"],
         "perception.spec": ["ObservationSpec"],

@@ -12,8 +12,12 @@ from dynamics.state import FloatArray, RoadState, State, Vehicle
 from dynamics.vehicle.controllers import speed_to_index
 from dynamics.vehicle.rollouts import NO_LIMIT, Rollouts
 from shield.errors import SceneError
+from shield.perception.grid_perception import GridPerception
+from shield.perception.grid_sighting import lane_in_grid
+from shield.perception.grid_spec import GridSpec
 from shield.perception.known import Known
 from shield.perception.perceiving import ObservationPerception, PerceptionConfig
+from shield.perception.scenes import perception_of
 from shield.perception.sighting import decode
 from shield.perception.undoing import latest
 
@@ -42,7 +46,7 @@ class BlindScenes:
         settings = replace(settings, noise=settings.noise or known.noise, delay=settings.delay + known.delay)
         self._known = known
         timing = known.dt, known.frames
-        self._perception = ObservationPerception(known.spec, known.road, timing, settings)
+        self._perception = perception_of(known.spec, known.road, timing, settings)
         self._rollouts = Rollouts(known.dt, known.road)
         blurred = np.zeros(4) if settings.noise is None else np.asarray(settings.noise)
         self._astray = _ASTRAY + _SIGMAS * np.array([blurred[1], np.hypot(*blurred[2:])])
@@ -54,7 +58,7 @@ class BlindScenes:
         return self._known.actions
 
     @property
-    def perception(self) -> ObservationPerception:
+    def perception(self) -> ObservationPerception | GridPerception:
         """What makes the scenes."""
         return self._perception
 
@@ -77,14 +81,16 @@ class BlindScenes:
         not where it was told to go."""
         if self._decisions < 1:
             return False
+        spec, road = self._known.spec, self._known.road
         if 0 < self._known.decisions <= self._decisions:
             return True
+        if isinstance(spec, GridSpec):
+            return False
         try:
-            x, y, vx, vy = decode(self._known.spec, self._shown).ego
+            _, y, vx, vy = decode(spec, self._shown).ego
         except SceneError:
             return False
-        road = self._known.road
-        return self._strays(np.array([x, y - road.origin[1], 0.0, np.hypot(vx, vy)]))
+        return self._strays(np.array([0.0, y - road.origin[1], 0.0, np.hypot(vx, vy)]))
 
     def read(self) -> Scene:
         """The scene now.
@@ -98,8 +104,11 @@ class BlindScenes:
             return self._scene
         if self._decisions < 0:
             raise SceneError("nothing has been observed yet; call predict() first")
-        known = self._known
-        scene = self._perception.see(self._shown, self._decisions * known.frames, self._control(Target(0, 0.0)))
+        seen = self._shown, self._decisions * self._known.frames, self._control(Target(0, 0.0))
+        if isinstance(self._perception, ObservationPerception):
+            scene = self._perception.see(*seen)
+        else:
+            scene = self._perception.see(*seen, self._unseen_ego())
         if self._strays(scene.ego_road):
             raise SceneError(
                 "the ego is not where it was told to go: step the environment once with each action that predict() "
@@ -129,13 +138,33 @@ class BlindScenes:
         lane = self._known.road.lane_at(float(scene.ego_road[RoadState.R]))
         return Target(lane, speeds[speed_to_index(float(scene.ego[State.SPEED]), speeds)])
 
+    def _unseen_ego(self) -> FloatArray:
+        """The ego's row where nobody shows it: in its lane as the episode begins, and then where it was told to go."""
+        known = self._known
+        if self._ego is None and self._decisions:
+            raise SceneError(
+                "the episode began with what could not be read: nobody knows where the ego is until reset()"
+            )
+        if self._ego is None:
+            centers, lane = known.road.centers, known.lane
+            if lane is None and isinstance(known.spec, GridSpec):
+                lane = lane_in_grid(known.spec, self._shown, centers)
+            assert lane is not None
+            return self._row(np.array([0.0, centers[lane], 0.0, known.speed]))
+        return self._row(self._ego)
+
+    def _row(self, place: FloatArray) -> FloatArray:
+        """A vehicle row, (7,), of a state on the road, (4,)."""
+        row = np.zeros(len(Vehicle))
+        row[: len(State)] = self._known.road.to_world(place)
+        row[[Vehicle.LENGTH, Vehicle.WIDTH]] = self._known.spec.body
+        return row
+
     def _alone(self) -> Scene | None:
         """The ego where it was told to go, where what was shown cannot be read; None where that is not known."""
         if self._ego is None or self._target is None:
             return None
-        row = np.zeros(len(Vehicle))
-        row[: len(State)] = self._known.road.to_world(self._ego)
-        row[[Vehicle.LENGTH, Vehicle.WIDTH]] = self._known.spec.body
+        row = self._row(self._ego)
         nobody, control = np.zeros((0, len(Vehicle))), self._control(self._target)
         return Scene(row, nobody, self._known.road, control, self._known.dt, self._known.frames)
 

@@ -2,26 +2,40 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib import import_module
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec, registry
 from gymnasium.wrappers import FrameStackObservation
 from highway_env.envs.common.action import DiscreteMetaAction
 from highway_env.vehicle.controller import MDPVehicle
+from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from dynamics.roads.straight import StraightRoad
 from shield.errors import ConfigError
-from shield.perception.spec import ObservationSpec
-from shield.perception.undoing import check_wrappers
+from shield.perception.grid_spec import GridSpec, Spec, spec_from_config
+from shield.perception.undoing import SAME, check_wrappers
 
 __all__ = ["Known"]
 
 _NEEDED = ("observation", "action", "lanes_count", "simulation_frequency", "policy_frequency", "duration")
 _HIGHWAYS = ("HighwayEnv", "HighwayEnvFast")
+_PASSIVE = (
+    "Autoreset",
+    "CompiledFrames",
+    "HumanRendering",
+    "Monitor",
+    "OrderEnforcing",
+    "PassiveEnvChecker",
+    "RecordEpisodeStatistics",
+    "RecordVideo",
+    "TimeLimit",
+)
+"""Wrappers that leave what is observed as it is."""
 _LONG = 1e5
 """An episode of more decisions than this is taken to last for ever."""
 _SENSOR, _DELAY = "sensor_noise", "sensor_delay"
@@ -33,7 +47,7 @@ class Known:
 
     Attributes
     ----------
-    spec : what the observations mean.
+    spec : what the observations mean, an `ObservationSpec` or a `GridSpec`.
     road : the static road map; its lanes lie along x.
     dt : duration of a simulation frame [s]. frames : simulation frames in a decision.
     decisions : after so many decisions an episode is over at the latest; 0 where that is not known.
@@ -41,6 +55,8 @@ class Known:
     stacked : how many observations a wrapper of the environment shows at once, the latest of them last.
     noise : what the sensor says of its own noise, standard deviations of x, y [m], vx, vy [m/s]; None where it says
         nothing. delay : for how many frames what it shows of the others is out of date.
+    lane, speed : in the middle of which lane, and how fast [m/s], the ego begins, which a grid does not show. None for
+        the lane that fits its layer `on_road`.
 
     Raises
     ------
@@ -55,7 +71,7 @@ class Known:
     ([0.0, 4.0, 8.0], 5, 'FASTER')
     """
 
-    spec: ObservationSpec
+    spec: Spec
     road: StraightRoad
     dt: float
     frames: int
@@ -65,6 +81,8 @@ class Known:
     stacked: int = 1
     noise: tuple[float, float, float, float] | None = None
     delay: int = 0
+    lane: int | None = None
+    speed: float = 25.0
 
     def __post_init__(self) -> None:
         if not self.dt > 0 or self.frames < 1 or self.stacked < 1 or self.decisions < 0 or self.delay < 0:
@@ -72,6 +90,8 @@ class Known:
                 "dt, frames and stacked are above 0, decisions and delay from 0 on, got "
                 f"{self.dt}, {self.frames}, {self.stacked}, {self.decisions} and {self.delay}"
             )
+        if self.lane is not None and not 0 <= self.lane < self.road.centers.size:
+            raise ConfigError(f"the ego begins in a lane from 0 to {self.road.centers.size - 1}, got {self.lane}")
         if self.road.heading:
             raise ConfigError("observations are read on roads along x only")
         if len(self.target_speeds) < 2 or not np.all(np.diff(self.target_speeds) > 0):
@@ -105,7 +125,7 @@ class Known:
         fast, rate = config["simulation_frequency"], config["policy_frequency"]
         speeds = action.get("target_speeds")
         return cls(
-            spec=ObservationSpec.from_config(config["observation"], lanes),
+            spec=spec_from_config(config["observation"], lanes),
             road=StraightRoad.from_lanes(lanes),
             dt=1 / fast,
             frames=int(fast // rate),
@@ -113,31 +133,35 @@ class Known:
             target_speeds=tuple(map(float, MDPVehicle.DEFAULT_TARGET_SPEEDS if speeds is None else speeds)),
             actions=_labels(action),
             stacked=stacked,
+            lane=None if config.get("initial_lane_id") is None else int(config["initial_lane_id"]) % lanes,
         )
 
     @classmethod
     def of(cls, env: Any) -> tuple[Known, ...]:
         """Of each environment of a VecEnv, whatever processes they are in.
 
-        They are asked for their configuration, for what they were made of (`spec`), and where there is a sensor, for
-        what it says of itself; never for their state.
+        They are asked for their configuration, for what they are made of, and where there is a sensor, for what it says
+        of itself; never for their state.
 
         Raises
         ------
         ConfigError
-            If one is not `highway-v0` or `highway-fast-v0` as `gym.make` makes them, is shielded already, or has a
-            wrapper that changes what is observed and cannot be undone.
+            If one is not `highway-v0` or `highway-fast-v0`, is shielded already, or has a wrapper that changes what is
+            observed and cannot be undone.
         """
         check_wrappers(env, ())
-        specs, configs = env.get_attr("spec"), env.get_attr("config")
+        if isinstance(env, VecEnvWrapper):
+            return cls.of(env.venv)
+        layers, configs = _layers(env), env.get_attr("config")
+        sensor = any(name not in _PASSIVE + SAME for each in layers for name in each[:-1]) and env.has_attr(_SENSOR)
         found = []
-        for i, (spec, config) in enumerate(zip(specs, configs, strict=True)):
-            wrappers = _wrappers(spec)
-            sensors = [kind for kind in wrappers if hasattr(kind, _SENSOR)]
-            shown = [kind for kind in wrappers if kind not in sensors and _observes(kind)]
-            check_wrappers(None, tuple(kind.__name__ for kind in shown))
-            one = cls.from_config(config, _stacked(spec))
-            found.append(one if not sensors else _with_sensor(one, env, i))
+        for i, (names, config) in enumerate(zip(layers, configs, strict=True)):
+            _check(names, sensor, any(env.env_is_wrapped(gym.ObservationWrapper, i)))
+            one = cls.from_config(config)
+            if FrameStackObservation.__name__ in names:
+                shown = env.observation_space.shape
+                one = replace(one, stacked=math.prod(shown) // math.prod(one.spec.shape))
+            found.append(_with_sensor(one, env, i) if sensor else one)
         return tuple(found)
 
     @property
@@ -163,51 +187,37 @@ def _labels(action: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(chosen.values())
 
 
-def _wrappers(spec: Any) -> list[type]:
-    """Classes of the wrappers around an environment, innermost first."""
-    entry = getattr(spec, "entry_point", None)
-    module, _, name = entry.partition(":") if isinstance(entry, str) else ("", "", "")
-    if not module.startswith("highway_env.envs") or name not in _HIGHWAYS:
-        raise ConfigError(
-            f"the road of {entry or 'an environment that gym.make has not made'} is not known beforehand: have "
-            "highway-v0 and highway-fast-v0, or pass Shield(..., known=Known(...)) with its road map"
-        )
-    found = [_class(each.entry_point) for each in spec.additional_wrappers]
-    if any(kind.__name__ == "ShieldedEnv" for kind in found):
-        raise ConfigError("this environment is a ShieldedEnv already: a Shield around it would filter what was filtered")
-    return found
+def _layers(env: Any) -> list[list[str]]:
+    """Names of the wrappers of each environment of a VecEnv, outermost first, and of the environment itself."""
+    spec = getattr(env, "spec", None)
+    if isinstance(spec, EnvSpec):
+        return [[str(spec.entry_point).rpartition(":")[2]] for _ in range(env.num_envs)]
+    # What an environment is made of is in its name, which can be sent whatever it is made of.
+    texts = [text.replace(">", "").removesuffix(" instance") for text in env.env_method("__str__")]
+    return [[name for name in text.split("<") if name and name not in registry] for text in texts]
 
 
-def _class(entry: str) -> type:
-    """A class by its entry point.
+def _check(names: list[str], sensor: bool, observes: bool) -> None:
+    """Raise where the road, or what is observed, is not known beforehand.
 
-    Raises
-    ------
-    ConfigError
-        If it cannot be imported here.
+    Parameters
+    ----------
+    names : as of `_layers`. sensor : whether one says of its own noise. observes : whether one is an observation
+        wrapper.
     """
-    module, _, name = entry.partition(":")
-    try:
-        kind = getattr(import_module(module), name)
-    except (ImportError, AttributeError):
+    *wrappers, base = names
+    if "ShieldedEnv" in wrappers:
         raise ConfigError(
-            f"nobody knows what {entry}, around an environment in another process, does to what is observed: it cannot "
-            "be imported here. Pass Shield(..., known=Known(...))"
-        ) from None
-    assert isinstance(kind, type)
-    return kind
-
-
-def _observes(kind: type) -> bool:
-    return issubclass(kind, gym.ObservationWrapper | FrameStackObservation)
-
-
-def _stacked(spec: Any) -> int:
-    many = 1
-    for each in spec.additional_wrappers:
-        if issubclass(_class(each.entry_point), FrameStackObservation):
-            many *= int(each.kwargs["stack_size"])
-    return many
+            "this environment is a ShieldedEnv already: a Shield around it would filter what was filtered"
+        )
+    if base not in _HIGHWAYS:
+        raise ConfigError(
+            f"the road of {base} is not known beforehand: have {' and '.join(_HIGHWAYS)}, or pass "
+            "Shield(..., known=Known(...)) with its road map"
+        )
+    unknown = [name for name in wrappers if name not in _PASSIVE + SAME]
+    if observes and len(unknown) > sensor:
+        check_wrappers(None, tuple(unknown))
 
 
 def _with_sensor(known: Known, env: Any, i: int) -> Known:
@@ -220,8 +230,11 @@ def _with_sensor(known: Known, env: Any, i: int) -> Known:
     """
     noise, delay = (np.asarray(env.get_attr(name, i)[0], float) for name in (_SENSOR, _DELAY))
     if noise.shape != (4,) or not noise.any():
-        raise ConfigError("the sensor does not say yet how noisy it is: reset the environments before they are shielded")
-    # What is noisy may be beyond the range that it was clipped to.
-    spec = replace(known.spec, clip=False)
+        raise ConfigError(
+            "the sensor does not say yet how noisy it is: reset the environments before they are shielded"
+        )
+    if isinstance(known.spec, GridSpec):
+        raise ConfigError("a sensor that says of its own noise shows Kinematics, not a grid")
     x, y, vx, vy = noise.tolist()
-    return replace(known, spec=spec, noise=(x, y, vx, vy), delay=int(delay))
+    # What is noisy may be beyond the range that it was clipped to.
+    return replace(known, spec=replace(known.spec, clip=False), noise=(x, y, vx, vy), delay=int(delay))

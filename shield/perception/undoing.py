@@ -10,9 +10,9 @@ import numpy as np
 
 from shield.errors import ConfigError, SceneError
 
-__all__ = ["as_shown", "check_wrappers", "latest", "stacked_in", "wrappers_of"]
+__all__ = ["SAME", "as_shown", "check_wrappers", "latest", "stacked_in", "wrappers_of"]
 
-_SAME = ("FlattenObservation", "FrameStackObservation", "ReshapeObservation", "DtypeObservation")
+SAME = ("FlattenObservation", "FrameStackObservation", "ReshapeObservation", "DtypeObservation")
 """Wrappers of Gymnasium after which the numbers that were shown last are still there, in the same order."""
 _SENSOR = "sensor_noise"
 """What a wrapper has that says of its own noise: what it shows is what is observed."""
@@ -82,9 +82,9 @@ def check_wrappers(env: Any, names: tuple[str, ...] | None = None) -> None:
         if not isinstance(wrapper, undone) and wrapper.observation_space != wrapper.venv.observation_space:
             as_shown(wrapper, None)
     for name in wrappers_of(env) if names is None else names:
-        if name not in _SAME:
+        if name not in SAME:
             raise ConfigError(
-                f"{name} changes what is observed, and cannot be undone: have {', '.join(_SAME)}, and sensors that "
+                f"{name} changes what is observed, and cannot be undone: have {', '.join(SAME)}, and sensors that "
                 f"say of their own noise ({_SENSOR})"
             )
 

@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     from shield.doors.env import ShieldedEnv
     from shield.doors.policy import Shield
     from shield.errors import ActionError, ConfigError, PolicyError, SceneError, ShieldError
+    from shield.perception.grid_spec import GridSpec
+    from shield.perception.known import Known
     from shield.perception.perceiving import PerceptionConfig
+    from shield.perception.spec import ObservationSpec
     from shield.perception.unseen import Unseen
 
 __all__ = [
@@ -26,6 +29,9 @@ __all__ = [
     "Buffer",
     "ConfigError",
     "Decision",
+    "GridSpec",
+    "Known",
+    "ObservationSpec",
     "PerceptionConfig",
     "PolicyError",
     "Reason",
@@ -48,7 +54,10 @@ __getattr__, __dir__, _ = lazy_loader.attach(
         "doors.env": ["ShieldedEnv"],
         "doors.policy": ["Shield"],
         "errors": ["ActionError", "ConfigError", "PolicyError", "SceneError", "ShieldError"],
+        "perception.grid_spec": ["GridSpec"],
+        "perception.known": ["Known"],
         "perception.perceiving": ["PerceptionConfig"],
+        "perception.spec": ["ObservationSpec"],
         "perception.unseen": ["Unseen"],
     },
 )

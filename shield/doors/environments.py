@@ -32,7 +32,8 @@ def base_environments(env: Any, door: str) -> list[Any]:
         if not each:
             raise ConfigError(
                 f"{type(env).__name__} keeps its environments in other processes, where {door} cannot read "
-                "the scene; put the shield inside instead: SubprocVecEnv([lambda: ShieldedEnv(gym.make(...))])"
+                "the scene; put the shield inside, SubprocVecEnv([lambda: ShieldedEnv(gym.make(...))]), or read "
+                'observations alone: Shield(..., frames=False, perception="observation")'
             )
     for one in each:
         _refuse_shielded(one, door)

@@ -15,6 +15,7 @@ from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
 from shield.doors.input_door import refuse_lots
 from shield.doors.supervision import Command
+from shield.perception.blind import BlindScenes
 from shield.perception.scenes import ObservedScenes
 from shield.procedures.decide import Core, Unreadable, read
 from shield.procedures.frames import Frames
@@ -33,7 +34,7 @@ class MetaDoor:
 
     Parameters
     ----------
-    base : the highway-env environment, unwrapped.
+    base : the highway-env environment, unwrapped; None where it is out of reach, and `scenes` are all that there is.
     config : settings.
     frames : whether the frames between two decisions are supervised, with `frame`. Without, a meta-action has to last
         until the next decision, and the shield's look-ahead ends with its horizon.
@@ -58,19 +59,20 @@ class MetaDoor:
         config: ShieldConfig,
         frames: bool = True,
         rule: Rule | None = None,
-        scenes: ObservedScenes | None = None,
+        scenes: ObservedScenes | BlindScenes | None = None,
     ) -> None:
-        refuse_lots([base])
+        if base is not None:
+            refuse_lots([base])
         refuse_simulated(config)
-        self.config, self._base = config, base
-        self.reader: SceneReader | ObservedScenes = SceneReader(base) if scenes is None else scenes
+        self.config, self._base, self._scenes = config, base, scenes
+        self.reader: SceneReader | ObservedScenes | BlindScenes = SceneReader(base) if scenes is None else scenes
         self._meta: Any = MetaActions(config) if frames else MetaActionsOnly(config)
         self._frames = Frames(config, NearestInputs(config) if config.repair == "filter" else None)
         self._alone = rule is not None or config.mode in ("distance", "rss", "ttc")
         self.core: Core[Any] = Core(RuleAlone(config, rule) if self._alone else self._meta)
         self._passed: tuple[Decision, Target] | None = None
         self.cause = ""
-        if base.road is not None and config.mode != "none":
+        if base is not None and base.road is not None and config.mode != "none":
             self.reader.check()
 
     @property
@@ -98,8 +100,17 @@ class MetaDoor:
 
     def show(self, observation: Any) -> None:
         """What the policy sees, before it is decided about: nothing to one that reads the simulator's state."""
-        if isinstance(self.reader, ObservedScenes):
-            self.reader.show(observation)
+        if self._scenes is not None and self.observing:
+            self._scenes.show(observation)
+
+    @property
+    def observing(self) -> bool:
+        """Whether its scenes are made from observations."""
+        return self._scenes is not None and self.config.mode != "none"
+
+    def begins(self) -> bool:
+        """Whether what was shown last begins an episode, where neither an environment nor anybody else says so."""
+        return self.observing and isinstance(self._scenes, BlindScenes) and self._scenes.begins()
 
     def decide(self, action: Any, order: Callable[[], list[int] | None] | None = None) -> Decision:
         """Filter one meta-action; `order` gives the policy's order of preference over the others."""
@@ -113,6 +124,8 @@ class MetaDoor:
         decision = self.core.decide(scene, Wish(proposed, labels, order))
         if decision.tier is Tier.PASSED and isinstance(scene, Scene):
             self._passed = replace(self._rated(decision, scene), latency=0.0), scene.target_of(proposed)
+        if isinstance(self._scenes, BlindScenes):
+            self._scenes.tell(int(decision.executed))
         return replace(self._rated(decision, scene), proposed=shown, latency=perf_counter() - start)
 
     def frame(self) -> tuple[Command, Decision]:
@@ -134,9 +147,9 @@ class MetaDoor:
 
     def _rated(self, decision: Decision, scene: Any) -> Decision:
         """The same with what its certificate rests on."""
-        if not isinstance(self.reader, ObservedScenes) or isinstance(scene, Unreadable):
+        if self._scenes is None or isinstance(scene, Unreadable):
             return decision
-        sight, level = self.reader.perception.rating
+        sight, level = self._scenes.perception.rating
         return replace(decision, sight=sight, level=level)
 
     def _tracked(self) -> Target:

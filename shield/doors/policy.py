@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from shield.doors.environments import base_environments, the_action_type
 from shield.doors.exact_door import ExactDoor
 from shield.doors.exact_input_door import ExactInputDoor
 from shield.doors.input_door import InputDoor
+from shield.doors.known_environments import known_beforehand
 from shield.doors.liveness import Liveness
 from shield.doors.meta_door import MetaDoor
 from shield.doors.patience import Patience
@@ -27,8 +29,10 @@ from shield.doors.road_door import RoadDoor
 from shield.doors.supervision import Command, Supervision
 from shield.doors.warm_doors import warm_up_door
 from shield.errors import ConfigError
+from shield.perception.blind import BlindScenes
+from shield.perception.known import Known
 from shield.perception.perceiving import PerceptionConfig
-from shield.perception.scenes import NO_OBSERVED_SCENES, ObservedScenes, scenes_of
+from shield.perception.scenes import NO_OBSERVED_SCENES, scenes_of
 from shield.perception.undoing import as_shown
 from shield.roads.reading import default_on, has_crossings
 
@@ -48,8 +52,9 @@ class Shield:
     ----------
     policy : an SB3 or sb3-contrib model, a bare `BasePolicy`, any object with SB3's `predict()`, a `torch.nn.Module`
         (scores of the actions, or continuous ones), or a function of the observation.
-    env : the environment(s) that the actions are meant for: a Gymnasium environment or a VecEnv of one process. Without
-        it the environment that the model carries is used; `predict` raises where another one is driven.
+    env : the environment(s) that the actions are meant for: a Gymnasium environment or a VecEnv. Without it the
+        environment that the model carries is used; `predict` raises where another one is driven. One of other processes
+        is for `perception="observation"` with `frames=False`: it is asked once for its configuration.
     config : settings, or the path of a TOML file; `ShieldConfig()` by default. Without `frames`, meta-actions have
         `ShieldConfig.for_meta_actions()`.
     frames : whether the frames between two decisions are supervised. Without, `Shield` is a pure filter of actions: it
@@ -58,6 +63,10 @@ class Shield:
     perception : what scenes are read from: "simulator", its true state, or "observation", nothing of the traffic but
         what reaches `predict` (Kinematics, meta-actions, a straight highway), and at the frames between what the
         environment would show then; or a `PerceptionConfig`, which has the settings of the latter.
+    known : what is known beforehand of the environment, or of each of several; then nothing of it is read but the
+        observations that reach `predict`, and there need not be one. For "observation" with `frames=False`; highways in
+        other processes are asked for it (`Known.of`). Each `predict` is then taken for the next decision; say with
+        `episode_start`, or `reset()`, where an episode begins.
 
     Raises
     ------
@@ -96,26 +105,36 @@ class Shield:
         config: ShieldConfig | str | Path | None = None,
         frames: bool = True,
         perception: str | PerceptionConfig = "simulator",
+        known: Known | Sequence[Known] | None = None,
     ) -> None:
         if env is None:
             env = policy.get_env() if callable(getattr(policy, "get_env", None)) else None
-        if env is None:
+        if env is None and known is None:
             raise ConfigError(
                 "Shield needs the environment to read the scene from: pass Shield(policy, env=env), "
                 "or load the model with its environment, PPO.load(path, env=env)"
             )
         self._env = env
-        self._bases = base_environments(env, "Shield")
+        self._known = known_beforehand(env, known, frames, perception)
         self.policy = as_policy(policy, env)
-        refuse_misfits(self.policy, env)
         self._frames = frames
         self._doors: list[MetaDoor | InputDoor | ExactDoor | ExactInputDoor | RoadDoor]
-        self._inputs = the_action_type(self._bases, "Shield") == "ContinuousAction"
         meta = ShieldConfig.for_meta_actions()
-        roads = frames and not self._inputs and all(map(has_crossings, self._bases))
+        self._bases: list[Any]
+        if self._known:
+            self._bases, self._inputs = [None] * len(self._known), False
+        else:
+            self._bases = base_environments(env, "Shield")
+            self._inputs = the_action_type(self._bases, "Shield") == "ContinuousAction"
+        refuse_misfits(self.policy, env)
+        roads = frames and not self._known and not self._inputs and all(map(has_crossings, self._bases))
         default = default_on(self._bases[0]) if roads else ShieldConfig() if frames or self._inputs else meta
         self.config = ShieldConfig.of(config, default)
-        if self.config.simulates and self._inputs:
+        if self._known:
+            settings = perception if isinstance(perception, PerceptionConfig) else None
+            each = [BlindScenes(one, settings) for one in self._known]
+            self._doors = [MetaDoor(None, self.config, frames=False, scenes=one) for one in each]
+        elif self.config.simulates and self._inputs:
             if not frames:
                 raise ConfigError("Assumptions.exact() verifies throttle and steering at every frame: frames=True")
             self._doors = [ExactInputDoor(base, self.config) for base in self._bases]
@@ -137,7 +156,7 @@ class Shield:
         n = len(self._bases)
         self._roads: list[Any] = [None] * n
         self._patience = [Patience(self.config.patience) for _ in self._bases]
-        self._alive = [Liveness(base) for base in self._bases]
+        self._alive = [Liveness(base) for base in self._bases if base is not None]
         self._supervisions: list[Supervision | None] = [None] * n
         self._counted = [0] * n
         self._statistics = Statistics()
@@ -238,11 +257,7 @@ class Shield:
             cause = f"{type(error).__name__}: {error}"
             _log.debug("the policy raised", exc_info=True)
             # A policy that breaks must not take the car with it: the record says that it did.
-            space, seen = self._env.observation_space, observation
-            if isinstance(seen, dict) and seen:
-                key = next(iter(seen))
-                space, seen = space[key], seen[key]
-            batched = np.ndim(seen) > len(space.shape or ()) or hasattr(self._env, "single_action_space")
+            batched = self._batched(observation)
             shape = (len(self._doors),) if batched else ()
             proposals = np.full((*shape, size) if self._inputs else shape, np.nan)
             reason = Reason.POLICY_FAILED
@@ -256,7 +271,9 @@ class Shield:
             reason = Reason.POLICY_FAILED
         rows = flat if numbers else np.asarray(proposals).reshape(len(self._doors), -1)
         ranking = _Ranking(self.policy, observation)
-        self._show(observation)
+        for i in range(len(self._doors)):
+            self._begin(i, episode_start)
+        self._show(observation, episode_start is None)
         self.last_decisions = [self._decide(i, row, ranking, reason) for i, row in enumerate(rows)]
         for patience, decision, door in zip(self._patience, self.last_decisions, self._doors, strict=True):
             patience.check(decision, cause or door.cause)
@@ -274,16 +291,10 @@ class Shield:
 
     def _decide(self, i: int, proposal: Any, ranking: _Ranking, reason: Reason | None) -> Decision:
         door, base = self._doors[i], self._bases[i]
-        if len(self.last_decisions) > i:
-            self._statistics.add(self.report(i), self._latency(i))
-        if base.road is not self._roads[i]:
-            self._roads[i] = base.road
-            door.reset()
-        self._counted[i], self.frame_decisions[i] = door.violations, []
         wanted: Any = None
         if not self._inputs:
-            proposed = action_index(proposal)
-            wanted = lambda: ranking.order(i, proposed, base.action_space.n)  # noqa: E731
+            proposed, many = action_index(proposal), self._actions(i)
+            wanted = lambda: ranking.order(i, proposed, many)  # noqa: E731
         decision = door.decide(proposal, wanted)
         if reason is not None and decision.reason is Reason.BAD_ACTION:
             decision = replace(decision, reason=reason)
@@ -292,13 +303,47 @@ class Shield:
             self._supervisions[i] = Supervision(base, lambda: self._frame(i)).install()
         return decision
 
-    def _show(self, observation: Any) -> None:
-        """Hand each environment's observation to what makes a scene of it."""
-        if isinstance(self._doors[0], MetaDoor) and isinstance(self._doors[0].reader, ObservedScenes):
-            shown, n = as_shown(self._env, observation), len(self._doors)
-            for i, door in enumerate(self._doors):
-                assert isinstance(door, MetaDoor)
-                door.show(shown[0] if n == 1 and np.ndim(shown) == 3 else _row(shown, i, n))
+    def _begin(self, i: int, episode_start: Any) -> None:
+        """Count the last decision, and forget the last episode where this is another."""
+        door, base = self._doors[i], self._bases[i]
+        if len(self.last_decisions) > i:
+            self._statistics.add(self.report(i), self._latency(i))
+        if base is None:
+            if episode_start is not None and np.reshape(episode_start, -1)[i]:
+                door.reset()
+        elif base.road is not self._roads[i]:
+            self._roads[i] = base.road
+            door.reset()
+        self._counted[i], self.frame_decisions[i] = door.violations, []
+
+    def _show(self, observation: Any, unsaid: bool) -> None:
+        """Hand each environment's observation to what makes a scene of it; `unsaid`, whether nobody says where an
+        episode begins."""
+        if not isinstance(self._doors[0], MetaDoor) or not self._doors[0].observing:
+            return
+        shown, n = as_shown(self._env, observation), len(self._doors)
+        if n > 1 and len(shown) != n:
+            raise ConfigError(f"there are {len(shown)} observations for {n} environments; a batch has one row for each")
+        for i, door in enumerate(self._doors):
+            assert isinstance(door, MetaDoor)
+            door.show(_row(shown, i, n))
+            if unsaid and door.begins():
+                door.reset()
+                self._counted[i] = door.violations
+                door.show(_row(shown, i, n))
+
+    def _actions(self, i: int) -> int:
+        return len(self._known[i].actions) if self._known else int(self._bases[i].action_space.n)
+
+    def _batched(self, observation: Any) -> bool:
+        """Whether an observation is of several environments, or one in a row of its own."""
+        space, seen = getattr(self._env, "observation_space", None), observation
+        if space is None:
+            return len(self._doors) > 1 or np.ndim(seen) > len(self._known[0].shape)
+        if isinstance(seen, dict) and seen:
+            key = next(iter(seen))
+            space, seen = space[key], seen[key]
+        return np.ndim(seen) > len(space.shape or ()) or hasattr(self._env, "single_action_space")
 
     def _frame(self, i: int) -> Command:
         door = self._doors[i]

@@ -6,15 +6,20 @@ from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 
 from dynamics.networks.kinematics import without_data_frames
 from dynamics.scenes.scene import Scene, SceneReader
+from dynamics.state import FloatArray
 from shield.config import PERCEPTIONS
 from shield.errors import ConfigError, SceneError
+from shield.perception.grid_perception import GridPerception
+from shield.perception.grid_spec import GridSpec, Spec, spec_of
 from shield.perception.perceiving import ObservationPerception, PerceptionConfig
 from shield.perception.spec import ObservationSpec
+from shield.perception.undoing import check_wrappers, latest, stacked_in
 
-__all__ = ["NO_OBSERVED_SCENES", "ObservedScenes", "scenes_of", "sense"]
+__all__ = ["NO_OBSERVED_SCENES", "ObservedScenes", "perception_of", "scenes_of", "sense"]
 
 NO_OBSERVED_SCENES = (
     "scenes are made from observations for meta-actions on a straight highway; elsewhere take perception='simulator'"
@@ -28,7 +33,7 @@ class ObservedScenes:
     Parameters
     ----------
     env : the environment; of it are read the road map, the clock and what the ego has been told, and at frames between
-        two decisions what it shows then.
+        two decisions what it shows then; the ego's own state besides, where it shows a grid, in which that is not.
     config : settings.
     """
 
@@ -36,7 +41,7 @@ class ObservedScenes:
         base = env.unwrapped
         self._base, self._env, self._config = base, env, PerceptionConfig() if config is None else config
         self._inner = SceneReader(base)
-        self._perception: ObservationPerception | None = None
+        self._perception: ObservationPerception | GridPerception | None = None
         self._shown: tuple[int, Any] | None = None
 
     @property
@@ -45,7 +50,7 @@ class ObservedScenes:
         return self._inner.actions
 
     @property
-    def perception(self) -> ObservationPerception:
+    def perception(self) -> ObservationPerception | GridPerception:
         """What makes the scenes; known after the first."""
         if self._perception is None:
             raise SceneError("nothing has been observed yet; call reset() first")
@@ -59,16 +64,17 @@ class ObservedScenes:
         base, config = self._base, self._base.config
         dt = 1 / config["simulation_frequency"]
         frames = int(config["simulation_frequency"] // config["policy_frequency"])
-        spec = ObservationSpec.of(base)
+        check_wrappers(self._env)
+        spec = spec_of(base)
         without_data_frames(base.observation_type)  # it is asked at each frame
         settings, sensor = self._config, _sensor_of(self._env)
-        if sensor is not None:
+        if sensor is not None and isinstance(spec, ObservationSpec):
             x, y, vx, vy = (float(sigma) for sigma in sensor.sensor_noise)
             settings = replace(settings, noise=settings.noise or (x, y, vx, vy))
             settings = replace(settings, delay=settings.delay + sensor.sensor_delay)
             # What is noisy may be beyond the range that it was clipped to.
             spec = replace(spec, clip=False)
-        self._perception = ObservationPerception(spec, self._inner.map, (dt, frames), settings)
+        self._perception = perception_of(spec, self._inner.map, (dt, frames), settings)
         self._shown = None
 
     def show(self, observation: Any) -> None:
@@ -86,11 +92,38 @@ class ObservedScenes:
         frame = int(self._base.steps)
         if self._shown is None or self._shown[0] != frame:
             self._shown = frame, sense(self._env)
-        return self.perception.see(self._shown[1], frame, self._inner.control)
+        shown = latest(self._shown[1], self.perception.spec.shape, stacked_in(self._env))
+        perception = self.perception
+        if isinstance(perception, ObservationPerception):
+            return perception.see(shown, frame, self._inner.control)
+        return perception.see(shown, frame, self._inner.control, self._own(perception.spec.body))
+
+    def _own(self, body: tuple[float, float]) -> FloatArray:
+        """The ego's own state, which a grid does not show and a vehicle measures by itself, (7,)."""
+        ego = self._base.vehicle
+        if ego is None:
+            raise SceneError("the environment has no ego vehicle; call reset() first")
+        return np.array([*ego.position, ego.heading, ego.speed, *body, 0.0])
+
+
+def perception_of(
+    spec: Spec, road: Any, timing: tuple[float, int], config: PerceptionConfig
+) -> ObservationPerception | GridPerception:
+    """What makes scenes of observations that mean this; arguments as of either.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be done with such a grid.
+    """
+    if isinstance(spec, GridSpec):
+        return GridPerception(spec, road, timing, config)
+    return ObservationPerception(spec, road, timing, config)
 
 
 def sense(env: Any) -> Any:
-    """What an environment would observe now: what highway-env shows, seen through each `ObservationWrapper`."""
+    """What an environment would observe now: what highway-env shows, seen through each `ObservationWrapper`; nothing is
+    stacked."""
     if env is env.unwrapped:
         return env.observation_type.observe()
     seen = sense(env.env)

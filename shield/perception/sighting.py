@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.errors import SceneError
 from shield.perception.spec import STATE, ObservationSpec
 
-__all__ = ["Sighting", "decode"]
+__all__ = ["Sighting", "decode", "numbers_of"]
 
 _EDGE = 1.0 - 1e-6
 """A normalised and clipped number from here on may stand for anything beyond its range."""
@@ -52,17 +53,9 @@ def decode(spec: ObservationSpec, observation: object) -> Sighting:
     Raises
     ------
     SceneError
-        If it has another shape, or is not finite, or does not show the ego.
+        If it is no array of real numbers, has another shape, is not finite, or does not show the ego.
     """
-    try:
-        rows: FloatArray = np.array(observation, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise SceneError(f"an observation is an array of numbers, not {type(observation).__name__}") from None
-    if rows.size != spec.rows * len(spec.features):
-        raise SceneError(f"an observation of shape {spec.shape} is expected, got {rows.shape}")
-    rows = rows.reshape(spec.shape)
-    if not np.isfinite(rows).all():
-        raise SceneError("the observation is not finite")
+    rows = numbers_of(observation, spec.shape)
     there = _there(spec, rows)
     if not there[0]:
         raise SceneError("the observation does not show the ego: its first row is empty")
@@ -88,6 +81,32 @@ def decode(spec: ObservationSpec, observation: object) -> Sighting:
         cut = not known.all()
         others, places = others[known], places[known]
     return Sighting(ego, others, _heading(spec, columns[0]), places, full, cut)
+
+
+def numbers_of(observation: object, shape: tuple[int, ...]) -> FloatArray:
+    """An observation as 64-bit numbers of the shape that is expected.
+
+    Raises
+    ------
+    SceneError
+        If it is no array of real numbers, has neither this shape nor the same flattened, or is not finite.
+    """
+    try:
+        given = np.asarray(observation)
+    except (TypeError, ValueError):
+        given = np.array(None)
+    if given.dtype.kind not in "fiu":
+        raise SceneError(f"an observation is an array of real numbers, not {_kind(observation, given)}")
+    if given.shape not in (shape, (math.prod(shape),)):
+        raise SceneError(f"an observation of shape {shape} is expected, got {given.shape}")
+    rows: FloatArray = given.reshape(shape).astype(np.float64)
+    if not np.isfinite(rows).all():
+        raise SceneError("the observation is not finite")
+    return rows
+
+
+def _kind(observation: object, given: Any) -> str:
+    return f"of {given.dtype}" if given.ndim else type(observation).__name__
 
 
 def _in_units(spec: ObservationSpec, rows: FloatArray) -> FloatArray:

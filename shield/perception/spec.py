@@ -12,7 +12,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from shield.errors import ConfigError
 
-__all__ = ["STATE", "ObservationSpec"]
+__all__ = ["STATE", "ObservationSpec", "unreadable"]
 
 STATE = ("x", "y", "vx", "vy")
 """The features that are needed."""
@@ -106,10 +106,7 @@ class ObservationSpec:
         base = env.unwrapped
         kind = base.observation_type
         if type(kind).__name__ != "KinematicObservation":
-            raise ConfigError(
-                f"scenes are made from Kinematics observations, not {type(kind).__name__}: set "
-                'config["observation"] = {"type": "Kinematics", "vehicles_count": 15, "see_behind": True}'
-            )
+            raise ConfigError(unreadable(type(kind).__name__))
         ranges: Mapping[str, Any] = {}
         if kind.normalize:
             kind.normalize_obs({})  # settles the ranges, of nothing
@@ -137,7 +134,7 @@ class ObservationSpec:
         """
         given = dict(observation)
         if given.get("type") != "Kinematics":
-            raise ConfigError(f"scenes are made from Kinematics observations, not {given.get('type')!r}")
+            raise ConfigError(unreadable(given.get("type")))
         features = tuple(given.get("features") or cls().features)
         wide = AbstractLane.DEFAULT_WIDTH * lanes
         far, fast = 5.0 * Vehicle.MAX_SPEED, 2.0 * Vehicle.MAX_SPEED
@@ -154,3 +151,11 @@ class ObservationSpec:
             sorted=given.get("order", "sorted") == _ORDERS[0],
             see_behind=bool(given.get("see_behind", False)),
         )
+
+
+def unreadable(kind: Any) -> str:
+    """What is said of an observation of another kind."""
+    return (
+        f"scenes are made from Kinematics and OccupancyGrid observations, not {kind}: set "
+        'config["observation"] = {"type": "Kinematics", "vehicles_count": 15, "see_behind": True}'
+    )

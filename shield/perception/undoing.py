@@ -2,27 +2,164 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-__all__ = ["as_shown"]
+from shield.errors import ConfigError, SceneError
+
+__all__ = ["SAME", "as_shown", "check_wrappers", "latest", "stacked_in", "wrappers_of"]
+
+SAME = ("FlattenObservation", "FrameStackObservation", "ReshapeObservation", "DtypeObservation")
+"""Wrappers of Gymnasium after which the numbers that were shown last are still there, in the same order."""
+_SENSOR = "sensor_noise"
+"""What a wrapper has that says of its own noise: what it shows is what is observed."""
 
 
 def as_shown(env: Any, observation: Any) -> Any:
-    """An observation, or a batch of them, with `VecNormalize` undone, and the latest of those that are stacked.
+    """An observation, or a batch of them, with each wrapper of a VecEnv undone, the outermost first.
+
+    `VecNormalize` is taken back (NaN where it has clipped, for nobody knows what was there), of `VecFrameStack` the
+    latest is left, whichever axis it stacks on, and `VecTransposeImage` is turned back.
 
     Parameters
     ----------
-    env : what the policy's observations come from: a Gymnasium environment, or a VecEnv.
+    env : what the policy's observations come from: a Gymnasium environment, or a VecEnv; None for what has been undone.
+    observation : a batch with one row per environment, or one observation.
+
+    Raises
+    ------
+    ConfigError
+        If a wrapper changes what is observed in another way (see `check_wrappers`).
+    SceneError
+        If the observation does not fit the wrappers.
     """
-    from stable_baselines3.common.vec_env import VecEnvWrapper, VecFrameStack, VecNormalize
+    from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize, VecTransposeImage
+
+    for wrapper in _vec_wrappers(env):
+        if isinstance(wrapper, VecNormalize):
+            if wrapper.norm_obs:
+                shown = np.asarray(observation)
+                cut = np.abs(shown) >= wrapper.clip_obs
+                try:
+                    undone = np.array(wrapper.unnormalize_obs(shown))
+                except ValueError:
+                    raise SceneError(_misfit(shown, wrapper)) from None
+                undone[cut] = np.nan
+                observation = undone
+        elif isinstance(wrapper, VecFrameStack):
+            observation = _last_of(np.asarray(observation), wrapper)
+        elif isinstance(wrapper, VecTransposeImage):
+            if not wrapper.skip:
+                observation = np.moveaxis(np.asarray(observation), -3, -1)
+        elif wrapper.observation_space != wrapper.venv.observation_space:
+            raise ConfigError(
+                f"{type(wrapper).__name__} changes what is observed, and cannot be undone; have VecNormalize, "
+                "VecFrameStack, VecTransposeImage, and wrappers that leave observations as they are"
+            )
+    return observation
+
+
+def check_wrappers(env: Any, names: tuple[str, ...] | None = None) -> None:
+    """Raise where something between highway-env and the policy changes what is observed, and cannot be undone.
+
+    Parameters
+    ----------
+    env : a Gymnasium environment, or a VecEnv, of which only what is in this process is looked at.
+    names : of the Gymnasium wrappers inside that are observation wrappers, where they are not in this process.
+
+    Raises
+    ------
+    ConfigError
+        That lists what may be there.
+    """
+    from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize, VecTransposeImage
+
+    undone = VecNormalize, VecFrameStack, VecTransposeImage
+    for wrapper in _vec_wrappers(env):
+        if not isinstance(wrapper, undone) and wrapper.observation_space != wrapper.venv.observation_space:
+            as_shown(wrapper, None)
+    for name in wrappers_of(env) if names is None else names:
+        if name not in SAME:
+            raise ConfigError(
+                f"{name} changes what is observed, and cannot be undone: have {', '.join(SAME)}, and sensors that "
+                f"say of their own noise ({_SENSOR})"
+            )
+
+
+def wrappers_of(env: Any) -> tuple[str, ...]:
+    """Names of the observation wrappers, outermost first, of a Gymnasium environment in this process; but for sensors
+    that say of their own noise."""
+    import gymnasium as gym
+    from gymnasium.wrappers import FrameStackObservation
+
+    found = []
+    while isinstance(env, gym.Wrapper):
+        if isinstance(env, gym.ObservationWrapper | FrameStackObservation) and not hasattr(env, _SENSOR):
+            found.append(type(env).__name__)
+        env = env.env
+    return tuple(found)
+
+
+def stacked_in(env: Any) -> int:
+    """How many observations `FrameStackObservation` shows at once; 1 without it."""
+    import gymnasium as gym
+    from gymnasium.wrappers import FrameStackObservation
+
+    many = 1
+    while isinstance(env, gym.Wrapper):
+        if isinstance(env, FrameStackObservation):
+            many *= int(env.stack_size)
+        env = env.env
+    return many
+
+
+def latest(observation: Any, shape: tuple[int, ...], stacked: int = 1) -> Any:
+    """The last of the observations that Gymnasium's wrappers have stacked and flattened, in any order.
+
+    Parameters
+    ----------
+    observation : one observation, or a batch of one. shape : of what the environment shows.
+    stacked : how many are shown at once.
+
+    Returns
+    -------
+    An array of that shape; what has another is returned as it is, for whoever reads it to refuse.
+    """
+    size = math.prod(shape)
+    each = (shape, (size,)) if stacked == 1 else ((stacked, *shape), (stacked, size), (stacked * size,))
+    try:
+        shown = np.asarray(observation)
+    except ValueError:
+        return observation
+    if shown.shape not in (*each, *((1, *one) for one in each)):
+        return observation
+    return shown.reshape(-1)[-size:].reshape(shape)
+
+
+def _vec_wrappers(env: Any) -> Iterator[Any]:
+    from stable_baselines3.common.vec_env import VecEnvWrapper
 
     while isinstance(env, VecEnvWrapper):
-        if isinstance(env, VecNormalize):
-            observation = env.unnormalize_obs(observation) if env.norm_obs else observation
-        elif isinstance(env, VecFrameStack):
-            last = env.venv.observation_space.shape[-1]  # type: ignore[index]
-            observation = np.asarray(observation)[..., -last:]
+        yield env
         env = env.venv
-    return observation
+
+
+def _last_of(shown: Any, wrapper: Any) -> Any:
+    """The latest of those that `VecFrameStack` shows."""
+    whole, one = wrapper.observation_space.shape, wrapper.venv.observation_space.shape
+    if shown.shape not in (whole, (wrapper.num_envs, *whole)):
+        raise SceneError(_misfit(shown, wrapper))
+    axis = shown.ndim - len(whole) if wrapper.stacked_obs.channels_first else shown.ndim - 1
+    many = one[0 if wrapper.stacked_obs.channels_first else -1]
+    return shown[(*(slice(None),) * axis, slice(-many, None))]
+
+
+def _misfit(shown: Any, wrapper: Any) -> str:
+    whole = wrapper.observation_space.shape
+    return (
+        f"{type(wrapper).__name__} shows observations of shape {whole}, or {(wrapper.num_envs, *whole)}, "
+        f"not {shown.shape}"
+    )

@@ -1,0 +1,497 @@
+"""A shield with nothing but what reaches `predict`: what it has to know is asked for once, and no state is read."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+import pytest
+from gymnasium.wrappers import FlattenObservation, FrameStackObservation, TransformObservation
+from highway_env.envs.highway_env import HighwayEnvFast
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from stable_baselines3 import PPO
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+    SubprocVecEnv,
+    VecFrameStack,
+    VecMonitor,
+    VecNormalize,
+    VecTransposeImage,
+)
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvWrapper
+
+from dynamics.roads.straight import StraightRoad
+from dynamics.scenes.scene import SceneReader
+from evaluation.learning.fast_vec_env import FastHighwayVecEnv
+from evaluation.wrappers import SENSORS, SensorNoise
+from shield import ConfigError, Known, ObservationSpec, SceneError, Shield, ShieldConfig, ShieldedEnv
+from shield.decision import Reason, Tier
+from shield.perception.sighting import decode
+from shield.perception.undoing import as_shown, latest
+
+SEEN = {"type": "Kinematics", "vehicles_count": 30, "see_behind": True}
+FRAMELESS = {"frames": False, "perception": "observation"}
+
+
+def make(observation=None, **config):
+    return gym.make("highway-fast-v0", config={"observation": observation or SEEN, **config})
+
+
+def configured(observation=None, **config):
+    return {**HighwayEnvFast.default_config(), "observation": observation or SEEN, **config}
+
+
+class Actions:
+    """Given actions in turn, the same for each environment of a batch."""
+
+    def __init__(self, actions, axes=2):
+        self.actions, self.at, self._axes = list(actions), 0, axes
+
+    def predict(self, obs, state=None, episode_start=None, deterministic=False):
+        action = self.actions[self.at % len(self.actions)]
+        self.at += 1
+        return (np.full(len(obs), action) if np.ndim(obs) > self._axes else action), state
+
+
+def record(decision):
+    margin = None if np.isnan(decision.margin) else round(decision.margin, 3)
+    return decision.executed, decision.tier, decision.reason, margin, decision.guarantee
+
+
+def driven(shielded, env, seed, decisions, seen=lambda obs: obs):
+    """What is decided from one reset on, until the episode is over."""
+    obs, found = env.reset(seed=seed)[0], []
+    for _ in range(decisions):
+        action, _ = shielded.predict(seen(obs))
+        found.append(record(shielded.last_decision))
+        obs, _, terminated, truncated, _ = env.step(int(action))
+        if terminated or truncated:
+            break
+    return found
+
+
+def driven_in_parallel(shielded, env, seed, decisions, told=True):
+    """What is decided in each environment of a VecEnv, from one episode to the next."""
+    env.seed(seed)
+    obs, found, starts, ends = env.reset(), [], np.ones(env.num_envs, bool), 0
+    for _ in range(decisions):
+        action, _ = shielded.predict(obs, **({"episode_start": starts} if told else {}))
+        found.append([record(each) for each in shielded.last_decisions])
+        obs, _, starts, _ = env.step(action)
+        ends += int(starts.sum())
+    assert ends
+    return found
+
+
+# -- an environment that is out of reach ----------------------------------------------------------------------------
+
+
+@given(actions=st.lists(st.integers(0, 4), min_size=3, max_size=8), seed=st.integers(0, 3_000))
+@settings(max_examples=4, deadline=None, phases=[Phase.generate])
+def test_observations_alone_decide_as_with_the_environment(actions, seed):
+    """What the ego has been told, and the clock, are the environment's own, decision after decision; and that is what
+    is decided with the simulator's state, where everybody is observed."""
+    env = make()
+    one = driven(Shield(Actions(actions), env=env, **FRAMELESS), env, seed, 12)
+    assert driven(Shield(Actions(actions), known=Known.from_config(configured()), **FRAMELESS), env, seed, 12) == one
+    state = driven(Shield(Actions(actions), env=env, frames=False), env, seed, 12)
+    # Who breaks a rule is seen in exact states only, and with that which fallback it is.
+    assert [each[0] for each in state] == [each[0] for each in one]
+    assert len(one) > 1
+
+
+def test_the_order_of_the_rows_is_nothing_to_decide_by():
+    rng, known = np.random.default_rng(0), Known.from_config(configured({**SEEN, "order": "shuffled"}))
+    env = make()
+
+    def mixed(obs):
+        return obs[[0, *(1 + rng.permutation(len(obs) - 1))]]
+
+    for seed in range(1):
+        found = [
+            driven(Shield(Actions([3, 0, 2]), known=known, **FRAMELESS), env, seed, 12, each) for each in (list, mixed)
+        ]
+        assert found[0] == found[1]
+
+
+LAYERS = {
+    "stacked": lambda env: VecFrameStack(env, 3),
+    "stacked on the first axis": lambda env: VecFrameStack(env, 2, channels_order="first"),
+    "normalised": lambda env: VecMonitor(VecNormalize(env, clip_obs=1e9)),
+    "normalised, then stacked": lambda env: VecFrameStack(VecNormalize(env, clip_obs=1e9), 2),
+    "stacked, then normalised": lambda env: VecNormalize(VecFrameStack(VecMonitor(env), 2), clip_obs=1e9),
+}
+
+
+def envs(two=2, wrap=lambda env: env, **config):
+    return [lambda: wrap(make(duration=4, **config)) for _ in range(two)]
+
+
+@pytest.mark.parametrize("layers", ["stacked, then normalised"])
+@pytest.mark.parametrize("told", [True, False])
+def test_nobody_asks_another_process_for_its_state(layers, told, monkeypatch):
+    """One set-up by configuration; then the shield decides as it does with the environments, and asks for nothing."""
+    wrap = LAYERS[layers]
+    local, remote = DummyVecEnv(envs()), SubprocVecEnv(envs(), start_method="fork")
+    try:
+        asked = []
+        ask = remote.get_attr
+        monkeypatch.setattr(remote, "get_attr", lambda name, indices=None: asked.append(name) or ask(name, indices))
+        near, far = wrap(local), wrap(remote)
+        asked.clear()
+        shields = [Shield(Actions([3, 3, 0, 2]), env=env, **FRAMELESS) for env in (near, far)]
+        assert asked == ["config"]
+
+        def forbidden(*args, **kwargs):
+            raise AssertionError("another process was asked for something")
+
+        for name in ("get_attr", "set_attr", "has_attr", "env_method", "env_is_wrapped", "get_images"):
+            monkeypatch.setattr(remote, name, forbidden)
+        found = [driven_in_parallel(s, e, 11, 10, told) for s, e in zip(shields, (near, far), strict=True)]
+        assert found[0] == found[1]
+        assert all(each[4].value != "none" or each[1] is not Tier.EMERGENCY for row in found[1] for each in row)
+        # With states to read, the same shield would ask.
+        with pytest.raises(ConfigError, match="other processes"):
+            Shield(Actions([3]), env=far)
+        with pytest.raises(ConfigError, match="frames=False, or put the shield inside"):
+            Shield(Actions([3]), env=far, perception="observation")
+    finally:
+        remote.close()
+
+
+def test_a_model_in_other_processes_needs_nothing_else():
+    remote = SubprocVecEnv(envs(wrap=Monitor), start_method="fork")
+    try:
+        model = PPO("MlpPolicy", remote, n_steps=8, batch_size=8, device="cpu")
+        shielded = Shield(model, **FRAMELESS)
+        driven_in_parallel(shielded, model.get_env(), 0, 5)
+        assert [each.reason for each in shielded.last_decisions] != [Reason.BAD_SCENE] * 2
+    finally:
+        remote.close()
+
+
+@pytest.mark.parametrize("layers", LAYERS)
+def test_the_compiled_highway_is_shielded_by_what_it_shows(layers):
+    """Each wrapper undone, in the right order: decisions are those about what was shown before it."""
+    found = []
+    for wrap in (lambda env: env, LAYERS[layers]):
+        env = wrap(FastHighwayVecEnv(2, "highway-fast-v0", {"observation": SEEN, "duration": 4}))
+        found.append(driven_in_parallel(Shield(Actions([3, 2, 0]), env=env, **FRAMELESS), env, 3, 9))
+    assert found[0] == found[1]
+
+
+def test_a_sensor_in_another_process_says_how_noisy_it_is():
+    def wrap(env):
+        return SensorNoise(env, SENSORS["metric-2-late"])
+
+    remote = SubprocVecEnv(envs(1, wrap), start_method="fork")
+    try:
+        with pytest.raises(ConfigError, match="reset the environments before"):
+            Known.of(remote)
+        remote.reset()
+        (known,) = Known.of(remote)
+        assert known.noise == pytest.approx((2.0, 2.0, 2.0, 2.0))
+        assert known.delay == 5
+        assert not known.spec.clip
+        shielded = Shield(Actions([1]), env=remote, **FRAMELESS)
+        shielded.predict(remote.reset())
+        assert shielded.last_decision.guarantee.value in ("probabilistic", "none")
+        assert shielded.last_decision.level < 1
+    finally:
+        remote.close()
+
+
+def test_an_ego_that_is_not_where_it_was_told_to_go_is_noticed():
+    """Without `episode_start` it begins an episode; with it, somebody else is driving."""
+    env, known = make(), Known.from_config(configured())
+    obs, _ = env.reset(seed=4)
+    unsaid, said = (Shield(Actions([1]), known=known, **FRAMELESS) for _ in range(2))
+    unsaid.predict(obs)
+    said.predict(obs, episode_start=np.array([True]))
+    for action in (4, 4):  # slower than it was told
+        obs, *_ = env.step(action)
+    said.predict(obs, episode_start=np.array([False]))
+    assert said.last_decision.reason is Reason.BAD_SCENE
+    assert said.last_decision.tier.fallback
+    unsaid.predict(obs)
+    assert unsaid.last_decision.reason is not Reason.BAD_SCENE
+    fresh = Shield(Actions([1]), known=known, **FRAMELESS)
+    fresh.predict(obs)
+    assert record(unsaid.last_decision) == record(fresh.last_decision)
+    said.predict(obs, episode_start=np.array([True]))
+    assert said.last_decision.reason is not Reason.BAD_SCENE
+
+
+def test_what_the_ego_was_told_is_known_where_nothing_can_be_read():
+    """One observation is lost: the ego goes where it was told all the same, and the next one is read as ever."""
+    env, known = make(), Known.from_config(configured())
+    shielded, obs = Shield(Actions([3]), known=known, **FRAMELESS), env.reset(seed=2)[0]
+    for k in range(6):
+        action, _ = shielded.predict(np.full_like(obs, np.nan) if k == 2 else obs, episode_start=np.array([k == 0]))
+        assert (shielded.last_decision.reason is Reason.BAD_SCENE) is (k == 2)
+        control = shielded._doors[0].reader._target
+        obs, *_ = env.step(int(action))
+        ego = env.unwrapped.vehicle
+        assert (control.lane, control.speed) == (ego.target_lane_index[2], ego.target_speed)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"observation": {"type": "TimeToCollision"}}, "not TimeToCollision: set"),
+        ({"observation": {**SEEN, "features": ["x", "y"]}}, "lacks vx, vy: add them to config"),
+        ({"action": {"type": "ContinuousAction"}}, "DiscreteMetaAction, not 'ContinuousAction'"),
+        ({"controlled_vehicles": 2}, "one ego, not 2"),
+    ],
+)
+def test_what_is_known_says_what_to_change(change, match):
+    with pytest.raises(ConfigError, match=match):
+        Known.from_config(configured(**change))
+
+
+def test_what_is_known_is_checked():
+    known, road = Known.from_config(configured()), StraightRoad.from_lanes(3)
+    with pytest.raises(ConfigError, match="lacks lanes_count"):
+        Known.from_config({key: value for key, value in configured().items() if key != "lanes_count"})
+    with pytest.raises(ConfigError, match="along x only"):
+        Known(known.spec, StraightRoad.from_lanes(3, heading=1.0), 0.2, 5)
+    with pytest.raises(ConfigError, match="target speeds ascend"):
+        Known(known.spec, road, 0.2, 5, target_speeds=(20.0,))
+    with pytest.raises(ConfigError, match="dt, frames and stacked"):
+        Known(known.spec, road, 0.0, 5)
+    with pytest.raises(ConfigError, match="frames=False, or put"):
+        Shield(Actions([1]), known=known, perception="observation")
+    with pytest.raises(ConfigError, match="known is for"):
+        Shield(Actions([1]), known=known, frames=False)
+    with pytest.raises(ConfigError, match="1 environments, and 2 are known"):
+        Shield(Actions([1]), env=make(), known=[known, known], **FRAMELESS)
+
+
+def test_what_is_known_is_what_the_environment_has():
+    for name, change in (
+        ("highway-v0", {}),
+        ("highway-fast-v0", {"action": {"type": "DiscreteMetaAction", "lateral": False}}),
+    ):
+        env = gym.make(name, config=change)
+        env.reset(seed=0)
+        reader, known = SceneReader(env), Known.from_config(env.unwrapped.config)
+        scene = reader.read()
+        assert known.spec == ObservationSpec.of(env)
+        np.testing.assert_array_equal(known.road.centers, scene.road.centers)
+        assert (known.road.width, known.road.length) == (scene.road.width, scene.road.length)
+        assert (known.dt, known.frames, known.actions) == (scene.dt, scene.frames_per_decision, scene.control.actions)
+        assert known.target_speeds == scene.control.target_speeds
+
+
+@pytest.mark.parametrize(
+    ("wrap", "match"),
+    [
+        (lambda env: ShieldedEnv(env), "ShieldedEnv already"),
+        (
+            lambda env: TransformObservation(env, lambda obs: 2 * obs, env.observation_space),
+            "TransformObservation changes",
+        ),
+    ],
+)
+def test_other_processes_with_what_cannot_be_undone_are_refused(wrap, match):
+    remote = SubprocVecEnv(envs(1, wrap), start_method="fork")
+    try:
+        with pytest.raises(ConfigError, match=match):
+            Shield(Actions([1]), env=remote, **FRAMELESS)
+    finally:
+        remote.close()
+
+
+def test_an_environment_with_a_road_of_its_own_has_to_be_described():
+    env = DummyVecEnv([lambda: gym.make("roundabout-v0", config={"observation": SEEN})])
+    with pytest.raises(ConfigError, match=r"road of RoundaboutEnv is not known.* known=Known"):
+        Known.of(env)
+
+
+# -- wrappers ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "wrap",
+    [
+        FlattenObservation,
+        lambda env: FrameStackObservation(env, 3),
+        lambda env: FlattenObservation(FrameStackObservation(env, 2)),
+        lambda env: FrameStackObservation(FlattenObservation(env), 2),
+    ],
+)
+def test_of_what_gymnasium_stacks_the_latest_is_read(wrap):
+    env, plain, found = wrap(make()), make(), []
+    many = 3 if isinstance(env, FrameStackObservation) and len(env.observation_space.shape) == 3 else 2
+    many = 1 if type(env) is FlattenObservation and env.observation_space.shape == (150,) else many
+    for each, known in (
+        (plain, None),
+        (env, None),
+        (env, Known.from_config(configured(), stacked=many)),
+    ):
+        axes = len(each.observation_space.shape)
+        shield = Shield(Actions([3, 0], axes), env=None if known else each, known=known, **FRAMELESS)
+        found.append(driven(shield, each, 5, 6))
+    assert found[0] == found[1] == found[2]
+    remote = DummyVecEnv([lambda: wrap(make())])
+    assert Known.of(remote)[0].stacked == many
+
+
+def test_what_normalisation_has_cut_off_is_not_known():
+    inner = DummyVecEnv([make])
+    world = VecNormalize(inner, clip_obs=0.5)
+    inner.seed(0)
+    seen = world.reset()
+    for _ in range(3):
+        seen, *_ = world.step([1])
+    shown = as_shown(world, seen)
+    assert np.isnan(shown).any()
+    np.testing.assert_allclose(shown[~np.isnan(shown)], world.get_original_obs()[~np.isnan(shown)], atol=1e-5)
+    shielded = Shield(Actions([3]), env=world, **FRAMELESS)
+    shielded.predict(seen)
+    assert shielded.last_decision.reason is Reason.BAD_SCENE
+
+
+def test_images_are_turned_back():
+    shape = (8, 9, 3)
+    space = gym.spaces.Box(0, 255, shape, np.uint8)
+    picture = np.random.default_rng(0).integers(0, 255, shape, np.uint8)
+
+    class Camera(gym.Env):
+        observation_space, action_space = space, gym.spaces.Discrete(2)
+
+        def reset(self, *, seed=None, options=None):
+            return picture, {}
+
+    world = VecTransposeImage(DummyVecEnv([Camera]))
+    np.testing.assert_array_equal(as_shown(world, world.reset())[0], picture)
+    stacked = VecFrameStack(world, 2)
+    np.testing.assert_array_equal(as_shown(stacked, stacked.reset())[0], picture)
+
+
+class Halved(VecEnvWrapper):
+    def __init__(self, venv):
+        super().__init__(venv, observation_space=gym.spaces.Box(-1, 1, (2, 2), np.float32))
+
+    def reset(self):
+        return self.venv.reset()[:, :2, :2]
+
+    def step_wait(self):
+        return self.venv.step_wait()
+
+
+def test_wrappers_that_cannot_be_undone_are_refused():
+    with pytest.raises(ConfigError, match="Halved changes what is observed"):
+        Shield(Actions([1]), env=Halved(FastHighwayVecEnv(1)), **FRAMELESS)
+    doubled = TransformObservation(make(), lambda obs: 2 * obs, None)
+    doubled.reset(seed=0)
+    with pytest.raises(ConfigError, match="TransformObservation changes what is observed"):
+        Shield(Actions([1]), env=doubled, **FRAMELESS)
+
+
+# -- what cannot be read ------------------------------------------------------------------------------------------
+
+BAD = {
+    "nan": np.full((30, 5), np.nan),
+    "infinity": np.where(np.eye(30, 5) > 0, np.inf, 0.5),
+    "all zero": np.zeros((30, 5)),
+    "another shape": np.zeros((5, 5)),
+    "turned": np.ones((5, 30)),
+    "one row": np.ones(5),
+    "booleans": np.ones((30, 5), bool),
+    "words": np.full((30, 5), "1.0"),
+    "complex": np.ones((30, 5), complex),
+    "objects": np.full((30, 5), None),
+    "ragged": [[1, 2], [3]],
+    "a batch": np.ones((2, 30, 5)),
+    "nothing": None,
+}
+
+
+@pytest.mark.parametrize("bad", BAD.values(), ids=BAD)
+def test_what_cannot_be_read_is_answered_with_the_labelled_fallback(bad):
+    known = Known.from_config(configured())
+    with pytest.raises(SceneError):
+        decode(known.spec, bad)
+    policy = Actions([3])
+    policy.predict = lambda *args, **kwargs: (3, None)
+    shielded = Shield(policy, config=replace(ShieldConfig.for_meta_actions(), patience=2), known=known, **FRAMELESS)
+    for _ in range(2):
+        action, _ = shielded.predict(bad)
+        assert action == 4
+        assert (shielded.last_decision.reason, shielded.last_decision.tier) == (Reason.BAD_SCENE, Tier.EMERGENCY)
+        assert shielded.last_decision.guarantee.value == "none"
+    with pytest.raises(SceneError, match="3 decisions in a row"):
+        shielded.predict(bad)
+
+
+def test_a_batch_has_a_row_for_each_environment():
+    env = FastHighwayVecEnv(2, "highway-fast-v0", {"observation": SEEN})
+    shielded, obs = Shield(lambda obs: np.array([1, 1]), env=env, **FRAMELESS), env.reset()
+    shielded.predict(obs)
+    for bad in (obs[:1], np.concatenate([obs, obs])):
+        with pytest.raises(ConfigError, match="for 2 environments; a batch has one row for each"):
+            shielded.predict(bad)
+    shielded.predict(np.stack([obs[0], np.full_like(obs[1], np.nan)]))
+    reasons = [each.reason is Reason.BAD_SCENE for each in shielded.last_decisions]
+    assert reasons == [False, True]
+
+
+@given(st.integers(1, 4), st.sampled_from([(4, 5), (3, 2, 6)]), st.booleans(), st.booleans())
+def test_the_latest_is_the_last_whatever_the_shape(stacked, shape, flat, batch):
+    each = np.arange(stacked * math.prod(shape), dtype=float).reshape(stacked, *shape)
+    shown = each if stacked > 1 else each[0]
+    shown = shown.reshape(-1) if flat else shown
+    np.testing.assert_array_equal(latest(shown[None] if batch else shown, shape, stacked), each[-1])
+    wrong = np.zeros((stacked + 1, *shape))
+    assert latest(wrong, shape, stacked) is wrong
+
+
+# -- decoding what is clipped ---------------------------------------------------------------------------------------
+
+
+@given(
+    reach=st.floats(20, 150),
+    fast=st.floats(26, 60),
+    absolute=st.booleans(),
+    seed=st.integers(0, 500),
+    turns=st.integers(0, 4),
+    obstacles=st.booleans(),
+)
+@settings(max_examples=20, deadline=None)
+def test_what_is_clipped_is_exact_or_said_to_be_cut(reach, fast, absolute, seed, turns, obstacles):
+    """Whoever is inside the ranges is decoded to 1e-5, or to what 32 bits leave; whoever is not is not made up."""
+    ranges = {"x": [-reach, reach], "y": [-14.0, 16.0], "vx": [-fast, fast], "vy": [-20.0, 20.0]}
+    if absolute:
+        del ranges["x"]
+    observation = {**SEEN, "features_range": ranges, "absolute": absolute, "include_obstacles": obstacles}
+    env = make(observation)
+    obs, _ = env.reset(seed=seed)
+    for _ in range(turns):
+        obs, *_ = env.step(0 if seed % 2 else 2)
+    base, spec = env.unwrapped, ObservationSpec.of(env)
+    ego, sighting = base.vehicle, decode(ObservationSpec.of(env), obs)
+    assert spec == ObservationSpec.from_config(observation, 3)
+    # Half an ulp of a range, of x in the world where that is shown, and of the sum of two.
+    scale = np.array([ego.position[0] + 200 if absolute else reach, 16.0, fast, 20.0])
+    allowed = 1e-5 + 2 * np.spacing(scale.astype(np.float32))
+    np.testing.assert_array_less(np.abs(sighting.ego - [*ego.position, *ego.velocity])[1:], allowed[1:])
+    others = [v for v in base.road.vehicles if v is not ego and abs(v.position[0] - ego.position[0]) < spec.distance]
+    truth = np.array([[v.position[0] - ego.position[0], v.position[1], *v.velocity] for v in others]).reshape(-1, 4)
+    shown = truth - np.array([0.0, *([0.0] * 3 if absolute else [ego.position[1], *ego.velocity])])
+    known = np.ones(len(truth), bool)
+    for k, name in enumerate(("x", "y", "vx", "vy")):
+        low, high = ranges.get(name, (-np.inf, np.inf))
+        known &= (shown[:, k] > low + 1e-3) & (shown[:, k] < high - 1e-3)
+    apart = np.abs(sighting.others[:, None] - truth[known]) / allowed
+    np.testing.assert_array_less(apart.max(axis=2).min(axis=0, initial=np.inf), 1.0)
+    assert len(sighting.others) >= known.sum()
+    if not known.all():
+        assert sighting.cut or len(sighting.others) > known.sum()
+    else:
+        assert not sighting.cut

@@ -33,6 +33,7 @@ from evaluation.names import FIRST_EVALUATION_SEED, TRAINABLE
 from evaluation.settings import Setting, get_setting
 from evaluation.simulators import compiled_where_it_serves, with_compiled_frames
 from evaluation.threads import one_thread
+from evaluation.wrappers.channels import seen_through
 from shield import ShieldConfig, ShieldedEnv
 from shield.errors import ConfigError
 
@@ -86,6 +87,7 @@ def train(
     fast: bool = False,
     simulator: str = "auto",
     shield: str = "none",
+    sensor: str = "exact",
     progress: bool = True,
     command: str | None = None,
 ) -> TrainedPolicy:
@@ -110,6 +112,8 @@ def train(
         bit; "auto" takes it where it serves. The manifest says which it was.
     shield : a profile of `ShieldConfig`, to learn inside the shield, in highway-env's own simulator; or "none". What is
         learned from is what the policy asked for, whatever was driven.
+    sensor : through what the policy sees, as in `evaluation.wrappers.channels.split_sensor`; in highway-env itself
+        unless it is "exact".
     progress : whether to show a progress bar.
     command : the shell command that repeats this; by default one that calls this function.
 
@@ -130,7 +134,7 @@ def train(
             f"{algorithm} cannot normalise {', '.join(normalise)}; {' and '.join(_ON_POLICY)} can normalise"
             f" {' and '.join(NORMALISABLE)}"
         )
-    driven_in, env = _world(setting, simulator, fast, shield)
+    driven_in, env = _world(setting, simulator, fast, shield, sensor)
     try:
         accepted = _ACTION_SPACES[algorithm]
         if not isinstance(env.action_space, accepted):
@@ -161,6 +165,8 @@ def train(
         options["simulator"] = simulator
     if shield != "none":
         options["shield"] = shield
+    if sensor != "exact":
+        options["sensor"] = sensor
     manifest = {
         "command": command or _call(setting, algorithm, steps, seed, parameters, path, options),
         "algorithm": algorithm,
@@ -188,20 +194,23 @@ def train_recipe(
     *,
     steps: int | None = None,
     simulator: str = "auto",
+    sensor: str = "exact",
     progress: bool = True,
 ) -> TrainedPolicy:
-    """Train a reference policy again, by default into ``runs/policies/NAME.zip``.
+    """Train a reference policy again, by default into ``runs/policies/NAME.zip``, or ``NAME-SENSOR.zip``.
 
     Parameters
     ----------
     name : a name in `evaluation.learning.recipes.RECIPES`.
     output : the zip file to write instead.
     steps : training steps instead of the recipe's.
-    simulator : as of `train`.
+    simulator, sensor : as of `train`.
     progress : whether to show a progress bar.
     """
     recipe = get_recipe(name)
     steps = recipe.steps if steps is None else steps
+    file = name if sensor == "exact" else f"{name}-{sensor}"
+    more = "" if steps == recipe.steps else f" --steps {steps}"
     return train(
         recipe.setting,
         recipe.algorithm,
@@ -213,17 +222,22 @@ def train_recipe(
         fast=recipe.fast,
         simulator=simulator,
         shield=recipe.shield,
-        output=output if output is not None else Path("runs", "policies", f"{name}.zip"),
+        sensor=sensor,
+        output=output if output is not None else Path("runs", "policies", f"{file}.zip"),
         progress=progress,
-        command=f"shield train --recipe {name}" + ("" if steps == recipe.steps else f" --steps {steps}"),
+        command=f"shield train --recipe {name}{more}" + ("" if sensor == "exact" else f" --sensor {sensor}"),
     )
 
 
-def _world(setting: Setting, simulator: str, fast: bool, shield: str) -> tuple[str, gym.Env[Any, Any] | VecEnv]:
-    """The environment to train in, inside a shield of that profile or "none", and the name of what simulates it."""
+def _world(
+    setting: Setting, simulator: str, fast: bool, shield: str, sensor: str
+) -> tuple[str, gym.Env[Any, Any] | VecEnv]:
+    """The environment to train in, inside a shield of that profile or "none" and seen through a sensor, and the name of
+    what simulates it."""
 
     def made() -> gym.Env[Any, Any]:
-        return FastObservations(setting.make()) if fast else setting.make()
+        env = setting.make()
+        return seen_through(FastObservations(env) if fast else env, sensor)
 
     if shield != "none":
         if simulator not in ("auto", "highway-env"):
@@ -234,6 +248,8 @@ def _world(setting: Setting, simulator: str, fast: bool, shield: str) -> tuple[s
         from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 
         env = made()
+        if sensor != "exact":
+            raise ConfigError(f"the sensor {sensor!r} observes highway-env itself")
         if on_network(env.unwrapped):
             frames = with_compiled_frames(env)
             return Monitor(frames), frames.exact

@@ -14,7 +14,7 @@ from evaluation.policies import list_references
 from evaluation.running.records import Variant, variant_for
 from evaluation.settings import Setting
 from evaluation.simulators import compiled_where_it_serves, with_compiled_frames
-from evaluation.wrappers.sensor_noise import SensorModel, SensorNoise, get_sensor
+from evaluation.wrappers.channels import seen_through, split_sensor
 from shield.errors import ConfigError
 
 __all__ = ["environment"]
@@ -36,8 +36,8 @@ def environment(
     ----------
     setting, policy, variant, model : what is to be driven (see `evaluation.running.episodes.run_episode`).
     simulator : one of `SIMULATORS`; "auto" for the compiled copy where it serves, which is the same bit for bit.
-    sensor : through what the policy, and a shield that reads observations, see it: a name in
-        `evaluation.wrappers.SENSORS`; in highway-env itself unless it is "exact".
+    sensor : through what the policy, and a shield that reads observations, see it, as in
+        `evaluation.wrappers.channels.split_sensor`; in highway-env itself unless it is "exact".
 
     Raises
     ------
@@ -47,10 +47,10 @@ def environment(
         If it is asked for, and numpy's own loops cannot be had here.
     """
 
-    model_of_sensor = get_sensor(sensor)
+    split_sensor(sensor)
 
     def compiled() -> tuple[gym.Env[Any, Any], bool]:
-        if model_of_sensor != SensorModel():
+        if sensor != "exact":
             raise ConfigError(f"the sensor {sensor!r} observes highway-env itself")
         made = setting.make()
         if on_network(made.unwrapped):
@@ -64,8 +64,7 @@ def environment(
     env = compiled_where_it_serves(simulator, compiled)
     if env is not None:
         return "compiled", env
-    made = setting.make()
-    return "highway-env", made if model_of_sensor == SensorModel() else SensorNoise(made, model_of_sensor)
+    return "highway-env", seen_through(setting.make(), sensor)
 
 
 def _with_compiled_frames(made: gym.Env[Any, Any], variant: Variant) -> tuple[gym.Env[Any, Any], bool]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from evaluation.wrappers.channels import Confidence, Intent, TrackedConfidence, seen_through
 from evaluation.wrappers.hanoi_reward import HanoiWeights, HanoiWorldReward
 from evaluation.wrappers.off_road import OffRoadWrapper
 from evaluation.wrappers.on_lane_reward import OnLane, OnLaneReward
@@ -13,8 +14,10 @@ from evaluation.wrappers.throttle_and_steering import ThrottleAndSteering
 
 __all__ = [
     "SENSORS",
+    "Confidence",
     "HanoiWeights",
     "HanoiWorldReward",
+    "Intent",
     "LaneOffset",
     "OffRoadWrapper",
     "OnLane",
@@ -24,4 +27,6 @@ __all__ = [
     "SensorNoise",
     "SignedLaneObservation",
     "ThrottleAndSteering",
+    "TrackedConfidence",
+    "seen_through",
 ]

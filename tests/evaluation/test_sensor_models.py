@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -152,7 +153,7 @@ def test_ghosts_come_as_often_and_stay_as_long_as_told():
             assert ((ghosts[:, 1] >= -2.001) & (ghosts[:, 1] <= 10.001)).all()
             assert ((ghosts[:, 2] >= 14.999) & (ghosts[:, 2] <= 30.001)).all()
             seen.append({round(float(v), 3) for v in ghosts[:, 2]})
-        for before, now in zip(seen, seen[1:], strict=False):
+        for before, now in pairwise(seen):
             born += len(now - before)
             frames += 1
         lives = [sum(v in each for each in seen) for v in set().union(*seen[:60])]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["BASELINES", "FIRST_EVALUATION_SEED", "MODELS", "SENSOR_NAMES", "SIMULATORS", "TRAINABLE"]
+__all__ = ["BASELINES", "CHANNEL_NAMES", "FIRST_EVALUATION_SEED", "MODELS", "SENSOR_NAMES", "SIMULATORS", "TRAINABLE"]
 
 FIRST_EVALUATION_SEED = 10_000
 """Seeds below it are for training and choosing, from it on for evaluation."""
@@ -10,8 +10,13 @@ TRAINABLE = ("a2c", "dqn", "ppo", "sac", "td3", "trpo")
 """The algorithms that `shield train` knows."""
 SIMULATORS = ("auto", "compiled", "highway-env")
 """What episodes are driven in: highway-env's own code, its compiled copy, or that one where it serves."""
-SENSOR_NAMES = ("exact", "metric-0.5", "metric-2", "metric-2-late", "normalised-0.2", "normalised-0.5")
-"""The sensors of `evaluation.wrappers.SENSORS`."""
+SENSOR_NAMES = (
+    *("exact", "metric-0.5", "metric-2", "metric-2-late", "normalised-0.2", "normalised-0.5"),
+    *("heavy-0.5", "biased-0.5", "worsening-0.5", "ghosts", "range-60"),
+)
+"""The sensors in `evaluation.wrappers.SENSORS`."""
+CHANNEL_NAMES = ("confidence", "tracked-confidence", "intent")
+"""What can be added to what they show, `evaluation.wrappers.channels.CHANNELS`."""
 MODELS = ("bicycle", "learned")
 """What the predictive filter can plan with; a folder of models is the third."""
 BASELINES = (

@@ -18,7 +18,15 @@ from evaluation.commands.reporting import check_output, report
 from evaluation.commands.showing import add_showing
 from evaluation.learning.algorithms import ALGORITHMS
 from evaluation.learning.recipes import RECIPES
-from evaluation.names import BASELINES, FIRST_EVALUATION_SEED, MODELS, SENSOR_NAMES, SIMULATORS, TRAINABLE
+from evaluation.names import (
+    BASELINES,
+    CHANNEL_NAMES,
+    FIRST_EVALUATION_SEED,
+    MODELS,
+    SENSOR_NAMES,
+    SIMULATORS,
+    TRAINABLE,
+)
 from shield.config import MODES, PERCEPTIONS, PROFILES, ShieldConfig
 from shield.errors import ConfigError, ShieldError
 
@@ -83,21 +91,22 @@ def train_command(
         str, typer.Option(help=f"Train inside the shield: {', '.join(PROFILES)}; or none. A recipe says itself.")
     ] = "none",
     sensor: Annotated[
-        str, typer.Option(help=f"Through what the policy sees: {', '.join(SENSOR_NAMES)}. A recipe says itself.")
+        str, typer.Option(help="Through which sensor the policy sees, such as normalised-0.5+intent; as of evaluate.")
     ] = "exact",
 ) -> None:
     """Train a policy on one core and save it with a manifest that says how."""
     if (recipe is None) == (setting is None):
         raise ConfigError("give either --recipe or --setting")
-    if recipe is not None and (shield, sensor) != ("none", "exact"):
-        raise ConfigError("a recipe says itself what it trains in; give --setting with --shield and --sensor")
+    if recipe is not None and shield != "none":
+        raise ConfigError("a recipe says itself whether it trains inside the shield; give --setting with --shield")
     from evaluation.learning.training import train, train_recipe
 
     if recipe is not None:
-        trained = train_recipe(recipe, output, steps=steps, simulator=simulator)
+        trained = train_recipe(recipe, output, steps=steps, simulator=simulator, sensor=sensor)
     else:
         assert setting is not None
-        path = output or Path("runs", "policies", f"{algorithm}-{setting}.zip")
+        seen = "" if sensor == "exact" else f"-{sensor}"
+        path = output or Path("runs", "policies", f"{algorithm}-{setting}{seen}.zip")
         decisions = 10_000 if steps is None else steps
         trained = train(
             setting, algorithm, decisions, seed, output=path, simulator=simulator, shield=shield, sensor=sensor
@@ -151,7 +160,8 @@ def evaluate(
         str,
         typer.Option(
             help="Through which sensors the policy sees, and a shield that reads observations: one or more of"
-            f" {', '.join(SENSOR_NAMES)}."
+            f" {', '.join(SENSOR_NAMES)}; with what is added to the observation, if anything, such as"
+            f" normalised-0.5+confidence+intent, of {', '.join(CHANNEL_NAMES)}."
         ),
     ] = "exact",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes for each row.")] = 100,

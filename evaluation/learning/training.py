@@ -34,7 +34,7 @@ from evaluation.names import FIRST_EVALUATION_SEED, TRAINABLE
 from evaluation.settings import Setting, get_setting
 from evaluation.simulators import compiled_where_it_serves, with_compiled_frames
 from evaluation.threads import one_thread
-from evaluation.wrappers.sensor_noise import SensorModel, SensorNoise, get_sensor
+from evaluation.wrappers.channels import seen_through
 from shield import ShieldConfig, ShieldedEnv
 from shield.errors import ConfigError
 
@@ -113,7 +113,8 @@ def train(
         bit; "auto" takes it where it serves. The manifest says which it was.
     shield : a profile of `ShieldConfig`, to learn inside the shield, in highway-env's own simulator; or "none". What is
         learned from is what the policy asked for, whatever was driven.
-    sensor : through what the policy sees: a name in `evaluation.wrappers.SENSORS`; without a shield or `fast`.
+    sensor : through what the policy sees, as in `evaluation.wrappers.channels.split_sensor`; in highway-env itself on
+        networks of roads, and inside a shield.
     progress : whether to show a progress bar.
     command : the shell command that repeats this; by default one that calls this function.
 
@@ -194,20 +195,26 @@ def train_recipe(
     *,
     steps: int | None = None,
     simulator: str = "auto",
+    sensor: str = "exact",
     progress: bool = True,
 ) -> TrainedPolicy:
-    """Train a reference policy again, by default into ``runs/policies/NAME.zip``.
+    """Train a reference policy again, by default into ``runs/policies/NAME.zip``, or ``NAME-SENSOR.zip``.
 
     Parameters
     ----------
     name : a name in `evaluation.learning.recipes.RECIPES`.
     output : the zip file to write instead.
     steps : training steps instead of the recipe's.
-    simulator : as of `train`.
+    simulator, sensor : as of `train`; a sensor only where the recipe has none itself.
     progress : whether to show a progress bar.
     """
     recipe = get_recipe(name)
+    if sensor != "exact" and recipe.sensor != "exact":
+        raise ConfigError(f"the recipe {name!r} has a sensor, {recipe.sensor!r}: it takes no other")
     steps = recipe.steps if steps is None else steps
+    file = name if sensor == "exact" else f"{name}-{sensor}"
+    more = "" if steps == recipe.steps else f" --steps {steps}"
+    more += "" if sensor == "exact" else f" --sensor {sensor}"
     return train(
         recipe.setting,
         recipe.algorithm,
@@ -219,26 +226,22 @@ def train_recipe(
         fast=recipe.fast,
         simulator=simulator,
         shield=recipe.shield,
-        sensor=recipe.sensor,
-        output=output if output is not None else Path("runs", "policies", f"{name}.zip"),
+        sensor=recipe.sensor if sensor == "exact" else sensor,
+        output=output if output is not None else Path("runs", "policies", f"{file}.zip"),
         progress=progress,
-        command=f"shield train --recipe {name}" + ("" if steps == recipe.steps else f" --steps {steps}"),
+        command=f"shield train --recipe {name}{more}",
     )
 
 
 def _world(
     setting: Setting, simulator: str, fast: bool, shield: str, sensor: str
 ) -> tuple[str, gym.Env[Any, Any] | VecEnv]:
-    """The environment to train in, inside a shield of that profile or "none", seen through a sensor, and the name of
+    """The environment to train in, inside a shield of that profile or "none" and seen through a sensor, and the name of
     what simulates it."""
-    noise = get_sensor(sensor)
-    bad = noise != SensorModel()
-    if bad and (fast or shield != "none"):
-        raise ConfigError(f"through the sensor {sensor!r} one trains without a shield, and not with fast=True")
 
     def made() -> gym.Env[Any, Any]:
-        env = FastObservations(setting.make()) if fast else setting.make()
-        return SensorNoise(env, noise) if bad else env
+        env = setting.make()
+        return seen_through(FastObservations(env) if fast else env, sensor)
 
     if shield != "none":
         if simulator not in ("auto", "highway-env"):
@@ -248,18 +251,18 @@ def _world(
     def compiled() -> tuple[gym.Env[Any, Any] | VecEnv, bool]:
         from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 
-        env = setting.make() if bad else made()
+        env = setting.make() if sensor != "exact" else made()
         if on_network(env.unwrapped):
-            if bad:
+            if sensor != "exact":
                 raise ConfigError(f"the sensor {sensor!r} observes highway-env itself on this road")
             whole = _whole_episodes(setting)
             if whole is not None:
                 return whole
             frames = with_compiled_frames(env)
             return Monitor(frames), frames.exact
-        if bad:
+        if sensor != "exact":
             alone = CompiledHighwayEnv(setting.env_id, setting.config)
-            return Monitor(SensorNoise(alone, noise)), alone.simulator.exact
+            return Monitor(seen_through(alone, sensor)), alone.simulator.exact
         world = FastHighwayVecEnv(1, setting.env_id, setting.config)
         return world, world.simulator.exact
 

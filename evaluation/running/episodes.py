@@ -221,7 +221,7 @@ def run_episode(
     algorithm : the SB3 algorithm of a zip file without a manifest.
     model : what `mpc` and the predictive filter of door "env" plan with (see
         `evaluation.running.driving_model.driving_model`).
-    simulator : one of `SIMULATORS`. sensor : a name in `evaluation.wrappers.SENSORS`. Of both see
+    simulator : one of `SIMULATORS`. sensor : a name in `evaluation.wrappers.SENSORS`, and channels. Of both see
         `evaluation.running.simulators.environment`.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting

@@ -14,7 +14,7 @@ from evaluation.policies import list_references
 from evaluation.running.records import Variant, variant_for
 from evaluation.settings import Setting
 from evaluation.simulators import compiled_where_it_serves, with_compiled_frames
-from evaluation.wrappers.sensor_noise import SensorModel, SensorNoise, get_sensor
+from evaluation.wrappers.channels import seen_through, split_sensor
 from shield.errors import ConfigError
 
 __all__ = ["environment"]
@@ -36,8 +36,8 @@ def environment(
     ----------
     setting, policy, variant, model : what is to be driven (see `evaluation.running.episodes.run_episode`).
     simulator : one of `SIMULATORS`; "auto" for the compiled copy where it serves, which is the same bit for bit.
-    sensor : through what the policy, and a shield that reads observations, see it: a name in
-        `evaluation.wrappers.SENSORS`.
+    sensor : through what the policy, and a shield that reads observations, see it, as in
+        `evaluation.wrappers.channels.split_sensor`; in highway-env itself on networks of roads unless it is "exact".
 
     Raises
     ------
@@ -47,27 +47,24 @@ def environment(
         If it is asked for, and numpy's own loops cannot be had here.
     """
 
-    model_of_sensor = get_sensor(sensor)
-
-    def seen(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        return env if model_of_sensor == SensorModel() else SensorNoise(env, model_of_sensor)
+    split_sensor(sensor)
 
     def compiled() -> tuple[gym.Env[Any, Any], bool]:
         made = setting.make()
         if on_network(made.unwrapped):
-            if model_of_sensor != SensorModel():
+            if sensor != "exact":
                 raise ConfigError(f"the sensor {sensor!r} observes highway-env itself on this road")
             return _with_compiled_frames(made, variant)
         _check(policy, variant, model)
         env = CompiledHighwayEnv(setting.env_id, setting.config)
         if variant.door != "none" and variant.config.simulates and isinstance(env.action_type, ContinuousAction):
             raise ConfigError("throttle and steering are verified by simulation in highway-env itself")
-        return seen(env), env.simulator.exact
+        return seen_through(env, sensor), env.simulator.exact
 
     env = compiled_where_it_serves(simulator, compiled)
     if env is not None:
         return "compiled", env
-    return "highway-env", seen(setting.make())
+    return "highway-env", seen_through(setting.make(), sensor)
 
 
 def _with_compiled_frames(made: gym.Env[Any, Any], variant: Variant) -> tuple[gym.Env[Any, Any], bool]:

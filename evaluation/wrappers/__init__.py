@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from evaluation.wrappers.channels import Confidence, Intent, TrackedConfidence, seen_through
 from evaluation.wrappers.hanoi_reward import HanoiWeights, HanoiWorldReward
 from evaluation.wrappers.off_road import OffRoadWrapper
 from evaluation.wrappers.on_lane_reward import OnLane, OnLaneReward
 from evaluation.wrappers.performance_logger import PerformanceLogger
-from evaluation.wrappers.sensor_noise import SENSORS, SensorModel, SensorNoise
+from evaluation.wrappers.sensor_model import SENSORS, SensorModel
+from evaluation.wrappers.sensor_noise import SensorNoise
 from evaluation.wrappers.signed_lane import LaneOffset, SignedLaneObservation
 from evaluation.wrappers.throttle_and_steering import ThrottleAndSteering
 
 __all__ = [
     "SENSORS",
+    "Confidence",
     "HanoiWeights",
     "HanoiWorldReward",
+    "Intent",
     "LaneOffset",
     "OffRoadWrapper",
     "OnLane",
@@ -23,4 +27,6 @@ __all__ = [
     "SensorNoise",
     "SignedLaneObservation",
     "ThrottleAndSteering",
+    "TrackedConfidence",
+    "seen_through",
 ]

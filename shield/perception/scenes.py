@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import inf
 from typing import Any
 
 import gymnasium as gym
@@ -73,13 +74,14 @@ class ObservedScenes:
             settings = replace(settings, noise=settings.noise or (x, y, vx, vy))
             settings = replace(settings, delay=settings.delay + sensor.sensor_delay)
             # What is noisy may be beyond the range that it was clipped to.
-            spec = replace(spec, clip=False)
+            spec = replace(spec, clip=False, sensor_range=float(getattr(sensor, "sensor_range", inf)))
         self._perception = perception_of(spec, self._inner.map, (dt, frames), settings)
         self._shown = None
 
     def show(self, observation: Any) -> None:
-        """What the policy sees now."""
-        self._shown = int(self._base.steps), observation
+        """What the policy sees now; of it is read what highway-env shows, and not what wrappers have added."""
+        added, rows = _added(self._env), np.asarray(observation)
+        self._shown = int(self._base.steps), rows[..., :-added] if added and rows.ndim > 1 else observation
 
     def read(self) -> Scene:
         """The scene now.
@@ -122,12 +124,22 @@ def perception_of(
 
 
 def sense(env: Any) -> Any:
-    """What an environment would observe now: what highway-env shows, seen through each `ObservationWrapper`; nothing is
-    stacked."""
+    """What an environment would observe now: what highway-env shows, seen through each `ObservationWrapper`, but for
+    those that add columns (they have an attribute `added_features`); nothing is stacked."""
     if env is env.unwrapped:
         return env.observation_type.observe()
     seen = sense(env.env)
-    return env.observation(seen) if isinstance(env, gym.ObservationWrapper) else seen
+    return env.observation(seen) if isinstance(env, gym.ObservationWrapper) and not _adds(env) else seen
+
+
+def _adds(env: Any) -> int:
+    """How many columns a wrapper adds at the end of an observation."""
+    return len(getattr(type(env), "added_features", ()))
+
+
+def _added(env: Any) -> int:
+    """How many all wrappers add."""
+    return 0 if env is env.unwrapped else _adds(env) + _added(env.env)
 
 
 def _sensor_of(env: Any) -> Any:

@@ -16,7 +16,10 @@ __all__ = ["STATE", "ObservationSpec", "unreadable"]
 
 STATE = ("x", "y", "vx", "vy")
 """The features that are needed."""
-_KNOWN = ("presence", *STATE, "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off")
+_KNOWN = (
+    *("presence", *STATE, "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off"),
+    *("confidence", "intent"),  # what wrappers add
+)
 _ORDERS = ("sorted", "shuffled")
 
 
@@ -36,6 +39,7 @@ class ObservationSpec:
         of who is left out.
     see_behind : whether vehicles more than `behind` behind the ego are seen.
     distance : how far the ego sees [m].
+    sensor_range : how far ahead and behind a sensor in between shows anybody [m].
     behind : how far back it sees without `see_behind`, from centre to centre [m].
     body : length and width that are assumed of each vehicle, for none is observed [m].
 
@@ -60,6 +64,7 @@ class ObservationSpec:
     sorted: bool = True
     see_behind: bool = False
     distance: float = 5.0 * Vehicle.MAX_SPEED
+    sensor_range: float = inf
     behind: float = 2.0 * Vehicle.LENGTH
     body: tuple[float, float] = (Vehicle.LENGTH, Vehicle.WIDTH)
 
@@ -80,6 +85,8 @@ class ObservationSpec:
             raise ConfigError("an observation of nobody but the ego shows no traffic: set vehicles_count to at least 2")
         if not all(isfinite(x) and x > 0 for x in (*self.body, self.distance)):
             raise ConfigError(f"distance and the sides of a body are above 0, got {self.distance}, {self.body}")
+        if not self.sensor_range > 0:
+            raise ConfigError(f"sensor_range is above 0, got {self.sensor_range}")
         for name, (low, high) in self.ranges.items():  # type: ignore[union-attr]
             if not -inf < low < high < inf:
                 raise ConfigError(f"the range of {name!r} has to ascend, got {low} to {high}")

@@ -1,0 +1,232 @@
+"""Columns that are added to a Kinematics observation: how much a row is to be believed, and what somebody is about to
+do.
+
+Each is added at the end of every row, after highway-env's features; an empty row has 0. They compose with each other
+and with `SensorNoise`: what is added is computed from what is shown.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, ClassVar, cast
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from dynamics.state import BoolArray, FloatArray
+from evaluation.wrappers.checks import check_number
+from evaluation.wrappers.ghosts import in_units
+from evaluation.wrappers.sensor_model import SensorModel, get_sensor
+from evaluation.wrappers.sensor_noise import SensorNoise
+from shield.errors import ConfigError
+from shield.perception.certainty import within
+from shield.perception.perceiving import ObservationPerception
+from shield.perception.scenes import ObservedScenes
+from shield.perception.spec import STATE, ObservationSpec
+
+__all__ = ["CHANNELS", "Confidence", "Intent", "TrackedConfidence", "seen_through", "split_sensor"]
+
+
+class _Channel(gym.ObservationWrapper[Any, Any, Any]):
+    """A column more.
+
+    Attributes
+    ----------
+    added_features : its name. A shield that reads observations looks below whatever has this attribute.
+    """
+
+    added_features: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, env: gym.Env[Any, Any], low: float) -> None:
+        super().__init__(env)
+        kind: Any = getattr(env.unwrapped, "observation_type", None)
+        name, space = type(kind).__name__, env.observation_space
+        if name != "KinematicObservation" or not isinstance(space, spaces.Box):
+            raise ConfigError(f"{type(self).__name__} adds a column to Kinematics observations, not to {name}")
+        missing = [each for each in STATE if each not in kind.features]
+        if missing:
+            raise ConfigError(
+                f"{type(self).__name__} needs x, y, vx and vy; the observation lacks {', '.join(missing)}"
+            )
+        column = np.full((space.shape[0], 1), 1.0)
+        lows, highs = np.column_stack([space.low, low * column]), np.column_stack([space.high, column])
+        kind_of = np.float64 if space.dtype == np.float64 else np.float32
+        self.observation_space = spaces.Box(lows.astype(kind_of), highs.astype(kind_of), dtype=kind_of)
+        self.spec_shown = ObservationSpec(features=tuple(kind.features), rows=int(kind.vehicles_count), ranges={})
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Reset the environment, and forget what was shown."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self.spec_shown = ObservationSpec.of(self.unwrapped)
+        self._forget()
+        return self.observation(observation), info
+
+    def observation(self, observation: Any) -> Any:
+        """The observation with the column added."""
+        rows = np.asarray(observation)
+        there = np.abs(rows[:, : len(self.spec_shown.features)]).max(axis=1) > 0
+        column = np.where(there, self._column(rows, there), 0.0)
+        return np.column_stack([rows, column]).astype(rows.dtype)
+
+    def _forget(self) -> None:
+        """Begin an episode."""
+
+    def _column(self, rows: Any, there: BoolArray) -> FloatArray:
+        """What is added to each row, (rows,); of no matter where nobody is `there`."""
+        raise NotImplementedError
+
+    def _shown(self, rows: Any) -> FloatArray:
+        """x, y, vx and vy as they are shown, (rows, 4)."""
+        columns = [self.spec_shown.features.index(name) for name in STATE]
+        return np.asarray(rows[:, columns], dtype=float)
+
+
+class Confidence(_Channel):
+    """Adds "confidence", exp(-Var(x, y, vx, vy)) of each row.
+
+    Var is the sum over the four features of the variance, of the population, of what was shown in this row at the last
+    `window` decisions at which it was not empty, in the observation's own units. A row is a place in the observation
+    and nobody in particular: where rows are re-sorted, that varies too. A row that has just been filled has 1.
+
+    Parameters
+    ----------
+    env : an environment of highway-env with a Kinematics observation, wrapped or not.
+    window : decisions.
+
+    Examples
+    --------
+    >>> from evaluation.settings import get_setting
+    >>> env = Confidence(get_setting("highway-fast").make())
+    >>> observation, _ = env.reset(seed=0)
+    >>> observation.shape, observation[:, -1].tolist()
+    ((5, 6), [1.0, 1.0, 1.0, 1.0, 1.0])
+    """
+
+    added_features = ("confidence",)
+
+    def __init__(self, env: gym.Env[Any, Any], window: int = 5) -> None:
+        if type(window) is not int or window < 2:
+            raise ConfigError(f"window is a whole number of decisions from 2 on, got {window!r}")
+        super().__init__(env, low=0.0)
+        self._window = window
+        self._forget()
+
+    def _forget(self) -> None:
+        self._past: deque[tuple[int, FloatArray]] = deque(maxlen=self._window)
+
+    def _column(self, rows: Any, there: BoolArray) -> FloatArray:
+        now = int(self.unwrapped.steps)  # type: ignore[attr-defined]
+        if self._past and self._past[-1][0] == now:
+            self._past.pop()
+        self._past.append((now, np.where(there[:, None], self._shown(rows), np.nan)))
+        shown = np.stack([each for _, each in self._past])
+        known = ~np.isnan(shown)
+        n = np.maximum(known.sum(axis=0), 1)
+        mean = np.where(known, shown, 0.0).sum(axis=0) / n
+        variances = np.where(known, np.square(shown - mean), 0.0).sum(axis=0) / n
+        return np.exp(-variances.sum(axis=1))
+
+
+class TrackedConfidence(_Channel):
+    """Adds "confidence", a probability: that the centre of the vehicle in a row was, when it was seen, no further than
+    `distance` from where a tracker takes it to have been (`shield.perception.certainty.within`). The ego's row has 1.
+
+    The tracker is that of a shield that reads observations, once for each decision; it counts on the noise that the
+    sensor says of itself.
+
+    Parameters
+    ----------
+    env : a straight highway with a Kinematics observation of sorted rows, wrapped or not.
+    distance : [m].
+
+    Raises
+    ------
+    ConfigError
+        If the rows are shuffled: then nobody knows which row is whom.
+    """
+
+    added_features = ("confidence",)
+
+    def __init__(self, env: gym.Env[Any, Any], distance: float = 2.0) -> None:
+        check_number("distance", distance, above=0.0)
+        super().__init__(env, low=0.0)
+        if env.unwrapped.observation_type.order != "sorted":  # type: ignore[attr-defined]
+            raise ConfigError("TrackedConfidence needs sorted rows: set config['observation']['order'] to 'sorted'")
+        self._distance, self._scenes = distance, ObservedScenes(env)
+
+    def _forget(self) -> None:
+        self._scenes.check()
+
+    def _column(self, rows: Any, there: BoolArray) -> FloatArray:
+        self._scenes.show(rows)
+        self._scenes.read()
+        # Of Kinematics: a channel refuses anything else.
+        tracks, column = cast(ObservationPerception, self._scenes.perception).tracks, np.zeros(len(rows))
+        seen = tracks.missed == 0
+        column[tracks.places[seen].astype(int)] = within(tracks, self._distance)[seen]
+        column[0] = 1.0
+        return column
+
+
+class Intent(_Channel):
+    """Adds "intent": +1 where somebody moves to the right (vy > 0.3 m/s), -1 to the left (vy < -0.3 m/s), 0 otherwise.
+
+    vy is found by its name, in m/s and of the world: what is normalised or relative to the ego is undone.
+
+    Parameters
+    ----------
+    env : an environment of highway-env with a Kinematics observation, wrapped or not.
+    threshold : [m/s].
+    """
+
+    added_features = ("intent",)
+
+    def __init__(self, env: gym.Env[Any, Any], threshold: float = 0.3) -> None:
+        check_number("threshold", threshold, least=0.0)
+        super().__init__(env, low=-1.0)
+        self._threshold = threshold
+
+    def _column(self, rows: Any, there: BoolArray) -> FloatArray:
+        vy = in_units(self.spec_shown, "vy", self._shown(rows)[:, STATE.index("vy")])
+        if not self.spec_shown.absolute:
+            vy[1:] += vy[0]
+        return np.where(np.abs(vy) > self._threshold, np.sign(vy), 0.0)
+
+
+CHANNELS = {"confidence": Confidence, "tracked-confidence": TrackedConfidence, "intent": Intent}
+"""Channels by name, for `--sensor`: "normalised-0.5+confidence+intent"."""
+
+
+def split_sensor(name: str) -> tuple[SensorModel, tuple[str, ...]]:
+    """A sensor, and the channels that are added to what it shows, in order.
+
+    Parameters
+    ----------
+    name : of one of `SENSORS`, and of `CHANNELS`, with a + before each.
+
+    Raises
+    ------
+    ConfigError
+        That lists those that there are.
+    """
+    sensor, *channels = name.split("+")
+    for each in channels:
+        if each not in CHANNELS:
+            raise ConfigError(f"unknown channel {each!r}; have {', '.join(CHANNELS)}")
+    return get_sensor(sensor), tuple(channels)
+
+
+def seen_through(env: gym.Env[Any, Any], name: str) -> gym.Env[Any, Any]:
+    """An environment as it is seen through a sensor with channels, itself where there is neither.
+
+    Parameters
+    ----------
+    env : an environment of highway-env. name : as in `split_sensor`.
+    """
+    model, channels = split_sensor(name)
+    if model != SensorModel():
+        env = SensorNoise(env, model)
+    for each in channels:
+        env = CHANNELS[each](env)
+    return env

@@ -162,7 +162,9 @@ def test_true_bodies_are_inside_those_of_the_scene(observation, seed, actions):
         assert (covers & fits).any()
 
 
-@pytest.mark.parametrize("observation", [FINE, {**FINE, "align_to_vehicle_axes": True}])
+@pytest.mark.parametrize(
+    "observation", [FINE, pytest.param({**FINE, "align_to_vehicle_axes": True}, marks=pytest.mark.slow)]
+)
 def test_a_fine_grid_decides_as_the_simulator_s_state(observation):
     """And in another process, where the ego's own state is what it was told."""
     known = Known.from_config({**HighwayEnvFast.default_config(), "observation": observation})
@@ -223,6 +225,8 @@ def test_nobody_is_taken_for_another_where_it_may_be_either():
     later = perception.see(grid((13, 3), (14, 3), (19, 3)), 5, CONTROL, np.array([25.0, 4.0, 0.0, 25.0, 5.0, 2.0, 0.0]))
     assert first.ids[first.ids >= 0].tolist() == [1, 2, 3]
     assert later.ids[later.ids >= 0].tolist() == [4, 5, 3]
+    last = perception.see(grid((13, 3), (19, 3)), 10, CONTROL, ego + np.array([50.0, 0, 0, 0, 0, 0, 0]))
+    assert last.ids[last.ids >= 0].tolist() == [6, 3]
     assert later.blurred
 
 

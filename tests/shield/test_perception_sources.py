@@ -406,7 +406,7 @@ BAD = {
     "infinity": np.where(np.eye(30, 5) > 0, np.inf, 0.5),
     "all zero": np.zeros((30, 5)),
     "another shape": np.zeros((5, 5)),
-    "turned": np.ones((5, 30)),
+    "turned": np.full((5, 30), 0.6),
     "one row": np.ones(5),
     "booleans": np.ones((30, 5), bool),
     "words": np.full((30, 5), "1.0"),

@@ -66,7 +66,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         nothing is verified then, and no frame supervised. `shield.testing.check_rule` tries it.
 
     perception : what scenes are read from: "simulator", its true state, or "observation", nothing of the traffic but
-        what the policy observes (Kinematics, meta-actions, a straight highway), sensed anew at each frame; or a
+        what the policy observes (Kinematics, grids; meta-actions, a highway), sensed anew at each frame; or a
         `PerceptionConfig`, which has the settings of the latter.
 
     Raises

@@ -61,7 +61,7 @@ class Shield:
         touches nothing but what `predict` returns, and has to look seconds ahead with what it assumes. With
         `ShieldConfig.exact()` it simulates the traffic instead, and meta-actions need no supervision either way.
     perception : what scenes are read from: "simulator", its true state, or "observation", nothing of the traffic but
-        what reaches `predict` (Kinematics, meta-actions, a straight highway), and at the frames between what the
+        what reaches `predict` (Kinematics, grids; meta-actions, a highway), and at the frames between what the
         environment would show then; or a `PerceptionConfig`, which has the settings of the latter.
     known : what is known beforehand of the environment, or of each of several; then nothing of it is read but the
         observations that reach `predict`, and there need not be one. For "observation" with `frames=False`; highways in

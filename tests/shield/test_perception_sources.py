@@ -92,7 +92,7 @@ def driven_in_parallel(shielded, env, seed, decisions, told=True):
 
 
 @given(actions=st.lists(st.integers(0, 4), min_size=3, max_size=8), seed=st.integers(0, 3_000))
-@settings(max_examples=4, deadline=None, phases=[Phase.generate])
+@settings(max_examples=3, deadline=None, phases=[Phase.generate])
 def test_observations_alone_decide_as_with_the_environment(actions, seed):
     """What the ego has been told, and the clock, are the environment's own, decision after decision; and that is what
     is decided with the simulator's state, where everybody is observed."""
@@ -100,8 +100,13 @@ def test_observations_alone_decide_as_with_the_environment(actions, seed):
     one = driven(Shield(Actions(actions), env=env, **FRAMELESS), env, seed, 12)
     assert driven(Shield(Actions(actions), known=Known.from_config(configured()), **FRAMELESS), env, seed, 12) == one
     state = driven(Shield(Actions(actions), env=env, frames=False), env, seed, 12)
-    # Who breaks a rule is seen in exact states only, and with that which fallback it is.
-    assert [each[0] for each in state] == [each[0] for each in one]
+    # Who breaks a rule is seen in exact states only, and with that which fallback it is where nothing verifies.
+    for there, seen in zip(state, one, strict=False):
+        assert (there[1].fallback, there[4]) == (seen[1].fallback, seen[4])
+        if there[1].fallback:
+            break
+        assert there[:3] == seen[:3]
+        assert there[3] == pytest.approx(seen[3], abs=0.01)
     assert len(one) > 1
 
 
@@ -401,7 +406,7 @@ BAD = {
     "infinity": np.where(np.eye(30, 5) > 0, np.inf, 0.5),
     "all zero": np.zeros((30, 5)),
     "another shape": np.zeros((5, 5)),
-    "turned": np.ones((5, 30)),
+    "turned": np.full((5, 30), 0.6),
     "one row": np.ones(5),
     "booleans": np.ones((30, 5), bool),
     "words": np.full((30, 5), "1.0"),

@@ -12,8 +12,9 @@ from mutants.owed import OWED
 from mutants.places import PLACES
 from mutants.roads import ROADS
 from mutants.simulated import SIMULATED
+from mutants.sources import SOURCES
 from mutants.watched import WATCHED
 
 __all__ = ["MUTANTS", "Edit", "Mutant"]
 
-MUTANTS = (*ACCEPTED, *BATCHED, *CLEARANCE, *OBSERVED, *OWED, *PLACES, *ROADS, *SIMULATED, *WATCHED)
+MUTANTS = (*ACCEPTED, *BATCHED, *CLEARANCE, *OBSERVED, *OWED, *PLACES, *ROADS, *SIMULATED, *SOURCES, *WATCHED)

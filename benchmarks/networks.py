@@ -1,87 +1,118 @@
-"""The compiled networks against highway-env on the same scenes in the same run: decisions of random meta-actions, their
-frames alone (no observation and no reward on either side), and whole ones, with `CompiledFrames` around highway-env.
+"""The compiled networks against highway-env in the same run, in turns: decisions of random meta-actions, resets,
+observations and rewards included, with `RoadSimulator`, many environments in a call, and with `CompiledFrames` around
+highway-env; and their frames alone (no observation and no reward on either side).
 
-    python benchmarks/networks.py [--episodes 20]
+    python benchmarks/networks.py [--decisions 60] [--environments 64]
+
+Processor seconds, so that other work on the machine counts as little as it can. Seeds from 0.
 """
 
 from __future__ import annotations
 
 import argparse
 import warnings
-from time import perf_counter
+from collections.abc import Callable
+from time import process_time
+from typing import Any
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 
 from dynamics.networks.compiled_frames import CompiledFrames
+from dynamics.networks.episodes.simulator import RoadSimulator
 from dynamics.networks.simulator import NetworkSimulator
 
 IDS = (
-    *("merge-v0", "merge-generic-v0", "roundabout-v0", "roundabout-generic-v0", "exit-v0", "two-way-v0", "u-turn-v0"),
-    "intersection-v0",
+    *("merge-v0", "merge-v1", "merge-generic-v0", "roundabout-v0", "roundabout-v1", "roundabout-generic-v0"),
+    *("exit-v0", "exit-v1", "two-way-v0", "u-turn-v0", "u-turn-v1", "intersection-v0", "intersection-v1"),
+    "intersection-v2",
 )
+_AT_ONCE = 6
+"""Decisions of highway-env between two turns."""
 
 
-def measure(env_id: str, episodes: int) -> tuple[float, float, int]:
-    """Seconds of highway-env and of the compiled network, and the number of decisions."""
+def seconds(work: Callable[[], object]) -> float:
+    """Processor seconds that something takes."""
+    start = process_time()
+    work()
+    return process_time() - start
+
+
+def episodes(env: gym.Env[Any, Any], decisions: int) -> Callable[[], None]:
+    """Drives on by so many decisions at each call, from episode to episode."""
+    env.action_space.seed(0)
+    env.reset(seed=0)
+
+    def work() -> None:
+        for _ in range(decisions):
+            *_, terminated, truncated, _ = env.step(env.action_space.sample())
+            if terminated or truncated:
+                env.reset()
+
+    return work
+
+
+def whole(env_id: str, decisions: int, count: int) -> tuple[float, float, float]:
+    """Seconds of a decision: highway-env, with its frames compiled, and compiled altogether."""
+    plain = gym.make(env_id)
+    theirs, framed = episodes(plain, _AT_ONCE), episodes(CompiledFrames(gym.make(env_id)), _AT_ONCE)
+    simulator, space = RoadSimulator(env_id, count), plain.action_space
+    simulator.reset(range(count))
+    turns = max(1, decisions // _AT_ONCE)
+    given = [np.array([space.sample() for _ in range(count)]) for _ in range(20)]
+    for actions in given:  # so that episodes are at all of their stages
+        simulator.step(actions, again=True)
+
+    def ours() -> None:
+        for actions in given[:_AT_ONCE]:
+            simulator.step(actions, again=True)
+
+    spent = np.array([(seconds(theirs), seconds(framed), seconds(ours)) for _ in range(turns)]).sum(axis=0)
+    return tuple(spent / (turns * _AT_ONCE) / (1, 1, count))
+
+
+def frames(env_id: str, decisions: int) -> tuple[float, float]:
+    """Seconds of the frames of a decision: highway-env's `_simulate`, and `NetworkSimulator.step` of one scene."""
     env = gym.make(env_id).unwrapped
+    if not isinstance(env.action_space, gym.spaces.Discrete):
+        return np.nan, np.nan
     theirs = ours = 0.0
-    count = 0
-    for seed in range(episodes):
+    count, seed = 0, -1
+    while count < decisions:
+        seed += 1
         env.reset(seed=seed)
         simulator, rng = NetworkSimulator(env), np.random.default_rng(seed)
         while not env.vehicle.crashed and env.time < 10:
             action = int(rng.integers(env.action_space.n))
             env.time += 1 / env.config["policy_frequency"]
-            start = perf_counter()
-            env._simulate(action)
-            middle = perf_counter()
-            simulator.step(action)
-            ours += perf_counter() - middle
-            theirs += middle - start
+            theirs += seconds(lambda action=action: env._simulate(action))
+            ours += seconds(lambda action=action, simulator=simulator: simulator.step(action))
             count += 1
-    return theirs, ours, count
-
-
-def measure_whole(env_id: str, episodes: int) -> tuple[float, float, int]:
-    """The same of whole decisions: observation, reward, and who comes and goes included."""
-    plain, compiled = gym.make(env_id), CompiledFrames(gym.make(env_id))
-    theirs = ours = 0.0
-    count = 0
-    for seed in range(episodes):
-        plain.reset(seed=seed)
-        compiled.reset(seed=seed)
-        rng, over = np.random.default_rng(seed), False
-        while not over and count < 40 * (seed + 1):
-            action = int(rng.integers(plain.action_space.n))
-            start = perf_counter()
-            plain.step(action)
-            middle = perf_counter()
-            _, _, terminated, truncated, _ = compiled.step(action)
-            ours += perf_counter() - middle
-            theirs += middle - start
-            count += 1
-            over = terminated or truncated
-    return theirs, ours, count
+    return theirs / count, ours / count
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--episodes", type=int, default=20)
-    episodes = parser.parse_args().episodes
+    parser.add_argument("--decisions", type=int, default=60)
+    parser.add_argument("--environments", type=int, default=64)
+    arguments = parser.parse_args()
     warnings.filterwarnings("ignore", category=DeprecationWarning)
-    measure(IDS[0], 1)
-    measure_whole(IDS[0], 1)
+    gym.logger.min_level = gym.logger.ERROR
+    frames(IDS[0], 1)
+    whole(IDS[0], 1, 1)
     print(
-        "| environment | frames: highway-env ms | compiled ms | ratio | whole: highway-env ms | compiled ms | ratio |"
+        "| environment | highway-env ms | frames compiled ms | ratio | all compiled µs | ratio "
+        "| frames alone: highway-env ms | compiled ms | ratio |"
     )
-    print("| :-- | --: | --: | --: | --: | --: | --: |")
+    print(f"| :-- |{' --: |' * 8}")
     for env_id in IDS:
-        cells = []
-        for theirs, ours, count in (measure(env_id, episodes), measure_whole(env_id, episodes)):
-            cells += [f"{1e3 * theirs / count:.1f}", f"{1e3 * ours / count:.2f}", f"{theirs / ours:.0f}"]
-        print(f"| {env_id} | {' | '.join(cells)} |")
+        theirs, framed, ours = whole(env_id, arguments.decisions, arguments.environments)
+        cells = [f"{1e3 * theirs:.1f}", f"{1e3 * framed:.2f}", f"{theirs / framed:.0f}"]
+        cells += [f"{1e6 * ours:.0f}", f"**{theirs / ours:.0f}**"]
+        one, other = frames(env_id, arguments.decisions)
+        cells += ["", "", ""] if np.isnan(one) else [f"{1e3 * one:.1f}", f"{1e3 * other:.2f}", f"{one / other:.0f}"]
+        print(f"| {env_id} | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -109,7 +109,7 @@ def train(
     exploration : standard deviation of each continuous action at the start of training, for PPO and A2C; by
         default Stable-Baselines3's `log_std_init` for all of them.
     fast : whether to compute observations at once (see `FastObservations`); they are the same.
-    simulator : one of `SIMULATORS`. In the compiled copy of highway-env's highway the model becomes the same, bit for
+    simulator : one of `SIMULATORS`. In the compiled copy of highway-env the model becomes the same, bit for
         bit; "auto" takes it where it serves. The manifest says which it was.
     shield : a profile of `ShieldConfig`, to learn inside the shield, in highway-env's own simulator; or "none". What is
         learned from is what the policy asked for, whatever was driven.

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from joblib import Parallel, delayed
 
+from dynamics.networks.episodes.simulator import RoadSimulator
 from shield.batch.highways import ShieldedHighways
 from shield.doors.exact_door import warm_up_exact
 from shield.doors.exact_input_door import warm_up_exact_inputs
@@ -31,5 +32,9 @@ def networks() -> None:
     warm_up_exact_inputs()
 
 
+def roads() -> None:
+    RoadSimulator("merge-v0", 1).step([1])
+
+
 if __name__ == "__main__":
-    Parallel(n_jobs=-1)(delayed(each)() for each in (shielded, exact, networks))
+    Parallel(n_jobs=-1)(delayed(each)() for each in (shielded, exact, networks, roads))

@@ -127,7 +127,8 @@ def gains(
 
     Parameters
     ----------
-    states : road states (m, 4). across : speed of each across the road, (m,) [m/s]. lane : the nearest lane of each, (m,). centers : of the lanes [m].
+    states : road states (m, 4). across : speed of each across the road, (m,) [m/s].
+    lane : the nearest lane of each, (m,). centers : of the lanes [m].
     low, high : edges of the lanes that each touches, (m,) [m]: whoever touches a vehicle's own may be its leader soon.
     sight : how near to a lane's centre a vehicle counts as being in it [m].
     slack : what the gain may lack [m/s^2]; and, as a share of the distance, what the new follower may.

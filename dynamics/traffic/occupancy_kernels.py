@@ -228,7 +228,9 @@ def rear_of(
         else:
             if slow >= motion.slow:
                 way, time = way + slow * dt, time + dt
-                lost = min(_lost(budget, action, slow, time, motion), max(burst, 0.0) / slow)
+                # The least of both is divided by the speed, which is above `Motion.slow`.
+                gone = max(budget, 0.0) + motion.loss_back * time
+                lost = min(gone, min(max(action, 0.0) + motion.action_back * time, max(burst, 0.0)) / slow)
             else:
                 lost, back = _lost(budget, action, 0.0, time, motion), back + max(motion.reversing, -v) * dt
             along = max(way - lost, 0.0)

@@ -9,14 +9,14 @@ from highway_env.vehicle.kinematics import Vehicle as Simulated
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dynamics.compiled import compiled
 from shield.certificate.clauses.duties import lanes_held
 from shield.certificate.clauses.edge import lanes_touched, verdicts
 from shield.certificate.clauses.entering import entrants, neighbours, sides_taken
 from shield.certificate.clauses.footprint import Footprint
 from shield.certificate.clauses.others import Others
-from shield.certificate.clauses.plans import Plans
-from shield.certificate.clauses.room import margins
-from shield.certificate.clauses.separation import Duty, Extents, coming_frame, least_separations
+from shield.certificate.clauses.room import margin_of
+from shield.certificate.clauses.separation import Duty, Vehicle, coming_frame, extents, separation, turns
 
 CENTERS = np.array([0.0, 4.0, 8.0])
 SIZE = Footprint(4.5, 1.3, 5.0, 2.0, 0.1, 0.05, 0.02, 0.01)
@@ -39,14 +39,12 @@ def traffic(rng, n, m, frames):
     low = rng.uniform(-2, 8, (rng.choice([1, n]), m))
     start = rng.uniform(-60, 60, m)
     rear = start[:, None] + np.cumsum(np.maximum(rng.uniform(0, 30, (m, 1)) - 0.6 * np.arange(frames), 0), axis=1) * DT
-    owed = rng.random((n, m)) < 0.3
     return {
         "low": low,
         "high": low + rng.uniform(2, 6, low.shape),
         "rear": rear,
         "lengths": np.full(m, 2.7),
         "noses": np.stack([start + 6.0, start + 9.0]),
-        "owed": owed if rng.random() < 0.7 else np.zeros((0, 0), dtype=bool),
         "follows": rng.random(m) < 0.5,
         "centers": CENTERS[rng.integers(0, 3, low.shape)],
         "at_once": rng.integers(-1, 4, low.shape),
@@ -54,11 +52,27 @@ def traffic(rng, n, m, frames):
     }
 
 
+@compiled
+def separation_of(path, size, other, rear, duty):
+    """Of a path from one vehicle; NaN and 0 where the path is not finite."""
+    frames = path.shape[0]
+    turned, bounds, front = np.empty((2, frames)), np.empty((8, frames)), np.empty(frames)
+    turns(path, turned)
+    ego = extents(path, turned, size, duty.dt, bounds)
+    return separation(path, ego, bounds, size, other, rear, duty, front) if ego.finite else (np.nan, 0)
+
+
 def separations_of(paths, t):
-    out, reached = np.empty((len(paths), len(t["rear"]))), np.empty(len(paths), dtype=np.intp)
-    frames = paths.shape[1]
-    room = np.empty((8, frames)), np.empty(frames)
-    least_separations(paths, SIZE, Extents(**t), DUTY, out, reached, *room)
+    n, m = len(paths), len(t["rear"])
+    out, reached = np.empty((n, m)), np.full(n, paths.shape[1])
+    for i in range(n):
+        at = i if len(t["low"]) > 1 else 0
+        for j in range(m):
+            sides = float(t["low"][at, j]), float(t["high"][at, j])
+            duties = bool(t["follows"][j]), float(t["centers"][at, j]), int(t["at_once"][at, j])
+            other = Vehicle(*sides, t["lengths"][j], *t["noses"][:, j], *duties, *t["followers"][:, j])
+            out[i, j], first = separation_of(paths[i], SIZE, other, t["rear"][j], DUTY)
+            reached[i] = min(reached[i], first)
     return out, reached
 
 
@@ -89,8 +103,6 @@ def expected(paths, t):
         sin, cos = np.abs(np.sin(psi)), np.abs(np.cos(psi))
         half_s, half_r = SIZE[0] * cos + SIZE[1] * sin + SIZE[4], SIZE[0] * sin + SIZE[1] * cos + SIZE[5]
         for j in range(len(t["rear"])):
-            if t["owed"].size and t["owed"][i, j]:
-                continue
             at = i if len(t["low"]) > 1 else 0
             low, high = t["low"][at, j], t["high"][at, j]
             beside = max(low - (r + half_r).max(), (r - half_r).min() - high)
@@ -134,7 +146,7 @@ def test_a_path_that_is_not_finite_has_no_separation(value, column):
 def test_a_vehicle_that_is_nowhere_has_no_separation(name):
     rng = np.random.default_rng(1)
     paths, t = drives(rng, 2, 5), traffic(rng, 2, 3, 5)
-    t["owed"], t["follows"] = np.zeros((0, 0), dtype=bool), np.zeros(3, dtype=bool)
+    t["follows"] = np.zeros(3, dtype=bool)
     t[name][(1, slice(2, None)) if name == "rear" else (slice(None), 1)] = np.nan
     got, _ = separations_of(paths, t)
     assert np.isnan(got[:, 1]).all()
@@ -198,12 +210,11 @@ def entering(others, gains, before=None, visible=(0, 0, 0), stored=-1):
 
 
 def sides(path, lane, fail, others, r=0.0):
-    n, m = len(path), len(others.lane)
-    low, high, home = np.empty((n, m)), np.empty((n, m)), np.empty((n, m), dtype=np.intp)
-    lanes, fails, rows = np.full(n, lane), np.full(n, fail), np.arange(m)
+    m = len(others.lane)
+    low, high, home = np.empty(m), np.empty(m), np.empty(m, dtype=np.intp)
     settings = np.array([r, 3.0, 4.0, 0.15])
-    sides_taken(Plans(path, lanes, fails), rows, others, CENTERS, settings, low, high, home)
-    return low[0], high[0], home[0]
+    sides_taken(path[0], lane, fail, np.arange(m), others, CENTERS, settings, low, high, home)
+    return low, high, home
 
 
 def test_until_the_ego_is_in_sight_in_a_lane_those_beside_it_may_enter_it_too():
@@ -274,8 +285,7 @@ def test_margins_are_those_of_whole_arrays(seed, n, m, slipping):
     separations, slips, room = with_holes(rng, n, m), with_holes(rng, n, slipping), with_holes(rng, n)
     inside = np.where(room >= 0, np.inf, room)[:, None]
     least = np.hstack([separations, slips, inside]).min(axis=1)
-    got = np.empty(n)
-    margins(separations, slips, room, got)
+    got = [margin_of(*parts) for parts in zip(separations, slips, room, strict=True)]
     np.testing.assert_array_equal(got, least)
     edges, allowed, paths = with_holes(rng, n, 2), rng.random(n) < 0.7, rng.normal(size=(n, 3, 4))
     lacks = np.where(edges.min(axis=1) >= 0, np.inf, edges.min(axis=1))

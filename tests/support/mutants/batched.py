@@ -19,7 +19,7 @@ BATCHED = (
     off(
         "whoever is near is in the way",
         f"{BATCH}/verifying.py",
-        "return beside and rear - (s + reach_along(foot, state[2])) < 0",
+        "return beside and rear - (s + along_of(foot, sin, cos)) < 0",
         "return beside",
         _TESTS,
     ),

@@ -10,11 +10,11 @@ CLEARANCE = (
     off(
         "separation off",
         ROOM,
-        "            least = min(least, separations[i, j])",
-        "            least = min(least, np.inf)",
+        "        least = min(least, separations[j])",
+        "        least = min(least, np.inf)",
         "leader",
     ),
-    off("room in the lane off", ROOM, "        if room[i] < 0:", "        if room[i] < -1e9:", "room"),
+    off("room in the lane off", ROOM, "    if room < 0:", "    if room < -1e9:", "room"),
     off(
         "road edge off",
         EDGE,
@@ -57,8 +57,8 @@ CLEARANCE = (
     off(
         "slip-in counts for nothing",
         ROOM,
-        "            least = min(least, slipping[i, j])",
-        "            least = min(least, np.inf)",
+        "        least = min(least, slipping[j])",
+        "        least = min(least, np.inf)",
         "slip",
     ),
     off(

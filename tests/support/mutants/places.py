@@ -20,8 +20,8 @@ PLACES = (
     off(
         "reach is half the length only",
         BODIES,
-        "0.5 * math.hypot(length, width) + along",
-        "0.5 * length + along",
+        "0.5 * math.hypot(length, width))",
+        "0.5 * length)",
         "diagonal",
     ),
     off(

@@ -4,7 +4,7 @@ and -1 (a lane further where |vy| > 0.3 m/s), by who is taken to stay in its lan
 tracker makes of it, and by the lane that it steers for already, which the simulator alone knows. And how often who is
 said to be within 2 m with some probability is.
 
-    python benchmarks/intent.py [--episodes 60] [--seed 402000] [--sensors exact,metric-0.5] [--fit]
+    python benchmarks/intent.py [--episodes 30] [--seed 402000] [--sensors exact,metric-0.5] [--fit]
 
 `--fit` looks for the constants of `HABITS` instead: least Brier score, the geometric mean over the sensors.
 """
@@ -248,7 +248,7 @@ def reliability(name: str, said: FloatArray, happened: BoolArray, edges: FloatAr
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--episodes", type=int, default=60)
+    parser.add_argument("--episodes", type=int, default=30)
     parser.add_argument("--seed", type=int, default=402_000)
     parser.add_argument("--sensors", default="exact,metric-0.5,metric-2,normalised-0.2")
     parser.add_argument("--fit", action="store_true")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import deque
 
 import gymnasium as gym
@@ -12,7 +13,10 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
+from evaluation.learning.training import train
 from evaluation.names import CHANNEL_NAMES
+from evaluation.running.episodes import run_episode
+from evaluation.running.records import Variant
 from evaluation.wrappers import SENSORS, Confidence, Intent, SensorModel, SensorNoise, TrackedConfidence, seen_through
 from evaluation.wrappers.channels import CHANNELS
 from shield import Shield, ShieldedEnv
@@ -194,6 +198,21 @@ def test_a_policy_that_learned_with_the_channels_is_shielded_from_its_environmen
         action, _ = shielded.predict(obs, deterministic=True)
         assert shielded.last_decision.reason is not Reason.BAD_SCENE
         obs, *_ = world.step(action)
+
+
+def test_training_and_evaluation_go_through_the_same_sensor(tmp_path):
+    small = {"n_steps": 16, "batch_size": 16, "n_epochs": 1, "gamma": 0.8}
+    trained = train(
+        "highway-fast", "ppo", 16, 0, output=tmp_path / "seen", hyperparameters=small, sensor=ALL, progress=False
+    )
+    assert trained.manifest["sensor"] == ALL
+    assert trained.manifest["simulator"] == "highway-env"
+    assert f"sensor={ALL!r}" in shlex.split(trained.manifest["command"])[-1]
+    assert PPO.load(trained.path, device="cpu").observation_space.shape == (5, 7)
+    record = run_episode("highway-fast", str(trained.path), Variant(), 600, sensor=ALL)
+    assert record.simulator == "highway-env"
+    with pytest.raises(ConfigError, match="observes highway-env itself"):
+        train("highway-fast", "ppo", 16, 0, output=tmp_path / "no", simulator="compiled", sensor=ALL)
 
 
 def test_a_specification_may_name_the_channels():

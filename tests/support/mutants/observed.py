@@ -44,6 +44,27 @@ OBSERVED = (
         f"{_DECODING_TESTS}::test_what_is_decoded_is_the_simulator_s_truth",
     ),
     off(
+        "a sensor sees as far as highway-env shows",
+        _UNSEEN,
+        "far = min(spec.distance, spec.sensor_range)",
+        "far = spec.distance",
+        "tests/evaluation/test_sensor_models.py::test_what_is_beyond_the_range_may_be_there",
+    ),
+    off(
+        "the range of a sensor is not read",
+        "shield/perception/scenes.py",
+        ', sensor_range=float(getattr(sensor, "sensor_range", inf))',
+        "",
+        "tests/evaluation/test_sensor_models.py::test_what_is_beyond_the_range_may_be_there",
+    ),
+    off(
+        "what wrappers have added is taken for what is shown",
+        "shield/perception/scenes.py",
+        "rows[..., :-added] if added and rows.ndim > 1 else observation",
+        "observation",
+        "tests/evaluation/test_channels.py::test_a_shield_decides_as_without_the_channels",
+    ),
+    off(
         "shuffled rows are the nearest",
         _UNSEEN,
         "if not spec.sorted or sighting.cut:",

@@ -36,6 +36,8 @@ BUFFER = Buffer()
 """Whoever comes nearer to the ego has breached it."""
 FAIL_SAFE = 9.8
 """How hard the ego may brake at any time [m/s^2]."""
+_OFTEN = {"LANE_LEFT": 3.0, "LANE_RIGHT": 3.0, "FASTER": 2.0}
+"""How often the ego proposes what, against 1 of the rest."""
 _HELD = 2, 12
 """For how many frames what is held is held."""
 _TOUCHES = 2.0
@@ -53,8 +55,10 @@ _SETTLED = 0.3
 _SPARE = 2.0, 5.0
 """What they keep to the ego's buffer beyond the ways to a standstill: behind it, and before it, where a lane change of
 theirs may cost them way [m]."""
-_AROUND = -70.0, 110.0
+_AROUND = -90.0, 80.0
 """Where they start, from the ego [m]."""
+_SPEEDS = (15.0, 30.0), (20.0, 36.0)
+"""How fast they are at first, ahead of the ego and behind it [m/s]."""
 _APART = 16.0
 """Two in one lane start no nearer than this, centre to centre, and with a second between them [m]."""
 
@@ -237,6 +241,11 @@ class BoldEpisode:
         """Whether it was breached and the monitor has named nobody: a hole."""
         return self.breached and not self.named
 
+    @property
+    def told(self) -> bool:
+        """Whether it tells of a wrong assumption: somebody named who keeps to the rules, or a hole."""
+        return self.started and (bool(self.named) or self.unnamed)
+
 
 class _Referee:
     """Sees every frame of an episode: how near the ego comes, and whom the monitor has named by then."""
@@ -275,7 +284,8 @@ def man_highway(base: Any, vehicles: int, seed: int) -> None:
     dt, lanes = 1 / base.config["simulation_frequency"], base.config["lanes_count"]
     road.vehicles, placed = [ego], [(ego.lane_index[2], float(ego.position[0]), float(ego.speed))]
     for k in range(20 * vehicles):
-        lane, at, speed = int(draw.integers(lanes)), ego.position[0] + draw.uniform(*_AROUND), draw.uniform(18.0, 30.0)
+        lane, off = int(draw.integers(lanes)), draw.uniform(*_AROUND)
+        at, speed = ego.position[0] + off, draw.uniform(*(_SPEEDS[0] if off > 0 else _SPEEDS[1]))
         near = [(x - at, v) for line, x, v in placed if line == lane]
         if any(abs(d) < _APART + (max(speed - v, 0.0) * 2 if d > 0 else max(v - speed, 0.0) * 2) for d, v in near):
             continue
@@ -319,10 +329,10 @@ def _drive(env: ShieldedEnv, setting: Setting, seed: int, vehicles: int, decisio
     env.reset(seed=seed)
     man_highway(base, vehicles, seed)
     actions, referee, started = np.random.default_rng([seed, 1_000_000]), _Referee(base, door), True
-    favoured = int(actions.integers(env.action_space.n))  # type: ignore[attr-defined]
+    labels = [str(base.action_type.actions[k]) for k in range(env.action_space.n)]  # type: ignore[attr-defined]
+    often = np.array([_OFTEN.get(label, 1.0) for label in labels])
     for step in range(decisions):
-        free = actions.random() < 0.5
-        action = int(actions.integers(env.action_space.n)) if free else favoured  # type: ignore[attr-defined]
+        action = int(actions.choice(len(labels), p=often / often.sum()))
         *_, terminated, truncated, _ = env.step(action)
         if step == 0:
             assert env.last_decision is not None

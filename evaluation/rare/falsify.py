@@ -7,6 +7,7 @@ made from, and of the actions. Both are searched at once by subset simulation, f
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from scipy.special import ndtr
 from dynamics.simulator.simulator import Simulator
 from dynamics.state import FloatArray, IntArray
 from evaluation.measuring.recorder import Recorder
+from evaluation.rare.bold import BoldEpisode, drive_bold, drive_bold_many
 from evaluation.rare.subset import Subset, subset_simulation
 from evaluation.running.many import Chosen, Many
 from evaluation.running.named_policies import make_policy, start_episode
@@ -25,10 +27,14 @@ from shield import Shield, ShieldedEnv
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
 
-__all__ = ["ANY", "Find", "Searched", "crash_probability", "falsify", "replay"]
+__all__ = ["ANY", "TRAFFIC", "Find", "Met", "Searched", "crash_probability", "falsify", "falsify_among", "replay"]
 
 ANY = "any"
 """The policy that may propose anything: its actions are searched too."""
+TRAFFIC = ("idm", "bold")
+"""Who drives the others: highway-env's own, or as recklessly as the rules permit (`evaluation.rare.bold`)."""
+_AT_ONCE = 64
+"""Episodes among bold drivers before it is asked whether anything was found."""
 _MOST = float(np.nextafter(1.0, 0.0))
 
 
@@ -41,7 +47,9 @@ class Find:
     env_id, config : the environment. shield : the shield's settings, TOML.
     shares : the numbers that its scene is made from (see `Simulator.reset_to`).
     policy : that proposes; of `ANY`, `actions` are what it proposes.
-    clearance : the smallest to anybody [m], 0 in a crash.
+    clearance : the smallest to anybody [m], 0 in a crash; among bold drivers that of the ego with its buffer, negative
+        where somebody was in it.
+    drivers : of `TRAFFIC`. Among bold ones `seed` says everything, and there are no shares and actions.
     """
 
     env_id: str
@@ -51,6 +59,8 @@ class Find:
     shares: tuple[float, ...]
     actions: tuple[int, ...]
     clearance: float
+    drivers: str = "idm"
+    seed: int = 0
 
     def save(self, path: str | Path) -> None:
         """Write a JSON file."""
@@ -88,6 +98,26 @@ class Searched:
     median: float
     crashed: int
     offended: float
+
+
+@dataclass(frozen=True, slots=True)
+class Met:
+    """What a search among bold drivers has met.
+
+    Attributes
+    ----------
+    find : the episode that is to be looked at: the first hole, or else the first with somebody named who has done no
+        wrong, or else the one with the least clearance. episodes : how many were driven, and how many of them `began`
+        with a decision that was verified. named : in how many the monitor named somebody, and by_rule for what.
+    holes : seeds of those with a crash or a breach of the buffer and nobody named.
+    """
+
+    find: Find
+    episodes: int
+    began: int
+    named: int
+    by_rule: dict[str, int]
+    holes: tuple[int, ...]
 
 
 class _Episodes:
@@ -182,9 +212,52 @@ def falsify(
     )
 
 
+def falsify_among(
+    setting: Setting, config: ShieldConfig, episodes: int = 5_000, seed: int = 0, lanes: int = 2, jobs: int = 1
+) -> Met:
+    """Drive among bold drivers in highway-env itself until they have found something out, or for so many episodes.
+
+    They keep to `Assumptions.idm()`. So whoever is named shows that the shield was told something else, and a breach
+    with nobody named is a hole in what it makes of it.
+
+    Parameters
+    ----------
+    setting : a straight highway with meta-actions. config : the shield's settings. episodes : at most.
+    seed : of the first; the others follow. lanes : of the road. jobs : processes, -1 for one per core.
+    """
+    if episodes < 1:
+        raise ConfigError(f"have at least 1 episode, not {episodes}")
+    road, driven = setting.override({"lanes_count": lanes}), list[BoldEpisode]()
+    while len(driven) < episodes and not any(x.told for x in driven):
+        first = seed + len(driven)
+        driven += drive_bold_many(road, range(first, min(first + _AT_ONCE, seed + episodes)), config, jobs=jobs)
+    found = next((k for k, x in enumerate(driven) if x.told), len(driven) - 1)
+    driven = driven[: found + 1]
+    began = [x for x in driven if x.started]
+    if not began:
+        raise ConfigError(f"none of {len(driven)} episodes began with a decision that was verified")
+    worst = min(began, key=lambda x: (not x.unnamed, not x.named, x.clearance))
+    by_rule: Counter[str] = sum((Counter(x.named) for x in began), Counter())
+    find = Find(
+        env_id=road.env_id,
+        config=dict(road.config),
+        shield=config.to_toml(),
+        policy=ANY,
+        shares=(),
+        actions=(),
+        clearance=worst.clearance,
+        drivers="bold",
+        seed=worst.seed,
+    )
+    holes = tuple(x.seed for x in began if x.unnamed)
+    return Met(find, len(driven), len(began), sum(bool(x.named) for x in began), dict(by_rule), holes)
+
+
 def replay(find: Find) -> Find:
     """Drive a find again in highway-env itself; its clearance is what is found there."""
     setting, shield = Setting("find", find.env_id, find.config), ShieldConfig.from_toml(find.shield)
+    if find.drivers == "bold":
+        return replace(find, clearance=drive_bold(setting, find.seed, shield).clearance)
     simulator = Simulator(find.env_id, 1, find.config, tape=True)
     simulator.reset_to(np.array(find.shares)[None], [0])
     env = setting.make()

@@ -149,19 +149,12 @@ def _press(
     return end
 
 
-@inlined
-def _sum_up(speeds: FloatArray, before: FloatArray, after: FloatArray, dt: float, m: int) -> None:
-    """The ways of the first m vehicles a frame later, `after`."""
-    for i in range(m):
-        after[i] = before[i] + speeds[i] * dt
-
-
 @uncounted
 def _extremes(others: FloatArray, states: FloatArray, stretch: FloatArray, motion: Motion, ways: FloatArray) -> None:
     """Fill in `_Extremes`, the first six of `ways` (see `brakings`), where everybody may brake as hard as can be at
     once.
 
-    It goes frame by frame over all vehicles, and over one quantity at a time: so a processor takes several at once.
+    It goes frame by frame over all vehicles: none of them waits for what comes of another's last frame.
     """
     m, dt, curved, frames = states.shape[0], motion.dt, stretch.shape[1] > 0, ways.shape[1]
     fast, fast_way, slow, slow_way, slowest, slowest_way = ways[0], ways[1], ways[2], ways[3], ways[4], ways[5]
@@ -173,20 +166,16 @@ def _extremes(others: FloatArray, states: FloatArray, stretch: FloatArray, motio
         top[i], backwards[i] = max(v, motion.max_speed), min(v, 0.0 if wrecked else -motion.reversing)
         kept[i] = 1 - dt if wrecked else 1.0
     for k in range(1, frames):
-        _sum_up(fast[k - 1], fast_way[k - 1], fast_way[k], dt, m)
-        _sum_up(slow[k - 1], slow_way[k - 1], slow_way[k], dt, m)
-        _sum_up(slowest[k - 1], slowest_way[k - 1], slowest_way[k], dt, m)
-        before, after = fast[k - 1], fast[k]
         for i in range(m):
-            v = before[i]
-            after[i] = min(v + min(motion.acceleration, motion.power / max(v, 1e-3)) * dt, top[i])
-        before, after = slow[k - 1], slow[k]
-        for i in range(m):
-            v = before[i]
-            after[i] = max(min(v - motion.braking * dt, v * kept[i]), backwards[i])
-        before, after = slowest[k - 1], slowest[k]
-        for i in range(m):
-            after[i] = max(before[i] - motion.braking * dt, 0.0)
+            v = fast[k - 1, i]
+            fast_way[k, i] = fast_way[k - 1, i] + v * dt
+            fast[k, i] = min(v + min(motion.acceleration, motion.power / max(v, 1e-3)) * dt, top[i])
+            v = slowest[k - 1, i]
+            slowest_way[k, i] = slowest_way[k - 1, i] + v * dt
+            slowest[k, i] = max(v - motion.braking * dt, 0.0)
+            v = slow[k - 1, i]
+            slow_way[k, i] = slow_way[k - 1, i] + v * dt
+            slow[k, i] = max(min(v - motion.braking * dt, v * kept[i]), backwards[i])
     if curved:
         for k in range(frames):
             for i in range(m):

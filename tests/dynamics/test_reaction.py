@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import gymnasium as gym
 import highway_env  # noqa: F401
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import SceneReader
@@ -116,3 +119,69 @@ def test_what_stands_far_ahead_is_counted_on_before_it_asks_for_anything(speed: 
         assert (new[:-1] <= old[1:] + 1e-9).all()
         old = new
     assert (old == IDM.braking).all()
+
+
+def asked_of_everybody(rows: np.ndarray, ego: float) -> np.ndarray:
+    """What each may do, (m, K), with everybody asked about every frame: the formulas of `dynamics.traffic.reaction`."""
+    a, m, frames = IDM, len(rows), 30
+    s, r, v, wrecked = rows[:, 0], rows[:, 1], rows[:, 3], rows[:, 6] > 0
+
+    def course(v0: float, change: Any) -> tuple[np.ndarray, np.ndarray]:
+        speeds = [v0]
+        for k in range(frames - 1):
+            speeds.append(change(speeds[-1], k))
+        return np.array(speeds), np.concatenate([[0.0], np.cumsum(speeds[:-1]) * DT])
+
+    def least(i: int, speed: float, brake: float) -> float:
+        kept = 1 - DT if wrecked[i] else 1.0
+        back = min(v[i], 0.0 if wrecked[i] else -a.reversing_speed)
+        return max(min(speed - brake * DT, speed * kept), back)
+
+    top = np.maximum(v, a.max_speed)
+    fast = [
+        course(max(v[i], 0), lambda u, k, i=i: min(u + min(a.acceleration, a.power / max(u, 1e-3)) * DT, top[i]))
+        for i in range(m)
+    ]
+    slow = [course(max(v[i], 0), lambda u, k, i=i: least(i, u, a.braking)) for i in range(m)]
+    lowest = [course(max(v[i], 0), lambda u, k: max(u - a.braking * DT, 0.0)) for i in range(m)]
+    out = np.full((m, frames), a.braking)
+    around = Surroundings(rows, rows[:, :4], StraightRoad.from_lanes(3), a, DT, None, ego).bodies
+    for i in np.argsort(-s, kind="stable"):
+        if ego > s[i] or wrecked[i]:
+            continue
+        brakes = np.full(frames, a.calm_braking)
+        for j in range(m):
+            if j == i or not abs(s[j] - s[i]) <= 600:
+                continue
+            elsewhere = around.first[j] > around.last[i] or around.last[j] < around.first[i]
+            if not elsewhere and s[j] < s[i]:
+                continue
+            near = s[j] - s[i] - max(around.budget[j], 0.0)
+            d = near + slow[j][1] - fast[i][1] - a.turning_loss_back * DT * np.arange(frames)
+            gap = 10 + 1.5 * fast[i][0] + fast[i][0] * np.maximum(fast[i][0] - slow[j][0], 0) / (2 * np.sqrt(15))
+            rates = np.where(d > 1, np.minimum(1.1 * 3 * (gap / np.maximum(d, 1)) ** 2 + 0.5, a.braking), a.braking)
+            begin = 0
+            if elsewhere:
+                first = max(int((abs(r[j] - r[i]) - 5.0) / (14.0 * DT)), 0)
+                far, u = s[j] - s[i] + fast[j][1] - lowest[i][1], lowest[i][0]
+                may = (far > 0) & ((first > 0) | (10 + 1.5 * u + u * (u - fast[j][0]) / (2 * np.sqrt(15)) <= 1.5 * far))
+                may &= np.arange(frames) >= first
+                begin = int(may.argmax()) if may.any() else frames
+            brakes[begin:] = np.maximum(brakes[begin:], rates[begin:])
+            if (rates[begin:] >= a.braking).any():
+                brakes[begin + int((rates[begin:] >= a.braking).argmax()) :] = a.braking
+        out[i] = brakes
+        back = min(v[i], -a.reversing_speed)
+        slow[i] = course(v[i], lambda u, k, b=brakes, back=back: max(min(u - b[k] * DT, u), back))
+    return out
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 9))
+def test_who_is_not_asked_any_more_would_have_asked_for_nothing(seed: int, m: int) -> None:
+    rng = np.random.default_rng(seed)
+    rows = np.zeros((m, 7))
+    rows[:, 0], rows[:, 1] = rng.uniform(0, rng.choice([40.0, 120.0, 400.0]), m), 4.0 * rng.integers(0, 3, m)
+    rows[:, 3], rows[:, 4:6], rows[:, 6] = rng.uniform(-3, 40, m), (5.0, 2.0), rng.random(m) < 0.1
+    ego = float(rng.uniform(-20, 100))
+    got = Surroundings(rows, rows[:, :4], StraightRoad.from_lanes(3), IDM, DT, None, ego).bodies.brakes
+    np.testing.assert_allclose(got, asked_of_everybody(rows, ego), rtol=0, atol=1e-9)

@@ -104,6 +104,13 @@ WATCHED = (
         TESTS_OF_REACTION,
     ),
     off(
+        "what asks for some braking is dropped with what asks for none",
+        REACTION,
+        "< (braking - _SLACK) * _PER_SCALE",
+        "< (braking + _SLACK) * _PER_SCALE",
+        TESTS_OF_REACTION,
+    ),
+    off(
         "nobody moves in ahead",
         REACTION,
         "        for k in range(first, end):",

@@ -136,8 +136,9 @@ class MetaDoor:
         """The same with what its certificate rests on."""
         if not isinstance(self.reader, ObservedScenes) or isinstance(scene, Unreadable):
             return decision
-        sight, level = self.reader.perception.rating
-        return replace(decision, sight=sight, level=level)
+        perception = self.reader.perception
+        sight, level = perception.rating
+        return replace(decision, sight=sight, level=level, alarm=perception.alarmed)
 
     def _tracked(self) -> Target:
         """What the ego's controllers track."""

@@ -68,7 +68,9 @@ class ObservedScenes:
             settings = replace(settings, delay=settings.delay + sensor.sensor_delay)
             # What is noisy may be beyond the range that it was clipped to.
             spec = replace(spec, clip=False)
-        self._perception = ObservationPerception(spec, self._inner.map, (dt, frames), settings)
+        before = self._perception
+        learned = before.learned if before is not None and settings.carry else None
+        self._perception = ObservationPerception(spec, self._inner.map, (dt, frames), settings, learned)
         self._shown = None
 
     def show(self, observation: Any) -> None:

@@ -118,6 +118,8 @@ class Decision:
     vehicle : row of the vehicle that binds among the scene's others, -1 without one.
     sight : what a certificate made for this scene rests on. level : probability with which each side of each body is
         within its bounds there, 1 where the states are exact.
+    alarm : whether the sensor did not behave as it is thought to, so that the widest bounds were taken and nothing is
+        guaranteed (`shield.perception.monitor`).
     """
 
     proposed: Any
@@ -132,6 +134,7 @@ class Decision:
     vehicle: int = -1
     sight: Guarantee = Guarantee.FULL
     level: float = 1.0
+    alarm: bool = False
 
     @property
     def guarantee(self) -> Guarantee:

@@ -149,8 +149,9 @@ class MetaDoor:
         """The same with what its certificate rests on."""
         if self._scenes is None or isinstance(scene, Unreadable):
             return decision
-        sight, level = self._scenes.perception.rating
-        return replace(decision, sight=sight, level=level)
+        perception = self._scenes.perception
+        sight, level = perception.rating
+        return replace(decision, sight=sight, level=level, alarm=perception.alarmed)
 
     def _tracked(self) -> Target:
         """What the ego's controllers track."""

@@ -48,7 +48,9 @@ class BlindScenes:
         timing = known.dt, known.frames
         self._perception = perception_of(known.spec, known.road, timing, settings)
         self._rollouts = Rollouts(known.dt, known.road)
-        blurred = np.zeros(4) if settings.noise is None else np.asarray(settings.noise)
+        # Of noise that is estimated nothing is known yet; the ego's own row is mostly exact.
+        told = known.noise if settings.noise == "estimate" else settings.noise
+        blurred = np.zeros(4) if told is None else np.asarray(told, dtype=float)
         self._astray = _ASTRAY + _SIGMAS * np.array([blurred[1], np.hypot(*blurred[2:])])
         self.check()
 

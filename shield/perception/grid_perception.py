@@ -87,6 +87,11 @@ class GridPerception:
         everybody = min(self.edges) >= self.spec.distance and not self.spec.hides
         return (Guarantee.FULL if everybody else Guarantee.ASSUMED), 1.0
 
+    @property
+    def alarmed(self) -> bool:
+        """Nobody watches a sensor without noise."""
+        return False
+
     def see(self, observation: Any, frame: int, control: EgoControl, ego: FloatArray | None = None) -> Scene:
         """The scene that an observation shows.
 

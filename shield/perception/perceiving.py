@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,8 +11,11 @@ import numpy as np
 from dynamics.scenes.scene import EgoControl, Scene
 from dynamics.state import BoolArray, FloatArray, RoadState, State, Vehicle
 from shield.decision import Guarantee
-from shield.errors import ConfigError
 from shield.perception.bodies import STANDING, bodies, bounded
+from shield.perception.filters import FARTHEST
+from shield.perception.learned import RESOLUTION, Conformal, Learned, Noise
+from shield.perception.monitor import Monitor
+from shield.perception.settings import PerceptionConfig
 from shield.perception.sighting import Sighting, decode
 from shield.perception.spec import ObservationSpec
 from shield.perception.tracking import Motions, Tracks, ahead_of, follow, sides
@@ -22,59 +24,8 @@ from shield.perception.unseen import Behind, Unseen, ahead, edges
 __all__ = ["ObservationPerception", "PerceptionConfig"]
 
 _X, _Y, _HEADING, _SPEED = int(State.X), int(State.Y), int(State.HEADING), int(State.SPEED)
-_RESOLUTION = (1e-4, 1e-4, 1e-4, 1e-4)
-"""What 32 bits leave of a number in an observation [m], [m/s]."""
 _PATIENCE = 3
 """Observations in a row that somebody may be missing for, through noise."""
-
-
-@dataclass(frozen=True, slots=True)
-class PerceptionConfig:
-    """Settings of `ObservationPerception`.
-
-    Attributes
-    ----------
-    unseen : what is assumed of those who are not seen.
-    calm, brisk : standard deviations of the others' accelerations along and across the road [m/s^2], of those who drive
-        on, by which what is seen of them is smoothed, and of those who do something else (see `tracking`).
-    noise : standard deviations of x, y [m], vx and vy [m/s] of those observed; None for what the sensor says of itself
-        (its attribute `sensor_noise`), and without that what 32 bits leave of a number.
-    bound : a body is taken to reach as far, and to be as fast behind the ego and as slow ahead, as is exceeded no more
-        often than so many standard deviations of a normal distribution.
-    patience : for how many observations in a row somebody may be missing who has been seen; None for 3 where noise is
-        told, and 0 elsewhere.
-    cruise : the speed that traffic has, by how much it differs [m/s], and how slowly everybody comes to it [s]; it says
-        something only where the sensor says little.
-    delay : for how many simulation frames what is shown of the others is out of date, beyond what the sensor says of
-        itself (its attribute `sensor_delay`); the ego's own row is not.
-
-    Raises
-    ------
-    ConfigError
-        If one is out of range.
-    """
-
-    unseen: Unseen = field(default_factory=Unseen)
-    calm: tuple[float, float] = (2.0, 1.0)
-    brisk: tuple[float, float] = (4.0, 20.0)
-    cruise: tuple[float, float, float] = (21.0, 2.5, 10.0)
-    noise: tuple[float, float, float, float] | None = None
-    bound: float = 2.0
-    patience: int | None = None
-    delay: int = 0
-
-    def __post_init__(self) -> None:
-        if not all(math.isfinite(a) and a > 0 for a in (*self.calm, *self.brisk)):
-            raise ConfigError(f"accelerations are above 0, got calm {self.calm} and brisk {self.brisk}")
-        if np.shape(self.cruise) != (3,) or not all(math.isfinite(a) and a > 0 for a in self.cruise):
-            raise ConfigError(f"cruise is a speed, a deviation and a time, three numbers above 0, got {self.cruise!r}")
-        if self.noise is not None and (np.shape(self.noise) != (4,) or not all(0 <= s < math.inf for s in self.noise)):
-            raise ConfigError(f"noise is of x, y, vx and vy, four numbers from 0 on, not {self.noise!r}")
-        counts = 0 if self.patience is None else self.patience, self.delay
-        if not 0 <= self.bound < math.inf or any(type(n) is not int or n < 0 for n in counts):
-            raise ConfigError(
-                f"bound, patience and delay are from 0 on, got {self.bound!r}, {counts[0]!r}, {counts[1]!r}"
-            )
 
 
 class ObservationPerception:
@@ -90,10 +41,13 @@ class ObservationPerception:
     road : the static road map, a `dynamics.roads.straight.StraightRoad`.
     timing : duration of a simulation frame [s], and simulation frames in a decision.
     config : settings.
+    learned : what was learned of the sensor before; None for nothing.
 
     Attributes
     ----------
     tracks : who is followed. behind : who may be there unseen. edges : how far ahead and behind everybody is seen [m].
+    learned : what is known of the sensor by now. It outlives `reset`, where `PerceptionConfig.carry` says so.
+    monitor : whether the sensor behaves as it is thought to.
     """
 
     def __init__(
@@ -102,11 +56,15 @@ class ObservationPerception:
         road: Any,
         timing: tuple[float, int],
         config: PerceptionConfig | None = None,
+        learned: Learned | None = None,
     ) -> None:
         self.spec, self._road, self._timing = spec, road, timing
         self.config = PerceptionConfig() if config is None else config
-        noise = _RESOLUTION if self.config.noise is None else np.maximum(self.config.noise, _RESOLUTION)
-        self._noise = np.diag(np.square(noise))
+        self._before = _unlearned(self.config) if learned is None else learned
+        self.learned = self._before
+        told: Any = RESOLUTION if self.config.noise in (None, "estimate") else self.config.noise
+        self._told = np.maximum(told, RESOLUTION)
+        self._watched = self.config.monitor or self.learned.noise is not None or self.learned.conformal is not None
         centers = road.centers + road.origin[1]
         self._motions = Motions(self.config.calm, brisk=self.config.brisk, centers=centers, cruise=self.config.cruise)
         usual = 0 if self.config.noise is None else _PATIENCE
@@ -114,8 +72,10 @@ class ObservationPerception:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything about the episode."""
-        self.tracks, self.behind = Tracks(), Behind()
+        """Forget everything about the episode, and without `PerceptionConfig.carry` what was learned in it."""
+        self.tracks, self.behind, self.monitor = Tracks(), Behind(), Monitor()
+        if not self.config.carry:
+            self.learned = self._before
         self.edges = self.spec.distance, self.spec.distance
         self._egos: deque[tuple[int, FloatArray]] = deque()
 
@@ -127,10 +87,31 @@ class ObservationPerception:
     @property
     def rating(self) -> tuple[Guarantee, float]:
         """What a certificate for the scene seen last rests on, and the level of its bounds (see `Decision`)."""
+        if self.alarmed:
+            return Guarantee.NONE, 0.0
         if self.config.noise is not None or self.config.delay:
             return Guarantee.PROBABILISTIC, 0.5 * (1 + math.erf(self.config.bound / math.sqrt(2)))
         everybody = min(self.edges) >= self.spec.distance
         return (Guarantee.FULL if everybody else Guarantee.ASSUMED), 1.0
+
+    @property
+    def alarmed(self) -> bool:
+        """Whether the sensor does not behave as it is thought to."""
+        return self.config.monitor and self.monitor.alarmed
+
+    @property
+    def noise(self) -> FloatArray:
+        """Standard deviations of x, y [m], vx and vy [m/s] of what is seen, (4,), as told or as estimated by now."""
+        return self._told if self.learned.noise is None else self.learned.noise.sigma
+
+    @property
+    def bounds(self) -> FloatArray:
+        """How many standard deviations bodies may be away, below and above, of each of x, y, vx and vy, (2, 4)."""
+        if self.alarmed:
+            return np.full((2, 4), FARTHEST)
+        if self.learned.conformal is not None:
+            return self.learned.conformal.bounds
+        return np.full((2, 4), float(self.config.bound))
 
     def see(self, observation: Any, frame: int, control: EgoControl) -> Scene:
         """The scene that an observation shows.
@@ -179,20 +160,29 @@ class ObservationPerception:
             states[:, 1:] -= sighting.ego[1:]
         last = self.tracks
         if passed or not len(last.ids):
-            places = sighting.places if self.spec.sorted else None
-            self.tracks = follow(last, states, self._noise, passed, self._motions, self._patience, places)
+            places, noise = sighting.places if self.spec.sorted else None, np.diag(np.square(self.noise))
+            who = self._patience, places, self._watched
+            self.tracks = follow(last, states, noise, passed, self._motions, *who)
+            self._learn()
         self.edges = edges(self.spec, sighting)
         x, _, along, _ = _cartesian(then)
         lost = _around(last, _gone(last, self.tracks), x, passed)
         new = _around(self.tracks, self.tracks.ids >= last.next_id, x)
         self.behind.go_on(self.config.unseen, self.edges[1], float(along), passed, lost, new)
 
+    def _learn(self) -> None:
+        """Take in how what is shown differs from what was expected."""
+        surprise = self.tracks.surprise
+        if surprise is not None:
+            self.monitor = self.monitor.after(self._egos[-1][0], surprise.distances, self._timing[1])
+            self.learned = self.learned.after(surprise)
+
     def _scene(self, control: EgoControl) -> Scene:
         dt, frames = self._timing
         (frame_then, then), (frame, ego) = self._egos[0], self._egos[-1]
         late, road = (frame - frame_then) * dt, self._road
         now = ahead_of(self.tracks, late, self._motions)
-        rows = bounded(now.mean, *sides(now, self.config.bound), self.spec.body, float(ego[_X]))
+        rows = bounded(now.mean, *sides(now, self.bounds), self.spec.body, float(ego[_X]))
         ids, ghosts = self.tracks.ids, self._ghosts(road.to_road(then))
         if len(ghosts):
             ghosts[:, RoadState.S] += late * ghosts[:, RoadState.SPEED]
@@ -200,6 +190,9 @@ class ObservationPerception:
             ghost_rows[:, : ghosts.shape[1]] = road.to_world(ghosts)
             ghost_rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] = self.spec.body
             rows, ids = np.concatenate([rows, ghost_rows]), np.concatenate([ids, np.full(len(ghosts), -1)])
+        if self.alarmed:
+            # Nobody is taken to be who was there before: what was known of them narrows nothing.
+            ids = np.full(len(rows), -1)
         return Scene(
             ego=ego,
             others=rows,
@@ -214,8 +207,11 @@ class ObservationPerception:
 
     def _ghosts(self, ego: FloatArray) -> FloatArray:
         """States on the road of those who may be there unseen, (n, 4), around an ego at such a state."""
-        spec, road, unseen, far = self.spec, self._road, self.config.unseen, self.edges[0]
-        behind = self.behind.states(unseen, road, ego, spec.distance)
+        spec, road, (far, back) = self.spec, self._road, self.edges
+        unseen, pool = self.config.unseen, self.behind
+        if self.alarmed:
+            unseen, pool = Unseen.worst(), Behind(stranger=-back)
+        behind = pool.states(unseen, road, ego, spec.distance)
         if far >= spec.distance:
             return behind
         seen = road.to_road(bodies(self.tracks.mean, spec.body))
@@ -237,6 +233,14 @@ def _gone(last: Tracks, tracks: Tracks) -> BoolArray:
     """Who is followed no longer, (n,)."""
     here = tracks.ids[tracks.ids < last.next_id]
     return np.zeros(len(last.ids), bool) if len(here) == len(last.ids) else ~np.isin(last.ids, here)
+
+
+def _unlearned(config: PerceptionConfig) -> Learned:
+    """What is known before anything is seen."""
+    return Learned(
+        Noise() if config.noise == "estimate" else None,
+        Conformal.of(config.bound) if config.bounds == "conformal" else None,
+    )
 
 
 def _cartesian(row: FloatArray) -> FloatArray:

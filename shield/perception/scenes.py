@@ -16,6 +16,7 @@ from shield.config import PERCEPTIONS
 from shield.errors import ConfigError, SceneError
 from shield.perception.grid_perception import GridPerception
 from shield.perception.grid_spec import GridSpec, Spec, spec_of
+from shield.perception.learned import Learned
 from shield.perception.perceiving import ObservationPerception, PerceptionConfig
 from shield.perception.spec import ObservationSpec
 from shield.perception.undoing import check_wrappers, latest, stacked_in
@@ -75,7 +76,9 @@ class ObservedScenes:
             settings = replace(settings, delay=settings.delay + sensor.sensor_delay)
             # What is noisy may be beyond the range that it was clipped to.
             spec = replace(spec, clip=False, sensor_range=float(getattr(sensor, "sensor_range", inf)))
-        self._perception = perception_of(spec, self._inner.map, (dt, frames), settings)
+        before = self._perception
+        kept = before.learned if isinstance(before, ObservationPerception) and settings.carry else None
+        self._perception = perception_of(spec, self._inner.map, (dt, frames), settings, kept)
         self._shown = None
 
     def show(self, observation: Any) -> None:
@@ -109,9 +112,13 @@ class ObservedScenes:
 
 
 def perception_of(
-    spec: Spec, road: Any, timing: tuple[float, int], config: PerceptionConfig
+    spec: Spec,
+    road: Any,
+    timing: tuple[float, int],
+    config: PerceptionConfig,
+    learned: Learned | None = None,
 ) -> ObservationPerception | GridPerception:
-    """What makes scenes of observations that mean this; arguments as of either.
+    """What makes scenes of observations that mean this; arguments as of either. Of a grid nothing is learned.
 
     Raises
     ------
@@ -120,7 +127,7 @@ def perception_of(
     """
     if isinstance(spec, GridSpec):
         return GridPerception(spec, road, timing, config)
-    return ObservationPerception(spec, road, timing, config)
+    return ObservationPerception(spec, road, timing, config, learned)
 
 
 def sense(env: Any) -> Any:

@@ -33,10 +33,12 @@ from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.perception import filter_kernels as filters
 from shield.perception.filters import Course
 
-__all__ = ["Motions", "Tracks", "ahead_of", "follow", "sides"]
+__all__ = ["Motions", "Surprise", "Tracks", "ahead_of", "follow", "sides"]
 
 _GATE = 36.0
 """Squared Mahalanobis distance beyond which two are not the same: chi^2 with 4 degrees exceeds it once in 4 million."""
+_LOST = 400.0
+"""Squared distance within which somebody new may be whoever was expected, and not seen."""
 _SETTLING, _WAVER = 1.0, 0.15
 """One that keeps to its lane is drawn to its middle within this [s], and strays from it by this [m]."""
 _RATES = np.array([[-0.1, 0.05, 0.05], [1.0, -1.1, 0.1], [0.5, 1.0, -1.5]])
@@ -68,6 +70,25 @@ class Motions(NamedTuple):
     sideways: float = 1.5
 
 
+class Surprise(NamedTuple):
+    """What was expected of k vehicles against what was seen of them, at one observation.
+
+    Those are among them, too, who are further from where somebody was expected than the gate, but not by far: what they
+    show is new, and counts against whoever was expected.
+
+    Attributes
+    ----------
+    distances : squared Mahalanobis distances, the least of the three estimates', (k,).
+    scores : in standard deviations of a normal distribution, of x, y, vx and vy, (k, 4); see `filters.scores`.
+    steps : of those who were seen at the observation before, too: by how much what is seen of x, y, vx and vy has
+        changed, but for how far one comes at the speed that it is thought to have, (l, 4) [m], [m/s].
+    """
+
+    distances: FloatArray
+    scores: FloatArray
+    steps: FloatArray
+
+
 def _none(*shape: int) -> FloatArray:
     return np.zeros((0, *shape))
 
@@ -83,6 +104,9 @@ class Tracks:
     missed : for how many observations in a row each has not been seen, (n,). places : row in which each was seen last,
         (n,); NaN where rows say nothing.
     next_id : of the next newcomer.
+    seen : what was seen last of each, (n, 4).
+    surprise : what was expected against what was seen at the last observation; None before the second,
+        and where nobody asks.
     innovation : squared Mahalanobis distance between what was expected of each and what was seen, the least of the
         three, (n,); NaN of who has just come or was not seen.
     """
@@ -95,6 +119,8 @@ class Tracks:
     places: FloatArray = field(default_factory=lambda: np.zeros(0))
     next_id: int = 1
     innovation: FloatArray = field(default_factory=lambda: np.zeros(0))
+    seen: FloatArray = field(default_factory=lambda: _none(4))
+    surprise: Surprise | None = None
 
     @property
     def mean(self) -> FloatArray:
@@ -115,6 +141,7 @@ def follow(
     motions: Motions,
     patience: int = 0,
     places: IntArray | None = None,
+    watched: bool = False,
 ) -> Tracks:
     """The tracks after one more observation.
 
@@ -124,6 +151,7 @@ def follow(
     noise : covariance of one of these, (4, 4). dt : time since the observation before [s].
     patience : for how many observations in a row somebody may be missing.
     places : rows in which those seen are, (m,), where these are sorted by what is there; None where they say nothing.
+    watched : whether `Tracks.surprise` is filled in.
     """
     at = np.full(len(seen), np.nan) if places is None else places.astype(float)
     changes, course, pushed, centers = _foreseen(dt, motions)
@@ -132,28 +160,44 @@ def follow(
     away, size = filters.distances(means, covariances, seen, noise)
     least, cost = filters.costs(away, tracks.places, at)
     rows, columns = linear_sum_assignment(cost)
-    matched = least[rows, columns] <= _GATE
+    apart = least[rows, columns]
+    surprise = None
+    if watched and len(rows):
+        near = apart <= _LOST
+        pair = rows[near], columns[near]
+        found = filters.scores(chances, means, covariances, seen, noise, *pair)
+        surprise = Surprise(apart[near], found, _steps(tracks, seen, dt, *pair))
+    matched = apart <= _GATE
     rows, columns = rows[matched], columns[matched]
     innovation = np.full(len(means), np.nan)
-    innovation[rows] = least[rows, columns]
+    innovation[rows] = apart[matched]
     expected = chances, means, covariances
     chances, means, covariances = filters.taken_in(*expected, seen, noise, away, size, rows, columns)
-    missed, last = tracks.missed + 1, tracks.places.copy()
-    missed[rows], last[rows] = 0, at[columns]
+    missed, last, shown = tracks.missed + 1, tracks.places.copy(), tracks.seen.copy()
+    missed[rows], last[rows], shown[rows] = 0, at[columns], seen[columns]
     unknown = np.ones(len(seen), bool)
     unknown[columns] = False
-    kept = missed <= patience
-    everybody = Tracks(tracks.ids, means, covariances, chances, missed, last, tracks.next_id, innovation)
+    kept, next_id = missed <= patience, tracks.next_id
+    everybody = Tracks(tracks.ids, means, covariances, chances, missed, last, next_id, innovation, shown, surprise)
     if kept.all() and not unknown.any():
         return everybody
-    return _joined(everybody, kept, _newcomers(tracks.next_id, seen[unknown], at[unknown], noise, motions))
+    return _joined(everybody, kept, _newcomers(next_id, seen[unknown], at[unknown], noise, motions))
+
+
+def _steps(tracks: Tracks, seen: FloatArray, dt: float, rows: IntArray, columns: IntArray) -> FloatArray:
+    """See `Surprise.steps`."""
+    before = tracks.missed[rows] == 0
+    rows, columns = rows[before], columns[before]
+    steps: FloatArray = seen[columns] - tracks.seen[rows]
+    steps[:, :2] -= dt * tracks.mean[rows, 2:]
+    return steps
 
 
 def _joined(one: Tracks, kept: BoolArray, other: Tracks) -> Tracks:
     """Those who are kept of one, and the other."""
-    names = "ids", "means", "covariances", "chances", "missed", "places", "innovation"
+    names = "ids", "means", "covariances", "chances", "missed", "places", "innovation", "seen"
     joined = {name: np.concatenate([getattr(one, name)[kept], getattr(other, name)]) for name in names}
-    return Tracks(**joined, next_id=other.next_id)
+    return Tracks(**joined, next_id=other.next_id, surprise=one.surprise)
 
 
 def _newcomers(first_id: int, seen: FloatArray, at: FloatArray, noise: FloatArray, motions: Motions) -> Tracks:
@@ -169,6 +213,7 @@ def _newcomers(first_id: int, seen: FloatArray, at: FloatArray, noise: FloatArra
         at,
         first_id + n,
         np.full(n, np.nan),
+        seen,
     )
 
 
@@ -183,10 +228,10 @@ def _born(seen: FloatArray, noise: FloatArray, motions: Motions) -> tuple[FloatA
     return mean, about
 
 
-def sides(tracks: Tracks, bound: float) -> tuple[FloatArray, FloatArray]:
+def sides(tracks: Tracks, bound: float | FloatArray) -> tuple[FloatArray, FloatArray]:
     """Between what each of x, y, vx and vy is, (n, 4) and (n, 4): quantiles of the mixture, so likely to be exceeded as
-    `bound` standard deviations of one normal distribution are."""
-    bounds = np.full((2, 4), float(bound))
+    `bound` standard deviations of one normal distribution are; one for all, or below and above of each, (2, 4)."""
+    bounds = np.full((2, 4), float(bound)) if isinstance(bound, float | int) else bound
     return filters.quantiles(tracks.chances, tracks.means, tracks.covariances, bounds)
 
 

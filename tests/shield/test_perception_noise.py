@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-import highway_env  # noqa: F401  (registers the environments)
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from observed_roads import ANY, ROAD
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from observed_roads import ANY, ROAD, SEEN, make
 
-from dynamics.scenes.scene import EgoControl, Scene, Target
+from dynamics.scenes.scene import EgoControl, Scene, SceneReader, Target
 from shield import ShieldConfig
+from shield.decision import Tier
 from shield.perception.perceiving import ObservationPerception, PerceptionConfig
 from shield.perception.spec import ObservationSpec
-from shield.perception.tracking import Motions, Tracks, follow
+from shield.perception.tracking import Motions, Tracks, follow, sides
 from shield.procedures.decide import Core
 from shield.procedures.meta_actions import MetaActions
 from shield.procedures.screen import Wish
@@ -115,3 +120,85 @@ def test_bounds_grow_with_the_noise():
         if last is not None:
             assert (size > last).all()
         last = size
+
+
+@given(low=st.floats(0.02, 20.0), times=st.floats(1.05, 10.0), seed=st.integers(0, 10**6), steps=st.integers(1, 8))
+@settings(max_examples=25, deadline=None)
+def test_bounds_shrink_as_the_noise_does(low, times, seed, steps):
+    """Each vehicle's, on each side, whatever is seen: the better the sensor, the less far anybody may be."""
+    rng, widths = np.random.default_rng(seed), []
+    drawn = rng.standard_normal((steps, 4))
+    for sigma in (low, low * times):
+        tracks, noise = Tracks(), np.eye(4) * sigma**2
+        for k in range(steps):
+            state = np.array([[40.0 + 21.0 * 0.2 * k, 4.0, 21.0, 0.0]])
+            # The same draws by what was expected: so that all motions are as likely as with the other noise.
+            seen = state + 0.01 * low * drawn[k]
+            tracks = follow(tracks, seen, noise, 0.2, Motions())
+        below, above = sides(tracks, 2.0)
+        widths.append((above - below)[0])
+    assert (widths[0] < widths[1]).all()
+
+
+@given(seed=st.integers(0, 10**6), corners=st.booleans(), sigma=st.sampled_from([0.3, 1.0, 3.0]))
+@settings(max_examples=30, deadline=None)
+def test_whoever_is_within_the_bounds_is_covered_by_the_body_and_as_fast_as_it_or_less_in_the_way(seed, corners, sigma):
+    """The body in the scene holds the body of a car wherever within the stated bounds it is."""
+    rng = np.random.default_rng(seed)
+    perception = ObservationPerception(
+        ObservationSpec(rows=3, see_behind=True), ROAD, (0.2, 5), PerceptionConfig(noise=(sigma,) * 4)
+    )
+    control = EgoControl(Target(1, 25.0))
+    for k in range(6):
+        seen = np.zeros((3, 5))
+        seen[0] = [1, 0.0, 4.0, 21.0, 0.0]
+        seen[1:, 0], seen[1:, 1:3] = 1, [[50.0, 0.0], [-50.0, 4.0]]
+        seen[1:, 1:] += sigma * rng.standard_normal((2, 4))
+        scene = perception.see(seen, k, control)
+    low, high = sides(perception.tracks, perception.bounds)
+    body = perception.spec.body
+    for row, below, above in zip(scene.others[scene.ids >= 0], low, high, strict=True):
+        shares = rng.random(4)
+        true = below + (np.round(shares) if corners else shares) * (above - below)
+        assert row[0] - row[4] / 2 <= true[0] - body[0] / 2 + 1e-9
+        assert row[0] + row[4] / 2 >= true[0] + body[0] / 2 - 1e-9
+        assert row[1] - row[5] / 2 <= true[1] - body[1] / 2 + 1e-9
+        assert row[1] + row[5] / 2 >= true[1] + body[1] / 2 - 1e-9
+        along = row[3] * math.cos(row[2])
+        assert along <= true[2] + 1e-9 if row[0] > scene.ego[0] else along >= true[2] - 1e-9
+
+
+@pytest.mark.parametrize("seed", range(5000, 5003))
+def test_the_certificate_holds_for_whoever_is_within_the_bounds(seed):
+    """What verifies in a scene of bounds verifies with cars that are, and drive, anywhere within them."""
+    rng, config = np.random.default_rng(seed), ShieldConfig()
+    env = make(SEEN)
+    env.reset(seed=seed)
+    base = env.unwrapped
+    reader = SceneReader(base)
+    reader.check()
+    verified = 0
+    for _ in range(15):
+        exact = reader.read()
+        half = rng.uniform(0.2, 2.0, (len(exact.others), 2))
+        slower = rng.uniform(0.0, 1.0, len(exact.others))
+        ahead = exact.others[:, 0] > exact.ego[0]
+        rows = exact.others.copy()
+        # Bounds in which the truth is, anywhere.
+        rows[:, :2] += rng.uniform(-1, 1, half.shape) * half
+        rows[:, 4:6] += 2 * half
+        rows[:, 3] += np.where(ahead, -slower, slower)
+        ids = np.arange(len(rows))
+        wide = replace(exact, others=rows, ids=ids, blurred=True)
+        true = replace(exact, ids=ids)
+        for action in range(len(exact.control.actions)):
+            wish = Wish(action, exact.control.actions, None)
+            one, other = (Core(MetaActions(config)).decide(scene, wish) for scene in (wide, true))
+            if one.tier is Tier.PASSED:
+                verified += 1
+                assert other.tier is Tier.PASSED
+                assert other.margin >= 0.0
+        env.step(int(rng.integers(5)))
+        if base.vehicle.crashed:
+            break
+    assert verified >= 5

@@ -101,6 +101,9 @@ def test_the_filter_is_calibrated():
         truth[:, :2] += truth[:, 2:] * dt + push * dt * dt / 2 + extra
         truth[:, 2:] += push * dt
     values = np.concatenate(found)
+    # chi^2 with 4 degrees of freedom is between these in 95 % of the cases.
+    inside = ((values > 0.484) & (values < 11.143)).mean()
+    assert abs(inside - 0.95) < 1.5 * 1.96 * math.sqrt(0.95 * 0.05 / len(values))
     assert len(tracks.ids) == n
     assert not np.isnan(values).any()
     # The mean of so many chi^2 with 4 degrees is within this of 4 in 95 % of the cases; 1.5 times as wide.

@@ -91,13 +91,14 @@ def check_wrappers(env: Any, names: tuple[str, ...] | None = None) -> None:
 
 def wrappers_of(env: Any) -> tuple[str, ...]:
     """Names of the observation wrappers, outermost first, of a Gymnasium environment in this process; but for sensors
-    that say of their own noise."""
+    that say of their own noise, and for those that add columns and say so (`added_features`), which are cut off."""
     import gymnasium as gym
     from gymnasium.wrappers import FrameStackObservation
 
     found = []
     while isinstance(env, gym.Wrapper):
-        if isinstance(env, gym.ObservationWrapper | FrameStackObservation) and not hasattr(env, _SENSOR):
+        known = hasattr(env, _SENSOR) or hasattr(type(env), "added_features")
+        if isinstance(env, gym.ObservationWrapper | FrameStackObservation) and not known:
             found.append(type(env).__name__)
         env = env.env
     return tuple(found)

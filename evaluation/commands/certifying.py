@@ -118,8 +118,8 @@ def falsify_command(
     drivers: Annotated[
         str,
         typer.Option(
-            help="Who drives the others. idm: highway-env's own; bold: as reckless as the rules permit, on two lanes, in"
-            " highway-env itself, until something is found."
+            help="Who drives the others. idm: highway-env's own; bold: as reckless as the rules permit, on two lanes,"
+            " in highway-env itself, until something is found."
         ),
     ] = "idm",
     jobs: Annotated[int, typer.Option(help="Processes among bold drivers; -1 for one per core.")] = -1,

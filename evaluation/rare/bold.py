@@ -50,6 +50,8 @@ _ALIKE = 5.0
 """Whose speeds differ by less are about as fast [m/s]."""
 _CRAWL = 12.0
 """They brake for nothing no further than to here: queues have rules of their own [m/s]."""
+_HUNTS = 90.0
+"""From so far behind the ego they mostly push [m]."""
 _SETTLED = 0.3
 """Nearer to where they want to be across than this they are there [m]."""
 _SPARE = 2.0, 5.0
@@ -94,6 +96,8 @@ class Bold(IDMVehicle):  # type: ignore[misc]
         self.left = int(self.draw.integers(*_HELD))
         calm = RULES.calm_braking
         self.held = float(self.draw.choice([-calm, -calm, -0.5 * calm, 0.0, RULES.acceleration, RULES.acceleration]))
+        if 0 < self.ego.position[0] - self.position[0] < _HUNTS and self.draw.random() < 0.8:
+            self.held = RULES.acceleration
 
     def _go_across(self) -> None:
         """Where to be across: in another lane as MOBIL has it, or wherever there is room, or astride."""
@@ -105,7 +109,7 @@ class Bold(IDMVehicle):  # type: ignore[misc]
             return
         habit, side = self.draw.random(), int(self.draw.choice([-1, 1]))
         if habit < 0.4:
-            astride = side * float(self.draw.uniform(1.0, 1.9))
+            astride = side * float(self.draw.uniform(1.3, 1.9))
             self.offset = astride if self._lets_in(self.lane_index[2] + side) else 0.0
         elif habit < 0.7 and self.offset == 0.0:
             self._change(side)
@@ -181,7 +185,11 @@ class Bold(IDMVehicle):  # type: ignore[misc]
                 if gap - BUFFER.longitudinal < _SPARE[0] + self._closing(v, max(first.speed, 0.0)):
                     a = -RULES.braking
             elif lane != self._leaning() or lane == self.lane_index:
-                a = min(a, self.acceleration(self, first))
+                asked = self.acceleration(self, first)
+                off = abs(float(self.road.network.get_lane(lane).local_coordinates(first.position)[1]))
+                touches = off - 0.5 * first.WIDTH < _TOUCHES - RULES.lean
+                # Who only comes near the lane is nobody to brake hard for.
+                a = min(a, asked if touches else max(asked, -RULES.calm_braking))
         return float(np.clip(a, max(-RULES.braking, -v / self.dt), RULES.acceleration))
 
     def _leaning(self) -> Any:
@@ -285,7 +293,11 @@ def man_highway(base: Any, vehicles: int, seed: int) -> None:
     road.vehicles, placed = [ego], [(ego.lane_index[2], float(ego.position[0]), float(ego.speed))]
     for k in range(20 * vehicles):
         lane, off = int(draw.integers(lanes)), draw.uniform(*_AROUND)
-        at, speed = ego.position[0] + off, draw.uniform(*(_SPEEDS[0] if off > 0 else _SPEEDS[1]))
+        speed = draw.uniform(*(_SPEEDS[0] if off > 0 else _SPEEDS[1]))
+        if k == 0:
+            # One comes up fast beside the ego's lane: whoever turns in before it counts on its brakes.
+            lane, off, speed = (ego.lane_index[2] + 1) % lanes, draw.uniform(-50.0, -15.0), draw.uniform(30.0, 40.0)
+        at = ego.position[0] + off
         near = [(x - at, v) for line, x, v in placed if line == lane]
         if any(abs(d) < _APART + (max(speed - v, 0.0) * 2 if d > 0 else max(v - speed, 0.0) * 2) for d, v in near):
             continue

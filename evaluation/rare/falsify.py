@@ -33,8 +33,8 @@ ANY = "any"
 """The policy that may propose anything: its actions are searched too."""
 TRAFFIC = ("idm", "bold")
 """Who drives the others: highway-env's own, or as recklessly as the rules permit (`evaluation.rare.bold`)."""
-_AT_ONCE = 64
-"""Episodes among bold drivers before it is asked whether anything was found."""
+_AT_ONCE = 16
+"""Episodes among bold drivers, in several processes, before it is asked whether anything was found."""
 _MOST = float(np.nextafter(1.0, 0.0))
 
 
@@ -230,7 +230,8 @@ def falsify_among(
     road, driven = setting.override({"lanes_count": lanes}), list[BoldEpisode]()
     while len(driven) < episodes and not any(x.told for x in driven):
         first = seed + len(driven)
-        driven += drive_bold_many(road, range(first, min(first + _AT_ONCE, seed + episodes)), config, jobs=jobs)
+        more = range(first, min(first + (1 if jobs == 1 else _AT_ONCE), seed + episodes))
+        driven += drive_bold_many(road, more, config, jobs=jobs)
     found = next((k for k, x in enumerate(driven) if x.told), len(driven) - 1)
     driven = driven[: found + 1]
     began = [x for x in driven if x.started]

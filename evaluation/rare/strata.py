@@ -2,15 +2,15 @@ r"""Stratified counting: the probability of a rare event on the highway, by how 
 
 Notation
 --------
-Lanes are drawn as whole numbers, and a crash of one kind is not near one of another. So scenes are sorted by K, how many
-of the m others start in the ego's lane, of which it is known how often each value comes up: binomial, with m and one over
-the number of lanes. Inside each stratum the rest is drawn as it comes,
+Lanes are drawn as whole numbers, and a crash of one kind is not near one of another. So scenes are sorted by K, how
+many of the m others start in the ego's lane: binomial, with m and one over the number of lanes. Inside each stratum the
+rest is drawn as it comes,
 
     P(F) = sum_k P(K = k) P(F | K = k)
 
 A pilot of as many episodes in each says where the others are worth most: in proportion to P(K = k) sqrt(P(F | K = k)),
-and a share of them evenly, so that no stratum is without. The estimate is made of those others alone, so it is unbiased,
-whatever the pilot saw.
+and a share of them evenly, so that no stratum is without. The estimate is made of those others alone, so it is
+unbiased, whatever the pilot saw.
 
 Source: Neyman 1934 (allocation); Cochran 1977, chapter 5.
 """

@@ -12,11 +12,14 @@ from typer.testing import CliRunner
 from dynamics.simulator.simulator import Simulator
 from dynamics.traffic.assumptions import Assumptions
 from evaluation.commands.cli import app
-from evaluation.rare.falsify import ANY, Find, crash_probability, falsify, replay
+from evaluation.rare.bold import drive_bold
+from evaluation.rare.falsify import ANY, Find, crash_probability, falsify, falsify_among, replay
+from evaluation.rare.strata import Strata, stratified
 from evaluation.rare.subset import subset_simulation
 from evaluation.running.many import Many
 from evaluation.settings import Setting, get_setting
 from shield import ConfigError, ShieldConfig
+from shield.config import Buffer
 
 FAST = get_setting("highway-fast")
 BARE = ShieldConfig(mode="none")
@@ -184,3 +187,87 @@ def test_what_is_no_find_is_refused(tmp_path):
         Find.load(path)
     with pytest.raises(ConfigError, match="at least 500"):
         falsify(FAST, ANY, ShieldConfig(), episodes=100)
+
+
+def test_bold_drivers_keep_to_the_rules_and_find_nothing_in_the_default():
+    met = falsify_among(FAST, ShieldConfig(), episodes=4, seed=11)
+    assert (met.episodes, met.began) == (4, 4)
+    assert (met.holes, met.named) == ((), 0)
+    assert 0 <= met.find.clearance < 4
+
+
+@pytest.mark.slow
+def test_bold_drivers_find_nothing_in_the_default_for_longer():
+    met = falsify_among(FAST, ShieldConfig(), episodes=150, seed=5_000)
+    assert met.holes == ()
+
+
+@pytest.mark.parametrize(
+    ("weak", "rule"),
+    [
+        ({"acceleration": 1.0}, "SPEED"),
+        ({"calm_braking": 0.5}, "BRAKING"),
+        pytest.param({"lean": 1.0}, "LANES", marks=pytest.mark.slow),
+    ],
+)
+def test_bold_drivers_find_a_weak_assumption_out_by_the_monitor(weak, rule):
+    met = falsify_among(FAST, ShieldConfig(assumptions=Assumptions(**weak)), episodes=30)
+    assert rule in met.by_rule
+
+
+def test_bold_drivers_find_a_hole_and_it_is_replayed(tmp_path):
+    """A shield that keeps no distance has nobody to name for it."""
+    run, find, none = CliRunner(), tmp_path / "find.json", tmp_path / "none.toml"
+    ShieldConfig(buffer=Buffer(0.0, 0.0)).save(none)
+    asked = ["falsify", str(find), "--drivers", "bold", "--episodes", "20", "--jobs", "1", "--config", str(none)]
+    result = run.invoke(app, asked)
+    assert result.exit_code == 1, result.output
+    found = Find.load(find)
+    assert found.clearance < 0
+    assert replay(found) == found
+    assert drive_bold(Setting("again", found.env_id, found.config), found.seed, ShieldConfig()).clearance >= 0
+
+
+def test_bold_drivers_that_do_not_fit_are_refused():
+    with pytest.raises(ConfigError, match="straight highway"):
+        drive_bold(FAST, 0, BARE)
+    with pytest.raises(ConfigError, match="at least 1 episode"):
+        falsify_among(FAST, ShieldConfig(), episodes=0)
+
+
+def of_lanes(shares):
+    """How many of five others are in the ego's lane, of four."""
+    lanes = (shares * 4).astype(int)
+    return (lanes[:, 2::4] == lanes[:, :1]).sum(axis=1)
+
+
+def test_strata_are_drawn_as_resets_draw_them():
+    strata, rng = Strata(5, 4), np.random.default_rng(0)
+    drawn = np.bincount(of_lanes(rng.random((40_000, 22))), minlength=6) / 40_000
+    np.testing.assert_allclose(strata.probabilities, drawn, atol=0.01)
+    for k in range(6):
+        scenes = strata.draw(k, 500, rng)
+        assert (of_lanes(scenes) == k).all()
+        assert ((scenes >= 0) & (scenes < 1)).all()
+    # Everybody else is anywhere else.
+    assert set(np.unique((strata.draw(0, 500, rng)[:, [0, 2, 18]] * 4).astype(int))) == {0, 1, 2, 3}
+
+
+def test_counting_by_strata_is_right_on_the_average():
+    def happens(shares):
+        return (of_lanes(shares) >= 4) & (shares[:, 3] < 0.1)
+
+    strata = Strata(5, 4)
+    truth = 0.1 * strata.probabilities[4:].sum()
+    found = [stratified(happens, strata, 200, 3000, seed) for seed in range(40)]
+    estimates = np.array([x.probability for x in found])
+    error = estimates.std() / truth
+    assert error < 0.2
+    assert abs(estimates.mean() / truth - 1) < 3 * error / np.sqrt(40)
+    assert np.mean([x.error for x in found]) == pytest.approx(estimates.std(), rel=0.3)
+    for each in found:
+        assert each.evaluations == 1200 + each.counted.sum()
+    with pytest.raises(ConfigError, match="pilot"):
+        stratified(happens, strata, 0)
+    with pytest.raises(ConfigError, match="2 lanes"):
+        Strata(3, 1)

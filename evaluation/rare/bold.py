@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
@@ -24,6 +24,7 @@ from dynamics.traffic.permits import footprint, gap_between
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
 from shield import ShieldConfig, ShieldedEnv
+from shield.certificate.monitor import Watch
 from shield.config import Buffer
 from shield.doors.meta_door import MetaDoor
 from shield.errors import ConfigError
@@ -67,6 +68,9 @@ _APART = 16.0
 
 class Bold(IDMVehicle):  # type: ignore[misc]
     """As reckless as the rules permit; where they ask for more it brakes as IDM does, which they always permit."""
+
+    position: Any
+    target_lane_index: Any
 
     def take(self, draw: np.random.Generator, ego: Any, dt: float) -> None:
         """Be driven by these numbers, around this ego, in frames of so long [s]."""
@@ -268,7 +272,8 @@ class _Referee:
         """Whom the monitor has named in what it has seen; the episode is over with the first."""
         if not self.over:
             watch = self._door.core.memory.watch
-            self.named = {rule.name or str(rule): n for rule, n in watch.by_rule.items()}
+            # Of meta-actions, not of a parking lot.
+            self.named = {rule.name or str(rule): n for rule, n in cast(Watch, watch).by_rule.items()}
             self.over = bool(self.named) or self.crashed or self.clearance < 0
 
     def _watched(self, dt: float) -> None:

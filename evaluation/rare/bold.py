@@ -69,8 +69,8 @@ _APART = 16.0
 class Bold(IDMVehicle):  # type: ignore[misc]
     """As reckless as the rules permit; where they ask for more it brakes as IDM does, which they always permit."""
 
-    position: Any
     target_lane_index: Any
+    position: Any
 
     def take(self, draw: np.random.Generator, ego: Any, dt: float) -> None:
         """Be driven by these numbers, around this ego, in frames of so long [s]."""
@@ -271,9 +271,8 @@ class _Referee:
     def look(self) -> None:
         """Whom the monitor has named in what it has seen; the episode is over with the first."""
         if not self.over:
-            watch = self._door.core.memory.watch
-            # Of meta-actions, not of a parking lot.
-            self.named = {rule.name or str(rule): n for rule, n in cast(Watch, watch).by_rule.items()}
+            watch: Any = self._door.core.memory.watch
+            self.named = {rule.name or str(rule): n for rule, n in watch.by_rule.items()}
             self.over = bool(self.named) or self.crashed or self.clearance < 0
 
     def _watched(self, dt: float) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
@@ -24,7 +24,6 @@ from dynamics.traffic.permits import footprint, gap_between
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
 from shield import ShieldConfig, ShieldedEnv
-from shield.certificate.monitor import Watch
 from shield.config import Buffer
 from shield.doors.meta_door import MetaDoor
 from shield.errors import ConfigError

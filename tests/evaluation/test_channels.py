@@ -211,7 +211,7 @@ def test_training_and_evaluation_go_through_the_same_sensor(tmp_path):
     record = run_episode("highway-fast", str(trained.path), Variant(), 600, sensor=ALL)
     assert record.steps > 0
     with pytest.raises(ConfigError, match="observes highway-env itself"):
-        train("highway-fast", "ppo", 16, 0, output=tmp_path / "no", simulator="compiled", sensor=ALL)
+        train("merge", "ppo", 16, 0, output=tmp_path / "no", simulator="compiled", sensor=ALL)
 
 
 def test_a_specification_may_name_the_channels():

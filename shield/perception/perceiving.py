@@ -24,6 +24,8 @@ from shield.perception.unseen import Behind, Unseen, ahead, edges
 __all__ = ["ObservationPerception", "PerceptionConfig"]
 
 _X, _Y, _HEADING, _SPEED = int(State.X), int(State.Y), int(State.HEADING), int(State.SPEED)
+_COLUMNS = len(State)
+_NOBODY = np.zeros((0, 3))
 _PATIENCE = 3
 """Observations in a row that somebody may be missing for, through noise."""
 
@@ -151,12 +153,12 @@ class ObservationPerception:
 
     def _look(self, sighting: Sighting, then: FloatArray, passed: float) -> None:
         """Take in who is shown, as seen by the ego `then`."""
-        states, now = sighting.others.copy(), self._egos[-1][1]
+        states, now, before = sighting.others.copy(), self._egos[-1][1], _cartesian(then)
         if self.spec.absolute:
             states[:, 0] += now[_X]
         else:
             # What is relative is relative to where the ego was.
-            states += _cartesian(then)
+            states += before
             states[:, 1:] -= sighting.ego[1:]
         last = self.tracks
         if passed or not len(last.ids):
@@ -165,10 +167,12 @@ class ObservationPerception:
             self.tracks = follow(last, states, noise, passed, self._motions, *who)
             self._learn()
         self.edges = edges(self.spec, sighting)
-        x, _, along, _ = _cartesian(then)
-        lost = _around(last, _gone(last, self.tracks), x, passed)
-        new = _around(self.tracks, self.tracks.ids >= last.next_id, x)
-        self.behind.go_on(self.config.unseen, self.edges[1], float(along), passed, lost, new)
+        x, _, along, _ = before.tolist()
+        lost = new = _NOBODY
+        if self.tracks.ids is not last.ids:
+            lost = _around(last, ~np.isin(last.ids, self.tracks.ids), x, passed)
+            new = _around(self.tracks, self.tracks.ids >= last.next_id, x)
+        self.behind.go_on(self.config.unseen, self.edges[1], along, passed, lost, new)
 
     def _learn(self) -> None:
         """Take in how what is shown differs from what was expected."""
@@ -221,18 +225,10 @@ class ObservationPerception:
 def _around(tracks: Tracks, chosen: BoolArray, x: float, passed: float = 0.0) -> FloatArray:
     """How far ahead of x those who are chosen are, some time after they have been followed, where across, and how fast
     along the road, (n, 3)."""
-    if not chosen.any():
-        return np.zeros((0, 3))
     states = tracks.mean[chosen]
     states[:, :2] += passed * states[:, 2:]
     states[:, 0] -= x
     return states[:, :3]
-
-
-def _gone(last: Tracks, tracks: Tracks) -> BoolArray:
-    """Who is followed no longer, (n,)."""
-    here = tracks.ids[tracks.ids < last.next_id]
-    return np.zeros(len(last.ids), bool) if len(here) == len(last.ids) else ~np.isin(last.ids, here)
 
 
 def _unlearned(config: PerceptionConfig) -> Learned:
@@ -245,7 +241,7 @@ def _unlearned(config: PerceptionConfig) -> Learned:
 
 def _cartesian(row: FloatArray) -> FloatArray:
     """x, y, vx, vy of a vehicle row, (4,)."""
-    x, y, heading, speed = row[: len(State)]
+    x, y, heading, speed = row[:_COLUMNS].tolist()
     return np.array([x, y, speed * math.cos(heading), speed * math.sin(heading)])
 
 
@@ -254,7 +250,7 @@ def _ego_row(
 ) -> FloatArray:
     """The ego, (7,). Along the road it is where its speed has brought it, in the mean of both where there are frames
     `between`: it may have left the range of x."""
-    x, y, vx, vy = sighting.ego
+    x, y, vx, vy = sighting.ego.tolist()
     heading, speed = _polar(vx, vy, sighting.heading, 0.0 if before is None else float(before[_HEADING]))
     if before is not None:
         along = float(_cartesian(before)[2])

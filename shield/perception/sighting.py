@@ -60,10 +60,13 @@ def decode(spec: ObservationSpec, observation: object) -> Sighting:
     if not there[0]:
         raise SceneError("the observation does not show the ego: its first row is empty")
     seen = rows[there]
-    columns = _in_units(spec, seen)
+    low, half, ranged = _scales(spec.features, tuple(spec.ranges.items()))  # type: ignore[union-attr]
+    # What is in its own units already keeps every digit.
+    columns = low + (seen + 1.0) * half if ranged.all() else np.where(ranged, low + (seen + 1.0) * half, seen)
     x, *others_at = where = [spec.features.index(name) for name in STATE]
-    ranged = [name in spec.ranges for name in spec.features]  # type: ignore[operator]
     at_edge = (np.abs(seen) >= _EDGE) & ranged if spec.clip else None
+    if at_edge is not None and not at_edge.any():
+        at_edge = None
     if at_edge is not None and at_edge[0, others_at].any():
         lost = [name for name, k in zip(STATE[1:], others_at, strict=True) if at_edge[0, k]]
         raise SceneError(f"the ego's {', '.join(lost)} is at the edge of its range: nobody knows what it is")
@@ -107,14 +110,6 @@ def numbers_of(observation: object, shape: tuple[int, ...]) -> FloatArray:
 
 def _kind(observation: object, given: Any) -> str:
     return f"of {given.dtype}" if given.ndim else type(observation).__name__
-
-
-def _in_units(spec: ObservationSpec, rows: FloatArray) -> FloatArray:
-    """Features in their own units."""
-    low, half, ranged = _scales(spec.features, tuple(spec.ranges.items()))  # type: ignore[union-attr]
-    found: FloatArray = low + (rows + 1.0) * half
-    # What is in its own units already keeps every digit.
-    return found if ranged.all() else np.where(ranged, found, rows)
 
 
 @lru_cache(maxsize=16)

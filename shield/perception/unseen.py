@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from dynamics.compiled import uncounted
+from dynamics.roads.straight import nearest
 from dynamics.state import FloatArray, RoadState
 from shield.errors import ConfigError
 from shield.perception.sighting import Sighting
@@ -22,6 +24,7 @@ from shield.perception.spec import ObservationSpec
 
 __all__ = ["Behind", "Unseen", "ahead", "edges"]
 
+_S, _R, _SPEED = int(RoadState.S), int(RoadState.R), int(RoadState.SPEED)
 _GAP = 0.5
 """From a phantom to whoever is seen in its lane nearer to the ego [m]."""
 _BESIDE = 6.0
@@ -93,16 +96,24 @@ def ahead(
     """
     if far >= spec.distance:
         return np.zeros((0, 4))
-    length, s, lanes = spec.body[0], float(ego[RoadState.S]), road.centers
-    nearest = np.abs(others[:, RoadState.R, None] - lanes).argmin(axis=1)
-    slowest = min(unseen.slowest, float(others[:, RoadState.SPEED].min(initial=np.inf)))
-    found = np.zeros((len(lanes), 4))
-    for k, r in enumerate(lanes):
-        # Bodies do not overlap: whoever is there is beyond those seen in its lane.
-        seen = others[(nearest == k) & (others[:, RoadState.S] >= s), RoadState.S]
-        beyond = seen[seen < s + far + length].max(initial=-np.inf) + length + _GAP
-        found[k] = max(s + far, beyond), r, 0.0, slowest
+    found = np.zeros((len(road.centers), 4))
+    _beyond(road.centers, others, float(ego[RoadState.S]), far, spec.body[0], unseen.slowest, found)
     return found
+
+
+@uncounted
+def _beyond(
+    lanes: FloatArray, others: FloatArray, s: float, far: float, length: float, slowest: float, found: FloatArray
+) -> None:
+    for i in range(len(others)):
+        slowest = min(slowest, others[i, _SPEED])
+    for k in range(len(lanes)):
+        found[k, _S], found[k, _R], found[k, _SPEED] = s + far, lanes[k], slowest
+    for i in range(len(others)):
+        k = nearest(lanes, others[i, _R])
+        if s <= others[i, _S] < s + far + length:
+            # Bodies do not overlap: whoever is there is beyond those seen in its lane.
+            found[k, _S] = max(found[k, _S], others[i, _S] + length + _GAP)
 
 
 @dataclass(slots=True)

@@ -199,7 +199,8 @@ def test_a_sensor_that_has_changed_is_answered_with_the_widest_bounds_and_no_gua
     env.step(3)
     assert perception.alarmed
     assert env.last_decision.alarm
-    assert env.last_decision.guarantee is Guarantee.NONE
+    assert perception.rating == (Guarantee.NONE, 0.0)
+    assert env.last_decision.sight is env.last_decision.guarantee is Guarantee.NONE
     assert info["shield"]["guarantee"] == "none"
     scene = env.door.reader.read()
     assert (scene.ids == -1).all()

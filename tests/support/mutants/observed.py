@@ -12,6 +12,9 @@ _UNSEEN_TESTS = "tests/shield/test_perception_unseen.py"
 _NOISE_TESTS = "tests/shield/test_perception_noise.py"
 _TRACKING, _KERNELS = "shield/perception/tracking.py", "shield/perception/filter_kernels.py"
 _UNSEEN, _PERCEIVING = "shield/perception/unseen.py", "shield/perception/perceiving.py"
+_LEARNED, _MONITOR = "shield/perception/learned.py", "shield/perception/monitor.py"
+_LEARNED_TESTS = "tests/shield/test_perception_learned.py"
+_CHANGED = f"{_LEARNED_TESTS}::test_a_sensor_that_has_changed_is_answered_with_the_widest_bounds_and_no_guarantee"
 _BODIES, _MEMORY = "shield/perception/bodies.py", "shield/certificate/memory.py"
 
 OBSERVED = (
@@ -90,7 +93,7 @@ OBSERVED = (
         _BODIES,
         "states[a, 2] = high[a, 2] if mean[a, 0] < x else low[a, 2]",
         "states[a, 2] = mean[a, 2]",
-        f"{_NOISE_TESTS}::test_what_is_late_is_taken_to_where_it_is_by_now",
+        f"{_NOISE_TESTS}::test_whoever_is_within_the_bounds_is_covered_by_the_body_and_as_fast_as_it_or_less_in_the_way",
     ),
     off(
         "rows say nothing of who is who",
@@ -133,6 +136,70 @@ OBSERVED = (
         "numbers[:, known] = last.tables.numbers[:, same[known]]",
         "pass",
         f"{_TRACKING_TESTS}::test_what_is_remembered_of_those_known_again_is_what_is_remembered_in_exact_scenes",
+    ),
+    off("nobody monitors the sensor", _MONITOR, "return self.excess > _LIMIT", "return False", _CHANGED),
+    off(
+        "an alarm leaves the bounds as they are",
+        _PERCEIVING,
+        "return np.full((2, 4), FARTHEST)",
+        "pass",
+        _CHANGED,
+    ),
+    off(
+        "an alarm narrows by who was there before",
+        _PERCEIVING,
+        "ids = np.full(len(rows), -1)",
+        "pass",
+        _CHANGED,
+    ),
+    off(
+        "an alarm leaves the guarantee",
+        _PERCEIVING,
+        "return Guarantee.NONE, 0.0",
+        "pass",
+        _CHANGED,
+    ),
+    off(
+        "what was seen a decision ago counts on",
+        _MONITOR,
+        "if each[0] > frame - frames)",
+        "if True)",
+        f"{_LEARNED_TESTS}::test_what_is_older_than_a_decision_counts_no_more",
+    ),
+    off(
+        "noise is what little says",
+        _LEARNED,
+        "np.sqrt(self.squares / (self.count * share**3))",
+        "np.sqrt(0.9 * self.squares / self.count)",
+        f"{_LEARNED_TESTS}::test_noise_is_taken_to_be_no_less_than_it_is_while_little_was_seen",
+    ),
+    off(
+        "an unknown sensor is a good one",
+        _LEARNED,
+        "return WIDEST.copy()",
+        "return RESOLUTION.copy()",
+        f"{_LEARNED_TESTS}::test_nothing_is_known_before_anything_was_seen",
+    ),
+    off(
+        "bounds do not answer to being missed",
+        _LEARNED,
+        "levels = self.levels + _GAMMA *",
+        "levels = self.levels + 0.0 *",
+        f"{_LEARNED_TESTS}::test_as_many_are_beyond_the_bounds_as_chosen_whatever_the_distribution",
+    ),
+    off(
+        "the widest bounds are never missed",
+        _LEARNED,
+        "(scores > high) | (scores >= FARTHEST)",
+        "(scores > high)",
+        f"{_LEARNED_TESTS}::test_where_even_the_widest_bounds_are_missed_they_stay",
+    ),
+    off(
+        "conformal bounds are not used",
+        _PERCEIVING,
+        "return self.learned.conformal.bounds",
+        "pass",
+        f"{_LEARNED_TESTS}::test_bodies_reach_as_far_as_the_conformal_bounds_say",
     ),
 )
 """Each of a line."""

@@ -13,42 +13,28 @@ from gymnasium.vector.utils import batch_space
 from dynamics.simulator.scenario import REWARDS
 from dynamics.simulator.simulator import Simulator
 
-__all__ = ["HighwayVectorEnv"]
+__all__ = ["CompiledVectorEnv", "HighwayVectorEnv"]
 
 
-class HighwayVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
-    """So many highways in one Gymnasium vector environment.
+class CompiledVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
+    """Compiled environments in one Gymnasium vector environment; what simulates them is handed in.
 
     An episode that ends is followed by the next in the same step: `infos["final_obs"]` and `infos["final_info"]` have
     what was last seen of it, as with Gymnasium's own vector environments in the mode `SAME_STEP`.
 
     Parameters
     ----------
-    env_id, num_envs, config, threads : as of `Simulator`.
-
-    Examples
-    --------
-    >>> env = HighwayVectorEnv("highway-fast-v0", 3)
-    >>> observations, infos = env.reset(seed=7)  # seeds 7, 8 and 9
-    >>> observations, rewards, terminated, truncated, infos = env.step([3, 1, 4])
-    >>> observations.shape, infos["speed"].shape
-    ((3, 5, 5), (3,))
+    simulator : steps them. names : of the parts of a reward, in the order of `simulator.seen.parts`.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
 
-    def __init__(
-        self,
-        env_id: str = "highway-fast-v0",
-        num_envs: int = 1,
-        config: Mapping[str, Any] | None = None,
-        threads: int = 1,
-    ) -> None:
-        self.simulator = Simulator(env_id, num_envs, config, threads)
+    def __init__(self, simulator: Any, env_id: str, names: Sequence[str]) -> None:
+        scenario, num_envs = simulator.scenario, simulator.num_envs
+        self.simulator, self._names = simulator, tuple(names)
         self.num_envs, self.spec, self.render_mode = num_envs, gym.spec(env_id), None
-        self.config = dict(self.simulator.scenario.config)
-        self.single_observation_space = self.simulator.scenario.observation_space
-        self.single_action_space = self.simulator.scenario.action_space
+        self.config = dict(scenario.config)
+        self.single_observation_space, self.single_action_space = scenario.observation_space, scenario.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
@@ -81,10 +67,46 @@ class HighwayVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             infos |= {"final_obs": last, "_final_obs": ended.copy(), "final_info": final, "_final_info": ended.copy()}
         return observations.copy(), reward.copy(), terminated.copy(), truncated.copy(), infos
 
+    def _crashed(self) -> Any:
+        """Whether each ego has crashed, (num_envs,)."""
+        return self.simulator.seen.crashed.copy()
+
     def _infos(self, actions: Any) -> dict[str, Any]:
         """What highway-env has in `info`, at the end of the step: before a reset."""
-        parts = self.simulator.seen.parts
-        infos: dict[str, Any] = {"speed": self.simulator.seen.speed.copy(), "crashed": parts[:, 0] != 0}
+        seen = self.simulator.seen
+        infos: dict[str, Any] = {"speed": seen.speed.copy(), "crashed": self._crashed()}
         if actions is not None:
-            infos |= {"action": actions, "rewards": {name: parts[:, k].copy() for k, name in enumerate(REWARDS)}}
+            infos |= {"action": actions, "rewards": {n: seen.parts[:, k].copy() for k, n in enumerate(self._names)}}
         return infos | {f"_{name}": np.ones(self.num_envs, np.bool_) for name in infos}
+
+
+class HighwayVectorEnv(CompiledVectorEnv):
+    """So many highways in one Gymnasium vector environment.
+
+    An episode that ends is followed by the next in the same step: `infos["final_obs"]` and `infos["final_info"]` have
+    what was last seen of it, as with Gymnasium's own vector environments in the mode `SAME_STEP`.
+
+    Parameters
+    ----------
+    env_id, num_envs, config, threads : as of `Simulator`.
+
+    Examples
+    --------
+    >>> env = HighwayVectorEnv("highway-fast-v0", 3)
+    >>> observations, infos = env.reset(seed=7)  # seeds 7, 8 and 9
+    >>> observations, rewards, terminated, truncated, infos = env.step([3, 1, 4])
+    >>> observations.shape, infos["speed"].shape
+    ((3, 5, 5), (3,))
+    """
+
+    def __init__(
+        self,
+        env_id: str = "highway-fast-v0",
+        num_envs: int = 1,
+        config: Mapping[str, Any] | None = None,
+        threads: int = 1,
+    ) -> None:
+        super().__init__(Simulator(env_id, num_envs, config, threads), env_id, REWARDS)
+
+    def _crashed(self) -> Any:
+        return self.simulator.seen.parts[:, 0] != 0

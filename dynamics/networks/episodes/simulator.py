@@ -9,13 +9,14 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.errors import ActionError, ConfigError, SceneError
+from dynamics.errors import ConfigError, SceneError
 from dynamics.networks.engine import new_work, new_worlds
 from dynamics.networks.episodes.engine import Episodes, EpisodeWork, RoadsSeen, reset_all, step_all
 from dynamics.networks.episodes.scenario import RoadScenario, road_scenario_of
 from dynamics.networks.layout import COUNT
 from dynamics.networks.live import load
 from dynamics.simulator.arithmetic import Sums, sums_of_numpy
+from dynamics.simulator.asked import actions_given, resets_asked
 from dynamics.simulator.engine import Machine
 from dynamics.simulator.loops import addresses
 from dynamics.simulator.random import WORDS, from_generator
@@ -122,17 +123,7 @@ class RoadSimulator:
         -------
         The observations of all environments, (e, *shape) float32; the array is written over by the next call.
         """
-        chosen = np.arange(self.num_envs) if which is None else np.asarray(which, dtype=np.int64)
-        if chosen.ndim != 1 or ((chosen < 0) | (chosen >= self.num_envs)).any():
-            raise ConfigError(f"there are environments 0 to {self.num_envs - 1}, not {which!r}")
-        numbers = np.full(len(chosen), -1)
-        if seeds is not None:
-            given = list(seeds)
-            if len(given) != len(chosen) or not all(isinstance(s, int | np.integer) and 0 <= s < 2**63 for s in given):
-                raise ConfigError(
-                    f"have a seed from 0 to 2^63 - 1 for each of {len(chosen)} environments, not {seeds!r}"
-                )
-            numbers = np.array(given, dtype=np.int64)
+        chosen, numbers = resets_asked(self.num_envs, seeds, which)
         self._flat.full[chosen] = False
         reset_all(self.machine, self.episodes, self.scenario.rules, self._works[0], self._flat, chosen, numbers)
         return self.seen.observations
@@ -190,15 +181,4 @@ class RoadSimulator:
 
     def _given(self, actions: Any) -> FloatArray:
         """Actions as the kernels take them, (e, 2)."""
-        inputs, e = self.scenario.inputs, self.num_envs
-        actions = np.asarray(actions)
-        if inputs is not None:
-            if actions.shape != (e, inputs.size) or not np.isfinite(actions).all():
-                raise ActionError(f"have finite actions of shape {(e, inputs.size)}, not {actions.shape}")
-            return inputs(actions)
-        n = len(self.scenario.rules.drive.labels)
-        if actions.shape != (e,) or not ((actions >= 0) & (actions < n)).all():
-            raise ActionError(f"have {e} meta-actions from 0 to {n - 1}, not {actions!r}")
-        given = np.zeros((e, 2))
-        given[:, 0] = actions
-        return given
+        return actions_given(actions, self.num_envs, len(self.scenario.rules.drive.labels), self.scenario.inputs)

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
-import gymnasium as gym
-import numpy as np
-from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space
-
 from dynamics.networks.episodes.simulator import RoadSimulator
+from dynamics.simulator.vector_env import CompiledVectorEnv
 
 __all__ = ["RoadVectorEnv"]
 
 
-class RoadVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
+class RoadVectorEnv(CompiledVectorEnv):
     """So many environments on one road network in one Gymnasium vector environment.
 
     An episode that ends is followed by the next in the same step: `infos["final_obs"]` and `infos["final_info"]` have
@@ -34,52 +30,8 @@ class RoadVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
     ((3, 5, 5), (3,))
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
-
     def __init__(
         self, env_id: str, num_envs: int = 1, config: Mapping[str, Any] | None = None, threads: int = 1
     ) -> None:
-        self.simulator = RoadSimulator(env_id, num_envs, config, threads)
-        self.num_envs, self.spec, self.render_mode = num_envs, gym.spec(env_id), None
-        self.config = dict(self.simulator.scenario.config)
-        self.single_observation_space = self.simulator.scenario.observation_space
-        self.single_action_space = self.simulator.scenario.action_space
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Start all episodes; environment i has the seed `seed + i`, or that of its own in a list."""
-        chosen = list(range(self.num_envs))
-        if options and "reset_mask" in options:
-            chosen = np.flatnonzero(options["reset_mask"]).tolist()
-        seeds = {i: seed + i if isinstance(seed, int) else None if seed is None else seed[i] for i in chosen}
-        going_on = [i for i, one in seeds.items() if one is None]
-        if going_on:
-            self.simulator.reset(which=going_on)
-        seeded = {i: one for i, one in seeds.items() if one is not None}
-        if seeded:
-            self.simulator.reset(list(seeded.values()), list(seeded))
-        return self.simulator.seen.observations.copy(), self._infos(None)
-
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """One decision in each environment."""
-        actions = np.asarray(actions)
-        observations, reward, terminated, truncated = self.simulator.step(actions, again=True)
-        infos, ended = self._infos(actions), terminated | truncated
-        if ended.any():
-            last = np.full(self.num_envs, None, dtype=object)
-            for i in np.flatnonzero(ended):
-                last[i] = self.simulator.seen.terminal[i].copy()
-            final = infos.copy()
-            infos |= {"final_obs": last, "_final_obs": ended.copy(), "final_info": final, "_final_info": ended.copy()}
-        return observations.copy(), reward.copy(), terminated.copy(), truncated.copy(), infos
-
-    def _infos(self, actions: Any) -> dict[str, Any]:
-        """What highway-env has in `info`, at the end of the step: before a reset."""
-        seen, names = self.simulator.seen, self.simulator.scenario.names
-        infos: dict[str, Any] = {"speed": seen.speed.copy(), "crashed": seen.crashed.copy()}
-        if actions is not None:
-            infos |= {"action": actions, "rewards": {name: seen.parts[:, k].copy() for k, name in enumerate(names)}}
-        return infos | {f"_{name}": np.ones(self.num_envs, np.bool_) for name in infos}
+        simulator = RoadSimulator(env_id, num_envs, config, threads)
+        super().__init__(simulator, env_id, simulator.scenario.names)

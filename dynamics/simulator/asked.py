@@ -1,0 +1,61 @@
+"""What a batch of compiled environments is asked for: which of them to reset, with which seeds, and actions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.errors import ActionError, ConfigError
+from dynamics.state import FloatArray, IntArray
+
+__all__ = ["actions_given", "resets_asked"]
+
+
+def resets_asked(
+    num_envs: int, seeds: Sequence[int] | NDArray[Any] | None, which: Sequence[int] | None
+) -> tuple[IntArray, IntArray]:
+    """The environments to reset, all by default, and the seed of each, -1 for whoever goes on with its generator.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such environment, or not a seed from 0 to 2^63 - 1 for each.
+    """
+    chosen = np.arange(num_envs) if which is None else np.asarray(which, dtype=np.int64)
+    if chosen.ndim != 1 or ((chosen < 0) | (chosen >= num_envs)).any():
+        raise ConfigError(f"there are environments 0 to {num_envs - 1}, not {which!r}")
+    if seeds is None:
+        return chosen, np.full(len(chosen), -1)
+    given = list(seeds)
+    if len(given) != len(chosen) or not all(isinstance(s, int | np.integer) and 0 <= s < 2**63 for s in given):
+        raise ConfigError(f"have a seed from 0 to 2^63 - 1 for each of {len(chosen)} environments, not {seeds!r}")
+    return chosen, np.array(given, dtype=np.int64)
+
+
+def actions_given(actions: Any, num_envs: int, labels: int, inputs: Any) -> FloatArray:
+    """Actions as the kernels take them, (num_envs, 2).
+
+    Parameters
+    ----------
+    labels : how many meta-actions there are. inputs : what makes inputs of throttle and steering; None for
+        meta-actions.
+
+    Raises
+    ------
+    ActionError
+        If there is not an action for each environment, or one is none of the action space.
+    """
+    actions = np.asarray(actions)
+    if inputs is not None:
+        if actions.shape != (num_envs, inputs.size) or not np.isfinite(actions).all():
+            raise ActionError(f"have finite actions of shape {(num_envs, inputs.size)}, not {actions.shape}")
+        scaled: FloatArray = inputs(actions)
+        return scaled
+    if actions.shape != (num_envs,) or not ((actions >= 0) & (actions < labels)).all():
+        raise ActionError(f"have {num_envs} meta-actions from 0 to {labels - 1}, not {actions!r}")
+    given = np.zeros((num_envs, 2))
+    given[:, 0] = actions
+    return given

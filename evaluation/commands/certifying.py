@@ -164,15 +164,23 @@ def falsify_command(
 
 def rare_command(
     setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
-    policy: Annotated[str, typer.Option(help="A policy by name, an SB3 .zip, or `any`.")] = "faster",
-    samples: Annotated[int, typer.Option(min=100, help="Episodes of a level.")] = 2_000,
+    policy: Annotated[str, typer.Option(help="A policy by name, an SB3 .zip, or `any` (exact sensor).")] = "faster",
+    samples: Annotated[
+        int | None, typer.Option(min=2, help="Episodes of a level; by default 2,000, and 200 through a noisy sensor.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the estimate.")] = 0,
     config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
+    sensor: Annotated[str, typer.Option(help="Through which the policy sees, as of `shield evaluate`.")] = "exact",
+    perception: Annotated[
+        str, typer.Option(help="What the shield reads through a noisy sensor: simulator or observation.")
+    ] = "observation",
+    jobs: Annotated[int, typer.Option(help="Processes, through a noisy sensor; -1 for one per core.")] = -1,
 ) -> None:
-    """Estimate how often an episode ends in a crash, by subset simulation.
+    """Estimate how often an episode ends in a crash, without counting.
 
-    An event that happens once in 10,000 episodes takes some 8,000 of them; counting takes
-    250,000 for the same error.
+    By subset simulation over the scenes: an event that happens once in 10,000 episodes takes
+    some 8,000 of them; counting takes 250,000 for the same error. Through a noisy sensor an
+    episode is random all the way: then by splitting those that come near a crash.
     """
     import numpy as np
 
@@ -180,7 +188,10 @@ def rare_command(
     from evaluation.settings import get_setting
 
     shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)
-    found = crash_probability(get_setting(setting), policy, shield_config, samples, seed)
+    if sensor != "exact":
+        _rare_through(setting, policy, samples or 200, seed, shield_config, sensor, perception, jobs)
+        return
+    found = crash_probability(get_setting(setting), policy, shield_config, samples or 2_000, seed)
     table = Table("level", "time to collision [s]", "probability", "moves taken")
     for k, level in enumerate(found.levels):
         moves = "" if np.isnan(level.accepted) else f"{level.accepted:.0%}"
@@ -190,6 +201,25 @@ def rare_command(
         f"probability {found.probability:.2e} (coefficient of variation at least {found.variation:.0%}) "
         f"from {found.evaluations} episodes"
     )
+
+
+def _rare_through(
+    setting: str, policy: str, paths: int, seed: int, config: ShieldConfig, sensor: str, perception: str, jobs: int
+) -> None:
+    from evaluation.rare.noisy import crash_probability_through
+    from evaluation.running.records import Variant
+    from evaluation.settings import get_setting
+
+    variant = Variant() if config.mode == "none" else Variant("env", config, perception)
+    found = crash_probability_through(get_setting(setting), policy, variant, sensor, paths, seed=seed, jobs=jobs)
+    table = Table("round", "time to collision [s]", "dropped")
+    for k, (level, dropped) in enumerate(zip(found.levels, found.dropped, strict=True)):
+        table.add_row(str(k + 1), f"{-level:.3f}", str(dropped))
+    _out.print(table)
+    said = f"coefficient of variation at least {found.variation:.0%}"
+    if found.probability == 0:
+        said = "none came nearer than the rest; have more --samples"
+    _out.print(f"probability {found.probability:.2e} ({said}) from {found.evaluations} episodes")
 
 
 def attack_command(

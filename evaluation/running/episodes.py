@@ -38,7 +38,7 @@ from shield import Shield, ShieldedEnv
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError
 
-__all__ = ["run_episode", "run_paired"]
+__all__ = ["Driver", "run_episode", "run_paired"]
 
 _CHUNK = 25
 
@@ -80,8 +80,18 @@ _UNSHIELDED = {
 }
 
 
-class _Driver:
-    """One variant, ready to drive episode after episode in the same environment."""
+class Driver:
+    """One variant, ready to drive episode after episode in the same environment.
+
+    Parameters
+    ----------
+    setting, policy, variant, algorithm, model, simulator, sensor : as in `run_episode`.
+
+    Attributes
+    ----------
+    env : with the shield around it, where that is its door. policy : bare. driver : what proposes, with the shield
+        around it where that is its door.
+    """
 
     def __init__(
         self,
@@ -225,7 +235,7 @@ def run_episode(
         `evaluation.running.simulators.environment`.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
-    driver = _Driver(setting, policy, variant or Variant(), algorithm, model, simulator, sensor)
+    driver = Driver(setting, policy, variant or Variant(), algorithm, model, simulator, sensor)
     try:
         with one_thread():
             return driver.run(seed)
@@ -355,7 +365,7 @@ def _run_chunk(
     with one_thread():
         if len(seeds) == 1 and isinstance(policy, str):
             return [_kept(setting, policy, variant, algorithm, model, simulator, sensor).run(seeds[0]).row()]
-        driver = _Driver(setting, policy, variant, algorithm, model, simulator, sensor)
+        driver = Driver(setting, policy, variant, algorithm, model, simulator, sensor)
         try:
             return [driver.run(seed).row() for seed in seeds]
         finally:
@@ -371,6 +381,6 @@ def _kept(
     model: str | None,
     simulator: str,
     sensor: str,
-) -> _Driver:
+) -> Driver:
     """A driver that is kept from one episode to the next."""
-    return _Driver(setting, policy, variant, algorithm, model, simulator, sensor)
+    return Driver(setting, policy, variant, algorithm, model, simulator, sensor)

@@ -81,6 +81,11 @@ class SensorNoise(gym.ObservationWrapper[Any, Any, Any]):
             self._ghosts = Ghosts(model.ghosts, model.lasting, reach, lanes, timing, self._ghostly)
         return self.observation(observation), info
 
+    def redraw(self, seed: int) -> None:
+        """From now on, what is random goes by another seed; what has been shown stays as it was."""
+        for rng, part in ((self._rng, 1), (self._ghostly, 2)):
+            rng.bit_generator.state = np.random.default_rng([seed, part]).bit_generator.state
+
     def observation(self, observation: Any) -> Any:
         """What the sensor shows of what is there."""
         now = int(self.unwrapped.steps)  # type: ignore[attr-defined]

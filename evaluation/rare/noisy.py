@@ -1,0 +1,143 @@
+"""Crashes that a bad sensor leads to: episodes whose noise is drawn anew from some decision on.
+
+On a straight highway the traffic is a function of the scene, but what a noisy sensor shows is random at every frame. So
+paths split: an episode that has come near a crash is driven again from there with other noise. An episode is made again
+from its seeds, from the start, as the whole shield would have to be copied otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import gymnasium as gym
+import joblib
+import numpy as np
+
+from dynamics.compiled import uncounted
+from dynamics.state import FloatArray
+from evaluation.measuring.recorder import Recorder, Track
+from evaluation.measuring.tally import HORIZON, time_to_collision
+from evaluation.rare.splitting import Path, Split, multilevel_splitting
+from evaluation.running.episodes import Driver
+from evaluation.running.named_policies import start_episode
+from evaluation.running.records import Variant
+from evaluation.settings import Setting
+from evaluation.threads import one_thread
+from evaluation.wrappers.sensor_noise import SensorNoise
+from shield.errors import ConfigError
+
+__all__ = ["NoisyEpisodes", "crash_probability_through"]
+
+_SOON = 1e-3
+"""The least time to a collision that has not happened [s]."""
+
+
+@uncounted
+def _nearest(states: FloatArray, out: FloatArray) -> None:
+    """The least time to a collision of the ego with anybody in each frame, at constant velocities, from states (frames,
+    vehicles, 8), to `out` (frames,) [s]; 0 once it has crashed."""
+    for k in range(states.shape[0]):
+        out[k] = HORIZON
+        for i in range(1, states.shape[1]):
+            out[k] = min(out[k], max(time_to_collision(states[k, 0], states[k, i]), _SOON))
+        if states[k, 0, Track.CRASHED] > 0:
+            out[k] = 0.0
+
+
+class NoisyEpisodes:
+    """Episodes by `Path`: seeds of the scene and of the noise.
+
+    Parameters
+    ----------
+    setting, policy : the environment, and the policy by name or as the path of a zip file.
+    variant : what stands between the two. sensor : that is noisy (see `evaluation.wrappers.split_sensor`).
+
+    Raises
+    ------
+    ConfigError
+        If the sensor is exact, so that nothing is random after the reset.
+    """
+
+    def __init__(self, setting: Setting, policy: str, variant: Variant, sensor: str) -> None:
+        self._driver = Driver(setting, policy, variant, None, None, "auto", sensor)
+        env: gym.Env = self._driver.env
+        while not isinstance(env, SensorNoise):
+            if not isinstance(env, gym.Wrapper):
+                raise ConfigError(f"nothing is random after the reset through the sensor {sensor!r}; have a noisy one")
+            env = env.env
+        self._sensor = env
+
+    def drive(self, path: Path) -> FloatArray:
+        """Minus the least time to a collision at the reset and within each decision, (decisions + 1,) [s]; 0 in a
+        crash."""
+        env, driver, policy, forks = self._driver.env, self._driver.driver, self._driver.policy, dict(path.forks)
+        with one_thread():
+            obs, _ = env.reset(seed=path.seed)
+            env.action_space.seed(path.seed)
+            start_episode(policy, path.seed)
+            recorder, state, steps, done = Recorder(env), None, 0, False
+            while not done:
+                first = np.array([steps == 0])
+                action, state = driver.predict(obs, state, episode_start=first, deterministic=True)
+                steps += 1
+                if steps in forks:
+                    self._sensor.redraw(forks[steps])
+                obs, _, terminated, truncated, _ = env.step(int(np.asarray(action).item()))
+                done = bool(terminated or truncated)
+        states = recorder.history().states
+        times = np.empty(len(states))
+        _nearest(np.ascontiguousarray(states), times)
+        frames = -(-(len(states) - 1) // steps)
+        within = [times[1 + k * frames : 1 + (k + 1) * frames].min() for k in range(steps)]
+        return -np.array([times[0], *within])
+
+    def close(self) -> None:
+        """Close the environment."""
+        self._driver.env.close()
+
+
+def crash_probability_through(
+    setting: Setting,
+    policy: str,
+    variant: Variant,
+    sensor: str,
+    paths: int = 200,
+    share: float = 0.1,
+    seed: int = 0,
+    most: int | None = None,
+    jobs: int = 1,
+) -> Split:
+    """The probability that an episode through a noisy sensor ends in a crash, by splitting paths that come near one.
+
+    What leads there is the least time to a collision at constant velocities, as in
+    `evaluation.rare.falsify.crash_probability`.
+
+    Parameters
+    ----------
+    setting, policy, variant, sensor : see `NoisyEpisodes`.
+    paths, share, seed, most : see `multilevel_splitting`; the first scenes have the seeds from `seed` on.
+    jobs : processes; -1 for one per core.
+    """
+    if joblib.effective_n_jobs(jobs) == 1:
+        episodes = NoisyEpisodes(setting, policy, variant, sensor)
+        try:
+            return multilevel_splitting(lambda ways: [episodes.drive(x) for x in ways], 0.0, paths, share, seed, most)
+        finally:
+            episodes.close()
+    with joblib.parallel_config(backend="loky", inner_max_num_threads=1), joblib.Parallel(n_jobs=jobs) as pool:
+
+        def drive(ways: Sequence[Path]) -> Sequence[FloatArray]:
+            found: list[FloatArray] = pool(joblib.delayed(_drive)(setting, policy, variant, sensor, x) for x in ways)
+            return found
+
+        return multilevel_splitting(drive, 0.0, paths, share, seed, most)
+
+
+@lru_cache(maxsize=1)
+def _kept(setting: Setting, policy: str, variant: Variant, sensor: str) -> NoisyEpisodes:
+    return NoisyEpisodes(setting, policy, variant, sensor)
+
+
+def _drive(setting: Setting, policy: str, variant: Variant, sensor: str, path: Path) -> FloatArray:
+    return _kept(setting, policy, variant, sensor).drive(path)

@@ -1,0 +1,151 @@
+r"""Adaptive multilevel splitting: the probability of a rare event along paths that are random all the way.
+
+Notation
+--------
+A path has a score xi_t after each step, and its level is the greatest of them, S = max_t xi_t. The event is S >= b. Of
+n paths, those with the lowest levels are dropped, K of them, Z the highest level among these; each takes the way of one
+that is left up to the first step with xi_t > Z, and is drawn anew from there. With K_q dropped in round q,
+
+    P(S >= b) = prod_q (1 - K_q / n) * (share of the last paths with S >= b)
+
+It is unbiased, whatever the score, where all that are level with the highest of the dropped are dropped with them.
+
+Sources: Cerou and Guyader 2007; Brehier, Gazeau, Goudenege, Lelievre and Rousset 2016 (levels that tie).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import inf, sqrt
+
+import numpy as np
+
+from dynamics.errors import ConfigError
+from dynamics.state import FloatArray
+
+__all__ = ["Path", "Split", "multilevel_splitting"]
+
+_MOST_ROUNDS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """What a path is made from.
+
+    Attributes
+    ----------
+    seed : that it begins with. forks : from which step on (the first is 1) what is random goes by which other seed.
+    """
+
+    seed: int
+    forks: tuple[tuple[int, int], ...] = ()
+
+    def fork(self, step: int, seed: int) -> Path:
+        """The same before a step, and drawn by another seed from there on."""
+        return Path(self.seed, (*(each for each in self.forks if each[0] < step), (step, seed)))
+
+
+Drive = Callable[[Sequence[Path]], Sequence[FloatArray]]
+"""The scores of paths, before the first step and after each, (steps + 1,) of each path."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Split:
+    """What was found.
+
+    Attributes
+    ----------
+    probability : the estimate; 0 where all paths that were left were level. variation : its coefficient of variation if
+        all paths were independent of one another: a lower bound.
+    evaluations : paths that were driven. levels : Z of each round, and dropped : K.
+    paths, reached : the last paths and their levels, the highest first.
+    """
+
+    probability: float
+    variation: float
+    evaluations: int
+    levels: tuple[float, ...]
+    dropped: tuple[int, ...]
+    paths: tuple[Path, ...]
+    reached: FloatArray
+
+
+def multilevel_splitting(
+    drive: Drive, event: float = 0.0, paths: int = 200, share: float = 0.1, seed: int = 0, most: int | None = None
+) -> Split:
+    """Estimate P(S >= b).
+
+    Parameters
+    ----------
+    drive : gives the scores. event : b.
+    paths : n; the first have the seeds from `seed` on. share : of the paths that are dropped in a round, at least one.
+    seed : of what is drawn. most : paths driven after which no further round is begun; then the estimate is of what has
+        been reached, 0 if that is not the event.
+
+    Raises
+    ------
+    ConfigError
+        If the numbers do not fit, or a score is NaN.
+
+    Examples
+    --------
+    >>> def walk(paths):  # up or down by one, ten times: P(S >= 8) = 22 / 1024
+    ...     return [np.cumsum([0, *steps]) for steps in map(drawn, paths)]
+    >>> def drawn(path):
+    ...     forks, steps = dict(path.forks), []
+    ...     for k in range(1, 11):
+    ...         rng = np.random.default_rng(forks.get(k, path.seed)) if k in forks or k == 1 else rng
+    ...         steps.append(rng.choice([-1, 1]))
+    ...     return steps
+    >>> found = multilevel_splitting(walk, event=8, paths=400)
+    >>> 0.01 < found.probability < 0.04
+    True
+    """
+    if paths < 2 or not 0 < share < 1:
+        raise ConfigError(f"have at least 2 paths and a share between 0 and 1, not {paths} and {share}")
+    rng = np.random.default_rng([seed, 0])
+    ways = [Path(seed + i) for i in range(paths)]
+    scores = _asked(drive, ways)
+    count = max(1, round(share * paths))
+    evaluations, weight, spread = paths, 1.0, 0.0
+    levels, dropped = list[float](), list[int]()
+    while True:
+        reached = np.array([each.max() for each in scores])
+        level = float(np.sort(reached)[count - 1])
+        out = np.flatnonzero(reached <= level)
+        if level >= event or len(levels) == _MOST_ROUNDS or (most is not None and evaluations >= most):
+            break
+        levels.append(level)
+        dropped.append(len(out))
+        weight *= 1 - len(out) / paths
+        if len(out) == paths:
+            break
+        spread += len(out) / (paths * (paths - len(out)))
+        left = np.flatnonzero(reached > level)
+        for i, parent in zip(out, rng.choice(left, len(out)), strict=True):
+            step = int(np.argmax(scores[parent] > level)) + 1
+            ways[i] = ways[parent].fork(step, int(rng.integers(2**32)))
+        for i, found in zip(out, _asked(drive, [ways[i] for i in out]), strict=True):
+            scores[i] = found
+        evaluations += len(out)
+    within = float((reached >= event).mean())
+    probability = weight * within
+    variation = sqrt(spread + (1 - within) / (within * paths)) if probability > 0 else inf
+    order = np.argsort(-reached, kind="stable")
+    return Split(
+        probability,
+        variation,
+        evaluations,
+        tuple(levels),
+        tuple(dropped),
+        tuple(ways[i] for i in order),
+        reached[order],
+    )
+
+
+def _asked(drive: Drive, ways: Sequence[Path]) -> list[FloatArray]:
+    scores = [np.asarray(each, float) for each in drive(ways)]
+    if len(scores) != len(ways) or any(each.ndim != 1 or not each.size or np.isnan(each).any() for each in scores):
+        raise ConfigError("a path has one score before its first step and one after each, none of them NaN")
+    return scores

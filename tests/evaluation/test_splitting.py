@@ -1,0 +1,146 @@
+"""Multilevel splitting against probabilities that are known, and noise that is drawn anew from some decision on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+from typer.testing import CliRunner
+
+from evaluation.commands.cli import app
+from evaluation.rare.noisy import NoisyEpisodes, crash_probability_through
+from evaluation.rare.splitting import Path, multilevel_splitting
+from evaluation.running.episodes import run_episode
+from evaluation.running.records import Variant
+from evaluation.settings import get_setting
+from shield import ConfigError, ShieldConfig
+
+SEEN = get_setting("highway-fast-seen")
+STEPS = 20
+
+
+def drawn(path, steps):
+    """The sum of the steps of a path, each drawn by the last fork before it."""
+    forks = sorted({1: path.seed, **dict(path.forks)}.items())
+    ends = [*(k for k, _ in forks[1:]), STEPS + 1]
+    parts = [steps(np.random.default_rng(seed), end - k) for (k, seed), end in zip(forks, ends, strict=True)]
+    return np.cumsum([0.0, *np.concatenate(parts)])
+
+
+def coins(paths):
+    return [drawn(path, lambda rng, n: 2.0 * rng.integers(2, size=n) - 1.0) for path in paths]
+
+
+def normals(paths):
+    return [drawn(path, lambda rng, n: rng.standard_normal(n)) for path in paths]
+
+
+def of_coins(b):
+    """P(max >= b) of a walk of coins, by reflection."""
+    return sum(binom.pmf(k, STEPS, 0.5) * ((2 * k - STEPS >= b) + (2 * k - STEPS > b)) for k in range(STEPS + 1))
+
+
+def of_normals(b, cells=4001, least=-40.0):
+    """P(max >= b) of a walk of normal steps, by convolution on a grid of what has not got there."""
+    x, dx = np.linspace(least, b, cells, endpoint=False, retstep=True)
+    x = x + dx / 2
+    step = np.exp(-0.5 * (dx * np.arange(-cells + 1, cells)) ** 2) * dx / np.sqrt(2 * np.pi)
+    left = np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi)
+    for _ in range(STEPS - 1):
+        left = np.convolve(left, step, mode="same" if len(step) == cells else "valid")
+    return 1 - left.sum() * dx
+
+
+@pytest.mark.parametrize("share", [0.01, 0.3])
+@pytest.mark.parametrize(("walk", "b", "truth"), [(coins, 14, of_coins(14)), (normals, 15.0, of_normals(15.0))])
+def test_it_is_right_on_the_average(walk, b, truth, share):
+    found = [multilevel_splitting(walk, b, 100, share, seed=1000 * k) for k in range(20)]
+    estimates = np.array([each.probability for each in found])
+    error = estimates.std() / np.sqrt(len(found))
+    assert error < 0.3 * truth
+    assert abs(estimates.mean() - truth) < 3 * error
+
+
+def test_a_common_event_is_counted():
+    found = multilevel_splitting(coins, 0.0, 50, seed=3)
+    assert found.probability == 1.0
+    assert found.evaluations == 50
+    assert found.levels == ()
+
+
+def test_paths_that_are_level_are_dropped_together():
+    found = multilevel_splitting(lambda paths: [np.zeros(3) for _ in paths], 1.0, 20, seed=0)
+    assert found.probability == 0.0
+    assert found.dropped == (20,)
+    assert found.variation == np.inf
+
+
+def test_the_last_paths_lead_where_they_say():
+    found = multilevel_splitting(normals, 10.0, 60, 0.2, seed=5)
+    assert (np.diff(found.reached) <= 0).all()
+    assert np.array_equal([each.max() for each in normals(found.paths)], found.reached)
+    assert any(path.forks for path in found.paths)
+    assert list(found.levels) == sorted(found.levels)
+
+
+def test_a_fork_leaves_what_was_before():
+    path = Path(7).fork(5, 11).fork(9, 12)
+    assert path.fork(6, 13).forks == ((5, 11), (6, 13))
+    before, after = normals([path, path.fork(6, 13)])
+    assert np.array_equal(before[:6], after[:6])
+    assert not np.array_equal(before[6:], after[6:])
+
+
+@pytest.mark.parametrize(
+    ("paths", "share", "drive"),
+    [
+        (1, 0.1, coins),
+        (10, 0.0, coins),
+        (10, 1.0, coins),
+        (10, 0.1, lambda paths: [np.zeros(3)]),
+        (10, 0.1, lambda paths: [np.full(3, np.nan) for _ in paths]),
+        (10, 0.1, lambda paths: [np.zeros(0) for _ in paths]),
+    ],
+)
+def test_numbers_that_do_not_fit_are_refused(paths, share, drive):
+    with pytest.raises(ConfigError):
+        multilevel_splitting(drive, 8.0, paths, share)
+
+
+def test_noise_is_drawn_anew_from_a_decision_on():
+    episodes = NoisyEpisodes(SEEN, "faster", Variant("env", ShieldConfig(), "observation"), "metric-2")
+    first, forked = episodes.drive(Path(4)), episodes.drive(Path(4, ((9, 1),)))
+    assert np.array_equal(first, episodes.drive(Path(4)))
+    assert np.array_equal(first[:9], forked[:9])
+    assert not np.array_equal(first, forked)
+    episodes.close()
+
+
+def test_an_episode_is_that_of_the_evaluation():
+    variant = Variant("env", ShieldConfig(), "observation")
+    episodes = NoisyEpisodes(SEEN, "faster", variant, "metric-2")
+    scores = episodes.drive(Path(4))
+    record = run_episode(SEEN, "faster", variant, seed=4, sensor="metric-2")
+    assert len(scores) == record.steps + 1
+    assert (scores.max() == 0) == record.crashed
+    episodes.close()
+
+
+def test_the_rate_of_crashes_is_that_of_counting():
+    found = crash_probability_through(SEEN, "faster", Variant(), "metric-0.5", paths=30)
+    counted = [run_episode(SEEN, "faster", Variant(), seed=k, sensor="metric-0.5").crashed for k in range(30)]
+    # Most crash without a shield: no path has to be split for that.
+    assert found.probability == pytest.approx(np.mean(counted))
+    assert found.reached[0] == 0.0
+
+
+def test_an_exact_sensor_is_refused():
+    with pytest.raises(ConfigError, match="noisy"):
+        NoisyEpisodes(SEEN, "faster", Variant(), "exact")
+
+
+def test_the_command_says_what_it_found():
+    args = ["rare", "--setting", "highway-fast-seen", "--sensor", "metric-0.5", "--samples", "4", "--jobs", "1"]
+    done = CliRunner().invoke(app, args)
+    assert done.exit_code == 0, done.output
+    assert "probability" in done.output

@@ -160,7 +160,8 @@ def evaluate(
         str,
         typer.Option(
             help="Through which sensors the policy sees, and a shield that reads observations: one or more of"
-            f" {', '.join(SENSOR_NAMES)}; with what is added to the observation, if anything, such as"
+            f" {', '.join(SENSOR_NAMES)}, metric-S and normalised-S with any standard deviation S; with what is added"
+            " to the observation, if anything, such as"
             f" normalised-0.5+confidence+intent, of {', '.join(CHANNEL_NAMES)}."
         ),
     ] = "exact",

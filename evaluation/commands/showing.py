@@ -51,16 +51,21 @@ def plot_command(
     output: Annotated[
         Path | None, typer.Option(help="The .png, .svg or .pdf to write; by default beside the episodes, as .png.")
     ] = None,
+    noise: Annotated[
+        bool, typer.Option("--noise", help="Plot rows through sensors such as normalised-0.2 against their noise.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
 ) -> None:
     """Plot crash rates, returns, overrides by reason and smallest gaps."""
+    from evaluation.report.noise_curves import plot_noise
     from evaluation.report.plots import plot_episodes
     from evaluation.report.table import read_episodes
 
     path = output or episodes.with_suffix(".png")
     if path.exists() and not force:
         raise ConfigError(f"{path} exists already; --force overwrites it")
-    _out.print(f"wrote {plot_episodes(read_episodes(episodes), path)}")
+    plot = plot_noise if noise else plot_episodes
+    _out.print(f"wrote {plot(read_episodes(episodes), path)}")
 
 
 def figures_command(

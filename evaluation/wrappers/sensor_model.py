@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf, isfinite
@@ -76,6 +77,9 @@ class SensorModel:
                 check_number(name, value, least=0.0)
 
 
+_NUMBER = re.compile(r"\d+(\.\d+)?")
+
+
 def _all(value: float) -> dict[str, float]:
     return dict.fromkeys(STATE, value)
 
@@ -101,13 +105,18 @@ times as large from 10 s on; and exact ones, with a ghost in 5 decisions, or tha
 
 
 def get_sensor(name: str) -> SensorModel:
-    """A sensor by its name.
+    """A sensor by its name; `metric-S` and `normalised-S` are noise of any standard deviation S.
 
     Raises
     ------
     ConfigError
         That lists those that there are.
     """
-    if name not in SENSORS:
-        raise ConfigError(f"unknown sensor {name!r}; have {', '.join(SENSORS)}")
-    return SENSORS[name]
+    if name in SENSORS:
+        return SENSORS[name]
+    kind, _, sigma = name.partition("-")
+    if kind not in ("metric", "normalised") or not _NUMBER.fullmatch(sigma):
+        raise ConfigError(
+            f"unknown sensor {name!r}; have {', '.join(SENSORS)}, and metric-S and normalised-S of any number S"
+        )
+    return SensorModel(_all(float(sigma)), normalised=kind == "normalised")

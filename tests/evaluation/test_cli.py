@@ -154,6 +154,26 @@ def test_episodes_are_plotted_from_their_file(tmp_path):
     assert output.with_suffix(".png").is_file()
 
 
+def test_rows_are_plotted_against_noise(tmp_path):
+    output, picture = tmp_path / "x.parquet", tmp_path / "x.svg"
+    arguments = ["--setting", "highway-fast-seen", "--policy", "faster", "--shield", "none", "--episodes", "3"]
+    arguments += ["--sensor", "exact,metric-1,metric-3", "--jobs", "1", "--output", str(output)]
+    assert RUN.invoke(app, ["evaluate", *arguments]).exit_code == 0
+    result = RUN.invoke(app, ["plot", str(output), "--noise", "--output", str(picture)])
+    assert result.exit_code == 0, result.output
+    text = picture.read_text(encoding="utf-8")
+    assert "<!-- standard deviation of the noise [m, m/s] -->" in text
+    assert text.count("<!-- highway-fast-seen, faster, no shield -->") == 1, "one line for all sensors"
+
+
+def test_rows_of_one_sensor_are_not_plotted_against_noise(tmp_path):
+    output = tmp_path / "x.parquet"
+    arguments = ["--policy", "faster", "--shield", "none", "--episodes", "1", "--jobs", "1", "--output", str(output)]
+    assert RUN.invoke(app, ["evaluate", *arguments]).exit_code == 0
+    result = RUN.invoke(app, ["plot", str(output), "--noise"])
+    assert "at least two sensors of one kind" in str(result.exception)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -126,3 +126,18 @@ def test_the_command_line_names_every_sensor():
 def test_an_unknown_sensor_is_answered_with_those_that_there_are():
     with pytest.raises(ConfigError, match=r"unknown sensor 'radar'; have exact, metric-0\.5"):
         get_sensor("radar")
+
+
+def test_noise_of_any_size_has_a_name():
+    sensor = get_sensor("normalised-0.35")
+    assert sensor.normalised
+    assert dict(sensor.sigma) == dict.fromkeys(("x", "y", "vx", "vy"), 0.35)
+    assert get_sensor("metric-0.5") == get_sensor("metric-0.50")
+
+
+@pytest.mark.parametrize(
+    "name", ["metric-", "metric--1", "normalised-inf", "normalised-1e", "heavy-1", "metric-0.5-late"]
+)
+def test_noise_of_no_size_has_none(name):
+    with pytest.raises(ConfigError, match="metric-S"):
+        get_sensor(name)

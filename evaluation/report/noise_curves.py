@@ -1,0 +1,114 @@
+"""Crashes, returns and overrides against the noise of the sensor, from a table of episodes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from evaluation.measuring.metrics import summarise
+from evaluation.measuring.statistics import bootstrap_mean
+from evaluation.report.plots import PLOT_ENDINGS
+from evaluation.wrappers.sensor_model import get_sensor
+from shield.errors import ConfigError
+
+__all__ = ["plot_noise"]
+
+_EXACT = "exact"
+_GROUP = ("setting", "policy", "door", "mode")
+_COLORS = ("#4c78a8", "#f58518", "#54a24b", "#b279a2", "#e45756", "#72b7b2")
+
+
+def plot_noise(episodes: pd.DataFrame, path: str | Path) -> Path:
+    """Draw a line with a band for each policy and shield, over the standard deviation of the sensor's noise.
+
+    In three panels: crash rate [%] with its Wilson interval, return and decisions overridden [%] with bootstrap
+    intervals; 95 % all.
+
+    Parameters
+    ----------
+    episodes : of `shield evaluate --sensor exact,normalised-0.1,normalised-0.2`, say, or with metric ones.
+    path : the file, ending as in `PLOT_ENDINGS`; folders are made.
+
+    Raises
+    ------
+    ConfigError
+        On another ending, a table that is not of episodes, sensors of another kind, or less than two of them.
+    """
+    import matplotlib.pyplot as plt
+
+    path = Path(path)
+    if path.suffix not in PLOT_ENDINGS:
+        raise ConfigError(f"a plot is written as {', '.join(PLOT_ENDINGS)}, not {path.suffix or 'without an ending'!r}")
+    rows = _against_noise(episodes)
+    figure, axes = plt.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
+    # Whoever learned through the sensor has its name in its own, and is one line all the same.
+    for color, (name, line) in zip(_COLORS * len(rows), rows.groupby("line", sort=False), strict=False):
+        ordered = line.sort_values("sigma")
+        for axis, key in zip(axes, ("crashed", "return", "overridden"), strict=True):
+            low, middle, high = (ordered[f"{key}{end}"].to_numpy(float) for end in ("_low", "", "_high"))
+            sigma = ordered["sigma"].to_numpy(float)
+            axis.plot(sigma, middle, "o-", color=color, label=str(name), markersize=4)
+            axis.fill_between(sigma, low, high, color=color, alpha=0.2, linewidth=0)
+    unit = rows["unit"].iloc[0]
+    for axis, label in zip(axes, ("crashed [% of episodes]", "return", "decisions overridden [%]"), strict=True):
+        axis.set_xlabel(f"standard deviation of the noise [{unit}]")
+        axis.set_ylabel(label)
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].set_ylim(bottom=0.0)
+    axes[2].set_ylim(0.0, 102.0)
+    axes[1].legend(fontsize=8, frameon=False)
+    counts = sorted({int(n) for n in rows["episodes"]})
+    figure.suptitle(f"{' / '.join(map(str, counts))} episodes a point; bands are 95 % intervals", fontsize=10)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+    return path
+
+
+def _against_noise(episodes: pd.DataFrame) -> pd.DataFrame:
+    """A row for each setting, policy and shield, with the sensor's noise and intervals in %."""
+    kinds, rows = set[str](), list[dict[str, Any]]()
+    for row in summarise(episodes).to_dict("records"):
+        setting, _, sensor = str(row["setting"]).partition(", ")
+        kind, sigma = _noise(sensor or _EXACT)
+        kinds |= {kind} - {_EXACT}
+        own = episodes[(episodes[list(_GROUP)] == [row[x] for x in _GROUP]).all(axis=1)]
+        overridden = bootstrap_mean(100.0 * own["overridden"].to_numpy(float) / own["steps"].to_numpy(float))
+        policy = str(row["policy"]).removesuffix(f"-{sensor or _EXACT}")
+        shield = "no shield" if row["door"] == "none" else f"{row['mode']} at {row['door']}"
+        rows.append(
+            {
+                "line": f"{setting}, {policy}, {shield}",
+                "sigma": sigma,
+                "episodes": row["episodes"],
+                **{f"crashed{end}": 100.0 * row[f"crash_rate{end}"] for end in ("", "_low", "_high")},
+                **{f"return{end}": row[f"return{end}"] for end in ("", "_low", "_high")},
+                "overridden": overridden.estimate,
+                "overridden_low": overridden.low,
+                "overridden_high": overridden.high,
+            }
+        )
+    if len(kinds) > 1 or len({row["sigma"] for row in rows}) < 2:
+        raise ConfigError(
+            "have rows through at least two sensors of one kind, such as --sensor exact,normalised-0.2,normalised-0.5"
+        )
+    unit = "m, m/s" if kinds == {"metric"} else "normalised"
+    return pd.DataFrame(rows).assign(unit=unit)
+
+
+def _noise(sensor: str) -> tuple[str, float]:
+    """The kind of a sensor, and its standard deviation; 0 of one that is exact."""
+    if sensor == _EXACT:
+        return _EXACT, 0.0
+    kind, _, number = sensor.partition("-")
+    try:
+        sigma = float(number)
+    except ValueError:
+        sigma = np.nan
+    if kind not in ("metric", "normalised") or not np.isfinite(sigma):
+        raise ConfigError(f"the sensor {sensor!r} is not metric-S or normalised-S with a number S")
+    get_sensor(sensor)
+    return kind, sigma

@@ -186,8 +186,10 @@ class ObservationPerception:
         (frame_then, then), (frame, ego) = self._egos[0], self._egos[-1]
         late, road = (frame - frame_then) * dt, self._road
         now = ahead_of(self.tracks, late, self._motions)
-        rows = bounded(now.mean, *sides(now, self.bounds), self.spec.body, float(ego[_X]))
-        ids, ghosts = self.tracks.ids, self._ghosts(road.to_road(then))
+        mean = now.mean
+        rows = bounded(mean, *sides(now, self.bounds), self.spec.body, float(ego[_X]))
+        ids = self.tracks.ids
+        ghosts = self._ghosts(road.to_road(then), mean if now is self.tracks else self.tracks.mean)
         if len(ghosts):
             ghosts[:, RoadState.S] += late * ghosts[:, RoadState.SPEED]
             ghost_rows = np.zeros((len(ghosts), rows.shape[1]))
@@ -209,8 +211,9 @@ class ObservationPerception:
             blurred=self.config.noise is not None or self.config.delay > 0,
         )
 
-    def _ghosts(self, ego: FloatArray) -> FloatArray:
-        """States on the road of those who may be there unseen, (n, 4), around an ego at such a state."""
+    def _ghosts(self, ego: FloatArray, mean: FloatArray) -> FloatArray:
+        """States on the road of those who may be there unseen, (n, 4), around an ego at such a state and those who are
+        followed."""
         spec, road, (far, back) = self.spec, self._road, self.edges
         unseen, pool = self.config.unseen, self.behind
         if self.alarmed:
@@ -218,7 +221,7 @@ class ObservationPerception:
         behind = pool.states(unseen, road, ego, spec.distance)
         if far >= spec.distance:
             return behind
-        seen = road.to_road(bodies(self.tracks.mean, spec.body))
+        seen = road.to_road(bodies(mean, spec.body))
         return np.concatenate([ahead(spec, far, unseen, road, ego, seen), behind])
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from dynamics.compiled import uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.errors import SceneError
 from shield.perception.spec import STATE, ObservationSpec
@@ -19,6 +20,8 @@ _EDGE = 1.0 - 1e-6
 """A normalised and clipped number from here on may stand for anything beyond its range."""
 _FULL = 1e-3
 """Rows whose numbers are all smaller than this, with no presence to go by, are empty."""
+_NAMED = ("presence", "cos_h", "sin_h", "heading")
+"""Features beside the state that say something here."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,34 +59,82 @@ def decode(spec: ObservationSpec, observation: object) -> Sighting:
         If it is no array of real numbers, has another shape, is not finite, or does not show the ego.
     """
     rows = numbers_of(observation, spec.shape)
-    there = _there(spec, rows)
-    if not there[0]:
+    low, half, ranged, where, named = _layout(spec.features, tuple(spec.ranges.items()))  # type: ignore[union-attr]
+    n = len(rows)
+    ego_row, states, places = np.empty(rows.shape[1]), np.empty((n, len(STATE))), np.empty(n, np.intp)
+    ends, switches = (low, half, ranged), (spec.clip, spec.absolute)
+    shown, known, lost = _read(rows, *ends, where, named[0], *switches, ego_row, states, places)
+    if not shown:
         raise SceneError("the observation does not show the ego: its first row is empty")
-    seen = rows[there]
-    low, half, ranged = _scales(spec.features, tuple(spec.ranges.items()))  # type: ignore[union-attr]
-    # What is in its own units already keeps every digit.
-    columns = low + (seen + 1.0) * half if ranged.all() else np.where(ranged, low + (seen + 1.0) * half, seen)
-    x, *others_at = where = [spec.features.index(name) for name in STATE]
-    at_edge = (np.abs(seen) >= _EDGE) & ranged if spec.clip else None
-    if at_edge is not None and not at_edge.any():
-        at_edge = None
-    if at_edge is not None and at_edge[0, others_at].any():
-        lost = [name for name, k in zip(STATE[1:], others_at, strict=True) if at_edge[0, k]]
-        raise SceneError(f"the ego's {', '.join(lost)} is at the edge of its range: nobody knows what it is")
-    state = columns[:, where]
-    ego, others, places = state[0], state[1:], np.flatnonzero(there)[1:]
-    if spec.absolute:
-        others[:, 0] -= ego[0]
-    else:
-        others[:, 1:] += ego[1:]
-    full, cut = len(seen) == len(rows), False
-    if at_edge is not None:
-        if at_edge[0, x]:
-            ego[0] = np.nan
-        known = ~at_edge[1:, where].any(axis=1)
-        cut = not known.all()
-        others, places = others[known], places[known]
-    return Sighting(ego, others, _heading(spec, columns[0]), places, full, cut)
+    if lost & ~1:
+        names = [name for k, name in enumerate(STATE) if k and lost & (1 << k)]
+        raise SceneError(f"the ego's {', '.join(names)} is at the edge of its range: nobody knows what it is")
+    ego, others = states[0], states[1:known]
+    return Sighting(ego, others, _heading(named, ego_row), places[1:known], shown == n, known < shown)
+
+
+@uncounted
+def _read(
+    rows: FloatArray,
+    low: FloatArray,
+    half: FloatArray,
+    ranged: BoolArray,
+    where: IntArray,
+    presence: int,
+    clip: bool,
+    absolute: bool,
+    ego_row: FloatArray,
+    states: FloatArray,
+    places: IntArray,
+) -> tuple[int, int, int]:
+    """Fill in the ego's row in its units (features,), and of it and those whose place is known the states (n, 4) and
+    the rows (n,) from observed rows (n, features).
+
+    Parameters
+    ----------
+    low, half, ranged, where : see `_layout`. presence : its column, or -1. clip, absolute : see `ObservationSpec`.
+
+    Returns
+    -------
+    How many are shown, 0 where the ego is not; how many of these fill the results; and which of the ego's state is at
+    the edge of its range, a bit for each.
+    """
+    shown, known, lost = 0, 0, 0
+    for i in range(rows.shape[0]):
+        there = i == 0
+        if presence >= 0:
+            there = rows[i, presence] > 0.5
+        else:
+            for k in range(rows.shape[1]):
+                there = there or abs(rows[i, k]) > _FULL
+        if not there:
+            if i == 0:
+                return 0, 0, 0
+            continue
+        shown, at_edge = shown + 1, 0
+        for c in range(where.shape[0]):
+            k = where[c]
+            number = rows[i, k]
+            states[known, c] = low[k] + (number + 1.0) * half[k] if ranged[k] else number
+            if clip and ranged[k] and abs(number) >= _EDGE:
+                at_edge |= 1 << c
+        if i == 0:
+            lost, known = at_edge, 1
+            for k in range(rows.shape[1]):
+                ego_row[k] = low[k] + (rows[0, k] + 1.0) * half[k] if ranged[k] else rows[0, k]
+            continue
+        if at_edge:
+            continue
+        if absolute:
+            states[known, 0] -= states[0, 0]
+        else:
+            for c in range(1, where.shape[0]):
+                states[known, c] += states[0, c]
+        places[known] = i
+        known += 1
+    if lost & 1:
+        states[0, 0] = np.nan
+    return shown, known, lost
 
 
 def numbers_of(observation: object, shape: tuple[int, ...]) -> FloatArray:
@@ -113,27 +164,20 @@ def _kind(observation: object, given: Any) -> str:
 
 
 @lru_cache(maxsize=16)
-def _scales(
+def _layout(
     features: tuple[str, ...], ranges: tuple[tuple[str, tuple[float, float]], ...]
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """The lower end of the range of each feature, half of how far it is to the upper one, and whether it has one."""
+) -> tuple[FloatArray, FloatArray, BoolArray, IntArray, tuple[int, ...]]:
+    """Of each feature the lower end of its range, half of how far it is to the upper one, and whether it has one; the
+    columns of the state, (4,); and those of `_NAMED`, -1 where there is none."""
     ends = dict(ranges)
     low, high = np.array([ends.get(name, (-1.0, 1.0)) for name in features]).T
-    return low, (high - low) / 2.0, np.array([name in ends for name in features])
+    where, named = ([features.index(x) if x in features else -1 for x in names] for names in (STATE, _NAMED))
+    ranged = np.array([name in ends for name in features])
+    return low.copy(), (high - low) / 2.0, ranged, np.array(where), tuple(named)
 
 
-def _there(spec: ObservationSpec, rows: FloatArray) -> BoolArray:
-    """Which rows show a vehicle, (rows,)."""
-    if "presence" in spec.features:
-        there: BoolArray = rows[:, spec.features.index("presence")] > 0.5
-        return there
-    filled: BoolArray = np.any(np.abs(rows) > _FULL, axis=1)
-    filled[0] = True
-    return filled
-
-
-def _heading(spec: ObservationSpec, ego: FloatArray) -> float:
-    of = dict(zip(spec.features, ego.tolist(), strict=True))
-    if "cos_h" in of and "sin_h" in of:
-        return math.atan2(of["sin_h"], of["cos_h"])
-    return of.get("heading", math.nan)
+def _heading(named: tuple[int, ...], ego: FloatArray) -> float:
+    _, cos, sin, heading = named
+    if cos >= 0 and sin >= 0:
+        return math.atan2(ego[sin], ego[cos])
+    return float(ego[heading]) if heading >= 0 else math.nan

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any
 
@@ -75,6 +75,7 @@ class Scene:
     frame: int | None = None
     ids: IntArray | None = None
     blurred: bool = False
+    likely: FloatArray | None = None
     ego_road: FloatArray = field(init=False, repr=False)
     others_road: FloatArray = field(init=False, repr=False)
 
@@ -96,6 +97,12 @@ class Scene:
             )
         object.__setattr__(self, "ego_road", self.road.to_road(self.ego))
         object.__setattr__(self, "others_road", self.road.to_road(self.others, near=float(self.ego_road[0])))
+
+    def narrowed(self, share: float) -> Scene:
+        """The same where bounds reach only a share of the way from where the others are thought to be."""
+        if self.likely is None:
+            return self
+        return replace(self, others=self.likely + share * (self.others - self.likely))
 
     @property
     def finite(self) -> bool:

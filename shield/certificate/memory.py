@@ -87,6 +87,13 @@ class Instant:
         assert isinstance(self.memory.watch, Watch)
         return self.survey.without(self.memory.watch.offenders)
 
+    def narrowed(self, share: float) -> Surveyor:
+        """Judges plans in the scene with bounds on the others that are a share as wide; see `Scene.narrowed`."""
+        assert isinstance(self.memory.watch, Watch)
+        scene, last, watch, lane = self.scene.narrowed(share), self.survey, self.memory.watch, self.memory.stored
+        stored = lane if isinstance(lane, int) else None
+        return Surveyor(scene, self.config, last.visible, last.owned, None, None, watch.owing, last.comes, stored)
+
     @cached_property
     def here(self) -> int:
         """The lane that the ego's centre is in."""

@@ -9,6 +9,8 @@ that a plan that was verified stays so.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from dynamics.scenes.scene import Scene
@@ -46,6 +48,4 @@ def nested(last: Scene, around: Surroundings, same: IntArray, scene: Scene) -> S
     road = states[known].copy()
     road[:, _S], road[:, _V] = place, speed
     rows[known, : len(RoadState)] = scene.road.to_world(road)
-    return Scene(
-        scene.ego, rows, scene.road, scene.control, scene.dt, scene.frames_per_decision, scene.frame, scene.ids, True
-    )
+    return replace(scene, others=rows)

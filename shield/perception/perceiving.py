@@ -188,6 +188,8 @@ class ObservationPerception:
         now = ahead_of(self.tracks, late, self._motions)
         mean = now.mean
         rows = bounded(mean, *sides(now, self.bounds), self.spec.body, float(ego[_X]))
+        blurred = self.config.noise is not None or self.config.delay > 0
+        likely = bodies(mean, self.spec.body) if blurred else None
         ids = self.tracks.ids
         ghosts = self._ghosts(road.to_road(then), mean if now is self.tracks else self.tracks.mean)
         if len(ghosts):
@@ -196,6 +198,7 @@ class ObservationPerception:
             ghost_rows[:, : ghosts.shape[1]] = road.to_world(ghosts)
             ghost_rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] = self.spec.body
             rows, ids = np.concatenate([rows, ghost_rows]), np.concatenate([ids, np.full(len(ghosts), -1)])
+            likely = None if likely is None else np.concatenate([likely, ghost_rows])
         if self.alarmed:
             # Nobody is taken to be who was there before: what was known of them narrows nothing.
             ids = np.full(len(rows), -1)
@@ -208,7 +211,8 @@ class ObservationPerception:
             frames_per_decision=frames,
             frame=frame,
             ids=ids,
-            blurred=self.config.noise is not None or self.config.delay > 0,
+            blurred=blurred,
+            likely=likely,
         )
 
     def _ghosts(self, ego: FloatArray, mean: FloatArray) -> FloatArray:

@@ -40,6 +40,8 @@ LANE_PENALTY = 2.0
 """What it costs to leave the committed lane, in acceleration [m/s^2]."""
 GREATEST = 5.0
 """Greatest acceleration that is tried when a frame is held back [m/s^2]."""
+_SHARES = (0.75, 0.5, 0.25, 0.0)
+"""How wide bounds on the others are taken to be where nothing clears them, as shares of their width."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +130,9 @@ class Frames:
             command = FrameCommand(kept.lane, -self.config.braking)
             stored = Plan(command, kept.margin, kept.lane, kept.path, kept.binding)
             return Tried(Tier.STORED_PLAN, reason, stored)
+        if now.scene.likely is not None:
+            # Through noise it is the bounds that nothing clears, and not yet the others.
+            return Tried(Tier.LARGEST_MARGIN, reason, _likeliest(now, proposal))
         return Tried(Tier.LARGEST_MARGIN, reason, _evade(now, proposal)[0])
 
     def last_resort(self, memory: Memory[int], scene: Scene | Unreadable, proposal: Target) -> tuple[Tier, Plan[int]]:
@@ -155,6 +160,22 @@ def _evade(now: Instant, target: Target) -> tuple[Plan[int], float]:
     command = FrameCommand(int(candidates.lanes[i]), float(accelerations[i]))
     plan = Plan(command, float(result.margin[i]), int(candidates.fails[i]), paths[i], result.binding(i))
     return plan, float(lawful[i])
+
+
+def _likeliest(now: Instant, target: Target) -> Plan[int]:
+    """What clears everybody longest among what clears bounds on them that are as wide as anything clears."""
+    candidates, accelerations = _evasions(now, target)
+    paths, result = now.judge(candidates)
+    for share in _SHARES:
+        narrow = now.narrowed(share).clearance(paths, candidates.lanes, candidates.fails)
+        every = np.flatnonzero(narrow.margin >= 0)
+        if every.size:
+            i = int(every[least_bad(Clearance(result.margin[every], result.clear[every]))])
+            break
+    else:
+        i = least_bad(narrow)
+    command = FrameCommand(int(candidates.lanes[i]), float(accelerations[i]))
+    return Plan(command, float(result.margin[i]), int(candidates.fails[i]), paths[i], result.binding(i))
 
 
 def _evasions(now: Instant, target: Target) -> tuple[Brakes, FloatArray]:

@@ -12,12 +12,15 @@ from hypothesis import strategies as st
 from observed_roads import ANY, ROAD, SEEN, make
 
 from dynamics.scenes.scene import EgoControl, Scene, SceneReader, Target
+from evaluation.wrappers import SENSORS, SensorNoise
 from shield import ShieldConfig
 from shield.decision import Tier
 from shield.perception.perceiving import ObservationPerception, PerceptionConfig
+from shield.perception.scenes import ObservedScenes, sense
 from shield.perception.spec import ObservationSpec
 from shield.perception.tracking import Motions, Tracks, follow, sides
 from shield.procedures.decide import Core
+from shield.procedures.frames import Frames
 from shield.procedures.meta_actions import MetaActions
 from shield.procedures.screen import Wish
 
@@ -202,3 +205,61 @@ def test_the_certificate_holds_for_whoever_is_within_the_bounds(seed):
         if base.vehicle.crashed:
             break
     assert verified >= 5
+
+
+def hemmed(beside, ahead, speed=20.0):
+    """An ego in the middle lane, with bounds all over the road, one who is thought to be beside it and one ahead."""
+    likely = np.array([[*beside, 0.0, 20.0, 5.0, 2.0, 0.0], [*ahead, 0.0, 18.0, 5.0, 2.0, 0.0]])
+    rows = likely.copy()
+    rows[:, 4:6] += [[80.0, 6.0]]
+    ego = np.array([0.0, 4.0, 0.0, speed, 5.0, 2.0, 0.0])
+    control = EgoControl(Target(1, 30.0))
+    return Scene(ego, rows, ROAD, control, 0.2, 5, 0, np.array([1, 2]), blurred=True, likely=likely)
+
+
+@pytest.mark.parametrize(("side", "free"), [(0.0, 2), (8.0, 0)])
+def test_nobody_swerves_into_who_is_thought_to_be_beside(side, free):
+    """With bounds over everything the largest margin says nothing; who is likely there does."""
+    scene = hemmed((1.0, side), (9.0, 4.0))
+    frames = Frames(ShieldConfig())
+    decision = Core(frames).decide(scene, Target(1, 30.0))
+    assert decision.tier is Tier.LARGEST_MARGIN
+    assert not decision.tier.verified
+    assert decision.margin < 0.0
+    assert decision.executed.lane in (1, free)
+    # At 2 m/s more than the leader the ego does not go on as it wanted to.
+    assert decision.executed.acceleration < 0.0 or decision.executed.lane == free
+
+
+def test_a_likely_place_in_the_way_is_braked_for():
+    decisions = [
+        Core(Frames(ShieldConfig())).decide(hemmed((1.0, 0.0), (gap, 4.0)), Target(1, 30.0)).executed
+        for gap in (6.0, 60.0)
+    ]
+    assert decisions[0].acceleration < -4.0 or decisions[0].lane == 2
+
+
+def test_bounds_are_narrowed_towards_what_is_likely():
+    scene = hemmed((1.0, 0.0), (9.0, 4.0))
+    np.testing.assert_array_equal(scene.narrowed(1.0).others, scene.others)
+    np.testing.assert_array_equal(scene.narrowed(0.0).others, scene.likely)
+    lengths = [scene.narrowed(share).others[0, 4] for share in (0.0, 0.25, 0.5, 1.0)]
+    assert lengths == pytest.approx([5.0, 25.0, 45.0, 85.0])
+    exact = replace(scene, likely=None)
+    assert exact.narrowed(0.5) is exact
+
+
+def test_what_is_seen_through_noise_says_what_is_likely():
+    env = SensorNoise(make(SEEN), SENSORS["metric-2"])
+    env.reset(seed=3)
+    scenes = ObservedScenes(env)
+    scenes.check()
+    for _ in range(5):
+        scenes.show(sense(env))
+        scene = scenes.read()
+        assert scene.likely is not None
+        assert scene.likely.shape == scene.others.shape
+        assert (scene.likely[:, 4] <= scene.others[:, 4] + 1e-9).all()
+        env.unwrapped.road.act()
+        env.unwrapped.road.step(0.2)
+        env.unwrapped.steps += 1

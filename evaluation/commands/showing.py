@@ -89,16 +89,27 @@ def course_command(
 
 
 def gallery_command(
-    output: Annotated[Path, typer.Argument(help="The .png to write.")] = Path("docs", "images", "roads.png"),
+    output: Annotated[
+        Path | None, typer.Argument(help="The .png to write; by default docs/images/roads.png or worst-case-roads.png.")
+    ] = None,
     env_id: Annotated[
         list[str] | None, typer.Option(help="One road (repeatable); by default each that is known.")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Where the search for an override begins.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Where the search for a decision begins.")] = 0,
+    worst_case: Annotated[
+        bool, typer.Option("--worst-case", help="Where others may be, where ways meet, and who waits.")
+    ] = False,
 ) -> None:
-    """Draw an override on every road whose traffic can be simulated."""
+    """Draw a decision on every road network: overrides by simulation, or what the worst case looks like."""
+    if worst_case:
+        from evaluation.report.worst_case_view import VIEWED, draw_worst_cases
+
+        path = output or Path("docs", "images", "worst-case-roads.png")
+        _out.print(f"wrote {draw_worst_cases(path, env_id or VIEWED, seed=seed)}")
+        return
     from evaluation.report.gallery import ROADS, draw_gallery
 
-    _out.print(f"wrote {draw_gallery(output, env_id or ROADS, seed)}")
+    _out.print(f"wrote {draw_gallery(output or Path('docs', 'images', 'roads.png'), env_id or ROADS, seed)}")
 
 
 def settings_command() -> None:

@@ -11,7 +11,7 @@ from dynamics.networks.prediction import Conduct, Ways
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.roads.survey import Body
 
-__all__ = ["Duty", "Others", "Road", "Trial", "empty_trial"]
+__all__ = ["Duty", "Foreseen", "Others", "Road", "Trial", "empty_trial"]
 
 
 class Duty(NamedTuple):
@@ -57,6 +57,29 @@ class Others(NamedTuple):
     waits: BoolArray
     shut: BoolArray
     lanes: IntArray
+
+
+class Foreseen(NamedTuple):
+    """What a decision has gone by, for m vehicles, k strips and K frames.
+
+    Attributes
+    ----------
+    rows : vehicle rows of the others, (m, 7). path : the ego in the world after each frame, at rest in the end, (K, 4).
+    vehicles, lanes : whose each strip is, and of which lane, (k,).
+    least, most : between what s of its lane a body can be at each frame, (k, K) [m]; beyond its ends where it is not
+        there. low, high : between what r, (k,) [m].
+    waits : whether its vehicle is counted on to wait before it, (k,).
+    """
+
+    rows: FloatArray
+    path: FloatArray
+    vehicles: IntArray
+    lanes: list[tuple[str, str, int]]
+    least: FloatArray
+    most: FloatArray
+    low: FloatArray
+    high: FloatArray
+    waits: BoolArray
 
 
 class Road(NamedTuple):

@@ -11,7 +11,9 @@ from PIL import Image
 from evaluation.report.draw import AREA, ORANGE
 from evaluation.report.gallery import draw_gallery, draw_override
 from evaluation.report.overlay import ShieldOverlay
+from evaluation.report.worst_case_view import draw_worst_cases
 from shield import Shield, ShieldConfig
+from shield.doors.road_door import RoadDoor
 from shield.errors import ConfigError
 
 
@@ -65,3 +67,38 @@ def test_the_picture_goes_on_with_the_episode(env_id):
     assert before.shape == after.shape
     assert (before != after).any()
     assert np.allclose(plan[frames], [*ego.position, ego.heading, ego.speed], atol=1e-9)
+
+
+def test_the_worst_case_shows_where_others_may_be_and_where_ways_meet(tmp_path, monkeypatch):
+    monkeypatch.setattr("evaluation.report.worst_case_view._EPISODES", 1)
+    path = draw_worst_cases(tmp_path / "new" / "worst.png", ["roundabout-generic-v0"])
+    picture = Image.open(path)
+    assert near(picture, np.array([255, 127, 14])) > 20
+    # A red or green zone over white is paler.
+    red, green = (near(picture, np.array(color)) for color in ([221, 130, 135], [150, 205, 150]))
+    assert red + green > 20
+
+
+def test_what_is_foreseen_begins_where_everybody_is():
+    env = gym.make("roundabout-v1")
+    env.reset(seed=1)
+    door = RoadDoor(env.unwrapped, ShieldConfig.for_roads())
+    door.decide(1)
+    seen, ego = door.foreseen, env.unwrapped.vehicle
+    assert np.hypot(*(seen.path[0, :2] - ego.position)) < 2.0
+    assert abs(seen.path[-1, 3]) < 1e-6
+    assert (seen.least <= seen.most).all()
+    for j, (vehicle, lane) in enumerate(zip(seen.vehicles, seen.lanes, strict=True)):
+        s, r = env.unwrapped.road.network.get_lane(lane).local_coordinates(seen.rows[vehicle, :2])
+        if seen.least[j, 0] <= s <= seen.most[j, 0] and seen.least[j, 0] >= 0:
+            assert seen.low[j] - 1e-6 <= r <= seen.high[j] + 1e-6
+
+
+def test_worst_cases_that_cannot_be_drawn_are_refused(tmp_path):
+    for path, roads, seed, message in (
+        ("worst.svg", ["roundabout-v1"], 0, "png"),
+        ("worst.png", [], 0, "at least one road"),
+        ("worst.png", ["roundabout-v1"], 10_000, "not 10000"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            draw_worst_cases(tmp_path / path, roads, seed=seed)

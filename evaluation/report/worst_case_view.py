@@ -1,0 +1,226 @@
+"""Pictures of the worst case on road networks: where the others may be, where the ego meets them, and who waits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+import shapely
+
+from dynamics.state import FloatArray
+from evaluation.names import FIRST_EVALUATION_SEED
+from evaluation.report.proposal import ego_copy
+from shield import ShieldConfig, ShieldedEnv
+from shield.decision import Decision
+from shield.doors.road_door import RoadDoor
+from shield.errors import ConfigError
+from shield.roads.room import Foreseen
+
+__all__ = ["VIEWED", "draw_worst_cases"]
+
+VIEWED = (
+    *("merge-v1", "merge-generic-v0", "roundabout-v1", "roundabout-generic-v0"),
+    *("exit-v1", "two-way-v0", "u-turn-v1", "intersection-v0"),
+)
+_EPISODES = 3
+"""In so many the decision is found in which the ego meets the most others."""
+_ACTION = "FASTER"
+_WINDOW, _AROUND = (50.0, 29.0), 12.0
+"""Half of what is shown at least, along x and y, and what is left around the path [m]."""
+_TIMES = 1.0, 2.0
+"""When places are shown [s]."""
+_SAMPLE = 2.0
+"""Between two points of a lane [m]."""
+_WISH = 4.0
+"""How long the ego's own way is, driven alone [s]."""
+_WISHED = "#e0b000"
+_LANES, _MAY, _WAITS, _MEETS, _PATH = "#9aa09a", "#8a4fd3", "#2ca02c", "#d62728", "#ff7f0e"
+
+
+class _View(NamedTuple):
+    """A decision, what it has gone by, and the lanes of the road; `ego` is its row (7,), `wish` where it would go alone
+    (n, 2), and `vehicles` those from other roads whose ways it meets there."""
+
+    env_id: str
+    decision: Decision
+    foreseen: Foreseen
+    network: Any
+    ego: FloatArray
+    wish: FloatArray
+    dt: float
+    vehicles: list[int]
+
+
+def draw_worst_cases(
+    path: str | Path,
+    env_ids: Sequence[str] = VIEWED,
+    config: ShieldConfig | None = None,
+    seed: int = 0,
+) -> Path:
+    """Draw one decision on each of some road networks: of always FASTER, where the ego meets the most others.
+
+    Shown are where anybody may be in 1 and in 2 s (its body within what the assumptions permit, on every way that it
+    may take); the path that is verified, to its standstill; where the ego would be going, alone on the road; and the
+    zones where this meets the ways of those from other roads: red where the ego has to keep clear of them, green where
+    somebody is counted on to wait.
+
+    Parameters
+    ----------
+    path : the .png to write. env_ids : environments of highway-env on networks of roads, with meta-actions.
+    config : settings; by default `ShieldConfig.for_roads(gives_way=True)`. seed : of the first episode.
+
+    Raises
+    ------
+    ConfigError
+        If the file is no .png, there is no environment, or the seeds are those of the evaluation.
+    SceneError
+        If a road cannot be read.
+    """
+    import matplotlib.pyplot as plt
+
+    path = Path(path)
+    if path.suffix != ".png" or not env_ids:
+        raise ConfigError(f"have a .png of at least one road, not {path.name!r} of {list(env_ids)}")
+    if not 0 <= seed <= FIRST_EVALUATION_SEED - _EPISODES:
+        raise ConfigError(f"have a seed from 0 to {FIRST_EVALUATION_SEED - _EPISODES}, not {seed}")
+    config = ShieldConfig.for_roads(gives_way=True) if config is None else config
+    views = [_find(env_id, config, seed) for env_id in env_ids]
+    columns = min(2, len(views))
+    rows = -(-len(views) // columns)
+    figure, axes = plt.subplots(rows, columns, figsize=(7.6 * columns, 4.9 * rows), layout="constrained", squeeze=False)
+    for axis in axes.flat[len(views) :]:
+        axis.axis("off")
+    for axis, view in zip(axes.flat, views, strict=False):
+        _draw(axis, view)
+    figure.suptitle(
+        "purple: where others may be in 1 and 2 s; orange: verified, to a standstill; dashed: where the ego would go\n"
+        "red: it keeps clear of others there; green: others are counted on to wait",
+        fontsize=9,
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=80)
+    plt.close(figure)
+    return path
+
+
+def _find(env_id: str, config: ShieldConfig, seed: int) -> _View:
+    """The decision of a few shielded episodes in which the path meets the most others."""
+    env: Any = ShieldedEnv(gym.make(env_id), config)
+    base: Any = env.unwrapped
+    best: tuple[tuple[int, bool], _View] | None = None
+    for each in range(seed, seed + _EPISODES):
+        env.reset(seed=each)
+        done = False
+        while not done:
+            actions = base.action_type.actions_indexes
+            door = RoadDoor(base, config)
+            decision = door.decide(actions[_ACTION])
+            # From an emergency nothing is foreseen.
+            if decision.tier.verified:
+                view = _view(env_id, base, decision, door.foreseen)
+                score = len(view.vehicles), decision.overridden
+                if best is None or score > best[0]:
+                    best = score, view
+            *_, terminated, truncated, _ = env.step(actions[_ACTION])
+            done = terminated or truncated
+    env.close()
+    if best is None:
+        raise ConfigError(f"no decision of {_EPISODES} episodes of {env_id} is verified; have another seed")
+    return best[1]
+
+
+def _view(env_id: str, base: Any, decision: Decision, foreseen: Foreseen) -> _View:
+    v, dt = base.vehicle, 1 / base.config["simulation_frequency"]
+    ego = np.array([*v.position, v.heading, v.speed, v.LENGTH, v.WIDTH, 0.0])
+    alone = ego_copy(base)
+    wish = [alone.position.copy()]
+    for _ in range(round(_WISH / dt)):
+        alone.act()
+        alone.step(dt)
+        wish.append(alone.position.copy())
+    view = _View(env_id, decision, foreseen, base.road.network, ego, np.array(wish), dt, [])
+    return view._replace(vehicles=sorted({int(foreseen.vehicles[j]) for j, _ in _meetings(view)}))
+
+
+def _meetings(view: _View) -> list[tuple[int, Any]]:
+    """Where the ways of others from other roads meet the ego's, as polygons, and of which strip each is."""
+    foreseen, network = view.foreseen, view.network
+    if np.hypot(*np.ptp(view.wish, axis=0)) < 1.0:
+        return []
+    corridor, found = shapely.LineString(view.wish).buffer(0.5 * view.ego[5] + 0.3, cap_style="flat"), []
+    road = network.get_closest_lane_index(view.ego[:2], view.ego[2])[:2]
+    roads = [network.get_closest_lane_index(row[:2], row[2])[:2] for row in foreseen.rows]
+    for j in range(len(foreseen.lanes)):
+        if roads[foreseen.vehicles[j]] == road:
+            continue  # before it, behind it or beside it
+        area = _area(view, j, 0, foreseen.most.shape[1] - 1)
+        if area is not None and (zone := area.intersection(corridor)).area > 1.0:
+            found.append((j, zone))
+    return found
+
+
+def _area(view: _View, j: int, first: int, last: int) -> Any:
+    """Where strip `j` has its vehicle's body from frame `first` to `last`, a polygon; None where that is nowhere."""
+    foreseen, lane = view.foreseen, view.network.get_lane(view.foreseen.lanes[j])
+    low, high = max(foreseen.least[j, first], 0.0), min(foreseen.most[j, last], float(lane.length))
+    if not high - low > 0.1:
+        return None
+    s = np.linspace(low, high, max(2, int((high - low) / _SAMPLE) + 1))
+    sides = [[lane.position(x, r) for x in s] for r in (foreseen.low[j], foreseen.high[j])]
+    area = shapely.Polygon([*sides[0], *sides[1][::-1]])
+    return area if area.is_valid else area.buffer(0)
+
+
+def _draw(axis: Any, view: _View) -> None:
+    foreseen, ego = view.foreseen, view.ego
+    for lane in view.network.lanes_list():
+        s = np.linspace(0.0, lane.length, max(2, int(lane.length / _SAMPLE) + 1))
+        for r in (-0.5 * lane.width_at(0), 0.5 * lane.width_at(0)):
+            axis.plot(*np.transpose([lane.position(x, r) for x in s]), color=_LANES, linewidth=0.8, zorder=1)
+    for time in _TIMES:
+        k = min(round(time / view.dt), foreseen.most.shape[1] - 1)
+        for j in range(len(foreseen.lanes)):
+            _fill(axis, _area(view, j, k, k), _MAY, 0.16)
+    for j, zone in _meetings(view):
+        _fill(axis, zone, _WAITS if foreseen.waits[j] else _MEETS, 0.5, zorder=3)
+    for i, row in enumerate(foreseen.rows):
+        _body(axis, row, "#4878d0" if i in view.vehicles else "#8fb3e8")
+    _body(axis, ego, "#32c800")
+    axis.plot(view.wish[:, 0], view.wish[:, 1], "--", color=_WISHED, linewidth=1.5, zorder=5)
+    axis.plot(foreseen.path[:, 0], foreseen.path[:, 1], color=_PATH, linewidth=2, zorder=5)
+    axis.plot(*foreseen.path[-1, :2], "s", color=_PATH, markersize=5, zorder=5)
+    low, high = (
+        np.minimum(ego[:2], foreseen.path[:, :2].min(axis=0)),
+        np.maximum(ego[:2], foreseen.path[:, :2].max(axis=0)),
+    )
+    (x, y), wide = 0.5 * (low + high), max(1.0, *(0.5 * (high - low) + _AROUND) / _WINDOW)
+    axis.set_xlim(x - wide * _WINDOW[0], x + wide * _WINDOW[0])
+    axis.set_ylim(y + wide * _WINDOW[1], y - wide * _WINDOW[1])
+    axis.set_aspect("equal")
+    axis.set_xticks([])
+    axis.set_yticks([])
+    waiting = len({int(foreseen.vehicles[j]) for j in np.flatnonzero(foreseen.waits)})
+    done = "held back" if view.decision.overridden else "as proposed"
+    many = len(view.vehicles)
+    meets = f"meets {many} from other roads"
+    axis.set_title(
+        f"{view.env_id}: {_ACTION} at {ego[3]:.0f} m/s {done}; {meets}, of whom {waiting} counted on to wait",
+        fontsize=9,
+    )
+
+
+def _fill(axis: Any, area: Any, color: str, alpha: float, zorder: int = 2) -> None:
+    for part in getattr(area, "geoms", [] if area is None else [area]):
+        if part.geom_type == "Polygon" and not part.is_empty:
+            axis.fill(*part.exterior.xy, color=color, alpha=alpha, linewidth=0, zorder=zorder)
+
+
+def _body(axis: Any, row: FloatArray, color: str) -> None:
+    corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * row[4:6] / 2
+    cos, sin = np.cos(row[2]), np.sin(row[2])
+    at = row[:2] + corners @ np.array([[cos, sin], [-sin, cos]])
+    axis.fill(*at.T, facecolor=color, edgecolor="black", linewidth=0.6, zorder=4)

@@ -328,6 +328,13 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
             ),
             Setting("racetrack", "racetrack-v0", {}, "racetrack-v0 as it comes: steering alone, 5 Hz, 15 Hz, 300 s"),
             Setting("racetrack-minute", "racetrack-v0", {"duration": 60}, "the first 60 s of racetrack-v0"),
+            Setting(
+                "lane-keeping",
+                "evaluation.scenarios:lane-keeping-half-minute-v0",
+                {},
+                "30 s of lane-keeping-v0: steering alone, tyres that slip, nobody else, 10 Hz",
+                road=False,
+            ),
         )
     }
 )

@@ -9,6 +9,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.exit_env import ExitEnv
 from highway_env.envs.highway_env import HighwayEnv
 from highway_env.envs.intersection_env import IntersectionEnv
+from highway_env.envs.lane_keeping_env import LaneKeepingEnv
 from highway_env.envs.merge_env import MergeEnv
 from highway_env.envs.racetrack_env import RacetrackEnv
 from highway_env.envs.roundabout_env import RoundaboutEnv
@@ -22,8 +23,8 @@ from dynamics.networks.regulation import Customs
 
 __all__ = ["check_network", "customs_of", "exits_of", "on_network"]
 
-_KNOWN = (ExitEnv, IntersectionEnv, MergeEnv, RacetrackEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv)
-"""Nothing is drawn after their reset, but for who comes to an intersection."""
+_KNOWN = (ExitEnv, IntersectionEnv, LaneKeepingEnv, MergeEnv, RacetrackEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv)
+"""Nothing of their traffic is drawn after the reset, but for who comes to an intersection."""
 
 
 def on_network(base: Any) -> bool:

@@ -40,6 +40,7 @@ LANE_PENALTY = 2.0
 """What it costs to leave the committed lane, in acceleration [m/s^2]."""
 GREATEST = 5.0
 """Greatest acceleration that is tried when a frame is held back [m/s^2]."""
+_NOBODY = -1
 _SHARES = (0.75, 0.5, 0.25, 0.0)
 """How wide bounds on the others are taken to be where nothing clears them, as shares of their width."""
 
@@ -163,17 +164,19 @@ def _evade(now: Instant, target: Target) -> tuple[Plan[int], float]:
 
 
 def _likeliest(now: Instant, target: Target) -> Plan[int]:
-    """What clears everybody longest among what clears bounds on them that are as wide as anything clears."""
+    """What clears everybody longest among what clears bounds on them that are as wide as anything clears; in the ego's
+    own lane, and only where nothing does there, in others."""
     candidates, accelerations = _evasions(now, target)
     paths, result = now.judge(candidates)
-    for share in _SHARES:
-        narrow = now.narrowed(share).clearance(paths, candidates.lanes, candidates.fails)
-        every = np.flatnonzero(narrow.margin >= 0)
-        if every.size:
-            i = int(every[least_bad(Clearance(result.margin[every], result.clear[every]))])
-            break
-    else:
-        i = least_bad(narrow)
+    i, own = _NOBODY, candidates.lanes == now.here
+    narrow = [now.narrowed(share).clearance(paths, candidates.lanes, candidates.fails) for share in _SHARES]
+    for where in (own, ~own):
+        for each in narrow:
+            every = np.flatnonzero(where & (each.margin >= 0))
+            if every.size and i == _NOBODY:
+                i = int(every[least_bad(Clearance(result.margin[every], result.clear[every]))])
+    if i == _NOBODY:
+        i = least_bad(narrow[-1])
     command = FrameCommand(int(candidates.lanes[i]), float(accelerations[i]))
     return Plan(command, float(result.margin[i]), int(candidates.fails[i]), paths[i], result.binding(i))
 

@@ -1,0 +1,55 @@
+"""highway-env's lane keeping, behind the shield that verifies by simulation."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import evaluation.scenarios  # noqa: F401  (registers the environments)
+from evaluation.running.episodes import run_episode
+from evaluation.running.records import Variant
+from evaluation.settings import get_setting
+from shield import ConfigError, ShieldConfig, ShieldedEnv
+
+STEPS = 120
+
+
+def drive(env, seed):
+    """Steering at random: how often the ego is off the road, and how often it was overridden."""
+    env.reset(seed=seed)
+    env.action_space.seed(seed)
+    off = overridden = 0
+    for _ in range(STEPS):
+        *_, info = env.step(env.action_space.sample())
+        off += not env.unwrapped.vehicle.on_road
+        overridden += bool(info.get("shield", {}).get("overridden", False))
+    return off, overridden
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_steering_at_random_keeps_to_the_road(seed):
+    bare, _ = drive(gym.make("lane-keeping-v0"), seed)
+    assert bare > STEPS // 2
+    off, overridden = drive(ShieldedEnv(gym.make("lane-keeping-v0"), ShieldConfig.exact()), seed)
+    assert off == 0
+    assert 0 < overridden < STEPS, "only where it is needed"
+
+
+def test_an_episode_of_the_setting_ends():
+    record = run_episode("lane-keeping", "idle", Variant(), seed=3)
+    assert record.steps == 300
+    assert record.off_road
+    assert not record.crashed
+
+
+def test_it_can_be_drawn():
+    env = get_setting("lane-keeping").make(render_mode="rgb_array")
+    env.reset(seed=0)
+    assert np.asarray(env.render()).ndim == 3
+    env.close()
+
+
+def test_bounds_on_others_are_refused_where_tyres_slip():
+    with pytest.raises(ConfigError, match="dynamical"):
+        ShieldedEnv(gym.make("lane-keeping-v0"))

@@ -63,7 +63,8 @@ def test_a_run_that_is_killed_at_some_moments_ends_as_if_it_had_not_been(moments
         run.wait()
         killed += 1
     assert killed == moments
-    assert lines(tmp_path) > moments
+    # The first may have been killed as soon as it had written down what was asked.
+    assert lines(tmp_path) >= moments
     done = subprocess.run(command(tmp_path, "--resume"), capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     same(pd.read_parquet(whole / "x.parquet"), pd.read_parquet(tmp_path / "x.parquet"))

@@ -58,14 +58,11 @@ def test_it_drives_exactly_as_the_shielded_environment_does(config, seed):
 
 
 def test_always_faster_does_not_crash_between_two_decisions():
-    crashed = []
-    for frames in (False, True):
-        env = gym.make("highway-fast-v0")
-        shield = Shield(Always(3), env=env, frames=frames)
-        for seed in range(12):
-            driven(env, lambda obs, shield=shield: int(shield.predict(obs)[0]), seed)
-            crashed.append((frames, env.unwrapped.vehicle.crashed))
-    assert not any(crash for frames, crash in crashed if frames)
+    env = gym.make("highway-fast-v0")
+    shield = Shield(Always(3), env=env)
+    for seed in range(8):
+        driven(env, lambda obs: int(shield.predict(obs)[0]), seed)
+        assert not env.unwrapped.vehicle.crashed
 
 
 def test_another_environment_than_the_one_that_is_driven_is_noticed(tmp_path):

@@ -54,7 +54,10 @@ def frames(env, action=None):
 
 
 @pytest.mark.parametrize("env_id", ROADS)
-@pytest.mark.parametrize(("seed", "drivers"), [(0, "wild"), (1, "wild"), (2, "bold"), (3, "mixed")])
+@pytest.mark.parametrize(
+    ("seed", "drivers"),
+    [(0, "wild"), pytest.param(1, "wild", marks=pytest.mark.slow), (2, "bold"), (3, "mixed")],
+)
 def test_any_behaviour_is_flagged_or_leaves_the_plan_clear(env_id, seed, drivers):
     """What was verified a frame before stays clear of whoever has broken no rule, whatever the others do: nothing is
     unforeseen, and the ego is hit only where somebody has broken one."""

@@ -144,3 +144,21 @@ def test_the_command_says_what_it_found():
     done = CliRunner().invoke(app, args)
     assert done.exit_code == 0, done.output
     assert "probability" in done.output
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        # The largest margin among bounds was a swerve into a car beside the ego, or the way up to its leader.
+        Path(3116, ((1, 731301565), (16, 319935010))),
+        Path(3131, ((4, 1276625462), (12, 1892360940), (17, 793439595))),
+        # With bounds narrowed, another lane looked freer than the ego's own.
+        Path(3165, ((6, 3525401518), (15, 3103392660))),
+        Path(3086, ((13, 1735297215), (26, 2771435021))),
+    ],
+    ids=lambda path: str(path.seed),
+)
+def test_crashes_that_splitting_has_found_are_avoided(path):
+    episodes = NoisyEpisodes(SEEN, "faster", Variant("env", ShieldConfig(), "observation"), "normalised-0.5")
+    assert episodes.drive(path).max() < 0.0
+    episodes.close()

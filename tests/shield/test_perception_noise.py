@@ -263,10 +263,3 @@ def test_what_is_seen_through_noise_says_what_is_likely():
         env.unwrapped.road.act()
         env.unwrapped.road.step(0.2)
         env.unwrapped.steps += 1
-
-
-def test_a_lane_that_is_likely_free_is_not_left_for_one_that_is_freer():
-    """Whoever stays has to know what is ahead only; whoever changes lanes, who is beside and behind as well."""
-    decision = Core(Frames(ShieldConfig())).decide(hemmed((1.0, 0.0), (60.0, 4.0)), Target(1, 30.0))
-    assert decision.tier is Tier.LARGEST_MARGIN
-    assert decision.executed.lane == 1

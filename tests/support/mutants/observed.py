@@ -15,6 +15,7 @@ _UNSEEN, _PERCEIVING = "shield/perception/unseen.py", "shield/perception/perceiv
 _LEARNED, _MONITOR = "shield/perception/learned.py", "shield/perception/monitor.py"
 _LEARNED_TESTS = "tests/shield/test_perception_learned.py"
 _CHANGED = f"{_LEARNED_TESTS}::test_a_sensor_that_has_changed_is_answered_with_the_widest_bounds_and_no_guarantee"
+_FRAMES = "shield/procedures/frames.py"
 _BODIES, _MEMORY = "shield/perception/bodies.py", "shield/certificate/memory.py"
 
 OBSERVED = (
@@ -200,6 +201,21 @@ OBSERVED = (
         "return self.learned.conformal.bounds",
         "pass",
         f"{_LEARNED_TESTS}::test_bodies_reach_as_far_as_the_conformal_bounds_say",
+    ),
+    off(
+        "through noise the fallback looks at bounds alone",
+        _FRAMES,
+        "if now.scene.likely is not None:",
+        "if False:",
+        f"{_NOISE_TESTS}::test_nobody_swerves_into_who_is_thought_to_be_beside",
+        "tests/evaluation/test_splitting.py::test_crashes_that_splitting_has_found_are_avoided",
+    ),
+    off(
+        "the fallback leaves its lane for one that looks freer",
+        _FRAMES,
+        "for where in (own, ~own):",
+        "for where in (own | ~own,):",
+        "tests/evaluation/test_splitting.py::test_crashes_that_splitting_has_found_are_avoided",
     ),
 )
 """Each of a line."""

@@ -212,7 +212,7 @@ def test_what_is_not_known_is_refused():
     with pytest.raises(SceneError, match="not Bent"):
         network_of(bent)
     with pytest.raises(ConfigError, match="RoundaboutEnv"):
-        check_network(gym.make("lane-keeping-v0").unwrapped)
+        check_network(gym.make("parking-v0").unwrapped)
     team = {"type": "MultiAgentAction", "action_config": {"type": "ContinuousAction"}}
     several = gym.make("intersection-multi-agent-v0", config={"action": team})
     several.reset(seed=0)

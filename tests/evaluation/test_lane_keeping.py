@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import evaluation.scenarios  # noqa: F401  (registers the environments)
+from dynamics.networks.compiled_frames import CompiledFrames
 from evaluation.running.episodes import run_episode
 from evaluation.running.records import Variant
 from evaluation.settings import get_setting
@@ -53,3 +54,16 @@ def test_it_can_be_drawn():
 def test_bounds_on_others_are_refused_where_tyres_slip():
     with pytest.raises(ConfigError, match="dynamical"):
         ShieldedEnv(gym.make("lane-keeping-v0"))
+
+
+def test_it_is_the_same_with_its_frames_compiled():
+    own, compiled = gym.make("lane-keeping-v0"), CompiledFrames(gym.make("lane-keeping-v0"))
+    rng = np.random.default_rng(0)
+    own.reset(seed=1)
+    compiled.reset(seed=1)
+    for _ in range(STEPS):
+        action = rng.uniform(-1, 1, 1)
+        (seen, reward, *_), (other, paid, *_) = own.step(action), compiled.step(action)
+        assert all(np.array_equal(seen[name], other[name]) for name in seen)
+        assert reward == paid
+        assert np.array_equal(own.unwrapped.vehicle.state, compiled.unwrapped.vehicle.state)

@@ -296,7 +296,6 @@ def test_what_is_recorded_is_what_happens():
     [
         (lambda: Shield(Always(np.zeros(2)), make("merge-v1"), EXACT, frames=False), "at every frame"),
         (lambda: ShieldedEnv(gym.make("parking-v0"), EXACT), "RoundaboutEnv"),
-        (lambda: ShieldedEnv(gym.make("lane-keeping-v0"), EXACT), "LaneKeepingEnv"),
     ],
 )
 def test_what_cannot_be_simulated_is_refused(build, message):

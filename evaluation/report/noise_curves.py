@@ -59,7 +59,7 @@ def plot_noise(episodes: pd.DataFrame, path: str | Path) -> Path:
         axis.spines[["top", "right"]].set_visible(False)
     axes[0].set_ylim(bottom=0.0)
     axes[2].set_ylim(0.0, 102.0)
-    axes[1].legend(fontsize=8, frameon=False)
+    figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     counts = sorted({int(n) for n in rows["episodes"]})
     figure.suptitle(f"{' / '.join(map(str, counts))} episodes a point; bands are 95 % intervals", fontsize=10)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -71,13 +71,16 @@ def plot_noise(episodes: pd.DataFrame, path: str | Path) -> Path:
 def _against_noise(episodes: pd.DataFrame) -> pd.DataFrame:
     """A row for each setting, policy and shield, with the sensor's noise and intervals in %."""
     kinds, rows = set[str](), list[dict[str, Any]]()
+    sensors = episodes.groupby("policy")["setting"].nunique()
     for row in summarise(episodes).to_dict("records"):
         setting, _, sensor = str(row["setting"]).partition(", ")
         kind, sigma = _noise(sensor or _EXACT)
         kinds |= {kind} - {_EXACT}
         own = episodes[(episodes[list(_GROUP)] == [row[x] for x in _GROUP]).all(axis=1)]
         overridden = bootstrap_mean(100.0 * own["overridden"].to_numpy(float) / own["steps"].to_numpy(float))
-        policy = str(row["policy"]).removesuffix(f"-{sensor or _EXACT}")
+        policy = str(row["policy"])
+        if sensors[policy] == 1:
+            policy = policy.removesuffix(f"-{sensor or _EXACT}")
         shield = "no shield" if row["door"] == "none" else f"{row['mode']} at {row['door']}"
         rows.append(
             {

@@ -12,10 +12,12 @@ from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.batch.arrays import Records
 from shield.batch.vocabulary import FALLBACKS, OVERRIDES
 
-__all__ = ["HORIZON", "Tallies", "begin_tally", "distance", "empty_tallies", "tally", "time_to_collision"]
+__all__ = ["HORIZON", "SOON", "Tallies", "begin_tally", "distance", "empty_tallies", "tally", "time_to_collision"]
 
 HORIZON = 10.0
 """Collisions later than this do not count [s]."""
+SOON = 1e-3
+"""The least time to a collision that has not happened [s]."""
 
 
 class Tallies(NamedTuple):

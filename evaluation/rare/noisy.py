@@ -16,11 +16,10 @@ import numpy as np
 
 from dynamics.compiled import uncounted
 from dynamics.state import FloatArray
-from evaluation.measuring.recorder import Recorder, Track
-from evaluation.measuring.tally import HORIZON, time_to_collision
+from evaluation.measuring.recorder import Track
+from evaluation.measuring.tally import HORIZON, SOON, time_to_collision
 from evaluation.rare.splitting import Path, Split, multilevel_splitting
 from evaluation.running.episodes import Driver
-from evaluation.running.named_policies import start_episode
 from evaluation.running.records import Variant
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
@@ -28,9 +27,6 @@ from evaluation.wrappers.sensor_noise import SensorNoise
 from shield.errors import ConfigError
 
 __all__ = ["NoisyEpisodes", "crash_probability_through"]
-
-_SOON = 1e-3
-"""The least time to a collision that has not happened [s]."""
 
 
 @uncounted
@@ -40,7 +36,7 @@ def _nearest(states: FloatArray, out: FloatArray) -> None:
     for k in range(states.shape[0]):
         out[k] = HORIZON
         for i in range(1, states.shape[1]):
-            out[k] = min(out[k], max(time_to_collision(states[k, 0], states[k, i]), _SOON))
+            out[k] = min(out[k], max(time_to_collision(states[k, 0], states[k, i]), SOON))
         if states[k, 0, Track.CRASHED] > 0:
             out[k] = 0.0
 
@@ -71,21 +67,15 @@ class NoisyEpisodes:
     def drive(self, path: Path) -> FloatArray:
         """Minus the least time to a collision at the reset and within each decision, (decisions + 1,) [s]; 0 in a
         crash."""
-        env, driver, policy, forks = self._driver.env, self._driver.driver, self._driver.policy, dict(path.forks)
+        forks = dict(path.forks)
+
+        def before(decision: int) -> None:
+            if decision in forks:
+                self._sensor.redraw(forks[decision])
+
         with one_thread():
-            obs, _ = env.reset(seed=path.seed)
-            env.action_space.seed(path.seed)
-            start_episode(policy, path.seed)
-            recorder, state, steps, done = Recorder(env), None, 0, False
-            while not done:
-                first = np.array([steps == 0])
-                action, state = driver.predict(obs, state, episode_start=first, deterministic=True)
-                steps += 1
-                if steps in forks:
-                    self._sensor.redraw(forks[steps])
-                obs, _, terminated, truncated, _ = env.step(int(np.asarray(action).item()))
-                done = bool(terminated or truncated)
-        states = recorder.history().states
+            steps = sum(1 for _ in self._driver.decisions(path.seed, before))
+        states = self._driver.recorder.history().states
         times = np.empty(len(states))
         _nearest(np.ascontiguousarray(states), times)
         frames = -(-(len(states) - 1) // steps)

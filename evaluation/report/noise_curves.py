@@ -5,19 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
-from evaluation.measuring.metrics import summarise
+from evaluation.measuring.metrics import GROUP, summarise
 from evaluation.measuring.statistics import bootstrap_mean
-from evaluation.report.plots import PLOT_ENDINGS
-from evaluation.wrappers.sensor_model import get_sensor
+from evaluation.report.plots import plot_path, save_plot
+from evaluation.wrappers.sensor_model import SensorModel, get_sensor
 from shield.errors import ConfigError
 
 __all__ = ["plot_noise"]
 
 _EXACT = "exact"
-_GROUP = ("setting", "policy", "door", "mode")
 _COLORS = ("#4c78a8", "#f58518", "#54a24b", "#b279a2", "#e45756", "#72b7b2")
 
 
@@ -39,9 +37,7 @@ def plot_noise(episodes: pd.DataFrame, path: str | Path) -> Path:
     """
     import matplotlib.pyplot as plt
 
-    path = Path(path)
-    if path.suffix not in PLOT_ENDINGS:
-        raise ConfigError(f"a plot is written as {', '.join(PLOT_ENDINGS)}, not {path.suffix or 'without an ending'!r}")
+    path = plot_path(path)
     rows = _against_noise(episodes)
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
     # Whoever learned through the sensor has its name in its own, and is one line all the same.
@@ -62,10 +58,7 @@ def plot_noise(episodes: pd.DataFrame, path: str | Path) -> Path:
     figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     counts = sorted({int(n) for n in rows["episodes"]})
     figure.suptitle(f"{' / '.join(map(str, counts))} episodes a point; bands are 95 % intervals", fontsize=10)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
-    return path
+    return save_plot(figure, path)
 
 
 def _against_noise(episodes: pd.DataFrame) -> pd.DataFrame:
@@ -76,7 +69,7 @@ def _against_noise(episodes: pd.DataFrame) -> pd.DataFrame:
         setting, _, sensor = str(row["setting"]).partition(", ")
         kind, sigma = _noise(sensor or _EXACT)
         kinds |= {kind} - {_EXACT}
-        own = episodes[(episodes[list(_GROUP)] == [row[x] for x in _GROUP]).all(axis=1)]
+        own = episodes[(episodes[GROUP] == [row[x] for x in GROUP]).all(axis=1)]
         overridden = bootstrap_mean(100.0 * own["overridden"].to_numpy(float) / own["steps"].to_numpy(float))
         policy = str(row["policy"])
         if sensors[policy] == 1:
@@ -104,14 +97,10 @@ def _against_noise(episodes: pd.DataFrame) -> pd.DataFrame:
 
 def _noise(sensor: str) -> tuple[str, float]:
     """The kind of a sensor, and its standard deviation; 0 of one that is exact."""
-    if sensor == _EXACT:
+    model = get_sensor(sensor)
+    if model == SensorModel():
         return _EXACT, 0.0
-    kind, _, number = sensor.partition("-")
-    try:
-        sigma = float(number)
-    except ValueError:
-        sigma = np.nan
-    if kind not in ("metric", "normalised") or not np.isfinite(sigma):
+    plain, sigmas = SensorModel(model.sigma, normalised=model.normalised), set(model.sigma.values())
+    if model != plain or len(sigmas) != 1:
         raise ConfigError(f"the sensor {sensor!r} is not metric-S or normalised-S with a number S")
-    get_sensor(sensor)
-    return kind, sigma
+    return "normalised" if model.normalised else "metric", sigmas.pop()

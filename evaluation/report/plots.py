@@ -12,7 +12,7 @@ import pandas as pd
 from evaluation.measuring.metrics import GROUP, summarise
 from shield.errors import ConfigError
 
-__all__ = ["PLOT_ENDINGS", "plot_episodes"]
+__all__ = ["PLOT_ENDINGS", "plot_episodes", "plot_path", "save_plot"]
 
 PLOT_ENDINGS = (".pdf", ".png", ".svg")
 """File endings that `plot_episodes` writes."""
@@ -38,9 +38,7 @@ def plot_episodes(episodes: pd.DataFrame, path: str | Path) -> Path:
     """
     import matplotlib.pyplot as plt
 
-    path = Path(path)
-    if path.suffix not in PLOT_ENDINGS:
-        raise ConfigError(f"a plot is written as {', '.join(PLOT_ENDINGS)}, not {path.suffix or 'without an ending'!r}")
+    path = plot_path(path)
     summary = summarise(episodes)
     names = _names(summary)
     figure, axes = plt.subplots(2, 2, figsize=(11, 2.6 + 0.7 * len(names)), layout="constrained", sharey=True)
@@ -55,8 +53,29 @@ def plot_episodes(episodes: pd.DataFrame, path: str | Path) -> Path:
     crashes.invert_yaxis()
     counts = sorted({int(n) for n in summary["episodes"]})
     figure.suptitle(f"{' / '.join(map(str, counts))} episodes a row; lines are 95 % intervals", fontsize=10)
+    return save_plot(figure, path)
+
+
+def plot_path(path: str | Path) -> Path:
+    """Where a plot is to be written.
+
+    Raises
+    ------
+    ConfigError
+        On another ending than those of `PLOT_ENDINGS`.
+    """
+    path = Path(path)
+    if path.suffix not in PLOT_ENDINGS:
+        raise ConfigError(f"a plot is written as {', '.join(PLOT_ENDINGS)}, not {path.suffix or 'without an ending'!r}")
+    return path
+
+
+def save_plot(figure: Any, path: Path, dpi: int = 150) -> Path:
+    """Write a figure, and close it; folders are made."""
+    import matplotlib.pyplot as plt
+
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)
+    figure.savefig(path, dpi=dpi)
     plt.close(figure)
     return path
 

@@ -12,7 +12,9 @@ import numpy as np
 import shapely
 
 from dynamics.state import FloatArray
+from evaluation.measuring.rectangles import polygons
 from evaluation.names import FIRST_EVALUATION_SEED
+from evaluation.report.plots import save_plot
 from evaluation.report.proposal import ego_copy
 from shield import ShieldConfig, ShieldedEnv
 from shield.decision import Decision
@@ -43,7 +45,7 @@ _LANES, _MAY, _WAITS, _MEETS, _PATH = "#9aa09a", "#8a4fd3", "#2ca02c", "#d62728"
 
 class _View(NamedTuple):
     """A decision, what it has gone by, and the lanes of the road; `ego` is its row (7,), `wish` where it would go alone
-    (n, 2), and `vehicles` those from other roads whose ways it meets there."""
+    (n, 2), and `meetings` the zones in which that meets the ways of those from other roads, with their strips."""
 
     env_id: str
     decision: Decision
@@ -52,7 +54,12 @@ class _View(NamedTuple):
     ego: FloatArray
     wish: FloatArray
     dt: float
-    vehicles: list[int]
+    meetings: list[tuple[int, Any]]
+
+    @property
+    def vehicles(self) -> set[int]:
+        """Whose ways it meets."""
+        return {int(self.foreseen.vehicles[j]) for j, _ in self.meetings}
 
 
 def draw_worst_cases(
@@ -101,10 +108,7 @@ def draw_worst_cases(
         "red: it keeps clear of others there; green: others are counted on to wait",
         fontsize=9,
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=80)
-    plt.close(figure)
-    return path
+    return save_plot(figure, path, dpi=80)
 
 
 def _find(env_id: str, config: ShieldConfig, seed: int) -> _View:
@@ -143,7 +147,7 @@ def _view(env_id: str, base: Any, decision: Decision, foreseen: Foreseen) -> _Vi
         alone.step(dt)
         wish.append(alone.position.copy())
     view = _View(env_id, decision, foreseen, base.road.network, ego, np.array(wish), dt, [])
-    return view._replace(vehicles=sorted({int(foreseen.vehicles[j]) for j, _ in _meetings(view)}))
+    return view._replace(meetings=_meetings(view))
 
 
 def _meetings(view: _View) -> list[tuple[int, Any]]:
@@ -176,7 +180,7 @@ def _area(view: _View, j: int, first: int, last: int) -> Any:
 
 
 def _draw(axis: Any, view: _View) -> None:
-    foreseen, ego = view.foreseen, view.ego
+    foreseen, ego, met = view.foreseen, view.ego, view.vehicles
     for lane in view.network.lanes_list():
         s = np.linspace(0.0, lane.length, max(2, int(lane.length / _SAMPLE) + 1))
         for r in (-0.5 * lane.width_at(0), 0.5 * lane.width_at(0)):
@@ -185,10 +189,10 @@ def _draw(axis: Any, view: _View) -> None:
         k = min(round(time / view.dt), foreseen.most.shape[1] - 1)
         for j in range(len(foreseen.lanes)):
             _fill(axis, _area(view, j, k, k), _MAY, 0.16)
-    for j, zone in _meetings(view):
+    for j, zone in view.meetings:
         _fill(axis, zone, _WAITS if foreseen.waits[j] else _MEETS, 0.5, zorder=3)
     for i, row in enumerate(foreseen.rows):
-        _body(axis, row, "#4878d0" if i in view.vehicles else "#8fb3e8")
+        _body(axis, row, "#4878d0" if i in met else "#8fb3e8")
     _body(axis, ego, "#32c800")
     axis.plot(view.wish[:, 0], view.wish[:, 1], "--", color=_WISHED, linewidth=1.5, zorder=5)
     axis.plot(foreseen.path[:, 0], foreseen.path[:, 1], color=_PATH, linewidth=2, zorder=5)
@@ -205,8 +209,7 @@ def _draw(axis: Any, view: _View) -> None:
     axis.set_yticks([])
     waiting = len({int(foreseen.vehicles[j]) for j in np.flatnonzero(foreseen.waits)})
     done = "held back" if view.decision.overridden else "as proposed"
-    many = len(view.vehicles)
-    meets = f"meets {many} from other roads"
+    meets = f"meets {len(met)} from other roads"
     axis.set_title(
         f"{view.env_id}: {_ACTION} at {ego[3]:.0f} m/s {done}; {meets}, of whom {waiting} counted on to wait",
         fontsize=9,
@@ -220,7 +223,4 @@ def _fill(axis: Any, area: Any, color: str, alpha: float, zorder: int = 2) -> No
 
 
 def _body(axis: Any, row: FloatArray, color: str) -> None:
-    corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * row[4:6] / 2
-    cos, sin = np.cos(row[2]), np.sin(row[2])
-    at = row[:2] + corners @ np.array([[cos, sin], [-sin, cos]])
-    axis.fill(*at.T, facecolor=color, edgecolor="black", linewidth=0.6, zorder=4)
+    axis.fill(*polygons(row[None])[0].exterior.xy, facecolor=color, edgecolor="black", linewidth=0.6, zorder=4)

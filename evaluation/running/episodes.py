@@ -10,7 +10,7 @@ import math
 import os
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -90,8 +90,10 @@ class Driver:
     Attributes
     ----------
     env : with the shield around it, where that is its door. policy : bare. driver : what proposes, with the shield
-        around it where that is its door.
+        around it where that is its door. recorder : of the last episode.
     """
+
+    recorder: Recorder
 
     def __init__(
         self,
@@ -122,20 +124,12 @@ class Driver:
 
     def run(self, seed: int) -> EpisodeRecord:
         """Drive the episode with this seed to its end."""
-        env, tally = self.env, _Tally()
-        obs, _ = env.reset(seed=seed)
-        env.action_space.seed(seed)  # highway-env makes a new space at each reset
-        start_episode(self.policy, seed)
-        recorder = Recorder(env)
-        state, total, steps, done = None, 0.0, 0, False
-        while not done:
-            action, state = self.driver.predict(obs, state, episode_start=np.array([steps == 0]), deterministic=True)
-            obs, reward, terminated, truncated, info = env.step(_plain(action))
+        tally, total, steps, info = _Tally(), 0.0, 0, dict[str, Any]()
+        for reward, info in self.decisions(seed):
             tally.add(self._shield_info(info))
-            total += float(reward)
+            total += reward
             steps += 1
-            done = bool(terminated or truncated)
-        history = recorder.history()
+        history = self.recorder.history()
         return EpisodeRecord(
             setting=self.setting.name,
             policy=self.label,
@@ -160,8 +154,32 @@ class Driver:
             min_gap=history.min_gap(),
             latencies=tuple(tally.latencies) if self.variant.door != "none" else (),
             simulator=self.simulator,
-            **_arrival(info, env, history),
+            **_arrival(info, self.env, history),
         )
+
+    def decisions(
+        self, seed: int, before: Callable[[int], None] | None = None
+    ) -> Iterator[tuple[float, dict[str, Any]]]:
+        """Drive the episode with this seed to its end: the reward and the info of each decision.
+
+        Parameters
+        ----------
+        before : called with the number of each decision, from 1 on, once it is taken and before it is carried out.
+        """
+        env = self.env
+        obs, _ = env.reset(seed=seed)
+        env.action_space.seed(seed)  # highway-env makes a new space at each reset
+        start_episode(self.policy, seed)
+        self.recorder = Recorder(env)
+        state, steps, done = None, 0, False
+        while not done:
+            action, state = self.driver.predict(obs, state, episode_start=np.array([steps == 0]), deterministic=True)
+            steps += 1
+            if before is not None:
+                before(steps)
+            obs, reward, terminated, truncated, info = env.step(_plain(action))
+            yield float(reward), info
+            done = bool(terminated or truncated)
 
     def _shield_info(self, info: Mapping[str, Any]) -> Mapping[str, Any]:
         if self.variant.door == "none":

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.state import FloatArray, IntArray
-from evaluation.measuring.tally import Tallies, begin_tally, empty_tallies, tally
+from evaluation.measuring.tally import SOON, Tallies, begin_tally, empty_tallies, tally
 from evaluation.policies import list_references
 from evaluation.running.episodes import run_episode
 from evaluation.running.named_policies import ConstantPolicy, RandomPolicy, WeavingPolicy, make_policy, policy_label
@@ -26,8 +26,6 @@ from shield.exact.highways import highways_for
 __all__ = ["Chosen", "Many"]
 
 _ENVS = 64
-_SOON = 1e-3
-"""The least time to a collision that has not happened [s]."""
 _NAMED = ("faster", "idle", "slower", "random", "weaving", "left", "right")
 """Baselines that look at nothing."""
 
@@ -193,7 +191,7 @@ class Many:
 
         def end(i: int, k: int, tallies: Tallies) -> None:
             gaps[k] = tallies.min_gap[i]
-            times[k] = 0.0 if tallies.crashed[i] else max(tallies.min_ttc[i], _SOON)
+            times[k] = 0.0 if tallies.crashed[i] else max(tallies.min_ttc[i], SOON)
             offences[k] = tallies.violations[i]
 
         drivers = self._drivers

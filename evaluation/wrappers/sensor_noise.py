@@ -58,7 +58,7 @@ class SensorNoise(gym.ObservationWrapper[Any, Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment; a seed makes the noise the same again."""
         if seed is not None:
-            self._rng, self._ghostly = np.random.default_rng([seed, 1]), np.random.default_rng([seed, 2])
+            self.redraw(seed)
         self._past.clear()
         observation, info = self.env.reset(seed=seed, options=options)
         base: Any = self.unwrapped

@@ -19,7 +19,7 @@ from dynamics.networks.lanes import Lanes
 from dynamics.networks.layout import COUNT, PRIORITY
 from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of
-from dynamics.networks.prediction import FAR, HALF, HIGH, LOW, NEAR, STRIP, Conduct, Strips, Ways, reach, spread
+from dynamics.networks.prediction import STRIP, Conduct, Strips, Ways, reach, spread
 from dynamics.networks.rights import ranks_of, rights_of
 from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.state import FloatArray
@@ -34,7 +34,7 @@ from shield.procedures.warm_up import announced
 from shield.refusals import refuse_simulated
 from shield.roads.choosing import CLEAR, Choice, choose, try_course
 from shield.roads.reading import read_traffic
-from shield.roads.room import Duty, Foreseen, Others, Road, Trial, empty_trial
+from shield.roads.room import Duty, Foreseen, Others, Road, Trial, empty_trial, foreseen
 from shield.roads.survey import Body, circles_of
 from shield.roads.watch import Breach, Seen, Watch, behind
 
@@ -49,10 +49,6 @@ _STOP = 5.0
 _ROOM = 1024
 _COMMITTED = 1e3
 """Stands for highway-env's own speed controller, which brakes as hard as it likes [m/s^2]."""
-
-
-_STANDS = 1e-6
-"""Slower is standing [m/s]."""
 
 
 class RoadDoor:
@@ -126,23 +122,7 @@ class RoadDoor:
     @property
     def foreseen(self) -> Foreseen:
         """What the last decision has gone by."""
-        others, path = self._others, self._trial.path
-        vehicles, lanes, _ = others.marks.T
-        stands = np.flatnonzero(np.abs(path[1:, 3]) < _STANDS)
-        frames = min(stands[0] + 2 if stands.size else len(path), others.least.shape[1])
-        numbers = others.numbers
-        half = numbers[:, HALF]
-        return Foreseen(
-            rows=others.rows.copy(),
-            path=path[:frames].copy(),
-            vehicles=vehicles.copy(),
-            lanes=[self._names[k] for k in lanes],
-            least=others.least[vehicles, :frames] - (numbers[:, FAR] + half)[:, None],
-            most=others.most[vehicles, :frames] - (numbers[:, NEAR] - half)[:, None],
-            low=numbers[:, LOW].copy(),
-            high=numbers[:, HIGH].copy(),
-            waits=others.waits.copy(),
-        )
+        return foreseen(self._others, self._trial, self._names)
 
     def counts_on(self, body: Any) -> bool:
         """Whether another vehicle has been counted on to wait for the ego, and has had the time to react: unless it

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from dynamics.scenes.scene import Scene, Target
-from dynamics.state import FloatArray, State
+from dynamics.state import BoolArray, FloatArray, State
 from dynamics.vehicle.controllers import KP_SPEED
 from shield.certificate.manoeuvres import Brakes, brake_candidates
 from shield.certificate.memory import Instant, Memory, observe
@@ -40,7 +40,6 @@ LANE_PENALTY = 2.0
 """What it costs to leave the committed lane, in acceleration [m/s^2]."""
 GREATEST = 5.0
 """Greatest acceleration that is tried when a frame is held back [m/s^2]."""
-_NOBODY = -1
 _SHARES = (0.75, 0.5, 0.25, 0.0)
 """How wide bounds on the others are taken to be where nothing clears them, as shares of their width."""
 
@@ -82,8 +81,7 @@ class HoldBack:
         i = int(score.argmax())
         if not np.isfinite(score[i]):
             i = least_bad(result)
-        command = FrameCommand(int(steer[i]), float(accelerations[i]))
-        yield Plan(command, float(result.margin[i]), int(fails[i]), paths[i], result.binding(i))
+        yield _plan(candidates, accelerations, paths, result, i)
 
 
 class Frames:
@@ -156,11 +154,8 @@ def _evade(now: Instant, target: Target) -> tuple[Plan[int], float]:
         lawful = now.lawful.clearance(paths, candidates.lanes, candidates.fails).margin
         expected = now.survey.clearance(paths, candidates.lanes, candidates.fails, hold=paths.shape[1])
     keeps = lawful >= 0
-    every = np.flatnonzero(keeps) if keeps.any() else np.arange(len(paths))
-    i = int(every[least_bad(Clearance(expected.margin[every], expected.clear[every]))])
-    command = FrameCommand(int(candidates.lanes[i]), float(accelerations[i]))
-    plan = Plan(command, float(result.margin[i]), int(candidates.fails[i]), paths[i], result.binding(i))
-    return plan, float(lawful[i])
+    i = _least_bad_of(expected, keeps if keeps.any() else ~keeps)
+    return _plan(candidates, accelerations, paths, result, i), float(lawful[i])
 
 
 def _likeliest(now: Instant, target: Target) -> Plan[int]:
@@ -168,15 +163,29 @@ def _likeliest(now: Instant, target: Target) -> Plan[int]:
     own lane, and only where nothing does there, in others."""
     candidates, accelerations = _evasions(now, target)
     paths, result = now.judge(candidates)
-    i, own = _NOBODY, candidates.lanes == now.here
-    narrow = [now.narrowed(share).clearance(paths, candidates.lanes, candidates.fails) for share in _SHARES]
-    for where in (own, ~own):
+    own = candidates.lanes == now.here
+    narrow: list[Clearance] = []
+
+    def clear() -> Iterator[BoolArray]:
+        for share in _SHARES:
+            narrow.append(now.narrowed(share).clearance(paths, candidates.lanes, candidates.fails))
+            yield own & (narrow[-1].margin >= 0)
         for each in narrow:
-            every = np.flatnonzero(where & (each.margin >= 0))
-            if every.size and i == _NOBODY:
-                i = int(every[least_bad(Clearance(result.margin[every], result.clear[every]))])
-    if i == _NOBODY:
-        i = least_bad(narrow[-1])
+            yield ~own & (each.margin >= 0)
+
+    chosen = next((some for some in clear() if some.any()), None)
+    i = least_bad(narrow[-1]) if chosen is None else _least_bad_of(result, chosen)
+    return _plan(candidates, accelerations, paths, result, i)
+
+
+def _least_bad_of(result: Clearance, some: BoolArray) -> int:
+    """`least_bad` of some of the candidates, (n,) bool."""
+    which = np.flatnonzero(some)
+    return int(which[least_bad(Clearance(result.margin[which], result.clear[which]))])
+
+
+def _plan(candidates: Brakes, accelerations: FloatArray, paths: FloatArray, result: Clearance, i: int) -> Plan[int]:
+    """One of the candidates."""
     command = FrameCommand(int(candidates.lanes[i]), float(accelerations[i]))
     return Plan(command, float(result.margin[i]), int(candidates.fails[i]), paths[i], result.binding(i))
 

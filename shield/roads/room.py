@@ -7,11 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from dynamics.networks.lanes import Lanes
-from dynamics.networks.prediction import Conduct, Ways
+from dynamics.networks.prediction import FAR, HALF, HIGH, LOW, NEAR, Conduct, Ways
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.roads.survey import Body
 
-__all__ = ["Duty", "Foreseen", "Others", "Road", "Trial", "empty_trial"]
+__all__ = ["Duty", "Foreseen", "Others", "Road", "Trial", "empty_trial", "foreseen"]
+
+_STANDS = 1e-6
+"""Slower is standing [m/s]."""
 
 
 class Duty(NamedTuple):
@@ -122,4 +125,24 @@ def empty_trial(frames: int, lanes: int, vehicles: int) -> Trial:
         np.zeros((lanes, frames + 1), np.bool_),
         np.zeros((lanes, 2), np.int64),
         np.zeros(vehicles),
+    )
+
+
+def foreseen(others: Others, trial: Trial, names: list[tuple[str, str, int]]) -> Foreseen:
+    """What a decision has gone by, of what `trial` holds; `names` are highway-env's of the lanes."""
+    vehicles, lanes, _ = others.marks.T
+    numbers, path = others.numbers, trial.path
+    stands = np.flatnonzero(np.abs(path[1:, 3]) < _STANDS)
+    frames = min(stands[0] + 2 if stands.size else len(path), others.least.shape[1])
+    half = numbers[:, HALF]
+    return Foreseen(
+        rows=others.rows.copy(),
+        path=path[:frames].copy(),
+        vehicles=vehicles.copy(),
+        lanes=[names[k] for k in lanes],
+        least=others.least[vehicles, :frames] - (numbers[:, FAR] + half)[:, None],
+        most=others.most[vehicles, :frames] - (numbers[:, NEAR] - half)[:, None],
+        low=numbers[:, LOW].copy(),
+        high=numbers[:, HIGH].copy(),
+        waits=others.waits.copy(),
     )

@@ -213,8 +213,8 @@ OBSERVED = (
     off(
         "the fallback leaves its lane for one that looks freer",
         _FRAMES,
-        "for where in (own, ~own):",
-        "for where in (own | ~own,):",
+        "yield own & (narrow[-1].margin >= 0)",
+        "yield narrow[-1].margin >= 0",
         "tests/evaluation/test_splitting.py::test_crashes_that_splitting_has_found_are_avoided",
     ),
 )

@@ -34,6 +34,10 @@ _SLACK, _HARDLY = 3.0, 0.5
 """What d* may differ by when the lane change starts [m]; and where it is the ego's own, whose plan is known."""
 _DRIFT = 9.0
 """The same for each second of braking until then [m/s]."""
+_CHANGES = 3.0
+"""The same where it has to be blocked as it is: its speed and its leader change [m/s]."""
+_COMING, _MOVES = 1.0, 0.3
+"""Who comes nearer to a lane at more than this speed leads there from so much further off [m], [m/s]."""
 _OVERLAP = 2.0
 """Bodies nearer than this along the road may overlap with the buffer between them [m]."""
 _BRAKES = 1.0
@@ -60,6 +64,35 @@ class Slips(NamedTuple):
     braking: float
 
 
+@inlined
+def _blocked(v: float, speed: float, gap: float, braking: float) -> tuple[float, float]:
+    """Multiple of the gap to a leader that d* towards it may be, and is at this moment."""
+    closing = v - speed + braking * _BRAKES
+    left = max(gap - _BRAKES * max(closing, 0.0), 1.0)
+    return max(desired_gap(v, closing), 0.0) / left, max(desired_gap(v, v - speed), 0.0) / max(gap, 1.0)
+
+
+@inlined
+def _held_up(j: int, states: FloatArray, center: float, sight: float, braking: float) -> tuple[float, float]:
+    """The same of whoever holds vehicle `j` up most in the lane with this centre [m]: the next one ahead there, or one
+    that is on its way there."""
+    v, gap, speed, worst, now = states[j, 3], np.inf, 0.0, 0.0, 0.0
+    for i in range(states.shape[0]):
+        ahead, off, across = states[i, 0] - states[j, 0], states[i, 1] - center, states[i, 3] * math.sin(states[i, 2])
+        if i == j or not ahead >= 0:
+            continue
+        if abs(off) <= sight:
+            if ahead < gap:
+                gap, speed = ahead, states[i, 3]
+        elif abs(off) <= sight + _COMING and -math.copysign(across, off * across) > _MOVES:
+            most, as_now = _blocked(v, states[i, 3], ahead, braking)
+            worst, now = max(worst, most), max(now, as_now)
+    if gap < np.inf:
+        most, as_now = _blocked(v, speed, gap, braking)
+        worst, now = max(worst, most), max(now, as_now)
+    return worst, now
+
+
 @uncounted
 def may_slip(
     others: FloatArray,
@@ -77,31 +110,27 @@ def may_slip(
     count, m, lane, first, last = 0, states.shape[0], bodies.lane, bodies.first, bodies.last
     for j in range(m):
         v, s = states[j, 3], states[j, 0]
-        if first[j] != last[j] or not abs(s - ego[0]) <= _NEAR or others[j, 6] > 0 or not v >= 1.0:
+        if first[j] > last[j] or not abs(s - ego[0]) <= _NEAR or others[j, 6] > 0 or not v >= 1.0:
             continue
         for side in (-1, 1):
             to = lane[j] + side
             if to < 0 or to >= centers.shape[0] or not abs(ego[1] - centers[to]) <= sight:
                 continue
-            # The old leader: without one that is more in the way than the new one, nobody changes lanes.
-            gap, wanted, left, now = np.inf, 0.0, 1.0, 0.0
-            for i in range(m):
-                ahead = states[i, 0] - s
-                if i != j and 0 <= ahead < gap and abs(states[i, 1] - centers[lane[j]]) <= sight:
-                    gap, closing = ahead, v - states[i, 3] + braking * _BRAKES
-                    wanted = max(desired_gap(v, closing), 0.0)
-                    left = max(gap - _BRAKES * max(closing, 0.0), 1.0)
-                    now = max(desired_gap(v, v - states[i, 3]), 0.0) / max(gap, 1.0)
-            if not wanted > 0:
+            if first[j] <= to <= last[j]:
+                # Its strip has that lane already.
+                continue
+            # Without somebody that is more in the way than the ego, nobody changes lanes.
+            worst, now = _held_up(j, states, centers[lane[j]], sight, braking)
+            if not worst > 0:
                 continue
             # Whether it may begin while the bodies overlap, at any speed down to which the ego may brake.
             reach, fast = 0.5 * (others[j, 4] + length) + _OVERLAP, max(ego[3], 0.0) + 1.0
             u = min(max(0.5 * (v - TIME * TWICE_ROOT), 0.0), fast)
-            most = wanted / left * reach + _SLACK + _DRIFT * _BRAKES
+            most = worst * reach + _SLACK + _DRIFT * _BRAKES
             leads = desired_gap(v, v - fast) <= most
             most = IMPOSED * reach + _HARDLY + _DRIFT * _BRAKES
             if leads or desired_gap(u, u - v) <= most:
-                out[count, 0], out[count, 1], out[count, 2], out[count, 3] = j, to, wanted / left, now
+                out[count, 0], out[count, 1], out[count, 2], out[count, 3] = j, to, worst, now
                 count += 1
     return count
 
@@ -172,7 +201,7 @@ def _begins(
     may = seen and abs(wanted) <= slips.ratios[0, j] * ahead + _SLACK + _DRIFT * min(t, _BRAKES)
     # It brakes meanwhile behind its own leader, as IDM does.
     slows = min(COMFORT * slips.ratios[1, j] ** 2, slips.braking)
-    at_once = slips.ratios[1, j] * (ahead + 0.5 * slows * t * t) + _HARDLY
+    at_once = slips.ratios[1, j] * (ahead + 0.5 * slows * t * t) + _HARDLY + _CHANGES * t
     slow = max(v - slows * t, 0.0)
     return may, seen and min(wanted, desired_gap(slow, slow - u)) <= at_once and wanted >= -at_once, True
 

@@ -1,0 +1,30 @@
+"""Episodes of the ABZ case study in which the ego was hit, or nearly so: found among 100,000, driven again here."""
+
+import pytest
+
+from evaluation.running.episodes import run_episode
+from evaluation.running.records import variant_for
+from shield.config import ShieldConfig
+
+
+@pytest.mark.parametrize(
+    "seed",
+    [
+        # The only crash: it came a little earlier beside the one that slipped in than that one's speed had told.
+        63022052,
+        # It had not quite settled in its lane yet: so long it was not asked whether it might go on to the next one.
+        63010836,
+        63055590,
+        # The one that held it up had just come before it.
+        63050333,
+        63076334,
+        # It had lost speed by then, or its leader had.
+        63063621,
+        63087395,
+    ],
+)
+def test_one_that_slips_in_is_foreseen_in_time(seed: int) -> None:
+    record = run_episode("abz-idm", "dqn-abz-adversarial", variant_for(ShieldConfig()), seed, simulator="compiled")
+    assert not record.crashed
+    assert record.violations == 0
+    assert record.min_gap > 1.5

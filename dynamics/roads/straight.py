@@ -85,6 +85,14 @@ def _to_road(states: Any, x: float, y: float, cos: float, sin: float, heading: f
 
 
 @uncounted
+def _to_world(states: Any, x: float, y: float, cos: float, sin: float, heading: float, out: Any) -> None:
+    for i in range(states.shape[0]):
+        s, r = states[i, _S], states[i, _R]
+        out[i, _X], out[i, _Y] = x + cos * s - sin * r, y + sin * s + cos * r
+        out[i, _HEADING], out[i, _SPEED] = states[i, _PSI] + heading, states[i, _V]
+
+
+@uncounted
 def nearest(centers: Any, r: float) -> int:
     """Index of the centre that is nearest to r, the first of two."""
     best = 0
@@ -197,12 +205,9 @@ class StraightRoad:
 
     def to_world(self, states: FloatArray) -> FloatArray:
         """Road states (..., 4) to world states (..., 4)."""
-        s, r = states[..., RoadState.S], states[..., RoadState.R]
+        rows = np.ascontiguousarray(states, float).reshape(-1, states.shape[-1])
         out = np.empty((*states.shape[:-1], 4))
-        out[..., State.X] = self.origin[0] + self._cos * s - self._sin * r
-        out[..., State.Y] = self.origin[1] + self._sin * s + self._cos * r
-        out[..., State.HEADING] = states[..., RoadState.HEADING] + self.heading
-        out[..., State.SPEED] = states[..., RoadState.SPEED]
+        _to_world(rows, *self.origin, self._cos, self._sin, self.heading, out.reshape(-1, 4))
         return out
 
     def curvature(self, s: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -42,8 +43,11 @@ LOOPS: tuple[np.ufunc, ...] = (np.tan, np.arctan, np.arcsin, np.cos, np.sin, np.
 """The ufuncs before the C library's pow, which Python's `**` of two floats calls, in the order of `Loop`."""
 
 
+@lru_cache(maxsize=1)
 def addresses() -> np.ndarray[Any, Any]:
     """The addresses of numpy's loops over 64-bit floats and of their data, (loops, 2) int64, in the order of `Loop`.
+
+    They are the same array at each call, since to find a library starts a process; nobody writes to it.
 
     Raises
     ------

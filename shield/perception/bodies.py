@@ -9,12 +9,12 @@ import numpy as np
 from dynamics.compiled import uncounted
 from dynamics.state import FloatArray, Vehicle
 
-__all__ = ["STANDING", "bodies", "bounded"]
+__all__ = ["STANDING", "bodies", "bounded", "unseen_bodies"]
 
 STANDING = 0.05
 """Below this speed [m/s] a velocity says nothing of a heading."""
 _X, _Y, _HEADING, _SPEED = int(Vehicle.X), int(Vehicle.Y), int(Vehicle.HEADING), int(Vehicle.SPEED)
-_LENGTH, _WIDTH, _COLUMNS = int(Vehicle.LENGTH), int(Vehicle.WIDTH), len(Vehicle)
+_LENGTH, _WIDTH, _CRASHED, _COLUMNS = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED), len(Vehicle)
 
 
 def bodies(states: FloatArray, body: tuple[float, float]) -> FloatArray:
@@ -38,11 +38,23 @@ def bounded(mean: FloatArray, low: FloatArray, high: FloatArray, body: tuple[flo
     mean, low, high : states x, y, vx, vy (n, 4), as they are thought to be, and between what.
     body : length and width of each [m]. x : where the ego is [m].
     """
-    states = np.empty((len(mean), 4))
+    states, rows = np.empty((len(mean), 4)), np.zeros((len(mean), _COLUMNS))
     _widen(mean, low, high, x, states)
-    rows = bodies(states, body)
-    rows[:, _LENGTH] += high[:, 0] - low[:, 0]
-    rows[:, _WIDTH] += high[:, 1] - low[:, 1]
+    _fill(states, body[0], body[1], rows)
+    _lengthen(low, high, rows)
+    return rows
+
+
+def unseen_bodies(states: FloatArray, body: tuple[float, float]) -> FloatArray:
+    """Vehicle rows (n, 7) of states in the world's directions (n, 4).
+
+    Parameters
+    ----------
+    body : length and width of each [m].
+    """
+    rows = np.zeros((len(states), _COLUMNS))
+    rows[:, :_LENGTH] = states
+    rows[:, _LENGTH:_CRASHED] = body
     return rows
 
 
@@ -52,6 +64,13 @@ def _widen(mean: FloatArray, low: FloatArray, high: FloatArray, x: float, states
         states[a, 2] = high[a, 2] if mean[a, 0] < x else low[a, 2]
         states[a, 3] = mean[a, 3]
         states[a, 0], states[a, 1] = 0.5 * (low[a, 0] + high[a, 0]), 0.5 * (low[a, 1] + high[a, 1])
+
+
+@uncounted
+def _lengthen(low: FloatArray, high: FloatArray, rows: FloatArray) -> None:
+    for a in range(len(rows)):
+        rows[a, _LENGTH] += high[a, 0] - low[a, 0]
+        rows[a, _WIDTH] += high[a, 1] - low[a, 1]
 
 
 @uncounted

@@ -15,6 +15,7 @@ from dynamics.scenes.scene import EgoControl, Scene
 from dynamics.state import BoolArray, FloatArray, IntArray, RoadState, State, Vehicle
 from shield.decision import Guarantee
 from shield.errors import ConfigError, SceneError
+from shield.perception.bodies import unseen_bodies
 from shield.perception.grid_sighting import GridSighting, decode_grid, reach_of
 from shield.perception.grid_spec import GridSpec
 from shield.perception.perceiving import PerceptionConfig
@@ -130,9 +131,7 @@ class GridPerception:
                 self.behind.states(unseen, self._road, place, self.spec.distance),
             ]
         )
-        beyond = np.zeros((len(ghosts), len(Vehicle)))
-        beyond[:, : len(State)] = self._road.to_world(ghosts)
-        beyond[:, [Vehicle.LENGTH, Vehicle.WIDTH]] = self.spec.body
+        beyond = unseen_bodies(self._road.to_world(ghosts), self.spec.body)
         hidden = self._hidden(sighting, ego, r)
         nobody = np.full(len(beyond) + len(hidden), -1)
         return Scene(

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from dynamics.scenes.scene import EgoControl, Scene
-from dynamics.state import BoolArray, FloatArray, RoadState, State, Vehicle
+from dynamics.state import BoolArray, FloatArray, RoadState, State
 from shield.decision import Guarantee
-from shield.perception.bodies import STANDING, bodies, bounded
+from shield.perception.bodies import STANDING, bodies, bounded, unseen_bodies
 from shield.perception.filters import FARTHEST
 from shield.perception.learned import RESOLUTION, Conformal, Learned, Noise
 from shield.perception.monitor import Monitor
@@ -24,6 +24,7 @@ from shield.perception.unseen import Behind, Unseen, ahead, edges
 __all__ = ["ObservationPerception", "PerceptionConfig"]
 
 _X, _Y, _HEADING, _SPEED = int(State.X), int(State.Y), int(State.HEADING), int(State.SPEED)
+_S, _V = int(RoadState.S), int(RoadState.SPEED)
 _COLUMNS = len(State)
 _NOBODY = np.zeros((0, 3))
 _PATIENCE = 3
@@ -66,6 +67,7 @@ class ObservationPerception:
         self.learned = self._before
         told: Any = RESOLUTION if self.config.noise in (None, "estimate") else self.config.noise
         self._told = np.maximum(told, RESOLUTION)
+        self._usual = np.full((2, 4), float(self.config.bound))
         self._watched = self.config.monitor or self.learned.noise is not None or self.learned.conformal is not None
         centers = road.centers + road.origin[1]
         self._motions = Motions(self.config.calm, brisk=self.config.brisk, centers=centers, cruise=self.config.cruise)
@@ -113,7 +115,7 @@ class ObservationPerception:
             return np.full((2, 4), FARTHEST)
         if self.learned.conformal is not None:
             return self.learned.conformal.bounds
-        return np.full((2, 4), float(self.config.bound))
+        return self._usual
 
     def see(self, observation: Any, frame: int, control: EgoControl) -> Scene:
         """The scene that an observation shows.
@@ -193,10 +195,9 @@ class ObservationPerception:
         ids = self.tracks.ids
         ghosts = self._ghosts(road.to_road(then), mean if now is self.tracks else self.tracks.mean)
         if len(ghosts):
-            ghosts[:, RoadState.S] += late * ghosts[:, RoadState.SPEED]
-            ghost_rows = np.zeros((len(ghosts), rows.shape[1]))
-            ghost_rows[:, : ghosts.shape[1]] = road.to_world(ghosts)
-            ghost_rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] = self.spec.body
+            if late:
+                ghosts[:, _S] += late * ghosts[:, _V]
+            ghost_rows = unseen_bodies(road.to_world(ghosts), self.spec.body)
             rows, ids = np.concatenate([rows, ghost_rows]), np.concatenate([ids, np.full(len(ghosts), -1)])
             likely = None if likely is None else np.concatenate([likely, ghost_rows])
         if self.alarmed:

@@ -32,6 +32,7 @@ from scipy.optimize import linear_sum_assignment
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.perception import filter_kernels as filters
 from shield.perception.filters import Course
+from shield.perception.matching import settled
 
 __all__ = ["Motions", "Surprise", "Tracks", "ahead_of", "follow", "sides"]
 
@@ -167,21 +168,16 @@ def follow(
         pair = rows[near], columns[near]
         found = filters.scores(chances, means, covariances, seen, noise, *pair)
         surprise = Surprise(apart[near], found, _steps(tracks, seen, dt, *pair))
-    matched = apart <= _GATE
-    rows, columns = rows[matched], columns[matched]
-    innovation = np.full(len(means), np.nan)
-    innovation[rows] = apart[matched]
-    expected = chances, means, covariances
-    chances, means, covariances = filters.taken_in(*expected, seen, noise, away, size, rows, columns)
-    missed, last, shown = tracks.missed + 1, tracks.places.copy(), tracks.seen.copy()
-    missed[rows], last[rows], shown[rows] = 0, at[columns], seen[columns]
-    unknown = np.ones(len(seen), bool)
-    unknown[columns] = False
-    kept, next_id = missed <= patience, tracks.next_id
-    everybody = Tracks(tracks.ids, means, covariances, chances, missed, last, next_id, innovation, shown, surprise)
-    if kept.all() and not unknown.any():
+    last = tracks.missed, tracks.places, tracks.seen
+    pairs = settled(rows, columns, apart, _GATE, patience, *last, at, seen)
+    expected, same = (chances, means, covariances), (pairs.rows, pairs.columns)
+    chances, means, covariances = filters.taken_in(*expected, seen, noise, away, size, *same)
+    about = pairs.missed, pairs.places, tracks.next_id, pairs.innovation, pairs.seen, surprise
+    everybody = Tracks(tracks.ids, means, covariances, chances, *about)
+    if pairs.whole:
         return everybody
-    return _joined(everybody, kept, _newcomers(next_id, seen[unknown], at[unknown], noise, motions))
+    kept, unknown = pairs.missed <= patience, pairs.unknown
+    return _joined(everybody, kept, _newcomers(tracks.next_id, seen[unknown], at[unknown], noise, motions))
 
 
 def _steps(tracks: Tracks, seen: FloatArray, dt: float, rows: IntArray, columns: IntArray) -> FloatArray:

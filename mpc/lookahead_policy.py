@@ -12,10 +12,11 @@ import gymnasium as gym
 import numpy as np
 
 from dynamics.errors import ConfigError
+from dynamics.simulator.engine import alike
 from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.simulator.layout import HEADING, SPEED, TARGET, TARGET_SPEED, X, Y
 from dynamics.simulator.simulator import Simulator
-from dynamics.state import FloatArray
+from dynamics.state import FloatArray, IntArray
 
 __all__ = ["LookaheadPolicy"]
 
@@ -67,6 +68,7 @@ class LookaheadPolicy:
         self._live = Simulator(env_id, 1, config)
         self._parents: Any = self._futures(env_id, self.beam, config)
         self._children: Any = self._futures(env_id, self.beam * self._actions, config)
+        self._spare = np.zeros((self._actions + 1, 2))
 
     def _futures(self, env_id: str, count: int, config: Any) -> Any:
         """So many futures: what has `worlds`, `num_envs` and `step_first` of a `Simulator`."""
@@ -97,9 +99,8 @@ class LookaheadPolicy:
         values, first = np.zeros(1), np.full(1, -1)
         best = np.full(self._actions, -np.inf)
         for level in range(self.depth):
-            # Every future goes on with every action.
-            source = np.repeat(np.arange(n), self._actions)
-            tried = np.tile(np.arange(self._actions), n)
+            # Every future goes on with every action that leads elsewhere.
+            source, tried = (self._alike(parents, n) == np.arange(self._actions)).nonzero()
             self._copy(parents, children, source, np.arange(len(source)))
             given = np.zeros(children.num_envs, np.int64)
             given[: len(tried)] = tried
@@ -117,7 +118,13 @@ class LookaheadPolicy:
             kept = self._kept(going, worth, begun)
             self._copy(children, parents, kept, np.arange(len(kept)))
             values, first, n = worth[kept], begun[kept], len(kept)
-        return best
+        return best[self._alike(start, 1)[0]]
+
+    def _alike(self, futures: Any, n: int) -> IntArray:
+        """The first action that leads to the same as each, in each of the first n futures, (n, actions)."""
+        first = np.empty((n, self._actions), np.intp)
+        alike(futures.worlds, self._live.scenario.rules, n, self._spare, first)
+        return first
 
     def _kept(self, going: Any, worth: FloatArray, begun: Any) -> Any:
         """The futures that are followed, each once: the best of every kind in turn."""

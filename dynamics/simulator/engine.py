@@ -46,6 +46,7 @@ __all__ = [
     "Work",
     "Worlds",
     "advance",
+    "alike",
     "begin",
     "finish",
     "follow",
@@ -298,6 +299,30 @@ def begin(worlds: Worlds, rules: Rules, e: int, action: FloatArray) -> None:
     """Begin a decision in one environment: what its action changes at once."""
     worlds.clock[e] += rules.times[1]
     _command(rules, worlds.f[e], worlds.g[e], action)
+
+
+@uncounted
+def alike(worlds: Worlds, rules: Rules, count: int, work: FloatArray, first: IntArray) -> None:
+    """The first meta-action that leads to the same lane and speed as each, in the first `count` environments, `first`
+    (e, actions), written.
+
+    Parameters
+    ----------
+    work : (actions + 1, 2), written over.
+    """
+    actions = first.shape[1]
+    for e in range(count):
+        f, g = worlds.f[e], worlds.g[e]
+        target, speed = g[TARGET, 0], f[TARGET_SPEED, 0]
+        for a in range(actions):
+            work[actions, 0] = a
+            _command(rules, f, g, work[actions])
+            work[a, 0], work[a, 1] = g[TARGET, 0], f[TARGET_SPEED, 0]
+            g[TARGET, 0], f[TARGET_SPEED, 0] = target, speed
+            first[e, a] = a
+            for b in range(a - 1, -1, -1):
+                if work[b, 0] == work[a, 0] and work[b, 1] == work[a, 1]:
+                    first[e, a] = b
 
 
 @inlined

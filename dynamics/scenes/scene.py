@@ -64,6 +64,8 @@ class Scene:
         the same in every scene, in the same order, and their states are exact.
     blurred : whether the rows of the others are bounds: bodies as far as they may reach, speeds as low ahead of the ego
         and as high behind it as they may be.
+    likely : where the others are thought to be, (n, 7), where their rows are bounds; None where these are all that is
+        known.
     """
 
     ego: FloatArray
@@ -86,6 +88,10 @@ class Scene:
             raise SceneError(f"Scene.others must have shape (n, {len(Vehicle)}), got {self.others.shape}")
         if self.ids is not None and self.ids.shape != (len(self.others),):
             raise SceneError(f"Scene.ids must have shape ({len(self.others)},), got {self.ids.shape}")
+        if self.likely is not None and self.likely.shape != self.others.shape:
+            raise SceneError(
+                f"Scene.likely must have the shape of others, {self.others.shape}, got {self.likely.shape}"
+            )
         if not self.dt > 0 or self.frames_per_decision < 1:
             raise SceneError(
                 f"dt and frames_per_decision must be positive, got {self.dt} s and {self.frames_per_decision}"

@@ -28,6 +28,8 @@ from evaluation.measuring.rectangles import separation
 __all__ = ["History", "Recorder", "Track", "is_off_road", "read_road"]
 
 
+_AWAY = (1e6, 0.0, 0.0, 0.0, 0.0, 0.0, False)
+"""Who is not there."""
 _MEASURED = 32
 """Pairs of bodies that are measured at first, the nearest by their circles."""
 
@@ -55,7 +57,8 @@ class History:
 
     Attributes
     ----------
-    states : shape (frames, vehicles, 8), columns `Track`; vehicle 0 is the ego. On a closed road S goes on counting
+    states : shape (frames, vehicles, 8), columns `Track`; vehicle 0 is the ego. Who has not come yet, or has gone, is
+        1,000 km away and has no size. On a closed road S goes on counting
         from lap to lap, and the others' S is the one within half a lap of the ego's.
     road : the road that S and R refer to; None on a network that is no single road, where the states are in the
         world frame.
@@ -151,9 +154,7 @@ class Recorder:
             self._off_road: list[bool] = base.off_road
             return
         road = base.road
-        others = [vehicle for vehicle in road.vehicles if vehicle is not base.vehicle]
-        # Landmarks, such as the spot that is to be reached, are nothing to collide with.
-        self._vehicles = [base.vehicle, *others, *(thing for thing in road.objects if thing.solid)]
+        self._column = {base.vehicle: 0}
         self._rows, self._off_road = [], []
         self._sample()
         compiled = _compiled_frames(env)
@@ -169,23 +170,33 @@ class Recorder:
         road.step = step
 
     def _take(self, bodies: list[Any], rows: FloatArray, on_road: BoolArray) -> None:
-        """The frames of a decision, compiled; who has left stays where it was seen last."""
-        column = {body: k for k, body in enumerate(bodies)}
-        of = [column.get(body) for body in self._vehicles]
+        """The frames of a decision, compiled."""
         for frame, on in zip(rows.tolist(), on_road.tolist(), strict=True):
-            before = self._rows[-1]
-            self._rows.append([before[i] if k is None else frame[k] for i, k in enumerate(of)])
-            self._off_road.append(not on)
+            self._add(bodies, frame, not on)
 
     def _sample(self) -> None:
-        self._rows.append(
-            [(v.position[0], v.position[1], v.heading, v.speed, v.LENGTH, v.WIDTH, v.crashed) for v in self._vehicles]
-        )
-        self._off_road.append(is_off_road(self._base))
+        road = self._base.road
+        # Landmarks, such as the spot that is to be reached, are nothing to collide with.
+        bodies = [*road.vehicles, *(thing for thing in road.objects if thing.solid)]
+        frame = [(v.position[0], v.position[1], v.heading, v.speed, v.LENGTH, v.WIDTH, v.crashed) for v in bodies]
+        self._add(bodies, frame, is_off_road(self._base))
+
+    def _add(self, bodies: list[Any], frame: list[Any], off_road: bool) -> None:
+        """One frame; who has never been there before gets a column, and who is not there now is far away."""
+        for body in bodies:
+            self._column.setdefault(body, len(self._column))
+        row = [_AWAY] * len(self._column)
+        for body, state in zip(bodies, frame, strict=True):
+            row[self._column[body]] = state
+        self._rows.append(row)
+        self._off_road.append(off_road)
 
     def history(self) -> History:
         """All frames so far; the first is the scene after reset."""
-        rows = np.array(self._rows, dtype=float)
+        most = len(self._rows[-1])
+        # Who has come since was far away before.
+        late = [most - len(row) for row in self._rows]
+        rows = np.array([[*r, *[_AWAY] * n] if n else r for r, n in zip(self._rows, late, strict=True)], float)
         world = np.concatenate([rows, np.zeros((*rows.shape[:2], 1))], axis=-1)
         world[:, 0, Track.OFF_ROAD] = self._off_road
         if self._map is None:

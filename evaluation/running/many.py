@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.state import FloatArray, IntArray
 from evaluation.measuring.tally import SOON, Tallies, begin_tally, empty_tallies, tally
 from evaluation.policies import list_references
@@ -21,7 +20,7 @@ from evaluation.threads import one_thread
 from shield.config import ShieldConfig
 from shield.doors.ranking import normalised, order_from_scores, ranking_of
 from shield.errors import ConfigError
-from shield.exact.highways import highways_for
+from shield.exact.sorts import batch_for
 
 __all__ = ["Chosen", "Many"]
 
@@ -115,7 +114,7 @@ class Many:
     Raises
     ------
     ConfigError
-        If they cannot be driven side by side: another environment than the highway, other settings of the shield than
+        If they cannot be driven side by side: an environment that is not compiled, other settings of the shield than
         are compiled, or a policy that reads more than its observation.
     """
 
@@ -127,14 +126,12 @@ class Many:
             raise ConfigError(
                 f"{policy!r} does not drive side by side; have {', '.join(_NAMED)}, references and zip files"
             )
-        self._highways = highways_for(config)(setting.env_id, envs, setting.config, config, tape=chosen)
+        self._highways = batch_for(setting.env_id, config)(setting.env_id, envs, setting.config, config, tape=chosen)
         self._setting, self._policy, self._config = setting, policy, config
-        scenario = self._highways.simulator.scenario
-        steps = int(np.ceil(scenario.rules.times[2] / scenario.rules.times[1])) + 1
-        self.steps = steps
-        made = make_policy(policy, CompiledHighwayEnv(setting.env_id, setting.config))
+        self.steps = self._highways.steps
+        made = make_policy(policy, self._highways.one())
         blind = isinstance(made, ConstantPolicy | RandomPolicy | WeavingPolicy)
-        self._drivers: _Drivers = _Blind(made, envs, steps) if blind else _Model(made)  # type: ignore[arg-type]
+        self._drivers: _Drivers = _Blind(made, envs, self.steps) if blind else _Model(made)  # type: ignore[arg-type]
         if not blind and getattr(getattr(made, "policy", None), "lstm_actor", None) is not None:
             raise ConfigError(f"{policy!r} is recurrent; it drives one environment at a time")
 

@@ -7,10 +7,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.simulator.engine import Worlds, look
+from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.simulator.simulator import Simulator
 from dynamics.slices import Slices
 from dynamics.state import FloatArray, IntArray
@@ -54,17 +56,21 @@ class FilteredHighways(ABC):
         tape: bool = False,
     ) -> None:
         self.config, self.num_envs = self._settings(shield), num_envs
-        self.simulator = Simulator(env_id, num_envs, config, tape=tape)
+        self.simulator: Any = self._traffic(env_id, num_envs, config, tape)
         scenario = self.simulator.scenario
         if scenario.inputs is not None:
             raise ConfigError("many shields at once filter meta-actions; this environment has ContinuousAction")
-        frames = scenario.rules.numbers[0]
+        frames = self.simulator.rules.numbers[0]
         self.records = empty_records(num_envs, frames)
         self.rows = np.zeros((num_envs, frames, scenario.bodies, _ROWS))
         self.off_road = np.zeros((num_envs, frames), np.bool_)
         self._no_orders = np.zeros((num_envs, 0), np.intp)
         self._slices = Slices(num_envs, threads)
         self._prepare(len(self._slices.bounds))
+
+    def _traffic(self, env_id: str, num_envs: int, config: Mapping[str, Any] | None, tape: bool) -> Any:
+        """What simulates."""
+        return Simulator(env_id, num_envs, config, tape=tape)
 
     @abstractmethod
     def _settings(self, shield: ShieldConfig | str | Path | None) -> ShieldConfig:
@@ -105,12 +111,24 @@ class FilteredHighways(ABC):
     @property
     def worlds(self) -> Worlds:
         """The state of the traffic (see `dynamics.simulator.engine.Worlds`)."""
-        return self.simulator.worlds
+        worlds: Worlds = self.simulator.worlds
+        return worlds
+
+    def one(self) -> gym.Env[Any, Any]:
+        """One such environment, unfiltered."""
+        scenario = self.simulator.scenario
+        return CompiledHighwayEnv(scenario.env_id, scenario.config)
+
+    @property
+    def steps(self) -> int:
+        """As many decisions as an episode has, and one more."""
+        duration, decision = self.simulator.rules.times[2], self.simulator.rules.times[1]
+        return int(np.ceil(duration / decision)) + 1
 
     @property
     def actions(self) -> int:
         """How many meta-actions there are."""
-        return len(self.simulator.scenario.rules.labels)
+        return len(self.simulator.rules.labels)
 
     def step_first(
         self, actions: Any, count: int

@@ -6,14 +6,13 @@ from pathlib import Path
 
 from dynamics.state import IntArray
 from shield.batch.filtered import FilteredHighways
-from shield.batch.highways import ShieldedHighways
 from shield.config import ShieldConfig
 from shield.exact.deciding import empty_plans
 from shield.exact.engine import step_all_exact
 from shield.exact.room import new_search
 from shield.refusals import check, require
 
-__all__ = ["ExactHighways", "highways_for"]
+__all__ = ["ExactHighways"]
 
 
 class ExactHighways(FilteredHighways):
@@ -75,8 +74,3 @@ class ExactHighways(FilteredHighways):
             last,
             again,
         )
-
-
-def highways_for(config: ShieldConfig) -> type[FilteredHighways]:
-    """What settings are for: `ExactHighways` where the traffic is simulated, `ShieldedHighways` elsewhere."""
-    return ExactHighways if config.assumptions.simulated else ShieldedHighways

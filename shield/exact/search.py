@@ -15,11 +15,10 @@ import numpy as np
 from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.engine import write_row
 from dynamics.simulator.layout import CRASHED, HEADING, LENGTH, SPEED, TARGET, TARGET_SPEED, WIDTH, X, Y
-from dynamics.simulator.neighbours import sort
 from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.permits import Ego, gap_between
 from shield.exact.room import Bounds, Search
-from shield.exact.traffic import copy_routes, ego_in, frame, lanes_to_the_right, on_road, start
+from shield.exact.traffic import copy_more, ego_in, frame, lanes_to_the_right, on_road, sorted_in, start
 
 __all__ = [
     "clearance",
@@ -66,7 +65,7 @@ def enter(search: Search, worlds: Any, e: int) -> None:
         for i in range(p.shape[1]):
             for j in range(p.shape[2]):
                 p[k, i, j] = p0[i, j]
-    copy_routes(search, worlds, e)
+    copy_more(search, worlds, e)
 
 
 @uncounted
@@ -78,7 +77,7 @@ def clearance(futures: Any, k: int, ego: int, bounds: Bounds, row: FloatArray) -
     own = Ego(x, y, f[HEADING, ego], f[SPEED, ego], along, across, half_length, half_width, False)
     least, reach = np.inf, math.hypot(along, across)
     for i in range(f.shape[1]):
-        if i == ego:
+        if i == ego or not p[LENGTH, i] > 0:
             continue
         far = reach + 0.5 * math.hypot(p[LENGTH, i], p[WIDTH, i])
         if math.hypot(f[X, i] - x, f[Y, i] - y) - far < least:
@@ -105,7 +104,7 @@ def travel(search: Search, target: int, wish: float, floor: float) -> tuple[floa
     f, g, dt, ego = futures.f[target], futures.g[target], rules.times[0], ego_in(search, target)
     if on_road(search, target)[1]:
         return np.inf, 0.0
-    level, least, lost = sort(f, futures.order[target]), np.inf, 0.0
+    level, least, lost = sorted_in(search, target), np.inf, 0.0
     for _ in range(rules.numbers[0]):
         level = frame(search, target, level)
         on, at_end = on_road(search, target)
@@ -160,7 +159,7 @@ def foretell(search: Search, actions: IntArray, length: int, rows: FloatArray) -
         if k >= 0:
             search.given[0], search.given[1] = actions[k], 0.0
             start(search, target)
-        level = sort(f, futures.order[target])
+        level = sorted_in(search, target)
         for _ in range(1 if k < 0 else search.rules.numbers[0]):
             if k >= 0:
                 level = frame(search, target, level)

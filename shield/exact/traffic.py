@@ -10,10 +10,11 @@ from dynamics.networks import engine as networks
 from dynamics.networks.layout import COUNT, FRAMES, ID
 from dynamics.simulator import engine as highways
 from dynamics.simulator.lanes import on_lane
-from dynamics.simulator.layout import LANE, TARGET, X, Y
+from dynamics.simulator.layout import LANE, LENGTH, TARGET, WIDTH, X, Y
+from dynamics.simulator.neighbours import sort
 from shield.exact.room import Search
 
-__all__ = ["copy_routes", "ego_in", "frame", "hold", "lanes_to_the_right", "on_road", "start"]
+__all__ = ["copy_more", "ego_in", "frame", "hold", "lanes_to_the_right", "on_road", "sorted_in", "start"]
 
 _advance, _begin, _ego_of, _on_way = networks.advance, networks.begin, networks.ego_of, networks.on_way
 _command, _hold = networks.command, networks.hold
@@ -38,6 +39,16 @@ def _start_network(search: Search, k: int) -> None:
 def hold(search: Search, k: int, throttle: float, wheel: float) -> None:
     """Let the ego of a network keep an acceleration [m/s^2] and a front wheel angle [rad] in future k."""
     _hold(search.futures, k, throttle, wheel)
+
+
+@uncounted
+def _sort_highway(search: Search, k: int) -> bool:
+    return bool(sort(search.futures.f[k], search.futures.order[k]))
+
+
+@inlined
+def _sorts_itself(search: Search, k: int) -> bool:
+    return False
 
 
 @uncounted
@@ -85,17 +96,21 @@ def _right_on_network(search: Search, k: int) -> int:
 
 
 @uncounted
-def _no_routes(search: Search, worlds: Any, e: int) -> None:
+def _nothing_more(search: Search, worlds: Any, e: int) -> None:
     return
 
 
 @uncounted
-def _copy_routes(search: Search, worlds: Any, e: int) -> None:
-    routes, given = search.futures.routes, worlds.routes[e]
+def _copy_more(search: Search, worlds: Any, e: int) -> None:
+    routes, given, counts, p = search.futures.routes, worlds.routes[e], search.futures.counts, search.futures.p
     for k in range(routes.shape[0]):
+        counts[k, 0], counts[k, 1] = worlds.counts[e, 0], worlds.counts[e, 1]
         for i in range(routes.shape[1]):
             for j in range(routes.shape[2]):
                 routes[k, i, j, 0], routes[k, i, j, 1] = given[i, j, 0], given[i, j, 1]
+        for i in range(counts[k, 1], p.shape[2]):
+            # Whoever was here has gone, and nothing has a size.
+            p[k, LENGTH, i] = p[k, WIDTH, i] = 0.0
 
 
 _HIGHWAY, _NETWORK = highways.Rules, networks.NetworkRules
@@ -110,6 +125,12 @@ def ego_in(search: Search, k: int) -> int:
 @by_type({_HIGHWAY: _start_highway, _NETWORK: _start_network}, "rules")
 def start(search: Search, k: int) -> None:
     """Begin the decision in `search.given` in future k."""
+
+
+@by_type({_HIGHWAY: _sort_highway, _NETWORK: _sorts_itself}, "rules")
+def sorted_in(search: Search, k: int) -> bool:
+    """Sort the bodies of future k before its frames; see `dynamics.simulator.neighbours.sort`."""
+    raise NotImplementedError
 
 
 @by_type({_HIGHWAY: _frame_highway, _NETWORK: _frame_network}, "rules")
@@ -130,6 +151,6 @@ def lanes_to_the_right(search: Search, k: int) -> int:
     raise NotImplementedError
 
 
-@by_type({_HIGHWAY: _no_routes, _NETWORK: _copy_routes}, "rules")
-def copy_routes(search: Search, worlds: Any, e: int) -> None:
-    """Give all futures the routes of scene e."""
+@by_type({_HIGHWAY: _nothing_more, _NETWORK: _copy_more}, "rules")
+def copy_more(search: Search, worlds: Any, e: int) -> None:
+    """Give all futures what else stays of scene e: on a network routes, and how many bodies there are."""

@@ -85,6 +85,7 @@ def test_other_action_sets_and_target_speeds_are_read():
         ({"ego": EGO[None]}, r"Scene.ego must have shape"),
         ({"others": np.zeros((2, 4))}, r"Scene.others must have shape \(n, 7\), got \(2, 4\)"),
         ({"others": np.zeros(7)}, "Scene.others must have shape"),
+        ({"likely": np.zeros((3, 7))}, r"Scene.likely must have the shape of others, \(\d, 7\), got \(3, 7\)"),
         ({"dt": 0.0}, "positive"),
         ({"dt": -0.1}, "positive"),
         ({"dt": float("nan")}, "positive"),

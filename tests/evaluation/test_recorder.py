@@ -10,6 +10,7 @@ from dynamics.roads.path import PathRoad
 from dynamics.roads.straight import StraightRoad
 from evaluation.measuring.attribution import Cause, attribute_from_simulator_state
 from evaluation.measuring.recorder import History, Recorder, Track
+from evaluation.measuring.rectangles import separation
 from evaluation.running.episodes import run_episode
 from evaluation.settings import Setting, get_setting
 
@@ -136,3 +137,31 @@ def test_an_episode_off_the_road_says_so(setting, policy):
     assert np.isnan(record.laps) == (setting == "highway-continuous")
     assert record.mean_jerk == pytest.approx(0.0, abs=1e-6) or policy == "random"
     assert record.steps < 300
+
+
+def test_those_who_come_and_go_are_recorded_while_they_are_there():
+    env = get_setting("intersection").make()
+    env.reset(seed=5)
+    road, ego, least, counts = env.unwrapped.road, env.unwrapped.vehicle, [np.inf], [len(env.unwrapped.road.vehicles)]
+    recorder, step = Recorder(env), road.step
+
+    def look():
+        counts.append(len(road.vehicles))
+        rows = np.array([[*v.position, v.heading, v.speed, v.LENGTH, v.WIDTH] for v in road.vehicles if v is not ego])
+        own = np.array([*ego.position, ego.heading, ego.speed, ego.LENGTH, ego.WIDTH])
+        least[0] = min(least[0], float(separation(own[None], rows).min()))
+
+    def watched(dt):
+        step(dt)
+        look()
+
+    look()
+    road.step = watched
+    for action in [0, 1] * 6:
+        _, _, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            break
+    history = recorder.history()
+    assert len(set(counts)) > 1
+    assert history.states.shape[1] >= max(counts)
+    assert history.min_gap() == (0.0 if history.crash_frame is not None else pytest.approx(least[0], abs=1e-9))

@@ -29,7 +29,17 @@ from dynamics.simulator.layout import CRASHED, EGO, KIND, SPEED, TARGET_SPEED
 from dynamics.simulator.random import seed_row
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["EpisodeRules", "EpisodeWork", "Episodes", "RoadsSeen", "begin", "finish", "reset_all", "step_all"]
+__all__ = [
+    "EpisodeRules",
+    "EpisodeWork",
+    "Episodes",
+    "RoadsSeen",
+    "again_at",
+    "begin",
+    "finish",
+    "reset_all",
+    "step_all",
+]
 
 
 class Episodes(NamedTuple):
@@ -191,6 +201,18 @@ def reset_all(
 
 
 @uncounted
+def again_at(
+    machine: Machine, episodes: Episodes, rules: EpisodeRules, work: EpisodeWork, seen: RoadsSeen, e: int
+) -> None:
+    """Follow an episode by a new one; `seen.terminal` has what was seen last."""
+    for k in range(seen.observations.shape[1]):
+        for c in range(seen.observations.shape[2]):
+            seen.terminal[e, k, c] = seen.observations[e, k, c]
+    _restart(machine, episodes, rules, work, e)
+    _show(machine, episodes, rules, work, e, seen.observations[e])
+
+
+@uncounted
 def step_all(
     machine: Machine,
     episodes: Episodes,
@@ -209,8 +231,4 @@ def step_all(
             advance(machine, episodes.worlds, rules.drive, work.drive, e)
         finish(machine, episodes, rules, work, seen, e, actions[e])
         if again and (seen.terminated[e] or seen.truncated[e]):
-            for k in range(seen.observations.shape[1]):
-                for c in range(seen.observations.shape[2]):
-                    seen.terminal[e, k, c] = seen.observations[e, k, c]
-            _restart(machine, episodes, rules, work, e)
-            _show(machine, episodes, rules, work, e, seen.observations[e])
+            again_at(machine, episodes, rules, work, seen, e)

@@ -17,7 +17,7 @@ from dynamics.simulator.kinds import kind_of, mix_of
 from dynamics.simulator.layout import IDM
 from dynamics.simulator.observe import FEATURES
 
-__all__ = ["kind_of_world", "refusals", "worlds_known"]
+__all__ = ["is_world", "kind_of_world", "refusals", "worlds_known"]
 
 _WORLDS: dict[type, int] = {
     merge_env.MergeEnv: MERGING,
@@ -43,6 +43,11 @@ _VIEWS = ("Kinematics", "ExitObservation", "TimeToCollision")
 def worlds_known() -> str:
     """The classes of environments that are compiled."""
     return ", ".join(kind.__name__ for kind in _WORLDS)
+
+
+def is_world(kind: object) -> bool:
+    """Whether it is a class of environments whose episodes are compiled."""
+    return isinstance(kind, type) and kind in _WORLDS
 
 
 def kind_of_world(kind: type) -> int:

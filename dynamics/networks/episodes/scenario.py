@@ -24,7 +24,7 @@ from dynamics.networks.episodes.engine import EpisodeRules
 from dynamics.networks.episodes.observe import AHEAD, EXIT, KINEMATICS, View
 from dynamics.networks.episodes.places import Places, places_of
 from dynamics.networks.episodes.placing import Scene
-from dynamics.networks.episodes.refusals import kind_of_world, refusals
+from dynamics.networks.episodes.refusals import is_world, kind_of_world, refusals
 from dynamics.networks.episodes.rewards import CROSSING, EXITING, MERGING, NAMES, TURNING, Worth
 from dynamics.networks.layout import ACROSS, ALONG, ROAD, F, G
 from dynamics.networks.network import Network, index_of, network_of
@@ -36,7 +36,7 @@ from dynamics.simulator.observe import FEATURES
 from dynamics.simulator.scenario import ACTIONS, COPIED, Inputs
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["RoadScenario", "road_scenario_of"]
+__all__ = ["RoadScenario", "on_roads", "road_scenario_of"]
 
 _MOST = 64
 """As many vehicles as may come to an intersection."""
@@ -137,14 +137,30 @@ def road_scenario_of(env_id: str, config: Mapping[str, Any] | None = None) -> Ro
     )
 
 
-def _made(env_id: str, config: Mapping[str, Any] | None) -> Any:
-    """The environment itself, unwrapped and reset."""
+def on_roads(env_id: str) -> bool:
+    """Whether the episodes of an environment's class are compiled here.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such environment.
+    """
+    return is_world(_class_of(env_id)[1])
+
+
+def _class_of(env_id: str) -> tuple[Any, Any]:
+    """How an environment is registered, and what makes it."""
     try:
         spec = gym.spec(env_id)
     except gym.error.Error as error:
         raise ConfigError(f"there is no environment {env_id!r}: {error}") from None
     entry: Any = spec.entry_point
-    kind = gym.envs.registration.load_env_creator(entry) if isinstance(entry, str) else entry
+    return spec, gym.envs.registration.load_env_creator(entry) if isinstance(entry, str) else entry
+
+
+def _made(env_id: str, config: Mapping[str, Any] | None) -> Any:
+    """The environment itself, unwrapped and reset."""
+    spec, kind = _class_of(env_id)
     if not isinstance(kind, type):
         raise ConfigError(f"{env_id} is made by {kind!r}, not by a class of environments")
     kind_of_world(kind)

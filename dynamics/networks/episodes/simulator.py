@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.errors import ConfigError, SceneError
-from dynamics.networks.engine import new_work, new_worlds
+from dynamics.networks.engine import NetworkRules, NetworkWork, NetworkWorlds, new_work, new_worlds
 from dynamics.networks.episodes.engine import Episodes, EpisodeWork, RoadsSeen, reset_all, step_all
 from dynamics.networks.episodes.scenario import RoadScenario, road_scenario_of
 from dynamics.networks.layout import COUNT
@@ -47,7 +47,7 @@ class RoadSimulator:
     ----------
     scenario : what is simulated.
     episodes : the state of all copies (see `engine.Episodes`).
-    seen : what the last call found (see `engine.RoadsSeen`).
+    seen : what the last call found (see `engine.RoadsSeen`). flat : the same, observations as rows of features.
     exact : whether this machine's numpy makes sums of products in a way that is known here.
 
     Notes
@@ -74,12 +74,12 @@ class RoadSimulator:
         sums, products = sums_of_numpy()
         self.exact = Sums.OTHER not in (sums, products)
         self.machine = Machine(sums, products, addresses())
-        worlds = new_worlds(num_envs, scenario.bodies, scenario.entries, 0)
-        self.episodes = Episodes(worlds, np.zeros((num_envs, WORDS), np.uint64), np.zeros(num_envs, np.int64))
+        words, decisions = np.zeros((num_envs, WORDS), np.uint64), np.zeros(num_envs, np.int64)
+        self.episodes = Episodes(self.new_worlds(num_envs), words, decisions)
         self._slices = Slices(num_envs, threads)
-        self._works = [self._new_work() for _ in self._slices.bounds]
+        self._works = [self.episode_work() for _ in self._slices.bounds]
         rows, features = scenario.shape
-        self._flat = RoadsSeen(
+        self.flat = RoadsSeen(
             np.zeros((num_envs, rows, features), np.float32),
             np.zeros((num_envs, rows, features), np.float32),
             np.zeros(num_envs),
@@ -91,12 +91,26 @@ class RoadSimulator:
             np.zeros(num_envs, np.bool_),
         )
         shape = (num_envs, *scenario.observation_space.shape)
-        flat = self._flat
+        flat = self.flat
         self.seen = flat._replace(observations=flat.observations.reshape(shape), terminal=flat.terminal.reshape(shape))
         entropy = np.random.SeedSequence().generate_state(num_envs, np.uint64) >> np.uint64(1)
         self.reset(entropy.astype(np.int64))
 
-    def _new_work(self) -> EpisodeWork:
+    @property
+    def rules(self) -> NetworkRules:
+        """Of what drives."""
+        return self.scenario.rules.drive
+
+    def new_worlds(self, count: int) -> NetworkWorlds:
+        """Room for so many more scenes."""
+        return new_worlds(count, self.scenario.bodies, self.scenario.entries, 0)
+
+    def new_work(self) -> NetworkWork:
+        """Room for the frames of one more thread."""
+        return new_work(self.scenario.bodies)
+
+    def episode_work(self) -> EpisodeWork:
+        """Room for the episodes of one more thread."""
         scenario = self.scenario
         network, bodies = scenario.rules.drive.network, scenario.bodies
         lanes = int(network.ids[:, COUNT].max())
@@ -124,8 +138,8 @@ class RoadSimulator:
         The observations of all environments, (e, *shape) float32; the array is written over by the next call.
         """
         chosen, numbers = resets_asked(self.num_envs, seeds, which)
-        self._flat.full[chosen] = False
-        reset_all(self.machine, self.episodes, self.scenario.rules, self._works[0], self._flat, chosen, numbers)
+        self.flat.full[chosen] = False
+        reset_all(self.machine, self.episodes, self.scenario.rules, self._works[0], self.flat, chosen, numbers)
         return self.seen.observations
 
     def step(
@@ -155,12 +169,16 @@ class RoadSimulator:
 
         def part(k: int, first: int, last: int) -> None:
             rules, work = self.scenario.rules, self._works[k]
-            step_all(self.machine, self.episodes, rules, work, self._flat, given, first, last, again)
+            step_all(self.machine, self.episodes, rules, work, self.flat, given, first, last, again)
 
         self._slices.run(part)
-        if seen.full.any():
-            raise SceneError(f"{self.scenario.env_id} has room for {self.scenario.bodies} vehicles, and more came")
+        self.check_room()
         return seen.observations, seen.reward, seen.terminated, seen.truncated
+
+    def check_room(self) -> None:
+        """Raise SceneError where more vehicles came to an intersection than there is room for."""
+        if self.seen.full.any():
+            raise SceneError(f"{self.scenario.env_id} has room for {self.scenario.bodies} vehicles, and more came")
 
     def load(self, env: gym.Env[Any, Any], e: int = 0) -> None:
         """Copy a live environment of the same configuration, between two decisions, into copy `e`.

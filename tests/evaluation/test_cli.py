@@ -132,6 +132,7 @@ def test_help_needs_nothing_that_is_slow_to_import():
     assert done.stdout.strip().endswith("[]"), done.stdout[-200:] + done.stderr[-2000:]
 
 
+@pytest.mark.slow
 def test_a_film_of_ones_own_model(tmp_path):
     path = tmp_path / "film.gif"
     zipped = str(Path(policies.__file__).parent / "ppo-highway-fast.zip")

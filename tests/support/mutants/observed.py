@@ -85,7 +85,7 @@ OBSERVED = (
     off(
         "bodies reach no further than they are thought to be",
         _BODIES,
-        "rows[:, _LENGTH] += high[:, 0] - low[:, 0]",
+        "rows[a, _LENGTH] += high[a, 0] - low[a, 0]",
         "pass",
         f"{_NOISE_TESTS}::test_what_is_late_is_taken_to_where_it_is_by_now",
     ),

@@ -13,7 +13,7 @@ from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 from shield.batch.vocabulary import FALLBACKS, OVERRIDES, REASONS, TIERS
 from shield.config import ShieldConfig
 from shield.decision import Guarantee, Tier
-from shield.exact.sorts import highways_for
+from shield.exact.batches import highways_for
 
 __all__ = ["ShieldedVecEnv"]
 

@@ -20,7 +20,7 @@ from evaluation.threads import one_thread
 from shield.config import ShieldConfig
 from shield.doors.ranking import normalised, order_from_scores, ranking_of
 from shield.errors import ConfigError
-from shield.exact.sorts import batch_for
+from shield.exact.batches import batch_for
 
 __all__ = ["Chosen", "Many"]
 

@@ -12,6 +12,7 @@ from shield.batch.highways import ShieldedHighways
 from shield.doors.exact_door import warm_up_exact
 from shield.doors.exact_input_door import warm_up_exact_inputs
 from shield.exact.highways import ExactHighways
+from shield.exact.roads import ExactRoads
 
 
 def shielded() -> None:
@@ -30,6 +31,9 @@ def exact() -> None:
 def networks() -> None:
     warm_up_exact(True)
     warm_up_exact_inputs()
+    roads = ExactRoads("merge-v0", 1)
+    roads.reset([0])
+    roads.step([1])
 
 
 def roads() -> None:

@@ -11,6 +11,7 @@ from dynamics.networks.episodes.simulator import RoadSimulator
 from shield.batch.highways import ShieldedHighways
 from shield.doors.exact_door import warm_up_exact
 from shield.doors.exact_input_door import warm_up_exact_inputs
+from shield.doors.road_door import warm_up_roads
 from shield.exact.highways import ExactHighways
 from shield.exact.roads import ExactRoads
 
@@ -40,5 +41,9 @@ def roads() -> None:
     RoadSimulator("merge-v0", 1).step([1])
 
 
+def worst_case() -> None:
+    warm_up_roads()
+
+
 if __name__ == "__main__":
-    Parallel(n_jobs=-1)(delayed(each)() for each in (shielded, exact, networks, roads))
+    Parallel(n_jobs=-1)(delayed(each)() for each in (shielded, exact, networks, worst_case, roads))

@@ -30,6 +30,7 @@ __all__ = ["ExactRoads"]
 
 _OFF = TIERS.index(Tier.OFF)
 _ENDLESS = 1_000
+"""Decisions that are enough where an episode has no end but one on the road."""
 
 
 class ExactRoads(ExactHighways):
@@ -77,7 +78,7 @@ class ExactRoads(ExactHighways):
             frames = rules.numbers[0]
             phase = int(simulator.episodes.worlds.g[0, FRAMES, 0] % frames)
             rules = rules._replace(customs=rules.customs._replace(stay=frames, phase=phase))
-        self._searches = [search._replace(rules=rules) for search in self._searches]
+            self._searches = [search._replace(rules=rules) for search in self._searches]
 
     def look(self, e: int, rows: FloatArray) -> bool:
         """The bodies of one environment as rows (m, 7), see `rows`; whether the ego is on the road."""
@@ -176,7 +177,6 @@ def _step_all(
             records.tiers[e, k], records.reasons[e, k], records.margins[e, k] = _OFF, 0, math.nan
             advance(machine, worlds, rules.drive, work.drive, e)
             off_road[e, k] = not _look(worlds, rules, e, rows[e, k])
-        search.given[0] = records.executed[e]
         finish(machine, episodes, rules, work, seen, e, search.given)
         # The traffic is what was simulated: whoever was there cannot do otherwise.
         records.violations[e] = 0

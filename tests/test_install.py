@@ -5,12 +5,15 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
 USER = """
 from shield import Shield, ShieldConfig
 braking: str = ShieldConfig().braking
 """
 
 
+@pytest.mark.slow
 def test_type_checkers_find_the_packages_from_elsewhere(tmp_path):
     (tmp_path / "user.py").write_text(USER, encoding="utf-8")
     command = [

@@ -27,8 +27,9 @@ def wished_speed(search: Search, target_speed: float, action: int) -> float:
 
 
 @uncounted
-def best_plan(search: Search, only: int, never: int, depth: int, wish: float, floor: float) -> float:
-    """The sequence that stays clear for `depth` decisions and loses the least way against a speed, into `search.plan`.
+def best_plan(search: Search, only: int, never: int, depth: int, wish: float, floor: float) -> tuple[int, float]:
+    """The sequence that stays clear for `depth` decisions and loses the least way against a speed, into `search.plan`;
+    where none does, the one that does for most of them.
 
     Of the futures that are bound for the same lane at the same speed the one goes on that has lost least, so it need
     not find a sequence where there is one.
@@ -42,10 +43,11 @@ def best_plan(search: Search, only: int, never: int, depth: int, wish: float, fl
 
     Returns
     -------
-    Its smallest clearance beyond the buffer [m], -inf where none is found.
+    For how many decisions it stays clear, and its smallest clearance beyond the buffer [m], -inf where it is none.
     """
     futures, speeds, kinds, n = search.futures, search.rules.target_speeds, search.lost.shape[1], search.order.shape[0]
     lost, clear, paths, tried, spare = search.lost, search.clear, search.paths, search.reached[0], 2 * kinds + 1
+    lasts = 0
     for level in range(depth):
         now, then = level % 2, 1 - level % 2
         for k in range(kinds):
@@ -77,15 +79,18 @@ def best_plan(search: Search, only: int, never: int, depth: int, wish: float, fl
                     for i in range(level):
                         paths[then, kind, i] = paths[now, k, i]
                     paths[then, kind, level] = action
-    last, best = depth % 2, 0
+                    lasts = level + 1
+        if lasts == level:
+            break
+    if lasts == 0:
+        return 0, -np.inf
+    last, best = lasts % 2, 0
     for k in range(kinds):
         if lost[last, k] < lost[last, best]:
             best = k
-    if lost[last, best] == np.inf:
-        return -np.inf
-    for i in range(depth):
+    for i in range(lasts):
         search.plan[i] = paths[last, best, i]
-    return clear[last, best]
+    return lasts, clear[last, best]
 
 
 @uncounted
@@ -94,12 +99,13 @@ def closest_plan(search: Search, proposed: int, wish: float) -> float:
     against a speed over the first `outlook` of them, into `search.plan`; its smallest clearance beyond the buffer [m],
     -inf where none is found."""
     bounds = search.bounds
-    margin = best_plan(search, ANY, proposed, bounds.outlook, wish, 0.0)
-    if margin < 0:
-        return margin
+    lasts, _ = best_plan(search, ANY, proposed, bounds.outlook, wish, 0.0)
+    if lasts < bounds.outlook:
+        return -np.inf
     for k in range(bounds.outlook):
         search.hint[k] = search.plan[k]
     clear, margin, _ = survives(search, search.hint[0], search.hint, bounds.outlook, 0.0)
     if clear == bounds.depth:
         return margin
-    return best_plan(search, ANY, proposed, bounds.depth, wish, 0.0)
+    lasts, margin = best_plan(search, ANY, proposed, bounds.depth, wish, 0.0)
+    return margin if lasts == bounds.depth else -np.inf

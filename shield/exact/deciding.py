@@ -69,23 +69,19 @@ def verify(search: Search, action: int, stored: IntArray, length: int) -> float:
     clear, margin, exhausted = survives(search, action, stored, length, 0.0)
     if clear == search.bounds.depth:
         return margin
-    return best_plan(search, action, ANY, search.bounds.depth, 0.0, 0.0) if exhausted else -np.inf
+    if not exhausted:
+        return -np.inf
+    clear, margin = best_plan(search, action, ANY, search.bounds.depth, 0.0, 0.0)
+    return margin if clear == search.bounds.depth else -np.inf
 
 
 @uncounted
-def longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]:
+def longest(search: Search) -> tuple[int, float]:
     """The sequence without a crash that lasts longest, and of those that last the one that is most clear, into
     `search.plan`: how many decisions it lasts, and its smallest clearance beyond the buffer [m]."""
-    margin = best_plan(search, ANY, ANY, search.bounds.depth, 0.0, _ANYTHING)
-    if margin >= _ANYTHING:
-        return search.bounds.depth, margin
-    best, lasts = search.order[0], 0
-    for k in range(search.order.shape[0]):
-        clear, _, _ = survives(search, search.order[k], stored, length, _ANYTHING)
-        if clear > lasts:
-            best, lasts = search.order[k], clear
-    search.plan[0] = best
-    lasts, margin, _ = survives(search, best, stored, length, _ANYTHING)
+    lasts, margin = best_plan(search, ANY, ANY, search.bounds.depth, 0.0, _ANYTHING)
+    if lasts == 0:
+        search.plan[0] = search.order[0]
     return lasts, margin
 
 
@@ -129,7 +125,7 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
         records.margin[e] = margin
         _execute(records, plans, e, search.plan, search.bounds.depth, _ALTERNATIVE, _UNVERIFIED)
         return
-    lasts, margin = longest(search, stored, length)
+    lasts, margin = longest(search)
     records.margin[e] = margin if margin > -np.inf else math.nan
     _execute(records, plans, e, search.plan, lasts, _LARGEST, _NO_SAFE_PLAN)
 

@@ -156,11 +156,11 @@ def _anew(search: Search, present: Search, tail: Tail) -> tuple[int, float]:
         if clear == depth:
             _store(search, tail, depth)
             return _ALTERNATIVE, margin
-    margin = best_plan(search, ANY, ANY, depth, 0.0, 0.0)
-    if margin >= 0:
+    length, margin = best_plan(search, ANY, ANY, depth, 0.0, 0.0)
+    if length == depth:
         _store(search, tail, depth)
         return _ALTERNATIVE, margin
-    length, margin = longest(search, tail.actions, 0)
+    length, margin = longest(search)
     _store(search, tail, max(length, 1))
     return _LARGEST, margin
 

@@ -68,7 +68,7 @@ def test_it_contains_the_outline_anywhere_on_a_road(name):
     env = gym.make(name)
     env.reset(seed=0)
     road = read_network(env.unwrapped.road.network)
-    rng, n = np.random.default_rng(0), 3000
+    rng, n = np.random.default_rng(0), 1500
     joints = np.array(road.profile.breaks)[rng.integers(1, len(road.profile.breaks) - 1, n)]
     s = np.where(rng.random(n) < 0.7, joints + rng.uniform(-4, 4, n), rng.uniform(10, road.length - 10, n))
     states = np.column_stack(

@@ -102,7 +102,7 @@ def test_what_cannot_be_learned_or_found_is_said(tmp_path):
 
 
 def test_mpc_drives_on_the_learned_model_and_is_reported_so():
-    short = get_setting(FAST).override({"duration": 6}, "short")
+    short = get_setting(FAST).override({"duration": 3}, "short")
     exact, learned = (run_episode(short, "mpc", seed=5001, model=model) for model in ("bicycle", "learned"))
     assert (exact.policy, learned.policy) == ("mpc", "mpc-learned")
     assert not learned.crashed
@@ -134,6 +134,7 @@ def test_the_command_says_what_is_wrong(words, message):
     assert message in str(result.exception)
 
 
+@pytest.mark.slow
 def test_the_command_fits_and_measures(tmp_path, monkeypatch):
     monkeypatch.setattr(driving, "_FIT", {"epochs": 3, "finish_epochs": 0})
     words = ["dynamics", "fit", "--setting", FAST, "--transitions", "120", "--output", str(tmp_path)]

@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from slowly import later
 
 from evaluation.learning.observations import FastObservations
 from evaluation.settings import get_setting
@@ -13,7 +14,7 @@ from shield.errors import ConfigError
     ("setting", "steering"),
     [("highway-continuous-training", 0.02), ("highway-fast", None), ("racetrack", 0.4)],
 )
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *later(2, 3)])
 def test_every_observation_of_an_episode_is_the_original(setting, steering, seed):
     slow, fast = get_setting(setting).make(), FastObservations(get_setting(setting).make())
     random = np.random.default_rng(seed)

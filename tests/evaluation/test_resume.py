@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from slowly import later
 
 from dynamics.errors import ConfigError, DataError
 from evaluation.running.episodes import run_paired
@@ -45,7 +46,7 @@ def same(one, two):
     pd.testing.assert_frame_equal(one.drop(columns=times), two.drop(columns=times), check_dtype=False)
 
 
-@pytest.mark.parametrize("moments", [2, pytest.param(10, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("moments", [1, *later(10)])
 def test_a_run_that_is_killed_at_some_moments_ends_as_if_it_had_not_been(moments, tmp_path):
     whole = tmp_path / "whole"
     whole.mkdir()
@@ -136,6 +137,7 @@ def test_a_store_without_a_path_keeps_episodes_in_memory():
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="reads the table of processes where Linux has it")
+@pytest.mark.slow
 def test_workers_end_with_their_parent(tmp_path):
     arguments = command(tmp_path)
     arguments[arguments.index("--jobs") + 1] = "2"

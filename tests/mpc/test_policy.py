@@ -31,19 +31,18 @@ def make(name="highway-fast-v0", **config):
 def test_it_drives(name, config, backend):
     env = make(name, **config)
     policy = MPCPolicy(env, speed=25.0, backend=backend)
-    for seed in range(2):
-        obs, _ = env.reset(seed=seed)
-        done, way = False, 0.0
-        while not done:
-            action, state = policy.predict(obs, state="kept")
-            assert state == "kept"
-            assert env.action_space.contains(action)
-            obs, _, terminated, truncated, _ = env.step(action)
-            way += env.unwrapped.vehicle.speed / 5
-            done = terminated or truncated
-        assert not env.unwrapped.vehicle.crashed
-        assert env.unwrapped.vehicle.on_road
-        assert way > 50
+    obs, _ = env.reset(seed=0)
+    done, way = False, 0.0
+    while not done:
+        action, state = policy.predict(obs, state="kept")
+        assert state == "kept"
+        assert env.action_space.contains(action)
+        obs, _, terminated, truncated, _ = env.step(action)
+        way += env.unwrapped.vehicle.speed / 5
+        done = terminated or truncated
+    assert not env.unwrapped.vehicle.crashed
+    assert env.unwrapped.vehicle.on_road
+    assert way > 50
     env.close()
 
 

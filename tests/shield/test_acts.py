@@ -6,7 +6,7 @@ import pytest
 
 from shield import Shield, ShieldedEnv
 
-SEEDS = range(8)
+SEEDS = range(4)
 FASTER = 3
 
 

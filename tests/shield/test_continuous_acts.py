@@ -8,6 +8,7 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
+from slowly import later
 
 from shield import Shield, ShieldedEnv, Tier
 
@@ -67,7 +68,7 @@ def test_unshielded_it_rams_its_leader(seed: int) -> None:
 
 
 @pytest.mark.parametrize("policy", [ramming, throttle, at_random])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *later(1, 2)])
 def test_shielded_it_is_overridden_and_neither_crashes_nor_leaves_the_road(policy, seed: int) -> None:
     crashed, off, overridden, speed = drive(policy, seed, shielded=True)
     assert not crashed
@@ -129,10 +130,10 @@ def test_what_was_verified_is_what_happens(kind: str, config: dict, policy: str)
         return decision
 
     core.decide = watched
-    for seed in range(3):
+    for seed in range(2):
         env.reset(seed=seed)
         seen.clear()
-        for k in range(60):
+        for k in range(40):
             action = (
                 rng.uniform(-1, 1, 2) if policy == "random" else np.array([1.0, 0.3 * np.sin(k) * (policy == "weave")])
             )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from itertools import product
 
 import gymnasium as gym
 import highway_env  # noqa: F401
@@ -13,6 +12,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.objects import Obstacle
 from plans import least_clearance
 from policies import Always
+from slowly import later
 
 from dynamics.simulator.engine import look
 from dynamics.simulator.env import CompiledHighwayEnv
@@ -47,11 +47,12 @@ def shielded(env, config=EXACT, action=3):
 @pytest.mark.parametrize(
     ("setting", "policy", "count"),
     [
-        (get_setting("highway-fast"), "faster", 6),
-        (get_setting("highway-fast"), "random", 6),
-        (get_setting("highway-fast"), "ppo-highway-fast", 6),
-        (Setting("dense", "highway-fast-v0", DENSE), "random", 6),
-        (get_setting("abz-idm"), "dqn-abz-adversarial", 2),
+        (get_setting("highway-fast"), "faster", 3),
+        (get_setting("highway-fast"), "random", 3),
+        (get_setting("highway-fast"), "ppo-highway-fast", 3),
+        (Setting("dense", "highway-fast-v0", DENSE), "random", 3),
+        (get_setting("abz-idm"), "dqn-abz-adversarial", 1),
+        *later((get_setting("highway-fast"), "faster", 20), (Setting("dense", "highway-fast-v0", DENSE), "random", 20)),
     ],
 )
 def test_many_decide_as_one_does_in_highway_env(setting, policy, count, simulator):
@@ -65,9 +66,9 @@ def test_many_decide_as_one_does_in_highway_env(setting, policy, count, simulato
     assert together["overridden"].sum() > 0
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, *later(1, 2, 3)])
 def test_what_verifies_is_clear_in_highway_env(seed):
-    """The plan behind each verified decision is driven in a copy of highway-env: nobody comes into the buffer."""
+    """The plan behind every second such decision is driven in a copy of highway-env: nobody comes into the buffer."""
     env = gym.make("highway-fast-v0", config=DENSE).unwrapped
     obs, _ = env.reset(seed=700 + seed)
     policy, shield = shielded(env)
@@ -76,8 +77,9 @@ def test_what_verifies_is_clear_in_highway_env(seed):
         policy.action = int(rng.integers(5))
         action = int(shield.predict(obs)[0])
         decision, plans = shield.last_decision, shield._doors[0]._plans
-        if decision.tier.verified:
-            copy, verified = deepcopy(env), verified + 1
+        verified += decision.tier.verified
+        if decision.tier.verified and verified % 2:
+            copy = deepcopy(env)
             # Of the episode's end nothing is asked: the road goes on.
             copy.config["duration"] = 1000
             then = plans.actions[0, : plans.length[0]].tolist()
@@ -91,7 +93,7 @@ def test_what_verifies_is_clear_in_highway_env(seed):
     ("seed", "buffer"), [(s, b) for s in (0, 16, 17, 38) for b in (Buffer(0.0, 0.0), Buffer(4.0, 0.5))]
 )
 def test_a_sequence_is_found_where_there_is_one(seed, buffer):
-    """All sequences of four actions, one after another. From seeds 16, 17 and 38 the first that comes to mind ends."""
+    """Against all sequences of four actions. From seeds 16, 17 and 38 the first that comes to mind ends."""
     config = EXACT.replace(horizon=4.0, buffer=buffer)
     simulator = Simulator("highway-fast-v0", 1, {"vehicles_density": 1.6})
     simulator.reset([900 + seed])
@@ -102,32 +104,31 @@ def test_a_sequence_is_found_where_there_is_one(seed, buffer):
     for first in range(5):
         enter(search, simulator.worlds, 0)
         found, margin, exhausted = survives(search, first, plans.actions[0], 0, 0.0)
-        there = any(clear(simulator, (first, *rest), buffer, bodies) for rest in product(range(5), repeat=3))
+        there = goes_on(simulator, first, 4, buffer, bodies)
         assert found == 4 or not there or exhausted
         assert not (found == 4 and not there)
         assert margin >= 0 or found == 0
 
 
-def clear(simulator, actions, buffer, rows):
-    """Whether a sequence keeps the buffer, frame by frame, in the simulator."""
+def goes_on(simulator, action, decisions, buffer, rows):
+    """Whether some sequence of so many decisions that begins with an action keeps the buffer, frame by frame."""
     before = [array.copy() for array in simulator.worlds]
     try:
-        for action in actions:
-            simulator.begin(action)
-            for _ in range(simulator.scenario.rules.numbers[0]):
-                simulator.frame(rows)
-                ego = rows[0].copy()
-                ego[4:6] += 2 * buffer.longitudinal, 2 * buffer.lateral
-                if ego[6] or any(separation(ego[:6], row[:6]) <= 0 for row in rows[1:]):
-                    return False
-        return True
+        simulator.begin(action)
+        for _ in range(simulator.scenario.rules.numbers[0]):
+            simulator.frame(rows)
+            ego = rows[0].copy()
+            ego[4:6] += 2 * buffer.longitudinal, 2 * buffer.lateral
+            if ego[6] or any(separation(ego[:6], row[:6]) <= 0 for row in rows[1:]):
+                return False
+        return decisions == 1 or any(goes_on(simulator, then, decisions - 1, buffer, rows) for then in range(5))
     finally:
         for array, saved in zip(simulator.worlds, before, strict=True):
             array[:] = saved
 
 
 def test_it_drives_and_does_not_crash():
-    found = Many(get_setting("highway-fast"), "faster", EXACT).run(range(200))
+    found = Many(get_setting("highway-fast"), "faster", EXACT).run(range(100))
     assert found["crashed"].sum() == 0
     assert found["return"].mean() > 28.0
 

@@ -43,11 +43,11 @@ def episode(env_id, seed, name=None):
 
 @pytest.mark.parametrize("env_id", [*ROADS, *MORE])
 def test_what_verifies_is_clear_in_highway_env(env_id):
-    """The plan behind every fourth decision is driven in a copy of highway-env: nobody comes into the buffer."""
+    """The plan behind every sixth decision is driven in a copy of highway-env: nobody comes into the buffer."""
     verified = 0
     for k, (env, shield, taken) in enumerate(episode(env_id, 800)):
         decision, plans = shield.last_decision, shield._doors[0]._plans
-        if decision.tier.verified and k % 4 == 0:
+        if decision.tier.verified and k % 6 == 0:
             copy, verified = deepcopy(env), verified + 1
             then = plans.actions[0, : plans.length[0]].tolist()
             assert least_clearance(copy, [taken, *then], EXACT.buffer) >= decision.margin - 1e-9 >= -1e-9

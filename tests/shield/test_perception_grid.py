@@ -168,46 +168,44 @@ def test_true_bodies_are_inside_those_of_the_scene(observation, seed, actions):
 def test_a_fine_grid_decides_as_the_simulator_s_state(observation):
     """And in another process, where the ego's own state is what it was told."""
     known = Known.from_config({**HighwayEnvFast.default_config(), "observation": observation})
-    for seed in range(1):
-        found = []
-        for kwargs in ({"perception": "simulator"}, {}, {"env": None, "known": known}):
-            env = make(observation)
-            obs, _ = env.reset(seed=seed)
-            shielded = Shield(lambda obs: 3, **{"env": env, **FRAMELESS, **kwargs})
-            found.append([])
-            for _ in range(12):
-                action, _ = shielded.predict(obs)
-                found[-1].append(int(action))
-                obs, _, terminated, truncated, _ = env.step(int(action))
-                if terminated or truncated:
-                    break
-        assert found[0] == found[1] == found[2]
-        assert len(set(found[0])) > 1
+    found = []
+    for kwargs in ({"perception": "simulator"}, {}, {"env": None, "known": known}):
+        env = make(observation)
+        obs, _ = env.reset(seed=0)
+        shielded = Shield(lambda obs: 3, **{"env": env, **FRAMELESS, **kwargs})
+        found.append([])
+        for _ in range(12):
+            action, _ = shielded.predict(obs)
+            found[-1].append(int(action))
+            obs, _, terminated, truncated, _ = env.step(int(action))
+            if terminated or truncated:
+                break
+    assert found[0] == found[1] == found[2]
+    assert len(set(found[0])) > 1
 
 
 def test_who_is_who_is_known_from_one_grid_to_the_next():
     for observation, share in ((FINE, 0.9), (COARSE, 0.3)):
         env = make(observation)
-        for seed in range(1):
-            obs, _ = env.reset(seed=seed)
-            base, known, again = env.unwrapped, {}, 0
-            perception = GridPerception(GridSpec.of(env), ROAD, (0.2, 5))
-            total = 0
-            for _ in range(15):
-                scene = perception.see(obs, base.steps, CONTROL, row_of(base))
-                for row, who in zip(scene.others, scene.ids.tolist(), strict=True):
-                    if who < 0:
-                        continue
-                    room = (row[[Vehicle.LENGTH, Vehicle.WIDTH]] - [5.0, 2.0]) / 2 + 1e-3
-                    inside = [v for v in base.road.vehicles if (np.abs(row[:2] - v.position) <= room).all()]
-                    assert known.setdefault(who, inside[0]) in inside
-                    total, again = total + 1, again + (known[who] is inside[0])
-                base.action_type.act(1)
-                base.road.act()
-                base.road.step(0.2)
-                base.steps += 1
-                obs = base.observation_type.observe()
-            assert len(known) < (1 - share) * total
+        obs, _ = env.reset(seed=0)
+        base, known, again = env.unwrapped, {}, 0
+        perception = GridPerception(GridSpec.of(env), ROAD, (0.2, 5))
+        total = 0
+        for _ in range(15):
+            scene = perception.see(obs, base.steps, CONTROL, row_of(base))
+            for row, who in zip(scene.others, scene.ids.tolist(), strict=True):
+                if who < 0:
+                    continue
+                room = (row[[Vehicle.LENGTH, Vehicle.WIDTH]] - [5.0, 2.0]) / 2 + 1e-3
+                inside = [v for v in base.road.vehicles if (np.abs(row[:2] - v.position) <= room).all()]
+                assert known.setdefault(who, inside[0]) in inside
+                total, again = total + 1, again + (known[who] is inside[0])
+            base.action_type.act(1)
+            base.road.act()
+            base.road.step(0.2)
+            base.steps += 1
+            obs = base.observation_type.observe()
+        assert len(known) < (1 - share) * total
 
 
 def test_nobody_is_taken_for_another_where_it_may_be_either():

@@ -117,11 +117,8 @@ def test_the_order_of_the_rows_is_nothing_to_decide_by():
     def mixed(obs):
         return obs[[0, *(1 + rng.permutation(len(obs) - 1))]]
 
-    for seed in range(1):
-        found = [
-            driven(Shield(Actions([3, 0, 2]), known=known, **FRAMELESS), env, seed, 12, each) for each in (list, mixed)
-        ]
-        assert found[0] == found[1]
+    found = [driven(Shield(Actions([3, 0, 2]), known=known, **FRAMELESS), env, 0, 12, each) for each in (list, mixed)]
+    assert found[0] == found[1]
 
 
 LAYERS = {

@@ -68,7 +68,7 @@ def test_who_cannot_tell_which_lane_is_better_keeps_right(env, room, doubt, blur
 @pytest.mark.parametrize("scores", [None, [4, 3, 2, 0, 1], [0, 1, 4, 0, 3], [0, 2, 1, 0, 4]])
 def test_an_override_is_the_first_in_order_that_verifies(scores):
     env, seen = make(duration=20), 0
-    for seed in range(4):
+    for seed in range(2):
         obs, _ = env.reset(seed=seed)
         shielded = Shield(Always(3) if scores is None else Ranked(3, scores), env=env, frames=False)
         done = False

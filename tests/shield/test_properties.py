@@ -114,7 +114,7 @@ def policy_action(rng: np.random.Generator, style: str) -> int:
     return int(rng.integers(5))
 
 
-@settings(deadline=None, max_examples=30, suppress_health_check=list(HealthCheck))
+@settings(deadline=None, max_examples=20, suppress_health_check=list(HealthCheck))
 @given(SEEDS, st.sampled_from(["faster", "weave", "random"]))
 def test_the_buffer_holds_for_200_frames(seed: int, style: str) -> None:
     """From a scene with a verified plan, any policy and any traffic within the assumptions."""

@@ -1,6 +1,6 @@
 """A decision can be made again, bit for bit, from what it was made from: nothing is kept but in the memory.
 
-4,000 recorded decisions (10,000 where it is asked for slow tests) are repeated in another order, by procedures that
+2,000 recorded decisions (10,000 where it is asked for slow tests) are repeated in another order, by procedures that
 have decided nothing before.
 """
 
@@ -12,12 +12,14 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
+from slowly import later
 
 from evaluation.policies import load_reference
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.doors.meta_door import MetaDoor
 from shield.procedures.decide import Core, decide
 
+DENSE = {"vehicles_density": 1.5}
 CONTINUOUS = {"action": {"type": "ContinuousAction"}}
 
 
@@ -47,8 +49,8 @@ def behind_policy(kind, config=None):
 
 
 CASES = {
-    "meta-actions": (4000, lambda: behind_env("highway-fast-v0", {"vehicles_density": 1.5})),
-    "meta-actions of PPO": (1500, lambda: behind_env("highway-fast-v0", policy="ppo-highway-fast")),
+    "meta-actions": (4000, lambda: behind_env("highway-fast-v0", DENSE)),
+    "meta-actions of PPO": (1500, lambda: behind_env("highway-fast-v0", DENSE, policy="ppo-highway-fast")),
     "nearest inputs": (300, lambda: behind_env("highway-fast-v0", shield=ShieldConfig(repair="filter"))),
     "inputs": (1200, lambda: behind_env("highway-fast-v0", CONTINUOUS)),
     "inputs on a bend": (300, lambda: behind_env("racetrack-v1", CONTINUOUS)),
@@ -100,7 +102,7 @@ def told(decision, memory):
     return pickle.dumps((*record, decision.vehicle, *left))
 
 
-@pytest.mark.parametrize("share", [0.4, pytest.param(1.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("share", [0.2, *later(1.0)])
 @pytest.mark.parametrize("name", CASES)
 def test_a_decision_can_be_made_again_from_its_record(name, share, monkeypatch):
     count, case = CASES[name]

@@ -174,7 +174,7 @@ def playing(i):
 
 @pytest.mark.parametrize("env_id", ["highway-fast-v0", "highway-v0"])
 def test_two_runs_on_one_seed_are_equal_to_the_bit(env_id):
-    config = {"duration": 8}
+    config = {"duration": 5}
     runs = [record(ShieldedEnv(gym.make(env_id, config=config)), playing, 7) for _ in range(2)]
     assert_bitwise(*runs)
 

@@ -124,7 +124,7 @@ PHASES = (Phase.explicit, Phase.reuse, Phase.generate, Phase.target)
 CHECKS = (HealthCheck.filter_too_much, HealthCheck.too_slow, HealthCheck.data_too_large)
 
 
-@settings(max_examples=100, phases=PHASES, suppress_health_check=CHECKS)
+@settings(max_examples=60, phases=PHASES, suppress_health_check=CHECKS)
 @given(run=runs())
 def test_no_numbers_breach_unflagged(run):
     no_numbers_breach_unflagged(run)

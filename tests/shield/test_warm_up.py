@@ -61,12 +61,15 @@ assert overridden and before and compiled() == before, compiled() - before
 @pytest.mark.parametrize(
     "drive",
     [
-        DRIVE.replace("{config}", "{}"),
-        DRIVE.replace("{config}", "{'action': {'type': 'ContinuousAction'}, 'duration': 10}"),
-        LOOK_AHEAD.replace("{env_id}", "highway-fast-v0"),
-        LOOK_AHEAD.replace("{env_id}", "roundabout-v1"),
+        pytest.param(DRIVE.replace("{config}", "{}"), id="meta"),
+        pytest.param(LOOK_AHEAD.replace("{env_id}", "roundabout-v1"), id="exact on a network"),
+        pytest.param(
+            DRIVE.replace("{config}", "{'action': {'type': 'ContinuousAction'}, 'duration': 10}"),
+            id="inputs",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(LOOK_AHEAD.replace("{env_id}", "highway-fast-v0"), id="exact", marks=pytest.mark.slow),
     ],
-    ids=["meta", "inputs", "exact", "exact on a network"],
 )
 def test_nothing_is_compiled_once_the_door_is_there(drive):
     done = subprocess.run([sys.executable, "-c", COMPILED + drive], capture_output=True, text=True)

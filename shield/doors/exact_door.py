@@ -123,7 +123,7 @@ class ExactDoor:
         simulator, search = self._read()
         enter(search, simulator.worlds, 0)
         none = np.zeros_like(search.plan)
-        mask = np.array([verify(search, k, none, 0) >= 0 for k in range(len(search.order))])
+        mask = np.array([verify(search, k, none, 0, True) >= 0 for k in range(len(search.order))])
         return mask if mask.any() else np.ones_like(mask)
 
     def _read(self) -> Room:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.layout import TARGET_SPEED
 from dynamics.state import IntArray
 from shield.batch.arrays import Records
@@ -63,16 +63,24 @@ def last_resort(records: Records, plans: Plans, e: int, slower: int, reason: int
 
 
 @uncounted
-def verify(search: Search, action: int, stored: IntArray, length: int) -> float:
+def verify(search: Search, action: int, stored: IntArray, length: int, twice: bool) -> float:
     """The smallest clearance beyond the buffer of a sequence that begins with an action, into `search.plan` [m]: -inf
-    where none is found that keeps the buffer for all decisions."""
+    where none is found that keeps the buffer for all decisions, in depth first, and then, where asked twice, with a
+    beam."""
     clear, margin, exhausted = survives(search, action, stored, length, 0.0)
     if clear == search.bounds.depth:
         return margin
-    if not exhausted:
+    if not (exhausted and twice):
         return -np.inf
     clear, margin = best_plan(search, action, ANY, search.bounds.depth, 0.0, 0.0)
     return margin if clear == search.bounds.depth else -np.inf
+
+
+@inlined
+def _ends(plans: Plans, e: int, depth: int) -> bool:
+    """Whether what is stored ends before what verifies does: nothing was found at the last decision that keeps the
+    buffer."""
+    return 0 < plans.length[e] < depth - 1
 
 
 @uncounted
@@ -94,7 +102,8 @@ def passes(search: Search, plans: Plans, records: Records, worlds: Any, e: int, 
     if not 0 <= proposed < search.order.shape[0]:
         last_resort(records, plans, e, search.order[0], _BAD_ACTION)
         return True
-    margin = verify(search, proposed, plans.actions[e], plans.length[e])
+    twice = not _ends(plans, e, search.bounds.depth)
+    margin = verify(search, proposed, plans.actions[e], plans.length[e], twice)
     if margin < 0:
         return False
     records.margin[e] = margin
@@ -107,8 +116,12 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
     """What takes the place of a proposal that does not pass, into `records`; see `decide`."""
     n, stored, length, margin = search.order.shape[0], plans.actions[e], plans.length[e], -np.inf
     ranked, now = order.shape[0] > 0 and order[0] >= 0, search.futures.f[0, TARGET_SPEED, ego_in(search, 0)]
-    if not ranked:
-        margin = closest_plan(search, proposed, wished_speed(search, now, proposed))
+    ends, wish = _ends(plans, e, search.bounds.depth), wished_speed(search, now, proposed)
+    if ends and not ranked:
+        clear, least = best_plan(search, ANY, proposed, search.bounds.depth, wish, 0.0)
+        margin, n = least if clear == search.bounds.depth else -np.inf, 0
+    elif not ranked:
+        margin = closest_plan(search, proposed, wish)
     for k in range(n):
         if margin >= 0 or (ranked and (k >= order.shape[0] or order[k] < 0)):
             break
@@ -116,7 +129,7 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
         if action == proposed or same_outcome(search, action, proposed):
             continue
         if ranked:
-            margin = verify(search, action, stored, length)
+            margin = verify(search, action, stored, length, not ends)
         else:
             # The beam has been through all of them.
             clear, least, _ = survives(search, action, stored, length, 0.0)
@@ -136,7 +149,8 @@ def decide(search: Search, plans: Plans, records: Records, worlds: Any, e: int, 
 
     It passes where some sequence that begins with it keeps the buffer for all decisions. Otherwise the first of the
     others that does is taken, in the policy's order where there is one; without an order, the one that comes closest to
-    where the proposal leads (`closest_plan`). Where nothing keeps the buffer, what goes without a crash longest.
+    where the proposal leads (`closest_plan`). Where nothing keeps the buffer, what goes without a crash longest; the
+    decision after it is content with one search for each question.
 
     Parameters
     ----------

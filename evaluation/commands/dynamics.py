@@ -190,13 +190,12 @@ def plot(
     transitions: Annotated[int, typer.Option(min=50, help="Transitions in each of the two tests.")] = 600,
 ) -> None:
     """Draw the open-loop position error against how far ahead it looks."""
-    from evaluation.measuring.dynamics_study import PLOT_ENDINGS
-    from evaluation.measuring.dynamics_study import plot as draw
+    from evaluation.report.error_curves import plot_errors
+    from evaluation.report.plots import plot_path
 
-    if output.suffix not in PLOT_ENDINGS:
-        raise ConfigError(f"a plot is one of {', '.join(PLOT_ENDINGS)}, not {output.name!r}")
+    plot_path(output)
     trials = [each for part in _trials(_names(variant, model), model, env, range(seeds), transitions) for each in part]
-    _out.print(f"wrote {draw(trials, output)}")
+    _out.print(f"wrote {plot_errors(trials, output)}")
 
 
 def _names(variants: list[str], models: list[Path]) -> list[str]:

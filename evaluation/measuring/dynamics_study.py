@@ -33,7 +33,6 @@ from dynamics.learned.training.variants import DEFAULT, VARIANTS, Variant, varia
 __all__ = [
     "ENVIRONMENTS",
     "HORIZON",
-    "PLOT_ENDINGS",
     "TEST",
     "TRUTH",
     "Timed",
@@ -41,7 +40,6 @@ __all__ = [
     "errors",
     "fresh_driving",
     "learn",
-    "plot",
     "stored",
     "study",
 ]
@@ -55,8 +53,6 @@ TEST = 600
 
 TRUTH = "true bicycle"
 """Name of the trial of the bicycle that the simulator itself uses."""
-PLOT_ENDINGS = (".png", ".svg", ".pdf")
-"""File endings that `plot` knows."""
 
 _TEST_SEED = 900_000
 """Where generators of test driving are seeded, away from those of training."""
@@ -234,44 +230,6 @@ def errors(trials: Sequence[Trial]) -> pd.DataFrame:
                 row[f"{kind}_{step}_p95"] = loop.quantile(0.95)[step - 1]
         rows.append(row)
     return pd.DataFrame(rows)
-
-
-def plot(trials: Sequence[Trial], path: str | Path) -> Path:
-    """Position error against the horizon, random driving on the left, on-policy on the right.
-
-    Lines are medians over all windows and seeds, areas reach up to the 95 % quantile.
-
-    Raises
-    ------
-    ConfigError
-        If the file is no .png, .svg or .pdf.
-    """
-    import numpy as np
-    from matplotlib.figure import Figure
-
-    path = Path(path)
-    if path.suffix not in PLOT_ENDINGS:
-        raise ConfigError(f"a plot is one of {', '.join(PLOT_ENDINGS)}, not {path.name!r}")
-    figure = Figure(figsize=(9, 3.8), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True)
-    time = parking.DT * np.arange(1, HORIZON + 1)
-    for name in dict.fromkeys(each.name for each in trials):
-        same = [each for each in trials if each.name == name]
-        for axes, kind in ((left, "random"), (right, "on_policy")):
-            position = np.concatenate([getattr(each, kind).position for each in same])
-            if position.max() < 1e-3:
-                continue
-            (line,) = axes.plot(time, np.median(position, axis=0), label=name)
-            high = np.quantile(position, 0.95, axis=0)
-            axes.fill_between(time, np.median(position, axis=0), high, color=line.get_color(), alpha=0.12, lw=0)
-    for axes, title in ((left, "random driving"), (right, "the planner's driving")):
-        axes.set(title=title, xlabel="time ahead [s]", yscale="log")
-        axes.grid(True, which="major", alpha=0.3)
-    left.set_ylabel("position error [m], open loop")
-    right.legend(fontsize="small")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)
-    return path
 
 
 def _make(env_id: str) -> gym.Env[Any, Any]:

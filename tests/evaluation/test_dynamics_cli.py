@@ -21,7 +21,8 @@ from dynamics.learned.training.on_policy_rounds import RoundsConfig
 from dynamics.learned.training.open_loop import OpenLoop
 from dynamics.learned.training.variants import VARIANTS, Variant, variant
 from evaluation.commands.cli import app
-from evaluation.measuring.dynamics_study import HORIZON, Trial, errors, plot, study
+from evaluation.measuring.dynamics_study import HORIZON, Trial, errors, study
+from evaluation.report.error_curves import plot_errors
 
 TINY = Variant(
     "small",
@@ -84,7 +85,7 @@ def test_plot_draws(model, tmp_path):
         (["evaluate", "--variant", "body", "--model", "x"], "either --variant or --model"),
         (["evaluate", "--output", "errors.xlsx"], "must end in"),
         (["evaluate", "--model", "nowhere"], "nowhere is no model"),
-        (["plot", "errors.gif"], "a plot is one of"),
+        (["plot", "errors.gif"], "a plot is written as"),
     ],
 )
 def test_what_is_wrong_is_said(words, message):
@@ -155,8 +156,8 @@ def test_the_table_has_the_errors_after_one_and_all_decisions():
 
 
 def test_a_picture_of_another_kind_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="a plot is one of"):
-        plot([_trial("a", 0, 0.1)], tmp_path / "a.gif")
+    with pytest.raises(ConfigError, match="a plot is written as"):
+        plot_errors([_trial("a", 0, 0.1)], tmp_path / "a.gif")
 
 
 def test_every_variant_can_be_seeded_and_says_what_it_is():

@@ -78,6 +78,28 @@ def test_nobody_comes_into_the_buffer(env_id, policy):
     assert Tier.GOVERNED in tiers or env_id == "exit-v1"
 
 
+def test_a_frame_that_ends_inside_the_buffer_is_not_verified():
+    """Somebody just behind falls back: what comes after the frame is clear, the frame itself is not."""
+    env = ShieldedEnv(make("highway-fast-v0"), EXACT)
+    env.reset(seed=3)
+    base, ego, seen = env.unwrapped, env.unwrapped.vehicle, []
+    behind = next(vehicle for vehicle in base.road.vehicles if vehicle is not ego)
+    base.road.vehicles = [ego, behind]
+    behind.position = ego.position - [ego.LENGTH + 0.2, 0.0]
+    behind.speed, behind.target_speed, behind.target_lane_index = ego.speed - 1.0, 20.0, ego.lane_index
+    advance = base.road.step
+
+    def step(dt):
+        advance(dt)
+        seen.append((env.frame_decisions[-1].tier.verified, gap(base, EXACT.buffer)))
+
+    base.road.step = step
+    for _ in range(2):
+        env.step(np.array([0.2, 0.0], np.float32))
+    assert seen[0][1] <= 0 < seen[-1][1]
+    assert [verified for verified, _ in seen] == [least > 0 for _, least in seen]
+
+
 @pytest.mark.parametrize("env_id", ["roundabout-v1", "highway-fast-v0", *later("intersection-v1", "two-way-v0")])
 def test_there_is_always_a_way_on(env_id):
     """What is stored with a frame is driven in a copy of highway-env: the buffer stays clear until the horizon ends."""

@@ -50,6 +50,20 @@ SIMULATED = (
         _TESTS,
     ),
     off(
+        "a beam that ends early is a plan",
+        f"{EXACT}/deciding.py",
+        "    return margin if clear == search.bounds.depth else -np.inf\n",
+        "    return margin\n",
+        _TESTS,
+    ),
+    off(
+        "what was boxed in is free",
+        f"{EXACT}/deciding.py",
+        "least if clear == search.bounds.depth else -np.inf, 0\n",
+        "least, 0\n",
+        _TESTS,
+    ),
+    off(
         "nothing is foretold",
         "shield/doors/exact_scene.py",
         "if not other[columns[:, 0] == ego].any():",

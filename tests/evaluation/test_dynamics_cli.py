@@ -94,6 +94,7 @@ def test_what_is_wrong_is_said(words, message):
     assert message in str(result.exception)
 
 
+@pytest.mark.slow
 def test_a_study_tests_all_on_the_same_driving_and_fits_nothing_twice(monkeypatch):
     first = replace(TINY, data=replace(TINY.data, rounds=0))
     other = replace(first, model=replace(TINY.model, form="plain"))

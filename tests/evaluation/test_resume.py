@@ -46,7 +46,7 @@ def same(one, two):
     pd.testing.assert_frame_equal(one.drop(columns=times), two.drop(columns=times), check_dtype=False)
 
 
-@pytest.mark.parametrize("moments", [1, *later(10)])
+@pytest.mark.parametrize("moments", later(1, 10))
 def test_a_run_that_is_killed_at_some_moments_ends_as_if_it_had_not_been(moments, tmp_path):
     whole = tmp_path / "whole"
     whole.mkdir()

@@ -24,7 +24,7 @@ from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
 from shield.doors.exact_scene import STATE, ExactScene, Room, why_unread
 from shield.errors import ConfigError
-from shield.exact.deciding import Plans, empty_plans, last_resort, passes, replace, verify
+from shield.exact.deciding import Plans, boxed_in, empty_plans, last_resort, passes, replace, verify
 from shield.exact.room import Search
 from shield.exact.search import enter, leap
 from shield.procedures.screen import slower
@@ -113,7 +113,7 @@ class ExactDoor:
         return as_decision(shown, records, start, plan, areas)
 
     def mask(self) -> np.ndarray[Any, Any]:
-        """Which actions verify now; all True where none does.
+        """Which actions pass now; all True where none does.
 
         Raises
         ------
@@ -122,8 +122,9 @@ class ExactDoor:
         """
         simulator, search = self._read()
         enter(search, simulator.worlds, 0)
-        none = np.zeros_like(search.plan)
-        mask = np.array([verify(search, k, none, 0, True) >= 0 for k in range(len(search.order))])
+        plans, actions = self._plans, range(len(search.order))
+        twice, stored, length = not boxed_in(plans, 0), plans.actions[0], plans.length[0]
+        mask = np.array([verify(search, k, stored, length, twice) >= 0 for k in actions])
         return mask if mask.any() else np.ones_like(mask)
 
     def _read(self) -> Room:

@@ -11,7 +11,7 @@ from shield.exact.room import Search
 from shield.exact.search import copy_future, depart, repeats, survives, travel
 from shield.exact.traffic import ego_in
 
-__all__ = ["ANY", "best_plan", "closest_plan", "wished_speed"]
+__all__ = ["ANY", "best_plan", "clear_plan", "closest_plan", "wished_speed"]
 
 ANY = -1
 """Any action."""
@@ -94,6 +94,14 @@ def best_plan(search: Search, only: int, never: int, depth: int, wish: float, fl
 
 
 @uncounted
+def clear_plan(search: Search, only: int, never: int, wish: float) -> float:
+    """The smallest clearance beyond the buffer [m] of what `best_plan` finds, -inf where that does not keep the buffer
+    for all decisions."""
+    lasts, margin = best_plan(search, only, never, search.bounds.depth, wish, 0.0)
+    return margin if lasts == search.bounds.depth else -np.inf
+
+
+@uncounted
 def closest_plan(search: Search, proposed: int, wish: float) -> float:
     """The sequence that does not begin with the proposal, stays clear for all decisions, and loses the least way
     against a speed over the first `outlook` of them, into `search.plan`; its smallest clearance beyond the buffer [m],
@@ -104,8 +112,5 @@ def closest_plan(search: Search, proposed: int, wish: float) -> float:
         return -np.inf
     for k in range(bounds.outlook):
         search.hint[k] = search.plan[k]
-    clear, margin, _ = survives(search, search.hint[0], search.hint, bounds.outlook, 0.0)
-    if clear == bounds.depth:
-        return margin
-    lasts, margin = best_plan(search, ANY, proposed, bounds.depth, wish, 0.0)
-    return margin if lasts == bounds.depth else -np.inf
+    margin, _ = survives(search, search.hint[0], search.hint, bounds.outlook)
+    return margin if margin >= 0 else clear_plan(search, ANY, proposed, wish)

@@ -7,18 +7,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import uncounted
 from dynamics.simulator.layout import TARGET_SPEED
-from dynamics.state import IntArray
+from dynamics.state import BoolArray, IntArray
 from shield.batch.arrays import Records
 from shield.batch.vocabulary import REASONS, TIERS
 from shield.decision import Reason, Tier
-from shield.exact.closest import ANY, best_plan, closest_plan, wished_speed
+from shield.exact.closest import ANY, best_plan, clear_plan, closest_plan, wished_speed
 from shield.exact.room import Search
 from shield.exact.search import enter, same_outcome, survives
 from shield.exact.traffic import ego_in
 
-__all__ = ["Plans", "decide", "empty_plans", "last_resort", "longest", "passes", "replace", "verify"]
+__all__ = ["Plans", "boxed_in", "decide", "empty_plans", "last_resort", "longest", "passes", "replace", "verify"]
 
 _NONE, _UNVERIFIED, _NO_SAFE_PLAN, _BAD_ACTION = (
     REASONS.index(r) for r in (Reason.NONE, Reason.UNVERIFIED, Reason.NO_SAFE_PLAN, Reason.BAD_ACTION)
@@ -31,16 +31,22 @@ _ANYTHING = -1e9
 
 
 class Plans(NamedTuple):
-    """What is remembered of each environment: the actions that were verified, (e, depth), from the present on, and how
-    many there are, (e,)."""
+    """What is remembered of each environment.
+
+    Attributes
+    ----------
+    actions : from the present on, (e, depth). length : how many of them there are, (e,).
+    verified : whether they keep the buffer; otherwise nothing did that was found, (e,).
+    """
 
     actions: IntArray
     length: IntArray
+    verified: BoolArray
 
 
 def empty_plans(e: int, depth: int) -> Plans:
     """Of environments before their first decision."""
-    return Plans(np.zeros((e, depth), np.intp), np.zeros(e, np.intp))
+    return Plans(np.zeros((e, depth), np.intp), np.zeros(e, np.intp), np.ones(e, np.bool_))
 
 
 @uncounted
@@ -50,6 +56,8 @@ def _execute(records: Records, plans: Plans, e: int, plan: IntArray, length: int
     for k in range(1, length):
         plans.actions[e, k - 1] = plan[k]
     plans.length[e] = max(length - 1, 0)
+    if tier != _STORED:
+        plans.verified[e] = tier != _LARGEST
 
 
 @uncounted
@@ -67,20 +75,16 @@ def verify(search: Search, action: int, stored: IntArray, length: int, twice: bo
     """The smallest clearance beyond the buffer of a sequence that begins with an action, into `search.plan` [m]: -inf
     where none is found that keeps the buffer for all decisions, in depth first, and then, where asked twice, with a
     beam."""
-    clear, margin, exhausted = survives(search, action, stored, length, 0.0)
-    if clear == search.bounds.depth:
-        return margin
-    if not (exhausted and twice):
-        return -np.inf
-    clear, margin = best_plan(search, action, ANY, search.bounds.depth, 0.0, 0.0)
-    return margin if clear == search.bounds.depth else -np.inf
+    margin, exhausted = survives(search, action, stored, length)
+    if margin < 0 and exhausted and twice:
+        margin = clear_plan(search, action, ANY, 0.0)
+    return margin
 
 
-@inlined
-def _ends(plans: Plans, e: int, depth: int) -> bool:
-    """Whether what is stored ends before what verifies does: nothing was found at the last decision that keeps the
-    buffer."""
-    return 0 < plans.length[e] < depth - 1
+@uncounted
+def boxed_in(plans: Plans, e: int) -> bool:
+    """Whether nothing was found at the last decision that keeps the buffer: then each question is asked once."""
+    return plans.length[e] > 0 and not plans.verified[e]
 
 
 @uncounted
@@ -102,8 +106,7 @@ def passes(search: Search, plans: Plans, records: Records, worlds: Any, e: int, 
     if not 0 <= proposed < search.order.shape[0]:
         last_resort(records, plans, e, search.order[0], _BAD_ACTION)
         return True
-    twice = not _ends(plans, e, search.bounds.depth)
-    margin = verify(search, proposed, plans.actions[e], plans.length[e], twice)
+    margin = verify(search, proposed, plans.actions[e], plans.length[e], not boxed_in(plans, e))
     if margin < 0:
         return False
     records.margin[e] = margin
@@ -116,10 +119,9 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
     """What takes the place of a proposal that does not pass, into `records`; see `decide`."""
     n, stored, length, margin = search.order.shape[0], plans.actions[e], plans.length[e], -np.inf
     ranked, now = order.shape[0] > 0 and order[0] >= 0, search.futures.f[0, TARGET_SPEED, ego_in(search, 0)]
-    ends, wish = _ends(plans, e, search.bounds.depth), wished_speed(search, now, proposed)
-    if ends and not ranked:
-        clear, least = best_plan(search, ANY, proposed, search.bounds.depth, wish, 0.0)
-        margin, n = least if clear == search.bounds.depth else -np.inf, 0
+    once, wish = boxed_in(plans, e), wished_speed(search, now, proposed)
+    if once and not ranked:
+        margin, n = clear_plan(search, ANY, proposed, wish), 0
     elif not ranked:
         margin = closest_plan(search, proposed, wish)
     for k in range(n):
@@ -129,11 +131,10 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
         if action == proposed or same_outcome(search, action, proposed):
             continue
         if ranked:
-            margin = verify(search, action, stored, length, not ends)
+            margin = verify(search, action, stored, length, not once)
         else:
             # The beam has been through all of them.
-            clear, least, _ = survives(search, action, stored, length, 0.0)
-            margin = least if clear == search.bounds.depth else -np.inf
+            margin, _ = survives(search, action, stored, length)
     if margin >= 0:
         records.margin[e] = margin
         _execute(records, plans, e, search.plan, search.bounds.depth, _ALTERNATIVE, _UNVERIFIED)

@@ -15,15 +15,14 @@ import numpy as np
 
 from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.layout import ACCELERATION, CRASHED, STEERING
-from dynamics.simulator.neighbours import sort
 from dynamics.state import FloatArray, IntArray
 from shield.batch.vocabulary import TIERS
 from shield.decision import Tier
-from shield.exact.closest import ANY, best_plan
+from shield.exact.closest import ANY, clear_plan
 from shield.exact.deciding import longest
 from shield.exact.room import Search
 from shield.exact.search import clearance, copy_state, survives
-from shield.exact.traffic import ego_in, frame, hold, on_road, start
+from shield.exact.traffic import ego_in, frame, hold, on_road, sorted_in, start
 
 __all__ = ["Tail", "decide_inputs", "empty_tail", "play"]
 
@@ -79,8 +78,8 @@ def _goes_on(search: Search, tail: Tail) -> float:
                 search.hint[i] = first
         elif stops:
             continue
-        clear, margin, _ = survives(search, first, search.hint if k != 0 else tail.actions, length, 0.0)
-        if clear == depth:
+        margin, _ = survives(search, first, search.hint if k != 0 else tail.actions, length)
+        if margin >= 0:
             return margin
     return -np.inf
 
@@ -97,7 +96,7 @@ def _after(search: Search, present: Search, tail: Tail, throttle: float, wheel: 
     futures = search.futures
     copy_state(present.futures, 0, futures, 0)
     hold(search, 0, throttle, wheel)
-    frame(search, 0, sort(futures.f[0], futures.order[0]))
+    frame(search, 0, sorted_in(search, 0))
     on, at_end = on_road(search, 0)
     ego = ego_in(search, 0)
     if futures.g[0, CRASHED, ego] != 0 or not on:
@@ -118,7 +117,7 @@ def play(present: Search, tail: Tail, inputs: FloatArray) -> None:
         counts[0], counts[1] = counts[0] - 1, present.rules.numbers[0]
         for k in range(counts[0]):
             actions[k] = actions[k + 1]
-    frame(present, 0, sort(futures.f[0], futures.order[0]))
+    frame(present, 0, sorted_in(present, 0))
     counts[1] = max(counts[1] - 1, 0)
     ego = ego_in(present, 0)
     inputs[0], inputs[1] = futures.f[0, ACCELERATION, ego], futures.f[0, STEERING, ego]
@@ -128,7 +127,7 @@ def play(present: Search, tail: Tail, inputs: FloatArray) -> None:
 def _take(present: Search, inputs: FloatArray, throttle: float, wheel: float) -> None:
     """Advance the present by a frame of an input."""
     hold(present, 0, throttle, wheel)
-    frame(present, 0, sort(present.futures.f[0], present.futures.order[0]))
+    frame(present, 0, sorted_in(present, 0))
     inputs[0], inputs[1] = throttle, wheel
 
 
@@ -140,7 +139,7 @@ def _peek(search: Search, present: Search, tail: Tail, inputs: FloatArray) -> No
     if tail.counts[1] == 0 and tail.counts[0] > 0:
         search.given[0], search.given[1] = tail.actions[0], 0.0
         start(search, 0)
-    frame(search, 0, sort(futures.f[0], futures.order[0]))
+    frame(search, 0, sorted_in(search, 0))
     ego = ego_in(search, 0)
     inputs[0], inputs[1] = futures.f[0, ACCELERATION, ego], futures.f[0, STEERING, ego]
 
@@ -152,12 +151,12 @@ def _anew(search: Search, present: Search, tail: Tail) -> tuple[int, float]:
     depth = search.bounds.depth
     copy_state(present.futures, 0, search.futures, 0)
     for k in range(search.order.shape[0]):
-        clear, margin, _ = survives(search, search.order[k], tail.actions, 0, 0.0)
-        if clear == depth:
+        margin, _ = survives(search, search.order[k], tail.actions, 0)
+        if margin >= 0:
             _store(search, tail, depth)
             return _ALTERNATIVE, margin
-    length, margin = best_plan(search, ANY, ANY, depth, 0.0, 0.0)
-    if length == depth:
+    margin = clear_plan(search, ANY, ANY, 0.0)
+    if margin >= 0:
         _store(search, tail, depth)
         return _ALTERNATIVE, margin
     length, margin = longest(search)

@@ -67,8 +67,8 @@ class Search(NamedTuple):
     order : all actions, those that slow down first.
     given : an action, (2,). row : a body, (1, 7).
     choices : actions that have been tried at each level, (depth + 1,). reached : lane and speed [m/s] that each of them
-        is bound for, (depth + 1, actions + 1, 2). path : the actions down to here, (depth,).
-    least : smallest clearance beyond the buffer down to each level, (depth + 1,) [m].
+        is bound for, (depth + 1, actions + 1, 2). least : smallest clearance beyond the buffer down to each level,
+        (depth + 1,) [m].
     plan : the sequence that was found, (depth,). hint : one that is gone on with, (depth,).
     team : the other egos, on a network.
     lost : way lost in the best future of each kind, in two generations, (2, K) [m]. clear : its smallest clearance
@@ -85,7 +85,6 @@ class Search(NamedTuple):
     row: FloatArray
     choices: IntArray
     reached: FloatArray
-    path: IntArray
     least: FloatArray
     plan: IntArray
     hint: IntArray
@@ -124,7 +123,6 @@ def new_search(simulator: Simulator | NetworkSimulator, config: ShieldConfig, al
         row=np.zeros((1, 7)),
         choices=np.zeros(depth + 1, index),
         reached=np.zeros((depth + 1, len(labels) + 1, 2)),
-        path=np.zeros(depth, index),
         least=np.zeros(depth + 1),
         plan=np.zeros(depth, index),
         hint=np.zeros(depth, index),

@@ -189,23 +189,21 @@ def same_outcome(search: Search, a: int, b: int) -> bool:
 
 
 @uncounted
-def survives(search: Search, first: int, stored: IntArray, length: int, floor: float) -> tuple[int, float, bool]:
-    """For how many decisions, at most `depth`, some sequence that begins with an action stays clear; `search.plan` is
-    that sequence.
+def survives(search: Search, first: int, stored: IntArray, length: int) -> tuple[float, bool]:
+    """Whether some sequence that begins with an action stays clear for all decisions, into `search.plan`: in depth
+    first.
 
     Parameters
     ----------
     first : the action. stored : what an earlier plan wants from now on, (depth,), of which `length` are left: tried
         first where it begins with the same.
-    floor : smallest clearance beyond the buffer that is allowed [m].
 
     Returns
     -------
-    The number of decisions, the smallest clearance beyond the buffer on the way [m], -inf where there is none; and
-    whether the budget was spent before all had been tried.
+    Its smallest clearance beyond the buffer [m], -inf where none is found; and whether the budget was spent before all
+    had been tried.
     """
-    bounds, n = search.bounds, search.order.shape[0]
-    best, margin, spent, level = 0, -np.inf, 0, 0
+    bounds, n, spent, level = search.bounds, search.order.shape[0], 0, 0
     planned = length if length > 0 and stored[0] == first else 0
     search.choices[0], search.least[0] = 0, np.inf
     while level >= 0 and spent < bounds.budget:
@@ -225,17 +223,13 @@ def survives(search: Search, first: int, stored: IntArray, length: int, floor: f
         if repeats(reached, tried):
             continue
         spent += 1
-        least, _ = travel(search, level + 1, 0.0, floor)
-        if least < floor:
+        least, _ = travel(search, level + 1, 0.0, 0.0)
+        if least < 0:
             continue
-        search.path[level] = action
+        search.plan[level] = action
         search.least[level + 1] = min(search.least[level], least)
         level += 1
-        if level > best:
-            best, margin = level, search.least[level]
-            for k in range(level):
-                search.plan[k] = search.path[k]
-            if level == bounds.depth:
-                return best, margin, False
+        if level == bounds.depth:
+            return search.least[level], False
         search.choices[level] = 0
-    return best, margin, spent >= bounds.budget
+    return -np.inf, spent >= bounds.budget

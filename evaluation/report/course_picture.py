@@ -12,6 +12,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from dynamics.state import FloatArray
+from evaluation.report.plots import picture_path
 from evaluation.scenarios import ComplexRoadsEnv
 from shield.errors import ConfigError
 
@@ -39,9 +40,9 @@ def draw_course(path: str | Path, config: Mapping[str, Any] | None = None, seed:
     ConfigError
         If the file does not end in .png, or the picture has no width.
     """
-    path = Path(path)
-    if path.suffix != ".png" or width < 1:
-        raise ConfigError(f"a picture is a .png of some width, not {path.name!r} of {width} px")
+    path = picture_path(path)
+    if width < 1:
+        raise ConfigError(f"a picture has a width of at least 1 px, not {width}")
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
     env = ComplexRoadsEnv(dict(config or {}), render_mode="rgb_array")
     try:

@@ -15,6 +15,7 @@ from PIL import Image
 
 from evaluation.names import FIRST_EVALUATION_SEED
 from evaluation.report.overlay import ShieldOverlay
+from evaluation.report.plots import picture_path
 from evaluation.running.named_policies import make_policy
 from shield import Shield, ShieldConfig
 from shield.decision import Tier
@@ -74,10 +75,13 @@ def draw_gallery(path: str | Path, env_ids: Sequence[str] = ROADS, seed: int = 0
     Parameters
     ----------
     path : the .png to write. env_ids, seed : see `draw_override`.
+
+    Raises
+    ------
+    ConfigError
+        If the file is no .png, or `draw_override` finds nothing.
     """
-    path = Path(path)
-    if path.suffix != ".png":
-        raise ConfigError(f"a picture is written as .png, not {path.name!r}")
+    path = picture_path(path)
     panels = [draw_override(each, "right" if each.startswith("exit") else "faster", seed) for each in env_ids]
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)

@@ -12,7 +12,7 @@ import pandas as pd
 from evaluation.measuring.metrics import GROUP, summarise
 from shield.errors import ConfigError
 
-__all__ = ["PLOT_ENDINGS", "plot_episodes", "plot_path", "save_plot"]
+__all__ = ["PLOT_ENDINGS", "picture_path", "plot_episodes", "plot_path", "save_plot"]
 
 PLOT_ENDINGS = (".pdf", ".png", ".svg")
 """File endings that `plot_episodes` writes."""
@@ -64,9 +64,24 @@ def plot_path(path: str | Path) -> Path:
     ConfigError
         On another ending than those of `PLOT_ENDINGS`.
     """
+    return _path("plot", path, PLOT_ENDINGS)
+
+
+def picture_path(path: str | Path) -> Path:
+    """Where a picture is to be written that is made of pixels.
+
+    Raises
+    ------
+    ConfigError
+        On another ending than .png.
+    """
+    return _path("picture", path, (".png",))
+
+
+def _path(what: str, path: str | Path, endings: tuple[str, ...]) -> Path:
     path = Path(path)
-    if path.suffix not in PLOT_ENDINGS:
-        raise ConfigError(f"a plot is written as {', '.join(PLOT_ENDINGS)}, not {path.suffix or 'without an ending'!r}")
+    if path.suffix not in endings:
+        raise ConfigError(f"a {what} is written as {', '.join(endings)}, not {path.suffix or 'without an ending'!r}")
     return path
 
 

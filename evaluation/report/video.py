@@ -19,6 +19,7 @@ from dynamics.state import RoadState
 from evaluation.names import FIRST_EVALUATION_SEED
 from evaluation.report.camera import Camera
 from evaluation.report.draw import AREA, GREEN, ORANGE, PROPOSAL, RED, Shot, draw
+from evaluation.report.plots import picture_path
 from evaluation.running.named_policies import make_policy, start_episode
 from evaluation.settings import Setting, get_setting
 from shield import ShieldConfig, ShieldedEnv, Tier
@@ -267,8 +268,13 @@ def still_of_override(
     path : the .png to write.
     setting, policy : what to drive, by name.
     seed : where the search for an episode begins; below 10,000.
+
+    Raises
+    ------
+    ConfigError
+        If the file is no .png, or no override of some episodes leads around anything.
     """
-    path = Path(path)
+    path = picture_path(path)
     for candidate in range(seed, seed + _SEARCH):
         best = max(record(setting, policy, candidate), key=_shows)
         if _shows(best)[0]:

@@ -14,7 +14,7 @@ import shapely
 from dynamics.state import FloatArray
 from evaluation.measuring.rectangles import polygons
 from evaluation.names import FIRST_EVALUATION_SEED
-from evaluation.report.plots import save_plot
+from evaluation.report.plots import picture_path, save_plot
 from evaluation.report.proposal import ego_copy
 from shield import ShieldConfig, ShieldedEnv
 from shield.decision import Decision
@@ -89,9 +89,9 @@ def draw_worst_cases(
     """
     import matplotlib.pyplot as plt
 
-    path = Path(path)
-    if path.suffix != ".png" or not env_ids:
-        raise ConfigError(f"have a .png of at least one road, not {path.name!r} of {list(env_ids)}")
+    path = picture_path(path)
+    if not env_ids:
+        raise ConfigError("have at least one road")
     if not 0 <= seed <= FIRST_EVALUATION_SEED - _EPISODES:
         raise ConfigError(f"have a seed from 0 to {FIRST_EVALUATION_SEED - _EPISODES}, not {seed}")
     config = ShieldConfig.for_roads(gives_way=True) if config is None else config
@@ -197,10 +197,8 @@ def _draw(axis: Any, view: _View) -> None:
     axis.plot(view.wish[:, 0], view.wish[:, 1], "--", color=_WISHED, linewidth=1.5, zorder=5)
     axis.plot(foreseen.path[:, 0], foreseen.path[:, 1], color=_PATH, linewidth=2, zorder=5)
     axis.plot(*foreseen.path[-1, :2], "s", color=_PATH, markersize=5, zorder=5)
-    low, high = (
-        np.minimum(ego[:2], foreseen.path[:, :2].min(axis=0)),
-        np.maximum(ego[:2], foreseen.path[:, :2].max(axis=0)),
-    )
+    shown = np.vstack([ego[None, :2], foreseen.path[:, :2], view.wish])
+    low, high = shown.min(axis=0), shown.max(axis=0)
     (x, y), wide = 0.5 * (low + high), max(1.0, *(0.5 * (high - low) + _AROUND) / _WINDOW)
     axis.set_xlim(x - wide * _WINDOW[0], x + wide * _WINDOW[0])
     axis.set_ylim(y + wide * _WINDOW[1], y - wide * _WINDOW[1])

@@ -84,19 +84,16 @@ def hold_back(bench: Bench, scene: Lent[Scene], e: int, lane: int, speed: float)
 
 @inlined
 def _least_bad(room: Room, n: int, lawful: bool) -> int:
-    """Of those that clear who has broken no rule (with `lawful`), or all: what is expected to stay clear longest, then
-    has the largest margin, the last of equals."""
-    plans, best = room.plans, NOBODY
+    """Of those that clear who has broken no rule (with `lawful`), or of all; see
+    `shield.certificate.verify.least_bad_evasion`."""
+    plans, best, most = room.plans, NOBODY, (0, 0, 0.0)
     for i in range(n):
         if lawful and not plans.lawful[i] >= 0:
             continue
         margin = -math.inf if math.isnan(plans.expected[i]) else plans.expected[i]
-        if best == NOBODY:
-            best = i
-            continue
-        other = -math.inf if math.isnan(plans.expected[best]) else plans.expected[best]
-        if plans.lasting[i] > plans.lasting[best] or (plans.lasting[i] == plans.lasting[best] and margin >= other):
-            best = i
+        found = (plans.lasting[i], plans.clear[i], margin)
+        if best == NOBODY or found > most:
+            best, most = i, found
     return best
 
 

@@ -45,7 +45,7 @@ from shield.certificate.clauses.together import (
 )
 from shield.config import Buffer, ShieldConfig
 
-__all__ = ["NOTHING", "ROUNDING", "Binding", "Clearance", "Surveyor", "footprint_of", "least_bad"]
+__all__ = ["NOTHING", "ROUNDING", "Binding", "Clearance", "Surveyor", "footprint_of", "least_bad", "least_bad_evasion"]
 
 
 ROUNDING = 1e-6
@@ -286,3 +286,13 @@ def least_bad(result: Clearance) -> int:
     """The trajectory to take when none verifies: the one that stays clear longest, then the largest margin."""
     margin = np.nan_to_num(result.margin, nan=-np.inf)
     return int(np.lexsort((margin, result.clear))[-1])
+
+
+def least_bad_evasion(expected: Clearance, worst: Clearance) -> int:
+    """The trajectory to take from one who has broken a rule: the one that is expected to stay clear longest; of these,
+    the one that does in the worst case, then that of the largest margin that is expected, the first of equals.
+
+    Who brakes is expected to keep its speed; the worst case says what comes of it.
+    """
+    margin = np.nan_to_num(expected.margin, nan=-np.inf)
+    return int(np.lexsort((-np.arange(len(margin)), margin, worst.clear, expected.clear))[-1])

@@ -12,11 +12,11 @@ from typing import Protocol
 import numpy as np
 
 from dynamics.scenes.scene import Scene, Target
-from dynamics.state import BoolArray, FloatArray, State
+from dynamics.state import BoolArray, FloatArray, IntArray, State
 from dynamics.vehicle.controllers import KP_SPEED
 from shield.certificate.manoeuvres import Brakes, brake_candidates
 from shield.certificate.memory import Instant, Memory, observe
-from shield.certificate.verify import ROUNDING, Clearance, least_bad
+from shield.certificate.verify import ROUNDING, Clearance, least_bad, least_bad_evasion
 from shield.config import ShieldConfig
 from shield.decision import Reason, Tier
 from shield.procedures.decide import Plan, Tried, Unreadable
@@ -144,8 +144,9 @@ def _evade(now: Instant, target: Target) -> tuple[Plan[int], float]:
     """What clears everybody longest among what clears those who have broken no rule; and its margin from the latter
     [m], negative where nothing does.
 
-    From one who has broken a rule the worst case is that nothing helps: longest is as long as is expected, with
-    everybody at constant speed.
+    From one who has broken a rule the worst case may be that nothing helps: longest is as long as is expected, with
+    everybody at constant speed, and of what is expected to stay clear as long, what does so in the worst case. Who
+    brakes before the ego is not expected to go on braking: it is the worst case that says so.
     """
     candidates, accelerations = _evasions(now, target)
     paths, result = now.judge(candidates)
@@ -154,7 +155,8 @@ def _evade(now: Instant, target: Target) -> tuple[Plan[int], float]:
         lawful = now.lawful.clearance(paths, candidates.lanes, candidates.fails).margin
         expected = now.survey.clearance(paths, candidates.lanes, candidates.fails, hold=paths.shape[1])
     keeps = lawful >= 0
-    i = _least_bad_of(expected, keeps if keeps.any() else ~keeps)
+    some = np.flatnonzero(keeps if keeps.any() else ~keeps)
+    i = int(some[least_bad_evasion(_rows(expected, some), _rows(result, some))])
     return _plan(candidates, accelerations, paths, result, i), float(lawful[i])
 
 
@@ -181,7 +183,11 @@ def _likeliest(now: Instant, target: Target) -> Plan[int]:
 def _least_bad_of(result: Clearance, some: BoolArray) -> int:
     """`least_bad` of some of the candidates, (n,) bool."""
     which = np.flatnonzero(some)
-    return int(which[least_bad(Clearance(result.margin[which], result.clear[which]))])
+    return int(which[least_bad(_rows(result, which))])
+
+
+def _rows(result: Clearance, which: IntArray) -> Clearance:
+    return Clearance(result.margin[which], result.clear[which])
 
 
 def _plan(candidates: Brakes, accelerations: FloatArray, paths: FloatArray, result: Clearance, i: int) -> Plan[int]:

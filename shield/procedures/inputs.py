@@ -22,7 +22,7 @@ from dynamics.vehicle.bicycle import LENGTH
 from mpc.filter.program.road_step import StageModel
 from shield.certificate.clauses.edge import lanes_touched, verdicts
 from shield.certificate.memory import Instant, Memory, observe
-from shield.certificate.verify import ROUNDING, Binding, Surveyor, least_bad
+from shield.certificate.verify import ROUNDING, Binding, Surveyor, least_bad_evasion
 from shield.config import ShieldConfig
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError
@@ -231,7 +231,8 @@ class Inputs:
             return None
         paths, fails = lawful.paths[keeps], lawful.lanes[keeps]
         entered = self._entered(now, paths, fails)[0]
-        i = keeps[least_bad(now.survey.clearance(paths, entered, fails, hold=paths.shape[1]))]
+        expected = now.survey.clearance(paths, entered, fails, hold=paths.shape[1])
+        i = keeps[least_bad_evasion(expected, now.survey.clearance(paths, entered, fails))]
         return self.judge(now, inputs[i : i + 1], [int(lawful.lanes[i])])
 
     def _entered(self, now: Instant, paths: FloatArray, fails: Any) -> tuple[Any, FloatArray, Any, Any]:

@@ -28,3 +28,15 @@ def test_one_that_slips_in_is_foreseen_in_time(seed: int) -> None:
     assert not record.crashed
     assert record.violations == 0
     assert record.min_gap > 1.5
+
+
+@pytest.mark.parametrize("seed", [74011368, 74034550])
+def test_who_brakes_before_it_is_braked_for(seed: int) -> None:
+    """Two of 100,000, both ran into their leader. It brakes at 6 m/s^2, and then breaks a rule; whoever does is
+    expected to keep its speed. By that speed nothing was urgent, so that the ego sped up, or braked ever less, until
+    nothing helped. Of what is expected to stay clear as long it is now the worst case that chooses: it brakes."""
+    variant = variant_for(ShieldConfig())
+    record = run_episode("abz-aggressive", "dqn-abz-adversarial", variant, seed, simulator="compiled")
+    assert not record.crashed
+    assert record.violations == 1
+    assert record.min_gap > 1.6

@@ -123,6 +123,20 @@ def test_what_evades_an_offender_clears_everybody_else(core):
     assert Tier.STORED_PLAN not in tiers
 
 
+@pytest.mark.parametrize("core", [ShieldCore, ContinuousCore])
+@pytest.mark.parametrize("gap", [44.0, 44.5])
+def test_an_offender_is_braked_for_as_hard_as_can_be(core, gap):
+    """Its leader stops more abruptly than anybody may; nothing is clear for good any more, and some inputs are for as
+    long as others."""
+    shield = core()
+    before = scene_of((0, 0, 0, 33), (gap, 0, 0, 14), lanes=1, speed=35.0)
+    now = scene_of((33 * DT, 0, 0, 33), (gap + 6 * DT, 0, 0, 6), lanes=1, speed=35.0)
+    decision = after(shield, before, now)
+    assert decision.tier is Tier.EVADED
+    taken = decision.executed.acceleration if core is ShieldCore else decision.executed[0]
+    assert taken == pytest.approx(-CONFIG.braking)
+
+
 # -- where the ego may be --------------------------------------------------------------------------------------------
 
 

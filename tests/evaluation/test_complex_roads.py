@@ -440,7 +440,7 @@ def test_the_compiled_traffic_is_the_same():
 
 def test_the_shield_foretells_it():
     """Behind verification by simulation nobody does anything else than was foretold, and nobody touches."""
-    env = gym.make("evaluation.scenarios:ComplexRoads-v0", config={**SIMULATED, "duration": 30})
+    env = gym.make("evaluation.scenarios:ComplexRoads-v0", config={**SIMULATED, "duration": 12})
     observation, _ = env.reset(seed=3)
     shield, done = Shield(lambda obs: 3, env, ShieldConfig.exact(), frames=False), False
     while not done:

@@ -156,7 +156,7 @@ def test_what_the_traffic_does_not_keep_to_is_found_out(weak):
     ("policy", "config", "budget"),
     [
         ("faster", ShieldConfig(), 500),
-        (ANY, ShieldConfig.exact(), 150),
+        (ANY, ShieldConfig.exact(), 40),
         *later((ANY, ShieldConfig.exact(), 500), ("faster", ShieldConfig.exact(), 500)),
     ],
 )

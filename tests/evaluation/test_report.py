@@ -28,7 +28,7 @@ def test_there_is_a_shot_of_each_simulation_frame(shots):
 
 
 def test_the_background_is_drawn_although_there_is_no_display(shots):
-    assert all(np.unique(shot.image.reshape(-1, 3), axis=0).shape[0] > 5 for shot in shots)
+    assert all(np.unique(shot.image.reshape(-1, 3), axis=0).shape[0] > 5 for shot in shots[::7])
 
 
 def test_the_plan_begins_where_the_ego_is_drawn(shots):

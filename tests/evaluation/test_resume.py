@@ -15,8 +15,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from slowly import later
+from typer.testing import CliRunner
 
 from dynamics.errors import ConfigError, DataError
+from evaluation.commands.cli import app
 from evaluation.running.episodes import run_paired
 from evaluation.running.records import make_variants
 from evaluation.running.store import Store
@@ -176,7 +178,8 @@ def _ended(pid):
 
 
 def test_progress_is_said_where_the_output_is_no_terminal(tmp_path):
-    done = subprocess.run(command(tmp_path), capture_output=True, text=True)
+    done = CliRunner().invoke(app, command(tmp_path)[3:])
+    assert done.exit_code == 0, done.output
     assert f"12 of {2 * EPISODES} episodes" in done.stderr
     assert f"{2 * EPISODES} of {2 * EPISODES} episodes" in done.stderr
     assert re.search(rf"no shield: \d+ of {EPISODES} crashed, full at env: 0 of {EPISODES} crashed", done.stderr)

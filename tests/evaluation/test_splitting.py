@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.stats import binom
+from slowly import later
 from typer.testing import CliRunner
 
 from evaluation.commands.cli import app
@@ -51,8 +52,15 @@ def of_normals(b, cells=4001, least=-40.0):
     return 1 - left.sum() * dx
 
 
-@pytest.mark.parametrize("share", [0.01, 0.3])
-@pytest.mark.parametrize(("walk", "b", "truth"), [(coins, 14, of_coins(14)), (normals, 15.0, of_normals(15.0))])
+@pytest.mark.parametrize(
+    ("walk", "b", "truth", "share"),
+    [
+        (coins, 14, of_coins(14), 0.01),
+        (coins, 14, of_coins(14), 0.3),
+        (normals, 15.0, of_normals(15.0), 0.3),
+        *later((normals, 15.0, of_normals(15.0), 0.01)),
+    ],
+)
 def test_it_is_right_on_the_average(walk, b, truth, share):
     found = [multilevel_splitting(walk, b, 100, share, seed=1000 * k) for k in range(20)]
     estimates = np.array([each.probability for each in found])

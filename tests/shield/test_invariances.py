@@ -179,7 +179,7 @@ class Traffic(RuleBasedStateMachine):
 
 
 Traffic.TestCase.settings = settings(
-    deadline=None, max_examples=25, stateful_step_count=40, suppress_health_check=list(HealthCheck)
+    deadline=None, max_examples=15, stateful_step_count=40, suppress_health_check=list(HealthCheck)
 )
 TestTraffic = Traffic.TestCase
 

@@ -1,13 +1,13 @@
-"""The plan that comes closest to what was proposed: a beam search with one future for each lane and speed."""
+"""The plan that comes closest to what was proposed: a search with one future for each lane, speed and time."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.layout import TARGET, TARGET_SPEED
 from dynamics.simulator.scene import speed_index
-from shield.exact.room import Search
+from shield.exact.room import NOBODY, Nodes, Search
 from shield.exact.search import copy_future, depart, repeats, survives, travel
 from shield.exact.traffic import ego_in
 
@@ -26,13 +26,83 @@ def wished_speed(search: Search, target_speed: float, action: int) -> float:
     return speeds[0] if label == 4 else target_speed
 
 
+@inlined
+def _next(nodes: Nodes, count: int) -> int:
+    """The open node of least cost, of equals the one of the least level and then kind; `NOBODY` where none is open."""
+    best = NOBODY
+    for i in range(count):
+        if not nodes.open[i]:
+            continue
+        if best == NOBODY or nodes.cost[i] < nodes.cost[best]:
+            best = i
+        elif nodes.cost[i] == nodes.cost[best]:
+            level, other = nodes.level[i], nodes.level[best]
+            if level < other or (level == other and nodes.kind[i] < nodes.kind[best]):
+                best = i
+    return best
+
+
+@inlined
+def _deepest(nodes: Nodes, count: int) -> int:
+    """The node of the greatest level, and of these the one of least cost; `NOBODY` where there is none."""
+    best = NOBODY
+    for i in range(count):
+        if best == NOBODY or nodes.level[i] > nodes.level[best]:
+            best = i
+        elif nodes.level[i] == nodes.level[best]:
+            cost, other = nodes.cost[i], nodes.cost[best]
+            if cost < other or (cost == other and nodes.kind[i] < nodes.kind[best]):
+                best = i
+    return best
+
+
+@uncounted
+def _expand(
+    search: Search, parent: int, count: int, only: int, never: int, depth: int, wish: float, floor: float
+) -> int:
+    """Take every action after a node, or after the present, and keep what is the best way to its lane and speed by
+    then; how many nodes there are."""
+    futures, speeds, nodes, tried = search.futures, search.rules.target_speeds, search.nodes, search.reached[0]
+    spare, first = search.bounds.spare, search.bounds.spare + 1
+    level, source = (0, 0) if parent == NOBODY else (nodes.level[parent], first + parent)
+    for action in range(search.order.shape[0]):
+        tried[action, 0] = -1.0
+        if level == 0 and (action == never or only not in (ANY, action)):
+            continue
+        tried[action, 0], tried[action, 1] = depart(search, source, spare, action)
+        if repeats(tried, action):
+            continue
+        least, cost = travel(search, spare, wish, floor)
+        if least < floor:
+            continue
+        ego = ego_in(search, spare)
+        speed = speed_index(speeds, futures.f[spare, TARGET_SPEED, ego])
+        kind = futures.g[spare, TARGET, ego] * len(speeds) + speed
+        slot = nodes.slots[level, kind]
+        if (count == nodes.cost.shape[0]) if slot == NOBODY else not nodes.open[slot]:
+            continue
+        if parent != NOBODY:
+            least, cost = min(least, nodes.clear[parent]), cost + nodes.cost[parent]
+        if floor < 0:
+            cost = -least
+        if slot == NOBODY:
+            slot, count = count, count + 1
+            nodes.slots[level, kind], nodes.cost[slot], nodes.open[slot] = slot, np.inf, True
+        if cost < nodes.cost[slot]:
+            nodes.cost[slot], nodes.clear[slot], nodes.level[slot] = cost, least, level + 1
+            nodes.kind[slot], nodes.parent[slot], nodes.action[slot] = kind, parent, action
+            if level + 1 < depth:
+                copy_future(search, spare, first + slot)
+    return count
+
+
 @uncounted
 def best_plan(search: Search, only: int, never: int, depth: int, wish: float, floor: float) -> tuple[int, float]:
     """The sequence that stays clear for `depth` decisions and loses the least way against a speed, into `search.plan`;
     where none does, the one that does for most of them.
 
-    Of the futures that are bound for the same lane at the same speed the one goes on that has lost least, so it need
-    not find a sequence where there is one.
+    A uniform-cost search (Dijkstra 1959) in which, of the futures that are bound for the same lane at the same speed
+    after as many decisions, the one goes on that has lost least, so it need not find a sequence where there is one.
 
     Parameters
     ----------
@@ -45,52 +115,27 @@ def best_plan(search: Search, only: int, never: int, depth: int, wish: float, fl
     -------
     For how many decisions it stays clear, and its smallest clearance beyond the buffer [m], -inf where it is none.
     """
-    futures, speeds, kinds, n = search.futures, search.rules.target_speeds, search.lost.shape[1], search.order.shape[0]
-    lost, clear, paths, tried, spare = search.lost, search.clear, search.paths, search.reached[0], 2 * kinds + 1
-    lasts = 0
+    nodes = search.nodes
     for level in range(depth):
-        now, then = level % 2, 1 - level % 2
-        for k in range(kinds):
-            lost[then, k] = np.inf
-        for k in range(1 if level == 0 else kinds):
-            if level > 0 and lost[now, k] == np.inf:
-                continue
-            source = 0 if level == 0 else 1 + now * kinds + k
-            for action in range(n):
-                tried[action, 0] = -1.0
-                if level == 0 and (action == never or only not in (ANY, action)):
-                    continue
-                tried[action, 0], tried[action, 1] = depart(search, source, spare, action)
-                if repeats(tried, action):
-                    continue
-                least, cost = travel(search, spare, wish, floor)
-                if least < floor:
-                    continue
-                if level > 0:
-                    least, cost = min(least, clear[now, k]), cost + lost[now, k]
-                if floor < 0:
-                    cost = -least
-                ego = ego_in(search, spare)
-                speed = speed_index(speeds, futures.f[spare, TARGET_SPEED, ego])
-                kind = futures.g[spare, TARGET, ego] * len(speeds) + speed
-                if cost < lost[then, kind]:
-                    copy_future(search, spare, 1 + then * kinds + kind)
-                    lost[then, kind], clear[then, kind] = cost, least
-                    for i in range(level):
-                        paths[then, kind, i] = paths[now, k, i]
-                    paths[then, kind, level] = action
-                    lasts = level + 1
-        if lasts == level:
+        for k in range(nodes.slots.shape[1]):
+            nodes.slots[level, k] = NOBODY
+    node, count = NOBODY, _expand(search, NOBODY, 0, only, never, depth, wish, floor)
+    while True:
+        node = _next(nodes, count)
+        if node == NOBODY:
+            node = _deepest(nodes, count)
             break
-    if lasts == 0:
+        nodes.open[node] = False
+        if nodes.level[node] == depth:
+            break
+        count = _expand(search, node, count, only, never, depth, wish, floor)
+    if node == NOBODY:
         return 0, -np.inf
-    last, best = lasts % 2, 0
-    for k in range(kinds):
-        if lost[last, k] < lost[last, best]:
-            best = k
-    for i in range(lasts):
-        search.plan[i] = paths[last, best, i]
-    return lasts, clear[last, best]
+    lasts, margin = nodes.level[node], nodes.clear[node]
+    while node != NOBODY:
+        search.plan[nodes.level[node] - 1] = nodes.action[node]
+        node = nodes.parent[node]
+    return lasts, margin
 
 
 @uncounted

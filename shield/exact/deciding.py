@@ -73,8 +73,8 @@ def last_resort(records: Records, plans: Plans, e: int, slower: int, reason: int
 @uncounted
 def verify(search: Search, action: int, stored: IntArray, length: int, twice: bool) -> float:
     """The smallest clearance beyond the buffer of a sequence that begins with an action, into `search.plan` [m]: -inf
-    where none is found that keeps the buffer for all decisions, in depth first, and then, where asked twice, with a
-    beam."""
+    where none is found that keeps the buffer for all decisions, in depth first, and then, where asked twice, over
+    lanes and speeds."""
     margin, exhausted = survives(search, action, stored, length)
     if margin < 0 and exhausted and twice:
         margin = clear_plan(search, action, ANY, 0.0)
@@ -133,7 +133,7 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
         if ranked:
             margin = verify(search, action, stored, length, not once)
         else:
-            # The beam has been through all of them.
+            # The search over lanes and speeds has been through all of them.
             margin, _ = survives(search, action, stored, length)
     if margin >= 0:
         records.margin[e] = margin

@@ -10,10 +10,13 @@ import numpy as np
 from dynamics.networks.simulator import NetworkSimulator
 from dynamics.simulator.engine import Machine, Rules
 from dynamics.simulator.simulator import Simulator
-from dynamics.state import FloatArray, IntArray
+from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.config import ShieldConfig
 
-__all__ = ["Bounds", "Search", "Team", "new_search"]
+__all__ = ["NOBODY", "Bounds", "Nodes", "Search", "Team", "new_search"]
+
+NOBODY = -1
+"""Stands for no node."""
 
 _OUTLOOK = 8.0
 """How far ahead alternatives are compared [s]; beyond it they have to stay clear, and no more."""
@@ -21,7 +24,9 @@ _KEEP_RIGHT = 0.8
 """What being one lane further left counts as, as a loss of speed [m/s]: of alternatives that are about as fast, the
 rightmost. highway-env's default reward gives 0.83 m/s for a lane on three."""
 _BUDGET = 10
-"""Decisions that a search may simulate for each that it looks ahead."""
+"""Decisions that a search in depth may simulate for each that it looks ahead."""
+_NODES = 1024
+"""Futures that a search over lanes and speeds may compare."""
 
 
 class Bounds(NamedTuple):
@@ -31,8 +36,9 @@ class Bounds(NamedTuple):
     ----------
     longitudinal, lateral : the buffer around the ego [m].
     depth : decisions that are looked ahead. outlook : of them, those over which alternatives are compared.
-    budget : decisions that one search may simulate.
+    budget : decisions that one search in depth may simulate.
     keep_right : what a lane further left counts as [m/s].
+    spare : the future that those after it, the nodes, are reached in.
     """
 
     longitudinal: float
@@ -41,6 +47,28 @@ class Bounds(NamedTuple):
     outlook: int
     budget: int
     keep_right: float
+    spare: int
+
+
+class Nodes(NamedTuple):
+    """What a search over lanes and speeds has reached: the future `spare + 1 + i` belongs to node i.
+
+    Attributes
+    ----------
+    slots : the node of each lane and speed after each number of decisions, (depth, K), or `NOBODY`.
+    cost, clear : way lost, and smallest clearance beyond the buffer, on the way to each, (n,) [m].
+    level, kind : decisions to each, and its lane and speed, (n,). parent, action : where it was reached from and by
+        what, (n,). open : whether nothing has been tried after it yet, (n,).
+    """
+
+    slots: IntArray
+    cost: FloatArray
+    clear: FloatArray
+    level: IntArray
+    kind: IntArray
+    parent: IntArray
+    action: IntArray
+    open: BoolArray
 
 
 class Team(NamedTuple):
@@ -63,16 +91,14 @@ class Search(NamedTuple):
     Attributes
     ----------
     machine, rules, work : of the simulator, on a straight highway or on a network of roads. bounds : what is asked.
-    futures : states: the present, those that a search has come through or compares, and a spare one.
+    futures : states: the present, those that a search in depth has come through, a spare one, and those of the nodes.
     order : all actions, those that slow down first.
     given : an action, (2,). row : a body, (1, 7).
     choices : actions that have been tried at each level, (depth + 1,). reached : lane and speed [m/s] that each of them
         is bound for, (depth + 1, actions + 1, 2). least : smallest clearance beyond the buffer down to each level,
         (depth + 1,) [m].
     plan : the sequence that was found, (depth,). hint : one that is gone on with, (depth,).
-    team : the other egos, on a network.
-    lost : way lost in the best future of each kind, in two generations, (2, K) [m]. clear : its smallest clearance
-        beyond the buffer, (2, K) [m]. paths : its actions, (2, K, depth).
+    team : the other egos, on a network. nodes : what a search over lanes and speeds has reached.
     """
 
     machine: Machine
@@ -89,9 +115,7 @@ class Search(NamedTuple):
     plan: IntArray
     hint: IntArray
     team: Team
-    lost: FloatArray
-    clear: FloatArray
-    paths: IntArray
+    nodes: Nodes
 
 
 _SAFEST_FIRST = (4, 1, 2, 0, 3)
@@ -110,14 +134,16 @@ def new_search(simulator: Simulator | NetworkSimulator, config: ShieldConfig, al
         outlook=min(depth, max(1, round(_OUTLOOK / rules.times[1]))),
         budget=_BUDGET * depth,
         keep_right=_KEEP_RIGHT,
+        spare=depth + 2,
     )
     kinds = len(rules.lanes if isinstance(rules, Rules) else rules.network.lanes) * len(rules.target_speeds)
+    n = min(depth * kinds, _NODES)
     return Search(
         machine=simulator.machine,
         rules=rules,
         work=simulator.new_work(),
         bounds=bounds,
-        futures=simulator.new_worlds(max(depth + 2, 2 * kinds + 2)),
+        futures=simulator.new_worlds(bounds.spare + 1 + n),
         order=np.array([labels.index(label) for label in _SAFEST_FIRST if label in labels], index),
         given=np.zeros(2),
         row=np.zeros((1, 7)),
@@ -127,7 +153,14 @@ def new_search(simulator: Simulator | NetworkSimulator, config: ShieldConfig, al
         plan=np.zeros(depth, index),
         hint=np.zeros(depth, index),
         team=Team(np.zeros(allies, index), np.zeros((allies, depth + 1), index), np.zeros(1, index)),
-        lost=np.zeros((2, kinds)),
-        clear=np.zeros((2, kinds)),
-        paths=np.zeros((2, kinds, depth), index),
+        nodes=Nodes(
+            slots=np.full((depth, kinds), NOBODY, index),
+            cost=np.zeros(n),
+            clear=np.zeros(n),
+            level=np.zeros(n, index),
+            kind=np.zeros(n, index),
+            parent=np.zeros(n, index),
+            action=np.zeros(n, index),
+            open=np.zeros(n, np.bool_),
+        ),
     )

@@ -61,7 +61,8 @@ def enter(search: Search, worlds: Any, e: int) -> None:
     """Make the present of one environment the first future."""
     copy_state(worlds, e, search.futures, 0)
     p, p0 = search.futures.p, worlds.p[e]
-    for k in range(p.shape[0]):
+    # Nobody moves in the futures of the nodes.
+    for k in range(search.bounds.spare + 1):
         for i in range(p.shape[1]):
             for j in range(p.shape[2]):
                 p[k, i, j] = p0[i, j]
@@ -184,7 +185,7 @@ def repeats(reached: FloatArray, k: int) -> bool:
 @uncounted
 def same_outcome(search: Search, a: int, b: int) -> bool:
     """Whether two actions want the same lane and speed now."""
-    spare = search.futures.f.shape[0] - 1
+    spare = search.bounds.spare
     return depart(search, 0, spare, a) == depart(search, 0, spare, b)
 
 

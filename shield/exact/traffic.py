@@ -103,7 +103,7 @@ def _nothing_more(search: Search, worlds: Any, e: int) -> None:
 @uncounted
 def _copy_more(search: Search, worlds: Any, e: int) -> None:
     routes, given, counts, p = search.futures.routes, worlds.routes[e], search.futures.counts, search.futures.p
-    for k in range(routes.shape[0]):
+    for k in range(search.bounds.spare + 1):
         counts[k, 0], counts[k, 1] = worlds.counts[e, 0], worlds.counts[e, 1]
         for i in range(routes.shape[1]):
             for j in range(routes.shape[2]):

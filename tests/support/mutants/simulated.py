@@ -50,7 +50,14 @@ SIMULATED = (
         _TESTS,
     ),
     off(
-        "a beam that ends early is a plan",
+        "the first way to a lane and speed is kept, not the best",
+        f"{EXACT}/closest.py",
+        "        if cost < nodes.cost[slot]:\n",
+        "        if nodes.cost[slot] == np.inf:\n",
+        "tests/shield/test_exact_closest.py",
+    ),
+    off(
+        "a search that ends early is a plan",
         f"{EXACT}/closest.py",
         "    return margin if lasts == search.bounds.depth else -np.inf\n",
         "    return margin\n",

@@ -1,0 +1,79 @@
+"""The search over lanes and speeds against the same search written plainly, decision by decision."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dynamics.simulator.layout import TARGET, TARGET_SPEED
+from dynamics.simulator.simulator import Simulator
+from shield import ShieldConfig
+from shield.config import Buffer
+from shield.exact.closest import ANY, best_plan
+from shield.exact.room import new_search
+from shield.exact.search import depart, enter, travel
+
+DENSE = {"vehicles_density": 1.6}
+DEPTH = 5
+
+
+def moving(search):
+    """What moves, as arrays by future."""
+    return search.futures.f, search.futures.g, search.futures.order, search.futures.clock
+
+
+def plainly(search, only, never, wish, floor):
+    """Of each lane and speed, after each number of decisions, the best way there: all of them are gone on with."""
+    spare, zero = search.bounds.spare, [array[0].copy() for array in moving(search)]
+    # A lane and a speed: cost, clearance, the actions, and what moves.
+    best, lasts = {None: (0.0, np.inf, (), zero)}, ()
+    for level in range(DEPTH):
+        then = {}
+        for key in sorted(best, key=str) if level == 0 else sorted(best):
+            cost, clear, actions, state = best[key]
+            seen = set()
+            for action in range(len(search.order)):
+                if level == 0 and (action == never or only not in (ANY, action)):
+                    continue
+                for array, saved in zip(moving(search), state, strict=True):
+                    array[0] = saved
+                bound = depart(search, 0, spare, action)
+                if bound in seen:
+                    continue
+                seen.add(bound)
+                least, lost = travel(search, spare, wish, floor)
+                if least < floor:
+                    continue
+                kind = int(search.futures.g[spare, TARGET, 0]), float(search.futures.f[spare, TARGET_SPEED, 0])
+                all_clear = min(clear, least)
+                paid = -all_clear if floor < 0 else cost + lost
+                if kind not in then or paid < then[kind][0]:
+                    state_then = [array[spare].copy() for array in moving(search)]
+                    then[kind] = paid, all_clear, (*actions, action), state_then
+        for array, saved in zip(moving(search), zero, strict=True):
+            array[0] = saved
+        if not then:
+            break
+        best = then
+        lasts = min((paid, kind, clear, actions) for kind, (paid, clear, actions, _) in then.items())
+    return (lasts[3], lasts[2]) if lasts else ((), -np.inf)
+
+
+@pytest.mark.parametrize("floor", [0.0, -1e9])
+@pytest.mark.parametrize("seed", range(12))
+def test_it_finds_what_a_plain_search_finds(seed, floor):
+    config = ShieldConfig.exact().replace(
+        horizon=float(DEPTH), buffer=Buffer(4.0, 0.5) if seed % 2 else Buffer(0.5, 0.3)
+    )
+    simulator = Simulator("highway-fast-v0", 1, DENSE)
+    simulator.reset([800 + seed])
+    search = new_search(simulator, config)
+    for k in range(4):
+        simulator.step([3])
+        enter(search, simulator.worlds, 0)
+        for only, never, wish in ((ANY, ANY, 30.0), (ANY, 3, 30.0), (k, ANY, 20.0), (ANY, 1, 25.0)):
+            plan, margin = plainly(search, only, never, wish, floor)
+            lasts, found = best_plan(search, only, never, DEPTH, wish, floor)
+            assert lasts == len(plan)
+            assert found == margin
+            assert tuple(search.plan[:lasts]) == plan

@@ -85,14 +85,15 @@ def _expand(
             least, cost = min(least, nodes.clear[parent]), cost + nodes.cost[parent]
         if floor < 0:
             cost = -least
+        if not cost < (np.inf if slot == NOBODY else nodes.cost[slot]):
+            continue
         if slot == NOBODY:
             slot, count = count, count + 1
-            nodes.slots[level, kind], nodes.cost[slot], nodes.open[slot] = slot, np.inf, True
-        if cost < nodes.cost[slot]:
-            nodes.cost[slot], nodes.clear[slot], nodes.level[slot] = cost, least, level + 1
-            nodes.kind[slot], nodes.parent[slot], nodes.action[slot] = kind, parent, action
-            if level + 1 < depth:
-                copy_future(search, spare, first + slot)
+            nodes.slots[level, kind], nodes.open[slot] = slot, True
+        nodes.cost[slot], nodes.clear[slot], nodes.level[slot] = cost, least, level + 1
+        nodes.kind[slot], nodes.parent[slot], nodes.action[slot] = kind, parent, action
+        if level + 1 < depth:
+            copy_future(search, spare, first + slot)
     return count
 
 

@@ -52,8 +52,8 @@ SIMULATED = (
     off(
         "the first way to a lane and speed is kept, not the best",
         f"{EXACT}/closest.py",
-        "        if cost < nodes.cost[slot]:\n",
-        "        if nodes.cost[slot] == np.inf:\n",
+        "        if not cost < (np.inf if slot == NOBODY else nodes.cost[slot]):\n",
+        "        if slot != NOBODY:\n",
         "tests/shield/test_exact_closest.py",
     ),
     off(

@@ -36,16 +36,14 @@ def main() -> None:
     parser.add_argument("seeds", nargs="+", type=int)
     asked = parser.parse_args()
     env = gym.make(asked.env_id)
-    print("| seed | next ahead m | slower by m/s | frames of the best |\n| --: | --: | --: | --: |")
+    print("| seed | nearest in its lane m | slower by m/s | frames of the best |\n| --: | --: | --: | --: |")
     for seed in asked.seeds:
         env.reset(seed=seed)
         base: Any = env.unwrapped
         ego = base.vehicle
-        gap, slower = min(
-            (float(v.position[0] - ego.position[0]), float(ego.speed - v.speed))
-            for v in base.road.vehicles
-            if v.lane_index == ego.lane_index and v.position[0] > ego.position[0]
-        )
+        others = (v for v in base.road.vehicles if v is not ego and v.lane_index == ego.lane_index)
+        nearest = min(others, key=lambda v: abs(v.position[0] - ego.position[0]))
+        gap, slower = nearest.position[0] - ego.position[0], ego.speed - nearest.speed
         print(f"| {seed} | {gap:.1f} | {slower:.1f} | {longest(env)} |")
 
 

@@ -7,14 +7,11 @@ import numpy as np
 from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.layout import TARGET, TARGET_SPEED
 from dynamics.simulator.scene import speed_index
-from shield.exact.room import NOBODY, Nodes, Search
+from shield.exact.room import ANY, NOBODY, Nodes, Search
 from shield.exact.search import copy_future, depart, repeats, survives, travel
 from shield.exact.traffic import ego_in
 
-__all__ = ["ANY", "best_plan", "clear_plan", "closest_plan", "wished_speed"]
-
-ANY = -1
-"""Any action."""
+__all__ = ["best_plan", "clear_plan", "closest_plan", "wished_speed"]
 
 
 @uncounted

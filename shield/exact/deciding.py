@@ -13,9 +13,9 @@ from dynamics.state import BoolArray, IntArray
 from shield.batch.arrays import Records
 from shield.batch.vocabulary import REASONS, TIERS
 from shield.decision import Reason, Tier
-from shield.exact.closest import ANY, best_plan, clear_plan, closest_plan, wished_speed
-from shield.exact.room import Search
-from shield.exact.search import enter, same_outcome, survives
+from shield.exact.closest import best_plan, clear_plan, closest_plan, wished_speed
+from shield.exact.room import ANY, Search
+from shield.exact.search import enter, in_depth, same_outcome, survives
 from shield.exact.traffic import ego_in
 
 __all__ = ["Plans", "boxed_in", "decide", "empty_plans", "last_resort", "longest", "passes", "replace", "verify"]
@@ -91,7 +91,17 @@ def boxed_in(plans: Plans, e: int) -> bool:
 def longest(search: Search) -> tuple[int, float]:
     """The sequence without a crash that lasts longest, and of those that last the one that is most clear, into
     `search.plan`: how many decisions it lasts, and its smallest clearance beyond the buffer [m]."""
-    lasts, margin = best_plan(search, ANY, ANY, search.bounds.depth, 0.0, _ANYTHING)
+    depth = search.bounds.depth
+    lasts, margin = best_plan(search, ANY, ANY, depth, 0.0, _ANYTHING)
+    if lasts < depth:
+        # It keeps one future for each lane and speed, and the one that is most clear now may stand where it is hit.
+        for k in range(lasts):
+            search.hint[k] = search.plan[k]
+        further, clear, _ = in_depth(search, ANY, search.hint, lasts, _ANYTHING)
+        if further > lasts:
+            return further, clear
+        for k in range(lasts):
+            search.plan[k] = search.hint[k]
     if lasts == 0:
         search.plan[0] = search.order[0]
     return lasts, margin

@@ -18,9 +18,9 @@ from dynamics.simulator.layout import ACCELERATION, CRASHED, STEERING
 from dynamics.state import FloatArray, IntArray
 from shield.batch.vocabulary import TIERS
 from shield.decision import Tier
-from shield.exact.closest import ANY, clear_plan
+from shield.exact.closest import clear_plan
 from shield.exact.deciding import longest
-from shield.exact.room import Search
+from shield.exact.room import ANY, Search
 from shield.exact.search import clearance, copy_state, survives
 from shield.exact.traffic import ego_in, frame, hold, on_road, sorted_in, start
 

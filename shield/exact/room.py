@@ -13,8 +13,10 @@ from dynamics.simulator.simulator import Simulator
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.config import ShieldConfig
 
-__all__ = ["NOBODY", "Bounds", "Nodes", "Search", "Team", "new_search"]
+__all__ = ["ANY", "NOBODY", "Bounds", "Nodes", "Search", "Team", "new_search"]
 
+ANY = -1
+"""Stands for any action."""
 NOBODY = -1
 """Stands for no node."""
 
@@ -97,7 +99,8 @@ class Search(NamedTuple):
     choices : actions that have been tried at each level, (depth + 1,). reached : lane and speed [m/s] that each of them
         is bound for, (depth + 1, actions + 1, 2). least : smallest clearance beyond the buffer down to each level,
         (depth + 1,) [m].
-    plan : the sequence that was found, (depth,). hint : one that is gone on with, (depth,).
+    plan : the sequence that was found, (depth,). hint : one that is gone on with, (depth,). sequence : the one that a
+        search in depth is trying, (depth,).
     team : the other egos, on a network. nodes : what a search over lanes and speeds has reached.
     """
 
@@ -114,6 +117,7 @@ class Search(NamedTuple):
     least: FloatArray
     plan: IntArray
     hint: IntArray
+    sequence: IntArray
     team: Team
     nodes: Nodes
 
@@ -152,6 +156,7 @@ def new_search(simulator: Simulator | NetworkSimulator, config: ShieldConfig, al
         least=np.zeros(depth + 1),
         plan=np.zeros(depth, index),
         hint=np.zeros(depth, index),
+        sequence=np.zeros(depth, index),
         team=Team(np.zeros(allies, index), np.zeros((allies, depth + 1), index), np.zeros(1, index)),
         nodes=Nodes(
             slots=np.full((depth, kinds), NOBODY, index),

@@ -17,7 +17,7 @@ from dynamics.simulator.engine import write_row
 from dynamics.simulator.layout import CRASHED, HEADING, LENGTH, SPEED, TARGET, TARGET_SPEED, WIDTH, X, Y
 from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.permits import Ego, gap_between
-from shield.exact.room import Bounds, Search
+from shield.exact.room import ANY, Bounds, Search
 from shield.exact.traffic import copy_more, ego_in, frame, lanes_to_the_right, on_road, sorted_in, start
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "depart",
     "enter",
     "foretell",
+    "in_depth",
     "leap",
     "repeats",
     "same_outcome",
@@ -190,47 +191,66 @@ def same_outcome(search: Search, a: int, b: int) -> bool:
 
 
 @uncounted
-def survives(search: Search, first: int, stored: IntArray, length: int) -> tuple[float, bool]:
-    """Whether some sequence that begins with an action stays clear for all decisions, into `search.plan`: in depth
-    first.
+def in_depth(search: Search, first: int, stored: IntArray, length: int, floor: float) -> tuple[int, float, bool]:
+    """A sequence that stays clear for all decisions, or of those that were tried the first that does for most of them,
+    into `search.plan`: in depth first.
 
     Parameters
     ----------
-    first : the action. stored : what an earlier plan wants from now on, (depth,), of which `length` are left: tried
-        first where it begins with the same.
+    first : the action that it begins with; `ANY` for any.
+    stored : what an earlier plan wants from now on, (depth,), of which `length` are left: tried first where it begins
+        with the same.
+    floor : smallest clearance beyond the buffer that is allowed [m].
 
     Returns
     -------
-    Its smallest clearance beyond the buffer [m], -inf where none is found; and whether the budget was spent before all
-    had been tried.
+    For how many decisions it stays clear, its smallest clearance beyond the buffer [m], and whether the budget was
+    spent before all had been tried.
     """
-    bounds, n, spent, level = search.bounds, search.order.shape[0], 0, 0
-    planned = length if length > 0 and stored[0] == first else 0
+    bounds, n, spent, level, lasts, clear = search.bounds, search.order.shape[0], 0, 0, 0, np.inf
+    planned = length if length > 0 and first in (ANY, stored[0]) else 0
     search.choices[0], search.least[0] = 0, np.inf
-    while level >= 0 and spent < bounds.budget:
+    while level >= 0 and lasts < bounds.depth and spent < bounds.budget:
         tried = search.choices[level]
         search.choices[level] += 1
-        if tried > (0 if level == 0 else n):
+        only = level == 0 and first != ANY
+        if tried > (0 if only else n):
             level -= 1
             continue
         # What was planned goes first; without a plan, what slows down.
         preferred = stored[level] if level < planned else search.order[0]
-        action = first if level == 0 else preferred if tried == 0 else search.order[tried - 1]
+        action = first if only else preferred if tried == 0 else search.order[tried - 1]
         search.reached[level, tried, 0] = -1.0
-        if level > 0 and tried > 0 and action == preferred:
+        if not only and tried > 0 and action == preferred:
             continue
         reached = search.reached[level]
         reached[tried, 0], reached[tried, 1] = depart(search, level, level + 1, action)
         if repeats(reached, tried):
             continue
         spent += 1
-        least, _ = travel(search, level + 1, 0.0, 0.0)
-        if least < 0:
+        least, _ = travel(search, level + 1, 0.0, floor)
+        if least < floor:
             continue
-        search.plan[level] = action
+        search.sequence[level] = action
         search.least[level + 1] = min(search.least[level], least)
         level += 1
-        if level == bounds.depth:
-            return search.least[level], False
+        if level > lasts:
+            lasts, clear = level, search.least[level]
+            for k in range(level):
+                search.plan[k] = search.sequence[k]
         search.choices[level] = 0
-    return -np.inf, spent >= bounds.budget
+    return lasts, clear if lasts > 0 else -np.inf, lasts < bounds.depth and spent >= bounds.budget
+
+
+@uncounted
+def survives(search: Search, first: int, stored: IntArray, length: int) -> tuple[float, bool]:
+    """Whether some sequence that begins with an action keeps the buffer for all decisions, into `search.plan`; see
+    `in_depth`.
+
+    Returns
+    -------
+    Its smallest clearance beyond the buffer [m], -inf where none is found; and whether the budget was spent before all
+    had been tried.
+    """
+    lasts, margin, exhausted = in_depth(search, first, stored, length, 0.0)
+    return (margin if lasts == search.bounds.depth else -np.inf), exhausted

@@ -9,8 +9,8 @@ from dynamics.simulator.layout import TARGET, TARGET_SPEED
 from dynamics.simulator.simulator import Simulator
 from shield import ShieldConfig
 from shield.config import Buffer
-from shield.exact.closest import ANY, best_plan
-from shield.exact.room import new_search
+from shield.exact.closest import best_plan
+from shield.exact.room import ANY, new_search
 from shield.exact.search import depart, enter, travel
 
 DENSE = {"vehicles_density": 1.6}

@@ -9,7 +9,9 @@ from evaluation.running.episodes import run_paired
 from evaluation.running.many import Many
 from evaluation.running.records import variant_for
 from evaluation.settings import get_setting
+from shield.batch.vocabulary import TIERS
 from shield.config import ShieldConfig
+from shield.decision import Tier
 from shield.exact.roads import ExactRoads
 
 CONFIG = ShieldConfig.exact()
@@ -39,6 +41,20 @@ def test_side_by_side_is_one_by_one(name, policy, seeds):
             np.testing.assert_allclose(one, other.astype(float), rtol=0, atol=1e-9, err_msg=column)
         else:
             assert one.tolist() == other.tolist(), column
+
+
+@pytest.mark.parametrize("seed", [6663, 86_003_496])
+def test_who_stands_where_wrecks_will_slide_to_leaves(seed):
+    """Nothing keeps the buffer, and what is most clear until then, to stand, is hit."""
+    roads = ExactRoads("intersection-v0", 1)
+    roads.reset([seed])
+    boxed_in, crashed, over = 0, False, False
+    while not over:
+        _, _, terminated, truncated = roads.step([2])
+        boxed_in += TIERS[roads.records.tier[0]] == Tier.LARGEST_MARGIN
+        crashed, over = crashed or bool(roads.rows[0, :, 0, 6].any()), bool(terminated[0] or truncated[0])
+    assert boxed_in > 0
+    assert not crashed
 
 
 def test_episodes_follow_one_another():

@@ -20,7 +20,13 @@ SIMULATED = (
         "half_length, half_width",
         _TESTS,
     ),
-    off("one decision is enough", f"{EXACT}/search.py", "if level == bounds.depth:", "if level == 1:", _TESTS),
+    off(
+        "one decision is enough",
+        f"{EXACT}/search.py",
+        "(margin if lasts == search.bounds.depth else -np.inf)",
+        "margin",
+        _TESTS,
+    ),
     off(
         "only the last decision's clearance",
         f"{EXACT}/search.py",
@@ -62,6 +68,20 @@ SIMULATED = (
         "    return margin if lasts == search.bounds.depth else -np.inf\n",
         "    return margin\n",
         _TESTS,
+    ),
+    off(
+        "who is boxed in looks for one future of each lane and speed",
+        f"{EXACT}/deciding.py",
+        "        if further > lasts:\n",
+        "        if False:\n",
+        "tests/shield/test_exact_roads.py",
+    ),
+    off(
+        "a search in depth forgets what went on longest",
+        f"{EXACT}/search.py",
+        "        if level > lasts:\n",
+        "        if lasts == 0 or level == bounds.depth:\n",
+        "tests/shield/test_exact_roads.py",
     ),
     off(
         "the mask asks more than a decision",

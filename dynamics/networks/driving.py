@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 from dynamics.compiled import inlined, uncounted
-from dynamics.networks.lanes import heading_at, least_across, on_lane, reachable
-from dynamics.networks.layout import ALONG, COUNT, ID, LAW, ROAD, ROUTE, ROUTE_END
+from dynamics.networks.lanes import heading_at, least_across, local, on_lane, reachable, straight
+from dynamics.networks.layout import ACROSS, ALONG, COUNT, ID, LAW, ROAD, ROUTE, ROUTE_END, SHAPE, STRAIGHT
 from dynamics.networks.routes import Traffic, follow_road, on_lane_of
 from dynamics.simulator.arithmetic import clip, not_zero
-from dynamics.simulator.control import KP_A, KP_LATERAL, pursue
+from dynamics.simulator.control import KP_A, KP_LATERAL, free_flow_of_all, pursue
 from dynamics.simulator.lanes import MARGIN
 from dynamics.simulator.layout import (
     ACC_MAX,
@@ -22,6 +22,7 @@ from dynamics.simulator.layout import (
     DELAY,
     EGO,
     GAIN,
+    HEADING,
     IDM,
     IMPOSED,
     KIND,
@@ -31,6 +32,7 @@ from dynamics.simulator.layout import (
     OBSTACLE,
     POLITENESS,
     SPEED,
+    STEERING,
     TARGET,
     TARGET_SPEED,
     TIMER,
@@ -46,7 +48,7 @@ _PURSUIT = 0.5 * 0.2
 """`ControlledVehicle.TAU_PURSUIT`: how far ahead the lane's direction is taken [s]."""
 
 
-@uncounted
+@inlined
 def _neighbours(traffic: Traffic, i: int, lane: int) -> tuple[int, int]:
     """Who is next ahead and behind of a body on a lane, -1 for nobody; see `dynamics.simulator.neighbours`."""
     lanes, f, linked = traffic.lanes, traffic.f, traffic.network.linked
@@ -59,9 +61,15 @@ def _neighbours(traffic: Traffic, i: int, lane: int) -> tuple[int, int]:
             other = lane if k < 0 else linked[lane, k, 0]
             if other < 0:
                 break
-            if least_across(lanes, other, f[X, v], f[Y, v]) > lanes.rows[other, LANE_WIDTH] / 2 + MARGIN:
+            row = lanes.rows[other]
+            if other == traffic.g[LANE, v]:
+                at, r = f[ALONG, v], f[ACROSS, v]
+            elif lanes.ids[other, SHAPE] == STRAIGHT:
+                at, r = straight(lanes.sums, row, f[X, v], f[Y, v])
+            elif least_across(lanes, other, f[X, v], f[Y, v]) > row[LANE_WIDTH] / 2 + MARGIN:
                 continue
-            at, r = on_lane_of(traffic, v, other)
+            else:
+                at, r = local(lanes, other, f[X, v], f[Y, v])
             if not on_lane(lanes.rows, other, at, r, MARGIN):
                 continue
             if k >= 0:
@@ -80,13 +88,19 @@ def _ahead(traffic: Traffic, i: int, j: int) -> float:
     return on_lane_of(traffic, j, traffic.g[LANE, i])[0] - traffic.f[ALONG, i]
 
 
-@uncounted
-def _acceleration(traffic: Traffic, judge: int, body: int, leader: int) -> float:
-    """IDM's acceleration of a body behind a leader by the constants of a judge [m/s^2]; -1 is nobody."""
+@inlined
+def _acceleration(traffic: Traffic, judge: int, body: int, leader: int, free: float) -> float:
+    """IDM's acceleration of a body behind a leader by the constants of a judge [m/s^2]; -1 is nobody.
+
+    Parameters
+    ----------
+    free : that of the judge on an empty road, where it is the body; else it is found here.
+    """
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
     if body < 0 or g[KIND, body] == OBSTACLE:
         return 0.0
-    free = free_flow_of(lanes.loops, f, g, p, lanes.rows, judge, body)
+    if body != judge:
+        free = free_flow_of(lanes.loops, f, g, p, lanes.rows, judge, body)
     if leader < 0:
         return free
     return held_back(lanes.sums, f, p, judge, body, leader, _ahead(traffic, body, leader), free)
@@ -98,45 +112,48 @@ def _sign(x: int) -> int:
 
 
 @uncounted
-def _mobil(traffic: Traffic, i: int, lane: int) -> bool:
+def _mobil(traffic: Traffic, i: int, lane: int, free: float) -> bool:
     """Whether a vehicle changes to a lane: nobody has to brake hard for it, and it gains, or its route leads there."""
     ids, g, p, routes = traffic.lanes.ids, traffic.g, traffic.p, traffic.routes
     leader, follower = _neighbours(traffic, i, lane)
-    imposed = _acceleration(traffic, i, follower, i)
+    imposed = _acceleration(traffic, i, follower, i, free)
     if imposed < -p[IMPOSED, i]:
         return False
     wanted = routes[i, g[ROUTE, i], 1] if g[ROUTE, i] < g[ROUTE_END, i] else -1
-    mine = _acceleration(traffic, i, i, leader)
+    mine = _acceleration(traffic, i, i, leader, free)
     if wanted >= 0:
         target = ids[g[TARGET, i], ID]
         return _sign(ids[lane, ID] - target) == _sign(wanted - target) and not mine < -p[IMPOSED, i]
     old_leader, old_follower = _neighbours(traffic, i, g[LANE, i])
-    gain = mine - _acceleration(traffic, i, i, old_leader)
+    gain = mine - _acceleration(traffic, i, i, old_leader, free)
     if p[POLITENESS, i] != 0.0:
-        others = imposed - _acceleration(traffic, i, follower, leader)
-        others += _acceleration(traffic, i, old_follower, old_leader)
-        others -= _acceleration(traffic, i, old_follower, i)
+        others = imposed - _acceleration(traffic, i, follower, leader, free)
+        others += _acceleration(traffic, i, old_follower, old_leader, free)
+        others -= _acceleration(traffic, i, old_follower, i, free)
         gain += p[POLITENESS, i] * others
     return not gain < p[GAIN, i]
 
 
 @uncounted
-def _change_lanes(traffic: Traffic, i: int, vehicles: int) -> None:
-    """A vehicle's decision about its lane, in place: those after it see what it has decided."""
+def _go_on_changing(traffic: Traffic, i: int, vehicles: int) -> None:
+    """A vehicle that is changing lanes goes back where somebody ahead of it changes to the same."""
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
     ids, lane, target = lanes.ids, g[LANE, i], g[TARGET, i]
-    if lane != target:
-        if ids[lane, ROAD] != ids[target, ROAD]:
-            return
-        for v in range(vehicles):
-            if v == i or g[LANE, v] == target or g[TARGET, v] != target or g[KIND, v] == CONTINUOUS:
-                continue
-            if 0.0 < _ahead(traffic, i, v) < desired_gap(lanes.sums, f, p, i, i, v):
-                g[TARGET, i] = lane
-                break
+    if ids[lane, ROAD] != ids[target, ROAD]:
         return
-    if not p[DELAY, i] < f[TIMER, i]:
-        return
+    for v in range(vehicles):
+        if v == i or g[LANE, v] == target or g[TARGET, v] != target or g[KIND, v] == CONTINUOUS:
+            continue
+        if 0.0 < _ahead(traffic, i, v) < desired_gap(lanes.sums, f, p, i, i, v):
+            g[TARGET, i] = lane
+            break
+
+
+@uncounted
+def _choose_lane(traffic: Traffic, i: int, free: float) -> None:
+    """A vehicle's choice of a lane, when it is time for one."""
+    lanes, f, g = traffic.lanes, traffic.f, traffic.g
+    ids, lane = lanes.ids, g[LANE, i]
     f[TIMER, i] = 0.0
     for side in (-1, 1):
         if not 0 <= ids[lane, ID] + side < ids[lane, COUNT]:
@@ -144,8 +161,17 @@ def _change_lanes(traffic: Traffic, i: int, vehicles: int) -> None:
         candidate = lane + side
         if abs(f[SPEED, i]) < 1.0 or not reachable(lanes, candidate, f[X, i], f[Y, i]):
             continue
-        if _mobil(traffic, i, candidate):
+        if _mobil(traffic, i, candidate, free):
             g[TARGET, i] = candidate
+
+
+@inlined
+def _change_lanes(traffic: Traffic, i: int, vehicles: int, free: float) -> None:
+    """A vehicle's decision about its lane, in place: those after it see what it has decided."""
+    if traffic.g[LANE, i] != traffic.g[TARGET, i]:
+        _go_on_changing(traffic, i, vehicles)
+    elif traffic.p[DELAY, i] < traffic.f[TIMER, i]:
+        _choose_lane(traffic, i, free)
 
 
 @uncounted
@@ -158,6 +184,9 @@ def _steer(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) ->
             lane = g[TARGET, i]
             s, r = on_lane_of(traffic, i, lane)
             ahead[n] = heading_at(lanes, lane, s + f[SPEED, i] * _PURSUIT)
+            if r == 0.0 and f[HEADING, i] == ahead[n] and f[SPEED, i] >= 0.0:
+                f[STEERING, i] = 0.0
+                continue
             asked[n] = clip(-KP_LATERAL * r / not_zero(f[SPEED, i]), -1.0, 1.0)
             busy[n] = i
             n += 1
@@ -172,7 +201,8 @@ def act(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) -> No
     ----------
     work, busy : (4, m) and (m,), written.
     """
-    f, g, p = traffic.f, traffic.g, traffic.p
+    lanes, f, g, p, free = traffic.lanes, traffic.f, traffic.g, traffic.p, work[0]
+    free_flow_of_all(lanes.loops, f, g, p, lanes.rows, work, vehicles)
     for i in range(vehicles):
         if g[KIND, i] == CONTINUOUS:
             if g[LAW, i]:
@@ -180,7 +210,7 @@ def act(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) -> No
         elif g[KIND, i] in (EGO, ALLY) or not g[CRASHED, i]:
             follow_road(traffic, i)
             if g[KIND, i] == IDM and g[CHANGES, i]:
-                _change_lanes(traffic, i, vehicles)
+                _change_lanes(traffic, i, vehicles, free[i])
     for i in range(vehicles):
         if g[KIND, i] in (EGO, ALLY):
             f[ACCELERATION, i] = KP_A * (f[TARGET_SPEED, i] - f[SPEED, i])
@@ -191,7 +221,7 @@ def act(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) -> No
             wanted = math.inf
             for lane in (g[LANE, i], g[TARGET, i]):
                 leader = _neighbours(traffic, i, lane)[0]
-                wanted = min(wanted, _acceleration(traffic, i, i, leader))
+                wanted = min(wanted, _acceleration(traffic, i, i, leader, free[i]))
                 if lane == g[TARGET, i]:
                     break
             f[ACCELERATION, i] = clip(wanted, -p[ACC_MAX, i], p[ACC_MAX, i])

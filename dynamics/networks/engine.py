@@ -9,7 +9,7 @@ import numpy as np
 from dynamics.compiled import inlined, uncounted
 from dynamics.networks.driving import act
 from dynamics.networks.inputs import slide
-from dynamics.networks.lanes import Lanes, after_end, closest, local, on_lane, reachable
+from dynamics.networks.lanes import Lanes, after_end, closest, on_lane, reachable
 from dynamics.networks.layout import ACROSS, ALONG, COUNT, DYNAMICAL, ENDS, FIRST, FRAMES, ID, LAW, F, G
 from dynamics.networks.network import Network
 from dynamics.networks.regulation import INSTANTS, Customs, clear, regulate
@@ -19,12 +19,16 @@ from dynamics.simulator.engine import Machine
 from dynamics.simulator.layout import (
     ACCELERATION,
     CONTINUOUS,
+    COS,
     EGO,
     HEADING,
+    IMPACTED,
     KIND,
     LANE,
     LANE_LENGTH,
+    LENGTH,
     OBSTACLE,
+    SIN,
     SPEED,
     STEERING,
     TARGET,
@@ -201,6 +205,19 @@ def intend(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: N
         regulate(traffic, rules.customs, machine.products, work.numbers, work.busy, work.paths, vehicles)
 
 
+@inlined
+def _go_straight(f: FloatArray, p: FloatArray, i: int, dt: float) -> None:
+    """`bicycle` with the wheel straight: the heading, its cosine and its sine stay, signs of zeros apart."""
+    speed, wheel = f[SPEED, i], f[STEERING, i]
+    course = f[HEADING, i] + wheel
+    f[X, i] += speed * f[COS, i] * dt
+    f[Y, i] += speed * (course if course == 0.0 else f[SIN, i]) * dt
+    f[HEADING, i] += speed * wheel / (p[LENGTH, i] / 2) * dt
+    f[SPEED, i] += f[ACCELERATION, i] * dt
+    if f[HEADING, i] == 0.0:
+        f[SIN, i] = f[HEADING, i]
+
+
 @uncounted
 def move(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int) -> None:
     """Move everybody in one scene by a frame."""
@@ -211,16 +228,16 @@ def move(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: Net
         if g[DYNAMICAL, i]:
             slide(machine.loops, machine.products, f, i, dt)
             continue
+        if f[STEERING, i] == 0.0 and not g[IMPACTED, i]:
+            _go_straight(f, p, i, dt)
+            continue
         work.busy[n] = i
         n += 1
     bicycle(machine.loops, f, g, p, work.numbers, work.busy, n, dt)
     for i in range(vehicles):
         if g[KIND, i] == OBSTACLE:
             continue
-        x, y, lane = f[X, i], f[Y, i], g[LANE, i]
-        lane = closest(lanes, x, y, f[HEADING, i], lane)
-        f[ALONG, i], f[ACROSS, i] = local(lanes, lane, x, y)
-        g[LANE, i] = lane
+        g[LANE, i], f[ALONG, i], f[ACROSS, i] = closest(lanes, f[X, i], f[Y, i], f[HEADING, i], g[LANE, i])
     sort(f, order)
     collide(machine.sums, machine.products, f, g, p, order, work.corners, work.pairs, vehicles, dt)
 

@@ -22,6 +22,10 @@ from dynamics.networks.layout import (
     DIRECTION,
     FORBIDDEN,
     LANE_HEADING,
+    LEAST_X,
+    LEAST_Y,
+    MOST_X,
+    MOST_Y,
     ORIGIN_X,
     ORIGIN_Y,
     PHASE,
@@ -48,6 +52,7 @@ __all__ = [
     "on_lane",
     "place",
     "reachable",
+    "straight",
 ]
 
 _ARCTAN, _COS, _SIN, _ARCTAN2 = 1, 3, 4, 7
@@ -77,16 +82,28 @@ def _on_arc(row: FloatArray, radius: float, polar: float) -> tuple[float, float]
     return row[DIRECTION] * (phi - start) * row[RADIUS], row[DIRECTION] * (row[RADIUS] - radius)
 
 
+@inlined
+def straight(sums: int, row: FloatArray, x: float, y: float) -> tuple[float, float]:
+    """(s, r) of a place on a straight lane, and along and beside the line that a sine winds around [m]."""
+    dx, dy = x - row[ORIGIN_X], y - row[ORIGIN_Y]
+    return dot2(sums, dx, row[ALONG_X], dy, row[ALONG_Y]), dot2(sums, dx, row[ACROSS_X], dy, row[ACROSS_Y])
+
+
+@inlined
+def _polar(lanes: Lanes, dx: float, dy: float) -> tuple[float, float]:
+    """Polar coordinates of a place, from a centre [m, rad]."""
+    radius = math.sqrt(dot2(lanes.sums, dx, dx, dy, dy))
+    return radius, at_two(lanes.loops[_ARCTAN2, 0], lanes.loops[_ARCTAN2, 1], dy, dx)
+
+
 @uncounted
 def local(lanes: Lanes, lane: int, x: float, y: float) -> tuple[float, float]:
     """(s, r) of a place on a lane [m]."""
     row = lanes.rows[lane]
-    dx, dy = x - row[ORIGIN_X], y - row[ORIGIN_Y]
     if lanes.ids[lane, SHAPE] == CIRCULAR:
-        polar = at_two(lanes.loops[_ARCTAN2, 0], lanes.loops[_ARCTAN2, 1], dy, dx)
-        return _on_arc(row, math.sqrt(dot2(lanes.sums, dx, dx, dy, dy)), polar)
-    s = dot2(lanes.sums, dx, row[ALONG_X], dy, row[ALONG_Y])
-    r = dot2(lanes.sums, dx, row[ACROSS_X], dy, row[ACROSS_Y])
+        radius, polar = _polar(lanes, x - row[ORIGIN_X], y - row[ORIGIN_Y])
+        return _on_arc(row, radius, polar)
+    s, r = straight(lanes.sums, row, x, y)
     if lanes.ids[lane, SHAPE] == SINE:
         r -= row[AMPLITUDE] * at(lanes.loops[_SIN, 0], lanes.loops[_SIN, 1], row[PULSATION] * s + row[PHASE])
     return s, r
@@ -103,7 +120,7 @@ def least_across(lanes: Lanes, lane: int, x: float, y: float) -> float:
     return r - abs(row[AMPLITUDE]) - _ROUNDING if lanes.ids[lane, SHAPE] == SINE else r
 
 
-@uncounted
+@inlined
 def heading_at(lanes: Lanes, lane: int, s: float) -> float:
     """Direction of a lane [rad]."""
     row = lanes.rows[lane]
@@ -169,36 +186,38 @@ def _away(lanes: Lanes, lane: int, s: float, r: float, heading: float) -> float:
     return abs(r) + max(s - lanes.rows[lane, LANE_LENGTH], 0.0) + max(0.0 - s, 0.0) + 1.0 * angle
 
 
-@uncounted
-def closest(lanes: Lanes, x: float, y: float, heading: float, guess: int) -> int:
-    """The lane nearest in position and heading, the first of equals; a good guess saves most of the work."""
-    s, r = local(lanes, guess, x, y)
-    limit = _away(lanes, guess, s, r, heading)
-    best, least = guess, math.inf
+@inlined
+def closest(lanes: Lanes, x: float, y: float, heading: float, guess: int) -> tuple[int, float, float]:
+    """The lane nearest in position and heading, the first of equals, and (s, r) on it [m]; a good guess saves most of
+    the work."""
     # Arcs of one roundabout have one centre, and a place has one angle around it.
     known, radius, polar, center_x, center_y = False, 0.0, 0.0, math.nan, math.nan
+    row = lanes.rows[guess]
+    if lanes.ids[guess, SHAPE] == CIRCULAR:
+        center_x, center_y = row[ORIGIN_X], row[ORIGIN_Y]
+        known, (radius, polar) = True, _polar(lanes, x - center_x, y - center_y)
+        along, across = _on_arc(row, radius, polar)
+    else:
+        along, across = local(lanes, guess, x, y)
+    guessed = limit = _away(lanes, guess, along, across, heading)
+    best, least, guess_along, guess_across = guess, math.inf, along, across
     for lane in range(len(lanes.rows)):
         row = lanes.rows[lane]
-        arc = lanes.ids[lane, SHAPE] == CIRCULAR
-        if arc and not (row[ORIGIN_X] == center_x and row[ORIGIN_Y] == center_y):
-            known, center_x, center_y = False, row[ORIGIN_X], row[ORIGIN_Y]
-            dx, dy = x - center_x, y - center_y
-            radius = math.sqrt(dot2(lanes.sums, dx, dx, dy, dy))
-        across = abs(row[RADIUS] - radius) if arc else least_across(lanes, lane, x, y)
-        # What is further off across than that is no nearer.
-        if not across <= limit:
+        # No place is nearer to a lane than to a box around it.
+        if x < row[LEAST_X] - limit or x > row[MOST_X] + limit or y < row[LEAST_Y] - limit or y > row[MOST_Y] + limit:
             continue
-        if arc:
-            if not known:
-                known, polar = (
-                    True,
-                    at_two(lanes.loops[_ARCTAN2, 0], lanes.loops[_ARCTAN2, 1], y - center_y, x - center_x),
-                )
+        if lane == guess:
+            s, r, away = guess_along, guess_across, guessed
+        elif lanes.ids[lane, SHAPE] == CIRCULAR:
+            if not (known and row[ORIGIN_X] == center_x and row[ORIGIN_Y] == center_y):
+                center_x, center_y = row[ORIGIN_X], row[ORIGIN_Y]
+                known, (radius, polar) = True, _polar(lanes, x - center_x, y - center_y)
             s, r = _on_arc(row, radius, polar)
+            away = _away(lanes, lane, s, r, heading)
         else:
             s, r = local(lanes, lane, x, y)
-        away = _away(lanes, lane, s, r, heading)
+            away = _away(lanes, lane, s, r, heading)
         if away < least:
-            best, least = lane, away
+            best, least, along, across = lane, away, s, r
             limit = min(limit, least)
-    return best
+    return best, along, across

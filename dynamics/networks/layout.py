@@ -26,7 +26,11 @@ __all__ = [
     "LANE_HEADING",
     "LATERAL_SPEED",
     "LAW",
+    "LEAST_X",
+    "LEAST_Y",
     "LEAVES",
+    "MOST_X",
+    "MOST_Y",
     "ORIGIN_X",
     "ORIGIN_Y",
     "PHASE",
@@ -64,14 +68,18 @@ __all__ = [
     RADIUS,
     DIRECTION,
     QUARTER,
-) = range(16)
+    LEAST_X,
+    LEAST_Y,
+    MOST_X,
+    MOST_Y,
+) = range(20)
 """Columns of the lanes' numbers, those of `dynamics.simulator.layout` among them.
 
 ALONG and ACROSS are unit vectors of a straight lane, and of the line that a sine winds around; ORIGIN is its start, or
 the centre of a circle; DIRECTION is 1 clockwise and -1 otherwise, QUARTER a quarter of a turn in it [rad]. PHASE is
-that of the sine, or where the arc starts.
+that of the sine, or where the arc starts. LEAST and MOST are a box around the centre line.
 """
-COLUMNS = 16
+COLUMNS = 20
 
 SHAPE, ROAD, ID, COUNT, FIRST, TO, FORBIDDEN, PRIORITY, ENDS, LEAVES = range(10)
 """Columns of the lanes' integers: the road that a lane belongs to, its index in it, how many there are, the first of

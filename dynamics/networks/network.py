@@ -24,7 +24,9 @@ from dynamics.networks.layout import (
     ID,
     IDS,
     LANE_HEADING,
+    LEAST_X,
     LEAVES,
+    MOST_X,
     ORIGIN_X,
     PHASE,
     PRIORITY,
@@ -44,6 +46,8 @@ __all__ = ["Network", "index_of", "network_of"]
 
 Leaves = Callable[[tuple[str, str, int]], bool]
 _SHAPES = {StraightLane: STRAIGHT, SineLane: SINE, CircularLane: CIRCULAR}
+_SLACK = 1e-6
+"""What boxes around lanes are larger by, so that rounding does not matter [m]."""
 
 
 class Network(NamedTuple):
@@ -142,6 +146,8 @@ def _numbers(lane: Any) -> FloatArray:
     row = np.zeros(COLUMNS)
     row[[LANE_WIDTH, LANE_LENGTH]] = lane.width, lane.length
     row[LANE_LIMIT] = math.inf if lane.speed_limit is None else lane.speed_limit
+    outline = _outline(lane)
+    row[LEAST_X : LEAST_X + 2], row[MOST_X : MOST_X + 2] = outline.min(0) - _SLACK, outline.max(0) + _SLACK
     if isinstance(lane, CircularLane):
         row[ORIGIN_X : ORIGIN_X + 2] = lane.center
         row[[PHASE, RADIUS, DIRECTION]] = lane.start_phase, lane.radius, lane.direction
@@ -153,3 +159,16 @@ def _numbers(lane: Any) -> FloatArray:
     if isinstance(lane, SineLane):
         row[[AMPLITUDE, PULSATION, PHASE]] = lane.amplitude, lane.pulsation, lane.phase
     return row
+
+
+def _outline(lane: Any) -> FloatArray:
+    """Points whose box has the centre line inside, and all that it winds through, (k, 2) [m]."""
+    if isinstance(lane, CircularLane):
+        turned = lane.direction * lane.length / lane.radius
+        first, last = sorted((lane.start_phase, lane.start_phase + turned))
+        quarters = np.pi / 2 * np.arange(np.ceil(first / (np.pi / 2)), np.floor(last / (np.pi / 2)) + 1)
+        angles = np.array([first, last, *quarters])
+        return np.asarray(lane.center) + lane.radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    wide = abs(lane.amplitude) if isinstance(lane, SineLane) else 0.0
+    start, along, across = (np.asarray(each) for each in (lane.start, lane.direction, lane.direction_lateral))
+    return np.array([start + s * along + r * across for s in (0.0, lane.length) for r in (-wide, wide)])

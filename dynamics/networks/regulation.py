@@ -12,8 +12,20 @@ from typing import NamedTuple
 
 from dynamics.compiled import inlined, uncounted
 from dynamics.networks.inputs import foresee
-from dynamics.networks.lanes import heading_at, place
-from dynamics.networks.layout import ALONG, FRAMES, ID, LEAVES, PRIORITY, ROAD, ROUTE, ROUTE_END, TO, YIELDS
+from dynamics.networks.lanes import heading_at, local, place
+from dynamics.networks.layout import (
+    ACROSS,
+    ALONG,
+    FRAMES,
+    ID,
+    LEAVES,
+    PRIORITY,
+    ROAD,
+    ROUTE,
+    ROUTE_END,
+    TO,
+    YIELDS,
+)
 from dynamics.networks.priority_road import HORIZON, REACH
 from dynamics.networks.routes import Traffic
 from dynamics.simulator.arithmetic import dot2
@@ -213,4 +225,5 @@ def clear(traffic: Traffic, customs: Customs, vehicles: int) -> None:
         leaves = lanes.ids[lane, LEAVES] and f[ALONG, i] >= lanes.rows[lane, LANE_LENGTH] - 4 * p[LENGTH, i]
         if g[KIND, i] == IDM and (leaves or g[ROUTE_END, i] < 0):
             f[X, i], f[Y, i], f[SPEED, i] = _GONE * (1 + i), _GONE, 0.0
+            f[ALONG, i], f[ACROSS, i] = local(lanes, lane, f[X, i], f[Y, i])
             g[KIND, i], g[CRASHED, i], g[IMPACTED, i], g[CHECKS, i] = OBSTACLE, 1, 0, 0

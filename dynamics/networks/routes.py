@@ -60,13 +60,9 @@ def _entered(traffic: Traffic, lane: int, road: int, wanted: int, x: float, y: f
 
 
 @uncounted
-def follow_road(traffic: Traffic, i: int) -> None:
-    """At the end of the lane that a vehicle is bound for, the next one: of its route, or the closest."""
+def _follow_on(traffic: Traffic, i: int, lane: int, s: float) -> None:
+    """`follow_road` of a vehicle that is at the end of its lane."""
     lanes, network, g, routes = traffic.lanes, traffic.network, traffic.g, traffic.routes
-    lane = g[TARGET, i]
-    s = on_lane_of(traffic, i, lane)[0]
-    if not after_end(lanes.rows, lane, s):
-        return
     node, following, wanted = lanes.ids[lane, TO], -1, -1
     if g[ROUTE, i] < g[ROUTE_END, i]:
         if routes[i, g[ROUTE, i], 0] == lanes.ids[lane, ROAD]:
@@ -86,3 +82,12 @@ def follow_road(traffic: Traffic, i: int) -> None:
         if k == 0 or away < least:
             best, least = entered, away
     g[TARGET, i] = best
+
+
+@inlined
+def follow_road(traffic: Traffic, i: int) -> None:
+    """At the end of the lane that a vehicle is bound for, the next one: of its route, or the closest."""
+    lane = traffic.g[TARGET, i]
+    s = on_lane_of(traffic, i, lane)[0]
+    if after_end(traffic.lanes.rows, lane, s):
+        _follow_on(traffic, i, lane, s)

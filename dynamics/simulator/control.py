@@ -34,7 +34,7 @@ from dynamics.simulator.loops import apply, apply_two, c_pow
 from dynamics.simulator.traffic import acceleration, change_lanes, free_flow, wanted_share
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["KP_A", "KP_LATERAL", "act", "pursue"]
+__all__ = ["KP_A", "KP_LATERAL", "act", "free_flow_of_all", "pursue"]
 
 KP_A, _KP_HEADING, KP_LATERAL = 1 / 0.6, 1 / 0.2, 1 / 0.6
 _WHEEL, _TURN = math.pi / 3, math.pi / 4
@@ -43,7 +43,7 @@ _TAN, _ARCTAN, _ARCSIN, _POWER, _C_POW = 0, 1, 2, 5, 6
 
 
 @uncounted
-def _free_flow(
+def free_flow_of_all(
     loops: IntArray, f: FloatArray, g: IntArray, p: FloatArray, lanes: FloatArray, work: FloatArray, vehicles: int
 ) -> None:
     """IDM's acceleration of each vehicle on an empty road, to the first row of `work`."""
@@ -144,7 +144,7 @@ def act(
     work, busy : (4, m) and (m,), written.
     """
     free, present = work[0], work[1]
-    _free_flow(loops, f, g, p, lanes, work, vehicles)
+    free_flow_of_all(loops, f, g, p, lanes, work, vehicles)
     changing = 0
     for i in range(vehicles):
         if g[KIND, i] in (IDM, LINEAR) and not g[CRASHED, i]:

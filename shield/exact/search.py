@@ -14,7 +14,7 @@ import numpy as np
 
 from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.engine import write_row
-from dynamics.simulator.layout import CRASHED, HEADING, LENGTH, SPEED, TARGET, TARGET_SPEED, WIDTH, X, Y
+from dynamics.simulator.layout import CRASHED, DIAGONAL, HEADING, LENGTH, SPEED, TARGET, TARGET_SPEED, WIDTH, X, Y
 from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.permits import Ego, gap_between
 from shield.exact.room import ANY, Bounds, Search
@@ -81,8 +81,8 @@ def clearance(futures: Any, k: int, ego: int, bounds: Bounds, row: FloatArray) -
     for i in range(f.shape[1]):
         if i == ego or not p[LENGTH, i] > 0:
             continue
-        far = reach + 0.5 * math.hypot(p[LENGTH, i], p[WIDTH, i])
-        if math.hypot(f[X, i] - x, f[Y, i] - y) - far < least:
+        far, dx, dy = reach + 0.5 * p[DIAGONAL, i], f[X, i] - x, f[Y, i] - y
+        if abs(dx) - far < least and abs(dy) - far < least and math.hypot(dx, dy) - far < least:
             write_row(f, g, p, i, row[0])
             least = min(least, gap_between(own, along, across, row, 0, 0.0))
     return least

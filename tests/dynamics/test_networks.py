@@ -188,8 +188,9 @@ def compare_lanes(road, rng, count):
             assert bool(lane.after_end(at)) == lanes.after_end(network.lanes, number, s)
             assert bool(lane.on_lane(at, s, r, 1.0)) == lanes.on_lane(network.lanes, number, s, r, 1.0)
             assert lanes.least_across(*given) <= abs(r)
-        found = names[lanes.closest(all_lanes, x, y, heading, int(rng.integers(len(names))))]
-        assert road.get_closest_lane_index(at, heading) == found
+        found, s, r = lanes.closest(all_lanes, x, y, heading, int(rng.integers(len(names))))
+        assert road.get_closest_lane_index(at, heading) == names[found]
+        assert (s, r) == lanes.local(all_lanes, found, x, y)
 
 
 @settings(max_examples=25, deadline=None)

@@ -130,9 +130,8 @@ def put(scene: Scene, traffic: Traffic, i: int, ego: bool, x: float, y: float, h
     f[X, i], f[Y, i], f[HEADING, i], f[SPEED, i] = x, y, heading, speed
     f[COS, i] = at(lanes.loops[_COS, 0], lanes.loops[_COS, 1], heading)
     f[SIN, i] = at(lanes.loops[_SIN, 0], lanes.loops[_SIN, 1], heading)
-    lane = closest(lanes, x, y, heading, 0)
-    g[LANE, i], g[TARGET, i] = lane, lane
-    f[ALONG, i], f[ACROSS, i] = local(lanes, lane, x, y)
+    g[LANE, i], f[ALONG, i], f[ACROSS, i] = closest(lanes, x, y, heading, 0)
+    g[TARGET, i] = g[LANE, i]
     g[CHECKS, i], g[CHANGES, i], g[ROUTE_END, i] = 1, 1, -1
     if not ego:
         g[KIND, i], f[TARGET_SPEED, i] = IDM, speed

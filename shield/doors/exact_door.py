@@ -24,6 +24,7 @@ from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
 from shield.doors.exact_scene import STATE, ExactScene, Room, why_unread
 from shield.errors import ConfigError
+from shield.exact.dead import forget_dead
 from shield.exact.deciding import Plans, boxed_in, empty_plans, last_resort, passes, replace, verify
 from shield.exact.room import Search
 from shield.exact.search import enter, leap
@@ -124,7 +125,11 @@ class ExactDoor:
         enter(search, simulator.worlds, 0)
         plans, actions = self._plans, range(len(search.order))
         twice, stored, length = not boxed_in(plans, 0), plans.actions[0], plans.length[0]
-        mask = np.array([verify(search, k, stored, length, twice) >= 0 for k in actions])
+        mask = np.zeros(len(search.order), np.bool_)
+        for k in actions:
+            # What is remembered of one would be a hint for the next, and `decide` has none.
+            forget_dead(search)
+            mask[k] = verify(search, k, stored, length, twice) >= 0
         return mask if mask.any() else np.ones_like(mask)
 
     def _read(self) -> Room:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from dynamics.compiled import inlined, uncounted
-from dynamics.simulator.layout import TARGET, TARGET_SPEED
-from dynamics.simulator.scene import speed_index
+from dynamics.simulator.control import KP_A
+from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
+from dynamics.simulator.scene import next_target_speed, speed_index
 from shield.exact.room import ANY, NOBODY, Nodes, Search
-from shield.exact.search import copy_future, depart, repeats, survives, travel
-from shield.exact.traffic import ego_in
+from shield.exact.search import copy_future, depart, in_depth, repeats, travel
+from shield.exact.traffic import ego_in, on_road
 
 __all__ = ["best_plan", "clear_plan", "closest_plan", "wished_speed"]
 
@@ -23,18 +24,40 @@ def wished_speed(search: Search, target_speed: float, action: int) -> float:
     return speeds[0] if label == 4 else target_speed
 
 
+@uncounted
+def _bound_to_lose(search: Search, k: int, decisions: int, wish: float) -> float:
+    """What a future loses against a speed at the least, in so many more decisions [m]: on an empty road, with the
+    target speed at every decision that is furthest that way; nothing where the ego's road has ended."""
+    rules, f, ego = search.rules, search.futures.f[k], ego_in(search, k)
+    if on_road(search, k)[1]:
+        return 0.0
+    speed, target, dt, lost = f[SPEED, ego], f[TARGET_SPEED, ego], rules.times[0], 0.0
+    up = speed < wish
+    for _ in range(decisions):
+        following = next_target_speed(rules.target_speeds, speed, 3 if up else 4)
+        target = max(target, following) if up else min(target, following)
+        for _ in range(rules.numbers[0]):
+            speed += KP_A * (target - speed) * dt
+            left = wish - speed if up else speed - wish
+            if left <= 0.0:
+                return lost
+            lost += left * dt
+    return lost
+
+
 @inlined
 def _next(nodes: Nodes, count: int) -> int:
-    """The open node of least cost, of equals the one of the least level and then kind; `NOBODY` where none is open."""
+    """The open node of least bound, of equals the one of the greatest level and then the least kind; `NOBODY` where
+    none is open."""
     best = NOBODY
     for i in range(count):
         if not nodes.open[i]:
             continue
-        if best == NOBODY or nodes.cost[i] < nodes.cost[best]:
+        if best == NOBODY or nodes.bound[i] < nodes.bound[best]:
             best = i
-        elif nodes.cost[i] == nodes.cost[best]:
+        elif nodes.bound[i] == nodes.bound[best]:
             level, other = nodes.level[i], nodes.level[best]
-            if level < other or (level == other and nodes.kind[i] < nodes.kind[best]):
+            if level > other or (level == other and nodes.kind[i] < nodes.kind[best]):
                 best = i
     return best
 
@@ -81,38 +104,23 @@ def _expand(
         if parent != NOBODY:
             least, cost = min(least, nodes.clear[parent]), cost + nodes.cost[parent]
         if floor < 0:
-            cost = -least
-        if not cost < (np.inf if slot == NOBODY else nodes.cost[slot]):
+            cost = bound = -least
+        else:
+            bound = cost + _bound_to_lose(search, spare, depth - level - 1, wish)
+        if not bound < (np.inf if slot == NOBODY else nodes.bound[slot]):
             continue
         if slot == NOBODY:
             slot, count = count, count + 1
             nodes.slots[level, kind], nodes.open[slot] = slot, True
-        nodes.cost[slot], nodes.clear[slot], nodes.level[slot] = cost, least, level + 1
+        nodes.cost[slot], nodes.bound[slot], nodes.clear[slot], nodes.level[slot] = cost, bound, least, level + 1
         nodes.kind[slot], nodes.parent[slot], nodes.action[slot] = kind, parent, action
-        if level + 1 < depth:
-            copy_future(search, spare, first + slot)
+        copy_future(search, spare, first + slot)
     return count
 
 
 @uncounted
-def best_plan(search: Search, only: int, never: int, depth: int, wish: float, floor: float) -> tuple[int, float]:
-    """The sequence that stays clear for `depth` decisions and loses the least way against a speed, into `search.plan`;
-    where none does, the one that does for most of them.
-
-    A uniform-cost search (Dijkstra 1959) in which, of the futures that are bound for the same lane at the same speed
-    after as many decisions, the one goes on that has lost least, so it need not find a sequence where there is one.
-
-    Parameters
-    ----------
-    only, never : the one action that it begins with, and one that it does not begin with; -1 for any.
-    wish : the speed [m/s].
-    floor : smallest clearance beyond the buffer that is allowed [m]; where it is negative, the clearance is what is
-        made largest.
-
-    Returns
-    -------
-    For how many decisions it stays clear, and its smallest clearance beyond the buffer [m], -inf where it is none.
-    """
+def _best_node(search: Search, only: int, never: int, depth: int, wish: float, floor: float) -> int:
+    """The node that `best_plan` leads to, with its sequence in `search.plan`; `NOBODY` where there is none."""
     nodes = search.nodes
     for level in range(depth):
         for k in range(nodes.slots.shape[1]):
@@ -127,13 +135,37 @@ def best_plan(search: Search, only: int, never: int, depth: int, wish: float, fl
         if nodes.level[node] == depth:
             break
         count = _expand(search, node, count, only, never, depth, wish, floor)
-    if node == NOBODY:
-        return 0, -np.inf
-    lasts, margin = nodes.level[node], nodes.clear[node]
+    found = node
     while node != NOBODY:
         search.plan[nodes.level[node] - 1] = nodes.action[node]
         node = nodes.parent[node]
-    return lasts, margin
+    return found
+
+
+@uncounted
+def best_plan(search: Search, only: int, never: int, depth: int, wish: float, floor: float) -> tuple[int, float]:
+    """The sequence that stays clear for `depth` decisions and loses the least way against a speed, into `search.plan`;
+    where none does, the one that does for most of them.
+
+    A* (Hart, Nilsson and Raphael 1968) with what is lost on an empty road as the bound. Of the futures that are bound
+    for the same lane at the same speed after as many decisions, the one goes on whose bound is least, so it need not
+    find a sequence where there is one.
+
+    Parameters
+    ----------
+    only, never : the one action that it begins with, and one that it does not begin with; -1 for any.
+    wish : the speed [m/s].
+    floor : smallest clearance beyond the buffer that is allowed [m]; where it is negative, the clearance is what is
+        made largest.
+
+    Returns
+    -------
+    For how many decisions it stays clear, and its smallest clearance beyond the buffer [m], -inf where it is none.
+    """
+    nodes, node = search.nodes, _best_node(search, only, never, depth, wish, floor)
+    if node == NOBODY:
+        return 0, -np.inf
+    return nodes.level[node], nodes.clear[node]
 
 
 @uncounted
@@ -145,15 +177,30 @@ def clear_plan(search: Search, only: int, never: int, wish: float) -> float:
 
 
 @uncounted
+def _go_on_from(search: Search, node: int) -> float:
+    """The smallest clearance beyond the buffer of a sequence for all decisions that begins as a node's does, or at the
+    least with the same action, into `search.plan` [m]; -inf where none is found. The futures up to the node are known.
+    """
+    nodes, spare, depth, known = search.nodes, search.bounds.spare, search.bounds.depth, search.nodes.level[node]
+    while node != NOBODY:
+        level, action = nodes.level[node], nodes.action[node]
+        copy_future(search, spare + 1 + node, level)
+        search.hint[level - 1], search.sequence[level - 1] = action, action
+        search.choices[level - 1], search.least[level] = 1, nodes.clear[node]
+        node = nodes.parent[node]
+    for level in range(known):
+        search.reached[level, 0, 0], search.reached[level, 0, 1] = depart(search, level, spare, search.hint[level])
+    lasts, margin, _ = in_depth(search, search.hint[0], search.hint, known, known, 0.0)
+    return margin if lasts == depth else -np.inf
+
+
+@uncounted
 def closest_plan(search: Search, proposed: int, wish: float) -> float:
     """The sequence that does not begin with the proposal, stays clear for all decisions, and loses the least way
     against a speed over the first `outlook` of them, into `search.plan`; its smallest clearance beyond the buffer [m],
     -inf where none is found."""
-    bounds = search.bounds
-    lasts, _ = best_plan(search, ANY, proposed, bounds.outlook, wish, 0.0)
-    if lasts < bounds.outlook:
+    outlook, node = search.bounds.outlook, _best_node(search, ANY, proposed, search.bounds.outlook, wish, 0.0)
+    if node == NOBODY or search.nodes.level[node] < outlook:
         return -np.inf
-    for k in range(bounds.outlook):
-        search.hint[k] = search.plan[k]
-    margin, _ = survives(search, search.hint[0], search.hint, bounds.outlook)
+    margin = _go_on_from(search, node)
     return margin if margin >= 0 else clear_plan(search, ANY, proposed, wish)

@@ -14,6 +14,7 @@ from shield.batch.arrays import Records
 from shield.batch.vocabulary import REASONS, TIERS
 from shield.decision import Reason, Tier
 from shield.exact.closest import best_plan, clear_plan, closest_plan, wished_speed
+from shield.exact.dead import forget_dead
 from shield.exact.room import ANY, Search
 from shield.exact.search import enter, in_depth, same_outcome, survives
 from shield.exact.traffic import ego_in
@@ -97,7 +98,8 @@ def longest(search: Search) -> tuple[int, float]:
         # It keeps one future for each lane and speed, and the one that is most clear now may stand where it is hit.
         for k in range(lasts):
             search.hint[k] = search.plan[k]
-        further, clear, _ = in_depth(search, ANY, search.hint, lasts, _ANYTHING)
+        forget_dead(search)
+        further, clear, _ = in_depth(search, ANY, search.hint, lasts, 0, _ANYTHING)
         if further > lasts:
             return further, clear
         for k in range(lasts):

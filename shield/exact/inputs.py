@@ -19,6 +19,7 @@ from dynamics.state import FloatArray, IntArray
 from shield.batch.vocabulary import TIERS
 from shield.decision import Tier
 from shield.exact.closest import clear_plan
+from shield.exact.dead import forget_dead
 from shield.exact.deciding import longest
 from shield.exact.room import ANY, Search
 from shield.exact.search import clearance, copy_state, survives
@@ -85,6 +86,13 @@ def _goes_on(search: Search, tail: Tail) -> float:
 
 
 @uncounted
+def _look_from(search: Search, present: Search) -> None:
+    """Make the present the first future of a search."""
+    copy_state(present.futures, 0, search.futures, 0)
+    forget_dead(search)
+
+
+@uncounted
 def _after(search: Search, present: Search, tail: Tail, throttle: float, wheel: float) -> float:
     """The smallest clearance beyond the buffer of a frame of an input and what the law can do then, into `search.plan`
     [m]; -inf where nothing stays clear.
@@ -94,7 +102,7 @@ def _after(search: Search, present: Search, tail: Tail, throttle: float, wheel: 
     throttle, wheel : acceleration [m/s^2] and front wheel angle [rad].
     """
     futures = search.futures
-    copy_state(present.futures, 0, futures, 0)
+    _look_from(search, present)
     hold(search, 0, throttle, wheel)
     frame(search, 0, sorted_in(search, 0))
     on, at_end = on_road(search, 0)
@@ -135,7 +143,7 @@ def _take(present: Search, inputs: FloatArray, throttle: float, wheel: float) ->
 def _peek(search: Search, present: Search, tail: Tail, inputs: FloatArray) -> None:
     """The law's next acceleration [m/s^2] and wheel [rad]; nothing moves."""
     futures = search.futures
-    copy_state(present.futures, 0, futures, 0)
+    _look_from(search, present)
     if tail.counts[1] == 0 and tail.counts[0] > 0:
         search.given[0], search.given[1] = tail.actions[0], 0.0
         start(search, 0)
@@ -149,7 +157,7 @@ def _anew(search: Search, present: Search, tail: Tail) -> tuple[int, float]:
     """A sequence from now on, as the tail: one that keeps the buffer, or else the one that lasts longest; the tier, and
     its smallest clearance beyond the buffer [m]."""
     depth = search.bounds.depth
-    copy_state(present.futures, 0, search.futures, 0)
+    _look_from(search, present)
     for k in range(search.order.shape[0]):
         margin, _ = survives(search, search.order[k], tail.actions, 0)
         if margin >= 0:
@@ -235,7 +243,7 @@ def decide_inputs(
                 return _GOVERNED, found
     if tail.counts[1] == 0 and tier == _STORED:
         # The plan is not played to its end, where it can be gone on with.
-        copy_state(present.futures, 0, search.futures, 0)
+        _look_from(search, present)
         if _goes_on(search, tail) >= 0:
             _store(search, tail, search.bounds.depth)
     play(present, tail, inputs)

@@ -20,13 +20,16 @@ ANY = -1
 NOBODY = -1
 """Stands for no node."""
 
-_OUTLOOK = 8.0
-"""How far ahead alternatives are compared [s]; beyond it they have to stay clear, and no more."""
+_OUTLOOK, _OUTLOOK_ON_NETWORKS = 8.0, 5.0
+"""How far ahead alternatives are compared on straight highways and on networks [s]; beyond it they have to stay clear,
+and no more."""
 _KEEP_RIGHT = 0.8
 """What being one lane further left counts as, as a loss of speed [m/s]: of alternatives that are about as fast, the
 rightmost. highway-env's default reward gives 0.83 m/s for a lane on three."""
 _BUDGET = 10
 """Decisions that a search in depth may simulate for each that it looks ahead."""
+DEAD = 64
+"""States without a way on that are remembered after each number of decisions."""
 _NODES = 1024
 """Futures that a search over lanes and speeds may compare."""
 
@@ -52,19 +55,35 @@ class Bounds(NamedTuple):
     spare: int
 
 
+class Dead(NamedTuple):
+    """Where, in the traffic of one decision, no way was found that goes on.
+
+    Attributes
+    ----------
+    buried : how many states there have been after each number of decisions, (depth + 1,).
+    states : the last of them: the ego's x, y [m], speed [m/s], and the lane and the speed [m/s] that it is bound for,
+        (depth + 1, `DEAD`, 5).
+    """
+
+    buried: IntArray
+    states: FloatArray
+
+
 class Nodes(NamedTuple):
     """What a search over lanes and speeds has reached: the future `spare + 1 + i` belongs to node i.
 
     Attributes
     ----------
     slots : the node of each lane and speed after each number of decisions, (depth, K), or `NOBODY`.
-    cost, clear : way lost, and smallest clearance beyond the buffer, on the way to each, (n,) [m].
+    cost, clear : way lost, and smallest clearance beyond the buffer, on the way to each, (n,) [m]. bound : way lost at
+        the least when all decisions have been taken, (n,) [m].
     level, kind : decisions to each, and its lane and speed, (n,). parent, action : where it was reached from and by
         what, (n,). open : whether nothing has been tried after it yet, (n,).
     """
 
     slots: IntArray
     cost: FloatArray
+    bound: FloatArray
     clear: FloatArray
     level: IntArray
     kind: IntArray
@@ -102,6 +121,7 @@ class Search(NamedTuple):
     plan : the sequence that was found, (depth,). hint : one that is gone on with, (depth,). sequence : the one that a
         search in depth is trying, (depth,).
     team : the other egos, on a network. nodes : what a search over lanes and speeds has reached.
+    dead : where a search in depth has found no way on.
     """
 
     machine: Machine
@@ -120,6 +140,7 @@ class Search(NamedTuple):
     sequence: IntArray
     team: Team
     nodes: Nodes
+    dead: Dead
 
 
 _SAFEST_FIRST = (4, 1, 2, 0, 3)
@@ -131,11 +152,12 @@ def new_search(simulator: Simulator | NetworkSimulator, config: ShieldConfig, al
     rules, index = simulator.rules, np.intp
     labels = rules.labels.tolist()
     depth = max(1, math.ceil(config.horizon / rules.times[1] - 1e-9))
+    outlook = _OUTLOOK if isinstance(rules, Rules) else _OUTLOOK_ON_NETWORKS
     bounds = Bounds(
         longitudinal=config.buffer.longitudinal,
         lateral=config.buffer.lateral,
         depth=depth,
-        outlook=min(depth, max(1, round(_OUTLOOK / rules.times[1]))),
+        outlook=min(depth, max(1, round(outlook / rules.times[1]))),
         budget=_BUDGET * depth,
         keep_right=_KEEP_RIGHT,
         spare=depth + 2,
@@ -161,6 +183,7 @@ def new_search(simulator: Simulator | NetworkSimulator, config: ShieldConfig, al
         nodes=Nodes(
             slots=np.full((depth, kinds), NOBODY, index),
             cost=np.zeros(n),
+            bound=np.zeros(n),
             clear=np.zeros(n),
             level=np.zeros(n, index),
             kind=np.zeros(n, index),
@@ -168,4 +191,5 @@ def new_search(simulator: Simulator | NetworkSimulator, config: ShieldConfig, al
             action=np.zeros(n, index),
             open=np.zeros(n, np.bool_),
         ),
+        dead=Dead(np.zeros(depth + 1, index), np.zeros((depth + 1, DEAD, 5))),
     )

@@ -17,6 +17,7 @@ from dynamics.simulator.engine import write_row
 from dynamics.simulator.layout import CRASHED, DIAGONAL, HEADING, LENGTH, SPEED, TARGET, TARGET_SPEED, WIDTH, X, Y
 from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.permits import Ego, gap_between
+from shield.exact.dead import bury, forget_dead, is_dead
 from shield.exact.room import ANY, Bounds, Search
 from shield.exact.traffic import copy_more, ego_in, frame, lanes_to_the_right, on_road, sorted_in, start
 
@@ -68,6 +69,7 @@ def enter(search: Search, worlds: Any, e: int) -> None:
             for j in range(p.shape[2]):
                 p[k, i, j] = p0[i, j]
     copy_more(search, worlds, e)
+    forget_dead(search)
 
 
 @uncounted
@@ -191,7 +193,9 @@ def same_outcome(search: Search, a: int, b: int) -> bool:
 
 
 @uncounted
-def in_depth(search: Search, first: int, stored: IntArray, length: int, floor: float) -> tuple[int, float, bool]:
+def in_depth(
+    search: Search, first: int, stored: IntArray, length: int, known: int, floor: float
+) -> tuple[int, float, bool]:
     """A sequence that stays clear for all decisions, or of those that were tried the first that does for most of them,
     into `search.plan`: in depth first.
 
@@ -199,7 +203,7 @@ def in_depth(search: Search, first: int, stored: IntArray, length: int, floor: f
     ----------
     first : the action that it begins with; `ANY` for any.
     stored : what an earlier plan wants from now on, (depth,), of which `length` are left: tried first where it begins
-        with the same.
+        with the same. known : of them, those whose futures, and all else of these levels, are there already.
     floor : smallest clearance beyond the buffer that is allowed [m].
 
     Returns
@@ -207,14 +211,17 @@ def in_depth(search: Search, first: int, stored: IntArray, length: int, floor: f
     For how many decisions it stays clear, its smallest clearance beyond the buffer [m], and whether the budget was
     spent before all had been tried.
     """
-    bounds, n, spent, level, lasts, clear = search.bounds, search.order.shape[0], 0, 0, 0, np.inf
+    bounds, n, spent, level, lasts = search.bounds, search.order.shape[0], known, known, known
     planned = length if length > 0 and first in (ANY, stored[0]) else 0
-    search.choices[0], search.least[0] = 0, np.inf
+    search.least[0] = np.inf
+    clear, search.choices[known] = search.least[known], 0
     while level >= 0 and lasts < bounds.depth and spent < bounds.budget:
         tried = search.choices[level]
         search.choices[level] += 1
         only = level == 0 and first != ANY
         if tried > (0 if only else n):
+            if level > 0:
+                bury(search, level)
             level -= 1
             continue
         # What was planned goes first; without a plan, what slows down.
@@ -229,7 +236,7 @@ def in_depth(search: Search, first: int, stored: IntArray, length: int, floor: f
             continue
         spent += 1
         least, _ = travel(search, level + 1, 0.0, floor)
-        if least < floor:
+        if least < floor or is_dead(search, level + 1):
             continue
         search.sequence[level] = action
         search.least[level + 1] = min(search.least[level], least)
@@ -252,5 +259,5 @@ def survives(search: Search, first: int, stored: IntArray, length: int) -> tuple
     Its smallest clearance beyond the buffer [m], -inf where none is found; and whether the budget was spent before all
     had been tried.
     """
-    lasts, margin, exhausted = in_depth(search, first, stored, length, 0.0)
+    lasts, margin, exhausted = in_depth(search, first, stored, length, 0, 0.0)
     return (margin if lasts == search.bounds.depth else -np.inf), exhausted

@@ -19,10 +19,9 @@ from dynamics.state import FloatArray, IntArray
 from shield.batch.vocabulary import TIERS
 from shield.decision import Tier
 from shield.exact.closest import clear_plan
-from shield.exact.dead import forget_dead
 from shield.exact.deciding import longest
 from shield.exact.room import ANY, Search
-from shield.exact.search import clearance, copy_state, survives
+from shield.exact.search import clearance, look_from, survives
 from shield.exact.traffic import ego_in, frame, hold, on_road, sorted_in, start
 
 __all__ = ["Tail", "decide_inputs", "empty_tail", "play"]
@@ -86,13 +85,6 @@ def _goes_on(search: Search, tail: Tail) -> float:
 
 
 @uncounted
-def _look_from(search: Search, present: Search) -> None:
-    """Make the present the first future of a search."""
-    copy_state(present.futures, 0, search.futures, 0)
-    forget_dead(search)
-
-
-@uncounted
 def _after(search: Search, present: Search, tail: Tail, throttle: float, wheel: float) -> float:
     """The smallest clearance beyond the buffer of a frame of an input and what the law can do then, into `search.plan`
     [m]; -inf where nothing stays clear.
@@ -102,7 +94,7 @@ def _after(search: Search, present: Search, tail: Tail, throttle: float, wheel: 
     throttle, wheel : acceleration [m/s^2] and front wheel angle [rad].
     """
     futures = search.futures
-    _look_from(search, present)
+    look_from(search, present.futures, 0)
     hold(search, 0, throttle, wheel)
     frame(search, 0, sorted_in(search, 0))
     on, at_end = on_road(search, 0)
@@ -143,7 +135,7 @@ def _take(present: Search, inputs: FloatArray, throttle: float, wheel: float) ->
 def _peek(search: Search, present: Search, tail: Tail, inputs: FloatArray) -> None:
     """The law's next acceleration [m/s^2] and wheel [rad]; nothing moves."""
     futures = search.futures
-    _look_from(search, present)
+    look_from(search, present.futures, 0)
     if tail.counts[1] == 0 and tail.counts[0] > 0:
         search.given[0], search.given[1] = tail.actions[0], 0.0
         start(search, 0)
@@ -157,7 +149,7 @@ def _anew(search: Search, present: Search, tail: Tail) -> tuple[int, float]:
     """A sequence from now on, as the tail: one that keeps the buffer, or else the one that lasts longest; the tier, and
     its smallest clearance beyond the buffer [m]."""
     depth = search.bounds.depth
-    _look_from(search, present)
+    look_from(search, present.futures, 0)
     for k in range(search.order.shape[0]):
         margin, _ = survives(search, search.order[k], tail.actions, 0)
         if margin >= 0:
@@ -243,7 +235,7 @@ def decide_inputs(
                 return _GOVERNED, found
     if tail.counts[1] == 0 and tier == _STORED:
         # The plan is not played to its end, where it can be gone on with.
-        _look_from(search, present)
+        look_from(search, present.futures, 0)
         if _goes_on(search, tail) >= 0:
             _store(search, tail, search.bounds.depth)
     play(present, tail, inputs)

@@ -30,6 +30,7 @@ __all__ = [
     "foretell",
     "in_depth",
     "leap",
+    "look_from",
     "repeats",
     "same_outcome",
     "survives",
@@ -59,9 +60,16 @@ def copy_future(search: Search, source: int, target: int) -> None:
 
 
 @uncounted
+def look_from(search: Search, worlds: Any, e: int) -> None:
+    """Make a state the first future of a search, as `enter` does, where nobody has come or gone since that."""
+    copy_state(worlds, e, search.futures, 0)
+    forget_dead(search)
+
+
+@uncounted
 def enter(search: Search, worlds: Any, e: int) -> None:
     """Make the present of one environment the first future."""
-    copy_state(worlds, e, search.futures, 0)
+    look_from(search, worlds, e)
     p, p0 = search.futures.p, worlds.p[e]
     # Nobody moves in the futures of the nodes.
     for k in range(search.bounds.spare + 1):
@@ -69,7 +77,6 @@ def enter(search: Search, worlds: Any, e: int) -> None:
             for j in range(p.shape[2]):
                 p[k, i, j] = p0[i, j]
     copy_more(search, worlds, e)
-    forget_dead(search)
 
 
 @uncounted

@@ -117,6 +117,10 @@ class NetworkSimulator:
         for e in range(num_envs):
             self.load(env, e)
 
+    def is_on(self, env: gym.Env[Any, Any]) -> bool:
+        """Whether an environment has the road that this one was made of."""
+        return cast(Any, env.unwrapped).road.network is self._network
+
     def fits(self, env: gym.Env[Any, Any]) -> bool:
         """Whether an environment has the road and as many bodies as this one, so that `load` takes it."""
         road = cast(Any, env.unwrapped).road

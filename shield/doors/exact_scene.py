@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -63,12 +64,16 @@ class ExactScene:
     ) -> None:
         self._base, self._config, self._simulate = base, config, simulate
         self.violations = 0
+        self._rooms: dict[int, Room] = {}
         self.forget()
 
     def forget(self) -> None:
-        """Forget everything about the episode."""
-        self._rooms: dict[int, Room] = {}
+        """Forget everything about the episode, and make room for the next. A scene that cannot be read is refused where
+        it is asked for."""
         self.expect_nothing()
+        if self._base.road is not None or isinstance(self._base, CompiledHighwayEnv):
+            with suppress(SceneError, ConfigError):
+                self.read()
 
     def expect_nothing(self) -> None:
         """Foretell nothing of what comes next."""
@@ -100,8 +105,7 @@ class ExactScene:
             bodies = 0 if base.road is None else len(base.road.vehicles) + len(base.road.objects)
             known = self._rooms.get(bodies)
             if known is None or not known[0].fits(base):
-                like = next((simulator for simulator, _ in self._rooms.values()), None)
-                room = self._furnish(bodies, self._simulate(base, like))
+                room = self._furnish(bodies, self._simulate(base, self._of_this_road()))
             else:
                 known[0].load(base)
                 room = known
@@ -139,8 +143,14 @@ class ExactScene:
     def _furnish(self, bodies: int, simulator: Simulator | NetworkSimulator) -> Room:
         """Room for so many bodies: where vehicles come and go, their number changes back and forth."""
         allies = 0 if isinstance(self._base, CompiledHighwayEnv) else len(self._base.controlled_vehicles) - 1
-        self._rooms[bodies] = simulator, new_search(simulator, self._config, allies)
+        old = self._rooms[bodies][1] if bodies in self._rooms else None
+        self._rooms[bodies] = simulator, new_search(simulator, self._config, allies, old)
         return self._rooms[bodies]
+
+    def _of_this_road(self) -> Simulator | NetworkSimulator | None:
+        """A simulator of the road as it is in this episode."""
+        of_networks = (s for s, _ in self._rooms.values() if isinstance(s, NetworkSimulator))
+        return next((s for s in of_networks if s.is_on(self._base)), None)
 
     def ego(self, bodies: dict[Any, int]) -> int:
         """The column of the ego among `bodies`."""

@@ -147,8 +147,35 @@ _SAFEST_FIRST = (4, 1, 2, 0, 3)
 """Labels of the actions (see `dynamics.simulator.engine.Rules`): slower, none, right, left, faster."""
 
 
-def new_search(simulator: Simulator | NetworkSimulator, config: ShieldConfig, allies: int = 0) -> Search:
-    """Room for searches in the traffic of a simulator, with so many egos beside the one that is searched for."""
+def _takes(search: Search, simulator: Simulator | NetworkSimulator, allies: int) -> bool:
+    """Whether there is as much in a simulator's traffic as there is room for in a search."""
+    old, rules = search.rules, simulator.rules
+    return (
+        type(old) is type(rules)
+        and old.times == rules.times
+        and np.array_equal(old.labels, rules.labels)
+        and _kinds(old) == _kinds(rules)
+        and search.team.columns.shape == (allies,)
+        and all(a.shape[1:] == b.shape[1:] for a, b in zip(search.futures, simulator.worlds, strict=True))
+    )
+
+
+def _kinds(rules: Any) -> int:
+    """How many lanes and target speeds there are, each with each."""
+    return len(rules.lanes if isinstance(rules, Rules) else rules.network.lanes) * len(rules.target_speeds)
+
+
+def new_search(
+    simulator: Simulator | NetworkSimulator, config: ShieldConfig, allies: int = 0, old: Search | None = None
+) -> Search:
+    """Room for searches in the traffic of a simulator, with so many egos beside the one that is searched for.
+
+    Parameters
+    ----------
+    old : a search under the same settings that is not needed any more; its room is taken, where it is as large.
+    """
+    if old is not None and _takes(old, simulator, allies):
+        return old._replace(machine=simulator.machine, rules=simulator.rules, work=simulator.new_work())
     rules, index = simulator.rules, np.intp
     labels = rules.labels.tolist()
     depth = max(1, math.ceil(config.horizon / rules.times[1] - 1e-9))
@@ -162,7 +189,7 @@ def new_search(simulator: Simulator | NetworkSimulator, config: ShieldConfig, al
         keep_right=_KEEP_RIGHT,
         spare=depth + 2,
     )
-    kinds = len(rules.lanes if isinstance(rules, Rules) else rules.network.lanes) * len(rules.target_speeds)
+    kinds = _kinds(rules)
     n = min(depth * kinds, _NODES)
     return Search(
         machine=simulator.machine,

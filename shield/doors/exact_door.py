@@ -26,7 +26,7 @@ from shield.doors.exact_scene import STATE, ExactScene, Room, why_unread
 from shield.errors import ConfigError
 from shield.exact.dead import forget_dead
 from shield.exact.deciding import Plans, boxed_in, empty_plans, last_resort, passes, replace, verify
-from shield.exact.room import Search
+from shield.exact.room import Search, Wish
 from shield.exact.search import enter, leap
 from shield.procedures.screen import slower
 from shield.procedures.warm_up import announced
@@ -106,7 +106,7 @@ class ExactDoor:
             wanted = resolve(order) or []
             ranked = np.array([*(a for a in wanted if a != proposed), -1], np.intp)
             replace(search, self._plans, records, 0, proposed, ranked)
-        leap(search, 0, 1, int(records.executed[0]), 0.0, -math.inf)
+        leap(search, 0, 1, int(records.executed[0]), Wish(0.0, 0.0, 0.0), -math.inf)
         self._scene.expect(search.futures.f[1][STATE])
         plan, areas = None, None
         if self.config.record:

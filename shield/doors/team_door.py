@@ -23,7 +23,7 @@ from shield.doors.exact_door import as_decision
 from shield.doors.exact_scene import STATE, ExactScene, why_unread
 from shield.errors import ConfigError
 from shield.exact.deciding import Plans, empty_plans, last_resort, passes, replace
-from shield.exact.room import Search
+from shield.exact.room import Search, Wish
 from shield.exact.search import leap
 from shield.procedures.screen import slower
 from shield.refusals import check
@@ -137,7 +137,7 @@ class TeamDoor:
             wanted[k] = slowest
             wanted[k, 0] = decisions[-1].executed
             wanted[k, 1 : 1 + plans.length[0]] = plans.actions[0, : plans.length[0]]
-        leap(search, 0, 1, int(decisions[-1].executed), 0.0, -math.inf)
+        leap(search, 0, 1, int(decisions[-1].executed), Wish(0.0, 0.0, 0.0), -math.inf)
         self._scene.expect(search.futures.f[1][STATE])
         return decisions
 

@@ -8,20 +8,32 @@ from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.control import KP_A
 from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.simulator.scene import next_target_speed, speed_index
-from shield.exact.room import ANY, NOBODY, Nodes, Search
+from shield.exact.room import ANY, NOBODY, Nodes, Search, Wish
 from shield.exact.search import copy_future, depart, in_depth, repeats, travel
 from shield.exact.traffic import ego_in, on_road
 
-__all__ = ["best_plan", "clear_plan", "closest_plan", "wished_speed"]
+__all__ = ["best_plan", "clear_plan", "closest_plan", "stopping", "wish_of"]
 
 
 @uncounted
-def wished_speed(search: Search, target_speed: float, action: int) -> float:
-    """Where an action that is held on to brings the target speed [m/s]."""
-    label, speeds = search.rules.labels[action], search.rules.target_speeds
+def wish_of(search: Search, target_speed: float, action: int) -> Wish:
+    """Where an action that is held on to leads from a target speed [m/s]: of what is as fast, to the right, but for who
+    asks for a side."""
+    label, speeds, bounds = search.rules.labels[action], search.rules.target_speeds, search.bounds
+    speed = target_speed
     if label == 3:
-        return speeds[len(speeds) - 1]
-    return speeds[0] if label == 4 else target_speed
+        speed = speeds[len(speeds) - 1]
+    elif label == 4:
+        speed = speeds[0]
+    elif label == 0 and bounds.asked > 0:
+        return Wish(speed, bounds.asked, 0.0)
+    return Wish(speed, 0.0, bounds.asked if label == 2 and bounds.asked > 0 else bounds.keep_right)
+
+
+@uncounted
+def stopping(search: Search) -> Wish:
+    """Nothing but to be slow, and of that to the right."""
+    return Wish(0.0, 0.0, search.bounds.keep_right)
 
 
 @uncounted
@@ -78,7 +90,7 @@ def _deepest(nodes: Nodes, count: int) -> int:
 
 @uncounted
 def _expand(
-    search: Search, parent: int, count: int, only: int, never: int, depth: int, wish: float, floor: float
+    search: Search, parent: int, count: int, only: int, never: int, depth: int, wish: Wish, floor: float
 ) -> int:
     """Take every action after a node, or after the present, and keep what is the best way to its lane and speed by
     then; how many nodes there are."""
@@ -106,7 +118,7 @@ def _expand(
         if floor < 0:
             cost = bound = -least
         else:
-            bound = cost + _bound_to_lose(search, spare, depth - level - 1, wish)
+            bound = cost + _bound_to_lose(search, spare, depth - level - 1, wish.speed)
         if not bound < (np.inf if slot == NOBODY else nodes.bound[slot]):
             continue
         if slot == NOBODY:
@@ -119,7 +131,7 @@ def _expand(
 
 
 @uncounted
-def _best_node(search: Search, only: int, never: int, depth: int, wish: float, floor: float) -> int:
+def _best_node(search: Search, only: int, never: int, depth: int, wish: Wish, floor: float) -> int:
     """The node that `best_plan` leads to, with its sequence in `search.plan`; `NOBODY` where there is none."""
     nodes = search.nodes
     for level in range(depth):
@@ -143,8 +155,8 @@ def _best_node(search: Search, only: int, never: int, depth: int, wish: float, f
 
 
 @uncounted
-def best_plan(search: Search, only: int, never: int, depth: int, wish: float, floor: float) -> tuple[int, float]:
-    """The sequence that stays clear for `depth` decisions and loses the least way against a speed, into `search.plan`;
+def best_plan(search: Search, only: int, never: int, depth: int, wish: Wish, floor: float) -> tuple[int, float]:
+    """The sequence that stays clear for `depth` decisions and loses the least way against a wish, into `search.plan`;
     where none does, the one that does for most of them.
 
     A* (Hart, Nilsson and Raphael 1968) with what is lost on an empty road as the bound. Of the futures that are bound
@@ -154,7 +166,6 @@ def best_plan(search: Search, only: int, never: int, depth: int, wish: float, fl
     Parameters
     ----------
     only, never : the one action that it begins with, and one that it does not begin with; -1 for any.
-    wish : the speed [m/s].
     floor : smallest clearance beyond the buffer that is allowed [m]; where it is negative, the clearance is what is
         made largest.
 
@@ -169,7 +180,7 @@ def best_plan(search: Search, only: int, never: int, depth: int, wish: float, fl
 
 
 @uncounted
-def clear_plan(search: Search, only: int, never: int, wish: float) -> float:
+def clear_plan(search: Search, only: int, never: int, wish: Wish) -> float:
     """The smallest clearance beyond the buffer [m] of what `best_plan` finds, -inf where that does not keep the buffer
     for all decisions."""
     lasts, margin = best_plan(search, only, never, search.bounds.depth, wish, 0.0)
@@ -195,9 +206,9 @@ def _go_on_from(search: Search, node: int) -> float:
 
 
 @uncounted
-def closest_plan(search: Search, proposed: int, wish: float) -> float:
+def closest_plan(search: Search, proposed: int, wish: Wish) -> float:
     """The sequence that does not begin with the proposal, stays clear for all decisions, and loses the least way
-    against a speed over the first `outlook` of them, into `search.plan`; its smallest clearance beyond the buffer [m],
+    against a wish over the first `outlook` of them, into `search.plan`; its smallest clearance beyond the buffer [m],
     -inf where none is found."""
     outlook, node = search.bounds.outlook, _best_node(search, ANY, proposed, search.bounds.outlook, wish, 0.0)
     if node == NOBODY or search.nodes.level[node] < outlook:

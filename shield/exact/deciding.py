@@ -13,7 +13,7 @@ from dynamics.state import BoolArray, IntArray
 from shield.batch.arrays import Records
 from shield.batch.vocabulary import REASONS, TIERS
 from shield.decision import Reason, Tier
-from shield.exact.closest import best_plan, clear_plan, closest_plan, wished_speed
+from shield.exact.closest import best_plan, clear_plan, closest_plan, stopping, wish_of
 from shield.exact.dead import forget_dead
 from shield.exact.room import ANY, Search
 from shield.exact.search import enter, in_depth, same_outcome, survives
@@ -78,7 +78,7 @@ def verify(search: Search, action: int, stored: IntArray, length: int, twice: bo
     lanes and speeds."""
     margin, exhausted = survives(search, action, stored, length)
     if margin < 0 and exhausted and twice:
-        margin = clear_plan(search, action, ANY, 0.0)
+        margin = clear_plan(search, action, ANY, stopping(search))
     return margin
 
 
@@ -93,7 +93,7 @@ def longest(search: Search) -> tuple[int, float]:
     """The sequence without a crash that lasts longest, and of those that last the one that is most clear, into
     `search.plan`: how many decisions it lasts, and its smallest clearance beyond the buffer [m]."""
     depth = search.bounds.depth
-    lasts, margin = best_plan(search, ANY, ANY, depth, 0.0, _ANYTHING)
+    lasts, margin = best_plan(search, ANY, ANY, depth, stopping(search), _ANYTHING)
     if lasts < depth:
         # It keeps one future for each lane and speed, and the one that is most clear now may stand where it is hit.
         for k in range(lasts):
@@ -131,7 +131,7 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
     """What takes the place of a proposal that does not pass, into `records`; see `decide`."""
     n, stored, length, margin = search.order.shape[0], plans.actions[e], plans.length[e], -np.inf
     ranked, now = order.shape[0] > 0 and order[0] >= 0, search.futures.f[0, TARGET_SPEED, ego_in(search, 0)]
-    once, wish = boxed_in(plans, e), wished_speed(search, now, proposed)
+    once, wish = boxed_in(plans, e), wish_of(search, now, proposed)
     if once and not ranked:
         margin, n = clear_plan(search, ANY, proposed, wish), 0
     elif not ranked:

@@ -18,7 +18,7 @@ from dynamics.simulator.layout import ACCELERATION, CRASHED, STEERING
 from dynamics.state import FloatArray, IntArray
 from shield.batch.vocabulary import TIERS
 from shield.decision import Tier
-from shield.exact.closest import clear_plan
+from shield.exact.closest import clear_plan, stopping
 from shield.exact.deciding import longest
 from shield.exact.room import ANY, Search
 from shield.exact.search import clearance, look_from, survives
@@ -155,7 +155,7 @@ def _anew(search: Search, present: Search, tail: Tail) -> tuple[int, float]:
         if margin >= 0:
             _store(search, tail, depth)
             return _ALTERNATIVE, margin
-    margin = clear_plan(search, ANY, ANY, 0.0)
+    margin = clear_plan(search, ANY, ANY, stopping(search))
     if margin >= 0:
         _store(search, tail, depth)
         return _ALTERNATIVE, margin

@@ -13,7 +13,7 @@ from dynamics.simulator.simulator import Simulator
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.config import ShieldConfig
 
-__all__ = ["ANY", "NOBODY", "Bounds", "Nodes", "Search", "Team", "new_search"]
+__all__ = ["ANY", "NOBODY", "Bounds", "Nodes", "Search", "Team", "Wish", "new_search"]
 
 ANY = -1
 """Stands for any action."""
@@ -26,6 +26,8 @@ and no more."""
 _KEEP_RIGHT = 0.8
 """What being one lane further left counts as, as a loss of speed [m/s]: of alternatives that are about as fast, the
 rightmost. highway-env's default reward gives 0.83 m/s for a lane on three."""
+_ASKED = 3.0
+"""The same on a network for each lane that there is on the side that is asked for: who wants to leave there has to."""
 _BUDGET = 10
 """Decisions that a search in depth may simulate for each that it looks ahead."""
 DEAD = 64
@@ -42,7 +44,7 @@ class Bounds(NamedTuple):
     longitudinal, lateral : the buffer around the ego [m].
     depth : decisions that are looked ahead. outlook : of them, those over which alternatives are compared.
     budget : decisions that one search in depth may simulate.
-    keep_right : what a lane further left counts as [m/s].
+    keep_right : what a lane further left counts as [m/s]. asked : what a lane on the side that is asked for does.
     spare : the future that those after it, the nodes, are reached in.
     """
 
@@ -52,7 +54,22 @@ class Bounds(NamedTuple):
     outlook: int
     budget: int
     keep_right: float
+    asked: float
     spare: int
+
+
+class Wish(NamedTuple):
+    """Where a proposal leads.
+
+    Attributes
+    ----------
+    speed : [m/s]. left, right : what each lane to the left and to the right of the ego's counts as, as a loss of speed
+        [m/s].
+    """
+
+    speed: float
+    left: float
+    right: float
 
 
 class Dead(NamedTuple):
@@ -187,6 +204,7 @@ def new_search(
         outlook=min(depth, max(1, round(outlook / rules.times[1]))),
         budget=_BUDGET * depth,
         keep_right=_KEEP_RIGHT,
+        asked=0.0 if isinstance(rules, Rules) else _ASKED,
         spare=depth + 2,
     )
     kinds = _kinds(rules)

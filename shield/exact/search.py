@@ -18,8 +18,8 @@ from dynamics.simulator.layout import CRASHED, DIAGONAL, HEADING, LENGTH, SPEED,
 from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.permits import Ego, gap_between
 from shield.exact.dead import bury, forget_dead, is_dead
-from shield.exact.room import ANY, Bounds, Search
-from shield.exact.traffic import copy_more, ego_in, frame, lanes_to_the_right, on_road, sorted_in, start
+from shield.exact.room import ANY, Bounds, Search, Wish
+from shield.exact.traffic import copy_more, ego_in, frame, lanes_beside, on_road, sorted_in, start
 
 __all__ = [
     "clearance",
@@ -109,7 +109,7 @@ def depart(search: Search, source: int, target: int, action: int) -> tuple[int, 
 
 
 @uncounted
-def travel(search: Search, target: int, wish: float, floor: float) -> tuple[float, float]:
+def travel(search: Search, target: int, wish: Wish, floor: float) -> tuple[float, float]:
     """Go on with what `depart` has begun to the end of the decision; see `leap`."""
     futures, rules, bounds, allies = search.futures, search.rules, search.bounds, search.team.columns
     f, g, dt, ego = futures.f[target], futures.g[target], rules.times[0], ego_in(search, target)
@@ -126,26 +126,26 @@ def travel(search: Search, target: int, wish: float, floor: float) -> tuple[floa
             if g[CRASHED, allies[i]] != 0:
                 return -np.inf, lost
             least = min(least, clearance(futures, target, allies[i], bounds, search.row))
-        left = lanes_to_the_right(search, target)
-        lost += (abs(wish - f[SPEED, ego]) + bounds.keep_right * left) * dt
+        left, right = lanes_beside(search, target)
+        lost += (abs(wish.speed - f[SPEED, ego]) + wish.left * left + wish.right * right) * dt
         if least < floor or at_end:
             break
     return least, lost
 
 
 @uncounted
-def leap(search: Search, source: int, target: int, action: int, wish: float, floor: float) -> tuple[float, float]:
+def leap(search: Search, source: int, target: int, action: int, wish: Wish, floor: float) -> tuple[float, float]:
     """Take an action in future `source`; `target` is what comes of it.
 
     Parameters
     ----------
-    wish : a speed [m/s]. floor : it is given up where less than this is clear beyond the buffer [m].
+    floor : it is given up where less than this is clear beyond the buffer [m].
 
     Returns
     -------
     The smallest clearance beyond the buffer on the way [m], with -inf for a crash or leaving the road, and no more
-    asked once the road has ended; and the way that is lost, or gained, against the wish, with what being left of the
-    right lane counts as [m].
+    asked once the road has ended; and the way that is lost against the wish, with what being beside its lane counts as
+    [m].
     """
     depart(search, source, target, action)
     return travel(search, target, wish, floor)
@@ -242,7 +242,7 @@ def in_depth(
         if repeats(reached, tried):
             continue
         spent += 1
-        least, _ = travel(search, level + 1, 0.0, floor)
+        least, _ = travel(search, level + 1, Wish(0.0, 0.0, 0.0), floor)
         if least < floor or is_dead(search, level + 1):
             continue
         search.sequence[level] = action

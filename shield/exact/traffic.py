@@ -14,7 +14,7 @@ from dynamics.simulator.layout import LANE, LENGTH, TARGET, WIDTH, X, Y
 from dynamics.simulator.neighbours import sort
 from shield.exact.room import Search
 
-__all__ = ["copy_more", "ego_in", "frame", "hold", "lanes_to_the_right", "on_road", "sorted_in", "start"]
+__all__ = ["copy_more", "ego_in", "frame", "hold", "lanes_beside", "on_road", "sorted_in", "start"]
 
 _advance, _begin, _ego_of, _on_way = networks.advance, networks.begin, networks.ego_of, networks.on_way
 _command, _hold = networks.command, networks.hold
@@ -84,15 +84,16 @@ def _ego_on_network(search: Search, k: int) -> int:
 
 
 @uncounted
-def _right_on_highway(search: Search, k: int) -> int:
-    return len(search.rules.lanes) - 1 - search.futures.g[k, TARGET, 0]
+def _beside_on_highway(search: Search, k: int) -> tuple[int, int]:
+    target = search.futures.g[k, TARGET, 0]
+    return target, len(search.rules.lanes) - 1 - target
 
 
 @uncounted
-def _right_on_network(search: Search, k: int) -> int:
+def _beside_on_network(search: Search, k: int) -> tuple[int, int]:
     g = search.futures.g[k]
     ids, target = search.rules.network.ids, g[TARGET, _ego_of(g)]
-    return ids[target, COUNT] - 1 - ids[target, ID]
+    return ids[target, ID], ids[target, COUNT] - 1 - ids[target, ID]
 
 
 @uncounted
@@ -145,9 +146,9 @@ def on_road(search: Search, k: int) -> tuple[bool, bool]:
     raise NotImplementedError
 
 
-@by_type({_HIGHWAY: _right_on_highway, _NETWORK: _right_on_network}, "rules")
-def lanes_to_the_right(search: Search, k: int) -> int:
-    """Lanes of the road to the right of the one that the ego is bound for in future k."""
+@by_type({_HIGHWAY: _beside_on_highway, _NETWORK: _beside_on_network}, "rules")
+def lanes_beside(search: Search, k: int) -> tuple[int, int]:
+    """Lanes of the road to the left and to the right of the one that the ego is bound for in future k."""
     raise NotImplementedError
 
 

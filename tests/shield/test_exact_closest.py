@@ -10,7 +10,7 @@ from dynamics.simulator.simulator import Simulator
 from shield import ShieldConfig
 from shield.config import Buffer
 from shield.exact.closest import best_plan
-from shield.exact.room import ANY, new_search
+from shield.exact.room import ANY, Wish, new_search
 from shield.exact.search import depart, enter, travel
 
 DENSE = {"vehicles_density": 1.6}
@@ -66,7 +66,7 @@ def plainly(search, only, never, wish, floor):
                 kind = int(search.futures.g[spare, TARGET, 0]), float(search.futures.f[spare, TARGET_SPEED, 0])
                 all_clear = min(clear, least)
                 paid = -all_clear if floor < 0 else cost + lost
-                bound = paid if floor < 0 else paid + lost_at_least(search, spare, DEPTH - level - 1, wish)
+                bound = paid if floor < 0 else paid + lost_at_least(search, spare, DEPTH - level - 1, wish.speed)
                 if kind not in then or bound < then[kind][4]:
                     state_then = [array[spare].copy() for array in moving(search)]
                     then[kind] = paid, all_clear, (*actions, action), state_then, bound
@@ -91,7 +91,8 @@ def test_it_finds_what_a_plain_search_finds(seed, floor):
     for k in range(4):
         simulator.step([3])
         enter(search, simulator.worlds, 0)
-        for only, never, wish in ((ANY, ANY, 30.0), (ANY, 3, 30.0), (k, ANY, 20.0), (ANY, 1, 25.0)):
+        for only, never, speed in ((ANY, ANY, 30.0), (ANY, 3, 30.0), (k, ANY, 20.0), (ANY, 1, 25.0)):
+            wish = Wish(speed, 2.0, 0.0) if speed == 25.0 else Wish(speed, 0.0, 0.8)
             plan, margin = plainly(search, only, never, wish, floor)
             lasts, found = best_plan(search, only, never, DEPTH, wish, floor)
             assert lasts == len(plan)

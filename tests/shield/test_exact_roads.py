@@ -57,6 +57,13 @@ def test_who_stands_where_wrecks_will_slide_to_leaves(seed):
     assert not crashed
 
 
+def test_who_asks_for_the_exit_gets_there():
+    """On these seeds what is as fast as can be passes it by."""
+    seeds = [5009, 5011, 5026]
+    found = run_paired(get_setting("exit"), "right", [variant_for(CONFIG)], seeds, simulator="auto", jobs=1)
+    assert found["success"].all()
+
+
 def test_episodes_follow_one_another():
     roads = ExactRoads("roundabout-v1", 1, {"duration": 2})
     roads.reset([3])

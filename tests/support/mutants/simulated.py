@@ -77,6 +77,13 @@ SIMULATED = (
         "tests/shield/test_exact_closest.py",
     ),
     off(
+        "who asks for a side is driven as fast as can be",
+        f"{EXACT}/closest.py",
+        "bounds.asked if label == 2 and bounds.asked > 0 else bounds.keep_right",
+        "bounds.keep_right",
+        "tests/shield/test_exact_roads.py",
+    ),
+    off(
         "a search that ends early is a plan",
         f"{EXACT}/closest.py",
         "    return margin if lasts == search.bounds.depth else -np.inf\n",

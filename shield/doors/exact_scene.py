@@ -65,7 +65,7 @@ class ExactScene:
         self._base, self._config, self._simulate = base, config, simulate
         self.violations = 0
         self._rooms: dict[int, Room] = {}
-        self.forget()
+        self.expect_nothing()
 
     def forget(self) -> None:
         """Forget everything about the episode, and make room for the next. A scene that cannot be read is refused where

@@ -20,14 +20,14 @@ def wish_of(search: Search, target_speed: float, action: int) -> Wish:
     """Where an action that is held on to leads from a target speed [m/s]: of what is as fast, to the right, but for who
     asks for a side."""
     label, speeds, bounds = search.rules.labels[action], search.rules.target_speeds, search.bounds
-    speed = target_speed
+    speed, left, right = target_speed, 0.0, bounds.keep_right
     if label == 3:
         speed = speeds[len(speeds) - 1]
     elif label == 4:
         speed = speeds[0]
-    elif label == 0 and bounds.asked > 0:
-        return Wish(speed, bounds.asked, 0.0)
-    return Wish(speed, 0.0, bounds.asked if label == 2 and bounds.asked > 0 else bounds.keep_right)
+    elif label in (0, 2) and bounds.asked > 0:
+        left, right = (bounds.asked, 0.0) if label == 0 else (0.0, bounds.asked)
+    return Wish(speed, left, right)
 
 
 @uncounted

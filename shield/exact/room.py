@@ -30,7 +30,7 @@ _ASKED = 3.0
 """The same on a network for each lane that there is on the side that is asked for: who wants to leave there has to."""
 _BUDGET = 10
 """Decisions that a search in depth may simulate for each that it looks ahead."""
-DEAD = 64
+_DEAD = 64
 """States without a way on that are remembered after each number of decisions."""
 _NODES = 1024
 """Futures that a search over lanes and speeds may compare."""
@@ -79,7 +79,7 @@ class Dead(NamedTuple):
     ----------
     buried : how many states there have been after each number of decisions, (depth + 1,).
     states : the last of them: the ego's x, y [m], speed [m/s], and the lane and the speed [m/s] that it is bound for,
-        (depth + 1, `DEAD`, 5).
+        (depth + 1, `_DEAD`, 5).
     """
 
     buried: IntArray
@@ -236,5 +236,5 @@ def new_search(
             action=np.zeros(n, index),
             open=np.zeros(n, np.bool_),
         ),
-        dead=Dead(np.zeros(depth + 1, index), np.zeros((depth + 1, DEAD, 5))),
+        dead=Dead(np.zeros(depth + 1, index), np.zeros((depth + 1, _DEAD, 5))),
     )

@@ -79,8 +79,8 @@ SIMULATED = (
     off(
         "who asks for a side is driven as fast as can be",
         f"{EXACT}/closest.py",
-        "bounds.asked if label == 2 and bounds.asked > 0 else bounds.keep_right",
-        "bounds.keep_right",
+        "        left, right = (bounds.asked, 0.0) if label == 0 else (0.0, bounds.asked)\n",
+        "        pass\n",
         "tests/shield/test_exact_roads.py",
     ),
     off(

@@ -24,8 +24,8 @@ from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
 from shield.doors.exact_scene import STATE, ExactScene, Room, why_unread
 from shield.errors import ConfigError
-from shield.exact.dead import forget_dead
 from shield.exact.deciding import Plans, boxed_in, empty_plans, last_resort, passes, replace, verify
+from shield.exact.effort import begin_anew
 from shield.exact.room import Search, Wish
 from shield.exact.search import enter, leap
 from shield.procedures.screen import slower
@@ -128,7 +128,7 @@ class ExactDoor:
         mask = np.zeros(len(search.order), np.bool_)
         for k in actions:
             # What is remembered of one would be a hint for the next, and `decide` has none.
-            forget_dead(search)
+            begin_anew(search)
             mask[k] = verify(search, k, stored, length, twice) >= 0
         return mask if mask.any() else np.ones_like(mask)
 

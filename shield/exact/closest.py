@@ -8,6 +8,7 @@ from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.control import KP_A
 from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.simulator.scene import next_target_speed, speed_index
+from shield.exact.effort import may_go_on
 from shield.exact.room import ANY, NOBODY, Nodes, Search, Wish
 from shield.exact.search import copy_future, depart, in_depth, repeats, travel
 from shield.exact.traffic import ego_in, on_road
@@ -139,7 +140,7 @@ def _best_node(search: Search, only: int, never: int, depth: int, wish: Wish, fl
             nodes.slots[level, k] = NOBODY
     node, count = NOBODY, _expand(search, NOBODY, 0, only, never, depth, wish, floor)
     while True:
-        node = _next(nodes, count)
+        node = _next(nodes, count) if may_go_on(search) else NOBODY
         if node == NOBODY:
             node = _deepest(nodes, count)
             break

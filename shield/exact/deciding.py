@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.layout import TARGET_SPEED
 from dynamics.state import BoolArray, IntArray
 from shield.batch.arrays import Records
@@ -15,6 +15,7 @@ from shield.batch.vocabulary import REASONS, TIERS
 from shield.decision import Reason, Tier
 from shield.exact.closest import best_plan, clear_plan, closest_plan, stopping, wish_of
 from shield.exact.dead import forget_dead
+from shield.exact.effort import allow
 from shield.exact.room import ANY, Search
 from shield.exact.search import enter, in_depth, same_outcome, survives
 from shield.exact.traffic import ego_in
@@ -77,7 +78,7 @@ def verify(search: Search, action: int, stored: IntArray, length: int, twice: bo
     where none is found that keeps the buffer for all decisions, in depth first, and then, where asked twice, over
     lanes and speeds."""
     margin, exhausted = survives(search, action, stored, length)
-    if margin < 0 and exhausted and twice:
+    if margin < 0 and exhausted and twice and search.bounds.twice:
         margin = clear_plan(search, action, ANY, stopping(search))
     return margin
 
@@ -88,22 +89,44 @@ def boxed_in(plans: Plans, e: int) -> bool:
     return plans.length[e] > 0 and not plans.verified[e]
 
 
+@inlined
+def _keep(search: Search, source: IntArray, target: IntArray, length: int) -> None:
+    for k in range(length):
+        target[k] = source[k]
+
+
 @uncounted
-def longest(search: Search) -> tuple[int, float]:
-    """The sequence without a crash that lasts longest, and of those that last the one that is most clear, into
-    `search.plan`: how many decisions it lasts, and its smallest clearance beyond the buffer [m]."""
-    depth = search.bounds.depth
-    lasts, margin = best_plan(search, ANY, ANY, depth, stopping(search), _ANYTHING)
+def longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]:
+    """The sequence without a crash that lasts longest, and of those that last the one that is most clear, as far as it
+    is found, into `search.plan`: what was planned, gone on with from its end, where that lasts; else also over lanes
+    and speeds, and that gone on with.
+
+    Parameters
+    ----------
+    stored, length : what was planned, as of `in_depth`.
+
+    Returns
+    -------
+    How many decisions it lasts, and its smallest clearance beyond the buffer [m].
+    """
+    depth, lasts, margin = search.bounds.depth, 0, -np.inf
+    forget_dead(search)
+    allow(search, search.bounds.last)
+    if length > 0:
+        lasts, margin, _ = in_depth(search, ANY, stored, length, 0, _ANYTHING)
+        _keep(search, search.plan, search.hint, lasts)
+    if lasts < depth:
+        further, clear = best_plan(search, ANY, ANY, depth, stopping(search), _ANYTHING)
+        if further > lasts or (further == lasts and clear > margin):
+            lasts, margin = further, clear
+            _keep(search, search.plan, search.hint, lasts)
     if lasts < depth:
         # It keeps one future for each lane and speed, and the one that is most clear now may stand where it is hit.
-        for k in range(lasts):
-            search.hint[k] = search.plan[k]
         forget_dead(search)
         further, clear, _ = in_depth(search, ANY, search.hint, lasts, 0, _ANYTHING)
         if further > lasts:
             return further, clear
-        for k in range(lasts):
-            search.plan[k] = search.hint[k]
+    _keep(search, search.hint, search.plan, lasts)
     if lasts == 0:
         search.plan[0] = search.order[0]
     return lasts, margin
@@ -147,11 +170,17 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
         else:
             # The search over lanes and speeds has been through all of them.
             margin, _ = survives(search, action, stored, length)
+    if margin < 0 and length > 0 and not once:
+        # What was planned keeps the buffer to its end, from where it may go on.
+        forget_dead(search)
+        allow(search, search.bounds.last)
+        margin, _ = survives(search, ANY, stored, length)
     if margin >= 0:
-        records.margin[e] = margin
-        _execute(records, plans, e, search.plan, search.bounds.depth, _ALTERNATIVE, _UNVERIFIED)
+        records.margin[e], passed = margin, search.plan[0] == proposed
+        tier, reason = (_PASSED, _NONE) if passed else (_ALTERNATIVE, _UNVERIFIED)
+        _execute(records, plans, e, search.plan, search.bounds.depth, tier, reason)
         return
-    lasts, margin = longest(search)
+    lasts, margin = longest(search, stored, length)
     records.margin[e] = margin if margin > -np.inf else math.nan
     _execute(records, plans, e, search.plan, lasts, _LARGEST, _NO_SAFE_PLAN)
 

@@ -159,7 +159,7 @@ def _anew(search: Search, present: Search, tail: Tail) -> tuple[int, float]:
     if margin >= 0:
         _store(search, tail, depth)
         return _ALTERNATIVE, margin
-    length, margin = longest(search)
+    length, margin = longest(search, tail.actions, 0)
     _store(search, tail, max(length, 1))
     return _LARGEST, margin
 

@@ -30,6 +30,10 @@ _ASKED = 3.0
 """The same on a network for each lane that there is on the side that is asked for: who wants to leave there has to."""
 _BUDGET = 10
 """Decisions that a search in depth may simulate for each that it looks ahead."""
+_EFFORT, _EFFORT_ON_NETWORKS = 1_000, 24
+"""The same for all searches of a decision together; on straight highways they do not come to it."""
+_LAST, _LAST_ON_NETWORKS = 1_000, 4
+"""The same for going on with what was planned, and for what lasts longest, when all of these were in vain."""
 _DEAD = 64
 """States without a way on that are remembered after each number of decisions."""
 _NODES = 1024
@@ -43,7 +47,9 @@ class Bounds(NamedTuple):
     ----------
     longitudinal, lateral : the buffer around the ego [m].
     depth : decisions that are looked ahead. outlook : of them, those over which alternatives are compared.
-    budget : decisions that one search in depth may simulate.
+    budget : decisions that one search in depth may simulate. effort : that all searches of a decision may. last : that
+        each of the two may that come when those were in vain. twice : whether an action that has spent the budget of a
+        search in depth is searched for over lanes and speeds.
     keep_right : what a lane further left counts as [m/s]. asked : what a lane on the side that is asked for does.
     spare : the future that those after it, the nodes, are reached in.
     """
@@ -53,6 +59,9 @@ class Bounds(NamedTuple):
     depth: int
     outlook: int
     budget: int
+    effort: int
+    last: int
+    twice: bool
     keep_right: float
     asked: float
     spare: int
@@ -132,6 +141,7 @@ class Search(NamedTuple):
     futures : states: the present, those that a search in depth has come through, a spare one, and those of the nodes.
     order : all actions, those that slow down first.
     given : an action, (2,). row : a body, (1, 7).
+    spent : decisions that have been simulated since the present was entered, and how many may be, (2,).
     choices : actions that have been tried at each level, (depth + 1,). reached : lane and speed [m/s] that each of them
         is bound for, (depth + 1, actions + 1, 2). least : smallest clearance beyond the buffer down to each level,
         (depth + 1,) [m].
@@ -149,6 +159,7 @@ class Search(NamedTuple):
     order: IntArray
     given: FloatArray
     row: FloatArray
+    spent: IntArray
     choices: IntArray
     reached: FloatArray
     least: FloatArray
@@ -195,16 +206,20 @@ def new_search(
         return old._replace(machine=simulator.machine, rules=simulator.rules, work=simulator.new_work())
     rules, index = simulator.rules, np.intp
     labels = rules.labels.tolist()
-    depth = max(1, math.ceil(config.horizon / rules.times[1] - 1e-9))
-    outlook = _OUTLOOK if isinstance(rules, Rules) else _OUTLOOK_ON_NETWORKS
+    straight = isinstance(rules, Rules)
+    depth = max(1, math.ceil((config.horizon if straight else config.network_horizon) / rules.times[1] - 1e-9))
+    outlook = _OUTLOOK if straight else _OUTLOOK_ON_NETWORKS
     bounds = Bounds(
         longitudinal=config.buffer.longitudinal,
         lateral=config.buffer.lateral,
         depth=depth,
         outlook=min(depth, max(1, round(outlook / rules.times[1]))),
         budget=_BUDGET * depth,
+        effort=(_EFFORT if straight else _EFFORT_ON_NETWORKS) * depth,
+        last=(_LAST if straight else _LAST_ON_NETWORKS) * depth,
+        twice=straight,
         keep_right=_KEEP_RIGHT,
-        asked=0.0 if isinstance(rules, Rules) else _ASKED,
+        asked=0.0 if straight else _ASKED,
         spare=depth + 2,
     )
     kinds = _kinds(rules)
@@ -218,6 +233,7 @@ def new_search(
         order=np.array([labels.index(label) for label in _SAFEST_FIRST if label in labels], index),
         given=np.zeros(2),
         row=np.zeros((1, 7)),
+        spent=np.zeros(2, index),
         choices=np.zeros(depth + 1, index),
         reached=np.zeros((depth + 1, len(labels) + 1, 2)),
         least=np.zeros(depth + 1),

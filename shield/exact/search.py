@@ -17,7 +17,8 @@ from dynamics.simulator.engine import write_row
 from dynamics.simulator.layout import CRASHED, DIAGONAL, HEADING, LENGTH, SPEED, TARGET, TARGET_SPEED, WIDTH, X, Y
 from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.permits import Ego, gap_between
-from shield.exact.dead import bury, forget_dead, is_dead
+from shield.exact.dead import bury, is_dead
+from shield.exact.effort import begin_anew
 from shield.exact.room import ANY, Bounds, Search, Wish
 from shield.exact.traffic import copy_more, ego_in, frame, lanes_beside, on_road, sorted_in, start
 
@@ -63,7 +64,7 @@ def copy_future(search: Search, source: int, target: int) -> None:
 def look_from(search: Search, worlds: Any, e: int) -> None:
     """Make a state the first future of a search, as `enter` does, where nobody has come or gone since that."""
     copy_state(worlds, e, search.futures, 0)
-    forget_dead(search)
+    begin_anew(search)
 
 
 @uncounted
@@ -113,6 +114,7 @@ def travel(search: Search, target: int, wish: Wish, floor: float) -> tuple[float
     """Go on with what `depart` has begun to the end of the decision; see `leap`."""
     futures, rules, bounds, allies = search.futures, search.rules, search.bounds, search.team.columns
     f, g, dt, ego = futures.f[target], futures.g[target], rules.times[0], ego_in(search, target)
+    search.spent[0] += 1
     if on_road(search, target)[1]:
         return np.inf, 0.0
     level, least, lost = sorted_in(search, target), np.inf, 0.0
@@ -218,11 +220,12 @@ def in_depth(
     For how many decisions it stays clear, its smallest clearance beyond the buffer [m], and whether the budget was
     spent before all had been tried.
     """
-    bounds, n, spent, level, lasts = search.bounds, search.order.shape[0], known, known, known
+    bounds, n, level, lasts = search.bounds, search.order.shape[0], known, known
+    until = min(search.spent[0] + bounds.budget - known, search.spent[1])
     planned = length if length > 0 and first in (ANY, stored[0]) else 0
     search.least[0] = np.inf
     clear, search.choices[known] = search.least[known], 0
-    while level >= 0 and lasts < bounds.depth and spent < bounds.budget:
+    while level >= 0 and lasts < bounds.depth and search.spent[0] < until:
         tried = search.choices[level]
         search.choices[level] += 1
         only = level == 0 and first != ANY
@@ -241,7 +244,6 @@ def in_depth(
         reached[tried, 0], reached[tried, 1] = depart(search, level, level + 1, action)
         if repeats(reached, tried):
             continue
-        spent += 1
         least, _ = travel(search, level + 1, Wish(0.0, 0.0, 0.0), floor)
         if least < floor or is_dead(search, level + 1):
             continue
@@ -253,7 +255,7 @@ def in_depth(
             for k in range(level):
                 search.plan[k] = search.sequence[k]
         search.choices[level] = 0
-    return lasts, clear if lasts > 0 else -np.inf, lasts < bounds.depth and spent >= bounds.budget
+    return lasts, clear if lasts > 0 else -np.inf, lasts < bounds.depth and search.spent[0] >= until
 
 
 @uncounted

@@ -159,7 +159,7 @@ def test_every_verified_plan_is_clear_until_the_horizon(seed):
     assert any(tier.verified for tier in tiers) != (seed in (149, 329))
 
 
-@pytest.mark.parametrize("seed", [920, 1214, 1442])
+@pytest.mark.parametrize("seed", [614, 920, 1442])
 def test_the_mask_is_of_what_passes(seed):
     """At each decision of an episode in which, for a time, nothing keeps the buffer: then the search asks less.
     On these seeds asking more would find more."""

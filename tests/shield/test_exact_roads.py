@@ -1,5 +1,7 @@
 """Many roads side by side, verified by simulation: each episode is the one that a shield around one of them drives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,9 +14,11 @@ from evaluation.settings import get_setting
 from shield.batch.vocabulary import TIERS
 from shield.config import ShieldConfig
 from shield.decision import Tier
+from shield.exact.highways import ExactHighways
 from shield.exact.roads import ExactRoads
 
 CONFIG = ShieldConfig.exact()
+FASTER = 3
 
 
 @pytest.mark.parametrize(
@@ -55,6 +59,44 @@ def test_who_stands_where_wrecks_will_slide_to_leaves(seed):
         crashed, over = crashed or bool(roads.rows[0, :, 0, 6].any()), bool(terminated[0] or truncated[0])
     assert boxed_in > 0
     assert not crashed
+
+
+@pytest.mark.parametrize("seed", [35, 103, 185])
+def test_what_lasts_longest_lasts_as_long_as_what_was_planned(seed):
+    """Wrecks lie in the bend: nothing keeps the buffer. No decision takes longer than its effort, but for the actions
+    of the state that it was in."""
+    roads, boxed_in, over = ExactRoads("u-turn-v0", 1), 0, False
+    (search,) = roads._searches
+    bounds, most = search.bounds, 0
+    roads.reset([seed])
+    while not over:
+        planned = roads.plans.length[0]
+        *_, terminated, truncated = roads.step([FASTER])
+        over, most = bool(terminated[0] or truncated[0]), max(most, search.spent[0])
+        if TIERS[roads.records.tier[0]] == Tier.LARGEST_MARGIN and not over:
+            boxed_in += 1
+            assert roads.plans.length[0] >= planned - 1
+    assert boxed_in > 1
+    assert bounds.effort < most <= bounds.effort + 2 * (bounds.last + len(search.order))
+
+
+@pytest.mark.parametrize("seed", [135, 271, 287, 347])
+def test_what_was_planned_is_gone_on_with(seed):
+    """On these seeds all that a decision may simulate finds nothing from the present, and little from where the plan
+    ends."""
+    roads, over = ExactRoads("u-turn-v0", 1), False
+    roads.reset([seed])
+    while not over:
+        *_, terminated, truncated = roads.step([FASTER])
+        over = bool(terminated[0] or truncated[0])
+        assert TIERS[roads.records.tier[0]].verified
+
+
+@pytest.mark.parametrize(("env_id", "decisions"), [("intersection-v0", 7), ("u-turn-v0", 7), ("highway-fast-v0", 9)])
+def test_how_far_is_looked_ahead(env_id, decisions):
+    config = replace(CONFIG, horizon=9.0, network_horizon=7.0)
+    of = ExactHighways if env_id == "highway-fast-v0" else ExactRoads
+    assert of(env_id, 1, shield=config)._searches[0].bounds.depth == decisions
 
 
 def test_who_asks_for_the_exit_gets_there():

@@ -50,7 +50,7 @@ SIMULATED = (
     ),
     off(
         "a dead end of another present is one of this",
-        f"{EXACT}/search.py",
+        f"{EXACT}/effort.py",
         "    forget_dead(search)\n",
         "",
         _TESTS,
@@ -93,8 +93,36 @@ SIMULATED = (
     off(
         "who is boxed in looks for one future of each lane and speed",
         f"{EXACT}/deciding.py",
-        "        if further > lasts:\n",
-        "        if False:\n",
+        "            return further, clear\n",
+        "            pass\n",
+        "tests/shield/test_exact_roads.py",
+    ),
+    off(
+        "what lasts longest begins from nothing",
+        f"{EXACT}/deciding.py",
+        "    if length > 0:\n        lasts, margin",
+        "    if False:\n        lasts, margin",
+        "tests/shield/test_exact_roads.py",
+    ),
+    off(
+        "what was planned is not gone on with",
+        f"{EXACT}/deciding.py",
+        "    if margin < 0 and length > 0 and not once:\n",
+        "    if False:\n",
+        "tests/shield/test_exact_roads.py",
+    ),
+    off(
+        "a search over lanes and speeds takes as long as it likes",
+        f"{EXACT}/effort.py",
+        "    return bool(search.spent[0] < search.spent[1])\n",
+        "    return True\n",
+        "tests/shield/test_exact_roads.py",
+    ),
+    off(
+        "a search in depth takes as long as it likes",
+        f"{EXACT}/search.py",
+        "    until = min(search.spent[0] + bounds.budget - known, search.spent[1])\n",
+        "    until = search.spent[0] + bounds.budget - known\n",
         "tests/shield/test_exact_roads.py",
     ),
     off(

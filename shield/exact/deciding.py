@@ -15,7 +15,7 @@ from shield.batch.vocabulary import REASONS, TIERS
 from shield.decision import Reason, Tier
 from shield.exact.closest import best_plan, clear_plan, closest_plan, stopping, wish_of
 from shield.exact.dead import forget_dead
-from shield.exact.effort import allow
+from shield.exact.effort import try_once_more
 from shield.exact.room import ANY, Search
 from shield.exact.search import enter, in_depth, same_outcome, survives
 from shield.exact.traffic import ego_in
@@ -90,7 +90,7 @@ def boxed_in(plans: Plans, e: int) -> bool:
 
 
 @inlined
-def _keep(search: Search, source: IntArray, target: IntArray, length: int) -> None:
+def _copy(source: IntArray, target: IntArray, length: int) -> None:
     for k in range(length):
         target[k] = source[k]
 
@@ -110,23 +110,22 @@ def longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]:
     How many decisions it lasts, and its smallest clearance beyond the buffer [m].
     """
     depth, lasts, margin = search.bounds.depth, 0, -np.inf
-    forget_dead(search)
-    allow(search, search.bounds.last)
+    try_once_more(search)
     if length > 0:
         lasts, margin, _ = in_depth(search, ANY, stored, length, 0, _ANYTHING)
-        _keep(search, search.plan, search.hint, lasts)
+        _copy(search.plan, search.hint, lasts)
     if lasts < depth:
         further, clear = best_plan(search, ANY, ANY, depth, stopping(search), _ANYTHING)
         if further > lasts or (further == lasts and clear > margin):
             lasts, margin = further, clear
-            _keep(search, search.plan, search.hint, lasts)
+            _copy(search.plan, search.hint, lasts)
     if lasts < depth:
         # It keeps one future for each lane and speed, and the one that is most clear now may stand where it is hit.
         forget_dead(search)
         further, clear, _ = in_depth(search, ANY, search.hint, lasts, 0, _ANYTHING)
         if further > lasts:
             return further, clear
-    _keep(search, search.hint, search.plan, lasts)
+    _copy(search.hint, search.plan, lasts)
     if lasts == 0:
         search.plan[0] = search.order[0]
     return lasts, margin
@@ -172,8 +171,7 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
             margin, _ = survives(search, action, stored, length)
     if margin < 0 and length > 0 and not once:
         # What was planned keeps the buffer to its end, from where it may go on.
-        forget_dead(search)
-        allow(search, search.bounds.last)
+        try_once_more(search)
         margin, _ = survives(search, ANY, stored, length)
     if margin >= 0:
         records.margin[e], passed = margin, search.plan[0] == proposed

@@ -202,7 +202,7 @@ def _go_on_from(search: Search, node: int) -> float:
         node = nodes.parent[node]
     for level in range(known):
         search.reached[level, 0, 0], search.reached[level, 0, 1] = depart(search, level, spare, search.hint[level])
-    lasts, margin, _ = in_depth(search, search.hint[0], search.hint, known, known, 0.0)
+    lasts, margin, _ = in_depth(search, search.hint[0], search.hint, known, known, 0.0, search.bounds.budget)
     return margin if lasts == depth else -np.inf
 
 

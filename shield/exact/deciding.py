@@ -75,10 +75,10 @@ def last_resort(records: Records, plans: Plans, e: int, slower: int, reason: int
 @uncounted
 def verify(search: Search, action: int, stored: IntArray, length: int, twice: bool) -> float:
     """The smallest clearance beyond the buffer of a sequence that begins with an action, into `search.plan` [m]: -inf
-    where none is found that keeps the buffer for all decisions, in depth first, and then, where asked twice, over
-    lanes and speeds."""
+    where none is found that keeps the buffer for all decisions, in depth first, and then, where asked twice on a
+    straight highway, over lanes and speeds."""
     margin, exhausted = survives(search, action, stored, length)
-    if margin < 0 and exhausted and twice and search.bounds.twice:
+    if margin < 0 and exhausted and twice and search.bounds.straight:
         margin = clear_plan(search, action, ANY, stopping(search))
     return margin
 
@@ -112,7 +112,7 @@ def longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]:
     depth, lasts, margin = search.bounds.depth, 0, -np.inf
     try_once_more(search)
     if length > 0:
-        lasts, margin, _ = in_depth(search, ANY, stored, length, 0, _ANYTHING)
+        lasts, margin, _ = in_depth(search, ANY, stored, length, 0, _ANYTHING, search.bounds.budget)
         _copy(search.plan, search.hint, lasts)
     if lasts < depth:
         further, clear = best_plan(search, ANY, ANY, depth, stopping(search), _ANYTHING)
@@ -122,7 +122,7 @@ def longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]:
     if lasts < depth:
         # It keeps one future for each lane and speed, and the one that is most clear now may stand where it is hit.
         forget_dead(search)
-        further, clear, _ = in_depth(search, ANY, search.hint, lasts, 0, _ANYTHING)
+        further, clear, _ = in_depth(search, ANY, search.hint, lasts, 0, _ANYTHING, search.bounds.budget)
         if further > lasts:
             return further, clear
     _copy(search.hint, search.plan, lasts)

@@ -48,8 +48,9 @@ class Bounds(NamedTuple):
     longitudinal, lateral : the buffer around the ego [m].
     depth : decisions that are looked ahead. outlook : of them, those over which alternatives are compared.
     budget : decisions that one search in depth may simulate. effort : that all searches of a decision may. last : that
-        each of the two may that come when those were in vain. twice : whether an action that has spent the budget of a
-        search in depth is searched for over lanes and speeds.
+        each of the two may that come when those were in vain.
+    straight : whether the road is a straight highway. There an action that has spent its budget is searched for over
+        lanes and speeds; on a network some of the budget is for joining what was planned.
     keep_right : what a lane further left counts as [m/s]. asked : what a lane on the side that is asked for does.
     spare : the future that those after it, the nodes, are reached in.
     """
@@ -61,7 +62,7 @@ class Bounds(NamedTuple):
     budget: int
     effort: int
     last: int
-    twice: bool
+    straight: bool
     keep_right: float
     asked: float
     spare: int
@@ -217,7 +218,7 @@ def new_search(
         budget=_BUDGET * depth,
         effort=(_EFFORT if straight else _EFFORT_ON_NETWORKS) * depth,
         last=(_LAST if straight else _LAST_ON_NETWORKS) * depth,
-        twice=straight,
+        straight=straight,
         keep_right=_KEEP_RIGHT,
         asked=0.0 if straight else _ASKED,
         spare=depth + 2,

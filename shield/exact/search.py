@@ -38,6 +38,9 @@ __all__ = [
     "travel",
 ]
 
+_JOIN = 2 / 3
+"""How much of its budget a sequence that begins otherwise than what was planned may spend on joining it again."""
+
 
 @uncounted
 def copy_state(worlds: Any, e: int, futures: Any, k: int) -> None:
@@ -203,7 +206,7 @@ def same_outcome(search: Search, a: int, b: int) -> bool:
 
 @uncounted
 def in_depth(
-    search: Search, first: int, stored: IntArray, length: int, known: int, floor: float
+    search: Search, first: int, stored: IntArray, length: int, known: int, floor: float, budget: int
 ) -> tuple[int, float, bool]:
     """A sequence that stays clear for all decisions, or of those that were tried the first that does for most of them,
     into `search.plan`: in depth first.
@@ -211,9 +214,9 @@ def in_depth(
     Parameters
     ----------
     first : the action that it begins with; `ANY` for any.
-    stored : what an earlier plan wants from now on, (depth,), of which `length` are left: tried first where it begins
-        with the same. known : of them, those whose futures, and all else of these levels, are there already.
-    floor : smallest clearance beyond the buffer that is allowed [m].
+    stored : what is tried first at each level, but for what it begins with, (depth,), of which `length` are there; then
+        what slows down. known : of them, those whose futures, and all else of these levels, are there already.
+    floor : smallest clearance beyond the buffer that is allowed [m]. budget : decisions that may be simulated.
 
     Returns
     -------
@@ -221,8 +224,7 @@ def in_depth(
     spent before all had been tried.
     """
     bounds, n, level, lasts = search.bounds, search.order.shape[0], known, known
-    until = min(search.spent[0] + bounds.budget - known, search.spent[1])
-    planned = length if length > 0 and first in (ANY, stored[0]) else 0
+    until = min(search.spent[0] + budget - known, search.spent[1])
     search.least[0] = np.inf
     clear, search.choices[known] = search.least[known], 0
     while level >= 0 and lasts < bounds.depth and search.spent[0] < until:
@@ -234,8 +236,7 @@ def in_depth(
                 bury(search, level)
             level -= 1
             continue
-        # What was planned goes first; without a plan, what slows down.
-        preferred = stored[level] if level < planned else search.order[0]
+        preferred = stored[level] if level < length else search.order[0]
         action = first if only else preferred if tried == 0 else search.order[tried - 1]
         search.reached[level, tried, 0] = -1.0
         if not only and tried > 0 and action == preferred:
@@ -261,12 +262,21 @@ def in_depth(
 @uncounted
 def survives(search: Search, first: int, stored: IntArray, length: int) -> tuple[float, bool]:
     """Whether some sequence that begins with an action keeps the buffer for all decisions, into `search.plan`; see
-    `in_depth`.
+    `in_depth`. Where what was planned begins otherwise, it has the greater part of the budget on a network to join that
+    again, and what slows down has the rest; on a straight highway all is for what slows down.
 
     Returns
     -------
     Its smallest clearance beyond the buffer [m], -inf where none is found; and whether the budget was spent before all
     had been tried.
     """
-    lasts, margin, exhausted = in_depth(search, first, stored, length, 0, 0.0)
-    return (margin if lasts == search.bounds.depth else -np.inf), exhausted
+    depth, budget = search.bounds.depth, search.bounds.budget
+    begins = first == ANY or (length > 0 and stored[0] == first)
+    lasts, margin, exhausted = 0, -np.inf, True
+    if length > 0 and not begins and not search.bounds.straight:
+        joins = math.ceil(_JOIN * budget)
+        lasts, margin, exhausted = in_depth(search, first, stored, length, 0, 0.0, joins)
+        budget -= joins
+    if lasts < depth and exhausted:
+        lasts, margin, exhausted = in_depth(search, first, stored, length if begins else 0, 0, 0.0, budget)
+    return (margin if lasts == depth else -np.inf), exhausted

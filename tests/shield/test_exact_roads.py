@@ -16,6 +16,8 @@ from shield.config import ShieldConfig
 from shield.decision import Tier
 from shield.exact.highways import ExactHighways
 from shield.exact.roads import ExactRoads
+from shield.exact.room import Wish
+from shield.exact.search import enter, in_depth, leap, survives
 
 CONFIG = ShieldConfig.exact()
 FASTER = 3
@@ -78,6 +80,51 @@ def test_what_lasts_longest_lasts_as_long_as_what_was_planned(seed):
             assert roads.plans.length[0] >= planned - 1
     assert boxed_in > 1
     assert bounds.effort < most <= bounds.effort + 2 * (bounds.last + len(search.order))
+
+
+def driven(env_id, seed, decisions):
+    """The road after so many decisions of always FASTER, and what was planned."""
+    roads = ExactRoads(env_id, 1)
+    roads.reset([seed])
+    for _ in range(decisions):
+        roads.step([FASTER])
+    assert roads.plans.verified[0]
+    return roads, roads._searches[0], roads.plans.actions[0], int(roads.plans.length[0])
+
+
+def keeps_buffer(search, actions):
+    return all(leap(search, k, k + 1, a, Wish(0.0, 0.0, 0.0), 0.0)[0] >= 0 for k, a in enumerate(actions))
+
+
+@pytest.mark.parametrize("env_id", ["two-way-v0", "u-turn-v0"])
+def test_what_begins_otherwise_joins_what_was_planned(env_id):
+    """Where the plan can be gone on with after another action, that is what is found."""
+    joined = 0
+    for seed in range(12):
+        roads, search, stored, length = driven(env_id, seed, 2)
+        for first in set(range(5)) - {int(stored[0])}:
+            enter(search, roads.worlds, 0)
+            sequence = [first, *stored[1:length].tolist()]
+            if any(keeps_buffer(search, [*sequence, last]) for last in range(5)):
+                enter(search, roads.worlds, 0)
+                assert survives(search, first, stored, length)[0] >= 0
+                assert search.plan[:length].tolist() == sequence
+                joined += len(set(sequence)) > 2
+    assert joined > 3
+
+
+@pytest.mark.parametrize(
+    ("env_id", "seed", "decisions"), [("two-way-v0", 1, 2), ("u-turn-v0", 9, 3), ("u-turn-v0", 36, 2)]
+)
+def test_what_cannot_join_what_was_planned_slows_down(env_id, seed, decisions):
+    """All of the budget spent on joining it finds nothing on these seeds."""
+    roads, search, stored, length = driven(env_id, seed, decisions)
+    budget = search.bounds.budget
+    enter(search, roads.worlds, 0)
+    assert in_depth(search, FASTER, stored, length, 0, 0.0, budget)[0] < search.bounds.depth
+    enter(search, roads.worlds, 0)
+    assert survives(search, FASTER, stored, length)[0] >= 0
+    assert search.spent[0] <= budget + len(search.order)
 
 
 @pytest.mark.parametrize("seed", [135, 271, 287, 347])

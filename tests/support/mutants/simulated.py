@@ -23,7 +23,7 @@ SIMULATED = (
     off(
         "one decision is enough",
         f"{EXACT}/search.py",
-        "(margin if lasts == search.bounds.depth else -np.inf)",
+        "(margin if lasts == depth else -np.inf)",
         "margin",
         _TESTS,
     ),
@@ -119,10 +119,24 @@ SIMULATED = (
         "tests/shield/test_exact_roads.py",
     ),
     off(
+        "what was planned is not joined again",
+        f"{EXACT}/search.py",
+        "    if length > 0 and not begins and not search.bounds.straight:\n",
+        "    if False:\n",
+        "tests/shield/test_exact_roads.py",
+    ),
+    off(
+        "to join what was planned may take all of the budget",
+        f"{EXACT}/search.py",
+        "        budget -= joins\n",
+        "        budget = 0\n",
+        "tests/shield/test_exact_roads.py",
+    ),
+    off(
         "a search in depth takes as long as it likes",
         f"{EXACT}/search.py",
-        "    until = min(search.spent[0] + bounds.budget - known, search.spent[1])\n",
-        "    until = search.spent[0] + bounds.budget - known\n",
+        "    until = min(search.spent[0] + budget - known, search.spent[1])\n",
+        "    until = search.spent[0] + budget - known\n",
         "tests/shield/test_exact_roads.py",
     ),
     off(

@@ -42,6 +42,7 @@ __all__ = [
     "Surroundings",
     "constant_velocity",
     "horizons",
+    "in_order",
     "look",
     "motion_settings",
     "room_for",
@@ -118,12 +119,19 @@ def motion_settings(a: Assumptions, dt: float) -> tuple[Motion, FloatArray]:
 
 
 @uncounted
-def _rearmost_last(states: FloatArray, order: IntArray) -> None:
+def in_order(states: FloatArray, order: IntArray) -> None:
     """The vehicles from the first along the road to the last, `order` (m,); those whose place is not known come
     last."""
-    for i in range(states.shape[0]):
-        k = i
-        while k > 0 and not states[order[k - 1], 0] >= states[i, 0] and states[i, 0] == states[i, 0]:
+    # Most often the rows are from the last to the first.
+    m = states.shape[0]
+    for n in range(m):
+        i, k = m - 1 - n, n
+        s = states[i, 0]
+        while k > 0:
+            other = states[order[k - 1], 0]
+            # Of equals, and of those that are not known, the earlier row comes first.
+            if other > s or (s != s and other == other):
+                break
             order[k] = order[k - 1]
             k -= 1
         order[k] = i
@@ -167,7 +175,7 @@ def look(
         for i in range(m):
             for k in range(recent.shape[1]):
                 recent[i, k] = 0.0
-    _rearmost_last(states, order)
+    in_order(states, order)
     brakings(others, states, stretch, motion, lap, ego, order, bodies, ways)
     floors(others, states, stretch, motion, order, bodies)
     for i in range(m):
@@ -240,8 +248,8 @@ class Surroundings:
             last = (before.states, before.tables.numbers, before.tables.recent)
         scene = (others, states, growth, self.stretch, centers, width, self.settings, self.lap, float(ego))
         marks, numbers, brakes, recent = self.tables
-        room = np.empty(room_for(len(states), brakes.shape[1]))
-        look(*scene, *last, marks, numbers, brakes, recent, np.empty(len(states), np.intp), room)
+        order = np.empty(len(states), np.intp)
+        look(*scene, *last, marks, numbers, brakes, recent, order, np.empty(room_for(len(states), brakes.shape[1])))
 
     @cached_property
     def bodies(self) -> Bodies:

@@ -94,8 +94,8 @@ def _lets_in(v: float, closing: float, far: float) -> bool:
 
 
 class _Extremes(NamedTuple):
-    """Speeds of each vehicle at each of the coming frames, and how far they have led by then, each (K, m): as fast, and
-    as slow, as it may be; and as slow as anybody could be that goes forwards."""
+    """Speeds of each vehicle at each of the coming frames, and how far they have led by then, each (K, m) or larger: as
+    fast, and as slow, as it may be; and as slow as anybody could be that goes forwards."""
 
     fast: FloatArray
     fast_way: FloatArray
@@ -150,15 +150,19 @@ def _press(
 
 
 @uncounted
-def _extremes(others: FloatArray, states: FloatArray, stretch: FloatArray, motion: Motion, ways: FloatArray) -> None:
-    """Fill in `_Extremes`, the first six of `ways` (see `brakings`), where everybody may brake as hard as can be at
-    once.
+def _extremes(
+    others: FloatArray, states: FloatArray, stretch: FloatArray, motion: Motion, frames: int, ways: FloatArray
+) -> None:
+    """Fill in so many frames of `_Extremes`, the first six of `ways` (see `brakings`), where everybody may brake as
+    hard as can be at once.
 
-    It goes frame by frame over all vehicles: none of them waits for what comes of another's last frame.
+    It goes frame by frame over all vehicles, one quantity at a time and in contiguous rows: so the compiler takes
+    several vehicles at once.
     """
-    m, dt, curved, frames = states.shape[0], motion.dt, stretch.shape[1] > 0, ways.shape[1]
+    m, dt, curved = states.shape[0], motion.dt, stretch.shape[1] > 0
     fast, fast_way, slow, slow_way, slowest, slowest_way = ways[0], ways[1], ways[2], ways[3], ways[4], ways[5]
     top, kept, backwards = ways[6, 0], ways[6, 1], ways[6, 2]
+    acceleration, power, braked = motion.acceleration, motion.power, motion.braking * dt
     for i in range(m):
         v, wrecked = states[i, 3], others[i, _CRASHED] > 0
         fast[0, i] = slow[0, i] = slowest[0, i] = max(v, 0.0)
@@ -166,16 +170,21 @@ def _extremes(others: FloatArray, states: FloatArray, stretch: FloatArray, motio
         top[i], backwards[i] = max(v, motion.max_speed), min(v, 0.0 if wrecked else -motion.reversing)
         kept[i] = 1 - dt if wrecked else 1.0
     for k in range(1, frames):
+        speeds, way, following, then = fast[k - 1], fast_way[k - 1], fast[k], fast_way[k]
         for i in range(m):
-            v = fast[k - 1, i]
-            fast_way[k, i] = fast_way[k - 1, i] + v * dt
-            fast[k, i] = min(v + min(motion.acceleration, motion.power / max(v, 1e-3)) * dt, top[i])
-            v = slowest[k - 1, i]
-            slowest_way[k, i] = slowest_way[k - 1, i] + v * dt
-            slowest[k, i] = max(v - motion.braking * dt, 0.0)
-            v = slow[k - 1, i]
-            slow_way[k, i] = slow_way[k - 1, i] + v * dt
-            slow[k, i] = max(min(v - motion.braking * dt, v * kept[i]), backwards[i])
+            v = speeds[i]
+            then[i] = way[i] + v * dt
+            following[i] = min(v + min(acceleration, power / max(v, 1e-3)) * dt, top[i])
+        speeds, way, following, then = slowest[k - 1], slowest_way[k - 1], slowest[k], slowest_way[k]
+        for i in range(m):
+            v = speeds[i]
+            then[i] = way[i] + v * dt
+            following[i] = max(v - braked, 0.0)
+        speeds, way, following, then = slow[k - 1], slow_way[k - 1], slow[k], slow_way[k]
+        for i in range(m):
+            v = speeds[i]
+            then[i] = way[i] + v * dt
+            following[i] = max(min(v - braked, v * kept[i]), backwards[i])
     if curved:
         for k in range(frames):
             for i in range(m):
@@ -215,9 +224,8 @@ def brakings(
                 all_brakes[i, k] = motion.braking
         return
     low, high, starts, ends = bodies.low, bodies.high, bodies.first, bodies.last
-    ways = ways[:, :frames]
     x, back = _Extremes(ways[0], ways[1], ways[2], ways[3], ways[4], ways[5]), motion.loss_back * motion.dt
-    _extremes(others, states, stretch, motion, ways)
+    _extremes(others, states, stretch, motion, frames, ways)
     gets, slows, goes = x.fast_way[last], x.slow[last], x.slow_way[last]
     furthest = 0.0
     for j in range(m):
@@ -265,5 +273,5 @@ def brakings(
             brakes[k] = motion.braking
         # Those behind count on it.
         v, shortest, longest = states[i, 3], stretch[0, i] if curved else 1.0, stretch[1, i] if curved else 1.0
-        speeds, way = x.slow[:, i], x.slow_way[:, i]
+        speeds, way = x.slow[:frames, i], x.slow_way[:frames, i]
         _slowest(v, min(v, -motion.reversing), brakes, False, shortest, longest, motion, speeds, way)

@@ -108,8 +108,8 @@ def time_to_collision(a: FloatArray, b: FloatArray) -> float:
 
 
 @uncounted
-def _see(rows: FloatArray, off_road: bool, tallies: Tallies, e: int) -> None:
-    """One frame: bodies (m, 7), the ego first."""
+def _see(rows: FloatArray, off_road: bool, tallies: Tallies, e: int, times: bool) -> None:
+    """One frame: bodies (m, 7), the ego first; see `tally`."""
     tallies.off_road[e] = tallies.off_road[e] or off_road
     if tallies.crashed[e]:
         return
@@ -124,29 +124,37 @@ def _see(rows: FloatArray, off_road: bool, tallies: Tallies, e: int) -> None:
         reach = 0.5 * (math.hypot(ego[4], ego[5]) + math.hypot(rows[i, 4], rows[i, 5]))
         if math.hypot(rows[i, 0] - ego[0], rows[i, 1] - ego[1]) - reach < tallies.min_gap[e]:
             tallies.min_gap[e] = min(tallies.min_gap[e], distance(ego, rows[i]))
-        tallies.min_ttc[e] = min(tallies.min_ttc[e], time_to_collision(ego, rows[i]))
+        if times:
+            tallies.min_ttc[e] = min(tallies.min_ttc[e], time_to_collision(ego, rows[i]))
 
 
 @uncounted
-def begin_tally(tallies: Tallies, e: int, rows: FloatArray, off_road: bool) -> None:
-    """Begin an episode, in the scene that it was reset to."""
+def begin_tally(tallies: Tallies, e: int, rows: FloatArray, off_road: bool, times: bool) -> None:
+    """Begin an episode, in the scene that it was reset to; see `tally`."""
     tallies.total[e] = tallies.speeds[e] = 0.0
     tallies.steps[e] = tallies.counted[e] = tallies.overridden[e] = tallies.frames[e] = 0
     tallies.frames_overridden[e] = tallies.violations[e] = tallies.fallbacks[e] = 0
     tallies.min_margin[e], tallies.min_gap[e], tallies.min_ttc[e] = np.nan, np.inf, HORIZON
     tallies.crashed[e] = tallies.off_road[e] = False
-    _see(rows, off_road, tallies, e)
+    _see(rows, off_road, tallies, e, times)
 
 
 @uncounted
 def tally(
-    tallies: Tallies, records: Records, rows: FloatArray, off_road: BoolArray, reward: FloatArray, going: BoolArray
+    tallies: Tallies,
+    records: Records,
+    rows: FloatArray,
+    off_road: BoolArray,
+    reward: FloatArray,
+    going: BoolArray,
+    times: bool,
 ) -> None:
     """Add one decision of each environment that is `going` on, (e,).
 
     Parameters
     ----------
     records, rows, off_road : see `ShieldedHighways`. reward : (e,).
+    times : whether the times to collision are asked for, `Tallies.min_ttc`, which stays `HORIZON` otherwise.
     """
     for e in range(rows.shape[0]):
         if not going[e]:
@@ -164,7 +172,7 @@ def tally(
                 fell = fell or FALLBACKS[records.tiers[e, k]]
             if math.isfinite(records.margins[e, k]) and not margin <= records.margins[e, k]:
                 margin = records.margins[e, k]
-            _see(rows[e, k], off_road[e, k], tallies, e)
+            _see(rows[e, k], off_road[e, k], tallies, e, times)
         tallies.min_margin[e] = margin
         tallies.frames[e] += rows.shape[1]
         tallies.frames_overridden[e] += held

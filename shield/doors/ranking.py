@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["normalised", "order_from_scores", "ranking_of"]
+from dynamics.state import FloatArray, IntArray
+
+__all__ = ["normalised", "order_from_scores", "orders_from_scores", "ranking_of"]
 
 
 def ranking_of(policy: Any, obs: Any) -> Any:
@@ -47,3 +49,11 @@ def order_from_scores(scores: Any, proposed: int) -> list[int]:
     """Action indices by falling score, without the proposal; NaN scores come last."""
     scores = np.nan_to_num(np.asarray(scores, dtype=float), nan=-np.inf)
     return [int(a) for a in np.argsort(-scores, kind="stable") if a != proposed]
+
+
+def orders_from_scores(scores: FloatArray, proposed: IntArray) -> IntArray:
+    """`order_from_scores` of many, scores (n, k) and proposals (n,), each ended with -1: (n, k)."""
+    ranked = np.argsort(-np.nan_to_num(scores, nan=-np.inf), axis=1, kind="stable")
+    n, k = ranked.shape
+    others = ranked[ranked != proposed[:, None]].reshape(n, k - 1)
+    return np.concatenate([others, np.full((n, 1), -1)], axis=1)

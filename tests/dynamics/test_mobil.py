@@ -4,9 +4,12 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dynamics.scenes.scene import SceneReader
 from dynamics.traffic import mobil
+from dynamics.traffic.occupancy import in_order
 
 SIGHT = 3.0
 
@@ -93,3 +96,51 @@ def test_an_ego_ahead_is_a_reason_to_leave_the_lane():
     assert not gains(states, lane, *edges, centers, SIGHT, 0.0).any()
     assert gains(states, lane, *edges, centers, SIGHT, 0.0, ego=ego).all()
     assert not gains(states, lane, *edges, centers, SIGHT, 0.0, ego=ego * [-1, 1, 1, 1]).any()
+
+
+def asked_one_by_one(states, lane, low, high, centers, slack, ego):
+    """MOBIL's questions as they stand, to everybody about everybody."""
+    across, wanted = states[:, 3] * np.sin(states[:, 2]), np.zeros((len(states), 2), bool)
+
+    def held_up(v, speed, gap):
+        return (mobil.GAP + mobil.TIME * v + v * (v - speed) / mobil.TWICE_ROOT) / max(gap, 1e-2)
+
+    for j, (s, _, _, v) in enumerate(states):
+        own, others = centers[lane[j]], [i for i in range(len(states)) if i != j]
+        ahead = [i for i in others if states[i, 0] >= s]
+        leaders = [i for i in ahead if abs(states[i, 1] - own) <= SIGHT or low[i] < own < high[i]]
+        now = max([held_up(v, states[i, 3], states[i, 0] - s) ** 2 for i in leaders], default=0.0)
+        if ego[0] >= s and (abs(ego[1] - own) <= SIGHT or low[j] < ego[1] < high[j]):
+            now = max(now, held_up(v, ego[3], ego[0] - s) ** 2)
+        for side, to in enumerate((lane[j] - 1, lane[j] + 1)):
+            if not 0 <= to < len(centers):
+                continue
+            there = [i for i in others if max(np.abs(states[i, 1] + [0, across[i]] - centers[to])) <= SIGHT]
+            leader = min((i for i in there if i in ahead), key=lambda i: states[i, 0], default=None)
+            follower = max((i for i in there if i not in ahead), key=lambda i: states[i, 0], default=None)
+            then = 0.0 if leader is None else held_up(v, states[leader, 3], states[leader, 0] - s) ** 2
+            back = 0.0 if follower is None else held_up(states[follower, 3], v, s - states[follower, 0])
+            wanted[j, side] = 3.0 * (now - then) >= 0.2 - slack and back <= 1.3 + slack
+    return wanted
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.sampled_from([0.0, 1.0]))
+def test_who_gains_is_who_would_if_asked_one_by_one(seed, m, slack):
+    """Places are whole metres, so that some are as far as others."""
+    rng, centers = np.random.default_rng(seed), np.array([0.0, 4.0, 8.0, 12.0])
+    lane = rng.integers(4, size=m)
+    r = centers[lane] + rng.choice([0.0, 0.0, rng.uniform(-2, 2)], m)
+    states = np.stack([rng.integers(0, 60, m) * 3.0, r, rng.choice([0.0, 0.1, -0.1], m), rng.uniform(0, 30, m)], axis=1)
+    edges, ego = (r - 1.25, r + 1.25), np.array([rng.uniform(0, 180), rng.choice(centers), 0.0, 20.0])
+    want = asked_one_by_one(states, lane, *edges, centers, slack, ego)
+    assert gains(states, lane, *edges, centers, SIGHT, slack, ego=ego).tolist() == want.tolist()
+
+
+@given(st.lists(st.sampled_from([0.0, 1.0, 2.0, 3.5, np.nan]), max_size=9))
+def test_the_first_along_the_road_come_first(places):
+    states, order = np.zeros((len(places), 4)), np.empty(len(places), np.intp)
+    states[:, 0] = places
+    in_order(states, order)
+    assert order.tolist() == sorted(
+        range(len(places)), key=lambda i: (np.isnan(places[i]), -np.nan_to_num(places[i]), i)
+    )

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 import torch
 from cores import MetaCore
+from hypothesis import given
+from hypothesis import strategies as st
 from policies import Always, Ranked, make
 
 from dynamics.scenes.scene import Scene, Target
 from shield import Shield, ShieldedEnv
-from shield.doors.ranking import order_from_scores, ranking_of
+from shield.doors.ranking import order_from_scores, orders_from_scores, ranking_of
 from shield.repair.order import default_order
 
 
@@ -38,6 +40,16 @@ def test_the_order_is_that_of_the_models_own_scores(name, models):
 
 def test_scores_that_are_not_numbers_come_last():
     assert order_from_scores([0.1, np.nan, 0.3, 0.2, np.nan], proposed=2) == [3, 0, 1, 4]
+
+
+@given(st.data())
+def test_the_orders_of_many_are_those_of_each(data):
+    n, k = data.draw(st.integers(1, 5)), data.draw(st.integers(2, 6))
+    score = st.one_of(st.sampled_from([0.0, 0.5, 1.0, np.nan]), st.floats(-3, 3))
+    scores = np.array(data.draw(st.lists(st.lists(score, min_size=k, max_size=k), min_size=n, max_size=n)))
+    proposed = np.array(data.draw(st.lists(st.integers(0, k - 1), min_size=n, max_size=n)))
+    each = [[*order_from_scores(s, a), -1] for s, a in zip(scores, proposed, strict=True)]
+    assert orders_from_scores(scores, proposed).tolist() == each
 
 
 def test_an_object_without_scores_has_no_ranking(env):

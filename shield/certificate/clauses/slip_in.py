@@ -78,15 +78,17 @@ def _held_up(j: int, states: FloatArray, center: float, sight: float, braking: f
     that is on its way there."""
     v, gap, speed, worst, now = states[j, 3], np.inf, 0.0, 0.0, 0.0
     for i in range(states.shape[0]):
-        ahead, off, across = states[i, 0] - states[j, 0], states[i, 1] - center, states[i, 3] * math.sin(states[i, 2])
+        ahead, off = states[i, 0] - states[j, 0], states[i, 1] - center
         if i == j or not ahead >= 0:
             continue
         if abs(off) <= sight:
             if ahead < gap:
                 gap, speed = ahead, states[i, 3]
-        elif abs(off) <= sight + _COMING and -math.copysign(across, off * across) > _MOVES:
-            most, as_now = _blocked(v, states[i, 3], ahead, braking)
-            worst, now = max(worst, most), max(now, as_now)
+        elif abs(off) <= sight + _COMING:
+            across = states[i, 3] * math.sin(states[i, 2])
+            if -math.copysign(across, off * across) > _MOVES:
+                most, as_now = _blocked(v, states[i, 3], ahead, braking)
+                worst, now = max(worst, most), max(now, as_now)
     if gap < np.inf:
         most, as_now = _blocked(v, speed, gap, braking)
         worst, now = max(worst, most), max(now, as_now)

@@ -45,15 +45,19 @@ def normalised(policy: Any, observation: Any) -> Any:
     return observation if inside is None else inside.normalize_obs(observation)
 
 
+def _ranked(scores: Any) -> IntArray:
+    """Action indices by falling score along the last axis; NaN scores come last."""
+    return np.argsort(-np.nan_to_num(np.asarray(scores, dtype=float), nan=-np.inf), axis=-1, kind="stable")
+
+
 def order_from_scores(scores: Any, proposed: int) -> list[int]:
     """Action indices by falling score, without the proposal; NaN scores come last."""
-    scores = np.nan_to_num(np.asarray(scores, dtype=float), nan=-np.inf)
-    return [int(a) for a in np.argsort(-scores, kind="stable") if a != proposed]
+    return [int(a) for a in _ranked(scores) if a != proposed]
 
 
 def orders_from_scores(scores: FloatArray, proposed: IntArray) -> IntArray:
     """`order_from_scores` of many, scores (n, k) and proposals (n,), each ended with -1: (n, k)."""
-    ranked = np.argsort(-np.nan_to_num(scores, nan=-np.inf), axis=1, kind="stable")
+    ranked = _ranked(scores)
     n, k = ranked.shape
     others = ranked[ranked != proposed[:, None]].reshape(n, k - 1)
     return np.concatenate([others, np.full((n, 1), -1)], axis=1)

@@ -126,7 +126,7 @@ def asked_one_by_one(states, lane, low, high, centers, slack, ego):
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.sampled_from([0.0, 1.0]))
 def test_who_gains_is_who_would_if_asked_one_by_one(seed, m, slack):
-    """Places are whole metres, so that some are as far as others."""
+    """Places are multiples of 3 m, so that some are as far along the road as others."""
     rng, centers = np.random.default_rng(seed), np.array([0.0, 4.0, 8.0, 12.0])
     lane = rng.integers(4, size=m)
     r = centers[lane] + rng.choice([0.0, 0.0, rng.uniform(-2, 2)], m)

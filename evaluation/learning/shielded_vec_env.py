@@ -10,7 +10,7 @@ import numpy as np
 
 from dynamics.simulator.simulator import Simulator
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
-from shield.batch.vocabulary import FALLBACKS, OVERRIDES, REASONS, TIERS
+from shield.batch.vocabulary import FALLBACKS, OVERRIDES, REASONS, TIERS, rules_in
 from shield.config import ShieldConfig
 from shield.decision import Guarantee, Tier
 from shield.exact.batches import highways_for
@@ -40,7 +40,7 @@ class ShieldedVecEnv(FastHighwayVecEnv):
     Notes
     -----
     `infos[i]["shield"]` is what `ShieldedEnv` reports: `overridden`, `reason`, `tier`, `margin` [m],
-    `frames_overridden` and `violations`. The order of alternatives is the documented one.
+    `frames_overridden`, `violations` and `rules`. The order of alternatives is the documented one.
 
     Examples
     --------
@@ -99,5 +99,6 @@ class ShieldedVecEnv(FastHighwayVecEnv):
             "margin": float(margins[np.isfinite(margins)].min(initial=np.inf)),
             "frames_overridden": sum(k > 0 for k in held),
             "violations": int(records.violations[i]),
+            "rules": rules_in(records.broken[i]),
             "guarantee": (Guarantee.FULL if certified else Guarantee.NONE).value,
         }

@@ -9,6 +9,7 @@ import numpy as np
 
 from dynamics.compiled import inlined, uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray
+from dynamics.traffic.permits import Rule
 from shield.batch.arrays import Records
 from shield.batch.vocabulary import FALLBACKS, OVERRIDES
 
@@ -25,7 +26,7 @@ class Tallies(NamedTuple):
 
     `min_ttc` is the least time to a collision at constant velocities, at most `HORIZON`, and 0 in a crash [s]; `speeds`
     adds up the ego's speed over `counted` frames, up to a crash [m/s]; `fallbacks` counts the decisions in
-    which a fallback acted.
+    which a fallback acted. `broken` (e, rules) counts what `Records.broken` does.
     """
 
     total: FloatArray
@@ -42,12 +43,14 @@ class Tallies(NamedTuple):
     crashed: BoolArray
     off_road: BoolArray
     fallbacks: IntArray
+    broken: IntArray
 
 
 def empty_tallies(e: int) -> Tallies:
     """For e environments."""
     kinds: list[Any] = [float, int, float, int, int, int, int, int, float, float, float, bool, bool, int]
-    return Tallies(*(np.zeros(e, kind) for kind in kinds))
+    rows: list[Any] = [*(np.zeros(e, kind) for kind in kinds), np.zeros((e, len(Rule)), int)]
+    return Tallies(*rows)
 
 
 @inlined
@@ -134,6 +137,8 @@ def begin_tally(tallies: Tallies, e: int, rows: FloatArray, off_road: bool, time
     tallies.total[e] = tallies.speeds[e] = 0.0
     tallies.steps[e] = tallies.counted[e] = tallies.overridden[e] = tallies.frames[e] = 0
     tallies.frames_overridden[e] = tallies.violations[e] = tallies.fallbacks[e] = 0
+    for k in range(tallies.broken.shape[1]):
+        tallies.broken[e, k] = 0
     tallies.min_margin[e], tallies.min_gap[e], tallies.min_ttc[e] = np.nan, np.inf, HORIZON
     tallies.crashed[e] = tallies.off_road[e] = False
     _see(rows, off_road, tallies, e, times)
@@ -162,6 +167,8 @@ def tally(
         tallies.total[e] += reward[e]
         tallies.steps[e] += 1
         tallies.violations[e] += records.violations[e]
+        for k in range(tallies.broken.shape[1]):
+            tallies.broken[e, k] += records.broken[e, k]
         held, fell = 0, FALLBACKS[records.tier[e]]
         margin = tallies.min_margin[e]
         if math.isfinite(records.margin[e]) and not margin <= records.margin[e]:

@@ -30,7 +30,8 @@ from shield.errors import ConfigError
 __all__ = ["ANY", "TRAFFIC", "Find", "Met", "Searched", "crash_probability", "falsify", "falsify_among", "replay"]
 
 ANY = "any"
-"""The policy that may propose anything: its actions are searched too."""
+"""The policy that may propose anything: its actions are searched too. Drawn evenly, they are those of `random`."""
+_FREE = (ANY, "random")
 TRAFFIC = ("idm", "bold")
 """Who drives the others: highway-env's own, or as recklessly as the rules permit (`evaluation.rare.bold`)."""
 _AT_ONCE = 16
@@ -124,7 +125,7 @@ class _Episodes:
     """Points of a standard normal as episodes."""
 
     def __init__(self, setting: Setting, policy: str, config: ShieldConfig) -> None:
-        self._free = policy == ANY
+        self._free = policy in _FREE
         self._many = Many(setting, "idle" if self._free else policy, config, chosen=True)
         self.scene, self.steps, self.labels = self._many.draws, self._many.steps, self._many.actions
         self.dimensions = self.scene + (self.steps if self._free else 0)
@@ -197,7 +198,7 @@ def falsify(
         env_id=setting.env_id,
         config=dict(setting.config),
         shield=config.to_toml(),
-        policy=policy,
+        policy=policy if actions is None else ANY,
         shares=tuple(shares[0].tolist()),
         actions=() if actions is None else tuple(actions[0].tolist()),
         clearance=float(result.performance[0]),

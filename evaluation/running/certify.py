@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,7 +17,7 @@ import pandas as pd
 from evaluation.measuring.statistics import bootstrap_mean, clopper_pearson
 from evaluation.running.episodes import run_paired
 from evaluation.running.many import Many
-from evaluation.running.records import variant_for
+from evaluation.running.records import told, variant_for
 from evaluation.running.store import provenance
 from evaluation.settings import Setting
 from evaluation.simulators import compiled_where_it_serves
@@ -46,6 +47,7 @@ COLUMNS = (
     "min_margin",
     "min_gap",
     "simulator",
+    "rules",
 )
 FALLBACKS = [f"tier_{tier.value}" for tier in Tier if tier.fallback]
 _SHOWN = 20
@@ -98,8 +100,8 @@ def certify(asked: Asked, folder: str | Path, jobs: int = 1, progress: Any = Non
     Returns
     -------
     A row for each episode, by seed: setting, policy, mode, seed, crashed, off_road, attribution, return, steps,
-    mean_speed [m/s], overridden, frames, frames_overridden, violations, min_margin and min_gap [m], simulator, and
-    `fallbacks`, the decisions in which a fallback acted.
+    mean_speed [m/s], overridden, frames, frames_overridden, violations, min_margin and min_gap [m], simulator, rules
+    (how often each was broken, as a text), and `fallbacks`, the decisions in which a fallback acted.
 
     Raises
     ------
@@ -115,7 +117,9 @@ def certify(asked: Asked, folder: str | Path, jobs: int = 1, progress: Any = Non
         if progress is not None:
             progress(frame)
     frames = [pd.read_parquet(_path(folder, *part)) for part in asked.parts()]
-    return pd.concat(frames, ignore_index=True)
+    whole = pd.concat(frames, ignore_index=True)
+    # Parts of an older version have none.
+    return whole if "rules" in whole else whole.assign(rules=None)
 
 
 def _claim(folder: Path, asked: Asked) -> None:
@@ -181,6 +185,15 @@ def _drive(asked: Asked, folder: Path, first: int, count: int) -> pd.DataFrame:
     return frame
 
 
+def _broken(episodes: pd.DataFrame) -> str:
+    """How often each rule was broken in all episodes, as `told` has it."""
+    rules: Counter[str] = Counter()
+    for text in episodes["rules"].dropna():
+        for rule, count in (each.rsplit(" ", 1) for each in text.split(", ") if each):
+            rules[rule] += int(count)
+    return told(rules)
+
+
 def page(episodes: pd.DataFrame) -> str:
     """What the episodes show, in Markdown: the bound, the distribution of clearances, and the seeds to look at."""
     n, crashes = len(episodes), int(episodes["crashed"].sum())
@@ -200,13 +213,14 @@ def page(episodes: pd.DataFrame) -> str:
         "smallest margin": f"{episodes['min_margin'].min():.3f} m",
         "violations of the assumptions": f"{int(episodes['violations'].sum())} "
         f"in {int((episodes['violations'] > 0).sum())} episodes",
+        "rules that were broken": _broken(episodes) or "none",
         "decisions with a fallback": f"{int(episodes['fallbacks'].sum())} "
         f"in {int((episodes['fallbacks'] > 0).sum())} episodes",
     }
     title = f"# {first['policy']} on {first['setting']}, shield {first['mode']}"
     table = pd.DataFrame({"": list(facts), "found": list(facts.values())}).to_markdown(index=False)
     odd = episodes[(episodes["crashed"]) | (episodes["violations"] > 0) | (episodes["fallbacks"] > 0)]
-    columns = ["seed", "crashed", "attribution", "min_gap", "min_margin", "violations", "fallbacks"]
+    columns = ["seed", "crashed", "attribution", "min_gap", "min_margin", "violations", "rules", "fallbacks"]
     rows = odd.sort_values(["crashed", "min_gap"], ascending=[False, True])[columns].head(_SHOWN)
     seeds = "None." if rows.empty else rows.to_markdown(index=False, floatfmt=".3f")
     more = f"\n\nThe first {_SHOWN} of {len(odd)}." if len(odd) > _SHOWN else ""

@@ -50,6 +50,7 @@ class _Tally:
     overridden: int = 0
     frames_overridden: int = 0
     violations: int | None = 0
+    rules: Counter[str] = field(default_factory=Counter)
     min_margin: float = float("nan")
     reasons: Counter[str] = field(default_factory=Counter)
     tiers: Counter[str] = field(default_factory=Counter)
@@ -63,6 +64,7 @@ class _Tally:
             self.violations = None
         else:
             self.violations += int(violations)
+        self.rules.update(shield["rules"])
         if np.isfinite(shield["margin"]):
             self.min_margin = float(np.fmin(self.min_margin, shield["margin"]))
         self.reasons[Reason(shield["reason"]).value] += 1
@@ -70,10 +72,11 @@ class _Tally:
         self.latencies.append(float(shield["latency_ms"]))
 
 
-_UNSHIELDED = {
+_UNSHIELDED: dict[str, Any] = {
     "overridden": False,
     "frames_overridden": 0,
     "violations": None,
+    "rules": {},
     "margin": float("nan"),
     "reason": Reason.NONE.value,
     "tier": Tier.OFF.value,
@@ -154,6 +157,7 @@ class Driver:
             min_gap=history.min_gap(),
             latencies=tuple(tally.latencies) if self.variant.door != "none" else (),
             simulator=self.simulator,
+            rules=dict(tally.rules),
             **_arrival(info, self.env, history),
         )
 

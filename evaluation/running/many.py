@@ -14,9 +14,10 @@ from evaluation.measuring.tally import SOON, Tallies, begin_tally, empty_tallies
 from evaluation.policies import list_references
 from evaluation.running.episodes import run_episode
 from evaluation.running.named_policies import ConstantPolicy, RandomPolicy, WeavingPolicy, make_policy, policy_label
-from evaluation.running.records import variant_for
+from evaluation.running.records import told, variant_for
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
+from shield.batch.vocabulary import rules_in
 from shield.config import ShieldConfig
 from shield.doors.ranking import normalised, orders_from_scores, ranking_of
 from shield.errors import ConfigError
@@ -131,7 +132,10 @@ class Many:
         self._setting, self._policy, self._config = setting, policy, config
         self.steps = self._highways.steps
         made = make_policy(policy, self._highways.one())
-        blind = isinstance(made, ConstantPolicy | RandomPolicy | WeavingPolicy)
+        blind, self._draws = (
+            isinstance(made, ConstantPolicy | RandomPolicy | WeavingPolicy),
+            isinstance(made, RandomPolicy),
+        )
         self._drivers: _Drivers = _Blind(made, envs, self.steps) if blind else _Model(made)  # type: ignore[arg-type]
         if not blind and getattr(getattr(made, "policy", None), "lstm_actor", None) is not None:
             raise ConfigError(f"{policy!r} is recurrent; it drives one environment at a time")
@@ -172,12 +176,19 @@ class Many:
         Parameters
         ----------
         shares : the numbers that each is made from, (n, `draws`), see `Simulator.reset_to`.
-        actions : what is proposed in each, (n, steps); by default the policy says it, as in an episode with seed 0.
+        actions : what is proposed in each, (n, steps); by default the policy says it.
 
         Returns
         -------
         What happened in each.
+
+        Raises
+        ------
+        ConfigError
+            If the policy draws its actions by the seed of an episode, which a scene of one's own choice has not.
         """
+        if actions is None and self._draws:
+            raise ConfigError("random actions go by an episode's seed; in scenes of one's own choice have actions=")
         gaps, times, offences = np.empty(len(shares)), np.empty(len(shares)), np.zeros(len(shares), np.intp)
 
         def begin(i: int, k: int) -> None:
@@ -264,5 +275,6 @@ class Many:
             "min_margin": float(tallies.min_margin[i]),
             "min_gap": float(tallies.min_gap[i]),
             "simulator": "compiled",
+            "rules": told(rules_in(tallies.broken[i])),
             "fallbacks": int(tallies.fallbacks[i]),
         }

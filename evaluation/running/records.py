@@ -12,7 +12,7 @@ from shield.decision import Reason, Tier
 from shield.errors import ConfigError
 from shield.roads.reading import default_on, has_crossings
 
-__all__ = ["DOORS", "EpisodeRecord", "Variant", "config_on", "make_variants", "variant_for"]
+__all__ = ["DOORS", "EpisodeRecord", "Variant", "config_on", "make_variants", "told", "variant_for"]
 
 DOORS = ("none", "env", "policy", "actions")
 """No shield; `ShieldedEnv`; `Shield`; `Shield` with actions alone, `frames=False`."""
@@ -96,6 +96,17 @@ def make_variants(
     return variants
 
 
+def told(rules: Mapping[str, int]) -> str:
+    """How often each rule was broken, as a text.
+
+    Examples
+    --------
+    >>> told({"lanes": 2, "crash": 1})
+    'crash 1, lanes 2'
+    """
+    return ", ".join(f"{rule} {count}" for rule, count in sorted(rules.items()) if count)
+
+
 @dataclass(frozen=True, slots=True)
 class EpisodeRecord:
     """What happened in one episode.
@@ -121,6 +132,7 @@ class EpisodeRecord:
     reasons, tiers : decisions by `Reason` and `Tier` (columns "reason_…", "tier_…").
     frames, frames_overridden : simulation frames, and those in which the shield acted.
     violations : how often the traffic broke the assumptions; None where the door does not count it.
+    rules : how often each of them was broken (column "rules", see `told`).
     min_margin : smallest margin of what was executed [m]; NaN where none was computed.
     min_gap : smallest clearance to anybody [m]; 0 in a crash.
     latencies : time that the shield took at each decision [ms] (column "latencies_ms").
@@ -158,12 +170,13 @@ class EpisodeRecord:
     success: bool | None = None
     arrival_speed: float = float("nan")
     simulator: str = "highway-env"
+    rules: Mapping[str, int] = field(default_factory=dict)
 
     def row(self) -> dict[str, Any]:
         """The record as flat columns of a table."""
         flat = {f.name: getattr(self, f.name) for f in fields(self)}
         reasons, tiers = flat.pop("reasons"), flat.pop("tiers")
-        flat["return"] = flat.pop("return_")
+        flat["return"], flat["rules"] = flat.pop("return_"), told(self.rules)
         flat["latencies_ms"] = list(flat.pop("latencies"))
         flat |= {f"reason_{r.value}": reasons.get(r.value, 0) for r in Reason}
         return flat | {f"tier_{t.value}": tiers.get(t.value, 0) for t in Tier}

@@ -126,7 +126,8 @@ class Room(NamedTuple):
 class Records(NamedTuple):
     """What was decided: of the decision (e,), and of each of its F frames (e, F).
 
-    `tiers`, `reasons` and `clauses` are indices of `TIERS`, `REASONS` and `CLAUSES` in `shield.batch.vocabulary`.
+    `broken` (e, rules) is how often each rule was broken in the decision, in the order of `Rule`. `tiers`, `reasons`
+    and `clauses` are indices of `TIERS`, `REASONS` and `CLAUSES` in `shield.batch.vocabulary`.
     """
 
     proposed: IntArray
@@ -137,6 +138,7 @@ class Records(NamedTuple):
     clause: IntArray
     vehicle: IntArray
     violations: IntArray
+    broken: IntArray
     reasons: IntArray
     tiers: IntArray
     margins: FloatArray
@@ -274,6 +276,7 @@ def empty_records(e: int, frames: int) -> Records:
         one(),
         one(),
         one(),
+        np.zeros((e, _RULES), index),
         each(),
         each(),
         np.zeros((e, frames)),

@@ -83,6 +83,9 @@ def step_all_shielded(
     bench = Bench(lent(shields), lent(law), lent(worlds), lent(room), lent(records))
     for e in range(first, last):
         before, proposed, off = shields.offences[e], actions[e], law.numbers.off
+        broken, by_rule = records.broken[e], shields.by_rule[e]
+        for k in range(by_rule.shape[0]):
+            broken[k] = -by_rule[k]
         if off:
             _pass(records, e, proposed)
         else:
@@ -112,6 +115,8 @@ def step_all_shielded(
             off_road[e, k] = not look(worlds, rules, e, rows[e, k])
         finish(machine, worlds, rules, view, work, seen, e)
         records.violations[e] = shields.offences[e] - before
+        for k in range(by_rule.shape[0]):
+            broken[k] += by_rule[k]
         if again and (seen.terminated[e] or seen.truncated[e]):
             follow(machine, worlds, rules, view, work, seen, e)
             forget(shields, e)

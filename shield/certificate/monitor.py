@@ -72,6 +72,11 @@ class Watch:
         """Whether anybody who has broken a rule may still be in the way."""
         return bool(self.offenders.any())
 
+    @property
+    def named(self) -> dict[str, int]:
+        """`by_rule` by the names of the rules."""
+        return {str(rule.name).lower(): count for rule, count in self.by_rule.items()}
+
     def forgiven(self) -> Watch:
         """The same once a plan clears everybody again."""
         return replace(self, offenders=np.zeros(self.offenders.shape, dtype=bool)) if self.violated else self
@@ -144,6 +149,11 @@ class Stillness:
     count: int = 0
     violated: bool = False
     moving: BoolArray | None = None
+
+    @property
+    def named(self) -> dict[str, int]:
+        """As of `Watch`."""
+        return {"moving": self.count} if self.count else {}
 
     def next(self, moving: BoolArray) -> Stillness:
         """The same one lot later."""

@@ -22,7 +22,7 @@ from shield.doors.input_door import InputDoor
 from shield.doors.meta_door import MetaDoor
 from shield.doors.patience import Patience
 from shield.doors.ranking import normalised, order_from_scores, ranking_of
-from shield.doors.report import Statistics, report, team_report
+from shield.doors.report import Offences, Statistics, report, team_report
 from shield.doors.road_door import RoadDoor
 from shield.doors.supervision import Command, Supervision
 from shield.doors.team_door import TeamDoor, is_team
@@ -80,11 +80,11 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     Notes
     -----
     `info["shield"]` holds `overridden`, `reason`, `tier`, `margin` [m], `frames_overridden`, `violations` (of the
-    assumptions, by the traffic) and `guarantee` (a `shield.decision.Guarantee`, the weakest of the decision and its
-    frames), and of several egos `agents`, the same of each; `latency` is all the time that the shield took in the last
-    step [s]. With an episode's last step comes `info["shield_episode"]`: `decisions`, how many were `overridden`,
-    `frames_overridden`, `violations`, the smallest `margin` [m], the mean `latency_ms`, and `reasons`, how often each
-    was one.
+    assumptions, by the traffic), `rules` (how often each was broken, by name) and `guarantee` (a
+    `shield.decision.Guarantee`, the weakest of the decision and its frames), and of several egos `agents`, the same of
+    each; `latency` is all the time that the shield took in the last step [s]. With an episode's last step comes
+    `info["shield_episode"]`: `decisions`, how many were `overridden`, `frames_overridden`, `violations`, `rules`, the
+    smallest `margin` [m], the mean `latency_ms`, and `reasons`, how often each was one.
 
     Examples
     --------
@@ -168,7 +168,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if self._base.road is None:
             raise SceneError("the environment has no road yet; call reset() first")
         start = perf_counter()
-        before = self._door.violations
+        before = Offences(self._door)
         if isinstance(self._door, TeamDoor):
             decisions = self._door.decide(action)
             executed = tuple(int(each.executed) for each in decisions)
@@ -189,11 +189,11 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             obs, reward, terminated, truncated, info = self.env.step(executed)
         self._observation = obs
         self.latency = deciding + self._supervising
-        violations = self._door.violations - before
+        offences = before.since(self._door)
         if isinstance(self._door, TeamDoor):
-            info["shield"] = team_report(decisions, violations)
+            info["shield"] = team_report(decisions, *offences)
         else:
-            info["shield"] = report(decisions[0], self.frame_decisions, violations)
+            info["shield"] = report(decisions[0], self.frame_decisions, *offences)
         self._episode.add(info["shield"], self.latency)
         # highway-env's wrapper for several egos rewards each, and says of each whether it is over for it.
         each = isinstance(terminated, tuple)

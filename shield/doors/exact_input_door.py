@@ -84,6 +84,11 @@ class ExactInputDoor(InputFrames):
         """Vehicles that have done something else than what was foretold."""
         return self._scene.violations
 
+    @property
+    def by_rule(self) -> dict[str, int]:
+        """The same by the rule that was broken: to do what is foretold is the only one."""
+        return self._scene.by_rule
+
     def _physical(self, action: Any, read: FloatArray) -> FloatArray:
         """As highway-env itself computes them: in the precision of the action, which tells in the end."""
         given: dict[str, float] = {}

@@ -19,6 +19,7 @@ from shield.config import ShieldConfig
 from shield.decision import Reason
 from shield.exact.room import Search, new_search
 from shield.exact.search import foretell
+from shield.roads.watch import Breach
 
 __all__ = ["STATE", "ExactScene", "Room", "why_unread"]
 
@@ -28,6 +29,7 @@ Room = tuple[Simulator | NetworkSimulator, Search]
 """A simulator of the scene as it is, and room for searches in it."""
 STATE = [X, Y, HEADING, SPEED]
 """Rows of the arrays that are foretold."""
+_UNFORESEEN = Breach.UNFORESEEN.value
 _SAME = 1e-6
 """A vehicle has done what was foretold of it within this [m, rad, m/s]; where numpy's own sums cannot be had they
 differ by some 1e-12."""
@@ -66,6 +68,11 @@ class ExactScene:
         self.violations = 0
         self._rooms: dict[int, Room] = {}
         self.expect_nothing()
+
+    @property
+    def by_rule(self) -> dict[str, int]:
+        """`violations` by the rule that was broken, of which there is one."""
+        return {_UNFORESEEN: self.violations} if self.violations else {}
 
     def forget(self) -> None:
         """Forget everything about the episode, and make room for the next. A scene that cannot be read is refused where

@@ -97,6 +97,11 @@ class InputDoor(InputFrames):
         return self.core.violations
 
     @property
+    def by_rule(self) -> dict[str, int]:
+        """The same by the rule that was broken."""
+        return self.core.by_rule
+
+    @property
     def supervising(self) -> bool:
         """Whether `frame` has a say."""
         return not (self._off or self._agent)

@@ -81,6 +81,11 @@ class MetaDoor:
         return self.core.violations
 
     @property
+    def by_rule(self) -> dict[str, int]:
+        """The same by the rule that was broken."""
+        return self.core.by_rule
+
+    @property
     def supervising(self) -> bool:
         """Whether `frame` has a say."""
         return self.config.mode == "full" and not self._alone

@@ -24,7 +24,7 @@ from shield.doors.liveness import Liveness
 from shield.doors.meta_door import MetaDoor
 from shield.doors.patience import Patience
 from shield.doors.ranking import order_from_scores, ranking_of
-from shield.doors.report import Statistics, report
+from shield.doors.report import Offences, Statistics, report
 from shield.doors.road_door import RoadDoor
 from shield.doors.supervision import Command, Supervision
 from shield.doors.warm_doors import warm_up_door
@@ -158,7 +158,7 @@ class Shield:
         self._patience = [Patience(self.config.patience) for _ in self._bases]
         self._alive = [Liveness(base) for base in self._bases if base is not None]
         self._supervisions: list[Supervision | None] = [None] * n
-        self._counted = [0] * n
+        self._counted = [Offences(door) for door in self._doors]
         self._statistics = Statistics()
         self.last_decisions: list[Decision] = []
         self.frame_decisions: list[list[Decision]] = [[] for _ in range(n)]
@@ -178,8 +178,8 @@ class Shield:
         """
         if not self.last_decisions:
             raise ConfigError("report() is about the last decision; call predict() first")
-        violations = self._doors[i].violations - self._counted[i]
-        return report(self.last_decisions[i], self.frame_decisions[i], violations)
+        offences = self._counted[i].since(self._doors[i])
+        return report(self.last_decisions[i], self.frame_decisions[i], *offences)
 
     @property
     def statistics(self) -> Statistics:
@@ -314,7 +314,7 @@ class Shield:
         elif base.road is not self._roads[i]:
             self._roads[i] = base.road
             door.reset()
-        self._counted[i], self.frame_decisions[i] = door.violations, []
+        self._counted[i], self.frame_decisions[i] = Offences(door), []
 
     def _show(self, observation: Any, unsaid: bool) -> None:
         """Hand each environment's observation to what makes a scene of it; `unsaid`, whether nobody says where an
@@ -329,7 +329,7 @@ class Shield:
             door.show(_row(shown, i, n))
             if unsaid and door.begins():
                 door.reset()
-                self._counted[i] = door.violations
+                self._counted[i] = Offences(door)
                 door.show(_row(shown, i, n))
 
     def _actions(self, i: int) -> int:

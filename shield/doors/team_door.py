@@ -90,6 +90,11 @@ class TeamDoor:
         """Vehicles that have done something else than what was foretold, counted at each decision."""
         return self._scene.violations
 
+    @property
+    def by_rule(self) -> dict[str, int]:
+        """The same by the rule that was broken: to do what is foretold is the only one."""
+        return self._scene.by_rule
+
     def reset(self) -> None:
         """Forget everything about the episode."""
         self._scene.forget()

@@ -176,6 +176,11 @@ class Core(Generic[S]):
         """How often the others have broken the assumptions."""
         return self.memory.watch.count
 
+    @property
+    def by_rule(self) -> dict[str, int]:
+        """The same by the rule that was broken."""
+        return self.memory.watch.named
+
     def decide(self, scene: Any, proposal: Any, procedure: Procedure[S, Any] | None = None) -> Decision:
         """The next decision; see `decide`."""
         decision, self.memory = decide(self.memory, scene, proposal, procedure or self.procedure)

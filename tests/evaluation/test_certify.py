@@ -77,10 +77,13 @@ def test_the_page_names_what_was_found(tmp_path):
     assert "5 (15 decisions, 75 frames), seeds 50 to 54, simulated by compiled" in text
     assert "0; rate 0, 95 % Clopper-Pearson [0, 0.45]" in text
     assert "None." in text
-    found.loc[2, ["crashed", "violations", "min_gap"]] = [True, 3, 0.0]
+    assert "| rules that were broken         | none" in text
+    found.loc[2, ["crashed", "violations", "min_gap", "rules"]] = [True, 3, 0.0, "crash 1, lanes 2"]
+    found.loc[3, ["violations", "rules"]] = [1, "lanes 1"]
     text = page(found)
     assert "1; rate 0.2" in text
-    assert "3 in 1 episodes" in text
+    assert "4 in 2 episodes" in text
+    assert "crash 1, lanes 3" in text
     assert "|     52 | True" in text
 
 

@@ -115,6 +115,16 @@ def test_the_rate_of_a_bare_policy_is_inside_the_interval():
     assert abs(found.probability - counted) < 3 * np.hypot(found.probability * found.variation, 0.018)
 
 
+def test_random_actions_are_drawn_anew_in_each_episode():
+    """The rate by plain counting, and from scenes and actions that are drawn."""
+    counted = Many(FAST, "random", BARE).run(range(600))["crashed"].mean()
+    found = crash_probability(FAST, "random", BARE, samples=400, seed=1)
+    error = np.hypot(np.sqrt(counted * (1 - counted) / 600), np.sqrt(counted * (1 - counted) / 400))
+    assert abs(found.probability - counted) < 3 * error
+    with pytest.raises(ConfigError, match="have actions="):
+        Many(FAST, "random", BARE, chosen=True).run_chosen(np.full((1, 200), 0.5))
+
+
 @pytest.mark.parametrize(
     "weak",
     [

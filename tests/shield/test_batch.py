@@ -13,7 +13,7 @@ from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.traffic.assumptions import Assumptions
 from shield import ConfigError, ShieldConfig, ShieldedEnv
 from shield.batch.highways import ShieldedHighways
-from shield.batch.vocabulary import CLAUSES, REASONS, TIERS
+from shield.batch.vocabulary import CLAUSES, REASONS, TIERS, rules_in
 from shield.config import Buffer
 
 TRAFFIC = "highway_env.vehicle.behavior."
@@ -103,6 +103,7 @@ def drive(env_id, config, shield, choose, seeds, ranked=False):
             assert np.array_equal(obs, seen[0][0])
             assert (reward, terminated, truncated) == (seen[1][0], seen[2][0], seen[3][0])
             assert info["shield"]["violations"] == many.records.violations[0]
+            assert info["shield"]["rules"] == rules_in(many.records.broken[0])
             met |= {d.tier for d in (one.last_decision, *one.frame_decisions)}
             done, k = terminated or truncated, k + 1
     return {str(tier) for tier in met}

@@ -20,6 +20,7 @@ KEYS = {
     "margin": float,
     "frames_overridden": int,
     "violations": int,
+    "rules": dict,
     "guarantee": str,
 }
 

@@ -1,4 +1,4 @@
-"""`LookaheadPolicy`: drives by knowing what will happen, an upper bound on what driving well is worth.
+"""`LookaheadPolicy`: drives by knowing what will happen, a measure of what driving well is worth.
 
 On a straight highway nothing is random after the reset, so the compiled copy of highway-env, started from the
 simulator's true state, tells the future exactly: that of every vehicle, whatever the ego does. The policy searches it.

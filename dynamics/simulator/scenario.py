@@ -117,8 +117,8 @@ def scenario_of(env_id: str, config: Mapping[str, Any] | None = None) -> Scenari
     if refused:
         raise ConfigError(
             f"the compiled simulator cannot run {env_id} with {'; '.join(refused)}. It runs highway-v0 and "
-            "highway-fast-v0 with Kinematics, DiscreteMetaAction or ContinuousAction, and IDM, Linear, Aggressive or "
-            "Defensive vehicles; take highway-env itself for the rest"
+            "highway-fast-v0 with Kinematics or OccupancyGrid, DiscreteMetaAction or ContinuousAction, and IDM, "
+            "Linear, Aggressive or Defensive vehicles; take highway-env itself for the rest"
         )
     rules, inputs, action_space = _rules(kind, whole)
     view, observation_space = _view(whole)

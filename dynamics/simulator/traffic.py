@@ -39,6 +39,7 @@ from dynamics.simulator.layout import (
 )
 from dynamics.simulator.loops import at_two
 from dynamics.state import FloatArray, IntArray
+from dynamics.traffic.mobil import gap_by
 
 __all__ = ["acceleration", "change_lanes", "desired_gap", "free_flow", "free_flow_of", "held_back", "wanted_share"]
 
@@ -51,7 +52,7 @@ def desired_gap(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, 
     v, w = f[SPEED, body], f[SPEED, leader]
     c, s = f[COS, body], f[SIN, body]
     closing = dot2(sums, v * c - w * f[COS, leader], c, v * s - w * f[SIN, leader], s)
-    return p[DISTANCE, judge] + v * p[TIME, judge] + v * closing / p[TWICE_ROOT, judge]
+    return gap_by(p[DISTANCE, judge], p[TIME, judge], p[TWICE_ROOT, judge], v, closing)
 
 
 @inlined

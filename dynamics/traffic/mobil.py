@@ -20,7 +20,7 @@ import numpy as np
 from dynamics.compiled import inlined, uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray
 
-__all__ = ["COMFORT", "GAP", "IMPOSED", "TIME", "TWICE_ROOT", "desired_gap", "gain_of", "gains"]
+__all__ = ["COMFORT", "GAP", "IMPOSED", "LEAST_GAIN", "TIME", "TWICE_ROOT", "desired_gap", "gain_of", "gains", "gap_by"]
 
 GAP, TIME, TWICE_ROOT = 10.0, 1.5, 2.0 * math.sqrt(15.0)
 """IDM's d0 [m], T [s] and 2 sqrt(a b) [m/s^2]."""
@@ -30,14 +30,21 @@ COMFORT = 3.0
 """IDM's a0 [m/s^2]."""
 _LEAVES = 1.0
 """Who is out of a lane after so long as it is going now does not count there any more [s]."""
-_LEAST_GAIN = 0.2
+LEAST_GAIN = 0.2
 """Acceleration that a lane change has to gain [m/s^2]."""
 
 
 @inlined
+def gap_by(distance: float, time: float, twice_root: float, v: float, closing: float) -> float:
+    """IDM's desired gap d* by a driver's own d0 [m], T [s] and 2 sqrt(a b) [m/s^2], at speed v, closing in on the
+    vehicle ahead [m]; negative where it pulls away."""
+    return distance + v * time + v * closing / twice_root
+
+
+@inlined
 def desired_gap(v: float, closing: float) -> float:
-    """IDM's desired gap d* at speed v, closing in on the vehicle ahead [m]; negative where it pulls away."""
-    return GAP + TIME * v + v * closing / TWICE_ROOT
+    """The same by the constants of `IDMVehicle`."""
+    return gap_by(GAP, TIME, TWICE_ROOT, v, closing)
 
 
 @inlined
@@ -52,7 +59,7 @@ def _pays(v: float, now: float, gap: float, speed: float, back: float, behind: f
     `back` and `behind`."""
     gain = COMFORT * (now - _held_up(v, v - speed, gap) ** 2)
     imposed = _held_up(behind, behind - v, back)
-    return gain >= _LEAST_GAIN - slack and imposed <= IMPOSED + slack
+    return gain >= LEAST_GAIN - slack and imposed <= IMPOSED + slack
 
 
 @inlined

@@ -8,6 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynamics.scenes.scene import SceneReader
+from dynamics.simulator.kinds import constants_of
+from dynamics.simulator.layout import COMFORT, DISTANCE, GAIN, TIME, TWICE_ROOT
 from dynamics.traffic import mobil
 from dynamics.traffic.occupancy import in_order
 
@@ -35,6 +37,18 @@ def lanes_wanted(env):
             wanted[i, int(lane[2] > v.lane_index[2])] = v.mobil(lane)
     road.vehicles = [ego, *others]
     return wanted
+
+
+def test_the_constants_are_highway_envs():
+    """What the certificate counts on is what the simulator, which asks the classes themselves, drives with."""
+    known = constants_of(IDMVehicle)
+    assert known[[DISTANCE, TIME, TWICE_ROOT, COMFORT, GAIN]].tolist() == [
+        mobil.GAP,
+        mobil.TIME,
+        mobil.TWICE_ROOT,
+        mobil.COMFORT,
+        mobil.LEAST_GAIN,
+    ]
 
 
 def test_whoever_would_change_lanes_gains_by_it():

@@ -69,6 +69,16 @@ def test_many_decide_as_one_does_in_highway_env(setting, policy, count, simulato
     assert together["overridden"].sum() > 0
 
 
+@pytest.mark.parametrize(
+    ("policy", "seed"), [("faster", 20_019_938), ("faster", 20_023_701), ("ppo-highway-fast", 22_063_126)]
+)
+def test_one_who_keeps_abreast_is_seen_in_time(policy, seed):
+    """It stays beside the ego at its slowest speed, and the leader is slower than that: 20 s see it too late."""
+    short = EXACT.replace(horizon=20.0)
+    assert Many(get_setting("highway-fast"), policy, short, envs=1).run([seed])["crashed"].all()
+    assert not Many(get_setting("highway-fast"), policy, EXACT, envs=1).run([seed])["crashed"].any()
+
+
 @pytest.mark.parametrize("seed", [0, *later(1, 2, 3)])
 def test_what_verifies_is_clear_in_highway_env(seed):
     """The plan behind every second such decision is driven in a copy of highway-env: nobody comes into the buffer."""

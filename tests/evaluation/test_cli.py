@@ -116,6 +116,14 @@ def test_an_environments_configuration_that_is_no_toml_is_named(tmp_path):
     assert "is no TOML file" in str(result.exception)
 
 
+def test_a_road_that_is_not_made_with_throttle_and_steering_is_answered_with_what_makes_it(tmp_path):
+    config = tmp_path / "inputs.toml"
+    config.write_text('action = { type = "ContinuousAction" }', encoding="utf-8")
+    result = RUN.invoke(app, ["evaluate", "--env-id", "two-way-v0", "--env-config", str(config)])
+    assert isinstance(result.exception, ConfigError)
+    assert "Have evaluation.wrappers:two-way-continuous-v0 instead" in str(result.exception)
+
+
 def test_the_command_says_its_version_its_settings_and_its_help():
     assert RUN.invoke(app, ["--version"]).output.startswith("highway-shield ")
     assert "highway-fast-v0" in RUN.invoke(app, ["settings"]).output

@@ -15,7 +15,6 @@ ROADS = (
 
 _LAST = dict(road.rsplit("-", 1) for road in ROADS)
 """The last version of each."""
-_INPUTS = ("ContinuousAction", "DiscreteAction")
 
 
 def continuous_id(road: str) -> str:
@@ -34,7 +33,7 @@ def what_makes(env_id: str, config: Mapping[str, Any]) -> str:
     """
     road, action = env_id.rpartition(":")[2], config.get("action")
     kind = action.get("type") if isinstance(action, Mapping) else None
-    if road not in ROADS or kind not in _INPUTS:
+    if road not in ROADS or kind != "ContinuousAction":
         return ""
     registered = ", ".join(continuous_id(f"{name}-{version}") for name, version in _LAST.items())
     return (

@@ -209,7 +209,12 @@ def test_what_highway_env_does_not_make_is_answered_with_what_makes_it(road):
 
 
 @pytest.mark.parametrize(
-    "config", [{"action": {"type": "NoAction"}}, {"action": "ContinuousAction"}, {"observation": {"type": "None"}}]
+    "config",
+    [
+        {"action": {"type": "NoAction"}},
+        {"action": "ContinuousAction"},
+        {"action": {"type": "DiscreteAction"}, "observation": {"type": "None"}},
+    ],
 )
 def test_other_mistakes_on_such_a_road_are_told_as_they_are(config):
     with pytest.raises(ConfigError, match="merge-v1 cannot be made with"):

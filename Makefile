@@ -24,7 +24,7 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev]"
 	touch $@
 
-# `make demo ENV=roundabout` on another road.
+# `make demo ENV=roundabout` on another road: merge, exit, two-way, u-turn, intersection.
 demo: $(STAMP)
 	$(BIN)/shield demo $(if $(ENV),--env-id $(ENV)-v0)
 

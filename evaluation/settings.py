@@ -30,6 +30,7 @@ from typing import Any
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 
+from evaluation.continuous_roads import what_makes
 from shield.errors import ConfigError
 
 __all__ = ["SETTINGS", "TRAFFIC", "Setting", "get_setting", "setting_of"]
@@ -78,7 +79,8 @@ class Setting:
         Raises
         ------
         ConfigError
-            If there is no such environment, or it takes no configuration as highway-env's do.
+            If there is no such environment, or it takes no configuration as highway-env's do; where that is for its
+            throttle and steering, with what makes it.
         """
         try:
             return gym.make(self.env_id, config=deepcopy(dict(self.config)), render_mode=render_mode)
@@ -86,7 +88,8 @@ class Setting:
             raise ConfigError(f"there is no environment {self.env_id!r}: {error}") from None
         except (TypeError, ValueError, KeyError, AttributeError) as error:
             raise ConfigError(
-                f"{self.env_id} cannot be made with {dict(self.config) or 'its defaults'}: "
+                what_makes(self.env_id, self.config)
+                or f"{self.env_id} cannot be made with {dict(self.config) or 'its defaults'}: "
                 f"{type(error).__name__}: {error}"
             ) from error
 

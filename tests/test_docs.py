@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+from dataclasses import fields
 from itertools import takewhile
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+from dynamics.traffic.assumptions import Assumptions
 from evaluation.commands.cli import app
+from shield.config import PROFILES, Buffer, ShieldConfig
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -32,3 +35,24 @@ def test_every_option_of_every_command_exists(command: str) -> None:
     help_text = CliRunner().invoke(app, [*names, "--help"], env={"COLUMNS": "200"}).output
     for option in (word for word in words if word.startswith("--")):
         assert option in help_text, f"{option} of `{command}`"
+
+
+def test_the_page_on_configuration_has_every_setting_and_every_profile() -> None:
+    text = TEXT["configuration.md"]
+    rows = {name for line in re.findall(r"^\| (`.*?) \|", text, re.MULTILINE) for name in re.findall(r"`(.*?)`", line)}
+    buffer = {f"buffer.{each.name}" for each in fields(Buffer)}
+    settings = {each.name for each in fields(ShieldConfig)} - {"buffer", "assumptions"}
+    assert rows == buffer | settings | {each.name for each in fields(Assumptions)}
+    for name in (*PROFILES, "idm", "moderate", "rss"):
+        assert f"`{name}`" in text, name
+
+
+def test_the_page_on_configuration_says_what_is_the_default() -> None:
+    """Of what has one default for each of the profiles "idm" and "rss"; what is the same for both may say so."""
+    for row in re.findall(r"^\| `.*\|$", TEXT["configuration.md"].split("| assumption |")[1], re.MULTILINE):
+        names, idm, rss, _ = (cell.strip() for cell in row.strip("|").split(" | "))
+        own, other = (idm, rss) if rss != "the same" else (idm, idm)
+        for profile, cell in ((Assumptions.idm(), own), (Assumptions.rss(), other)):
+            numbers = [word for word in re.split(r"[ ,]+", cell) if re.fullmatch(r"[\d.]+|true|false", word)]
+            said = [word == "true" if word.isalpha() else float(word) for word in numbers]
+            assert said == [getattr(profile, name) for name in re.findall(r"`(.*?)`", names)], names

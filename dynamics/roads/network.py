@@ -38,6 +38,8 @@ _SUPPORTED = (
     "StraightLane, CircularLane or SineLane: highway-v0, highway-fast-v0, racetrack-v0, racetrack-large-v0, "
     "racetrack-oval-v0, u-turn-v0, lane-keeping-v0"
 )
+_NAMED = 4
+"""Nodes that a message names."""
 _ROADS: dict[str, PathRoad] = {}
 """Roads that have been read, by the description of their networks."""
 _MOST_ROADS = 16
@@ -154,7 +156,7 @@ def _chain(network: Any) -> tuple[list[_Section], bool]:
     targets = [b for to in edges.values() for b in to]
     fork = [a for a, to in edges.items() if len(to) != 1] + [b for b in set(targets) if targets.count(b) != 1]
     if not edges or fork:
-        raise SceneError(f"this network branches at {sorted(set(fork)) or 'no node: it is empty'}; {_SUPPORTED}")
+        raise SceneError(f"this network branches at {_some(sorted(set(fork)))}; {_SUPPORTED}")
     roots = [a for a in edges if a not in targets]
     node = first = roots[0] if roots else next(iter(edges))
     sections: list[_Section] = []
@@ -165,6 +167,14 @@ def _chain(network: Any) -> tuple[list[_Section], bool]:
     if len(sections) != len(edges):
         raise SceneError(f"this network has {len(edges)} sections that are not connected in one row; {_SUPPORTED}")
     return sections, not roots
+
+
+def _some(nodes: list[str]) -> str:
+    """Nodes for a message, the first few of many."""
+    if not nodes:
+        return "no node: it is empty"
+    more = len(nodes) - _NAMED
+    return f"{', '.join(nodes[:_NAMED])}{f' and {more} more' if more > 0 else ''}"
 
 
 def _read_section(name: str, lanes: list[Any]) -> _Section:

@@ -291,7 +291,10 @@ def demo(
     override.gif: the bundled agent that has learned to crash, behind the shield.
     """
     if env_id is not None:
-        _demo_of_road(env_id, episodes, output, jobs)
+        from evaluation.commands.road_demo import road_demo
+
+        picture = road_demo(env_id, range(EVALUATION_SEED, EVALUATION_SEED + episodes), output, jobs)
+        _out.print(f"wrote {picture}")
         return
     from evaluation.report.video import film_override
     from evaluation.running.episodes import run_paired
@@ -308,25 +311,6 @@ def demo(
     report(frame, output / "episodes.parquet", markdown=False)
     film = film_override(output / "override.gif")
     _out.print(f"wrote {film.path} (seed {film.seed}, {film.overrides} decisions overridden)")
-
-
-def _demo_of_road(env_id: str, episodes: int, output: Path, jobs: int) -> None:
-    from evaluation.report.gallery import draw_gallery
-    from evaluation.running.episodes import run_paired
-    from evaluation.running.records import make_variants
-    from evaluation.settings import setting_of
-
-    config = ShieldConfig.exact()
-    frame = run_paired(
-        setting_of(env_id),
-        "faster",
-        make_variants(["none", "full"], ["actions"], config),
-        range(EVALUATION_SEED, EVALUATION_SEED + episodes),
-        jobs=jobs,
-        progress=True,
-    )
-    report(frame, output / "episodes.parquet", markdown=False)
-    _out.print(f"wrote {draw_gallery(output / 'override.png', [env_id])}")
 
 
 @app.command("cem-demo")

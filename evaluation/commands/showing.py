@@ -125,8 +125,8 @@ def settings_command() -> None:
 def config_command(
     profile: Annotated[str, typer.Option(help=f"One of {', '.join(PROFILES)}.")] = "default",
 ) -> None:
-    """Print the shield's settings as TOML: the default ones, those for meta-actions alone, or
-    those that simulate the traffic."""
+    """Print the shield's settings as TOML: the default ones, those for meta-actions alone, those
+    for networks of roads, or those that simulate the traffic."""
     typer.echo(ShieldConfig.profile(profile).to_toml(), nl=False)
 
 

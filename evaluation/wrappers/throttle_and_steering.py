@@ -20,15 +20,10 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.dynamics import BicycleVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
+from evaluation.continuous_roads import ROADS, continuous_id
 from shield.errors import ConfigError
 
 __all__ = ["ROADS", "ThrottleAndSteering", "make_continuous"]
-
-ROADS = (
-    *(f"{road}-v{k}" for road in ("merge", "merge-generic", "roundabout", "roundabout-generic") for k in (0, 1)),
-    *("two-way-v0", "u-turn-v0", "u-turn-v1"),
-)
-"""What highway-env does not make with `ContinuousAction`."""
 
 _IDLE = 1
 _LIMIT = 60
@@ -144,9 +139,8 @@ def make_continuous(road: str, config: Mapping[str, Any] | None = None, render_m
 
 def _register() -> None:
     for road in ROADS:
-        name, version = road.rsplit("-", 1)
         gym.register(
-            id=f"{name}-continuous-{version}",
+            id=continuous_id(road),
             entry_point=f"{__name__}:make_continuous",
             max_episode_steps=gym.spec(road).max_episode_steps or _LIMIT,
             kwargs={"road": road},

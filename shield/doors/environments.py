@@ -42,7 +42,8 @@ def base_environments(env: Any, door: str) -> list[Any]:
         if not hasattr(base, "road") or not hasattr(base, "controlled_vehicles"):
             raise ConfigError(
                 f"{type(base).__name__} is not a highway-env environment: it has no road and vehicles. {door} is for "
-                "highway-v0, highway-fast-v0 and roads like theirs, racetracks and parking lots"
+                "highways, racetracks, merges, exits, roundabouts, two-way roads, u-turns, intersections, lane keeping "
+                "and parking lots, and for environments made as these are"
             )
     return bases
 

@@ -23,6 +23,7 @@ from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
 from shield.doors.exact_scene import STATE, ExactScene, Room, why_unread
+from shield.doors.input_door import refuse_lots
 from shield.errors import ConfigError
 from shield.exact.deciding import Plans, boxed_in, empty_plans, last_resort, passes, replace, verify
 from shield.exact.effort import begin_anew
@@ -49,7 +50,8 @@ class ExactDoor:
     Raises
     ------
     ConfigError
-        If the simulator cannot run the environment, or the settings are for another kind of verification.
+        If the simulator cannot run the environment, it is a parking lot, or the settings are for another kind of
+        verification.
 
     Attributes
     ----------
@@ -61,6 +63,7 @@ class ExactDoor:
 
     def __init__(self, base: Any, config: ShieldConfig) -> None:
         check(config)
+        refuse_lots([base])
         self.config, self._base = config, base
         self.on_network = not isinstance(base, CompiledHighwayEnv) and on_network(base)
         if not isinstance(base, CompiledHighwayEnv):

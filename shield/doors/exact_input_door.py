@@ -15,6 +15,7 @@ from dynamics.errors import ConfigError
 from dynamics.networks.layout import LAW
 from dynamics.networks.refusals import check_network, on_network
 from dynamics.networks.simulator import NetworkSimulator
+from dynamics.scenes.parking_lot import is_lot
 from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.simulator.layout import CONTINUOUS, KIND, TARGET, TARGET_SPEED
 from dynamics.state import FloatArray
@@ -60,6 +61,11 @@ class ExactInputDoor(InputFrames):
         if isinstance(base, CompiledHighwayEnv):
             raise ConfigError(
                 "throttle and steering are verified by simulation in highway-env, not in its compiled copy"
+            )
+        if is_lot(base):
+            raise ConfigError(
+                f"nothing is simulated in a parking lot, {type(base).__name__}: leave ShieldConfig.exact() out; "
+                "ShieldedEnv(env) and Shield(policy, env) filter ContinuousAction there"
             )
         if on_network(base):
             check_network(base)

@@ -15,6 +15,7 @@ from dynamics.scenes.scene import SceneReader
 from dynamics.state import FloatArray, State
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
+from shield.doors.by_simulation import by_simulation
 from shield.doors.input_frames import InputFrames
 from shield.procedures.decide import Core, Unreadable, read
 from shield.procedures.inputs import Inputs
@@ -43,7 +44,7 @@ class InputDoor(InputFrames):
         If the mode is one of the rules for meta-actions, the actions are none that can be verified, or a model is given
         where no predictive filter would use it.
     SceneError
-        If the environment has several controlled vehicles.
+        If the environment has several controlled vehicles, or its road is not supported.
     """
 
     def __init__(self, base: Any, config: ShieldConfig, agent: bool = False, model: StageModel | None = None) -> None:
@@ -57,19 +58,15 @@ class InputDoor(InputFrames):
         hold = self._period if agent else None
         procedure: Any = Inputs(config, self.actuators, hold, model=model) if not self._lot else None
         self.core: Core[Any] = Core(procedure or ParkingLot(config, self.actuators, hold))
-        if getattr(base.action_type, "dynamical", False):
-            raise ConfigError(
-                "the shield knows highway-env's kinematic bicycle only; this environment's ContinuousAction is "
-                'dynamical. Pass config={"action": {"type": "ContinuousAction", "dynamical": False}} to gym.make'
-            )
+        if base.road is not None and not self._off:
+            self._check()
+        _refuse_tyres(base)
         if getattr(base.action_type, "speed_range", None):
             raise ConfigError(
                 f"the shield's rollouts assume highway-env's own speed limits; this environment's ContinuousAction has "
                 f"speed_range {base.action_type.speed_range}. Leave speed_range out of the action's config"
             )
         self._agent = agent
-        if base.road is not None and not self._off:
-            self._reader.check()
 
     def reset(self) -> None:
         """Forget everything about the episode, and compute what depends on the road alone.
@@ -84,7 +81,7 @@ class InputDoor(InputFrames):
         procedure = self.core.procedure
         if self._off:
             return
-        self._reader.check()
+        self._check()
         if not isinstance(procedure, Inputs):
             return
         # A scene that cannot be read is for the first decision to fail closed on.
@@ -118,12 +115,36 @@ class InputDoor(InputFrames):
             decision = replace(decision, reason=Reason.RESUME, tier=Tier.GOVERNED)
         return inputs, replace(decision, latency=perf_counter() - start)
 
+    def _check(self) -> None:
+        """Read what depends on the road alone, or say what reads this road."""
+        try:
+            self._reader.check()
+        except SceneError as error:
+            instead = "" if self._base.road is None else by_simulation(self._base)
+            if not instead:
+                raise
+            raise SceneError(f"without simulation this road is not supported: {instead}. ({error})") from error
+
     def _stopping(self) -> float:
         """The acceleration that just stops the ego until the next scene, from its speed alone [m/s^2]; NaN where that
         is not known."""
         speed = float(getattr(self._base.vehicle, "speed", np.nan))
         frames = self._period if self._agent else 1
         return -speed * self._base.config["simulation_frequency"] / frames
+
+
+def _refuse_tyres(base: Any) -> None:
+    """Raise where tyres slip, and say what mends it: leaving that out where the user has asked for it, as no road that
+    has it by default is made or read without; and simulation where that serves."""
+    if not getattr(base.action_type, "dynamical", False):
+        return
+    own = base.default_config()["action"].get("dynamical", False)
+    kinematic = "" if own else 'pass config={"action": {"type": "ContinuousAction", "dynamical": False}} to gym.make'
+    mends = "; or ".join(each for each in (by_simulation(base), kinematic) if each)
+    raise ConfigError(
+        "without simulation the shield knows highway-env's kinematic bicycle only, and this environment's "
+        f"ContinuousAction is dynamical{': ' if mends else ''}{mends}"
+    )
 
 
 def refuse_lots(bases: list[Any]) -> None:

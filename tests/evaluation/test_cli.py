@@ -11,6 +11,9 @@ from typer.testing import CliRunner
 
 from evaluation import policies
 from evaluation.commands.cli import _split, app, main
+from evaluation.commands.road_demo import check_road
+from evaluation.report.gallery import ROADS
+from evaluation.settings import setting_of
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
 
@@ -114,6 +117,49 @@ def test_an_environments_configuration_that_is_no_toml_is_named(tmp_path):
     (tmp_path / "bad.toml").write_text("lanes_count = = 3", encoding="utf-8")
     result = RUN.invoke(app, ["evaluate", "--env-id", "highway-v0", "--env-config", str(tmp_path / "bad.toml")])
     assert "is no TOML file" in str(result.exception)
+
+
+def test_a_road_that_is_not_made_with_throttle_and_steering_is_answered_with_what_makes_it(tmp_path):
+    config = tmp_path / "inputs.toml"
+    config.write_text('action = { type = "ContinuousAction" }', encoding="utf-8")
+    result = RUN.invoke(app, ["evaluate", "--env-id", "two-way-v0", "--env-config", str(config)])
+    assert isinstance(result.exception, ConfigError)
+    assert "Have evaluation.wrappers:two-way-continuous-v0 instead" in str(result.exception)
+
+
+def test_the_demo_of_a_road_drives_it_and_draws_a_decision(tmp_path, monkeypatch):
+    monkeypatch.setattr("evaluation.report.gallery._SEARCH", 1)
+    arguments = ["demo", "--env-id", "merge-v0", "--episodes", "1", "--jobs", "1", "--output", str(tmp_path / "new")]
+    assert RUN.invoke(app, arguments, catch_exceptions=False).exit_code == 0
+    episodes = pd.read_parquet(tmp_path / "new" / "episodes.parquet")
+    assert list(episodes["mode"]) == ["none", "full"]
+    assert (tmp_path / "new" / "override.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("env_id", "why"),
+    [
+        ("racetrack-v0", "this environment takes ContinuousAction"),
+        ("parking-v0", "this environment takes ContinuousAction"),
+        ("intersection-multi-agent-v0", "this environment takes MultiAgentAction"),
+        ("motorway-v0", "there is no environment 'motorway-v0'"),
+    ],
+)
+def test_a_demo_that_cannot_be_lists_the_roads_that_can(env_id, why, tmp_path):
+    output = tmp_path / "none"
+    result = RUN.invoke(app, ["demo", "--env-id", env_id, "--jobs", "1", "--output", str(output)])
+    assert isinstance(result.exception, ConfigError)
+    for told in (f"not in {env_id}", why, ", ".join(ROADS)):
+        assert told in str(result.exception)
+    assert not output.exists()
+
+
+def test_every_road_that_the_readme_and_the_refusal_name_can_be_demonstrated():
+    """What `make demo ENV=` is said to take."""
+    for road in ROADS:
+        check_road(setting_of(road), ShieldConfig.exact())
+    (line,) = re.findall(r"make demo ENV=(.*);", (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8"))
+    assert {f"{name}-v0" for name in re.findall(r"[a-z-]+", line.replace("another road", ""))} == set(ROADS)
 
 
 def test_the_command_says_its_version_its_settings_and_its_help():

@@ -1,5 +1,6 @@
 """Every named setting makes the environment that it says."""
 
+import re
 from functools import partial
 
 import gymnasium as gym
@@ -189,6 +190,35 @@ def test_traffic_can_be_replaced_without_touching_the_setting():
 def test_bad_traffic_is_refused(arguments, message):
     with pytest.raises(ConfigError, match=message):
         get_setting("abz").with_traffic(**arguments)
+
+
+@pytest.mark.parametrize(
+    "road", ["merge-v0", "merge-generic-v1", "roundabout-v1", "two-way-v0", "highway_env:u-turn-v1"]
+)
+def test_what_highway_env_does_not_make_is_answered_with_what_makes_it(road):
+    inputs = {"action": {"type": "ContinuousAction"}}
+    with pytest.raises(ConfigError, match=r"highway-env itself does not make .*ThrottleAndSteering\(") as error:
+        Setting("mine", road, inputs).make()
+    (first, *others) = re.findall(r"[\w-]+-continuous-v\d", str(error.value))
+    assert first == road.split(":")[-1].replace("-v", "-continuous-v")
+    assert len(set(others)) == 6
+    for each in (first, *others):
+        env = Setting("mine", f"evaluation.wrappers:{each}", inputs).make()
+        assert env.action_space.shape == (2,)
+        env.close()
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        {"action": {"type": "NoAction"}},
+        {"action": "ContinuousAction"},
+        {"action": {"type": "DiscreteAction"}, "observation": {"type": "None"}},
+    ],
+)
+def test_other_mistakes_on_such_a_road_are_told_as_they_are(config):
+    with pytest.raises(ConfigError, match="merge-v1 cannot be made with"):
+        Setting("mine", "merge-v1", config).make()
 
 
 def test_a_setting_owns_its_configuration():

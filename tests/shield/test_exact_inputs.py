@@ -318,7 +318,8 @@ def test_what_is_recorded_is_what_happens():
     ("build", "message"),
     [
         (lambda: Shield(Always(np.zeros(2)), make("merge-v1"), EXACT, frames=False), "at every frame"),
-        (lambda: ShieldedEnv(gym.make("parking-v0"), EXACT), "RoundaboutEnv"),
+        (lambda: ShieldedEnv(gym.make("parking-v0"), EXACT), r"ParkingEnv: leave ShieldConfig\.exact\(\) out"),
+        (lambda: Shield(Always(np.zeros(2)), gym.make("parking-v0"), EXACT), r"leave ShieldConfig\.exact\(\) out"),
     ],
 )
 def test_what_cannot_be_simulated_is_refused(build, message):

@@ -208,7 +208,10 @@ def test_an_episode_begins_with_nothing_remembered():
     assert shielded._doors[0].core.memory.stored is None
 
 
-@pytest.mark.parametrize("make", [ShieldedEnv, lambda env: Shield(Random(), env)])
+@pytest.mark.parametrize(
+    "make",
+    [ShieldedEnv, lambda env: Shield(Random(), env), lambda env: ShieldedEnv(env, ShieldConfig.exact())],
+)
 def test_meta_actions_in_a_lot_are_refused(make):
     env = gym.make("parking-v0", config={"action": {"type": "DiscreteMetaAction"}})
     with pytest.raises(ConfigError, match="in a parking lot the shield filters ContinuousAction"):

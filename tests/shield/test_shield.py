@@ -4,6 +4,7 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
+from highway_env.envs.exit_env import ExitEnv
 from policies import KINDS, Always, Ranked, make, model_of
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.evaluation import evaluate_policy
@@ -11,7 +12,17 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from shield import Shield, ShieldConfig, ShieldedEnv
-from shield.errors import ConfigError, PolicyError
+from shield.errors import ConfigError, PolicyError, SceneError, ShieldError
+
+BY_SIMULATION = {
+    "lane-keeping-v0": {},
+    "intersection-v1": {},
+    "exit-v1": {"action": {"type": "ContinuousAction"}},
+    "evaluation.wrappers:roundabout-continuous-v1": {},
+    "evaluation.wrappers:two-way-continuous-v0": {},
+    "evaluation.scenarios:ComplexRoads-v0": {},
+}
+"""Throttle and steering that only verification by simulation filters, and the configuration of each environment."""
 
 # -- Shield: policies ------------------------------------------------------------------------------------------
 
@@ -124,6 +135,45 @@ def test_speed_limits_of_another_kind_are_refused():
         ShieldedEnv(make(action={"type": "ContinuousAction", "speed_range": (0, 20)}))
 
 
+@pytest.mark.parametrize("door", [lambda env: Shield(Always(np.zeros(2)), env), ShieldedEnv], ids=["policy", "env"])
+@pytest.mark.parametrize("env_id", BY_SIMULATION)
+def test_where_inputs_are_for_simulation_the_refusal_says_so_and_it_serves(env_id, door):
+    env = gym.make(env_id, config=BY_SIMULATION[env_id])
+    with pytest.raises(ShieldError, match=r"ShieldedEnv\(env, ShieldConfig\.exact\(\)\)") as refusal:
+        door(env)
+    assert len(str(refusal.value)) < 700
+    # What highway-env does not make, or what is refused next, is not named.
+    assert 'dynamical": False' not in str(refusal.value)
+    shielded = ShieldedEnv(env, ShieldConfig.exact())
+    shielded.reset(seed=0)
+    shielded.step(env.action_space.sample())
+
+
+class OwnSteps(ExitEnv):
+    """Its traffic is not known: it steps in a way of its own."""
+
+    def step(self, action):
+        return super().step(action)
+
+
+@pytest.mark.parametrize("dynamical", [False, True])
+def test_where_simulation_is_refused_too_it_is_not_named(dynamical):
+    env = OwnSteps({"action": {"type": "ContinuousAction", "dynamical": dynamical}})
+    with pytest.raises(ConfigError, match="a way of its own"):
+        ShieldedEnv(env, ShieldConfig.exact())
+    with pytest.raises(SceneError, match="branches at 2; supported") as refusal:
+        ShieldedEnv(env)
+    assert "exact" not in str(refusal.value)
+
+
+def test_who_asks_for_tyres_that_slip_may_leave_them_out_too():
+    action = {"type": "ContinuousAction", "dynamical": True}
+    for env_id, simulated in (("highway-fast-v0", True), ("parking-v0", False)):
+        with pytest.raises(ConfigError, match='"dynamical": False') as refusal:
+            ShieldedEnv(gym.make(env_id, config={"action": action}))
+        assert ("ShieldConfig.exact()" in str(refusal.value)) is simulated
+
+
 def test_the_other_door_has_no_masks_for_continuous_actions():
     env = ShieldedEnv(make(action={"type": "ContinuousAction"}))
     env.reset(seed=0)
@@ -141,7 +191,7 @@ def test_what_has_no_predict_is_refused(policy, env):
 
 @pytest.mark.parametrize("door", [lambda env: Shield(Always(0), env=env), ShieldedEnv], ids=["policy", "env"])
 def test_what_is_no_highway_is_refused(door):
-    with pytest.raises(ConfigError, match=r"CartPoleEnv is not a highway-env environment.*racetracks and parking lots"):
+    with pytest.raises(ConfigError, match=r"CartPoleEnv is not a highway-env environment.*roundabouts.* and parking"):
         door(gym.make("CartPole-v1"))
     with pytest.raises(ConfigError, match=r"got ShieldConfig; settings go to config="):
         door(ShieldConfig())

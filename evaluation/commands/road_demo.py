@@ -1,0 +1,66 @@
+"""`shield demo --env-id`: always FASTER on a road, with and without the shield that simulates the traffic."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from evaluation.commands.reporting import report
+from evaluation.report.gallery import ROADS, draw_gallery
+from evaluation.running.episodes import run_paired
+from evaluation.running.named_policies import make_policy
+from evaluation.running.records import make_variants
+from evaluation.settings import Setting, setting_of
+from shield.config import ShieldConfig
+from shield.doors.exact_door import ExactDoor
+from shield.errors import ConfigError, ShieldError
+
+__all__ = ["check_road", "road_demo"]
+
+_POLICY = "faster"
+
+
+def road_demo(env_id: str, seeds: Sequence[int], output: Path, jobs: int) -> Path:
+    """Print and write the episodes, and draw a decision.
+
+    Parameters
+    ----------
+    env_id : the road. seeds : of the episodes. output : folder; made if it is missing. jobs : processes.
+
+    Returns
+    -------
+    The picture.
+
+    Raises
+    ------
+    ConfigError
+        Before the first episode, if there is no such environment, it has no FASTER, or its traffic cannot be simulated.
+    """
+    setting, config = setting_of(env_id), ShieldConfig.exact()
+    check_road(setting, config)
+    variants = make_variants(["none", "full"], ["actions"], config)
+    frame = run_paired(setting, _POLICY, variants, seeds, jobs=jobs, progress=True)
+    report(frame, output / "episodes.parquet", markdown=False)
+    return draw_gallery(output / "override.png", [env_id])
+
+
+def check_road(setting: Setting, config: ShieldConfig) -> None:
+    """Raise where always FASTER cannot be shown.
+
+    Raises
+    ------
+    ConfigError
+        That lists roads where it can.
+    """
+    try:
+        env = setting.make()
+        try:
+            make_policy(_POLICY, env)
+            ExactDoor(env.unwrapped, config)
+        finally:
+            env.close()
+    except ShieldError as error:
+        raise ConfigError(
+            f"the demo drives always FASTER, a meta-action, and verifies it by simulation: not in {setting.env_id}. "
+            f"Have {', '.join(ROADS)} (with make, ENV=merge and so on). ({error})"
+        ) from error

@@ -23,10 +23,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ConflictZone", "Meeting", "zones_of"]
 
-_TOUCH = 0.01
-"""How much of either edge of a lane is left out, so that lanes side by side, drawn with chords, do not overlap [m]."""
 _LEAST = 0.01
-"""Lanes that have less in common touch [m^2]."""
+"""Lanes side by side have no more in common [m^2]: chords stand for the arcs of their edges."""
 _NEAR = 0.5
 """A zone that comes so near to an end of a lane reaches it [m]."""
 _FROM, _TO = 0, 1
@@ -53,8 +51,7 @@ class ConflictZone(NamedTuple):
     Attributes
     ----------
     lane, other : their numbers. kind : how they meet.
-    interval, other_interval : the least and the greatest s of the zone on either [m], of strips that are 1 cm narrower
-        at each edge.
+    interval, other_interval : the least and the greatest s of the zone on either [m].
     outline : its corners, (k, 2) [m].
     """
 
@@ -75,9 +72,7 @@ def zones_of(geometry: RoadGeometry) -> tuple[ConflictZone, ...]:
 
     Lanes of one road are not compared, nor one with what follows it where it ends.
     """
-    halves = geometry.widths / 2 - _TOUCH
-    strips = [shapely.Polygon(geometry.outline(k, low=-half, high=half)) for k, half in enumerate(halves)]
-    strips = shapely.make_valid(np.array(strips))
+    strips = shapely.make_valid([shapely.Polygon(geometry.outline(lane)) for lane in range(len(geometry.names))])
     roads = geometry.network.ids[:, ROAD]
     lanes, others = shapely.STRtree(strips).query(strips, predicate="intersects")
     apart = (lanes < others) & (roads[lanes] != roads[others])

@@ -173,6 +173,19 @@ def test_a_lane_goes_over_into_those_that_continue_it(env_id):
 
 
 @EACH
+def test_where_highway_env_goes_on_is_among_the_successors(env_id):
+    """Unless the road only leads back."""
+    road, geometry = read(env_id)
+    for lane, name in enumerate(geometry.names):
+        end, heading = geometry.position(lane, geometry.lengths[lane]), geometry.heading(lane, geometry.lengths[lane])
+        after = geometry.number(road.next_lane(name, position=np.array(end)))
+        if after != lane and np.cos(geometry.heading(after, 0.0) - heading) > 0:
+            assert after in geometry.successors(lane)
+        else:
+            assert not geometry.successors(lane)
+
+
+@EACH
 def test_neighbours_are_to_the_left_and_to_the_right(env_id):
     road, geometry = read(env_id)
     for lane, name in enumerate(geometry.names):
@@ -220,9 +233,11 @@ def test_if_one_lane_conflicts_with_another_so_does_that_with_it(env_id):
 
 @EACH
 def test_where_lanes_of_different_roads_overlap_there_is_a_zone(env_id):
-    """Any place on two of them that do not follow one another is in one, but for 5 cm at the edges."""
+    """Any place on two of them that do not follow one another is in one, but for 5 cm at its edges."""
     geometry, rng = read(env_id)[1], np.random.default_rng(0)
-    zones, every, follow = geometry.conflict_zones(), numbers(geometry), followers(geometry)
+    every, follow, intervals = numbers(geometry), followers(geometry), {}
+    for zone in geometry.conflict_zones():
+        intervals.setdefault(zone[:2], []).append(zone.interval)
     for lane in every:
         s = rng.uniform(0, geometry.lengths[lane], 150)
         r = rng.uniform(-0.5, 0.5, 150) * geometry.widths[lane]
@@ -231,9 +246,8 @@ def test_where_lanes_of_different_roads_overlap_there_is_a_zone(env_id):
         both &= (s > 0.05) & (s < geometry.lengths[lane] - 0.05)
         roads = np.array([name[:2] == geometry.names[lane][:2] for name in geometry.names])
         for k, other in zip(*np.nonzero(both & ~roads & ~follow[lane]), strict=True):
-            assert any(
-                z.interval[0] - 0.1 <= s[k, 0] <= z.interval[1] + 0.1 for z in zones if z[:2] == (lane, other)
-            ), (geometry.names[lane], geometry.names[other])
+            near = [first - 0.1 <= s[k, 0] <= last + 0.1 for first, last in intervals.get((lane, other), ())]
+            assert any(near), (geometry.names[lane], geometry.names[other])
 
 
 @EACH
@@ -252,6 +266,16 @@ def test_from_one_end_of_a_zone_to_the_other_the_lanes_overlap(env_id):
 @EACH
 def test_lanes_side_by_side_and_one_behind_the_other_do_not_conflict(env_id):
     assert not env_id.startswith(APART) or not read(env_id)[1].conflict_zones()
+
+
+@settings(max_examples=30, deadline=None)
+@given(radius=st.floats(5, 60), start=st.floats(-3, 3), turned=st.floats(0.3, 3), clockwise=st.booleans())
+def test_arcs_side_by_side_do_not_conflict(radius, start, turned, clockwise):
+    road, back = RoadNetwork(), start + turned
+    road.add_lane("a", "b", CircularLane([0.0, 0.0], radius, start, back))
+    phases = (start, back) if clockwise else (back, start)
+    road.add_lane("c", "d", CircularLane([0.0, 0.0], radius + 4.0, *phases, clockwise=clockwise))
+    assert not RoadGeometry.of(road).conflict_zones()
 
 
 def meetings(env_id, lane):

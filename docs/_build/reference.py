@@ -61,6 +61,7 @@ INTERNAL = frozenset(
         "dynamics.networks.layout",
         "dynamics.networks.live",
         "dynamics.networks.network",
+        "dynamics.networks.points",
         "dynamics.networks.refusals",
         "dynamics.networks.rights",
         "dynamics.networks.routes",

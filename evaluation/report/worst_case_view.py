@@ -11,6 +11,8 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import shapely
 
+from dynamics.networks.geometry import RoadGeometry
+from dynamics.networks.layout import ROAD
 from dynamics.state import FloatArray
 from evaluation.measuring.rectangles import polygons
 from evaluation.names import FIRST_EVALUATION_SEED
@@ -35,8 +37,6 @@ _WINDOW, _AROUND = (50.0, 29.0), 12.0
 """Half of what is shown at least, along x and y, and what is left around the path [m]."""
 _TIMES = 1.0, 2.0
 """When places are shown [s]."""
-_SAMPLE = 2.0
-"""Between two points of a lane [m]."""
 _WISH = 4.0
 """How long the ego's own way is, driven alone [s]."""
 _WISHED = "#e0b000"
@@ -50,7 +50,7 @@ class _View(NamedTuple):
     env_id: str
     decision: Decision
     foreseen: Foreseen
-    network: Any
+    geometry: RoadGeometry
     ego: FloatArray
     wish: FloatArray
     dt: float
@@ -146,18 +146,18 @@ def _view(env_id: str, base: Any, decision: Decision, foreseen: Foreseen) -> _Vi
         alone.act()
         alone.step(dt)
         wish.append(alone.position.copy())
-    view = _View(env_id, decision, foreseen, base.road.network, ego, np.array(wish), dt, [])
+    view = _View(env_id, decision, foreseen, RoadGeometry.of(base), ego, np.array(wish), dt, [])
     return view._replace(meetings=_meetings(view))
 
 
 def _meetings(view: _View) -> list[tuple[int, Any]]:
     """Where the ways of others from other roads meet the ego's, as polygons, and of which strip each is."""
-    foreseen, network = view.foreseen, view.network
+    foreseen, geometry = view.foreseen, view.geometry
     if np.hypot(*np.ptp(view.wish, axis=0)) < 1.0:
         return []
     corridor, found = shapely.LineString(view.wish).buffer(0.5 * view.ego[5] + 0.3, cap_style="flat"), []
-    road = network.get_closest_lane_index(view.ego[:2], view.ego[2])[:2]
-    roads = [network.get_closest_lane_index(row[:2], row[2])[:2] for row in foreseen.rows]
+    bodies = np.vstack([view.ego[None, :3], foreseen.rows[:, :3]])
+    road, *roads = geometry.network.ids[geometry.closest(*bodies.T).lane, ROAD].tolist()
     for j in range(len(foreseen.lanes)):
         if roads[foreseen.vehicles[j]] == road:
             continue  # before it, behind it or beside it
@@ -169,22 +169,19 @@ def _meetings(view: _View) -> list[tuple[int, Any]]:
 
 def _area(view: _View, j: int, first: int, last: int) -> Any:
     """Where strip `j` has its vehicle's body from frame `first` to `last`, a polygon; None where that is nowhere."""
-    foreseen, lane = view.foreseen, view.network.get_lane(view.foreseen.lanes[j])
-    low, high = max(foreseen.least[j, first], 0.0), min(foreseen.most[j, last], float(lane.length))
-    if not high - low > 0.1:
+    foreseen, lane = view.foreseen, view.geometry.number(view.foreseen.lanes[j])
+    near, far = max(foreseen.least[j, first], 0.0), min(foreseen.most[j, last], float(view.geometry.lengths[lane]))
+    if not far - near > 0.1:
         return None
-    s = np.linspace(low, high, max(2, int((high - low) / _SAMPLE) + 1))
-    sides = [[lane.position(x, r) for x in s] for r in (foreseen.low[j], foreseen.high[j])]
-    area = shapely.Polygon([*sides[0], *sides[1][::-1]])
+    area = shapely.Polygon(view.geometry.outline(lane, near, far, foreseen.low[j], foreseen.high[j]))
     return area if area.is_valid else area.buffer(0)
 
 
 def _draw(axis: Any, view: _View) -> None:
     foreseen, ego, met = view.foreseen, view.ego, view.vehicles
-    for lane in view.network.lanes_list():
-        s = np.linspace(0.0, lane.length, max(2, int(lane.length / _SAMPLE) + 1))
-        for r in (-0.5 * lane.width_at(0), 0.5 * lane.width_at(0)):
-            axis.plot(*np.transpose([lane.position(x, r) for x in s]), color=_LANES, linewidth=0.8, zorder=1)
+    for lane in range(len(view.geometry.names)):
+        for edge in np.split(view.geometry.outline(lane), 2):
+            axis.plot(*edge.T, color=_LANES, linewidth=0.8, zorder=1)
     for time in _TIMES:
         k = min(round(time / view.dt), foreseen.most.shape[1] - 1)
         for j in range(len(foreseen.lanes)):

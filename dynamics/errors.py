@@ -6,6 +6,7 @@ __all__ = [
     "ActionError",
     "ConfigError",
     "DataError",
+    "MissingAttributeError",
     "ModelError",
     "PlatformError",
     "PolicyError",
@@ -20,6 +21,10 @@ class ShieldError(Exception):
 
 class ConfigError(ShieldError, ValueError):
     """A setting, option or name is not one of the valid ones."""
+
+
+class MissingAttributeError(ConfigError, AttributeError):
+    """An attribute or a method that an object has not is asked of it by name; to `hasattr` it is not there."""
 
 
 class SceneError(ShieldError, ValueError):

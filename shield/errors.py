@@ -2,6 +2,22 @@
 
 from __future__ import annotations
 
-from dynamics.errors import ActionError, ConfigError, PlatformError, PolicyError, SceneError, ShieldError
+from dynamics.errors import (
+    ActionError,
+    ConfigError,
+    MissingAttributeError,
+    PlatformError,
+    PolicyError,
+    SceneError,
+    ShieldError,
+)
 
-__all__ = ["ActionError", "ConfigError", "PlatformError", "PolicyError", "SceneError", "ShieldError"]
+__all__ = [
+    "ActionError",
+    "ConfigError",
+    "MissingAttributeError",
+    "PlatformError",
+    "PolicyError",
+    "SceneError",
+    "ShieldError",
+]

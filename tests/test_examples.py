@@ -36,5 +36,5 @@ def test_an_example_runs_by_itself(path, tmp_path):
     assert done.stdout.strip()
 
 
-def test_there_are_twelve():
-    assert len(EXAMPLES) == 12
+def test_there_are_thirteen():
+    assert len(EXAMPLES) == 13

@@ -88,7 +88,11 @@ def train_command(
         typer.Option(help=f"One of {', '.join(SIMULATORS)}; the compiled highway teaches the same, bit for bit."),
     ] = SIMULATORS[0],
     shield: Annotated[
-        str, typer.Option(help=f"Train inside the shield: {', '.join(PROFILES)}; or none. A recipe says itself.")
+        str,
+        typer.Option(
+            help=f"Train inside the shield: {', '.join(PROFILES)}; or none. Compiled on straight highways with"
+            " meta-actions. A recipe says itself."
+        ),
     ] = "none",
     sensor: Annotated[
         str, typer.Option(help="Through which sensor the policy sees, such as normalised-0.5+intent; as of evaluate.")

@@ -8,7 +8,7 @@ from typing import Any
 from dynamics.networks.episodes.simulator import RoadSimulator
 from dynamics.networks.episodes.telling import info_of
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
-from shield.errors import ConfigError
+from shield.errors import MissingAttributeError
 
 __all__ = ["FastRoadVecEnv"]
 
@@ -54,4 +54,4 @@ class FastRoadVecEnv(FastHighwayVecEnv):
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
         """Refused: there are no environment objects behind it."""
-        raise ConfigError(f"a compiled environment has no method {method_name!r}; take highway-env itself")
+        raise MissingAttributeError(f"a compiled environment has no method {method_name!r}; take highway-env itself")

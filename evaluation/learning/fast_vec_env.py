@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from dynamics.simulator.scenario import REWARDS
 from dynamics.simulator.simulator import Simulator
-from shield.errors import ConfigError
+from shield.errors import ConfigError, MissingAttributeError
 
 __all__ = ["FastHighwayVecEnv"]
 
@@ -130,7 +130,7 @@ class FastHighwayVecEnv(VecEnv):
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """`config`, `spec`, `render_mode`, `action_space`, `observation_space` of each environment."""
         if attr_name not in ("config", "spec", "render_mode", "action_space", "observation_space"):
-            raise ConfigError(
+            raise MissingAttributeError(
                 f"a compiled environment has no {attr_name!r}; have config, spec, render_mode, action_space, "
                 "observation_space, or .simulator, with the state of all of them"
             )
@@ -142,7 +142,7 @@ class FastHighwayVecEnv(VecEnv):
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
         """Refused: there are no environment objects behind it."""
-        raise ConfigError(
+        raise MissingAttributeError(
             f"a compiled highway has no method {method_name!r}; a live one: simulator.store(gym.make({self.env_id!r}))"
         )
 

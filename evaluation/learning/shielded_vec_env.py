@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dynamics.simulator.simulator import Simulator
+from dynamics.state import BoolArray
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 from shield.batch.vocabulary import FALLBACKS, OVERRIDES, REASONS, TIERS, rules_in
 from shield.config import ShieldConfig
@@ -26,7 +28,7 @@ class ShieldedVecEnv(FastHighwayVecEnv):
     ----------
     num_envs, env_id, config, threads : as of `FastHighwayVecEnv`.
     shield : settings, or the path of a TOML file with them (see `ShieldedHighways`, and `ExactHighways` where the
-        traffic is simulated: what `Shield` with `frames=False` gives then).
+        traffic is simulated).
 
     Raises
     ------
@@ -41,6 +43,7 @@ class ShieldedVecEnv(FastHighwayVecEnv):
     -----
     `infos[i]["shield"]` is what `ShieldedEnv` reports: `overridden`, `reason`, `tier`, `margin` [m],
     `frames_overridden`, `violations` and `rules`. The order of alternatives is the documented one.
+    sb3-contrib's MaskablePPO asks for `action_masks` by itself.
 
     Examples
     --------
@@ -73,6 +76,27 @@ class ShieldedVecEnv(FastHighwayVecEnv):
 
     def _stepped(self) -> Any:
         return self.highways.step(self._actions, again=True)
+
+    def action_masks(self) -> BoolArray:
+        """Which actions verify now in each environment, (num_envs, actions), as `ShieldedEnv.action_masks` has it; all
+        True where none does."""
+        return self.highways.masks()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """As of `FastHighwayVecEnv`, and `action_masks`."""
+        if attr_name != "action_masks":
+            return super().get_attr(attr_name, indices)
+        return [partial(self._mask_of, i) for i in self._indices(indices)]
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """`action_masks` of each environment; there are no environment objects behind it."""
+        if method_name != "action_masks":
+            return super().env_method(method_name, *args, indices=indices, **kwargs)
+        masks = self.action_masks(*args, **kwargs)
+        return [masks[i] for i in self._indices(indices)]
+
+    def _mask_of(self, i: int) -> BoolArray:
+        return self.action_masks()[i]
 
     def _infos(self, terminated: Any, done: Any) -> list[dict[str, Any]]:
         infos = super()._infos(terminated, done)

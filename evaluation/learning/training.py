@@ -111,8 +111,9 @@ def train(
     fast : whether to compute observations at once (see `FastObservations`); they are the same.
     simulator : one of `SIMULATORS`. In the compiled copy of highway-env the model becomes the same, bit for
         bit; "auto" takes it where it serves. The manifest says which it was.
-    shield : a profile of `ShieldConfig`, to learn inside the shield, in highway-env's own simulator; or "none". What is
-        learned from is what the policy asked for, whatever was driven.
+    shield : a profile of `ShieldConfig`, to learn inside the shield; or "none". What is learned from is what the policy
+        asked for, whatever was driven. On straight highways with meta-actions "auto" takes `ShieldedVecEnv`, elsewhere
+        `ShieldedEnv` around highway-env itself.
     sensor : through what the policy sees, as in `evaluation.wrappers.channels.split_sensor`; in highway-env itself on
         networks of roads, and inside a shield.
     progress : whether to show a progress bar.
@@ -243,14 +244,13 @@ def _world(
         env = setting.make()
         return seen_through(FastObservations(env) if fast else env, sensor)
 
-    if shield != "none":
-        if simulator not in ("auto", "highway-env"):
-            raise ConfigError("inside the shield one trains in highway-env itself: simulator 'auto' or 'highway-env'")
-        return "highway-env", Monitor(ShieldedEnv(made(), ShieldConfig.profile(shield)))
+    settings = None if shield == "none" else ShieldConfig.profile(shield)
 
     def compiled() -> tuple[gym.Env[Any, Any] | VecEnv, bool]:
         from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 
+        if settings is not None:
+            return _shielded(setting, settings, sensor)
         env = setting.make() if sensor != "exact" else made()
         if on_network(env.unwrapped):
             if sensor != "exact":
@@ -267,7 +267,19 @@ def _world(
         return world, world.simulator.exact
 
     world = compiled_where_it_serves(simulator, compiled)
-    return ("highway-env", Monitor(made())) if world is None else ("compiled", world)
+    if world is not None:
+        return "compiled", world
+    return "highway-env", Monitor(made() if settings is None else ShieldedEnv(made(), settings))
+
+
+def _shielded(setting: Setting, settings: ShieldConfig, sensor: str) -> tuple[VecEnv, bool]:
+    """A compiled highway inside its shield, and whether that is exact."""
+    from evaluation.learning.shielded_vec_env import ShieldedVecEnv
+
+    if sensor != "exact":
+        raise ConfigError(f"inside the shield the sensor {sensor!r} observes highway-env itself")
+    world = ShieldedVecEnv(1, setting.env_id, setting.config, settings)
+    return world, world.simulator.exact
 
 
 def _whole_episodes(setting: Setting) -> tuple[VecEnv, bool] | None:

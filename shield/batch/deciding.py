@@ -24,7 +24,7 @@ from shield.procedures.meta_actions import CAPS
 from shield.repair.order import CLEAR, GAIN, IN_LANE, OUTLOOK
 from shield.rule_kernels import alongside, breaks_rss, time_is_short
 
-__all__ = ["decide", "target_of"]
+__all__ = ["decide", "objects", "target_of", "verifies"]
 
 _LEFT, _RIGHT, _FASTER = 0, 2, 3
 _PASSED, _GOVERNED, _ALTERNATIVE = TIERS.index(Tier.PASSED), TIERS.index(Tier.GOVERNED), TIERS.index(Tier.ALTERNATIVE)
@@ -49,7 +49,8 @@ def target_of(worlds: Worlds, law: Law, e: int, action: int) -> tuple[int, float
 
 
 @inlined
-def _objects(shields: Shields, law: Law, e: int, lane: int) -> bool:
+def objects(shields: Shields, law: Law, e: int, lane: int) -> bool:
+    """Whether a vehicle alongside forbids that lane."""
     now = shields.now[e]
     rows, states = shields.rows[e, now], shields.states[e, now]
     return alongside(shields.ego[e], shields.state[e], rows, states, law.centers, lane, law.numbers.longitudinal)
@@ -110,7 +111,7 @@ def _default_order(shields: Shields, law: Law, worlds: Worlds, e: int, proposed:
 
 
 @uncounted
-def _best(
+def verifies(
     bench: Bench,
     scene: Lent[Scene],
     e: int,
@@ -162,12 +163,12 @@ def _speeds(law: Law, v: float, label: int, speed: float, out: FloatArray) -> in
 def _first_action(
     bench: Bench, scene: Lent[Scene], e: int, actions: IntArray, count: int, forecast: int, found: FloatArray
 ) -> int:
-    """The first of some actions that verifies, at the speed with the largest margin; else -1. `found` as in `_best`."""
+    """The first action that verifies, at the speed with the largest margin; else -1. `found` as in `verifies`."""
     shields, law, room = held(bench.shields), held(bench.law), held(bench.room)
     v, most, tried, wanted = shields.ego[e, 3], -math.inf, room.grid[1], room.numbers[0]
     for k in range(count):
         a = actions[k]
-        if _objects(shields, law, e, room.marks[5, a]):
+        if objects(shields, law, e, room.marks[5, a]):
             continue
         n = _speeds(law, v, law.labels[a], wanted[a], tried)
         most = max(most, tried[n - 1])
@@ -179,11 +180,11 @@ def _first_action(
     for k in range(count):
         a = actions[k]
         lane, best = room.marks[5, a], False
-        if _objects(shields, law, e, lane):
+        if objects(shields, law, e, lane):
             continue
         n = _speeds(law, v, law.labels[a], wanted[a], tried)
         for i in range(n):
-            if _best(bench, scene, e, lane, tried[i], frames, lasting, one) and (not best or one[0] > found[0]):
+            if verifies(bench, scene, e, lane, tried[i], frames, lasting, one) and (not best or one[0] > found[0]):
                 best = True
                 for c in range(4):
                     found[c] = one[c]
@@ -271,10 +272,10 @@ def decide(bench: Bench, e: int, proposed: int, order: IntArray) -> None:
         lanes[a], wanted[a] = target_of(worlds, law, e, a)
     lane, speed, v = lanes[proposed], wanted[proposed], shields.ego[e, 3]
     changes, reason = lane != nearest(law.centers, shields.state[e, 1]), _BUFFER
-    if not _objects(shields, law, e, lane):
+    if not objects(shields, law, e, lane):
         # A longitudinal proposal can be held back by the frames; a lane change should be able to end well.
         lasting = frames_of(law, v, speed, numbers.period) if changes else 0
-        if _best(bench, scene, e, lane, speed, frames_of(law, v, speed, numbers.one), lasting, found):
+        if verifies(bench, scene, e, lane, speed, frames_of(law, v, speed, numbers.one), lasting, found):
             _keep(shields, records, e, _PASSED, _NONE, proposed, found)
             return
         reason = _why(shields, law, e, lane, speed)

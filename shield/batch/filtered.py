@@ -15,7 +15,7 @@ from dynamics.simulator.engine import Worlds, look
 from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.simulator.simulator import Simulator
 from dynamics.slices import Slices
-from dynamics.state import FloatArray, IntArray
+from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.batch.arrays import empty_records
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
@@ -87,6 +87,19 @@ class FilteredHighways(ABC):
     @abstractmethod
     def _decide(self, part: int, first: int, last: int, actions: IntArray, orders: IntArray, again: bool) -> None:
         """A decision in each of the environments from `first` to `last`, which are those of thread `part`."""
+
+    @abstractmethod
+    def _mask(self, part: int, first: int, last: int, masks: BoolArray) -> None:
+        """Which actions verify in each of the environments from `first` to `last`, those of thread `part`, into `masks`
+        (e, actions); nothing that is remembered changes."""
+
+    def masks(self) -> BoolArray:
+        """Which actions verify now in each environment, (e, actions); all True where none does. No decision is another
+        for being asked."""
+        masks = np.zeros((self.num_envs, self.actions), np.bool_)
+        self._slices.run(lambda k, first, last: self._mask(k, first, last, masks))
+        masks[~masks.any(axis=1)] = True
+        return masks
 
     def reset(
         self, seeds: Sequence[int] | NDArray[Any] | None = None, which: Sequence[int] | None = None

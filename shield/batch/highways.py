@@ -8,12 +8,14 @@ import numpy as np
 from highway_env.road.road import RoadNetwork
 
 from dynamics.roads.straight import StraightRoad
+from dynamics.simulator.engine import Worlds
 from dynamics.simulator.layout import LENGTH, WIDTH
-from dynamics.state import IntArray
-from shield.batch.arrays import empty_shields, new_room
+from dynamics.state import BoolArray, IntArray
+from shield.batch.arrays import Shields, empty_shields, new_room
 from shield.batch.engine import step_all_shielded
 from shield.batch.filtered import FilteredHighways
 from shield.batch.law import Law, law_of
+from shield.batch.masking import mask_all
 from shield.batch.observing import forget
 from shield.config import ShieldConfig
 from shield.procedures.frames import ACCELERATIONS
@@ -99,3 +101,9 @@ class ShieldedHighways(FilteredHighways):
             again,
             self._frequency,
         )
+
+    def _mask(self, part: int, first: int, last: int, masks: BoolArray) -> None:
+        # Taking in a scene counts what the others have broken: what is remembered is left as it is, and a copy does it.
+        shields = Shields._make(array[first:last].copy() for array in self.shields)
+        worlds = Worlds._make(array[first:last] for array in self.worlds)
+        mask_all(worlds, shields, self.law, self._rooms[part][1], self.records, masks[first:last])

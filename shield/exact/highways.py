@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dynamics.state import IntArray
+from dynamics.state import BoolArray, IntArray
 from shield.batch.filtered import FilteredHighways
 from shield.config import ShieldConfig
 from shield.exact.deciding import empty_plans
 from shield.exact.engine import step_all_exact
+from shield.exact.masking import mask_all
 from shield.exact.room import new_search
 from shield.refusals import check, require
 
@@ -74,3 +75,6 @@ class ExactHighways(FilteredHighways):
             last,
             again,
         )
+
+    def _mask(self, part: int, first: int, last: int, masks: BoolArray) -> None:
+        mask_all(self._searches[part], self.worlds, self.plans, masks, first, last)

@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
+import torch
 from policies import Always
+from sb3_contrib import MaskablePPO
+from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
 from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from dynamics.simulator.env import CompiledHighwayEnv
+from evaluation.learning.fast_road_vec_env import FastRoadVecEnv
+from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 from evaluation.learning.shielded_vec_env import ShieldedVecEnv
-from shield import ConfigError, Shield, ShieldConfig, ShieldedEnv
+from shield import ConfigError, Shield, ShieldCallback, ShieldConfig, ShieldedEnv
+from shield.config import PROFILES
+from shield.errors import ShieldError
 
 SHORT = {"duration": 8}
+EITHER = pytest.mark.parametrize("shield", [ShieldConfig(), ShieldConfig.exact()], ids=["certificate", "exact"])
+
+
+def in_highway_env(shield, count=1):
+    """What is trained in without the compiled copy."""
+    return DummyVecEnv([lambda: Monitor(ShieldedEnv(gym.make("highway-fast-v0", config=SHORT), shield))] * count)
 
 
 def test_it_is_a_vec_env_of_shielded_envs():
@@ -57,7 +72,79 @@ def test_what_is_simulated_is_filtered_by_simulation():
     assert overridden > 0
 
 
-@pytest.mark.parametrize("shield", [None, ShieldConfig.exact()], ids=["certificate", "exact"])
+@pytest.mark.parametrize("name", PROFILES)
+def test_each_profile_is_that_of_shielded_envs_in_highway_env(name):
+    shield = ShieldConfig.profile(name)
+    theirs, mine = in_highway_env(shield, 2), ShieldedVecEnv(2, "highway-fast-v0", SHORT, shield)
+    for world in (theirs, mine):
+        world.seed(70)
+    assert np.array_equal(theirs.reset(), mine.reset())
+    rng, overridden = np.random.default_rng(0), 0
+    for _ in range(20):
+        assert np.array_equal(get_action_masks(theirs), get_action_masks(mine))
+        actions = rng.integers(5, size=2)
+        (*one, infos), (*two, found) = theirs.step(actions), mine.step(actions)
+        assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
+        for a, b in zip(infos, found, strict=True):
+            assert a["shield"] == b["shield"]
+            overridden += a["shield"]["overridden"]
+    assert overridden > 0
+
+
+@EITHER
+def test_maskable_ppo_ends_with_the_same_network(shield):
+    networks = []
+    for world in (in_highway_env(shield), ShieldedVecEnv(1, "highway-fast-v0", SHORT, shield)):
+        torch.set_num_threads(1)
+        model = MaskablePPO("MlpPolicy", world, n_steps=32, batch_size=32, n_epochs=2, seed=3, device="cpu").learn(64)
+        networks.append([parameter.detach().clone() for parameter in model.policy.parameters()])
+    assert all(torch.equal(a, b) for a, b in zip(*networks, strict=True))
+
+
+@EITHER
+def test_maskable_ppo_proposes_what_passes(shield):
+    world = ShieldedVecEnv(4, "highway-fast-v0", SHORT, shield)
+    assert is_masking_supported(world)
+    model = MaskablePPO("MlpPolicy", world, n_steps=16, batch_size=32, seed=0, device="cpu").learn(128)
+    assert model.num_timesteps == 128
+    obs = world.reset()
+    for _ in range(10):
+        masks = get_action_masks(world)
+        action, _ = model.predict(obs, action_masks=masks)
+        obs, *_ = world.step(action)
+        # All True also stands for none.
+        passed = world.highways.records.executed == action
+        assert (passed | masks.all(axis=1)).all()
+
+
+def test_masks_are_had_of_some_environments_as_of_all():
+    world = ShieldedVecEnv(3, "highway-fast-v0", SHORT)
+    world.seed(1)
+    world.reset()
+    masks = world.action_masks()
+    assert masks.shape == (3, 5)
+    assert np.array_equal(world.env_method("action_masks", indices=[2, 0]), masks[[2, 0]])
+    assert np.array_equal([mask() for mask in world.get_attr("action_masks", [1])], masks[[1]])
+
+
+@pytest.mark.parametrize("world", [ShieldedVecEnv, FastHighwayVecEnv, FastRoadVecEnv])
+def test_what_is_not_there_is_not_there_to_those_who_ask(world):
+    world = world(1)
+    assert not world.has_attr("road")
+    assert world.has_attr("action_masks") == isinstance(world, ShieldedVecEnv)
+    for ask in (world.get_attr, world.env_method):
+        for kind in (AttributeError, ShieldError, ConfigError):
+            with pytest.raises(kind, match="'road'"):
+                ask("road")
+
+
+def test_what_the_shield_did_is_logged():
+    world = ShieldedVecEnv(2, "highway-fast-v0", SHORT)
+    model = PPO("MlpPolicy", world, n_steps=8, batch_size=16, device="cpu").learn(16, callback=ShieldCallback())
+    assert model.num_timesteps == 16
+
+
+@EITHER
 def test_a_model_learns_in_it(shield):
     world = ShieldedVecEnv(4, "highway-fast-v0", SHORT, shield)
     model = PPO("MlpPolicy", world, n_steps=16, batch_size=32, seed=0, device="cpu").learn(128)

@@ -197,16 +197,42 @@ def test_an_unknown_recipe_is_answered_with_the_valid_ones():
         train_recipe("nobody")
 
 
-def test_one_may_train_inside_the_shield(tmp_path):
-    options = {"hyperparameters": {**SMALL_NET, "n_steps": 16, "batch_size": 16}, "progress": False}
-    trained = train(TINY, "ppo", 16, 1, output=tmp_path / "policy", shield="default", **options)
-    assert trained.manifest["shield"] == "default"
+@pytest.mark.parametrize("shield", ["default", "exact"])
+@pytest.mark.parametrize("algorithm", ["ppo", "dqn"])
+def test_inside_the_shield_either_simulator_gives_the_same_model(tmp_path, shield, algorithm):
+    weights, hyperparameters = [], {"ppo": {**SMALL_NET, "n_steps": 32, "batch_size": 16}, "dqn": OFF_POLICY}[algorithm]
+    for simulator in ("highway-env", "compiled", "auto"):
+        options = {"hyperparameters": hyperparameters, "shield": shield, "simulator": simulator, "progress": False}
+        trained = train(TINY, algorithm, 64, 1, output=tmp_path / simulator, **options)
+        assert trained.manifest["shield"] == shield
+        assert trained.manifest["simulator"] == ("highway-env" if simulator == "highway-env" else "compiled")
+        assert f"shield={shield!r}" in shlex.split(trained.manifest["command"])[2]
+        weights.append(get_algorithm(algorithm).load(trained.path, device="cpu").policy.state_dict())
+    for other in weights[1:]:
+        assert weights[0].keys() == other.keys()
+        assert all(torch.equal(value, other[key]) for key, value in weights[0].items())
+
+
+@pytest.mark.parametrize(
+    ("setting", "sensor", "message"),
+    [
+        (CONTINUOUS, "exact", "ContinuousAction"),
+        (TINY, "normalised-0.5", "observes highway-env itself"),
+        (Setting("merge", "merge-v0", {"duration": 4}), "exact", "merge-v0"),
+    ],
+)
+def test_what_is_not_compiled_inside_the_shield_is_trained_in_highway_env(tmp_path, setting, sensor, message):
+    options = {"hyperparameters": {**SMALL_NET, "n_steps": 8, "batch_size": 8}, "shield": "default", "progress": False}
+    trained = train(setting, "ppo", 8, 1, output=tmp_path / "policy", sensor=sensor, **options)
     assert trained.manifest["simulator"] == "highway-env"
-    assert "shield=" in trained.manifest["command"]
+    with pytest.raises(ConfigError, match=message):
+        train(setting, "ppo", 8, 1, output=tmp_path / "policy", sensor=sensor, simulator="compiled", **options)
+
+
+def test_one_trains_inside_a_profile_that_there_is(tmp_path):
+    options = {"hyperparameters": {**SMALL_NET, "n_steps": 16, "batch_size": 16}, "progress": False}
     with pytest.raises(ConfigError, match="'default', 'meta-actions', 'roads', 'exact'"):
         train(TINY, "ppo", 16, 1, output=tmp_path / "policy", shield="paper", **options)
-    with pytest.raises(ConfigError, match="highway-env itself"):
-        train(TINY, "ppo", 16, 1, output=tmp_path / "policy", shield="default", simulator="compiled", **options)
 
 
 def test_every_recipe_has_its_reference_policy():

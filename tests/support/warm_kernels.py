@@ -19,12 +19,14 @@ from shield.exact.roads import ExactRoads
 def shielded() -> None:
     highways = ShieldedHighways("highway-fast-v0", 1)
     highways.reset([0])
+    highways.masks()
     highways.step([3])
 
 
 def exact() -> None:
     highways = ExactHighways("highway-fast-v0", 1)
     highways.reset([0])
+    highways.masks()
     highways.step([3])
     warm_up_exact(False)
 
@@ -34,6 +36,7 @@ def networks() -> None:
     warm_up_exact_inputs()
     roads = ExactRoads("merge-v0", 1)
     roads.reset([0])
+    roads.masks()
     roads.step([1])
 
 

@@ -1,15 +1,22 @@
-"""What the README shows works as shown."""
+"""What the README shows works as shown, and what a policy may observe."""
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from dataclasses import fields
 from itertools import takewhile
 from pathlib import Path
 
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
 import pytest
 from typer.testing import CliRunner
 
+import evaluation.scenarios
+import evaluation.wrappers  # noqa: F401  (registers the -continuous ones)
 from dynamics.traffic.assumptions import Assumptions
 from evaluation.commands.cli import app
 from shield.config import PROFILES, Buffer, ShieldConfig
@@ -26,6 +33,36 @@ def test_the_readme_example_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     names: dict[str, object] = {}
     exec(compile(block, "README.md", "exec"), names)
     assert set(names["info"]["shield"]) >= {"overridden", "reason", "tier", "margin"}  # type: ignore[index]
+
+
+def test_a_policy_may_observe_lidar_and_images(capsys: pytest.CaptureFixture[str]) -> None:
+    (block,) = re.findall(r"```python\n(.*?)```", TEXT["what-it-drives.md"], re.DOTALL)
+    exec(compile(block, "what-it-drives.md", "exec"), {})
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.rpartition(" ")[0] for line in lines] == ["(64, 2)"] * 2 + ["(4, 128, 64)"] * 2
+    assert {line.rpartition(" ")[2] for line in lines} <= {"none", "unverified"}
+
+
+def test_every_environment_is_in_the_table_of_what_is_driven() -> None:
+    rows = re.findall(r"^\| (\S+-v\d.*?) \|", TEXT["what-it-drives.md"], re.MULTILINE)
+    listed = set()
+    for name in (name for row in rows for name in row.split("; ")):
+        road, versions = name.rsplit("-", 1)
+        listed |= {f"{road}-{version}" for version in versions.split(", ")}
+    homes = ("highway_env.", "evaluation.")
+    assert listed == {name for name, spec in gym.registry.items() if str(spec.entry_point).startswith(homes)}
+
+
+@pytest.mark.slow
+def test_the_table_of_what_is_driven_is_what_its_script_prints() -> None:
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "benchmarks" / "what_it_drives.py")],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() in TEXT["what-it-drives.md"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)

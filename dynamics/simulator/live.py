@@ -122,7 +122,7 @@ def _check_clock(base: Any, scenario: Scenario) -> None:
     times = 1 / config["simulation_frequency"], 1 / config["policy_frequency"], float(config["duration"])
     if times != scenario.rules.times or base.steps % frames:
         raise SceneError("the environment has other frequencies than the simulator, or is amid a decision")
-    if base.observation_space.shape != scenario.observation_space.shape:
+    if scenario.observes and base.observation_space.shape != scenario.observation_space.shape:
         raise SceneError("the environment's observations are not those of its configuration; reset it first")
     if not isinstance(base.np_random.bit_generator, np.random.PCG64):
         raise SceneError(f"the environment draws from {type(base.np_random.bit_generator).__name__}, not from PCG64")

@@ -80,6 +80,7 @@ class Scenario:
     inputs : of continuous actions; None for meta-actions.
     observation_space, action_space : of one environment.
     bodies : how many there are, the ego included.
+    observes : whether it observes what the environment does.
     """
 
     env_id: str
@@ -90,15 +91,17 @@ class Scenario:
     observation_space: gym.spaces.Box
     action_space: gym.Space[Any]
     bodies: int
+    observes: bool = True
 
 
-def scenario_of(env_id: str, config: Mapping[str, Any] | None = None) -> Scenario:
+def scenario_of(env_id: str, config: Mapping[str, Any] | None = None, observes: bool = True) -> Scenario:
     """The scenario of an environment.
 
     Parameters
     ----------
     env_id : `highway-v0`, `highway-fast-v0`, or another id of their classes.
     config : what differs from its default configuration.
+    observes : False where only states are asked for, whatever the environment observes.
 
     Raises
     ------
@@ -113,6 +116,8 @@ def scenario_of(env_id: str, config: Mapping[str, Any] | None = None) -> Scenari
     kind, registered = _class_of(env_id)
     whole = kind.default_config()
     whole.update(registered if config is None else config)
+    if not observes:
+        whole["observation"] = {"type": "Kinematics"}
     refused = refusals(whole)
     if refused:
         raise ConfigError(
@@ -122,7 +127,7 @@ def scenario_of(env_id: str, config: Mapping[str, Any] | None = None) -> Scenari
         )
     rules, inputs, action_space = _rules(kind, whole)
     view, observation_space = _view(whole)
-    return Scenario(env_id, whole, rules, view, inputs, observation_space, action_space, rules.numbers[1])
+    return Scenario(env_id, whole, rules, view, inputs, observation_space, action_space, rules.numbers[1], observes)
 
 
 def _class_of(env_id: str) -> tuple[type[HighwayEnv], Mapping[str, Any]]:

@@ -86,8 +86,12 @@ class Simulator:
         self.reset(entropy.astype(np.int64))
 
     @classmethod
-    def of(cls, env: gym.Env[Any, Any], num_envs: int = 1) -> Simulator:
+    def of(cls, env: gym.Env[Any, Any], num_envs: int = 1, observes: bool = True) -> Simulator:
         """Copies of a live environment as it is now, between two decisions, obstacles included.
+
+        Parameters
+        ----------
+        observes : False where only states are asked for, whatever the environment observes.
 
         Raises
         ------
@@ -99,7 +103,7 @@ class Simulator:
         base = cast(Any, env.unwrapped)
         if base.spec is None:
             raise ConfigError("the environment has no id; make it with gym.make")
-        scenario = scenario_of(base.spec.id, base.config)
+        scenario = scenario_of(base.spec.id, base.config, observes)
         vehicles, obstacles = bodies_of(env)
         rules = scenario.rules
         numbers = (rules.numbers[0], len(vehicles), *rules.numbers[2:])

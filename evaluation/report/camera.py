@@ -107,6 +107,7 @@ class Camera:
                 age=i,
                 period=period,
                 proposal=proposal,
+                simulated=env.config.simulates,
             )
             for i, taken in enumerate(self._taken)
         ]

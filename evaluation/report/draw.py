@@ -4,7 +4,8 @@ Until the next decision the ego's path is a solid line: green while the proposal
 it, red where a fallback acts. The dotted line after it is the fail-safe in reserve, which is driven only if nothing
 better verifies by then: the time at its end says when it would be there, and by then the others are elsewhere. Dashed
 and yellow is what was proposed instead. The shaded areas are where the others can be within the next second, the later
-the fainter.
+the fainter. Where the traffic is simulated the dotted line is how the plan goes on, and the areas are where the others
+will be.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from dynamics.roads.straight import Road
 from dynamics.state import FloatArray, RoadState, State
-from shield.decision import Decision, Tier
+from shield.decision import Decision, Reason, Tier
 
-__all__ = ["AREA", "GREEN", "ORANGE", "PROPOSAL", "RED", "Shot", "World", "draw", "without_decision"]
+__all__ = ["AREA", "GREEN", "ORANGE", "PROPOSAL", "RED", "Shot", "World", "draw", "font", "without_decision"]
 
 GREEN, ORANGE, RED = (46, 160, 67), (240, 136, 30), (215, 45, 45)
 AREA, PROPOSAL = (150, 75, 235), (255, 214, 10)
@@ -34,6 +35,8 @@ _OUTLINES = 0.25
 """Time between two outlines of the ego along its path [s]."""
 _AHEAD = (1.0, 2 / 3, 1 / 3, 0.0)
 """Times ahead at which the areas are drawn [s], the last on top."""
+_UNVERIFIED = "nothing was found that begins with it and keeps the buffer, the others as they are simulated"
+"""`Reason.UNVERIFIED` where nothing is assumed of the others."""
 
 
 class World:
@@ -65,6 +68,7 @@ class Shot:
     age : frames since `decision` was made.
     period : frames from one decision to the next.
     proposal : road states (period + 1, 4) of what was proposed, from the decision on, or None.
+    simulated : whether the traffic is, so that plan and areas are foretold and no bounds.
     """
 
     image: NDArray[np.uint8]
@@ -81,6 +85,7 @@ class Shot:
     age: int
     period: int
     proposal: FloatArray | None = None
+    simulated: bool = False
 
     @property
     def acting(self) -> Decision:
@@ -174,7 +179,7 @@ def _draw_plan(overlay: Image.Image, shot: Shot) -> None:
     x, y = path[-1]
     half = shot.size[0] / 2 * shot.scaling * _OVERSAMPLING
     time = f"{shot.dt * (len(plan) - 1):.1f} s"
-    pen.text((x + half + 8, y), time, font=_font(11 * _OVERSAMPLING), fill=(*_PAPER, 255), anchor="lm")
+    pen.text((x + half + 8, y), time, font=font(11 * _OVERSAMPLING), fill=(*_PAPER, 255), anchor="lm")
 
 
 def _draw_outline(pen: ImageDraw.ImageDraw, shot: Shot, state: FloatArray, fill: tuple[int, ...]) -> None:
@@ -201,7 +206,8 @@ def _draw_dashes(
 
 
 @lru_cache(maxsize=8)
-def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """The typeface of all captions; size in pixels."""
     weight = "bold" if bold else "normal"
     path = font_manager.findfont(font_manager.FontProperties(family="DejaVu Sans", weight=weight))
     return ImageFont.truetype(path, size)
@@ -234,7 +240,7 @@ def _draw_caption(pen: ImageDraw.ImageDraw, shot: Shot, top: int, width: int) ->
     status = "FALLBACK" if acting.tier.fallback else "OVERRIDE" if acting.overridden else "PASSED"
     pen.rectangle((0, top, 10, top + _BAR), fill=shot.color)
     x, y = 24, top + 10
-    pen.text((x, y + 2), status, font=_font(21, bold=True), fill=shot.color)
+    pen.text((x, y + 2), status, font=font(21, bold=True), fill=shot.color)
     for heading, text, left, bold in (
         ("proposed", _label(shot, shot.decision.proposed), 170, False),
         ("executed", _executed(shot), 360, acting.overridden),
@@ -242,25 +248,29 @@ def _draw_caption(pen: ImageDraw.ImageDraw, shot: Shot, top: int, width: int) ->
         ("speed", f"{shot.speed:.1f} m/s", width - 215, False),
         ("time", f"{shot.time:.1f} s", width - 90, False),
     ):
-        pen.text((left, y - 3), heading, font=_font(12), fill=_PALE)
-        pen.text((left, y + 12), text, font=_font(18, bold=bold), fill=_INK)
+        pen.text((left, y - 3), heading, font=font(12), fill=_PALE)
+        pen.text((left, y + 12), text, font=font(18, bold=bold), fill=_INK)
     both = shot.decision.overridden and acting.overridden
     reason = shot.decision.reason if both else acting.reason
-    pen.text((x, y + 50), f"{reason.value}: {reason.text}", font=_font(14), fill=_INK)
-    _draw_legend(pen, width, y + 74)
+    pen.text((x, y + 50), f"{reason.value}: {_text(shot, reason)}", font=font(14), fill=_INK)
+    _draw_legend(pen, shot, width, y + 74)
 
 
-def _draw_legend(pen: ImageDraw.ImageDraw, width: int, y: int) -> None:
+def _text(shot: Shot, reason: Reason) -> str:
+    return _UNVERIFIED if shot.simulated and reason is Reason.UNVERIFIED else reason.text
+
+
+def _draw_legend(pen: ImageDraw.ImageDraw, shot: Shot, width: int, y: int) -> None:
     """From the right: what each colour and line stands for."""
-    right, font = width - 16, _font(12)
+    right, small = width - 16, font(12)
     for text, colors, dash in (
-        ("others within 1 s", (AREA,), 0),
-        ("fail-safe in reserve", (_PALE,), 3),
+        ("others, foretold for 1 s" if shot.simulated else "others within 1 s", (AREA,), 0),
+        ("planned to go on" if shot.simulated else "fail-safe in reserve", (_PALE,), 3),
         ("proposed", (PROPOSAL,), 7),
         ("executed: passed, overridden, fallback", (GREEN, ORANGE, RED), 0),
     ):
-        left = right - pen.textlength(text, font=font)
-        pen.text((left, y + 2), text, font=font, fill=_PALE)
+        left = right - pen.textlength(text, font=small)
+        pen.text((left, y + 2), text, font=small, fill=_PALE)
         for color in reversed(colors):
             left -= 18
             if dash:

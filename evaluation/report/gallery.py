@@ -11,9 +11,10 @@ from typing import Any, cast
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from evaluation.names import FIRST_EVALUATION_SEED
+from evaluation.report.draw import font
 from evaluation.report.overlay import ShieldOverlay
 from evaluation.report.plots import picture_path
 from evaluation.running.named_policies import make_policy
@@ -28,6 +29,8 @@ _SEARCH = 5
 """Episodes among which the decision is found that passes others most closely."""
 _SCREEN = {"screen_width": 600, "screen_height": 300, "centering_position": [0.5, 0.5], "scaling": 5.5}
 _PANEL, _GAP, _COLORS = (800, 475), 10, 256
+_TITLE, _LETTERS = 34, 20
+"""Height of the strip above a picture that names its road, and of its letters [px]."""
 
 
 def draw_override(env_id: str, policy: str = "faster", seed: int = 0) -> Image.Image:
@@ -69,8 +72,8 @@ def draw_override(env_id: str, policy: str = "faster", seed: int = 0) -> Image.I
 
 
 def draw_gallery(path: str | Path, env_ids: Sequence[str] = ROADS, seed: int = 0) -> Path:
-    """One picture of an override on each of the roads, two beside each other: of always FASTER, and on the exit of who
-    asks for it.
+    """One picture of an override on each of the roads, under its name, two beside each other: of always FASTER, and on
+    the exit of who asks for it.
 
     Parameters
     ----------
@@ -85,11 +88,13 @@ def draw_gallery(path: str | Path, env_ids: Sequence[str] = ROADS, seed: int = 0
     panels = [draw_override(each, "right" if each.startswith("exit") else "faster", seed) for each in env_ids]
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
-    (width, height), gap = _PANEL, _GAP
+    (width, height), gap = (_PANEL[0], _TITLE + _PANEL[1]), _GAP
     sheet = Image.new("RGB", (columns * (width + gap) - gap, rows * (height + gap) - gap), (255, 255, 255))
-    for k, panel in enumerate(panels):
-        small = panel.resize(_PANEL, Image.Resampling.LANCZOS)
-        sheet.paste(small, ((k % columns) * (width + gap), (k // columns) * (height + gap)))
+    pen = ImageDraw.Draw(sheet)
+    for k, (env_id, panel) in enumerate(zip(env_ids, panels, strict=True)):
+        x, y = (k % columns) * (width + gap), (k // columns) * (height + gap)
+        pen.text((x + _GAP, y + _TITLE // 2), env_id, font=font(_LETTERS, bold=True), fill=(0, 0, 0), anchor="lm")
+        sheet.paste(panel.resize(_PANEL, Image.Resampling.LANCZOS), (x, y + _TITLE))
     path.parent.mkdir(parents=True, exist_ok=True)
     sheet.quantize(_COLORS, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(path, optimize=True)
     return path

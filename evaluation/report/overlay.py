@@ -130,6 +130,7 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             age=base.steps - self._begun,
             period=max(1, round(1.0 / (dt * base.config["policy_frequency"]))),
             proposal=self._proposal,
+            simulated=simulated,
         )
 
 

@@ -72,7 +72,7 @@ class ExactDoor:
             elif base.spec is None:
                 raise ConfigError("the environment has no id; make it with gym.make")
             else:
-                scenario_of(base.spec.id, base.config)
+                scenario_of(base.spec.id, base.config, observes=False)
         self._scene = ExactScene(base, config, _simulate)
         self.cause = ""
         self._plans: Plans = empty_plans(1, 1)
@@ -152,7 +152,7 @@ class ExactDoor:
 
 
 def _simulate(base: Any, like: Any) -> Simulator | NetworkSimulator:
-    return NetworkSimulator(base, like=like) if on_network(base) else Simulator.of(base)
+    return NetworkSimulator(base, like=like) if on_network(base) else Simulator.of(base, observes=False)
 
 
 @cache

@@ -41,8 +41,8 @@ class InputDoor(InputFrames):
     Raises
     ------
     ConfigError
-        If the mode is one of the rules for meta-actions, the actions are none that can be verified, or a model is given
-        where no predictive filter would use it.
+        If the mode is one of the rules for meta-actions, the actions are none that can be verified (with `agent`, those
+        of `DiscreteAction`), or a model is given where no predictive filter would use it.
     SceneError
         If the environment has several controlled vehicles, or its road is not supported.
     """
@@ -51,6 +51,11 @@ class InputDoor(InputFrames):
         refuse_simulated(config)
         super().__init__(base, config)
         self._lot = is_lot(base)
+        if agent and self.actuators.choices is not None:
+            raise ConfigError(
+                "with frames=False the fail-safe goes through the policy's actions, and DiscreteAction has but a few; "
+                "take Shield(policy, env=env), ShieldedEnv(env), or ContinuousAction"
+            )
         if model is not None and (self._lot or agent):
             raise ConfigError("a model is for the predictive filter of ShieldedEnv on a road; leave it out here")
         # A reader and a core belong together: what the one reads, the other judges.

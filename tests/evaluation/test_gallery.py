@@ -6,7 +6,7 @@ import gymnasium as gym
 import highway_env  # noqa: F401
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from evaluation.report.draw import AREA, ORANGE
 from evaluation.report.gallery import draw_gallery, draw_override
@@ -38,6 +38,27 @@ def test_a_gallery_has_a_picture_for_each_road(tmp_path):
     (width, height), (single, low) = Image.open(path).size, Image.open(one).size
     assert width > 2 * single
     assert height > 2 * low
+
+
+def test_each_road_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr("evaluation.report.gallery.draw_override", lambda *_: Image.new("RGB", (1200, 712), "red"))
+    named = Image.open(draw_gallery(tmp_path / "two.png", ["merge-v1", "u-turn-v1"])).convert("L")
+    strips = [np.asarray(named.crop((left, 0, left + 200, 30))) for left in (0, 810)]
+    assert all((strip < 60).sum() > 100 for strip in strips)
+    assert (strips[0] != strips[1]).any()
+
+
+def test_a_picture_of_what_is_simulated_speaks_of_no_assumptions(monkeypatch):
+    said = []
+    text = ImageDraw.ImageDraw.text
+    monkeypatch.setattr(
+        ImageDraw.ImageDraw, "text", lambda pen, at, *a, **k: (said.append(a[0]), text(pen, at, *a, **k))
+    )
+    draw_override("merge-v1")
+    (why,) = {line for line in said if line.startswith("unverified: ")}
+    assert "simulated" in why
+    assert "assumptions" not in why
+    assert "others, foretold for 1 s" in said
 
 
 def test_what_cannot_be_drawn_is_refused(tmp_path):

@@ -12,7 +12,7 @@ from policies import Always
 from stable_baselines3 import DQN
 
 from dynamics.vehicle.actuators import Actuators
-from shield import Shield, ShieldConfig, ShieldedEnv
+from shield import ConfigError, Shield, ShieldConfig, ShieldedEnv
 
 EXACT = ShieldConfig.exact()
 COMPLEX = "evaluation.scenarios:ComplexRoads-v0"
@@ -75,6 +75,13 @@ def test_full_throttle_does_not_crash(config, door):
         assert not terminated
         if truncated:
             break
+
+
+@pytest.mark.parametrize("env_id", ["highway-fast-v0", "parking-v0"])
+def test_a_fail_safe_that_the_numbers_do_not_have_is_refused(env_id):
+    """Braking in the lane is none of a few inputs, and with actions alone there is nothing else to brake with."""
+    with pytest.raises(ConfigError, match=r"frames=False.*ShieldedEnv"):
+        Shield(Always(0), make(env_id), frames=False)
 
 
 def test_dqn_learns_inside_the_shield():

@@ -294,6 +294,28 @@ def test_what_is_no_action_is_answered_with_the_stored_plan(action):
     assert shield.last_decision.reason in (Reason.BAD_ACTION, Reason.POLICY_FAILED)
 
 
+LIDAR = {"type": "LidarObservation"}
+IMAGES = {"type": "GrayscaleObservation", "observation_shape": (32, 16), "stack_size": 2, "weights": [0.3, 0.6, 0.1]}
+
+
+@pytest.mark.parametrize("observation", [LIDAR, IMAGES], ids=["lidar", "images"])
+@pytest.mark.parametrize("env_id", ["highway-fast-v0", "roundabout-v1"])
+def test_what_the_policy_observes_changes_no_decision(observation, env_id):
+    seen = []
+    for config in ({}, {"observation": observation, "offscreen_rendering": True}):
+        env = ShieldedEnv(gym.make(env_id, config=config), EXACT)
+        env.reset(seed=4)
+        seen.append([])
+        for _ in range(10):
+            *_, terminated, _, _ = env.step(3)
+            decision = env.last_decision
+            assert decision.reason in (Reason.NONE, Reason.UNVERIFIED)
+            seen[-1].append((decision.executed, decision.margin, decision.tier, terminated))
+            if terminated:
+                break
+    assert seen[0] == seen[1]
+
+
 class Stranger(IDMVehicle):
     """Drives in a way of its own."""
 

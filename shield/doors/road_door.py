@@ -394,7 +394,7 @@ class RoadDoor:
         margin, who, evades = found.margin, found.vehicle, found.innocent >= CLEAR
         if margin < CLEAR and found.clear == 0:
             # The buffer is gone: what is left to save is the body.
-            evades, found = False, choose(self._alone, self._bare, self._others, courses, self._trial)
+            evades, found = False, self._save(courses)
         course, tier = courses[found.course], tiers[found.course]
         reason = Reason.NONE if tier is Tier.PASSED else Reason.UNVERIFIED
         if margin < CLEAR:
@@ -402,6 +402,22 @@ class RoadDoor:
             tier = Tier.EVADED if evades else Tier.LARGEST_MARGIN
         decision = Decision(-1, -1, reason, tier, float(margin), 0.0, vehicle=int(who))
         return (course, tier), decision
+
+    def _save(self, courses: FloatArray) -> Choice:
+        """What keeps the body clear, or does for longest; of what does as long, the slowest that goes no faster than now."""
+        now = float(self._alone.worlds.f[0, SPEED, 0])
+        slower = np.flatnonzero((courses[:, 1] <= now) & (courses[:, 2] < _COMMITTED))
+        slower = slower[np.argsort(courses[slower, 1], kind="stable")]
+        least = Choice(-1, -np.inf, -1, -1, -np.inf, 0.0)
+        if slower.size:
+            least = choose(self._alone, self._bare, self._others, courses[slower], self._trial)
+        if least.margin < CLEAR:
+            most: Choice = choose(self._alone, self._bare, self._others, courses, self._trial)
+            if most.margin >= CLEAR or most.clear > least.clear:
+                return most
+            # The trial holds what comes of what was judged last.
+            least = choose(self._alone, self._bare, self._others, courses[slower], self._trial)
+        return least._replace(course=int(slower[least.course]))
 
     def _go(self, course: FloatArray, tier: Tier) -> None:
         """Remember what is gone on with."""

@@ -404,7 +404,7 @@ class RoadDoor:
         return (course, tier), decision
 
     def _save(self, courses: FloatArray) -> Choice:
-        """What keeps the body clear, or does for longest; of what does as long, the slowest that is no faster than now."""
+        """What keeps the body clear, or does for longest; of these the slowest, where it is no faster than now."""
         now = float(self._alone.worlds.f[0, SPEED, 0])
         slower = np.flatnonzero((courses[:, 1] <= now) & (courses[:, 2] < _COMMITTED))
         slower = slower[np.argsort(courses[slower, 1], kind="stable")]

@@ -15,6 +15,7 @@ __all__ = [
     "CIRCULAR",
     "COLUMNS",
     "COUNT",
+    "CROSSES",
     "DIRECTION",
     "DYNAMICAL",
     "ENDS",
@@ -81,11 +82,11 @@ that of the sine, or where the arc starts. LEAST and MOST are a box around the c
 """
 COLUMNS = 20
 
-SHAPE, ROAD, ID, COUNT, FIRST, TO, FORBIDDEN, PRIORITY, ENDS, LEAVES = range(10)
+SHAPE, ROAD, ID, COUNT, FIRST, TO, FORBIDDEN, PRIORITY, ENDS, LEAVES, CROSSES = range(11)
 """Columns of the lanes' integers: the road that a lane belongs to, its index in it, how many there are, the first of
 them, and the node that the road leads to; ENDS: no road goes on from its end, or only one that leads back; LEAVES:
-vehicles vanish near its end."""
-IDS = 10
+vehicles vanish near its end; CROSSES: it leads from where roads part to where roads join, so that ways cross there."""
+IDS = 11
 
 STRAIGHT, SINE, CIRCULAR = range(3)
 """Shapes of lanes."""

@@ -17,6 +17,7 @@ from dynamics.networks.layout import (
     CIRCULAR,
     COLUMNS,
     COUNT,
+    CROSSES,
     DIRECTION,
     ENDS,
     FIRST,
@@ -104,6 +105,7 @@ def network_of(network: Any, connected: bool = False, leaves: Leaves | None = No
             ids[n, [ROAD, ID, COUNT, FIRST, TO]] = edge, k, len(graph[a][b]), numbers[a, b, 0], nodes[b]
             ids[n, [SHAPE, FORBIDDEN, PRIORITY]] = _SHAPES[type(lane)], bool(lane.forbidden), lane.priority
             ids[n, LEAVES] = leaves is not None and leaves((a, b, k))
+            ids[n, CROSSES] = len(graph[a]) > 1 and sum(b in outs for outs in graph.values()) > 1
             ids[n, ENDS] = all(_leads_back(lane, each) for each in graph.get(b, {}).values())
     outs = [[edges[name, to] for to in graph.get(name, {})] for name in nodes]
     linked = [_linked(graph, numbers, key) if connected else [] for key in numbers]

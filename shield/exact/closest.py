@@ -10,7 +10,7 @@ from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.simulator.scene import next_target_speed, speed_index
 from shield.exact.effort import may_go_on
 from shield.exact.room import ANY, NOBODY, Nodes, Search, Wish
-from shield.exact.search import copy_future, depart, in_depth, repeats, travel
+from shield.exact.search import copy_future, depart, in_depth, leave, must_go_on, repeats, travel
 from shield.exact.traffic import ego_in, on_road
 
 __all__ = ["best_plan", "clear_plan", "closest_plan", "stopping", "wish_of"]
@@ -184,8 +184,15 @@ def best_plan(search: Search, only: int, never: int, depth: int, wish: Wish, flo
 def clear_plan(search: Search, only: int, never: int, wish: Wish) -> float:
     """The smallest clearance beyond the buffer [m] of what `best_plan` finds, -inf where that does not keep the buffer
     for all decisions."""
-    lasts, margin = best_plan(search, only, never, search.bounds.depth, wish, 0.0)
-    return margin if lasts == search.bounds.depth else -np.inf
+    nodes, depth, node = (
+        search.nodes,
+        search.bounds.depth,
+        _best_node(search, only, never, search.bounds.depth, wish, 0.0),
+    )
+    if node == NOBODY or nodes.level[node] < depth:
+        return -np.inf
+    margin = nodes.clear[node]
+    return -np.inf if must_go_on(search, search.bounds.spare + 1 + node, search.plan, margin) else margin
 
 
 @uncounted
@@ -203,7 +210,7 @@ def _go_on_from(search: Search, node: int) -> float:
     for level in range(known):
         search.reached[level, 0, 0], search.reached[level, 0, 1] = depart(search, level, spare, search.hint[level])
     lasts, margin, _ = in_depth(search, search.hint[0], search.hint, known, known, 0.0, search.bounds.budget)
-    return margin if lasts == depth else -np.inf
+    return leave(search, search.plan[0], margin) if lasts == depth else -np.inf
 
 
 @uncounted
@@ -215,4 +222,6 @@ def closest_plan(search: Search, proposed: int, wish: Wish) -> float:
     if node == NOBODY or search.nodes.level[node] < outlook:
         return -np.inf
     margin = _go_on_from(search, node)
-    return margin if margin >= 0 else clear_plan(search, ANY, proposed, wish)
+    # What ends in the way keeps the buffer: it is no use to look for another that is as far by then.
+    refused = search.resting.margin[0] >= 0.0
+    return margin if margin >= 0 or refused else clear_plan(search, ANY, proposed, wish)

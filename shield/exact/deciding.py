@@ -173,6 +173,9 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
         # What was planned keeps the buffer to its end, from where it may go on.
         try_once_more(search)
         margin, _ = survives(search, ANY, stored, length)
+    if margin < 0 and search.resting.margin[0] >= 0:
+        margin = search.resting.margin[0]
+        _copy(search.resting.plan, search.plan, search.bounds.depth)
     if margin >= 0:
         records.margin[e], passed = margin, search.plan[0] == proposed
         tier, reason = (_PASSED, _NONE) if passed else (_ALTERNATIVE, _UNVERIFIED)

@@ -96,6 +96,23 @@ class Dead(NamedTuple):
     states: FloatArray
 
 
+class Resting(NamedTuple):
+    """A sequence that keeps the buffer and ends with the ego where ways cross and others may appear: it is taken where
+    no other is found.
+
+    Attributes
+    ----------
+    going : to speed up at each decision, (depth,).
+    plan : the first that was found, (depth,). margin : its smallest clearance beyond the buffer, (1,) [m], -inf where
+        there is none. allowed : whether any may end so, since the ego stands there now already, (1,).
+    """
+
+    going: IntArray
+    plan: IntArray
+    margin: FloatArray
+    allowed: BoolArray
+
+
 class Nodes(NamedTuple):
     """What a search over lanes and speeds has reached: the future `spare + 1 + i` belongs to node i.
 
@@ -149,7 +166,7 @@ class Search(NamedTuple):
     plan : the sequence that was found, (depth,). hint : one that is gone on with, (depth,). sequence : the one that a
         search in depth is trying, (depth,).
     team : the other egos, on a network. nodes : what a search over lanes and speeds has reached.
-    dead : where a search in depth has found no way on.
+    dead : where a search in depth has found no way on. resting : what ends where it would be in the way.
     """
 
     machine: Machine
@@ -170,6 +187,7 @@ class Search(NamedTuple):
     team: Team
     nodes: Nodes
     dead: Dead
+    resting: Resting
 
 
 _SAFEST_FIRST = (4, 1, 2, 0, 3)
@@ -223,7 +241,8 @@ def new_search(
         asked=0.0 if straight else _ASKED,
         spare=depth + 2,
     )
-    kinds = _kinds(rules)
+    kinds, order = _kinds(rules), np.array([labels.index(label) for label in _SAFEST_FIRST if label in labels], index)
+    going = np.full(depth, order[-1], index)
     n = min(depth * kinds, _NODES)
     return Search(
         machine=simulator.machine,
@@ -231,7 +250,7 @@ def new_search(
         work=simulator.new_work(),
         bounds=bounds,
         futures=simulator.new_worlds(bounds.spare + 1 + n),
-        order=np.array([labels.index(label) for label in _SAFEST_FIRST if label in labels], index),
+        order=order,
         given=np.zeros(2),
         row=np.zeros((1, 7)),
         spent=np.zeros(2, index),
@@ -254,4 +273,5 @@ def new_search(
             open=np.zeros(n, np.bool_),
         ),
         dead=Dead(np.zeros(depth + 1, index), np.zeros((depth + 1, _DEAD, 5))),
+        resting=Resting(going, np.zeros(depth, index), np.zeros(1), np.zeros(1, np.bool_)),
     )

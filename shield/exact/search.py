@@ -20,7 +20,7 @@ from dynamics.traffic.permits import Ego, gap_between
 from shield.exact.dead import bury, is_dead
 from shield.exact.effort import begin_anew
 from shield.exact.room import ANY, Bounds, Search, Wish
-from shield.exact.traffic import copy_more, ego_in, frame, lanes_beside, on_road, sorted_in, start
+from shield.exact.traffic import copy_more, ego_in, frame, in_the_way, lanes_beside, on_road, sorted_in, start
 
 __all__ = [
     "clearance",
@@ -31,13 +31,19 @@ __all__ = [
     "foretell",
     "in_depth",
     "leap",
+    "leave",
     "look_from",
+    "must_go_on",
     "repeats",
     "same_outcome",
     "survives",
     "travel",
 ]
 
+_AT_REST = 1.0
+"""Who is slower stands, or is about to [m/s]."""
+_LEAVE = 2
+"""Decisions that may be simulated for each ahead to find a sequence that does not end in the way; one the next time."""
 _JOIN = 2 / 3
 """How much of its budget a sequence that begins otherwise than what was planned may spend on joining it again."""
 
@@ -68,6 +74,7 @@ def look_from(search: Search, worlds: Any, e: int) -> None:
     """Make a state the first future of a search, as `enter` does, where nobody has come or gone since that."""
     copy_state(worlds, e, search.futures, 0)
     begin_anew(search)
+    search.resting.margin[0], search.resting.allowed[0] = -np.inf, True
 
 
 @uncounted
@@ -81,6 +88,9 @@ def enter(search: Search, worlds: Any, e: int) -> None:
             for j in range(p.shape[2]):
                 p[k, i, j] = p0[i, j]
     copy_more(search, worlds, e)
+    # Who stands where ways cross already may stay there.
+    moves = abs(search.futures.f[0, SPEED, ego_in(search, 0)]) >= _AT_REST
+    search.resting.allowed[0] = not moves and in_the_way(search, 0)
 
 
 @uncounted
@@ -205,8 +215,29 @@ def same_outcome(search: Search, a: int, b: int) -> bool:
 
 
 @uncounted
+def must_go_on(search: Search, k: int, sequence: IntArray, margin: float) -> bool:
+    """Whether a sequence for all decisions is refused that leads to future k, since the ego is in the way there. The
+    first of them is remembered."""
+    resting = search.resting
+    if resting.allowed[0] or not in_the_way(search, k):
+        return False
+    if resting.margin[0] < 0.0:
+        resting.margin[0] = margin
+        for i in range(resting.plan.shape[0]):
+            resting.plan[i] = sequence[i]
+    return True
+
+
+@uncounted
 def in_depth(
-    search: Search, first: int, stored: IntArray, length: int, known: int, floor: float, budget: int
+    search: Search,
+    first: int,
+    stored: IntArray,
+    length: int,
+    known: int,
+    floor: float,
+    budget: int,
+    leaves: bool = False,
 ) -> tuple[int, float, bool]:
     """A sequence that stays clear for all decisions, or of those that were tried the first that does for most of them,
     into `search.plan`: in depth first.
@@ -217,6 +248,7 @@ def in_depth(
     stored : what is tried first at each level, but for what it begins with, (depth,), of which `length` are there; then
         what slows down. known : of them, those whose futures, and all else of these levels, are there already.
     floor : smallest clearance beyond the buffer that is allowed [m]. budget : decisions that may be simulated.
+    leaves : whether a sequence for all decisions may not end in the way (`in_the_way`).
 
     Returns
     -------
@@ -250,6 +282,8 @@ def in_depth(
             continue
         search.sequence[level] = action
         search.least[level + 1] = min(search.least[level], least)
+        if leaves and level + 1 == bounds.depth and in_the_way(search, level + 1):
+            continue
         level += 1
         if level > lasts:
             lasts, clear = level, search.least[level]
@@ -257,6 +291,19 @@ def in_depth(
                 search.plan[k] = search.sequence[k]
         search.choices[level] = 0
     return lasts, clear if lasts > 0 else -np.inf, lasts < bounds.depth and search.spent[0] >= until
+
+
+@uncounted
+def leave(search: Search, first: int, margin: float) -> float:
+    """The smallest clearance beyond the buffer of a sequence for all decisions that was found, or, where that ends in
+    the way, of another that begins with the same action and goes on as fast as it can, into `search.plan` [m]; -inf
+    where none is found."""
+    depth, going, once = search.bounds.depth, search.resting.going, search.resting.margin[0] >= 0.0
+    if not must_go_on(search, depth, search.plan, margin):
+        return margin
+    budget = depth if once else _LEAVE * depth
+    lasts, margin, _ = in_depth(search, first, going, depth, 0, 0.0, budget, True)
+    return margin if lasts == depth else -np.inf
 
 
 @uncounted
@@ -279,4 +326,4 @@ def survives(search: Search, first: int, stored: IntArray, length: int) -> tuple
         budget -= joins
     if lasts < depth and exhausted:
         lasts, margin, exhausted = in_depth(search, first, stored, length if begins else 0, 0, 0.0, budget)
-    return (margin if lasts == depth else -np.inf), exhausted
+    return (leave(search, search.plan[0], margin) if lasts == depth else -np.inf), exhausted

@@ -7,14 +7,14 @@ from typing import Any
 
 from dynamics.compiled import by_type, inlined, uncounted
 from dynamics.networks import engine as networks
-from dynamics.networks.layout import COUNT, FRAMES, ID
+from dynamics.networks.layout import COUNT, CROSSES, FRAMES, ID
 from dynamics.simulator import engine as highways
 from dynamics.simulator.lanes import on_lane
 from dynamics.simulator.layout import LANE, LENGTH, TARGET, WIDTH, X, Y
 from dynamics.simulator.neighbours import sort
 from shield.exact.room import Search
 
-__all__ = ["copy_more", "ego_in", "frame", "hold", "lanes_beside", "on_road", "sorted_in", "start"]
+__all__ = ["copy_more", "ego_in", "frame", "hold", "in_the_way", "lanes_beside", "on_road", "sorted_in", "start"]
 
 _advance, _begin, _ego_of, _on_way = networks.advance, networks.begin, networks.ego_of, networks.on_way
 _command, _hold = networks.command, networks.hold
@@ -96,6 +96,17 @@ def _beside_on_network(search: Search, k: int) -> tuple[int, int]:
     return ids[target, ID], ids[target, COUNT] - 1 - ids[target, ID]
 
 
+@inlined
+def _never(search: Search, k: int) -> bool:
+    return False
+
+
+@uncounted
+def _where_ways_cross(search: Search, k: int) -> bool:
+    g, ego, rules = search.futures.g[k], _ego_of(search.futures.g[k]), search.rules
+    return rules.customs.stay > 0 and rules.network.ids[g[LANE, ego], CROSSES] != 0
+
+
 @uncounted
 def _nothing_more(search: Search, worlds: Any, e: int) -> None:
     return
@@ -149,6 +160,12 @@ def on_road(search: Search, k: int) -> tuple[bool, bool]:
 @by_type({_HIGHWAY: _beside_on_highway, _NETWORK: _beside_on_network}, "rules")
 def lanes_beside(search: Search, k: int) -> tuple[int, int]:
     """Lanes of the road to the left and to the right of the one that the ego is bound for in future k."""
+    raise NotImplementedError
+
+
+@by_type({_HIGHWAY: _never, _NETWORK: _where_ways_cross}, "rules")
+def in_the_way(search: Search, k: int) -> bool:
+    """Whether the ego is where ways cross in future k, on a road on which others may appear."""
     raise NotImplementedError
 
 

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from dynamics.errors import ConfigError
+from dynamics.networks.engine import ego_of
+from dynamics.networks.layout import CROSSES
+from dynamics.simulator.layout import LANE, SPEED
 from evaluation.running.certify import COLUMNS, FALLBACKS
 from evaluation.running.episodes import run_paired
 from evaluation.running.many import Many
@@ -61,6 +64,38 @@ def test_who_stands_where_wrecks_will_slide_to_leaves(seed):
         crashed, over = crashed or bool(roads.rows[0, :, 0, 6].any()), bool(terminated[0] or truncated[0])
     assert boxed_in > 0
     assert not crashed
+
+
+@pytest.mark.parametrize(("seed", "duration"), [(252_049_686, 13), (5011, 30), (5296, 30), (5337, 30)])
+def test_no_plan_ends_where_ways_cross(seed, duration):
+    """Who stops there behind wrecks keeps clear of everybody who is there, and is hit by who comes later."""
+    roads, over, crashed = ExactRoads("intersection-v0", 1, {"duration": duration}), False, False
+    roads.reset([seed])
+    while not over:
+        *_, terminated, truncated = roads.step([2])
+        crashed, over = crashed or bool(roads.rows[0, :, 0, 6].any()), bool(terminated[0] or truncated[0])
+    assert not crashed
+
+
+def test_who_stands_where_ways_cross_may_stay_there():
+    """And a plan that ends there is taken where there is no other."""
+    roads = ExactRoads("intersection-v0", 1)
+    (search,), crossing, stood, forced = roads._searches, False, 0, 0
+    for seed in range(40):
+        roads.reset([seed])
+        over = False
+        while not over:
+            worlds = roads.worlds
+            ego = ego_of(worlds.g[0])
+            crossing = search.rules.network.ids[worlds.g[0, LANE, ego], CROSSES] != 0
+            stands = crossing and abs(worlds.f[0, SPEED, ego]) < 1.0
+            *_, terminated, truncated = roads.step([int(np.random.default_rng(seed).integers(3))])
+            assert search.resting.allowed[0] == stands
+            stood += stands
+            forced += search.resting.margin[0] >= 0 and roads.plans.verified[0]
+            over = bool(terminated[0] or truncated[0])
+    assert stood > 0
+    assert forced > 0
 
 
 @pytest.mark.parametrize("seed", [35, 103, 185])

@@ -14,6 +14,13 @@ _INPUTS, _HELD = "tests/shield/test_exact_inputs.py", "tests/dynamics/test_netwo
 SIMULATED = (
     off("what is simulated passes", f"{EXACT}/deciding.py", "    if margin < 0:\n        return False\n", "", _TESTS),
     off(
+        "a plan may end where ways cross",
+        f"{EXACT}/search.py",
+        "    if resting.allowed[0] or not in_the_way(search, k):\n",
+        "    if True:\n",
+        "tests/shield/test_exact_roads.py",
+    ),
+    off(
         "no buffer in what is simulated",
         f"{EXACT}/search.py",
         "half_length + bounds.longitudinal, half_width + bounds.lateral",

@@ -132,10 +132,12 @@ def test_random_actions_are_drawn_anew_in_each_episode():
         pytest.param({"visible_distance": 6.0}, marks=pytest.mark.slow),
         pytest.param({"min_speed": 20.0}, marks=pytest.mark.slow),
         pytest.param({"settle_time": 0.0, "reaction_time": 0.0}, marks=pytest.mark.slow),
+        pytest.param({"slip_in": False}, marks=pytest.mark.slow),
     ],
 )
 def test_a_weak_assumption_is_found_out(weak, tmp_path):
-    found = falsify(FAST, ANY, ShieldConfig(assumptions=Assumptions(**weak)), episodes=5_000, seed=1)
+    setting = get_setting("abz-idm") if weak == {"slip_in": False} else FAST
+    found = falsify(setting, ANY, ShieldConfig(assumptions=Assumptions(**weak)), episodes=5_000, seed=1)
     assert found.find.clearance == 0.0
     assert found.median > 1.5
     found.find.save(tmp_path / "find.json")

@@ -108,7 +108,8 @@ def weak() -> None:
         found = falsify(get_setting(setting), ANY, WEAK[name], 5000, seed=1)
         print(
             f"{setting:12s} {name:32s} {found.find.clearance:.3f} m, as drawn {found.median:.2f} m, "
-            f"{found.episodes} episodes, {found.crashed} crashes, an assumption broken in {100 * found.offended:.0f} % as drawn",
+            f"{found.episodes} episodes, {found.crashed} crashes, an assumption broken in "
+            f"{100 * found.offended:.0f} % as drawn",
             flush=True,
         )
 

@@ -56,7 +56,8 @@ def exported(path: Path) -> list[str]:
 def origin(package: str, name: str) -> Path:
     """The file that defines a name which a package exports."""
     path = ROOT / package / "__init__.py"
-    while source := re.search(rf"^ *from (\S+) import .*\b{name}\b", path.read_text(encoding="utf-8"), re.MULTILINE):
+    names = rf"^ *from (\S+) import (?:\([^)]*|.*)\b{name}\b"
+    while source := re.search(names, path.read_text(encoding="utf-8"), re.MULTILINE):
         path = ROOT / f"{source[1].replace('.', '/')}.py"
     return path
 

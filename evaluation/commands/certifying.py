@@ -64,6 +64,7 @@ def certify_command(
 
 def replay_command(
     seed: Annotated[int | None, typer.Argument(min=0, help="Seed of the episode.")] = None,
+    number: Annotated[int | None, typer.Option("--seed", min=0, help="The same.")] = None,
     setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
     policy: Annotated[str, typer.Option(help="A policy by name, or an SB3 .zip.")] = "faster",
     config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
@@ -71,11 +72,12 @@ def replay_command(
     find: Annotated[Path | None, typer.Option(help="A find of `shield falsify`, in a seed's place.")] = None,
 ) -> None:
     """Drive one shielded episode in highway-env itself, and say what happens."""
-    if (seed is None) == (find is None):
+    if sum(each is not None for each in (seed, number, find)) != 1:
         raise ConfigError("have either the seed of an episode, or --find with the file of one")
     if find is not None:
         _replay_find(find)
         return
+    seed = number if seed is None else seed
     assert seed is not None
     from evaluation.report.video import film_end
     from evaluation.running.episodes import run_episode

@@ -404,10 +404,9 @@ class RoadDoor:
         return (course, tier), decision
 
     def _save(self, courses: FloatArray) -> Choice:
-        """What keeps the body clear, or does for longest; of these the slowest, where it is no faster than now."""
+        """What keeps the body clear, or does for longest; nothing faster than now, where that does as long."""
         now = float(self._alone.worlds.f[0, SPEED, 0])
         slower = np.flatnonzero((courses[:, 1] <= now) & (courses[:, 2] < _COMMITTED))
-        slower = slower[np.argsort(courses[slower, 1], kind="stable")]
         least = Choice(-1, -np.inf, -1, -1, -np.inf, 0.0)
         if slower.size:
             least = choose(self._alone, self._bare, self._others, courses[slower], self._trial)

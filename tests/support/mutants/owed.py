@@ -102,7 +102,7 @@ OWED = (
         "                pass",
         "anybody",
     ),
-    off("who enters need not gain by it", MOBIL, "gain >= _LEAST_GAIN - slack and imposed", "imposed", TESTS_OF_MOBIL),
+    off("who enters need not gain by it", MOBIL, "gain >= LEAST_GAIN - slack and imposed", "imposed", TESTS_OF_MOBIL),
     off("who leaves a lane leads there", MOBIL, " and abs(r + _LEAVES * across - center) <= sight", "", TESTS_OF_MOBIL),
     off(
         "the ego holds nobody up",

@@ -30,8 +30,8 @@ SIMULATED = (
     off(
         "one decision is enough",
         f"{EXACT}/search.py",
-        "(margin if lasts == depth else -np.inf)",
-        "margin",
+        "(leave(search, search.plan[0], margin) if lasts == depth else -np.inf)",
+        "leave(search, search.plan[0], margin)",
         _TESTS,
     ),
     off(
@@ -93,8 +93,8 @@ SIMULATED = (
     off(
         "a search that ends early is a plan",
         f"{EXACT}/closest.py",
-        "    return margin if lasts == search.bounds.depth else -np.inf\n",
-        "    return margin\n",
+        "    if node == NOBODY or nodes.level[node] < depth:\n        return -np.inf\n    margin",
+        "    if node == NOBODY:\n        return -np.inf\n    margin",
         _TESTS,
     ),
     off(

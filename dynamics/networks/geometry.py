@@ -138,10 +138,8 @@ class RoadGeometry:
         ConfigError
             If a lane has another number, or the shapes do not go together.
         """
-        shape, numbers, (xs, ys) = self._together(lane, x, y)
-        s, r = np.empty(numbers.size), np.empty(numbers.size)
-        project_all(self.lanes, numbers, xs, ys, s, r)
-        return s.reshape(shape), r.reshape(shape)
+        s, r = self._filled(project_all, 2, lane, x, y)
+        return s, r
 
     def position(self, lane: ArrayLike, s: ArrayLike, r: ArrayLike = 0.0) -> tuple[FloatArray, FloatArray]:
         """(x, y) of places on lanes [m], beyond their ends and edges too.
@@ -151,10 +149,8 @@ class RoadGeometry:
         ConfigError
             If a lane has another number, or the shapes do not go together.
         """
-        shape, numbers, (along, across) = self._together(lane, s, r)
-        x, y = np.empty(numbers.size), np.empty(numbers.size)
-        position_all(self.lanes, numbers, along, across, x, y)
-        return x.reshape(shape), y.reshape(shape)
+        x, y = self._filled(position_all, 2, lane, s, r)
+        return x, y
 
     def heading(self, lane: ArrayLike, s: ArrayLike) -> FloatArray:
         """Direction of the centre lines at s [rad], not wrapped.
@@ -164,10 +160,7 @@ class RoadGeometry:
         ConfigError
             If a lane has another number, or the shapes do not go together.
         """
-        shape, numbers, (along,) = self._together(lane, s)
-        out = np.empty(numbers.size)
-        heading_all(self.lanes, numbers, along, out)
-        return out.reshape(shape)
+        return self._filled(heading_all, 1, lane, s)[0]
 
     def curvature(self, lane: ArrayLike, s: ArrayLike) -> FloatArray:
         """Change of the heading with the way along the centre line [rad/m], positive where it turns right.
@@ -177,10 +170,7 @@ class RoadGeometry:
         ConfigError
             If a lane has another number, or the shapes do not go together.
         """
-        shape, numbers, (along,) = self._together(lane, s)
-        out = np.empty(numbers.size)
-        curvature_all(self.lanes, numbers, along, out)
-        return out.reshape(shape)
+        return self._filled(curvature_all, 1, lane, s)[0]
 
     def closest(self, x: ArrayLike, y: ArrayLike, heading: ArrayLike) -> Closest:
         """The lanes that are nearest in place and heading: highway-env's `get_closest_lane_index`.
@@ -264,6 +254,13 @@ class RoadGeometry:
 
     def _checked(self, lane: int) -> int:
         return int(self._together(lane)[1][0])
+
+    def _filled(self, kernel: Any, count: int, lane: ArrayLike, *values: ArrayLike) -> list[FloatArray]:
+        """What a kernel of `points` writes, in so many arrays of the shape of what it is asked about."""
+        shape, numbers, given = self._together(lane, *values)
+        written = [np.empty(numbers.size) for _ in range(count)]
+        kernel(self.lanes, numbers, *given, *written)
+        return [each.reshape(shape) for each in written]
 
     def _together(self, lane: ArrayLike, *values: ArrayLike) -> tuple[tuple[int, ...], IntArray, list[FloatArray]]:
         """The shape that everything has together, and each in one row."""

@@ -53,7 +53,13 @@ _GREW = 0.02
 
 
 class Rule(IntFlag):
-    """The rules that a vehicle can break, as bits."""
+    """The rules that a vehicle can break, as bits; as text what each is reported by.
+
+    Examples
+    --------
+    >>> str(Rule.WAY)
+    'way'
+    """
 
     SPEED = _SPEED
     WAY = _WAY
@@ -62,6 +68,10 @@ class Rule(IntFlag):
     DISTANCE = _DISTANCE
     CRASH = _CRASH
     BRAKING = _BRAKING
+
+    def __str__(self) -> str:
+        """The name that one rule is reported by."""
+        return str(self.name).lower()
 
 
 class Motions(NamedTuple):

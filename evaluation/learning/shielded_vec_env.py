@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,15 @@ import numpy as np
 from dynamics.simulator.simulator import Simulator
 from dynamics.state import BoolArray
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
-from shield.batch.vocabulary import FALLBACKS, OVERRIDES, REASONS, TIERS, rules_in
+from shield.batch.vocabulary import CERTIFIED, FALLBACKS, OVERRIDES, REASONS, TIERS, rules_in
 from shield.config import ShieldConfig
 from shield.decision import Guarantee, Tier
+from shield.doors.report import Statistics
 from shield.exact.batches import highways_for
 
 __all__ = ["ShieldedVecEnv"]
+
+_OFF = TIERS.index(Tier.OFF)
 
 
 class ShieldedVecEnv(FastHighwayVecEnv):
@@ -38,12 +42,14 @@ class ShieldedVecEnv(FastHighwayVecEnv):
     Attributes
     ----------
     highways : the environments and their shields.
+    latency : the time of the last step by the number of environments [s]. The traffic is in it, which is not driven
+        apart from the shield: it is no less than what `ShieldedEnv.latency` is of.
 
     Notes
     -----
-    `infos[i]["shield"]` is what `ShieldedEnv` reports: `overridden`, `reason`, `tier`, `margin` [m],
-    `frames_overridden`, `violations` and `rules`. The order of alternatives is the documented one.
-    sb3-contrib's MaskablePPO asks for `action_masks` by itself.
+    `infos[i]["shield"]`, and with an episode's last step `infos[i]["shield_episode"]`, are what `ShieldedEnv` reports,
+    key by key; `latency_ms` is the mean of `latency`. The order of alternatives is the documented one. sb3-contrib's
+    MaskablePPO asks for `action_masks` by itself, `ShieldCallback` for `latency`.
 
     Examples
     --------
@@ -64,6 +70,8 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         threads: int = 1,
     ) -> None:
         self._shield = ShieldConfig.of(shield)
+        self.latency = 0.0
+        self._episodes = [Statistics() for _ in range(num_envs)]
         super().__init__(num_envs, env_id, config, threads)
 
     def _made(self, num_envs: int, env_id: str, config: Mapping[str, Any] | None, threads: int) -> Simulator:
@@ -72,10 +80,14 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         return self.highways.simulator
 
     def _begin(self, seeds: list[int] | None) -> Any:
+        self._episodes = [Statistics() for _ in range(self.num_envs)]
         return self.highways.reset(seeds)
 
     def _stepped(self) -> Any:
-        return self.highways.step(self._actions, again=True)
+        start = perf_counter()
+        stepped = self.highways.step(self._actions, again=True)
+        self.latency = (perf_counter() - start) / self.num_envs
+        return stepped
 
     def action_masks(self) -> BoolArray:
         """Which actions verify now in each environment, (num_envs, actions), as `ShieldedEnv.action_masks` has it; all
@@ -83,10 +95,12 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         return self.highways.masks()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """As of `FastHighwayVecEnv`, and `action_masks`."""
-        if attr_name != "action_masks":
-            return super().get_attr(attr_name, indices)
-        return [partial(self._mask_of, i) for i in self._indices(indices)]
+        """As of `FastHighwayVecEnv`, and `action_masks` and `latency`."""
+        if attr_name == "action_masks":
+            return [partial(self._mask_of, i) for i in self._indices(indices)]
+        if attr_name == "latency":
+            return [self.latency for _ in self._indices(indices)]
+        return super().get_attr(attr_name, indices)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
         """`action_masks` of each environment; there are no environment objects behind it."""
@@ -99,30 +113,48 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         return self.action_masks()[i]
 
     def _infos(self, terminated: Any, done: Any) -> list[dict[str, Any]]:
-        infos = super()._infos(terminated, done)
-        for i, info in enumerate(infos):
-            info["action"] = int(self.highways.records.executed[i])
-            info["shield"] = self._report(i)
+        infos, executed = super()._infos(terminated, done), self.highways.records.executed.tolist()
+        for info, action, report, episode in zip(infos, executed, self._reports(), self._episodes, strict=True):
+            info["action"], info["shield"] = action, report
+            episode.add(report, self.latency)
+        for i in np.flatnonzero(done):
+            infos[i]["shield_episode"] = self._episodes[i].summary()
+            self._episodes[i] = Statistics()
         return infos
 
-    def _report(self, i: int) -> dict[str, Any]:
-        """As `shield.doors.report.report` has it."""
-        records = self.highways.records
-        tiers = [records.tier[i], *records.tiers[i]]
-        reasons = [records.reason[i], *records.reasons[i]]
-        held = [k for k, tier in enumerate(tiers) if OVERRIDES[tier]]
-        shown = next((k for k in held if FALLBACKS[tiers[k]]), held[0] if held else 0)
-        margins = np.array([records.margin[i], *records.margins[i]])
+    def _reports(self) -> list[dict[str, Any]]:
+        """Of each environment what `shield.doors.report.report` has of one: the decision and its frames side by side,
+        (e, 1 + F)."""
+        records, each = self.highways.records, np.arange(self.num_envs)
+        tiers = np.column_stack([records.tier, records.tiers])
+        reasons = np.column_stack([records.reason, records.reasons])
+        margins = np.column_stack([records.margin, records.margins])
+        held = OVERRIDES[tiers]
+        fallbacks = held & FALLBACKS[tiers]
+        shown = np.where(fallbacks.any(axis=1), fallbacks.argmax(axis=1), held.argmax(axis=1))
         # Frames that are not supervised are off.
-        supervised = [TIERS[tier] for tier in tiers[1:] if TIERS[tier] is not Tier.OFF]
-        certified = all(tier.certified for tier in (TIERS[tiers[0]], *supervised))
-        return {
-            "overridden": bool(held),
-            "reason": REASONS[reasons[shown]].value,
-            "tier": TIERS[tiers[shown]].value,
-            "margin": float(margins[np.isfinite(margins)].min(initial=np.inf)),
-            "frames_overridden": sum(k > 0 for k in held),
-            "violations": int(records.violations[i]),
-            "rules": rules_in(records.broken[i]),
-            "guarantee": (Guarantee.FULL if certified else Guarantee.NONE).value,
-        }
+        certified = CERTIFIED[records.tier] & (CERTIFIED[records.tiers] | (records.tiers == _OFF)).all(axis=1)
+        columns: tuple[Any, ...] = (
+            held.any(axis=1),
+            reasons[each, shown],
+            tiers[each, shown],
+            np.where(np.isfinite(margins), margins, np.inf).min(axis=1),
+            held[:, 1:].sum(axis=1),
+            records.violations,
+            certified,
+        )
+        return [
+            {
+                "overridden": overridden,
+                "reason": REASONS[reason].value,
+                "tier": TIERS[tier].value,
+                "margin": margin,
+                "frames_overridden": frames,
+                "violations": violations,
+                "rules": rules_in(broken) if violations else {},
+                "guarantee": (Guarantee.FULL if full else Guarantee.NONE).value,
+            }
+            for overridden, reason, tier, margin, frames, violations, full, broken in zip(
+                *(column.tolist() for column in columns), records.broken, strict=True
+            )
+        ]

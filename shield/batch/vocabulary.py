@@ -9,16 +9,16 @@ from dynamics.traffic.permits import Rule
 from shield.certificate.clauses.together import NOTHING_BINDS, ROOM_BINDS, SEPARATION_BINDS, SLIP_IN_BINDS
 from shield.decision import Reason, Tier
 
-__all__ = ["CLAUSES", "FALLBACKS", "OVERRIDES", "REASONS", "RULES", "TIERS", "rules_in"]
+__all__ = ["CERTIFIED", "CLAUSES", "FALLBACKS", "OVERRIDES", "REASONS", "TIERS", "rules_in"]
 
 REASONS, TIERS = tuple(Reason), tuple(Tier)
 FALLBACKS = np.array([tier.fallback for tier in TIERS])
 OVERRIDES = np.array([tier not in (Tier.OFF, Tier.PASSED) for tier in TIERS])
-"""Which tiers are fallbacks, and which stand for something else than the proposal."""
-RULES = tuple(str(rule.name).lower() for rule in Rule)
+CERTIFIED = np.array([tier.certified for tier in TIERS])
+"""Which tiers are fallbacks, which stand for something else than the proposal, and which have a certificate."""
 CLAUSES = {NOTHING_BINDS: "", SEPARATION_BINDS: "separation", SLIP_IN_BINDS: "slip-in", ROOM_BINDS: "room"}
 
 
 def rules_in(broken: IntArray) -> dict[str, int]:
     """How often each rule was broken, by its name, of a row of `Records.broken` (rules,)."""
-    return {name: int(count) for name, count in zip(RULES, broken, strict=True) if count}
+    return {str(rule): int(count) for rule, count in zip(Rule, broken, strict=True) if count}

@@ -75,7 +75,7 @@ class Watch:
     @property
     def named(self) -> dict[str, int]:
         """`by_rule` by the names of the rules."""
-        return {str(rule.name).lower(): count for rule, count in self.by_rule.items()}
+        return {str(rule): count for rule, count in self.by_rule.items()}
 
     def forgiven(self) -> Watch:
         """The same once a plan clears everybody again."""

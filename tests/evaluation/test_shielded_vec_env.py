@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
@@ -11,6 +13,7 @@ from policies import Always
 from sb3_contrib import MaskablePPO
 from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
 from stable_baselines3 import PPO
+from stable_baselines3.common.logger import configure
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
@@ -31,6 +34,12 @@ def in_highway_env(shield, count=1):
     return DummyVecEnv([lambda: Monitor(ShieldedEnv(gym.make("highway-fast-v0", config=SHORT), shield))] * count)
 
 
+def summed_up(info):
+    """What an info says of an episode that is over, but for the times; None where it is not."""
+    episode = info.get("shield_episode")
+    return episode and {name: value for name, value in episode.items() if name != "latency_ms"}
+
+
 def test_it_is_a_vec_env_of_shielded_envs():
     theirs = DummyVecEnv([lambda: Monitor(ShieldedEnv(CompiledHighwayEnv("highway-fast-v0", SHORT)))] * 3)
     mine = ShieldedVecEnv(3, "highway-fast-v0", SHORT)
@@ -44,8 +53,10 @@ def test_it_is_a_vec_env_of_shielded_envs():
         for a, b in zip(infos, found[3], strict=True):
             assert a["shield"] == b["shield"]
             assert a["action"] == b["action"]
+            assert summed_up(a) == summed_up(b)
             overridden += a["shield"]["overridden"]
             if "episode" in a:
+                assert a["shield_episode"].keys() == b["shield_episode"].keys()
                 assert (a["episode"]["r"], a["episode"]["l"]) == (b["episode"]["r"], b["episode"]["l"])
                 assert np.array_equal(a["terminal_observation"], b["terminal_observation"])
         assert np.array_equal(rewards, found[1])
@@ -87,8 +98,39 @@ def test_each_profile_is_that_of_shielded_envs_in_highway_env(name):
         assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
         for a, b in zip(infos, found, strict=True):
             assert a["shield"] == b["shield"]
+            assert summed_up(a) == summed_up(b)
             overridden += a["shield"]["overridden"]
     assert overridden > 0
+
+
+@EITHER
+def test_an_episodes_last_info_sums_it_up(shield):
+    """Each episode by itself: those that ended before, and those that a reset cut short, are forgotten."""
+    world = ShieldedVecEnv(3, "highway-fast-v0", SHORT, shield)
+    world.seed(0)
+    world.reset()
+    world.step([3, 3, 3])
+    world.reset()
+    reports, latencies, over = [[] for _ in range(3)], [[] for _ in range(3)], 0
+    for _ in range(20):
+        *_, dones, infos = world.step([3, 1, 0])
+        assert world.get_attr("latency") == [world.latency] * 3
+        for i, info in enumerate(infos):
+            reports[i].append(info["shield"])
+            latencies[i].append(world.latency)
+            assert ("shield_episode" in info) == dones[i]
+            if dones[i]:
+                episode = info["shield_episode"]
+                assert episode["decisions"] == info["episode"]["l"] == len(reports[i])
+                for name in ("overridden", "frames_overridden", "violations"):
+                    assert episode[name] == sum(report[name] for report in reports[i])
+                assert episode["rules"] == sum((Counter(report["rules"]) for report in reports[i]), Counter())
+                assert episode["margin"] == min(report["margin"] for report in reports[i])
+                assert episode["reasons"] == Counter(report["reason"] for report in reports[i])
+                assert episode["latency_ms"] > 0
+                assert episode["latency_ms"] == pytest.approx(1e3 * np.mean(latencies[i]))
+                reports[i], latencies[i], over = [], [], over + 1
+    assert over > 3
 
 
 @EITHER
@@ -131,17 +173,23 @@ def test_masks_are_had_of_some_environments_as_of_all():
 def test_what_is_not_there_is_not_there_to_those_who_ask(world):
     world = world(1)
     assert not world.has_attr("road")
-    assert world.has_attr("action_masks") == isinstance(world, ShieldedVecEnv)
+    for name in ("action_masks", "latency"):
+        assert world.has_attr(name) == isinstance(world, ShieldedVecEnv)
     for ask in (world.get_attr, world.env_method):
         for kind in (AttributeError, ShieldError, ConfigError):
             with pytest.raises(kind, match="'road'"):
                 ask("road")
 
 
-def test_what_the_shield_did_is_logged():
+def test_what_the_shield_did_is_logged(tmp_path):
     world = ShieldedVecEnv(2, "highway-fast-v0", SHORT)
-    model = PPO("MlpPolicy", world, n_steps=8, batch_size=16, device="cpu").learn(16, callback=ShieldCallback())
-    assert model.num_timesteps == 16
+    model = PPO("MlpPolicy", world, n_steps=8, batch_size=16, device="cpu")
+    model.set_logger(configure(str(tmp_path), ["csv"]))
+    model.learn(16, callback=ShieldCallback())
+    header, row, *_ = (tmp_path / "progress.csv").read_text().splitlines()
+    logged = dict(zip(header.split(","), row.split(","), strict=True))
+    assert float(logged["shield/latency_ms"]) > 0
+    assert 0 <= float(logged["shield/overridden"]) <= 1
 
 
 @EITHER

@@ -12,17 +12,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from dynamics.networks.alone import Alone, alone_on
-from dynamics.networks.continuations import continuations_of, leads_over
+from dynamics.networks.alone import Alone, Course, alone_on
 from dynamics.networks.engine import command
-from dynamics.networks.lanes import Lanes
-from dynamics.networks.layout import COUNT, PRIORITY
+from dynamics.networks.layout import COUNT
 from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of
-from dynamics.networks.prediction import STRIP, Conduct, Strips, Ways, reach, spread
-from dynamics.networks.rights import ranks_of, rights_of
 from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
-from dynamics.state import FloatArray
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
@@ -33,22 +28,16 @@ from shield.errors import SceneError
 from shield.procedures.warm_up import announced
 from shield.refusals import refuse_simulated
 from shield.roads.choosing import CLEAR, Choice, choose, try_course
-from shield.roads.reading import read_traffic
-from shield.roads.room import Duty, Foreseen, Others, Road, Trial, empty_trial, foreseen
-from shield.roads.survey import Body, circles_of
-from shield.roads.watch import Breach, Seen, Watch, behind
+from shield.roads.courses import Wish, courses_of, frames_of, gone_on_with, stopping
+from shield.roads.dues import Dues
+from shield.roads.outlook import Outlook, road_of
+from shield.roads.room import Foreseen, Trial, empty_trial, foreseen
+from shield.roads.saving import bare, save
+from shield.roads.watch import Breach, Seen, Watch
 
 __all__ = ["RoadDoor", "warm_up_roads"]
 
-_ON = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0)
-"""For how long a course may be kept beyond the coming frame before the ego brakes [s]."""
-_SPEEDS = 8
-"""Speeds between that of a decision and standing still that are tried in its place."""
-_STOP = 5.0
-"""Longer than it takes to brake to a standstill [s]."""
-_ROOM = 1024
-_COMMITTED = 1e3
-"""Stands for highway-env's own speed controller, which brakes as hard as it likes [m/s^2]."""
+_Made = tuple[tuple[Course, Tier], Decision]
 
 
 class RoadDoor:
@@ -93,13 +82,12 @@ class RoadDoor:
         self._past.update(self.watch.by_rule)
         self.watch = Watch()
         self._network: Any = None
-        self._owes: dict[Any, set[int]] = {}
-        self._gives: dict[Any, dict[int, int]] = {}
-        self._stored: FloatArray | None = None
+        self._dues = Dues()
+        self._stored: Course | None = None
         self._clear: set[Any] = set()
-        self._wish: tuple[int, float] | None = None
+        self._wish: Wish | None = None
         self.disturbed = False
-        self._ready: tuple[tuple[FloatArray, Tier], Decision] | None = None
+        self._ready: _Made | None = None
 
     @property
     def violations(self) -> int:
@@ -127,7 +115,7 @@ class RoadDoor:
     def counts_on(self, body: Any) -> bool:
         """Whether another vehicle has been counted on to wait for the ego, and has had the time to react: unless it
         brakes now, it may break the rule of the right of way (`shield.roads.watch`)."""
-        return max(self._gives.get(body, {}).values(), default=0) > self._road.duty.reaction
+        return self._dues.counts_on(body, self._road.duty.reaction)
 
     def culprits(self, bodies: Iterable[Any]) -> set[Any]:
         """Who of those that the ego has just crashed with had broken a rule, or has since the last frame."""
@@ -175,8 +163,8 @@ class RoadDoor:
                 self._read()
             made = self._choose() if self._ready is None else self._ready
             self._ready = None
-            (choice, tier), decision = made
-            self._go(choice, tier)
+            (course, tier), decision = made
+            self._go(course, tier)
             return self._command(tier), replace(decision, latency=perf_counter() - start)
         except Exception as error:
             reason, self.cause = why_unread(error)
@@ -208,47 +196,35 @@ class RoadDoor:
         """Take a meta-action for what is wished from now on."""
         alone = self._alone
         command(alone.machine, alone.worlds, alone.rules, 0, 0, action)
-        self._wish = int(alone.worlds.g[0, TARGET, 0]), float(alone.worlds.f[0, TARGET_SPEED, 0])
+        self._wish = Wish(self._bound, float(alone.worlds.f[0, TARGET_SPEED, 0]))
 
     def _idle(self) -> int:
         labels = self._base.action_type.actions_indexes
         return int(labels.get("IDLE", labels.get("SLOWER", 0)))
 
+    @property
+    def _bound(self) -> int:
+        """The lane that the ego is bound for."""
+        return int(self._alone.worlds.g[0, TARGET, 0])
+
+    @property
+    def _who(self) -> list[Any]:
+        """The others in the scene seen last."""
+        return [] if self.watch.last is None else self.watch.last.who
+
     def _furnish(self) -> None:
         """Room for the episode's road."""
-        base, a, buffer = self._base, self.config.assumptions, self.config.buffer
+        base = self._base
         if len(base.controlled_vehicles) != 1:
             raise SceneError(f"have one ego on a road network, not {len(base.controlled_vehicles)}")
         self._alone: Alone = alone_on(base)
         self._network, self._index = base.road.network, index_of(base.road.network)
         self._names = list(self._index)
-        network, machine = self._alone.rules.network, self._alone.machine
-        lanes = Lanes(machine.sums, machine.loops, network.lanes, network.ids)
-        ways = Ways(*continuations_of(base.road.network), leads_over(base.road.network))
-        circles = np.zeros((len(network.lanes), 3))
-        circles_of(lanes, circles)
-        length, width = base.vehicle.LENGTH / 2, base.vehicle.WIDTH / 2
-        body = Body(length, width, length + buffer.longitudinal, width + buffer.lateral, a.visible_distance)
-        self._road = Road(
-            lanes=lanes,
-            circles=circles,
-            rights=rights_of(network.ids[:, PRIORITY], ways),
-            ways=ways,
-            conduct=Conduct(a.braking, a.acceleration, a.max_speed, a.waver, a.lean),
-            duty=Duty(
-                a.follower_braking,
-                int(np.ceil(a.reaction_time * self._frequency - 1e-9)),
-                a.looks_ahead,
-                a.gives_way,
-            ),
-            body=body,
-            period=1 / self._frequency,
-        )
-        bare = body._replace(along=length, across=width)
-        self._bare = self._road._replace(body=bare)
-        self._frames = int(np.ceil((max(_ON) + _STOP) * self._frequency))
-        self._trial: Trial = empty_trial(self._frames, len(network.lanes), 0)
-        self._strips = _room_for(_ROOM)
+        self._road = road_of(base, self._alone, self.config)
+        self._bare = bare(self._road)
+        self._frames = frames_of(self._frequency)
+        self._outlook = Outlook(base, self._alone, self._road, self._frames)
+        self._trial: Trial = empty_trial(self._frames, len(self._names), 0)
 
     def _read(self) -> None:
         """Take in the scene."""
@@ -259,182 +235,66 @@ class RoadDoor:
         seen = self._look()
         self._others = seen.others
         if len(self._trial.margins) != len(seen.who):
-            self._trial = empty_trial(self._frames, len(self._road.circles), len(seen.who))
-        self._watch(seen.who)
+            self._trial = empty_trial(self._frames, len(self._names), len(seen.who))
+        self._watch(seen)
 
     def _look(self) -> Seen:
         """The others, and where they can be."""
-        seen = read_traffic(self._base, self._alone.rules.network, self._index)
-        m, n = len(seen.rows), len(self._road.circles)
-        drive = np.zeros((m, 3))
-        road = self._road
-        while True:
-            strips = self._strips
-            given = seen.rows, seen.own, seen.routes
-            count = spread(road.lanes, road.ways, road.conduct, *given, strips, drive)
-            if count <= len(strips.marks):
-                break
-            self._strips = _room_for(2 * len(strips.marks))
-        least, most = np.zeros((2, m, self._frames + 3))
-        reach(self._road.conduct, seen.rows, drive, self._road.period, least, most)
-        owes, gives = np.zeros((m, n), dtype=bool), np.zeros((m, n), np.int64)
-        for i, body in enumerate(seen.who):
-            owes[i, list(self._owes.get(body, ()))] = True
-            for lane, since in self._gives.get(body, {}).items():
-                gives[i, lane] = since
-        ranks = np.zeros(count, np.int64)
-        if road.duty.gives_way:
-            ranks_of(road.ways, road.rights, strips.marks[:count], ranks)
-        others = Others(
-            rows=seen.rows,
-            things=seen.things,
-            marks=strips.marks[:count].copy(),
-            numbers=strips.numbers[:count].copy(),
-            found=np.array([count]),
-            drive=drive,
-            least=least,
-            most=most,
-            owes=owes,
-            offends=np.zeros(m, dtype=bool),
-            gives=gives,
-            ranks=ranks,
-            waits=np.zeros(count, dtype=bool),
-            shut=np.zeros(count, dtype=bool),
-            lanes=np.unique(strips.marks[:count, 1]),
-        )
-        return Seen(seen.who, others)
+        return self._outlook.look(self._dues)
 
-    def _watch(self, who: list[Any]) -> None:
-        margins = None
-        ego = self._base.vehicle
+    def _watch(self, seen: Seen) -> None:
+        """Who has broken a rule since the scene before, and who owes the ego what from the first one on."""
+        margins, first, ego = None, self.watch.last is None, self._base.vehicle
         # Who has been hit does not do what it is told.
         if self._stored is not None and not ego.crashed and ego.impact is None:
-            try_course(self._alone, self._road, self._others, self._stored, True, self._trial)
+            self._try(self._stored)
             margins = self._trial.margins
-        first = self.watch.last is None
-        self.watch.next(Seen(who, self._others), self._clear, margins, self._road)
+        self.watch.next(seen, self._clear, margins, self._road)
         self.disturbed = self.disturbed or bool(self.watch.offenders)
-        self._others.offends[:] = [body in self.watch.offenders for body in who]
+        self._others.offends[:] = [body in self.watch.offenders for body in seen.who]
         if first:
             # Whoever is behind when it all begins has seen the ego for long.
-            stop = np.array([self._alone.worlds.g[0, TARGET, 0], 0.0, _COMMITTED, 0, 0, self.config.braking], float)
-            try_course(self._alone, self._road, self._others, stop, True, self._trial)
-            self._owe(True)
+            self._try(stopping(self._bound, self.config.braking))
+            self._keep_distance(True)
 
-    def _owe(self, verified: bool) -> None:
-        """Who owes the ego its distance from now on: whoever did, and is still behind it in a lane where it is seen;
-        where its path is verified, all who are. `_trial` begins where the ego is."""
-        there = behind(
-            self._others, self._trial.boxes, self._trial.seen, self._road.duty.ahead, self.config.buffer.longitudinal
-        )
-        if not verified:
-            there &= self._others.owes
-        self._others.owes[:] = there
-        who = self.watch.last.who if self.watch.last is not None else []
-        self._owes = {body: set(np.flatnonzero(there[i]).tolist()) for i, body in enumerate(who) if there[i].any()}
+    def _try(self, course: Course) -> None:
+        """Have the trial hold what comes of a course; whoever owes the ego its distance keeps it."""
+        try_course(self._alone, self._road, self._others, np.array(course, float), True, self._trial)
 
-    def _give_way(self, verified: bool) -> None:
-        """Who is counted on to wait from now on: `Others.waits` is of the path that is taken. Where it is not verified,
-        nobody is of whom it was not known before."""
-        others = self._others
-        gives: dict[Any, dict[int, int]] = {}
-        who = self.watch.last.who if self.watch.last is not None else []
-        for j in np.flatnonzero(others.waits & (others.ranks < self._road.rights[self._trial.own[0]])):
-            i, lane = others.marks[j, :2]
-            since = int(others.gives[i, lane])
-            if verified or since > 0:
-                gives.setdefault(who[i], {})[int(lane)] = since + 1
-        self._gives = gives
+    def _keep_distance(self, verified: bool) -> None:
+        buffer = self.config.buffer.longitudinal
+        self._dues.keep_distance(self._who, self._others, self._trial, self._road, buffer, verified)
 
-    def _courses(self) -> tuple[FloatArray, list[Tier]]:
-        """What is tried, in order."""
-        assert self._wish is not None
-        lane, speed = self._wish
-        hard, f = self.config.braking, self._frequency
-        frames = [1 + round(t * f) for t in _ON]
-        rows: list[tuple[float, ...]] = []
-        tiers: list[Tier] = []
-        stored = self._stored
-        same = stored is not None and int(stored[0]) == lane and stored[1] == speed and stored[2] == _COMMITTED
-        if same and stored is not None and stored[3] >= 1:
-            rows.append(tuple(stored))
-            tiers.append(Tier.PASSED)
-        asides = (0, -1, 1) if self._road.lanes.ids[lane, COUNT] > 1 else (0,)
-        for aside in asides:
-            for n in frames:
-                rows.append((lane, speed, _COMMITTED, n, aside, hard))
-                tiers.append(Tier.PASSED)
-        now = float(self._alone.worlds.f[0, SPEED, 0])
-        top = max(min(speed, now + 5.0), 0.0)
-        lanes = [lane]
-        bound = int(self._alone.worlds.g[0, TARGET, 0])
-        if stored is not None and int(stored[0]) not in lanes:
-            lanes.append(int(stored[0]))
-        if bound not in lanes:
-            lanes.append(bound)
-        for each in lanes:
-            for k in range(0 if each != lane else 1, _SPEEDS + 1):
-                rows.append((each, top * (1 - k / _SPEEDS), hard, 1, 0, hard))
-                tiers.append(Tier.GOVERNED)
-        if stored is not None:
-            rows.append(tuple(stored))
-            tiers.append(Tier.GOVERNED)
-        for each in lanes:
-            for k in range(0, _SPEEDS + 1, 2):
-                for n in frames[2:]:
-                    rows.append((each, top * (1 - k / _SPEEDS), hard, n, 0, hard))
-                    tiers.append(Tier.GOVERNED)
-        return np.array(rows, float), tiers
-
-    def _choose(self) -> tuple[tuple[FloatArray, Tier], Decision]:
+    def _choose(self) -> _Made:
+        alone, braking = self._alone, self.config.braking
         if self._wish is None:
-            self._wish = int(self._alone.worlds.g[0, TARGET, 0]), float(self._alone.worlds.f[0, TARGET_SPEED, 0])
-        courses, tiers = self._courses()
-        found: Choice = choose(self._alone, self._road, self._others, courses, self._trial)
+            self._wish = Wish(self._bound, float(alone.worlds.f[0, TARGET_SPEED, 0]))
+        speed, several = float(alone.worlds.f[0, SPEED, 0]), self._road.lanes.ids[self._wish.lane, COUNT] > 1
+        tried = list(courses_of(self._wish, self._stored, speed, self._bound, several, self._frequency, braking))
+        courses = np.array([course for course, _ in tried], float)
+        found: Choice = choose(alone, self._road, self._others, courses, self._trial)
         margin, who, evades = found.margin, found.vehicle, found.innocent >= CLEAR
         if margin < CLEAR and found.clear == 0:
             # The buffer is gone: what is left to save is the body.
-            evades, found = False, self._save(courses)
-        course, tier = courses[found.course], tiers[found.course]
+            evades, found = False, save(alone, self._bare, self._others, courses, speed, self._trial)
+        course, tier = tried[found.course]
         reason = Reason.NONE if tier is Tier.PASSED else Reason.UNVERIFIED
         if margin < CLEAR:
             reason = Reason.NO_SAFE_PLAN
             tier = Tier.EVADED if evades else Tier.LARGEST_MARGIN
-        decision = Decision(-1, -1, reason, tier, float(margin), 0.0, vehicle=int(who))
-        return (course, tier), decision
+        return (course, tier), Decision(-1, -1, reason, tier, float(margin), 0.0, vehicle=int(who))
 
-    def _save(self, courses: FloatArray) -> Choice:
-        """What keeps the body clear, or does for longest; nothing faster than now, where that does as long."""
-        now = float(self._alone.worlds.f[0, SPEED, 0])
-        slower = np.flatnonzero((courses[:, 1] <= now) & (courses[:, 2] < _COMMITTED))
-        least = Choice(-1, -np.inf, -1, -1, -np.inf, 0.0)
-        if slower.size:
-            least = choose(self._alone, self._bare, self._others, courses[slower], self._trial)
-        if least.margin < CLEAR:
-            most: Choice = choose(self._alone, self._bare, self._others, courses, self._trial)
-            if most.margin >= CLEAR or most.clear > least.clear:
-                return most
-            # The trial holds what comes of what was judged last.
-            least = choose(self._alone, self._bare, self._others, courses[slower], self._trial)
-        return least._replace(course=int(slower[least.course]))
-
-    def _go(self, course: FloatArray, tier: Tier) -> None:
-        """Remember what is gone on with."""
-        # trial holds what comes of the course that was chosen.
-        who = self.watch.last.who if self.watch.last is not None else []
-        self._clear = set(who) if tier.verified else set()
+    def _go(self, course: Course, tier: Tier) -> None:
+        """Remember what is gone on with; the trial holds what comes of it."""
+        self._clear = set(self._who) if tier.verified else set()
         self.disturbed = self.disturbed and not tier.verified
-        self._owe(tier.verified)
+        self._keep_distance(tier.verified)
         if self._road.duty.gives_way:
-            self._give_way(tier.verified)
-        self._stored = course.copy()
-        self._stored[3] = max(course[3] - 1, 0)
-        bound = self._trial.bound
-        if course[3] < 1 and course[4] != 0:
-            self._stored[4] = 0.0
-        self._stored[0] = bound[0]
-        if self._wish is not None and int(course[0]) == self._wish[0]:
-            self._wish = int(bound[0]) if course[3] >= 1 else self._wish[0], self._wish[1]
+            self._dues.give_way(self._who, self._others, self._trial, self._road, tier.verified)
+        bound = int(self._trial.bound[0])
+        self._stored = gone_on_with(course, bound)
+        if self._wish is not None and course.lane == self._wish.lane and course.frames >= 1:
+            self._wish = self._wish._replace(lane=bound)
 
     def _command(self, tier: Tier) -> Command:
         ego, lane = self._base.vehicle, self._names[int(self._trial.bound[0])]
@@ -453,7 +313,3 @@ def warm_up_roads() -> None:
         door = RoadDoor(env.unwrapped, ShieldConfig.for_roads())
         door.decide(1)
         door.frame()
-
-
-def _room_for(count: int) -> Strips:
-    return Strips(np.zeros((count, 3), np.int64), np.zeros((count, STRIP)))

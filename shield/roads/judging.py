@@ -2,7 +2,7 @@
 
 Notation
 --------
-As in `dynamics.networks.prediction`. The ego's body with its buffer takes s from `box[0]` to `box[1]` of a lane, and r
+As in `dynamics.networks.strips`. The ego's body with its buffer takes s from `box[0]` to `box[1]` of a lane, and r
 from `box[2]` to `box[3]`. Whoever is at x on the way to that lane has its body between x - FAR - HALF and x - NEAR +
 HALF, within its band. The *separation* is the greater of the gaps along and across, negative where both overlap.
 
@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from dynamics.compiled import inlined, uncounted
-from dynamics.networks.prediction import ALWAYS, BACK, FAR, HALF, HIGH, KEEP, LOW, NEAR, START
+from dynamics.networks.strips import ALWAYS, BACK, FAR, HALF, HIGH, KEEP, LOW, NEAR, START
 from dynamics.simulator.layout import LANE_LENGTH
 from dynamics.state import FloatArray
 from dynamics.traffic.permits import Ego, gap_between

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dynamics.networks.lanes import Lanes
-from dynamics.networks.prediction import FAR, HALF, HIGH, LOW, NEAR, Conduct, Ways
+from dynamics.networks.strips import FAR, HALF, HIGH, LOW, NEAR, Conduct, Ways
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.roads.survey import Body
 

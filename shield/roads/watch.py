@@ -23,12 +23,12 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.networks.prediction import BACK, FAR, HALF, HIGH, KEEP, LOW, NEAR
-from dynamics.state import BoolArray, FloatArray
+from dynamics.networks.strips import BACK, FAR, HALF, HIGH, KEEP, LOW, NEAR
+from dynamics.state import FloatArray
 from shield.roads.choosing import CLEAR
 from shield.roads.room import Others, Road
 
-__all__ = ["Breach", "Seen", "Watch", "behind"]
+__all__ = ["Breach", "Seen", "Watch"]
 
 _SLACK, _PLACE = 1e-6, 1e-6
 
@@ -160,15 +160,3 @@ def _inside(old: Others, j: int, new: Others, i: int) -> bool:
         if not (along & across & settles & (row[HALF] <= rows[:, HALF] + _PLACE)).any():
             return False
     return True
-
-
-def behind(others: Others, boxes: FloatArray, seen: BoolArray, ahead: bool, buffer: float) -> BoolArray:
-    """Who is behind the ego in a lane where it is seen, (m, n): see `survey`, of the first frame. Whoever owes it its
-    distance may come into the buffer of so many metres, and owes it still."""
-    out = np.zeros(others.owes.shape, dtype=bool)
-    for j in range(int(others.found[0])):
-        (i, lane), row = others.marks[j, :2], others.numbers[j]
-        rear = boxes[lane, 0, 0] + (buffer if others.owes[i, lane] else 0.0)
-        if seen[lane, 0] and (ahead or row[NEAR] <= 0) and row[HALF] - row[NEAR] <= rear:
-            out[i, lane] = True
-    return out

@@ -9,7 +9,8 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.objects import Obstacle
 
-from dynamics.networks.prediction import Conduct, reach
+from dynamics.networks.prediction import reach
+from dynamics.networks.strips import Conduct
 from shield import ShieldConfig
 from shield.doors.road_door import RoadDoor
 from shield.roads.choosing import CLEAR, try_course

@@ -13,15 +13,15 @@ ROADS = (
     off(
         "nobody goes on where lanes end",
         _PREDICTION,
-        "                    if after >= 0 and not waits",
-        "                    if False and not waits",
+        "            if after >= 0 and not (known",
+        "            if False and not (known",
         _CLAUSES,
     ),
     off(
         "nobody comes over from a lane that ends",
         _PREDICTION,
-        "if ways.over[lane] >= 0 and row[3] > _STANDS:",
-        "if False:",
+        "    if ways.over[lane] >= 0:\n        count = add",
+        "    if False:\n        count = add",
         _CLAUSES,
     ),
     off(

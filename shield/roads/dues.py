@@ -1,0 +1,74 @@
+"""What others owe the ego on a road network, from one frame to the next: their distance, and the right of way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dynamics.networks.strips import HALF, NEAR
+from dynamics.state import BoolArray, FloatArray, IntArray
+from shield.roads.room import Others, Road, Trial
+
+__all__ = ["Dues", "behind"]
+
+
+def behind(others: Others, boxes: FloatArray, seen: BoolArray, ahead: bool, buffer: float) -> BoolArray:
+    """Who is behind the ego in a lane where it is seen, (m, n): see `survey`, of the first frame. Whoever owes it its
+    distance may come into the buffer of so many metres, and owes it still."""
+    out = np.zeros(others.owes.shape, dtype=bool)
+    for j in range(int(others.found[0])):
+        (i, lane), row = others.marks[j, :2], others.numbers[j]
+        rear = boxes[lane, 0, 0] + (buffer if others.owes[i, lane] else 0.0)
+        if seen[lane, 0] and (ahead or row[NEAR] <= 0) and row[HALF] - row[NEAR] <= rear:
+            out[i, lane] = True
+    return out
+
+
+@dataclass(slots=True, eq=False)
+class Dues:
+    """Who owes the ego what, by vehicle.
+
+    Attributes
+    ----------
+    distance : the lanes in which each owes the ego its distance, because it is behind it there.
+    waits : before which lanes each is counted on to wait for the ego, and for how many frames it has been.
+    """
+
+    distance: dict[Any, set[int]] = field(default_factory=dict)
+    waits: dict[Any, dict[int, int]] = field(default_factory=dict)
+
+    def tables(self, who: list[Any], lanes: int) -> tuple[BoolArray, IntArray]:
+        """`Others.owes` and `Others.gives` of these vehicles, (m, n)."""
+        owes, gives = np.zeros((len(who), lanes), dtype=bool), np.zeros((len(who), lanes), np.int64)
+        for i, body in enumerate(who):
+            owes[i, list(self.distance.get(body, ()))] = True
+            for lane, since in self.waits.get(body, {}).items():
+                gives[i, lane] = since
+        return owes, gives
+
+    def counts_on(self, body: Any, reaction: int) -> bool:
+        """Whether a vehicle has been counted on to wait for more than so many frames."""
+        return max(self.waits.get(body, {}).values(), default=0) > reaction
+
+    def keep_distance(
+        self, who: list[Any], others: Others, trial: Trial, road: Road, buffer: float, verified: bool
+    ) -> None:
+        """Who owes the ego its distance from now on: whoever did, and is still behind it in a lane where it is seen;
+        where its path is `verified`, all who are. `trial` begins where the ego is; `Others.owes` is written."""
+        there = behind(others, trial.boxes, trial.seen, road.duty.ahead, buffer)
+        if not verified:
+            there &= others.owes
+        others.owes[:] = there
+        self.distance = {body: set(np.flatnonzero(there[i]).tolist()) for i, body in enumerate(who) if there[i].any()}
+
+    def give_way(self, who: list[Any], others: Others, trial: Trial, road: Road, verified: bool) -> None:
+        """Who is counted on to wait from now on: `Others.waits` is of the path that is taken. Where it is not
+        `verified`, nobody is of whom it was not known before."""
+        self.waits = {}
+        for j in np.flatnonzero(others.waits & (others.ranks < road.rights[trial.own[0]])):
+            i, lane = others.marks[j, :2]
+            since = int(others.gives[i, lane])
+            if verified or since > 0:
+                self.waits.setdefault(who[i], {})[int(lane)] = since + 1

@@ -53,6 +53,8 @@ WEAK = {
     "followers brake at 20": ShieldConfig(assumptions=Assumptions(follower_braking=20.0, reaction_time=0.0)),
 }
 
+WHERE = {"highway-fast": tuple(WEAK), "abz-idm": ("the default", "nobody slips in")}
+"""On which roads each is tried: who slips in does so on the faster one."""
 BY_BOLD = (
     "braking 2", "turning costs nothing", "acceleration 1", "no buffer", "calm braking 0.5", "lean 1",
     "nobody drives below 20 m/s", "followers brake at 20",
@@ -102,9 +104,7 @@ def strata() -> None:
 
 
 def weak() -> None:
-    # Who slips in does so on the faster road.
-    more = [("abz-idm", name) for name in ("the default", "nobody slips in")]
-    for setting, name in [*(("highway-fast", name) for name in WEAK), *more]:
+    for setting, name in [(setting, name) for setting, names in WHERE.items() for name in names]:
         found = falsify(get_setting(setting), ANY, WEAK[name], 5000, seed=1)
         print(
             f"{setting:12s} {name:32s} {found.find.clearance:.3f} m, as drawn {found.median:.2f} m, "

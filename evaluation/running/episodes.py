@@ -6,81 +6,34 @@ latencies) are the same whatever the number of jobs.
 
 from __future__ import annotations
 
-import math
-import os
-import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from threading import Thread
-from typing import Any, cast
+from typing import Any
 
-import gymnasium as gym
 import joblib
 import numpy as np
 import pandas as pd
 from rich.console import Console
 from rich.progress import Progress
 
-from dynamics.roads.path import PathRoad
 from evaluation.measuring.attribution import AttributionRules, attribute_from_simulator_state
-from evaluation.measuring.recorder import History, Recorder, Track
+from evaluation.measuring.recorder import Recorder
+from evaluation.running.counting import UNSHIELDED, Tally, arrival, driving
 from evaluation.running.driving_model import driving_model
 from evaluation.running.named_policies import Policy, make_policy, policy_label, start_episode
+from evaluation.running.processes import in_processes
 from evaluation.running.records import EpisodeRecord, Variant
 from evaluation.running.simulators import environment
 from evaluation.running.store import Store
 from evaluation.settings import Setting, get_setting
 from evaluation.threads import one_thread
 from shield import Shield, ShieldedEnv
-from shield.decision import Reason, Tier
 from shield.errors import ConfigError
 
 __all__ = ["Driver", "run_episode", "run_paired"]
 
 _CHUNK = 25
-
-
-@dataclass(slots=True)
-class _Tally:
-    """Counts that an episode adds up, decision by decision."""
-
-    overridden: int = 0
-    frames_overridden: int = 0
-    violations: int | None = 0
-    rules: Counter[str] = field(default_factory=Counter)
-    min_margin: float = float("nan")
-    reasons: Counter[str] = field(default_factory=Counter)
-    tiers: Counter[str] = field(default_factory=Counter)
-    latencies: list[float] = field(default_factory=list)
-
-    def add(self, shield: Mapping[str, Any]) -> None:
-        self.overridden += bool(shield["overridden"])
-        self.frames_overridden += int(shield["frames_overridden"])
-        violations = shield["violations"]
-        if violations is None or self.violations is None:
-            self.violations = None
-        else:
-            self.violations += int(violations)
-        self.rules.update(shield["rules"])
-        if np.isfinite(shield["margin"]):
-            self.min_margin = float(np.fmin(self.min_margin, shield["margin"]))
-        self.reasons[Reason(shield["reason"]).value] += 1
-        self.tiers[Tier(shield["tier"]).value] += 1
-        self.latencies.append(float(shield["latency_ms"]))
-
-
-_UNSHIELDED: dict[str, Any] = {
-    "overridden": False,
-    "frames_overridden": 0,
-    "violations": None,
-    "rules": {},
-    "margin": float("nan"),
-    "reason": Reason.NONE.value,
-    "tier": Tier.OFF.value,
-}
 
 
 class Driver:
@@ -127,7 +80,7 @@ class Driver:
 
     def run(self, seed: int) -> EpisodeRecord:
         """Drive the episode with this seed to its end."""
-        tally, total, steps, info = _Tally(), 0.0, 0, dict[str, Any]()
+        tally, total, steps, info = Tally(), 0.0, 0, dict[str, Any]()
         for reward, info in self.decisions(seed):
             tally.add(self._shield_info(info))
             total += reward
@@ -144,7 +97,7 @@ class Driver:
             attribution=attribute_from_simulator_state(history, self.rules).value,
             return_=total,
             steps=steps,
-            **_driving(history),
+            **driving(history),
             mean_jerk=history.mean_jerk(),
             mean_lateral_acceleration=history.mean_lateral_acceleration(),
             overridden=tally.overridden,
@@ -158,7 +111,7 @@ class Driver:
             latencies=tuple(tally.latencies) if self.variant.door != "none" else (),
             simulator=self.simulator,
             rules=dict(tally.rules),
-            **_arrival(info, self.env, history),
+            **arrival(info, self.env, history),
         )
 
     def decisions(
@@ -187,7 +140,7 @@ class Driver:
 
     def _shield_info(self, info: Mapping[str, Any]) -> Mapping[str, Any]:
         if self.variant.door == "none":
-            return {**_UNSHIELDED, "latency_ms": 0.0}
+            return {**UNSHIELDED, "latency_ms": 0.0}
         if self.shield is not None:
             return {**self.shield.report(), "latency_ms": 1e3 * self.shield.latency}
         assert isinstance(self.env, ShieldedEnv)
@@ -198,39 +151,6 @@ def _plain(action: Any) -> Any:
     """A single integer out of its array; any other action as it is."""
     array = np.asarray(action)
     return int(array.item()) if array.size == 1 and array.dtype.kind in "iu" else action
-
-
-def _arrival(info: Mapping[str, Any], env: gym.Env[Any, Any], history: History) -> dict[str, Any]:
-    """Whether the goal was reached, and how fast; a crash on arrival is no success. An intersection says it itself."""
-    base = cast(Any, env.unwrapped)
-    if "is_success" in info:
-        reached = bool(np.all(info["is_success"]))
-    elif hasattr(base, "has_arrived"):
-        reached = bool(base.has_arrived(base.vehicle))
-    else:
-        return {"success": None, "arrival_speed": math.nan}
-    success = reached and history.crash_frame is None
-    speed = abs(float(history.ego[-1, Track.SPEED]))
-    return {"success": success, "arrival_speed": speed if success else math.nan}
-
-
-def _driving(history: History) -> dict[str, Any]:
-    """Speed, way and lanes of the ego, up to a crash."""
-    crash, road = history.crash_frame, history.road
-    ego = history.ego if crash is None else history.ego[: crash + 1]
-    driving = {"duration": (len(ego) - 1) * history.dt, "mean_speed": float(ego[:, Track.SPEED].mean())}
-    if road is None:
-        steps = np.diff(ego[:, [Track.S, Track.R]], axis=0)
-        way = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
-        return driving | {"distance": way, "lane_changes": np.nan, "laps": np.nan}
-    way = float(ego[-1, Track.S] - ego[0, Track.S])
-    lanes = [road.lane_at(float(r)) for r in ego[:, Track.R]]
-    closed = isinstance(road, PathRoad) and road.closed
-    return driving | {
-        "distance": way,
-        "lane_changes": float(np.count_nonzero(np.diff(lanes))),
-        "laps": way / road.length if closed else np.nan,
-    }
 
 
 def run_episode(
@@ -317,7 +237,7 @@ def run_paired(
     console, total, said = Console(stderr=True), len(seeds) * len(variants), 0
     with Progress(disable=not (progress and console.is_terminal), transient=True, console=console) as bar:
         task = bar.add_task(f"{setting.name}", total=total, completed=len(rows))
-        for part in _results(calls, workers):
+        for part in in_processes(_run_chunk, calls, workers):
             rows += part
             if store is not None:
                 store.add(part)
@@ -345,33 +265,6 @@ def _label(policy: str | Policy, model: str | None) -> str:
     """The name that the episodes of a policy are reported under."""
     label = policy_label(policy) if isinstance(policy, str) else type(policy).__name__
     return label if model in (None, "bicycle") else f"{label}-{Path(str(model)).name}"
-
-
-def _results(calls: list[tuple[Any, ...]], workers: int) -> Iterator[list[dict[str, Any]]]:
-    if workers == 1:
-        yield from (_run_chunk(*call) for call in calls)
-        return
-    # Workers that were started before the library was asked not to thread would still do so.
-    with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
-        pool = joblib.Parallel(n_jobs=workers, return_as="generator")
-        yield from pool(joblib.delayed(_run_in_worker)(os.getpid(), *call) for call in calls)
-
-
-def _run_in_worker(parent: int, *call: Any) -> list[dict[str, Any]]:
-    _end_with(parent)
-    return _run_chunk(*call)
-
-
-@lru_cache(maxsize=1)
-def _end_with(parent: int) -> None:
-    """A worker whose parent was killed has nobody to work for."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
-        os._exit(1)
-
-    Thread(target=watch, daemon=True).start()
 
 
 def _run_chunk(

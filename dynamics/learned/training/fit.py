@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -165,28 +165,35 @@ def _fit(
     with _bar(config.total_epochs, progress) as bar:
         for horizon, epochs, rate in config.phases:
             batches, checks = (_windows(part, horizon) for part in (train, held_out))
-            scale = _loss_scale(network, train)
-            _descend(network, batches, checks, scale, epochs, rate, config, generator, note, bar)
+            phase = _Phase(batches, checks, _loss_scale(network, train), epochs, rate)
+            _descend(network, phase, config, generator, note, bar)
             before = history[-1][0]
     network.eval().requires_grad_(False)
     network.require_finite()
     return Fit(network, train, held_out, history, time.perf_counter() - started)
 
 
+class _Phase(NamedTuple):
+    """One phase: what is descended on, what the weights are chosen on, what an error in each column is measured in; for
+    how many epochs, and the rate that it begins with."""
+
+    batches: _Windows
+    checks: _Windows
+    scale: Tensor
+    epochs: int
+    rate: float
+
+
 def _descend(
     network: LinearStructuredModel,
-    batches: _Windows,
-    checks: _Windows,
-    scale: Tensor,
-    epochs: int,
-    rate: float,
+    phase: _Phase,
     config: FitConfig,
     generator: torch.Generator,
     note: Callable[[int, float, float], None],
     bar: Any,
 ) -> None:
-    """One phase; leaves the best weights in the network."""
-    states, actions, after = batches
+    """Train for one phase; leaves the best weights in the network."""
+    (states, actions, after), epochs, rate = phase.batches, phase.epochs, phase.rate
     count = len(states)
     size = min(config.batch or count, count)
     optimiser = torch.optim.Adam(network.parameters(), lr=rate)
@@ -198,7 +205,7 @@ def _descend(
     for epoch in range(1, epochs + 1):
         total = 0.0
         for rows in torch.randperm(count, generator=generator).split(size):
-            loss = _loss(network, states[rows], actions[rows], after[rows], scale)
+            loss = _loss(network, states[rows], actions[rows], after[rows], phase.scale)
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
@@ -210,7 +217,7 @@ def _descend(
         if epoch % config.check_every and epoch != epochs:
             continue
         with torch.no_grad():
-            check = float(_loss(network, *checks, scale))
+            check = float(_loss(network, *phase.checks, phase.scale))
         note(epoch, total, check)
         waited += 1
         if check < best:

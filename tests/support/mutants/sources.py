@@ -7,6 +7,7 @@ from mutants.kinds import off
 __all__ = ["SOURCES"]
 
 _SOURCES, _GRID = "tests/shield/test_perception_sources.py", "tests/shield/test_perception_grid.py"
+_LAYERS, _UNREADABLE = "tests/shield/test_perception_layers.py", "tests/shield/test_perception_unreadable.py"
 _BLIND, _UNDOING, _SIGHTING = (
     "shield/perception/blind.py",
     "shield/perception/undoing.py",
@@ -34,21 +35,21 @@ SOURCES = (
         _UNDOING,
         "undone[cut] = np.nan",
         "pass",
-        f"{_SOURCES}::test_what_normalisation_has_cut_off_is_not_known",
+        f"{_LAYERS}::test_what_normalisation_has_cut_off_is_not_known",
     ),
     off(
         "any wrapper may stand between",
         _UNDOING,
         "        if name not in SAME:\n",
         "        if False:\n",
-        f"{_SOURCES}::test_wrappers_that_cannot_be_undone_are_refused",
+        f"{_LAYERS}::test_wrappers_that_cannot_be_undone_are_refused",
     ),
     off(
         "numbers of any shape are read",
         _SIGHTING,
         "if given.shape not in (shape, (math.prod(shape),)):",
         "if given.size != math.prod(shape):",
-        f"{_SOURCES}::test_what_cannot_be_read_is_answered_with_the_labelled_fallback",
+        f"{_UNREADABLE}::test_what_cannot_be_read_is_answered_with_the_labelled_fallback",
     ),
     off(
         "a body is in the middle of its cell",

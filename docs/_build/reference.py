@@ -33,6 +33,7 @@ INTERNAL = frozenset(
         "shield.roads",
         "shield.doors.team_door",
         "shield.doors.warm_doors",
+        "shield.doors.which",
         "shield.exact.inputs",
         "shield.exact.engine",
         "shield.perception.blind",

@@ -27,9 +27,10 @@ from shield.doors.road_door import RoadDoor
 from shield.doors.supervision import Command, Supervision
 from shield.doors.team_door import TeamDoor, is_team
 from shield.doors.warm_doors import warm_up_door
+from shield.doors.which import Door, door_for
 from shield.errors import ConfigError, SceneError
 from shield.perception.perceiving import PerceptionConfig
-from shield.perception.scenes import NO_OBSERVED_SCENES, scenes_of
+from shield.perception.scenes import NO_OBSERVED_SCENES
 from shield.procedures.decide import Core
 from shield.roads.reading import default_on, has_crossings
 from shield.rules import Rule
@@ -115,30 +116,22 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         kind = "MultiAgentAction" if is_team(self._base) else the_action_type(bases, "ShieldedEnv")
         on_roads = kind == "DiscreteMetaAction" and rule is None and has_crossings(self._base)
         self.config = ShieldConfig.of(config, default_on(self._base) if on_roads else None)
-        self._door: MetaDoor | InputDoor | ExactDoor | ExactInputDoor | TeamDoor | RoadDoor
-        simulated = self.config.simulates
+        self._door: Door | TeamDoor
         if rule is not None and kind == "ContinuousAction":
             raise ConfigError("a rule judges meta-actions; this environment has ContinuousAction")
         if model is not None and kind != "ContinuousAction":
             raise ConfigError("a model is for ContinuousAction; with meta-actions leave it out")
-        if simulated and (rule is not None or model is not None):
+        if self.config.simulates and (rule is not None or model is not None):
             raise ConfigError("Assumptions.exact() verifies by simulation: leave rule and model out")
         if is_team(self._base):
             self._door = TeamDoor(self._base, self.config)
-        elif kind == "ContinuousAction":
-            self._door = (
-                ExactInputDoor(self._base, self.config)
-                if simulated
-                else InputDoor(self._base, self.config, model=model)
-            )
-        elif simulated:
-            self._door = ExactDoor(self._base, self.config)
-        elif on_roads and self.config.mode == "full":
-            self._door = RoadDoor(self._base, self.config)
+            if perception != "simulator":
+                raise ConfigError(NO_OBSERVED_SCENES)
         else:
-            self._door = MetaDoor(self._base, self.config, rule=rule, scenes=scenes_of(perception, env))
-        if perception != "simulator" and not isinstance(self._door, MetaDoor):
-            raise ConfigError(NO_OBSERVED_SCENES)
+            inputs = kind == "ContinuousAction"
+            self._door = door_for(
+                env, self.config, inputs=inputs, on_roads=on_roads, perception=perception, model=model, rule=rule
+            )
         warm_up_door(self._door)
         self._observation: Any = None
         self._supervising = self.latency = 0.0
@@ -212,7 +205,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return self._door.mask()
 
     @property
-    def door(self) -> MetaDoor | InputDoor | ExactDoor | ExactInputDoor | TeamDoor | RoadDoor:
+    def door(self) -> Door | TeamDoor:
         """What filters: its class says what is verified and how."""
         return self._door
 

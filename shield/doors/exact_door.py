@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cache
 from time import perf_counter
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 from dynamics.networks.refusals import check_network, on_network
@@ -30,11 +28,10 @@ from shield.exact.effort import begin_anew
 from shield.exact.room import Search, Wish
 from shield.exact.search import enter, leap
 from shield.procedures.screen import slower
-from shield.procedures.warm_up import announced
 from shield.refusals import check
 from shield.repair.order import resolve
 
-__all__ = ["ExactDoor", "as_decision", "warm_up_exact"]
+__all__ = ["ExactDoor", "as_decision"]
 
 
 class ExactDoor:
@@ -122,14 +119,14 @@ class ExactDoor:
         return as_decision(shown, records, start, plan, areas)
 
     def mask(self) -> np.ndarray[Any, Any]:
-        """Which actions pass now; all True where none does.
+        """Which actions pass now; all True where none does. No decision, and no record, is another for being asked.
 
         Raises
         ------
         SceneError, ConfigError
             If the traffic cannot be simulated.
         """
-        simulator, search = self._read()
+        simulator, search = self._read(counting=False)
         enter(search, simulator.worlds, 0)
         plans, actions = self._plans, range(len(search.order))
         twice, stored, length = not boxed_in(plans, 0), plans.actions[0], plans.length[0]
@@ -140,9 +137,17 @@ class ExactDoor:
             mask[k] = verify(search, k, stored, length, twice) >= 0
         return mask if mask.any() else np.ones_like(mask)
 
-    def _read(self) -> Room:
+    def rehearse(self) -> None:
+        """Decide, and call what acts where nothing passes: so that it is compiled."""
+        self.decide(1)
+        assert self._search is not None
+        records = empty_records(1, 1)
+        replace(self._search, self._plans, records, 0, 1, np.full(1, -1, np.intp))
+        last_resort(records, self._plans, 0, 4, records.reason[0])
+
+    def _read(self, counting: bool = True) -> Room:
         """The traffic as it is, and room for searches in it; what was planned is kept where it is as was foretold."""
-        simulator, search = self._scene.read()
+        simulator, search = self._scene.read(counting)
         if self._scene.surprised:
             self._plans.length[0] = 0
         if len(self._plans.actions[0]) != search.bounds.depth:
@@ -153,20 +158,6 @@ class ExactDoor:
 
 def _simulate(base: Any, like: Any) -> Simulator | NetworkSimulator:
     return NetworkSimulator(base, like=like) if on_network(base) else Simulator.of(base, observes=False)
-
-
-@cache
-def warm_up_exact(network: bool) -> None:
-    """What `warm_up` does for the other doors, on a straight highway or on a network of roads."""
-    with announced(30):
-        env = gym.make("u-turn-v1") if network else gym.make("highway-fast-v0", config={"vehicles_count": 3})
-        env.reset(seed=0)
-        door, nothing = ExactDoor(env.unwrapped, ShieldConfig.exact()), np.full(1, -1, np.intp)
-        door.decide(1)
-        assert door._search is not None
-        records = empty_records(1, 1)
-        replace(door._search, door._plans, records, 0, 1, nothing)
-        last_resort(records, door._plans, 0, 4, records.reason[0])
 
 
 def as_decision(

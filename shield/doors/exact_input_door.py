@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from copy import copy
-from functools import cache
 from time import perf_counter
 from types import SimpleNamespace
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 from dynamics.errors import ConfigError
@@ -26,10 +24,9 @@ from shield.doors.exact_scene import STATE, ExactScene, why_unread
 from shield.doors.input_frames import InputFrames
 from shield.exact.inputs import Tail, decide_inputs, empty_tail, play
 from shield.exact.room import Search
-from shield.procedures.warm_up import announced
 from shield.refusals import check
 
-__all__ = ["ExactInputDoor", "warm_up_exact_inputs"]
+__all__ = ["ExactInputDoor"]
 
 _HOLD = 1.0
 """How long the law holds a lane and a speed before it may turn to others [s]."""
@@ -176,14 +173,3 @@ class ExactInputDoor(InputFrames):
             # What does not change is the same in all futures.
             search.futures.p[:], search.futures.routes[:] = present.futures.p, present.futures.routes
         return search, present
-
-
-@cache
-def warm_up_exact_inputs() -> None:
-    """What `warm_up` does for the other doors."""
-    with announced(40):
-        env = gym.make("highway-fast-v0", config={"vehicles_count": 3, "action": {"type": "ContinuousAction"}})
-        env.reset(seed=0)
-        door = ExactInputDoor(env.unwrapped, ShieldConfig.exact())
-        for action in ([0.0, 0.0], [1.0, 1.0], [np.nan, 0.0]):
-            door.decide(action)

@@ -97,8 +97,8 @@ class ExactScene:
         """Foretell the next scene: `states` has the rows x, y [m], heading [rad] and speed [m/s] of its bodies."""
         self._foretold, self._foretold_of = states.copy(), self.bodies()
 
-    def read(self) -> Room:
-        """The scene as it is.
+    def read(self, counting: bool = True) -> Room:
+        """The scene as it is; `counting` those who have done something else than what was foretold.
 
         Raises
         ------
@@ -116,7 +116,9 @@ class ExactScene:
             else:
                 known[0].load(base)
                 room = known
-        self._compare(room[0].worlds.f[0][STATE])
+        others = self._compare(room[0].worlds.f[0][STATE])
+        if counting:
+            self.violations += others
         return room
 
     def as_foretold(self) -> bool:
@@ -163,9 +165,9 @@ class ExactScene:
         """The column of the ego among `bodies`."""
         return 0 if isinstance(self._base, CompiledHighwayEnv) else bodies[self._base.vehicle]
 
-    def _compare(self, states: FloatArray) -> None:
-        """Count the vehicles that have done something else than was foretold, as long as the ego has not: of those who
-        were there then and are there now. Who is somewhere else altogether has been put there: another newcomer."""
+    def _compare(self, states: FloatArray) -> int:
+        """How many vehicles have done something else than was foretold, 0 where the ego has: of those who were there
+        then and are there now. Who is somewhere else altogether has been put there: another newcomer."""
         bodies, before = self.bodies(), self._foretold_of
         columns = np.array([(k, before[body]) for body, k in bodies.items() if body in before], np.intp).reshape(-1, 2)
         now, foretold = states[:, columns[:, 0]], self._foretold[:, columns[:, 1]]
@@ -173,5 +175,4 @@ class ExactScene:
         other = there & ~(np.abs(now - foretold) <= _SAME).all(axis=0)
         self.surprised = bool(other.any())
         ego = self.ego(bodies)
-        if not other[columns[:, 0] == ego].any():
-            self.violations += int(other.sum())
+        return 0 if other[columns[:, 0] == ego].any() else int(other.sum())

@@ -25,14 +25,13 @@ from shield.doors.meta_door import MetaDoor
 from shield.doors.patience import Patience
 from shield.doors.ranking import order_from_scores, ranking_of
 from shield.doors.report import Offences, Statistics, report
-from shield.doors.road_door import RoadDoor
 from shield.doors.supervision import Command, Supervision
 from shield.doors.warm_doors import warm_up_door
+from shield.doors.which import Door, door_for
 from shield.errors import ConfigError
 from shield.perception.blind import BlindScenes
 from shield.perception.known import Known
 from shield.perception.perceiving import PerceptionConfig
-from shield.perception.scenes import NO_OBSERVED_SCENES, scenes_of
 from shield.perception.undoing import as_shown
 from shield.roads.reading import default_on, has_crossings
 
@@ -118,7 +117,7 @@ class Shield:
         self._known = known_beforehand(env, known, frames, perception)
         self.policy = as_policy(policy, env)
         self._frames = frames
-        self._doors: list[MetaDoor | InputDoor | ExactDoor | ExactInputDoor | RoadDoor]
+        self._doors: list[Door]
         meta = ShieldConfig.for_meta_actions()
         self._bases: list[Any]
         if self._known:
@@ -132,26 +131,15 @@ class Shield:
         self.config = ShieldConfig.of(config, default)
         if self._known:
             settings = perception if isinstance(perception, PerceptionConfig) else None
-            each = [BlindScenes(one, settings) for one in self._known]
-            self._doors = [MetaDoor(None, self.config, frames=False, scenes=one) for one in each]
-        elif self.config.simulates and self._inputs:
-            if not frames:
-                raise ConfigError("Assumptions.exact() verifies throttle and steering at every frame: frames=True")
-            self._doors = [ExactInputDoor(base, self.config) for base in self._bases]
-        elif self._inputs:
-            self._doors = [InputDoor(base, self.config, agent=not frames) for base in self._bases]
-        elif self.config.simulates:
-            self._doors = [ExactDoor(base, self.config) for base in self._bases]
-        elif roads and self.config.mode == "full":
-            self._doors = [RoadDoor(base, self.config) for base in self._bases]
+            scenes = [BlindScenes(one, settings) for one in self._known]
+            self._doors = [MetaDoor(None, self.config, frames=False, scenes=each) for each in scenes]
+        elif self.config.simulates and self._inputs and not frames:
+            raise ConfigError("Assumptions.exact() verifies throttle and steering at every frame: frames=True")
         else:
-            each = getattr(env, "envs", [env])
             self._doors = [
-                MetaDoor(base, self.config, frames, scenes=scenes_of(perception, one))
-                for base, one in zip(self._bases, each, strict=True)
+                door_for(one, self.config, inputs=self._inputs, on_roads=roads, frames=frames, perception=perception)
+                for one in getattr(env, "envs", [env])
             ]
-        if perception != "simulator" and not isinstance(self._doors[0], MetaDoor):
-            raise ConfigError(NO_OBSERVED_SCENES)
         warm_up_door(self._doors[0])
         n = len(self._bases)
         self._roads: list[Any] = [None] * n

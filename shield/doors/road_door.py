@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from functools import cache
 from time import perf_counter
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 from dynamics.networks.alone import Alone, Course, alone_on
@@ -25,7 +23,6 @@ from shield.doors.exact_scene import why_unread
 from shield.doors.input_door import refuse_lots
 from shield.doors.supervision import Command
 from shield.errors import SceneError
-from shield.procedures.warm_up import announced
 from shield.refusals import refuse_simulated
 from shield.roads.choosing import CLEAR, Choice, choose, try_course
 from shield.roads.courses import Wish, courses_of, frames_of, gone_on_with, stopping
@@ -35,9 +32,7 @@ from shield.roads.room import Foreseen, Trial, empty_trial, foreseen
 from shield.roads.saving import bare, save
 from shield.roads.watch import Breach, Seen, Watch
 
-__all__ = ["RoadDoor", "warm_up_roads"]
-
-_Made = tuple[tuple[Course, Tier], Decision]
+__all__ = ["RoadDoor"]
 
 
 class RoadDoor:
@@ -87,7 +82,7 @@ class RoadDoor:
         self._clear: set[Any] = set()
         self._wish: Wish | None = None
         self.disturbed = False
-        self._ready: _Made | None = None
+        self._ready: tuple[Course, Decision] | None = None
 
     @property
     def violations(self) -> int:
@@ -144,9 +139,8 @@ class RoadDoor:
             if bad:
                 proposed = self._idle()
             self._intend(proposed)
-            made = self._choose()
-            self._ready = made
-            decision = made[1]
+            self._ready = self._choose()
+            decision = self._ready[1]
             if bad:
                 decision = replace(decision, reason=Reason.BAD_ACTION, tier=Tier.ALTERNATIVE)
         except Exception as error:
@@ -161,11 +155,10 @@ class RoadDoor:
         try:
             if self._ready is None:
                 self._read()
-            made = self._choose() if self._ready is None else self._ready
-            self._ready = None
-            (course, tier), decision = made
-            self._go(course, tier)
-            return self._command(tier), replace(decision, latency=perf_counter() - start)
+                self._ready = self._choose()
+            (course, decision), self._ready = self._ready, None
+            self._go(course, decision.tier)
+            return self._command(decision.tier), replace(decision, latency=perf_counter() - start)
         except Exception as error:
             reason, self.cause = why_unread(error)
             self._stored = None
@@ -175,7 +168,7 @@ class RoadDoor:
             return inputs, Decision(-1, -1, reason, Tier.EMERGENCY, np.nan, perf_counter() - start)
 
     def mask(self) -> np.ndarray[Any, Any]:
-        """Which actions verify now; all True where none does.
+        """Which actions verify now; all True where none does. No decision, and no record, is another for being asked.
 
         Raises
         ------
@@ -184,11 +177,11 @@ class RoadDoor:
         """
         kept = self._wish
         mask = np.zeros(len(self._base.action_type.actions), dtype=bool)
-        self._read()
+        self._see()
         for action in range(len(mask)):
             load_ego(self._base, self._alone.rules, self._index, self._alone.worlds)
             self._intend(action)
-            mask[action] = self._choose()[0][1] is Tier.PASSED
+            mask[action] = self._choose()[1].tier is Tier.PASSED
         self._wish = kept
         return mask if mask.any() else np.ones_like(mask)
 
@@ -207,11 +200,6 @@ class RoadDoor:
         """The lane that the ego is bound for."""
         return int(self._alone.worlds.g[0, TARGET, 0])
 
-    @property
-    def _who(self) -> list[Any]:
-        """The others in the scene seen last."""
-        return [] if self.watch.last is None else self.watch.last.who
-
     def _furnish(self) -> None:
         """Room for the episode's road."""
         base = self._base
@@ -227,7 +215,11 @@ class RoadDoor:
         self._trial: Trial = empty_trial(self._frames, len(self._names), 0)
 
     def _read(self) -> None:
-        """Take in the scene."""
+        """Take in the scene, and what has become of it since the one before."""
+        self._watch(self._see())
+
+    def _see(self) -> Seen:
+        """Look at the scene."""
         base = self._base
         if base.road.network is not self._network or longest_route(base) > self._alone.worlds.routes.shape[2]:
             self._furnish()
@@ -236,15 +228,19 @@ class RoadDoor:
         self._others = seen.others
         if len(self._trial.margins) != len(seen.who):
             self._trial = empty_trial(self._frames, len(self._names), len(seen.who))
-        self._watch(seen)
+        if self.watch.last is None:
+            # Whoever is behind when it all begins has seen the ego for long.
+            self._try(stopping(self._bound, self.config.braking))
+            self._keep_distance(seen.who, True)
+        return seen
 
     def _look(self) -> Seen:
         """The others, and where they can be."""
         return self._outlook.look(self._dues)
 
     def _watch(self, seen: Seen) -> None:
-        """Who has broken a rule since the scene before, and who owes the ego what from the first one on."""
-        margins, first, ego = None, self.watch.last is None, self._base.vehicle
+        """Who has broken a rule since the scene before."""
+        margins, ego = None, self._base.vehicle
         # Who has been hit does not do what it is told.
         if self._stored is not None and not ego.crashed and ego.impact is None:
             self._try(self._stored)
@@ -252,20 +248,18 @@ class RoadDoor:
         self.watch.next(seen, self._clear, margins, self._road)
         self.disturbed = self.disturbed or bool(self.watch.offenders)
         self._others.offends[:] = [body in self.watch.offenders for body in seen.who]
-        if first:
-            # Whoever is behind when it all begins has seen the ego for long.
-            self._try(stopping(self._bound, self.config.braking))
-            self._keep_distance(True)
 
     def _try(self, course: Course) -> None:
         """Have the trial hold what comes of a course; whoever owes the ego its distance keeps it."""
         try_course(self._alone, self._road, self._others, np.array(course, float), True, self._trial)
 
-    def _keep_distance(self, verified: bool) -> None:
+    def _keep_distance(self, who: list[Any], verified: bool) -> None:
+        """Who owes the ego its distance from now on, where it goes on with what the trial holds."""
         buffer = self.config.buffer.longitudinal
-        self._dues.keep_distance(self._who, self._others, self._trial, self._road, buffer, verified)
+        self._dues.keep_distance(who, self._others, self._trial, self._road, buffer, verified)
 
-    def _choose(self) -> _Made:
+    def _choose(self) -> tuple[Course, Decision]:
+        """What is gone on with, and the record of it."""
         alone, braking = self._alone, self.config.braking
         if self._wish is None:
             self._wish = Wish(self._bound, float(alone.worlds.f[0, TARGET_SPEED, 0]))
@@ -282,15 +276,16 @@ class RoadDoor:
         if margin < CLEAR:
             reason = Reason.NO_SAFE_PLAN
             tier = Tier.EVADED if evades else Tier.LARGEST_MARGIN
-        return (course, tier), Decision(-1, -1, reason, tier, float(margin), 0.0, vehicle=int(who))
+        return course, Decision(-1, -1, reason, tier, float(margin), 0.0, vehicle=int(who))
 
     def _go(self, course: Course, tier: Tier) -> None:
         """Remember what is gone on with; the trial holds what comes of it."""
-        self._clear = set(self._who) if tier.verified else set()
+        who = [] if self.watch.last is None else self.watch.last.who
+        self._clear = set(who) if tier.verified else set()
         self.disturbed = self.disturbed and not tier.verified
-        self._keep_distance(tier.verified)
+        self._keep_distance(who, tier.verified)
         if self._road.duty.gives_way:
-            self._dues.give_way(self._who, self._others, self._trial, self._road, tier.verified)
+            self._dues.give_way(who, self._others, self._trial, self._road, tier.verified)
         bound = int(self._trial.bound[0])
         self._stored = gone_on_with(course, bound)
         if self._wish is not None and course.lane == self._wish.lane and course.frames >= 1:
@@ -302,14 +297,3 @@ class RoadDoor:
             return None
         ego.target_lane_index = lane
         return {"acceleration": float(self._trial.first[0]), "steering": float(self._trial.first[1])}
-
-
-@cache
-def warm_up_roads() -> None:
-    """What `warm_up` does for the other doors."""
-    with announced(60):
-        env = gym.make("roundabout-v1")
-        env.reset(seed=0)
-        door = RoadDoor(env.unwrapped, ShieldConfig.for_roads())
-        door.decide(1)
-        door.frame()

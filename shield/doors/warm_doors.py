@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from shield.doors.exact_door import ExactDoor, warm_up_exact
-from shield.doors.exact_input_door import ExactInputDoor, warm_up_exact_inputs
-from shield.doors.input_door import InputDoor
-from shield.doors.meta_door import MetaDoor
-from shield.doors.road_door import RoadDoor, warm_up_roads
+from functools import cache
+
+import gymnasium as gym
+import numpy as np
+
+from shield.config import ShieldConfig
+from shield.doors.exact_door import ExactDoor
+from shield.doors.exact_input_door import ExactInputDoor
+from shield.doors.road_door import RoadDoor
 from shield.doors.team_door import TeamDoor
-from shield.procedures.warm_up import warm_up
+from shield.doors.which import Door
+from shield.procedures.warm_up import announced, warm_up
 
-__all__ = ["warm_up_door"]
+__all__ = ["warm_up_door", "warm_up_exact", "warm_up_exact_inputs", "warm_up_roads"]
 
 
-def warm_up_door(door: MetaDoor | InputDoor | ExactDoor | ExactInputDoor | TeamDoor | RoadDoor) -> None:
+def warm_up_door(door: Door | TeamDoor) -> None:
     """Let no decision of a door wait for a compiler."""
     if isinstance(door, TeamDoor):
         warm_up_exact(True)
@@ -25,3 +30,34 @@ def warm_up_door(door: MetaDoor | InputDoor | ExactDoor | ExactInputDoor | TeamD
         warm_up_roads()
     else:
         warm_up()
+
+
+@cache
+def warm_up_exact(network: bool) -> None:
+    """What `warm_up` does for the other doors, on a straight highway or on a network of roads."""
+    with announced(30):
+        env = gym.make("u-turn-v1") if network else gym.make("highway-fast-v0", config={"vehicles_count": 3})
+        env.reset(seed=0)
+        ExactDoor(env.unwrapped, ShieldConfig.exact()).rehearse()
+
+
+@cache
+def warm_up_exact_inputs() -> None:
+    """What `warm_up` does for the other doors."""
+    with announced(40):
+        env = gym.make("highway-fast-v0", config={"vehicles_count": 3, "action": {"type": "ContinuousAction"}})
+        env.reset(seed=0)
+        door = ExactInputDoor(env.unwrapped, ShieldConfig.exact())
+        for action in ([0.0, 0.0], [1.0, 1.0], [np.nan, 0.0]):
+            door.decide(action)
+
+
+@cache
+def warm_up_roads() -> None:
+    """What `warm_up` does for the other doors."""
+    with announced(60):
+        env = gym.make("roundabout-v1")
+        env.reset(seed=0)
+        door = RoadDoor(env.unwrapped, ShieldConfig.for_roads())
+        door.decide(1)
+        door.frame()

@@ -9,9 +9,7 @@ from joblib import Parallel, delayed
 
 from dynamics.networks.episodes.simulator import RoadSimulator
 from shield.batch.highways import ShieldedHighways
-from shield.doors.exact_door import warm_up_exact
-from shield.doors.exact_input_door import warm_up_exact_inputs
-from shield.doors.road_door import warm_up_roads
+from shield.doors.warm_doors import warm_up_exact, warm_up_exact_inputs, warm_up_roads
 from shield.exact.highways import ExactHighways
 from shield.exact.roads import ExactRoads
 

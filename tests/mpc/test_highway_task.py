@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from policies import Always
 
 from dynamics.errors import ConfigError, DataError, ModelError
 from dynamics.learned.models.linear import LinearStructuredModel
@@ -72,6 +73,17 @@ def test_one_decision_of_the_simulator_is_about_a_step():
     error = load_traffic().step(data.states, data.actions) - data.next_states
     assert np.median(np.abs(error[:, 5])) < 0.5
     assert np.median(np.abs(error[:, 6])) < 0.5
+
+
+def test_the_same_seeds_collect_the_same():
+    """Row by row, random actions among the policy's and the vehicles' order included."""
+    first, second = (
+        collect_traffic(get_setting("highway-fast").make(), 40, 3, Always(FASTER), explore=0.5, first_reset=8000)
+        for _ in range(2)
+    )
+    assert first.episodes.max() > 0
+    for name in ("states", "actions", "next_states", "episodes"):
+        assert np.array_equal(getattr(first, name), getattr(second, name))
 
 
 @settings(max_examples=60, deadline=None)

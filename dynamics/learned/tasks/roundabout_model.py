@@ -28,6 +28,7 @@ from dynamics.learned.data.transitions import Transitions
 from dynamics.learned.models.body_frame import Layout
 from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
 from dynamics.learned.models.model import check_batch
+from dynamics.learned.tasks.exploration import Exploration
 
 __all__ = ["ALPHA", "EGO", "ROW", "RoundaboutModel", "arm_of", "collect_roundabout", "next_exit", "roundabout_config"]
 
@@ -171,37 +172,31 @@ def collect_roundabout(
     DataError
         If there was nothing to be learned from.
     """
-    base, generator = env.unwrapped, np.random.default_rng(seed)
+    base = env.unwrapped
     if type(base).__name__ != "RoundaboutEnv":
         raise ConfigError(f"motions are collected in highway-env's RoundaboutEnv, got {type(base).__name__}")
     ranges = getattr(base.observation_type, "features_range", None) or {}
     reach = np.array([np.inf, np.inf, *(ranges.get(name, (0.0, np.inf))[1] for name in ("vx", "vy"))])
     ego: list[tuple[Any, Any, Any]] = []
     others: list[tuple[Any, Any, Any]] = []
-    observation, _ = env.reset(seed=first_reset)
-    bound, episode, state, begin = _destinations(base), 0, None, True
+    driving = Exploration(env, seed, policy, explore, first_reset)
+    bound = _destinations(base)
     for _ in range(decisions):
-        count = env.action_space.n
-        action = int(generator.integers(count))
-        if policy is not None:
-            chosen, state = policy.predict(observation, state, np.array([begin]))
-            action = action if generator.random() < explore else int(chosen)
+        action = driving.choose()
         vehicles = list(base.road.vehicles)
         before = [(_motion(v, reach), v.lane_index, v.crashed) for v in vehicles]
-        observation, _, terminated, truncated, _ = env.step(action)
-        begin = False
+        over = driving.carry_out(action)
         for v, (was, lane, crashed) in zip(vehicles, before, strict=True):
             if v.crashed and (v is base.vehicle or not crashed):
                 continue
             leaves = bool(next_exit(*was[:2]) == bound[id(v)])
             if v is base.vehicle:
-                ego.append((was, np.append(np.eye(count)[action], leaves), _motion(v, reach)))
+                ego.append((was, np.append(np.eye(env.action_space.n)[action], leaves), _motion(v, reach)))
             else:
                 told = (leaves,) if len(lane[0]) == len(lane[1]) == 2 else (False, True)
                 others.extend((was, np.array([not flag, flag], float), _motion(v, reach)) for flag in told)
-        if terminated or truncated:
-            episode, state, begin = episode + 1, None, True
-            observation, _ = env.reset(seed=first_reset + episode)
+        if over:
+            driving.begin_anew()
             bound = _destinations(base)
     if not ego or not others:
         raise DataError(f"{decisions} decisions gave {len(ego)} motions of the ego and {len(others)} of the others")

@@ -24,6 +24,7 @@ from dynamics.learned.data.transitions import Transitions
 from dynamics.learned.models.body_frame import Layout
 from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
 from dynamics.learned.models.model import check_batch
+from dynamics.learned.tasks.exploration import Exploration
 
 __all__ = ["EGO", "PAIR", "VEHICLE", "TrafficModel", "collect_traffic", "traffic_config"]
 
@@ -116,27 +117,19 @@ def collect_traffic(
     DataError
         If there was nobody near the ego.
     """
-    base, generator = env.unwrapped, np.random.default_rng(seed)
+    base, driving = env.unwrapped, Exploration(env, seed, policy, explore, first_reset)
     runs: dict[tuple[int, int], list[tuple[Any, Any, Any]]] = {}
-    observation, _ = env.reset(seed=first_reset)
-    episode, state, begin = 0, None, True
     for _ in range(decisions):
-        count = env.action_space.n
-        action = int(generator.integers(count))
-        if policy is not None:
-            chosen, state = policy.predict(observation, state, np.array([begin]))
-            action = action if generator.random() < explore else int(chosen)
-        before = _pairs(base)
-        observation, _, terminated, truncated, _ = env.step(action)
-        begin = False
+        action, before = driving.choose(), _pairs(base)
+        over = driving.carry_out(action)
         if not base.vehicle.crashed:
-            after, choice = _pairs(base), np.eye(count)[action]
-            for key in before.keys() & after.keys():
-                if _REACH[0] < before[key][5] < _REACH[1]:
-                    runs.setdefault((episode, key), []).append((before[key], choice, after[key]))
-        if terminated or truncated:
-            episode, state, begin = episode + 1, None, True
-            observation, _ = env.reset(seed=first_reset + episode)
+            after, choice = _pairs(base), np.eye(env.action_space.n)[action]
+            # In the order of the road: that of a set would be another in each run.
+            for key in before:
+                if key in after and _REACH[0] < before[key][5] < _REACH[1]:
+                    runs.setdefault((driving.episode, key), []).append((before[key], choice, after[key]))
+        if over:
+            driving.begin_anew()
     parts: list[tuple[Any, Any, Any]] = []
     names: list[int] = []
     for run in runs.values():

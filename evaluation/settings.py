@@ -8,12 +8,12 @@ A setting is an environment id and the configuration that differs from highway-e
 >>> setting.with_traffic("aggressive", vehicles=30).config["vehicles_count"]
 30
 
-The ``abz`` family is the highway of the ABZ 2025 case study: three lanes, target speeds
-0, 5, …, 40 m/s. ``abz`` and ``abz-adversarial`` are for training (5 Hz), ``abz-idm`` and
-``abz-aggressive`` for testing (15 Hz). The two tests and ``abz`` share one reward, so that returns
+The `abz` family is the highway of the ABZ 2025 case study: three lanes, target speeds
+0, 5, …, 40 m/s. `abz` and `abz-adversarial` are for training (5 Hz), `abz-idm` and
+`abz-aggressive` for testing (15 Hz). The two tests and `abz` share one reward, so that returns
 can be compared across them.
 
-``racetrack``, the two of ``parking`` and all that end in ``-continuous`` are driven with throttle and steering, or
+`racetrack`, the two of `parking` and all that end in `-continuous` are driven with throttle and steering, or
 steering alone. Parking has a goal, and its results say how often it was reached.
 """
 
@@ -52,15 +52,15 @@ for."""
 class Setting:
     """An environment and the configuration to make it with.
 
-    Attributes:
-        name: the name it is reported under.
-        env_id: a Gymnasium id that highway-env registers.
-        config: what differs from the environment's default configuration; in highway-env's units
-            (speeds in m/s, frequencies in Hz, durations in s). Read-only.
-        description: one line for people.
-        road: whether it is a road or a parking lot that shields can read by their own settings, so that none and full
-            are compared on it unless others are asked for; on networks with throttle and steering they stop with an
-            error.
+    Attributes
+    ----------
+    name : the name it is reported under.
+    env_id : a Gymnasium id that highway-env registers.
+    config : what differs from the environment's default configuration; in highway-env's units (speeds in m/s,
+        frequencies in Hz, durations in s). Read-only.
+    description : one line for people.
+    road : whether it is a road or a parking lot that shields can read by their own settings, so that none and full are
+        compared on it unless others are asked for; on networks with throttle and steering they stop with an error.
     """
 
     name: str
@@ -74,7 +74,7 @@ class Setting:
         object.__setattr__(self, "config", MappingProxyType(deepcopy(dict(self.config))))
 
     def make(self, render_mode: str | None = None) -> gym.Env[Any, Any]:
-        """A fresh environment; ``render_mode`` "rgb_array" or "human" if it is to be drawn.
+        """A fresh environment; `render_mode` "rgb_array" or "human" if it is to be drawn.
 
         Raises
         ------
@@ -113,7 +113,7 @@ class Setting:
         ----------
         kind : a name in `TRAFFIC`, or the dotted path of a vehicle class.
         vehicles : how many other vehicles.
-        density : highway-env's ``vehicles_density``, a factor (the default traffic is 1).
+        density : highway-env's `vehicles_density`, a factor (the default traffic is 1).
         """
         config: dict[str, Any] = {}
         label = []

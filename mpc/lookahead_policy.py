@@ -52,7 +52,6 @@ class LookaheadPolicy:
         if depth < 1 or beam < 1:
             raise ConfigError(f"depth and beam must be at least 1, not {depth} and {beam}")
         self._env, self.depth, self.beam = env, depth, beam
-        self._simulator: Simulator | None = None
         base = cast(Any, env.unwrapped)
         if type(base.action_type).__name__ != "DiscreteMetaAction":
             raise ConfigError(

@@ -16,15 +16,13 @@ __all__ = ["RECIPES", "Recipe", "get_recipe"]
 class Recipe:
     """All that `train` needs for one reference policy.
 
-    Attributes:
-        name: the name of the policy, and of its file.
-        setting: a name in `evaluation.settings.SETTINGS`.
-        algorithm: a name in `ALGORITHMS`.
-        steps: environment steps (decisions).
-        seed: the training seed.
-        hyperparameters: keyword arguments of the algorithm.
-        description: one line for people.
-        normalise, exploration, fast, shield, sensor: as in `train`.
+    Attributes
+    ----------
+    name : the name of the policy, and of its file. description : one line for people.
+    setting : a name in `evaluation.settings.SETTINGS`. algorithm : a name in `ALGORITHMS`.
+    steps : environment steps (decisions). seed : the training seed.
+    hyperparameters : keyword arguments of the algorithm.
+    normalise, exploration, fast, shield, sensor : as in `train`.
     """
 
     name: str

@@ -61,9 +61,9 @@ _PACKAGES = ("highway-shield", "highway-env", "gymnasium", "stable-baselines3", 
 class TrainedPolicy:
     """Where a trained policy lies and how it was made.
 
-    Attributes:
-        path: the zip file, to be loaded with the algorithm's own ``load``.
-        manifest: what the JSON file beside it holds.
+    Attributes
+    ----------
+    path : the zip file, to be loaded with the algorithm's own `load`. manifest : what the JSON file beside it holds.
     """
 
     path: Path
@@ -71,7 +71,7 @@ class TrainedPolicy:
 
 
 def manifest_path(policy: Path) -> Path:
-    """Where the manifest of a policy file lies: beside it, as ``.json``."""
+    """Where the manifest of a policy file lies: beside it, as `.json`."""
     return policy.with_suffix(".json")
 
 
@@ -199,7 +199,7 @@ def train_recipe(
     sensor: str = "exact",
     progress: bool = True,
 ) -> TrainedPolicy:
-    """Train a reference policy again, by default into ``runs/policies/NAME.zip``, or ``NAME-SENSOR.zip``.
+    """Train a reference policy again, by default into `runs/policies/NAME.zip`, or `NAME-SENSOR.zip`.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
-"""Environments of our own. Importing the package registers ``ComplexRoads-v0`` with Gymnasium, and
-``lane-keeping-half-minute-v0``: highway-env's lane keeping, which has no end, for 300 decisions."""
+"""Environments of our own. Importing the package registers `ComplexRoads-v0` with Gymnasium, and
+`lane-keeping-half-minute-v0`: highway-env's lane keeping, which has no end, for 300 decisions."""
 
 from __future__ import annotations
 

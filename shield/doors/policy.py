@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from shield.doors.known_environments import known_beforehand
 from shield.doors.liveness import Liveness
 from shield.doors.meta_door import MetaDoor
 from shield.doors.patience import Patience
-from shield.doors.ranking import order_from_scores, ranking_of
+from shield.doors.ranking import Ranking
 from shield.doors.report import Offences, Statistics, report
 from shield.doors.supervision import Command, Supervision
 from shield.doors.warm_doors import warm_up_door
@@ -38,6 +38,15 @@ from shield.roads.reading import default_on, has_crossings
 __all__ = ["Shield"]
 
 _log = logging.getLogger(__name__)
+
+
+class _Proposed(NamedTuple):
+    """What a policy has said: its actions and its state; why it failed, where it has, and what it raised."""
+
+    actions: Any
+    state: Any
+    reason: Reason | None
+    cause: str = ""
 
 
 class Shield:
@@ -228,56 +237,65 @@ class Shield:
         PolicyError
             If the policy has failed in as many.
         """
-        reason: Reason | None = None
-        proposals: Any
-        cause = ""
-        first = self._doors[0]
-        actuators = first.actuators if isinstance(first, InputDoor | ExactInputDoor) else None
-        size = 1 if actuators is None else actuators.entries
-        numbers = actuators is None or actuators.choices is not None
         for i, alive in enumerate(self._alive):
             alive.check(_row(observation, i, len(self._alive)))
-        try:
-            proposals, state = self.policy.predict(
-                observation, state=state, episode_start=episode_start, deterministic=deterministic
-            )
-        except Exception as error:
-            cause = f"{type(error).__name__}: {error}"
-            _log.debug("the policy raised", exc_info=True)
-            # A policy that breaks must not take the car with it: the record says that it did.
-            batched = self._batched(observation)
-            shape = (len(self._doors),) if batched else ()
-            proposals = np.full((*shape, size) if self._inputs else shape, np.nan)
-            reason = Reason.POLICY_FAILED
-        flat = np.asarray(proposals).reshape(-1)
-        if flat.size != len(self._doors) * size:
-            raise ConfigError(
-                f"the policy returned {flat.size / size:g} actions for {len(self._doors)} environments; a batch "
-                "needs one row per environment"
-            )
-        if reason is None and flat.dtype.kind == "f" and not np.isfinite(flat).all() and not self._inputs:
-            reason = Reason.POLICY_FAILED
-        rows = flat if numbers else np.asarray(proposals).reshape(len(self._doors), -1)
-        ranking = _Ranking(self.policy, observation)
+        proposed = self._propose(observation, state, episode_start, deterministic)
+        rows, ranking = self._rows(proposed.actions), Ranking(self.policy, observation)
         for i in range(len(self._doors)):
             self._begin(i, episode_start)
         self._show(observation, episode_start is None)
-        self.last_decisions = [self._decide(i, row, ranking, reason) for i, row in enumerate(rows)]
+        self.last_decisions = [self._decide(i, row, ranking, proposed.reason) for i, row in enumerate(rows)]
         for patience, decision, door in zip(self._patience, self.last_decisions, self._doors, strict=True):
-            patience.check(decision, cause or door.cause)
-        if not self._inputs:
-            executed = np.array([d.executed for d in self.last_decisions], dtype=np.int64)
-            return executed.reshape(np.shape(proposals)), state
-        if not any(d.overridden for d in self.last_decisions):
-            return proposals, state
-        if numbers:
-            return np.reshape([int(d.executed) for d in self.last_decisions], np.shape(proposals)), state
-        # Whole numbers cannot hold what was verified.
-        kind = proposals.dtype if proposals.dtype.kind == "f" else np.dtype(np.float32)
-        inputs = [np.asarray(d.executed, dtype=kind).reshape(-1) for d in self.last_decisions]
-        return np.stack(inputs).reshape(proposals.shape), state
+            patience.check(decision, proposed.cause or door.cause)
+        return self._executed(proposed.actions), proposed.state
 
-    def _decide(self, i: int, proposal: Any, ranking: _Ranking, reason: Reason | None) -> Decision:
+    @property
+    def _form(self) -> tuple[int, bool]:
+        """How many numbers an action has, and whether it is a whole one."""
+        first = self._doors[0]
+        if not isinstance(first, InputDoor | ExactInputDoor):
+            return 1, True
+        return first.actuators.entries, first.actuators.choices is not None
+
+    def _propose(self, observation: Any, state: Any, episode_start: Any, deterministic: bool) -> _Proposed:
+        """What the policy says. One that breaks must not take the car with it: the record says that it did."""
+        try:
+            actions, state = self.policy.predict(
+                observation, state=state, episode_start=episode_start, deterministic=deterministic
+            )
+        except Exception as error:
+            _log.debug("the policy raised", exc_info=True)
+            shape = (len(self._doors),) if self._batched(observation) else ()
+            nothing = np.full((*shape, self._form[0]) if self._inputs else shape, np.nan)
+            return _Proposed(nothing, state, Reason.POLICY_FAILED, f"{type(error).__name__}: {error}")
+        numbers = np.asarray(actions)
+        broken = not self._inputs and numbers.dtype.kind == "f" and not np.isfinite(numbers).all()
+        return _Proposed(actions, state, Reason.POLICY_FAILED if broken else None)
+
+    def _rows(self, actions: Any) -> Any:
+        """The action for each environment."""
+        (size, whole), flat, n = self._form, np.asarray(actions).reshape(-1), len(self._doors)
+        if flat.size != n * size:
+            raise ConfigError(
+                f"the policy returned {flat.size / size:g} actions for {n} environments; a batch needs one row per "
+                "environment"
+            )
+        return flat if whole else flat.reshape(n, -1)
+
+    def _executed(self, proposed: Any) -> Any:
+        """What has been decided, as the policy's actions were."""
+        executed = [decision.executed for decision in self.last_decisions]
+        if not self._inputs:
+            return np.array(executed, dtype=np.int64).reshape(np.shape(proposed))
+        if not any(decision.overridden for decision in self.last_decisions):
+            return proposed
+        if self._form[1]:
+            return np.reshape([int(action) for action in executed], np.shape(proposed))
+        # Whole numbers cannot hold what was verified.
+        kind = proposed.dtype if proposed.dtype.kind == "f" else np.dtype(np.float32)
+        return np.stack([np.asarray(action, dtype=kind).reshape(-1) for action in executed]).reshape(proposed.shape)
+
+    def _decide(self, i: int, proposal: Any, ranking: Ranking, reason: Reason | None) -> Decision:
         door, base = self._doors[i], self._bases[i]
         wanted: Any = None
         if not self._inputs:
@@ -348,19 +366,3 @@ def _row(observation: Any, i: int, n: int) -> Any:
     if isinstance(observation, dict):
         return {key: value[i] for key, value in observation.items()}
     return observation[i]
-
-
-class _Ranking:
-    """The policy's order of preference for one batch of observations, asked for at most once."""
-
-    def __init__(self, policy: Any, observation: Any) -> None:
-        self._policy, self._observation = policy, observation
-        self._scores: Any = None
-
-    def order(self, row: int, proposed: int, actions: int) -> list[int] | None:
-        if self._scores is None:
-            self._scores = (ranking_of(self._policy, self._observation),)
-        scores = self._scores[0]
-        if scores is None or np.atleast_2d(scores).shape[1] != actions:
-            return None
-        return order_from_scores(np.atleast_2d(scores)[row], proposed)

@@ -8,7 +8,7 @@ import numpy as np
 
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["normalised", "order_from_scores", "orders_from_scores", "ranking_of"]
+__all__ = ["Ranking", "normalised", "order_from_scores", "orders_from_scores", "ranking_of"]
 
 
 def ranking_of(policy: Any, obs: Any) -> Any:
@@ -61,3 +61,20 @@ def orders_from_scores(scores: FloatArray, proposed: IntArray) -> IntArray:
     n, k = ranked.shape
     others = ranked[ranked != proposed[:, None]].reshape(n, k - 1)
     return np.concatenate([others, np.full((n, 1), -1)], axis=1)
+
+
+class Ranking:
+    """The policy's order of preference for one batch of observations, asked for at most once."""
+
+    def __init__(self, policy: Any, observation: Any) -> None:
+        self._policy, self._observation = policy, observation
+        self._scores: Any = None
+
+    def order(self, row: int, proposed: int, actions: int) -> list[int] | None:
+        """Of so many actions, for one row of the batch, without what was proposed; None where the policy has none."""
+        if self._scores is None:
+            self._scores = (ranking_of(self._policy, self._observation),)
+        scores = self._scores[0]
+        if scores is None or np.atleast_2d(scores).shape[1] != actions:
+            return None
+        return order_from_scores(np.atleast_2d(scores)[row], proposed)

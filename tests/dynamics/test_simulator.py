@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from highway_env.vehicle.objects import Obstacle
 from live_highway import CONTINUOUS, drive_live, live
-from simulator_pair import DRIVERS, SMALL, Pair, drive, place
+from random_highways import place
+from simulator_pair import DRIVERS, SMALL, Pair, drive
 
 from dynamics.simulator.observe import FEATURES
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulator_pair import Pair, random_configuration, random_scene
+from random_highways import random_configuration, random_scene
+from simulator_pair import Pair
 
 
 def fuzz(seed, most, decisions):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from highway_env.vehicle.objects import Landmark, Obstacle
 from live_highway import CONTINUOUS, drive_live, live, same_or_refused
-from simulator_pair import SMALL, Pair, place, random_scene
+from random_highways import place, random_scene
+from simulator_pair import SMALL, Pair
 
 from dynamics.errors import ConfigError, SceneError, ShieldError
 from dynamics.simulator.simulator import Simulator

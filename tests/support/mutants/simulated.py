@@ -170,15 +170,15 @@ SIMULATED = (
     off(
         "nothing is foretold",
         "shield/doors/exact_scene.py",
-        "if not other[columns[:, 0] == ego].any():",
-        "if False:",
+        "return 0 if other[columns[:, 0] == ego].any() else",
+        "return 0 if True else",
         _TESTS,
     ),
     off(
         "the ego is foretold too",
         "shield/doors/exact_scene.py",
-        "if not other[columns[:, 0] == ego].any():",
-        "if True:",
+        "return 0 if other[columns[:, 0] == ego].any() else",
+        "return 0 if False else",
         _TESTS,
     ),
     off(

@@ -1,0 +1,38 @@
+"""An environment that remembers what reached it, and a policy that does what it is told: for what breaks."""
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+
+
+class Spy(gym.Wrapper):
+    """Remembers what reached the environment."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        self.seen = []
+
+    def step(self, action):
+        self.seen.append(action)
+        return self.env.step(action)
+
+
+class Policy:
+    """Returns, or raises, what it is told to."""
+
+    def __init__(self, action):
+        self.action = action
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        if isinstance(self.action, Exception):
+            raise self.action
+        return self.action, state
+
+
+def spied(**config):
+    env = Spy(gym.make("highway-fast-v0", config={"duration": 20, **config}))
+    env.reset(seed=0)
+    return env
+
+
+def kind(record):
+    return record["reason"], record["tier"]

@@ -13,7 +13,7 @@ __all__ = ["COMMITTED", "Wish", "courses_of", "frames_of", "gone_on_with", "stop
 
 COMMITTED = 1e3
 """Stands for highway-env's own speed controller, which brakes as hard as it likes [m/s^2]."""
-_ON = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0)
+_ON = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0)
 """For how long a course may be kept beyond the coming frame before the ego brakes [s]."""
 _SPEEDS = 8
 """Speeds between that of a decision and standing still that are tried in its place."""

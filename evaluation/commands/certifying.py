@@ -97,7 +97,7 @@ def replay_command(
 
 
 def _replay_find(path: Path) -> None:
-    from evaluation.rare.falsify import Find, replay
+    from evaluation.rare.finds import Find, replay
 
     found = Find.load(path)
     again = replay(found)
@@ -132,7 +132,8 @@ def falsify_command(
     bold drivers, who keep to the rules: seed by seed, for a crash or a breach of the buffer
     with nobody named (it ends with 1 then), or for somebody named who has done no wrong.
     """
-    from evaluation.rare.falsify import ANY, TRAFFIC, falsify, falsify_among
+    from evaluation.rare.falsify import TRAFFIC, falsify, falsify_among
+    from evaluation.rare.finds import ANY
     from evaluation.settings import get_setting
 
     shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)

@@ -14,7 +14,8 @@ from dynamics.simulator.simulator import Simulator
 from dynamics.traffic.assumptions import Assumptions
 from evaluation.commands.cli import app
 from evaluation.rare.bold import drive_bold
-from evaluation.rare.falsify import ANY, Find, crash_probability, falsify, falsify_among, replay
+from evaluation.rare.falsify import crash_probability, falsify, falsify_among
+from evaluation.rare.finds import ANY, Find, replay
 from evaluation.rare.strata import Strata, stratified
 from evaluation.rare.subset import subset_simulation
 from evaluation.running.many import Many

@@ -32,8 +32,9 @@ _ACTIONS = 40
 """So many actions of an episode are searched at most; what follows is the last of them."""
 _LOST = 1e3
 """The clearance of an episode whose first decision finds nothing that verifies [m]: nothing was promised of it."""
-TRAFFIC = ("idm", "bold")
-"""Who drives the others: highway-env's own, or as recklessly as the rules permit (`evaluation.rare.bold`)."""
+TRAFFIC = ("idm", "bold", "wild", "mixed")
+"""Who drives the others: highway-env's own, or as recklessly as the rules permit (`evaluation.rare.bold`); on networks
+of roads drivers of `evaluation.rare.attack`."""
 _AT_ONCE = 16
 """Episodes among bold drivers, in several processes, before it is asked whether anything was found."""
 
@@ -48,7 +49,7 @@ class Searched:
         were drawn as a reset draws them [m]. crashed : how many of the last level crashed.
     offended : the share of the first in which the traffic broke the assumptions.
     lost : on networks of roads, the share of the first whose first decision found nothing that verifies; of them
-        nothing is promised, and they are no finds.
+        nothing is promised, and they are no finds. None elsewhere.
     """
 
     find: Find
@@ -56,7 +57,7 @@ class Searched:
     median: float
     crashed: int
     offended: float
-    lost: float = 0.0
+    lost: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +202,7 @@ def falsify(
         float(np.median(drawn.clearance)),
         int((result.performance <= 0).sum()),
         float((drawn.offences > 0).mean()),
-        float(drawn.lost.mean()) if searched.seeded else 0.0,
+        float(drawn.lost.mean()) if searched.seeded else None,
     )
 
 

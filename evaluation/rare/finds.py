@@ -13,6 +13,7 @@ from dynamics.networks.episodes.scenario import on_roads
 from dynamics.simulator.simulator import Simulator
 from evaluation.measuring.recorder import Recorder
 from evaluation.rare.bold import drive_bold
+from evaluation.rare.road_episode import RoadNumbers, drive_numbers
 from evaluation.running.named_policies import make_policy, start_episode
 from evaluation.settings import Setting
 from shield import Shield, ShieldedEnv
@@ -31,13 +32,14 @@ class Find:
 
     Attributes
     ----------
-    env_id, config : the environment. shield : the shield's settings, TOML.
+    env_id, config : the environment. shield : the shield's settings, TOML; "" for those of the road's own traffic.
     shares : the numbers that its scene is made from (see `Simulator.reset_to`).
     policy : that proposes; of `ANY`, `actions` are what it proposes.
-    clearance : the smallest to anybody [m], 0 in a crash; among bold drivers that of the ego with its buffer, negative
-        where somebody was in it.
-    drivers : of `TRAFFIC`. Among bold ones `seed` says everything, and there are no shares and actions. On networks of
-        roads it says the scene.
+    clearance : the smallest to anybody [m], 0 in a crash; among other drivers than highway-env's own that of the ego
+        with its buffer, negative where somebody was in it; see `RoadEpisode` on networks of roads.
+    drivers : of `evaluation.rare.falsify.TRAFFIC`. Among bold ones on straight highways `seed` says everything, and
+        there are no shares and actions. On networks of roads it says the scene, where highway-env's own traffic drives;
+        among other drivers `shares` say everything, and it is the first of the seeds (`RoadNumbers`).
     """
 
     env_id: str
@@ -73,6 +75,9 @@ class Find:
 def replay(find: Find) -> Find:
     """Drive a find again in highway-env itself; its clearance is what is found there."""
     setting, shield = Setting("find", find.env_id, find.config), ShieldConfig.from_toml(find.shield)
+    if find.drivers != "idm" and find.shares:
+        numbers, given = RoadNumbers(find.drivers, find.seed), shield if find.shield else None
+        return replace(find, clearance=drive_numbers(setting, numbers, np.array(find.shares), given).clearance)
     if find.drivers == "bold":
         return replace(find, clearance=drive_bold(setting, find.seed, shield).clearance)
     env = setting.make()

@@ -129,6 +129,10 @@ class RoadDoor:
         brakes now, it may break the rule of the right of way (`shield.roads.watch`)."""
         return max(self._gives.get(body, {}).values(), default=0) > self._road.duty.reaction
 
+    def is_owed_by(self, body: Any) -> bool:
+        """Whether another vehicle owes the ego its distance: it is behind it, and is believed to brake in time."""
+        return bool(self._owes.get(body))
+
     def culprits(self, bodies: Iterable[Any]) -> set[Any]:
         """Who of those that the ego has just crashed with had broken a rule, or has since the last frame."""
         hit = set(bodies)
@@ -307,8 +311,8 @@ class RoadDoor:
     def _watch(self, who: list[Any]) -> None:
         margins = None
         ego = self._base.vehicle
-        # Who has been hit does not do what it is told.
-        if self._stored is not None and not ego.crashed and ego.impact is None:
+        # Who has been hit does not do what it is told; who is about to be has done it so far.
+        if self._stored is not None and not ego.crashed:
             try_course(self._alone, self._road, self._others, self._stored, True, self._trial)
             margins = self._trial.margins
         first = self.watch.last is None

@@ -36,9 +36,8 @@ BUFFER = Buffer()
 """Whoever comes nearer to the ego has breached it, whatever the shield is told."""
 _HOLDS, _TURNS = {"bold": 60, "wild": 120, "mixed": 120}, 12
 """So many numbers say what a driver holds and for how long, and where it turns; after the last they begin again."""
-_SOON = (0.0, 0.25, 0.5)
-"""At constant velocities, who comes near within so long is on the way there [s]: what a search goes by. Who stands at
-the buffer's edge is as near, and leads nowhere."""
+_SHRINKS = 1e-6
+"""By so much a margin has become less, and not by rounding [m]."""
 
 
 class Script:
@@ -133,7 +132,9 @@ class RoadEpisode:
     seed : of its scene. frames : how many there were. counted : in how many the clearance counts.
     clearance : the least separation of the ego with its `BUFFER` from what stands and from whoever is no wreck and has
         not been named; of those who owe it their distance, of the bodies [m]. Infinite where nothing counts.
-    soon : what that comes to within `_SOON` at constant velocities, at the least [m].
+    shrunk : in how many frames the margin of what was verified became less because of one who has broken no rule then,
+        and has not been named.
+    margin : the least that it became so [m]; infinite where it never did.
     crashed : whether the ego was. by_rule : how often each rule was broken.
     who, when : from whom the clearance is, a place in the road's list, -1 for what stands or nobody; and the frame.
     """
@@ -142,7 +143,8 @@ class RoadEpisode:
     frames: int
     counted: int
     clearance: float
-    soon: float
+    shrunk: int
+    margin: float
     crashed: bool
     by_rule: dict[str, int]
     who: int
@@ -155,8 +157,16 @@ class RoadEpisode:
 
     @property
     def performance(self) -> float:
-        """What a search makes small: not positive where there is a hole."""
-        return -1.0 if self.hole else 100.0 + min(self.soon, 100.0)
+        """What a search makes small: not positive where there is a hole.
+
+        What is verified holds because from one frame to the next its margin from nobody becomes less who keeps to what
+        is assumed. Where it does, that is half a hole, and how little is left says how far it is to a whole one. The
+        clearance says less: whoever stands at the edge of the buffer is near, and in no danger. It decides where no
+        margin has shrunk.
+        """
+        if self.hole:
+            return -1.0
+        return 1.0 + max(self.margin, 0.0) if self.shrunk else 1e3 + min(self.clearance, 1e3)
 
 
 class _Referee:
@@ -164,9 +174,9 @@ class _Referee:
 
     def __init__(self, base: Any, door: RoadDoor) -> None:
         self._base, self._door, self._step, self._ask = base, door, base.road.step, door.frame
-        self._near: list[tuple[Any, int, float, float]] = []
+        self._near: list[tuple[Any, int, float]] = []
         self._promised, self.frames, self.counted = False, 0, 0
-        self.clearance, self.soon, self.who, self.when = np.inf, np.inf, -1, -1
+        self.clearance, self.margin, self.shrunk, self.who, self.when = np.inf, np.inf, 0, -1, -1
         base.road.step = self._watched
         door.frame = self._asked  # type: ignore[method-assign]
 
@@ -177,16 +187,21 @@ class _Referee:
 
     def settle(self, named: set[Any]) -> None:
         """Count those who were near when last seen and have not been named."""
-        for body, place, gap, soon in self._near:
-            if body not in named:
-                self.soon = min(self.soon, soon)
-                if gap < self.clearance:
-                    self.clearance, self.who, self.when = gap, place, self.frames
+        for body, place, gap in self._near:
+            if body not in named and gap < self.clearance:
+                self.clearance, self.who, self.when = gap, place, self.frames
         self._near = []
 
     def _asked(self) -> tuple[Any, Decision]:
+        before = self._door.watch.last
         command, decision = self._ask()
-        self.settle(self._door.watch.culprits)
+        named = self._door.watch.culprits
+        self.settle(named)
+        less = {body: now for body, (then, now) in self._door.kept.items() if now < then - _SHRINKS}
+        if less and before is not None and self._promised:
+            innocent = less.keys() - named - self._door.have_broken(less, before)
+            self.shrunk += bool(innocent)
+            self.margin = min(self.margin, *(less[body] for body in innocent), np.inf)
         if self._door.disturbed:
             self._promised = False
         elif decision.tier.verified:
@@ -206,8 +221,7 @@ class _Referee:
         bodies = [*sound, *((-1, thing) for thing in base.road.objects)]
         rows = np.array([_row(ego), *(_row(body) for _, body in bodies)])
         for i, (place, body) in enumerate(bodies, start=1):
-            gaps = [_gap(rows, i, body in owing, t) for t in _SOON]
-            self._near.append((body, place, gaps[0], min(gaps)))
+            self._near.append((body, place, _gap(rows, i, body in owing)))
         if ego.crashed:
             hit = {body for _, body in sound if body.crashed}
             self.settle(self._door.culprits(hit) | self._door.watch.culprits)
@@ -218,14 +232,11 @@ def _row(body: Any) -> list[float]:
     return [*body.position, body.heading, speed, body.LENGTH, body.WIDTH, 0.0]
 
 
-def _gap(rows: FloatArray, i: int, owing: bool, later: float) -> float:
-    """Of the ego, the first of the rows, with its buffer, from vehicle i; so much `later` at constant velocities."""
-    moved = rows[[0, i]]
-    moved[:, 0] += later * moved[:, 3] * np.cos(moved[:, 2])
-    moved[:, 1] += later * moved[:, 3] * np.sin(moved[:, 2])
+def _gap(rows: FloatArray, i: int, owing: bool) -> float:
+    """Of the ego, the first of the rows, with its buffer or without, from vehicle i [m]."""
     buffer = Buffer(0.0, 0.0) if owing else BUFFER
-    mine = footprint(moved[0], buffer.longitudinal, buffer.lateral)
-    return float(gap_between(mine, mine.along, mine.across, moved, 1, 0.0))
+    mine = footprint(rows[0], buffer.longitudinal, buffer.lateral)
+    return float(gap_between(mine, mine.along, mine.across, rows, i, 0.0))
 
 
 def drive_numbers(
@@ -273,7 +284,8 @@ def _drive(env: ShieldedEnv, setting: Setting, numbers: RoadNumbers, shares: Flo
         frames=referee.frames,
         counted=referee.counted,
         clearance=float(referee.clearance),
-        soon=float(referee.soon),
+        shrunk=referee.shrunk,
+        margin=float(referee.margin),
         crashed=bool(base.vehicle.crashed),
         by_rule=door.by_rule,
         who=referee.who,

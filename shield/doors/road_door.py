@@ -74,6 +74,8 @@ class RoadDoor:
     cause : why the scene of the last decision could not be read, "" where it could.
     watch : what has been seen of the others.
     disturbed : whether one who has broken a rule has been in the way of what was verified last.
+    kept : how far what was verified last stayed clear of each of the others then, and does a frame later [m]. Of who
+        keeps to what is assumed it is never less.
     """
 
     supervising = True
@@ -99,6 +101,8 @@ class RoadDoor:
         self._clear: set[Any] = set()
         self._wish: tuple[int, float] | None = None
         self.disturbed = False
+        self.kept: dict[Any, tuple[float, float]] = {}
+        self._then: dict[Any, float] = {}
         self._ready: tuple[tuple[FloatArray, Tier], Decision] | None = None
 
     @property
@@ -143,6 +147,12 @@ class RoadDoor:
         finally:
             for body in hit:
                 body.crashed = True
+
+    def have_broken(self, bodies: Iterable[Any], since: Seen) -> set[Any]:
+        """Who of these has broken a rule from a scene on, a frame ago, to the one seen last, whether or not what is
+        verified suffers from it."""
+        last = self.watch.last
+        return set() if last is None else Watch(last=since).judge(last, set(bodies), self._road)
 
     def reset(self) -> None:
         """Forget everything about the episode."""
@@ -309,12 +319,13 @@ class RoadDoor:
         return Seen(seen.who, others)
 
     def _watch(self, who: list[Any]) -> None:
-        margins = None
+        margins, self.kept = None, {}
         ego = self._base.vehicle
         # Who has been hit does not do what it is told; who is about to be has done it so far.
         if self._stored is not None and not ego.crashed:
             try_course(self._alone, self._road, self._others, self._stored, True, self._trial)
             margins = self._trial.margins
+            self.kept = {b: (self._then[b], float(margins[i])) for i, b in enumerate(who) if b in self._then}
         first = self.watch.last is None
         self.watch.next(Seen(who, self._others), self._clear, margins, self._road)
         self.disturbed = self.disturbed or bool(self.watch.offenders)
@@ -427,6 +438,7 @@ class RoadDoor:
         # trial holds what comes of the course that was chosen.
         who = self.watch.last.who if self.watch.last is not None else []
         self._clear = set(who) if tier.verified else set()
+        self._then = {body: float(self._trial.margins[i]) for i, body in enumerate(who)} if tier.verified else {}
         self.disturbed = self.disturbed and not tier.verified
         self._owe(tier.verified)
         if self._road.duty.gives_way:

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from dynamics.state import FloatArray
+from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.permits import footprint, gap_between
 from evaluation.rare.attack import DRIVERS, man
 from evaluation.settings import Setting
@@ -34,6 +35,9 @@ SCENES = 100_000
 """So many seeds, from one on, are the scenes of a search."""
 BUFFER = Buffer()
 """Whoever comes nearer to the ego has breached it, whatever the shield is told."""
+_RULES = Assumptions.roads()
+_FAIL_SAFE = 9.8
+"""How hard the ego may brake at any time [m/s^2]."""
 _HOLDS, _TURNS = {"bold": 60, "wild": 120, "mixed": 120}, 12
 """So many numbers say what a driver holds and for how long, and where it turns; after the last they begin again."""
 _SHRINKS = 1e-6
@@ -132,6 +136,7 @@ class RoadEpisode:
     seed : of its scene. frames : how many there were. counted : in how many the clearance counts.
     clearance : the least separation of the ego with its `BUFFER` from what stands and from whoever is no wreck and has
         not been named; of those who owe it their distance, of the bodies [m]. Infinite where nothing counts.
+    near : the same, but of those who owe the ego their distance what is left of it once both have braked [m].
     shrunk : in how many frames the margin of what was verified became less because of one who has broken no rule then,
         and has not been named.
     margin : the least that it became so [m]; infinite where it never did.
@@ -143,6 +148,7 @@ class RoadEpisode:
     frames: int
     counted: int
     clearance: float
+    near: float
     shrunk: int
     margin: float
     crashed: bool
@@ -162,11 +168,11 @@ class RoadEpisode:
         What is verified holds because from one frame to the next its margin from nobody becomes less who keeps to what
         is assumed. Where it does, that is half a hole, and how little is left says how far it is to a whole one. The
         clearance says less: whoever stands at the edge of the buffer is near, and in no danger. It decides where no
-        margin has shrunk.
+        margin has shrunk, with what those have left who owe the ego their distance.
         """
         if self.hole:
             return -1.0
-        return 1.0 + max(self.margin, 0.0) if self.shrunk else 1e3 + min(self.clearance, 1e3)
+        return 1.0 + max(self.margin, 0.0) if self.shrunk else 1e3 + min(self.near, 500.0)
 
 
 class _Referee:
@@ -174,9 +180,10 @@ class _Referee:
 
     def __init__(self, base: Any, door: RoadDoor) -> None:
         self._base, self._door, self._step, self._ask = base, door, base.road.step, door.frame
-        self._near: list[tuple[Any, int, float]] = []
+        self._near: list[tuple[Any, int, float, float]] = []
         self._promised, self.frames, self.counted = False, 0, 0
-        self.clearance, self.margin, self.shrunk, self.who, self.when = np.inf, np.inf, 0, -1, -1
+        self.clearance, self.near, self.who, self.when = np.inf, np.inf, -1, -1
+        self.margin, self.shrunk = np.inf, 0
         base.road.step = self._watched
         door.frame = self._asked  # type: ignore[method-assign]
 
@@ -187,8 +194,11 @@ class _Referee:
 
     def settle(self, named: set[Any]) -> None:
         """Count those who were near when last seen and have not been named."""
-        for body, place, gap in self._near:
-            if body not in named and gap < self.clearance:
+        for body, place, gap, left in self._near:
+            if body in named:
+                continue
+            self.near = min(self.near, left)
+            if gap < self.clearance:
                 self.clearance, self.who, self.when = gap, place, self.frames
         self._near = []
 
@@ -221,7 +231,8 @@ class _Referee:
         bodies = [*sound, *((-1, thing) for thing in base.road.objects)]
         rows = np.array([_row(ego), *(_row(body) for _, body in bodies)])
         for i, (place, body) in enumerate(bodies, start=1):
-            self._near.append((body, place, _gap(rows, i, body in owing)))
+            gap = _gap(rows, i, body in owing)
+            self._near.append((body, place, gap, _left(gap, *rows[[i, 0], 3]) if body in owing else gap))
         if ego.crashed:
             hit = {body for _, body in sound if body.crashed}
             self.settle(self._door.culprits(hit) | self._door.watch.culprits)
@@ -237,6 +248,12 @@ def _gap(rows: FloatArray, i: int, owing: bool) -> float:
     buffer = Buffer(0.0, 0.0) if owing else BUFFER
     mine = footprint(rows[0], buffer.longitudinal, buffer.lateral)
     return float(gap_between(mine, mine.along, mine.across, rows, i, 0.0))
+
+
+def _left(gap: float, speed: float, ego: float) -> float:
+    """What is left of a gap when one that follows the ego brakes as it owes it, and the ego as hard as it can [m]."""
+    v = max(speed, 0.0)
+    return gap - v * _RULES.reaction_time - v**2 / (2 * _RULES.follower_braking) + ego**2 / (2 * _FAIL_SAFE)
 
 
 def drive_numbers(
@@ -284,6 +301,7 @@ def _drive(env: ShieldedEnv, setting: Setting, numbers: RoadNumbers, shares: Flo
         frames=referee.frames,
         counted=referee.counted,
         clearance=float(referee.clearance),
+        near=float(referee.near),
         shrunk=referee.shrunk,
         margin=float(referee.margin),
         crashed=bool(base.vehicle.crashed),

@@ -64,10 +64,10 @@ def test_a_script_says_what_a_generator_would():
 def test_the_numbers_say_everything(drivers):
     numbers = RoadNumbers(drivers, 50, decisions=6)
     shares = drawn(numbers, 0)
-    found = drive_numbers(EXIT, numbers, shares)
-    assert drive_numbers(EXIT, numbers, shares) == found
+    found = drive_numbers(MERGE, numbers, shares)
+    assert drive_numbers(MERGE, numbers, shares) == found
     assert 50 <= found.seed < 50 + SCENES
-    others = [drive_numbers(EXIT, numbers, shares * part) for part in parts(numbers)]
+    others = [drive_numbers(MERGE, numbers, shares * part) for part in parts(numbers)]
     assert all(each != found for each in others)
 
 
@@ -82,11 +82,22 @@ def parts(numbers):
 @pytest.mark.parametrize("setting", [MERGE, EXIT, *later(ROUNDABOUT)])
 @pytest.mark.parametrize("drivers", ["bold", "wild"])
 def test_whoever_comes_too_near_is_named(setting, drivers):
+    """And what is verified stays as far from whoever keeps to the rules as it was, from each frame to the next."""
     numbers = RoadNumbers(drivers, decisions=6)
     for seed in range(2):
         found = drive_numbers(setting, numbers, drawn(numbers, seed))
         assert not found.hole
+        assert found.shrunk == 0
         assert 0 < found.counted <= found.frames
+
+
+def test_who_drives_into_the_ego_is_named_before_it_crashes():
+    """In the frame in which it is in the buffer, and highway-env foresees the contact."""
+    numbers = RoadNumbers("wild")
+    found = drive_numbers(EXIT, numbers, np.random.default_rng(0).random((15, numbers.count))[14])
+    assert found.crashed
+    assert not found.hole
+    assert "ways" in found.by_rule
 
 
 @pytest.mark.slow
@@ -94,6 +105,33 @@ def test_whoever_comes_too_near_is_named(setting, drivers):
 @pytest.mark.parametrize("drivers", ["bold", "wild"])
 def test_a_search_finds_nothing_in_the_default(name, drivers):
     assert not search_roads(get_setting(name), drivers, episodes=90, seed=3).hole
+
+
+def test_a_hole_is_found_and_driven_again(tmp_path):
+    """A shield that counts on brakes that nobody has; with the settings of the road's own traffic it is none."""
+    run, path, told = CliRunner(), tmp_path / "find.json", tmp_path / "told.toml"
+    PLANTED.save(told)
+    asked = ["falsify", str(path), "--setting", "exit", "--drivers", "bold", "--jobs", "1", "--seed", "SEED"]
+    result = run.invoke(app, [*asked, "--config", str(told), "--episodes", "100"])
+    assert result.exit_code == 1, result.output
+    find = Find.load(path)
+    assert drive_again(find) == find
+    assert not drive_numbers(EXIT, RoadNumbers("bold", find.seed), np.array(find.shares)).hole
+    result = run.invoke(app, ["replay", "--find", str(path)])
+    assert result.exit_code == 0, result.output
+
+
+def test_the_command_among_idm(tmp_path):
+    run, path = CliRunner(), tmp_path / "find.json"
+    for asked, message in (
+        (["--setting", "merge"], "settings that simulate it"),
+        (["--setting", "merge", "--drivers", "tame"], "have idm, bold, wild, mixed"),
+        (["--setting", "merge", "--drivers", "bold", "--policy", "faster"], "the policy is 'any'"),
+        (["--setting", "highway-fast", "--drivers", "wild"], "have drivers idm or bold"),
+    ):
+        result = run.invoke(app, ["falsify", str(path), *asked])
+        assert isinstance(result.exception, ConfigError)
+        assert message in str(result.exception)
 
 
 @pytest.mark.parametrize(

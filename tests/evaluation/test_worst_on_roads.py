@@ -24,8 +24,10 @@ from shield import ConfigError, ShieldConfig
 EXACT = ShieldConfig.exact()
 MERGE, ROUNDABOUT, EXIT = map(get_setting, ("merge", "roundabout", "exit"))
 TOLD = ShieldConfig.for_roads()
+PLANTED = TOLD.replace(assumptions=replace(TOLD.assumptions, visible_distance=8.0))
+"""A shield that counts on being seen in a lane from two lanes beside it."""
 BLIND = TOLD.replace(assumptions=replace(TOLD.assumptions, looks_ahead=True))
-"""On roundabout-v0 nobody looks beyond the end of the own lane."""
+"""On merge-v0 nobody looks beyond the end of the own lane."""
 
 
 def drawn(numbers, seed):
@@ -108,10 +110,10 @@ def test_a_search_finds_nothing_in_the_default(name, drivers):
 
 
 def test_a_hole_is_found_and_driven_again(tmp_path):
-    """A shield that counts on brakes that nobody has; with the settings of the road's own traffic it is none."""
+    """With the settings of the road's own traffic it is none."""
     run, path, told = CliRunner(), tmp_path / "find.json", tmp_path / "told.toml"
     PLANTED.save(told)
-    asked = ["falsify", str(path), "--setting", "exit", "--drivers", "bold", "--jobs", "1", "--seed", "SEED"]
+    asked = ["falsify", str(path), "--setting", "exit", "--drivers", "bold", "--jobs", "1", "--seed", "1"]
     result = run.invoke(app, [*asked, "--config", str(told), "--episodes", "100"])
     assert result.exit_code == 1, result.output
     find = Find.load(path)
@@ -121,7 +123,12 @@ def test_a_hole_is_found_and_driven_again(tmp_path):
     assert result.exit_code == 0, result.output
 
 
-def test_the_command_among_idm(tmp_path):
+@pytest.mark.slow
+def test_what_nobody_does_is_found_out():
+    assert search_roads(MERGE, "bold", BLIND, episodes=170, seed=0).hole
+
+
+def test_the_command_says_what_would_be_valid(tmp_path):
     run, path = CliRunner(), tmp_path / "find.json"
     for asked, message in (
         (["--setting", "merge"], "settings that simulate it"),

@@ -103,7 +103,7 @@ def _replay_find(path: Path) -> None:
     found = Find.load(path)
     again = replay(found)
     table = Table("", "searched", "highway-env")
-    table.add_row("smallest clearance [m]", f"{found.clearance:.3f}", f"{again.clearance:.3f}")
+    table.add_row("smallest clearance \\[m]", f"{found.clearance:.3f}", f"{again.clearance:.3f}")
     _out.print(table)
 
 

@@ -98,6 +98,7 @@ def _among(
         found = search_roads(setting, drivers, config, episodes or _EPISODES["network"], seed, jobs)
         table = Table("", f"{found.episodes} episodes, {found.frames} frames in which something was promised")
         table.add_row("breach by one whom nobody has named", "found" if found.hole else "none")
+        table.add_row("frames in which one who kept to the rules made a margin less", str(found.shrunk))
         table.add_row("median clearance as drawn, of the buffer \\[m]", f"{found.median:.3f}")
         table.add_row("clearance of the buffer in the one kept \\[m]", f"{found.find.clearance:.3f}")
         table.add_row("crashes of the ego", str(found.crashed))

@@ -40,7 +40,8 @@ class RoadSearched:
     find : the first hole, or else the episode with the smallest clearance. episodes : how many were driven.
     hole : whether it is one. median : of the clearances in the first level, which was drawn at random [m].
     crashed : in how many the ego did. by_rule : how often each rule was broken.
-    frames : how many the clearance counted in.
+    frames : how many the clearance counted in. shrunk : in how many of them the margin of what was verified became
+        less because of one who kept to the rules (`RoadEpisode`).
     """
 
     find: Find
@@ -50,6 +51,7 @@ class RoadSearched:
     crashed: int
     by_rule: dict[str, int]
     frames: int
+    shrunk: int
 
 
 def has_network(setting: Setting) -> bool:
@@ -137,4 +139,5 @@ def search_roads(
         crashed=sum(each.crashed for each in driven),
         by_rule=dict(sum((Counter(each.by_rule) for each in driven), Counter())),
         frames=sum(each.counted for each in driven),
+        shrunk=sum(each.shrunk for each in driven),
     )

@@ -37,8 +37,8 @@ class RoadSearched:
 
     Attributes
     ----------
-    find : the first hole, or else the episode with the smallest clearance. episodes : how many were driven.
-    hole : whether it is one. median : of the clearances in the first level, which was drawn at random [m].
+    find : the first hole, or else the episode that came nearest to one (`RoadEpisode.performance`).
+    episodes : how many were driven. hole : whether it is one. median : of the clearances in the first level, which was drawn at random [m].
     crashed : in how many the ego did. by_rule : how often each rule was broken.
     frames : how many the clearance counted in. shrunk : in how many of them the margin of what was verified became
         less because of one who kept to the rules (`RoadEpisode`).
@@ -119,7 +119,7 @@ def search_roads(
             pass
     last = next((k for k, each in enumerate(driven) if each.hole), len(driven) - 1)
     driven = driven[: last + 1]
-    worst = min(range(len(driven)), key=lambda k: (not driven[k].hole, driven[k].clearance))
+    worst = min(range(len(driven)), key=lambda k: driven[k].performance)
     find = Find(
         env_id=setting.env_id,
         config=dict(setting.config),

@@ -102,7 +102,7 @@ def test_scenes_of_ones_own_choice():
 def test_chosen_scenes_are_distributed_as_drawn_ones():
     setting = Setting("short", "highway-fast-v0", {"vehicles_count": 8, "duration": 8})
     many, n = Many(setting, "idle", BARE, chosen=True), 1500
-    gaps, times, offences = many.run_chosen(np.random.default_rng(1).random((n, many.draws)))
+    gaps, times, offences, _ = many.run_chosen(np.random.default_rng(1).random((n, many.draws)))
     rate, drawn = (gaps == 0).mean(), many.run(range(n))["crashed"].mean()
     assert abs(rate - drawn) < 4 * np.sqrt(rate * (1 - rate) * 2 / n)
     assert ((times == 0) == (gaps == 0)).all()

@@ -38,7 +38,8 @@ class RoadSearched:
     Attributes
     ----------
     find : the first hole, or else the episode that came nearest to one (`RoadEpisode.performance`).
-    episodes : how many were driven. hole : whether it is one. median : of the clearances in the first level, which was drawn at random [m].
+    episodes : how many were driven. hole : whether the find is one.
+    median : of the clearances in the first level, which was drawn at random [m].
     crashed : in how many the ego did. by_rule : how often each rule was broken.
     frames : how many the clearance counted in. shrunk : in how many of them the margin of what was verified became
         less because of one who kept to the rules (`RoadEpisode`).

@@ -17,7 +17,8 @@ from scipy.stats import norm
 
 from dynamics.traffic.assumptions import Assumptions
 from evaluation.measuring.statistics import clopper_pearson
-from evaluation.rare.falsify import ANY, crash_probability, falsify, falsify_among
+from evaluation.rare.falsify import crash_probability, falsify, falsify_among
+from evaluation.rare.finds import ANY
 from evaluation.rare.strata import Strata, stratified
 from evaluation.rare.subset import subset_simulation
 from evaluation.running.many import Many

@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from evaluation.commands.falsifying import falsify_command
 from evaluation.commands.names import DEMO_SETTING
 from evaluation.names import SIMULATORS
 from shield.config import ShieldConfig
@@ -97,71 +98,13 @@ def replay_command(
 
 
 def _replay_find(path: Path) -> None:
-    from evaluation.rare.falsify import Find, replay
+    from evaluation.rare.finds import Find, replay
 
     found = Find.load(path)
     again = replay(found)
     table = Table("", "searched", "highway-env")
-    table.add_row("smallest clearance [m]", f"{found.clearance:.3f}", f"{again.clearance:.3f}")
+    table.add_row("smallest clearance \\[m]", f"{found.clearance:.3f}", f"{again.clearance:.3f}")
     _out.print(table)
-
-
-def falsify_command(
-    output: Annotated[Path, typer.Argument(help="JSON file for the worst episode; `shield replay --find` drives it.")],
-    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
-    policy: Annotated[
-        str, typer.Option(help="A policy by name, an SB3 .zip, or `any`: its actions are searched too.")
-    ] = "any",
-    episodes: Annotated[
-        int, typer.Option(min=1, help="How many to drive, about; among idm at least 500, among bold at most.")
-    ] = 5_000,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
-    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
-    drivers: Annotated[
-        str,
-        typer.Option(
-            help="Who drives the others. idm: highway-env's own; bold: as reckless as the rules permit, on two lanes,"
-            " in highway-env itself, until something is found."
-        ),
-    ] = "idm",
-    jobs: Annotated[int, typer.Option(help="Processes among bold drivers; -1 for one per core.")] = -1,
-) -> None:
-    """Search scenes and actions for the shielded episode that comes nearest to a crash.
-
-    Subset simulation over the numbers that a reset draws, and over the policy's actions. Among
-    bold drivers, who keep to the rules: seed by seed, for a crash or a breach of the buffer
-    with nobody named (it ends with 1 then), or for somebody named who has done no wrong.
-    """
-    from evaluation.rare.falsify import ANY, TRAFFIC, falsify, falsify_among
-    from evaluation.settings import get_setting
-
-    shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)
-    if drivers not in TRAFFIC:
-        raise ConfigError(f"unknown drivers {drivers!r}; have {', '.join(TRAFFIC)}")
-    if drivers == "bold":
-        if policy != ANY:
-            raise ConfigError(f"among bold drivers the policy is {ANY!r}, not {policy!r}")
-        met = falsify_among(get_setting(setting), shield_config, episodes, seed, jobs=jobs)
-        met.find.save(output)
-        table = Table("", f"{met.episodes} episodes, {met.began} of them from a verified start")
-        table.add_row("crash or breach, nobody named: seeds", ", ".join(map(str, met.holes)) or "none")
-        named = ", ".join(f"{rule} {count}" for rule, count in met.by_rule.items())
-        table.add_row("somebody named", f"in {met.named} ({named})" if named else "in none")
-        table.add_row("clearance of the buffer in the one kept [m]", f"{met.find.clearance:.3f}")
-        _out.print(table)
-        _out.print(f"wrote {output}")
-        if met.holes:
-            raise typer.Exit(1)
-        return
-    found = falsify(get_setting(setting), policy, shield_config, episodes, seed)
-    found.find.save(output)
-    table = Table("", f"{found.episodes} episodes")
-    table.add_row("median clearance as drawn [m]", f"{found.median:.3f}")
-    table.add_row("smallest clearance found [m]", f"{found.find.clearance:.3f}")
-    table.add_row("crashes in the last level", str(found.crashed))
-    table.add_row("as drawn, in which the traffic broke an assumption", f"{100 * found.offended:.1f} %")
-    _out.print(table)
-    _out.print(f"wrote {output}")
 
 
 def rare_command(

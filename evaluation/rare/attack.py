@@ -29,6 +29,8 @@ from shield.roads.watch import Breach
 __all__ = ["DRIVERS", "Attack", "attack", "attack_many", "man"]
 
 DRIVERS = ("wild", "bold", "mixed")
+Draw = Any
+"""A numpy generator, or what stands for one."""
 Ahead = dict[tuple[str, str, int], list[tuple[str, str, int]]]
 _HELD = 2, 20
 _HIT = 8.0
@@ -42,8 +44,8 @@ _CAUTION = 1.0
 class Wild(Vehicle):  # type: ignore[misc]
     """Throttle and steering at random, each held for a while; nothing else decides what it does."""
 
-    def take(self, draw: np.random.Generator, door: RoadDoor, period: float, ahead: Ahead) -> None:
-        """Be driven by these numbers, in frames of so long [s], on lanes that lead to these."""
+    def take(self, draw: Draw, turns: Draw, door: RoadDoor, period: float, ahead: Ahead) -> None:
+        """Be driven by these numbers, and turn by these, in frames of so long [s], on lanes that lead to these."""
         self.draw, self.left, self.route = draw, 0, ()
 
     def act(self, action: Any = None) -> None:
@@ -64,10 +66,10 @@ class Bold(ControlledVehicle):  # type: ignore[misc]
 
     target_lane_index: Any
 
-    def take(self, draw: np.random.Generator, door: RoadDoor, period: float, ahead: Ahead) -> None:
-        """Be driven by these numbers, in frames of so long [s], on lanes that lead to these."""
+    def take(self, draw: Draw, turns: Draw, door: RoadDoor, period: float, ahead: Ahead) -> None:
+        """Be driven by these numbers, and turn by these, in frames of so long [s], on lanes that lead to these."""
         self.draw, self.left, self.held, self.period = draw, 0, 0.0, period
-        self.ahead = ahead
+        self.turns, self.ahead = turns, ahead
         self.door, self.assumptions, self.route = door, door.config.assumptions, None
 
     def act(self, action: Any = None) -> None:
@@ -87,7 +89,7 @@ class Bold(ControlledVehicle):  # type: ignore[misc]
         if self.road.network.get_lane(self.target_lane_index).after_end(self.position):
             ahead = self.ahead[self.target_lane_index]
             if ahead:
-                self.target_lane_index = ahead[int(self.draw.integers(len(ahead)))]
+                self.target_lane_index = ahead[int(self.turns.integers(len(ahead)))]
 
     def _permitted(self) -> float:
         """No faster than its lane, and no nearer to the one before it than it can stop behind."""
@@ -132,8 +134,14 @@ class Attack:
         return Breach.UNFORESEEN in self.by_rule or self.blameless
 
 
-def man(env: ShieldedEnv, drivers: str, vehicles: int, seed: int) -> None:
+def man(
+    env: ShieldedEnv, drivers: str, vehicles: int, seed: int, told: Sequence[tuple[Draw, Draw]] | None = None
+) -> None:
     """Put drivers into the first so many of the others.
+
+    Parameters
+    ----------
+    drivers : of `DRIVERS`. seed : of what they do. told : instead, what says so of each, and where it turns.
 
     Raises
     ------
@@ -150,7 +158,9 @@ def man(env: ShieldedEnv, drivers: str, vehicles: int, seed: int) -> None:
         if body is base.vehicle or left == 0:
             continue
         driven = kinds[left % len(kinds)](body.road, body.position.copy(), body.heading, body.speed)
-        driven.take(np.random.default_rng([seed, k]), env.door, period, ahead)
+        draw = np.random.default_rng([seed, k])
+        habits, turns = (draw, draw) if told is None else told[vehicles - left]
+        driven.take(habits, turns, env.door, period, ahead)
         driven.crashed = body.crashed
         base.road.vehicles[k], left = driven, left - 1
 

@@ -1,86 +1,42 @@
 """The search for the worst episode: over the scenes that a reset can make, and over what a policy can propose.
 
 On a straight highway nothing is drawn after the reset, so an episode is a function of the numbers that its scene is
-made from, and of the actions. Both are searched at once by subset simulation, for the smallest true clearance.
+made from, and of the actions. Both are searched at once by subset simulation, for the smallest true clearance. On a
+network of roads a scene is that of a seed, which has no neighbours: most moves keep it and change the actions.
 """
 
 from __future__ import annotations
 
-import json
 from collections import Counter
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtr
 
-from dynamics.simulator.simulator import Simulator
+from dynamics.networks.episodes.scenario import on_roads
 from dynamics.state import FloatArray, IntArray
-from evaluation.measuring.recorder import Recorder
-from evaluation.rare.bold import BoldEpisode, drive_bold, drive_bold_many
-from evaluation.rare.subset import Subset, subset_simulation
+from evaluation.rare.bold import BoldEpisode, drive_bold_many
+from evaluation.rare.finds import ANY, Find
+from evaluation.rare.subset import MOST_SHARE, Subset, subset_simulation
 from evaluation.running.many import Chosen, Many
-from evaluation.running.named_policies import make_policy, start_episode
 from evaluation.settings import Setting
-from shield import Shield, ShieldedEnv
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
 
-__all__ = ["ANY", "TRAFFIC", "Find", "Met", "Searched", "crash_probability", "falsify", "falsify_among", "replay"]
+__all__ = ["TRAFFIC", "Met", "Searched", "crash_probability", "falsify", "falsify_among"]
 
-ANY = "any"
-"""The policy that may propose anything: its actions are searched too. Drawn evenly, they are those of `random`."""
 _FREE = (ANY, "random")
-TRAFFIC = ("idm", "bold")
-"""Who drives the others: highway-env's own, or as recklessly as the rules permit (`evaluation.rare.bold`)."""
+_SCENES = 100_000
+"""So many seeds, from one on, are the scenes of a search on a network of roads."""
+_ACTIONS = 40
+"""So many actions of an episode are searched at most; what follows is the last of them."""
+_LOST = 1e3
+"""The clearance of an episode whose first decision finds nothing that verifies [m]: nothing was promised of it."""
+TRAFFIC = ("idm", "bold", "wild", "mixed")
+"""Who drives the others: highway-env's own, or as recklessly as the rules permit (`evaluation.rare.bold`); on networks
+of roads drivers of `evaluation.rare.attack`."""
 _AT_ONCE = 16
 """Episodes among bold drivers, in several processes, before it is asked whether anything was found."""
-_MOST = float(np.nextafter(1.0, 0.0))
-
-
-@dataclass(frozen=True, slots=True)
-class Find:
-    """One episode, to be driven again.
-
-    Attributes
-    ----------
-    env_id, config : the environment. shield : the shield's settings, TOML.
-    shares : the numbers that its scene is made from (see `Simulator.reset_to`).
-    policy : that proposes; of `ANY`, `actions` are what it proposes.
-    clearance : the smallest to anybody [m], 0 in a crash; among bold drivers that of the ego with its buffer, negative
-        where somebody was in it.
-    drivers : of `TRAFFIC`. Among bold ones `seed` says everything, and there are no shares and actions.
-    """
-
-    env_id: str
-    config: dict[str, Any]
-    shield: str
-    policy: str
-    shares: tuple[float, ...]
-    actions: tuple[int, ...]
-    clearance: float
-    drivers: str = "idm"
-    seed: int = 0
-
-    def save(self, path: str | Path) -> None:
-        """Write a JSON file."""
-        Path(path).write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
-
-    @classmethod
-    def load(cls, path: str | Path) -> Find:
-        """Read what `save` wrote.
-
-        Raises
-        ------
-        ConfigError
-            If it is not such a file.
-        """
-        try:
-            data = json.loads(Path(path).read_text(encoding="utf-8"))
-            return cls(**{**data, "shares": tuple(data["shares"]), "actions": tuple(data["actions"])})
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise ConfigError(f"{path} is no find of `shield falsify`: {error}") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +48,8 @@ class Searched:
     find : the worst episode. episodes : how many were driven. median : of the clearances in the first of them, which
         were drawn as a reset draws them [m]. crashed : how many of the last level crashed.
     offended : the share of the first in which the traffic broke the assumptions.
+    lost : on networks of roads, the share of the first whose first decision found nothing that verifies; of them
+        nothing is promised, and they are no finds. None elsewhere.
     """
 
     find: Find
@@ -99,6 +57,7 @@ class Searched:
     median: float
     crashed: int
     offended: float
+    lost: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,21 +83,31 @@ class Met:
 class _Episodes:
     """Points of a standard normal as episodes."""
 
-    def __init__(self, setting: Setting, policy: str, config: ShieldConfig) -> None:
+    def __init__(self, setting: Setting, policy: str, config: ShieldConfig, seed: int = 0) -> None:
         self._free = policy in _FREE
-        self._many = Many(setting, "idle" if self._free else policy, config, chosen=True)
-        self.scene, self.steps, self.labels = self._many.draws, self._many.steps, self._many.actions
+        self.seeded = on_roads(setting.env_id)
+        self._many = Many(setting, "idle" if self._free else policy, config, chosen=not self.seeded)
+        self.scene, self.labels = 1 if self.seeded else self._many.draws, self._many.actions
+        self.steps = min(self._many.steps, _ACTIONS) if self.seeded else self._many.steps
         self.dimensions = self.scene + (self.steps if self._free else 0)
+        self._first = seed
 
     def of(self, points: FloatArray) -> tuple[FloatArray, IntArray | None]:
         """The numbers that the scenes are made from (n, draws), and the actions (n, steps)."""
-        shares = np.minimum(ndtr(points), _MOST)
+        shares = np.minimum(ndtr(points), MOST_SHARE)
         actions = (shares[:, self.scene :] * self.labels).astype(np.intp) if self._free else None
         return shares[:, : self.scene], actions
 
+    def seeds(self, shares: FloatArray) -> IntArray:
+        """Of scenes on a network of roads, (n,)."""
+        return self._first + (shares[:, 0] * _SCENES).astype(np.intp)
+
     def drive(self, points: FloatArray) -> Chosen:
         """What happens in each."""
-        return self._many.run_chosen(*self.of(points))
+        shares, actions = self.of(points)
+        if self.seeded:
+            return self._many.run_seeds(self.seeds(shares), actions)
+        return self._many.run_chosen(shares, actions)
 
 
 def crash_probability(
@@ -159,7 +128,17 @@ def crash_probability(
     setting, policy : the environment, and the policy by name or as the path of a zip file; or `ANY`.
     config : the shield's settings; of mode "none" without a shield.
     samples, seed, share : see `subset_simulation`.
+
+    Raises
+    ------
+    ConfigError
+        If it is a network of roads, whose scenes are those of seeds.
     """
+    if on_roads(setting.env_id):
+        raise ConfigError(
+            f"the scenes of {setting.name} go by seeds, which lead nowhere; have a straight highway, or count"
+            " with `shield certify`"
+        )
     episodes = _Episodes(setting, policy, config)
     return subset_simulation(
         lambda points: episodes.drive(points).time_to_collision, episodes.dimensions, samples, share, seed
@@ -179,29 +158,42 @@ def falsify(
 
     Parameters
     ----------
-    setting, config : as in `crash_probability`. policy : likewise, or `ANY`.
+    setting, config : as in `crash_probability`; or a network of roads, and settings that simulate. policy : likewise,
+        or `ANY`.
     episodes : to drive, about. samples : of each level.
+    seed : of the search; on a network of roads the scenes are those of the `_SCENES` seeds from here on.
+
+    Raises
+    ------
+    ConfigError
+        If there are too few episodes for a level, or what drives side by side cannot drive these.
     """
     if episodes < samples:
         raise ConfigError(f"have at least {samples} episodes, a level's, not {episodes}")
-    searched, first = _Episodes(setting, policy, config), list[Chosen]()
+    if on_roads(setting.env_id) and not config.simulates:
+        raise ConfigError(
+            f"highway-env's own traffic on {setting.name} is searched with settings that simulate it"
+            " (`shield config --profile exact`); with others have drivers bold, wild or mixed"
+        )
+    searched, first = _Episodes(setting, policy, config, seed), list[Chosen]()
 
     def clearance(points: FloatArray) -> FloatArray:
         found = searched.drive(points)
         first.append(found)
-        return found.clearance
+        return np.where(found.lost, _LOST, found.clearance) if searched.seeded else found.clearance
 
-    most = episodes - samples + 1
-    result = subset_simulation(clearance, searched.dimensions, samples, 0.1, seed, most=most)
+    most, jumps = episodes - samples + 1, searched.scene if searched.seeded else 0
+    result = subset_simulation(clearance, searched.dimensions, samples, 0.1, seed, most=most, jumps=jumps)
     shares, actions = searched.of(result.points[:1])
     find = Find(
         env_id=setting.env_id,
         config=dict(setting.config),
         shield=config.to_toml(),
         policy=policy if actions is None else ANY,
-        shares=tuple(shares[0].tolist()),
+        shares=() if searched.seeded else tuple(shares[0].tolist()),
         actions=() if actions is None else tuple(actions[0].tolist()),
         clearance=float(result.performance[0]),
+        seed=int(searched.seeds(shares)[0]) if searched.seeded else 0,
     )
     drawn = first[0]
     return Searched(
@@ -210,6 +202,7 @@ def falsify(
         float(np.median(drawn.clearance)),
         int((result.performance <= 0).sum()),
         float((drawn.offences > 0).mean()),
+        float(drawn.lost.mean()) if searched.seeded else None,
     )
 
 
@@ -253,45 +246,3 @@ def falsify_among(
     )
     holes = tuple(x.seed for x in began if x.unnamed)
     return Met(find, len(driven), len(began), sum(bool(x.named) for x in began), dict(by_rule), holes)
-
-
-def replay(find: Find) -> Find:
-    """Drive a find again in highway-env itself; its clearance is what is found there."""
-    setting, shield = Setting("find", find.env_id, find.config), ShieldConfig.from_toml(find.shield)
-    if find.drivers == "bold":
-        return replace(find, clearance=drive_bold(setting, find.seed, shield).clearance)
-    simulator = Simulator(find.env_id, 1, find.config, tape=True)
-    simulator.reset_to(np.array(find.shares)[None], [0])
-    env = setting.make()
-    policy: Any = _Told(find.actions) if find.policy == ANY else make_policy(find.policy, env)
-    shielded: Any = env
-    if find.policy != ANY:
-        start_episode(policy, 0)
-    if shield.simulates:
-        policy = Shield(policy, env, shield, frames=False)
-    elif shield.mode != "none":
-        shielded = ShieldedEnv(env, shield, policy=None if find.policy == ANY else policy)
-    shielded.reset(seed=0)
-    simulator.store(env)
-    base: Any = env.unwrapped
-    obs, recorder, done = base.observation_type.observe(), Recorder(env), False
-    while not done:
-        action = int(np.asarray(policy.predict(obs, deterministic=True)[0]).item())
-        obs, _, terminated, truncated, _ = shielded.step(action)
-        done = bool(terminated or truncated)
-    env.close()
-    return replace(find, clearance=recorder.history().min_gap())
-
-
-class _Told:
-    """Proposes what it is told to, and then the last of it."""
-
-    def __init__(self, actions: tuple[int, ...]) -> None:
-        self._actions, self._step = actions, -1
-
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> tuple[Any, Any]:
-        """The next."""
-        self._step += 1
-        return np.asarray(self._actions[min(self._step, len(self._actions) - 1)]), state

@@ -8,7 +8,9 @@ x ~ N(0, I) of d numbers, a performance g(x), and the event F = {g <= 0}. With l
 
 Each level is the p0-quantile of the samples of the one before, and each conditional probability is estimated from
 Markov chains that start at those samples. A move proposes x' = sqrt(1 - s^2) x + s xi, xi ~ N(0, I), which leaves
-N(0, I) as it is, and is taken where g(x') <= b; s adapts until 44 % are taken.
+N(0, I) as it is, and is taken where g(x') <= b; s adapts until 44 % are taken. What stands for something without
+neighbours, such as a seed, has no small moves: it is kept in most, and drawn anew in the others, which leaves N(0, I)
+as it is too.
 
 Sources: Au and Beck 2001 (subset simulation); Papaioannou, Betz, Zwirglmaier and Straub 2015 (conditional sampling and
 how s adapts); Cotter, Roberts, Stuart and White 2013 (the move).
@@ -24,7 +26,7 @@ import numpy as np
 from dynamics.errors import ConfigError
 from dynamics.state import BoolArray, FloatArray
 
-__all__ = ["Level", "Subset", "subset_simulation"]
+__all__ = ["MOST_SHARE", "Level", "Subset", "subset_simulation"]
 
 Performance = Callable[[FloatArray], FloatArray]
 """g of points (n, d), (n,): the event is where it is not positive."""
@@ -32,6 +34,10 @@ Performance = Callable[[FloatArray], FloatArray]
 _ACCEPTED, _FIRST_STEP = 0.44, 0.6
 """Share of moves that are to be taken, and the first s."""
 _MOST_LEVELS = 20
+_JUMPS = 0.1
+"""Share of the moves that draw anew what has no neighbours."""
+MOST_SHARE = float(np.nextafter(1.0, 0.0))
+"""The greatest number below 1: what a normal comes to as a share at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +82,7 @@ def subset_simulation(
     share: float = 0.1,
     seed: int = 0,
     most: int | None = None,
+    jumps: int = 0,
 ) -> Subset:
     """Estimate P(g <= 0) for a standard normal of so many dimensions.
 
@@ -85,6 +92,7 @@ def subset_simulation(
     samples : of each level. share : p0; `samples` times it has to be a whole number, and so has its reciprocal.
     seed : of what is drawn.
     most : evaluations after which no further level is begun; then the estimate is 0 if the event was not met.
+    jumps : how many of the dimensions, the first, have no neighbours.
 
     Raises
     ------
@@ -100,6 +108,8 @@ def subset_simulation(
     chains, length = round(samples * share), round(1 / share)
     if chains < 2 or chains * length != samples:
         raise ConfigError(f"{samples} samples cannot be chains of {1 / share:g} each; have such as 1000 with 0.1")
+    if not 0 <= jumps <= dimensions:
+        raise ConfigError(f"have from 0 to {dimensions} dimensions without neighbours, not {jumps}")
     rng = np.random.default_rng(seed)
     points = rng.standard_normal((samples, dimensions))
     g = _asked(performance, points)
@@ -125,6 +135,10 @@ def subset_simulation(
         runs_x, runs_g, moved = [x.copy()], [at.copy()], 0
         for _ in range(length - 1):
             proposed = np.sqrt(1 - step**2) * x + step * rng.standard_normal(x.shape)
+            if jumps:
+                # A move that would change nothing else jumps.
+                kept = rng.random(chains) >= (_JUMPS if jumps < dimensions else 1.0)
+                proposed[:, :jumps] = np.where(kept[:, None], x[:, :jumps], rng.standard_normal((chains, jumps)))
             found = _asked(performance, proposed)
             good = found <= bound
             x[good], at[good] = proposed[good], found[good]

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from dynamics.state import FloatArray, IntArray
+from dynamics.state import BoolArray, FloatArray, IntArray
 from evaluation.measuring.tally import SOON, Tallies, begin_tally, empty_tallies, tally
 from evaluation.policies import list_references
 from evaluation.running.episodes import run_episode
@@ -17,7 +17,7 @@ from evaluation.running.named_policies import ConstantPolicy, RandomPolicy, Weav
 from evaluation.running.records import told, variant_for
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
-from shield.batch.vocabulary import rules_in
+from shield.batch.vocabulary import FALLBACKS, rules_in
 from shield.config import ShieldConfig
 from shield.doors.ranking import normalised, orders_from_scores, ranking_of
 from shield.errors import ConfigError
@@ -39,11 +39,13 @@ class Chosen(NamedTuple):
     clearance : the smallest of each (n,) [m]. time_to_collision : the least at constant velocities, (n,) [s]; both are
         0 in a crash, and positive elsewhere.
     offences : of the traffic against the assumptions, (n,).
+    lost : whether the first decision found nothing that verifies, and a fallback acted, (n,).
     """
 
     clearance: FloatArray
     time_to_collision: FloatArray
     offences: IntArray
+    lost: BoolArray
 
 
 class _Drivers(Protocol):
@@ -154,7 +156,7 @@ class Many:
             self._highways.reset([seeds[k]], [i])
             self._drivers.begin(i, seeds[k])
 
-        def end(i: int, k: int, tallies: Tallies) -> None:
+        def end(i: int, k: int, tallies: Tallies, lost: bool) -> None:
             rows[k] = self._row(seeds[k], tallies, i)
 
         self._drive(len(seeds), begin, end, False)
@@ -189,38 +191,55 @@ class Many:
         """
         if actions is None and self._draws:
             raise ConfigError("random actions go by an episode's seed; in scenes of one's own choice have actions=")
-        gaps, times, offences = np.empty(len(shares)), np.empty(len(shares)), np.zeros(len(shares), np.intp)
 
         def begin(i: int, k: int) -> None:
             self._highways.reset_to(shares[k : k + 1], [i])
-            if actions is None:
-                self._drivers.begin(i, 0)
-            else:
-                planned[i] = actions[k]
+            self._drivers.begin(i, 0)
 
-        def end(i: int, k: int, tallies: Tallies) -> None:
-            gaps[k] = tallies.min_gap[i]
+        return self._run(len(shares), begin, actions)
+
+    def run_seeds(self, seeds: Sequence[int] | IntArray, actions: IntArray | None = None) -> Chosen:
+        """Episodes in the scenes of these seeds; `actions` and what is returned as in `run_chosen`."""
+
+        def begin(i: int, k: int) -> None:
+            self._highways.reset([int(seeds[k])], [i])
+            self._drivers.begin(i, int(seeds[k]))
+
+        return self._run(len(seeds), begin, actions)
+
+    def _run(self, count: int, begin: Callable[[int, int], None], actions: IntArray | None) -> Chosen:
+        gaps, times, offences = np.empty(count), np.empty(count), np.zeros(count, np.intp)
+        given_up = np.zeros(count, np.bool_)
+
+        def end(i: int, k: int, tallies: Tallies, lost: bool) -> None:
+            gaps[k], given_up[k] = tallies.min_gap[i], lost
             times[k] = 0.0 if tallies.crashed[i] else max(tallies.min_ttc[i], SOON)
             offences[k] = tallies.violations[i]
+
+        def begin_planned(i: int, k: int) -> None:
+            begin(i, k)
+            if actions is not None:
+                planned[i] = actions[k]
 
         drivers = self._drivers
         planned = np.zeros((self._highways.num_envs, 1 if actions is None else actions.shape[1]), np.intp)
         if actions is not None:
             self._drivers = _Planned(planned)
         try:
-            self._drive(len(shares), begin, end, True)
+            self._drive(count, begin_planned, end, True)
         finally:
             self._drivers = drivers
-        return Chosen(gaps, times, offences)
+        return Chosen(gaps, times, offences, given_up)
 
     def _drive(
-        self, count: int, begin: Callable[[int, int], None], end: Callable[[int, int, Tallies], None], times: bool
+        self, count: int, begin: Callable[[int, int], None], end: Callable[[int, int, Tallies, bool], None], times: bool
     ) -> None:
         """Drive so many episodes: `begin` starts one in an environment, `end` takes what it has added up to, with the
-        times to collision or without."""
+        times to collision or without, and whether it was lost from the first (`Chosen`)."""
         highways, e = self._highways, self._highways.num_envs
         seen, tallies = highways.simulator.seen, empty_tallies(e)
         place, going, left = np.full(e, -1), np.zeros(e, np.bool_), 0
+        lost = np.zeros(e, np.bool_)
         scene = np.empty((highways.rows.shape[2], highways.rows.shape[3]))
         steps = np.zeros(e, np.intp)
 
@@ -242,11 +261,12 @@ class Many:
             while going.any():
                 actions, orders = self._drivers.act(seen.observations, steps)
                 highways.step(actions, orders)
+                lost = np.where(steps == 0, FALLBACKS[highways.records.tier], lost)
                 tally(tallies, highways.records, highways.rows, highways.off_road, seen.reward, going, times)
                 steps += going
                 over = seen.terminated | seen.truncated
                 for i in np.flatnonzero(over & going).tolist():
-                    end(i, int(place[i]), tallies)
+                    end(i, int(place[i]), tallies, bool(lost[i]))
                     follow(i)
                 for i in np.flatnonzero(over & ~going).tolist():
                     highways.reset([0], [i])

@@ -58,6 +58,8 @@ class RoadDoor:
     cause : why the scene of the last decision could not be read, "" where it could.
     watch : what has been seen of the others.
     disturbed : whether one who has broken a rule has been in the way of what was verified last.
+    kept : how far what was verified last stayed clear of each of the others then, and does a frame later [m]. Of who
+        keeps to what is assumed it is never less.
     """
 
     supervising = True
@@ -82,6 +84,8 @@ class RoadDoor:
         self._clear: set[Any] = set()
         self._wish: Wish | None = None
         self.disturbed = False
+        self.kept: dict[Any, tuple[float, float]] = {}
+        self._then: dict[Any, float] = {}
         self._ready: tuple[Course, Decision] | None = None
 
     @property
@@ -112,6 +116,10 @@ class RoadDoor:
         brakes now, it may break the rule of the right of way (`shield.roads.watch`)."""
         return self._dues.counts_on(body, self._road.duty.reaction)
 
+    def is_owed_by(self, body: Any) -> bool:
+        """Whether another vehicle owes the ego its distance: it is behind it, and is believed to brake in time."""
+        return self._dues.is_owed_by(body)
+
     def culprits(self, bodies: Iterable[Any]) -> set[Any]:
         """Who of those that the ego has just crashed with had broken a rule, or has since the last frame."""
         hit = set(bodies)
@@ -122,6 +130,12 @@ class RoadDoor:
         finally:
             for body in hit:
                 body.crashed = True
+
+    def have_broken(self, bodies: Iterable[Any], since: Seen) -> set[Any]:
+        """Who of these has broken a rule from a scene on, a frame ago, to the one seen last, whether or not what is
+        verified suffers from it."""
+        last = self.watch.last
+        return set() if last is None else Watch(last=since).judge(last, set(bodies), self._road)
 
     def reset(self) -> None:
         """Forget everything about the episode."""
@@ -240,11 +254,12 @@ class RoadDoor:
 
     def _watch(self, seen: Seen) -> None:
         """Who has broken a rule since the scene before."""
-        margins, ego = None, self._base.vehicle
-        # Who has been hit does not do what it is told.
-        if self._stored is not None and not ego.crashed and ego.impact is None:
+        margins, self.kept, ego = None, {}, self._base.vehicle
+        # Who has been hit does not do what it is told; who is about to be has done it so far.
+        if self._stored is not None and not ego.crashed:
             self._try(self._stored)
             margins = self._trial.margins
+            self.kept = {b: (self._then[b], float(margins[i])) for i, b in enumerate(seen.who) if b in self._then}
         self.watch.next(seen, self._clear, margins, self._road)
         self.disturbed = self.disturbed or bool(self.watch.offenders)
         self._others.offends[:] = [body in self.watch.offenders for body in seen.who]
@@ -282,6 +297,7 @@ class RoadDoor:
         """Remember what is gone on with; the trial holds what comes of it."""
         who = [] if self.watch.last is None else self.watch.last.who
         self._clear = set(who) if tier.verified else set()
+        self._then = {body: float(self._trial.margins[i]) for i, body in enumerate(who)} if tier.verified else {}
         self.disturbed = self.disturbed and not tier.verified
         self._keep_distance(who, tier.verified)
         if self._road.duty.gives_way:

@@ -52,6 +52,10 @@ class Dues:
         """Whether a vehicle has been counted on to wait for more than so many frames."""
         return max(self.waits.get(body, {}).values(), default=0) > reaction
 
+    def is_owed_by(self, body: Any) -> bool:
+        """Whether a vehicle owes the ego its distance."""
+        return bool(self.distance.get(body))
+
     def keep_distance(
         self, who: list[Any], others: Others, trial: Trial, road: Road, buffer: float, verified: bool
     ) -> None:

@@ -15,6 +15,8 @@ else yields: who crosses, joins or comes the other way is where the strips say.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from dynamics.compiled import inlined, uncounted
@@ -36,6 +38,15 @@ def _beside(box: FloatArray, row: FloatArray) -> float:
     return max(box[2] - row[HIGH], row[LOW] - box[3])
 
 
+@inlined
+def _arrival(v: float, way: float, acceleration: float, dt: float) -> float:
+    """How fast one can be at most in its first frame beyond so much way [m/s], wherever between two frames it comes
+    there. v (v - a dt) + 2 a way becomes greater in no frame, however it drives: so neither does this."""
+    step = acceleration * dt
+    reserve = max(v * (v - step), 0.0) + 2 * acceleration * max(way, 0.0)
+    return 1.5 * step + math.sqrt(reserve + 0.25 * step * step)
+
+
 @uncounted
 def _followed(
     others: Others, road: Road, trial: Trial, j: int, since: int, delay: int, anywhere: bool, rests: bool
@@ -47,7 +58,8 @@ def _followed(
     i, row, lane = others.marks[j, 0], others.numbers[j], others.marks[j, 1]
     boxes, first, last = trial.boxes, trial.met[lane, 0], trial.met[lane, 1]
     top, most = max(others.drive[i, 0], others.rows[i, 3]), others.drive[i, 2]
-    v, x, waited, least, k = max(others.rows[i, 3], 0.0), 0.0, 0, np.inf, 0
+    v0 = max(others.rows[i, 3], 0.0)
+    v, x, waited, least, k = v0, 0.0, 0, np.inf, 0
     within = row[NEAR] <= 0
     while k <= last or (rests and v > 0.0):
         box = boxes[lane, min(k, last)]
@@ -59,7 +71,8 @@ def _followed(
                 return least
         there = anywhere or x >= row[NEAR]
         if there and not anywhere and not within:
-            # One that is slower may be further into the lane in its first frame there.
+            # One that is slower may be further into the lane in its first frame there, and faster.
+            v = max(v, min(_arrival(v0, row[NEAR] / most, conduct.acceleration, dt), top))
             x = row[NEAR] + v * most * dt
             within = True
         waited = waited + 1 if k >= since and there else 0

@@ -14,7 +14,8 @@ from dynamics.simulator.simulator import Simulator
 from dynamics.traffic.assumptions import Assumptions
 from evaluation.commands.cli import app
 from evaluation.rare.bold import drive_bold
-from evaluation.rare.falsify import ANY, Find, crash_probability, falsify, falsify_among, replay
+from evaluation.rare.falsify import crash_probability, falsify, falsify_among
+from evaluation.rare.finds import ANY, Find, replay
 from evaluation.rare.strata import Strata, stratified
 from evaluation.rare.subset import subset_simulation
 from evaluation.running.many import Many
@@ -101,7 +102,7 @@ def test_scenes_of_ones_own_choice():
 def test_chosen_scenes_are_distributed_as_drawn_ones():
     setting = Setting("short", "highway-fast-v0", {"vehicles_count": 8, "duration": 8})
     many, n = Many(setting, "idle", BARE, chosen=True), 1500
-    gaps, times, offences = many.run_chosen(np.random.default_rng(1).random((n, many.draws)))
+    gaps, times, offences, _ = many.run_chosen(np.random.default_rng(1).random((n, many.draws)))
     rate, drawn = (gaps == 0).mean(), many.run(range(n))["crashed"].mean()
     assert abs(rate - drawn) < 4 * np.sqrt(rate * (1 - rate) * 2 / n)
     assert ((times == 0) == (gaps == 0)).all()

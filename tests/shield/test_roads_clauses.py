@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.objects import Obstacle
+from slowly import later
 
 from dynamics.networks.prediction import reach
 from dynamics.networks.strips import Conduct
@@ -222,3 +223,18 @@ def test_they_have_time_to_react():
         if known >= CLEAR > fresh:
             clear = s
     assert clear is not None
+
+
+@pytest.mark.parametrize(("way", "speed"), [(40.0, 0.0), (3.0, 0.4), *later((3.0, 0.0), (41.3, 8.0), (118.0, 11.47))])
+def test_who_comes_from_the_lane_before_gains_nothing_by_how_the_frames_fall(way, speed):
+    """It brakes, goes on or accelerates for a frame: the ego that stands before it is as far from it as it was."""
+    lane, after, dt = ("a", "b", 0), ("b", "c", 0), 1 / 15
+
+    def stays(s, v):
+        return margin(scene("merge-v0", after, 70.0, 0.0, [(lane, s, v)]), 0.0, 0.0)
+
+    end = gym.make("merge-v0").unwrapped.road.network.get_lane(lane).length
+    then = stays(end - way, speed)
+    for rate in (-6.0, -1.7, 0.0, 1.1, 3.0):
+        now = stays(end - way + speed * dt, max(speed + rate * dt, 0.0))
+        assert now >= then - 1e-6

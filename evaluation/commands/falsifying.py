@@ -1,0 +1,125 @@
+"""The command that searches for the worst: falsify."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from evaluation.commands.names import DEMO_SETTING
+from shield.config import ShieldConfig
+from shield.errors import ConfigError
+
+if TYPE_CHECKING:
+    from evaluation.settings import Setting
+
+__all__ = ["falsify_command"]
+
+_out = Console()
+_EPISODES = {"idm": 5_000, "bold": 5_000, "network": 500}
+
+
+def falsify_command(
+    output: Annotated[Path, typer.Argument(help="JSON file for the worst episode; `shield replay --find` drives it.")],
+    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
+    policy: Annotated[
+        str, typer.Option(help="A policy by name, an SB3 .zip, or `any`: its actions are searched too.")
+    ] = "any",
+    episodes: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="How many to drive, about, 5,000 by default; among idm at least 500. Among other drivers at most, and"
+            " on road networks at least 50, 500 by default.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the search; on road networks of its scenes too.")] = 0,
+    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
+    drivers: Annotated[
+        str,
+        typer.Option(
+            help="Who drives the others. idm: highway-env's own. In highway-env itself, until something is found: bold,"
+            " as reckless as the rules permit (on straight highways on two lanes); on road networks also wild, throttle"
+            " and steering, and mixed."
+        ),
+    ] = "idm",
+    jobs: Annotated[int, typer.Option(help="Processes among drivers other than idm; -1 for one per core.")] = -1,
+) -> None:
+    """Search scenes and actions for the shielded episode that comes nearest to a crash.
+
+    Subset simulation over the numbers that a reset draws, and over the policy's actions; on
+    road networks over seeds and actions, with settings that simulate the traffic. Among bold
+    drivers on straight highways: seed by seed, for a crash or a breach of the buffer with
+    nobody named (it ends with 1 then), or for somebody named who has done no wrong. Among
+    drivers on road networks: subset simulation over what each of them does and what the ego
+    proposes, for a breach by one whom nobody has named (it ends with 1 then).
+    """
+    from evaluation.rare.falsify import TRAFFIC, falsify
+    from evaluation.rare.finds import ANY
+    from evaluation.settings import get_setting
+
+    where, given = get_setting(setting), None if config is None else ShieldConfig.load(config)
+    if drivers not in TRAFFIC:
+        raise ConfigError(f"unknown drivers {drivers!r}; have {', '.join(TRAFFIC)}")
+    if drivers != "idm":
+        if policy != ANY:
+            raise ConfigError(f"among {drivers} drivers the policy is {ANY!r}, not {policy!r}")
+        _among(output, where, drivers, given, episodes, seed, jobs)
+        return
+    found = falsify(where, policy, given or ShieldConfig(), episodes or _EPISODES["idm"], seed)
+    found.find.save(output)
+    table = Table("", f"{found.episodes} episodes")
+    table.add_row("median clearance as drawn \\[m]", f"{found.median:.3f}")
+    table.add_row("smallest clearance found \\[m]", f"{found.find.clearance:.3f}")
+    table.add_row("crashes in the last level", str(found.crashed))
+    table.add_row("as drawn, in which the traffic broke an assumption", f"{100 * found.offended:.1f} %")
+    if found.lost is not None:
+        table.add_row("as drawn, in which nothing verified at first", f"{100 * found.lost:.1f} %")
+    _out.print(table)
+    _out.print(f"wrote {output}")
+
+
+def _among(
+    output: Path,
+    setting: Setting,
+    drivers: str,
+    config: ShieldConfig | None,
+    episodes: int | None,
+    seed: int,
+    jobs: int,
+) -> None:
+    from evaluation.rare.falsify import falsify_among
+    from evaluation.rare.road_search import has_network, search_roads
+
+    if has_network(setting):
+        found = search_roads(setting, drivers, config, episodes or _EPISODES["network"], seed, jobs)
+        table = Table("", f"{found.episodes} episodes, {found.frames} frames in which something was promised")
+        table.add_row("breach by one whom nobody has named", "found" if found.hole else "none")
+        table.add_row("frames in which one who kept to the rules made a margin less", str(found.shrunk))
+        table.add_row("median clearance as drawn, of the buffer \\[m]", f"{found.median:.3f}")
+        table.add_row("clearance of the buffer in the one kept \\[m]", f"{found.find.clearance:.3f}")
+        table.add_row("crashes of the ego", str(found.crashed))
+        table.add_row("rules broken", _told(found.by_rule) or "none")
+        find, hole = found.find, found.hole
+    else:
+        if drivers != "bold":
+            raise ConfigError(f"on straight highways have drivers idm or bold, not {drivers!r}: {setting.name} is one")
+        met = falsify_among(setting, config or ShieldConfig(), episodes or _EPISODES["bold"], seed, jobs=jobs)
+        table = Table("", f"{met.episodes} episodes, {met.began} of them from a verified start")
+        table.add_row("crash or breach, nobody named: seeds", ", ".join(map(str, met.holes)) or "none")
+        named = _told(met.by_rule)
+        table.add_row("somebody named", f"in {met.named} ({named})" if named else "in none")
+        table.add_row("clearance of the buffer in the one kept \\[m]", f"{met.find.clearance:.3f}")
+        find, hole = met.find, bool(met.holes)
+    find.save(output)
+    _out.print(table)
+    _out.print(f"wrote {output}")
+    if hole:
+        raise typer.Exit(1)
+
+
+def _told(by_rule: dict[str, int]) -> str:
+    return ", ".join(f"{rule} {count}" for rule, count in by_rule.items())

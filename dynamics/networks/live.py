@@ -103,7 +103,7 @@ def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: 
             p,
         )
         g[LANE, i], g[TARGET, i] = lanes[_key(body.lane_index)], lanes[_key(body.lane_index)]
-        f[[ALONG, ACROSS], i] = body.lane.local_coordinates(body.position)
+        f[ALONG, i], f[ACROSS, i] = body.lane.local_coordinates(body.position)
         if ego and body is not base.vehicle:
             g[KIND, i] = ALLY
         if ego and inputs:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,21 @@ CONSTANTS = frozenset(
 """What a vehicle, or a class of them, may have of its own."""
 _DRAWN = 6
 """Numbers that may be drawn for each vehicle: IDM's exponent, and the linear model's five."""
+_IN_ORDER = (
+    "MAX_SPEED",
+    "MIN_SPEED",
+    "ACC_MAX",
+    "COMFORT_ACC_MAX",
+    "DISTANCE_WANTED",
+    "TIME_WANTED",
+    "DELTA",
+    "POLITENESS",
+    "LANE_CHANGE_MIN_ACC_GAIN",
+    "LANE_CHANGE_MAX_BRAKING_IMPOSED",
+    "LANE_CHANGE_DELAY",
+)
+"""Constants as `layout` has them, but for the size and its diagonal before the first, and after the fourth twice the
+root of the product of IDM's accelerations."""
 _MADE = ("__init__", "__new__", "__getattr__", "__getattribute__")
 _STOCK = (IDMVehicle, LinearVehicle, AggressiveVehicle, DefensiveVehicle)
 
@@ -84,28 +100,19 @@ def mix_of(vehicle: type[Any]) -> tuple[type[Any], ...]:
 def constants_of(vehicle: Any) -> FloatArray:
     """What stays of a vehicle, or of a class of them, (P,); 0 for what it has not (see `layout`)."""
     numbers = np.zeros(P)
-    root = 2 * np.sqrt(-getattr(vehicle, "COMFORT_ACC_MAX", 0.0) * getattr(vehicle, "COMFORT_ACC_MIN", 0.0))
-    names: tuple[Any, ...] = (
-        "LENGTH",
-        "WIDTH",
-        np.sqrt(vehicle.LENGTH**2 + vehicle.WIDTH**2),
-        "MAX_SPEED",
-        "MIN_SPEED",
-        "ACC_MAX",
-        "COMFORT_ACC_MAX",
+    root = 2 * math.sqrt(-getattr(vehicle, "COMFORT_ACC_MAX", 0.0) * getattr(vehicle, "COMFORT_ACC_MIN", 0.0))
+    length, width = vehicle.LENGTH, vehicle.WIDTH
+    numbers[: len(_IN_ORDER) + 4] = [
+        length,
+        width,
+        math.sqrt(length**2 + width**2),
+        *(getattr(vehicle, name, 0.0) for name in _IN_ORDER[:4]),
         root,
-        "DISTANCE_WANTED",
-        "TIME_WANTED",
-        "DELTA",
-        "POLITENESS",
-        "LANE_CHANGE_MIN_ACC_GAIN",
-        "LANE_CHANGE_MAX_BRAKING_IMPOSED",
-        "LANE_CHANGE_DELAY",
-    )
-    for k, name in enumerate(names):
-        numbers[k] = getattr(vehicle, name, 0.0) if isinstance(name, str) else name
-    numbers[len(names) : len(names) + 3] = getattr(vehicle, "ACCELERATION_PARAMETERS", 0.0)
-    numbers[len(names) + 3 :] = getattr(vehicle, "STEERING_PARAMETERS", 0.0)
+        *(getattr(vehicle, name, 0.0) for name in _IN_ORDER[4:]),
+    ]
+    if hasattr(vehicle, "ACCELERATION_PARAMETERS"):
+        numbers[len(_IN_ORDER) + 4 : len(_IN_ORDER) + 7] = vehicle.ACCELERATION_PARAMETERS
+        numbers[len(_IN_ORDER) + 7 :] = vehicle.STEERING_PARAMETERS
     return numbers
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, cast
 
 import gymnasium as gym
@@ -128,12 +129,18 @@ def _check_clock(base: Any, scenario: Scenario) -> None:
         raise SceneError(f"the environment draws from {type(base.np_random.bit_generator).__name__}, not from PCG64")
 
 
+@lru_cache
+def _of_class(kind: type[Any]) -> frozenset[str]:
+    return frozenset(dir(kind))
+
+
 def check_body(body: Any, i: int, ego: bool, target_speeds: FloatArray) -> None:
     """Raise where a body has something of its own that the simulator does not know."""
     name = f"body {i} ({type(body).__name__})"
     if not (body.solid and body.collidable):
         raise SceneError(f"{name} is not solid or not collidable")
-    own = {each for each in vars(body) if hasattr(type(body), each)} - CONSTANTS - {"act"}
+    kind: Any = type(body)
+    own = set(vars(body)).intersection(_of_class(kind)) - CONSTANTS - {"act"}
     if not ego and "act" in vars(body):
         own.add("act")
     if own:
@@ -171,7 +178,7 @@ def kind_in_scene(body: Any, ego: bool) -> int:
 
 def load_body(body: Any, i: int, kind: int, f: FloatArray, g: Any, p: FloatArray) -> None:
     """Copy all of a body of a kind but its lanes and its route into column `i`."""
-    f[[X, Y], i] = body.position
+    f[X, i], f[Y, i] = body.position
     f[HEADING, i], f[SPEED, i] = body.heading, body.speed
     f[COS, i], f[SIN, i] = np.cos(body.heading), np.sin(body.heading)
     g[CRASHED, i], g[CHECKS, i] = body.crashed, body.check_collisions
@@ -183,7 +190,7 @@ def load_body(body: Any, i: int, kind: int, f: FloatArray, g: Any, p: FloatArray
     f[STEERING, i], f[ACCELERATION, i] = body.action["steering"], body.action["acceleration"]
     if body.impact is not None:
         g[IMPACTED, i] = 1
-        f[[IMPACT_X, IMPACT_Y], i] = body.impact
+        f[IMPACT_X, i], f[IMPACT_Y, i] = body.impact
     f[TARGET_SPEED, i] = getattr(body, "target_speed", 0.0)
     f[TIMER, i], g[CHANGES, i] = getattr(body, "timer", 0.0), getattr(body, "enable_lane_change", True)
 

@@ -32,6 +32,13 @@ ROADS = (
         _CLAUSES,
     ),
     off(
+        "who comes from the lane before is no faster for how the frames fall",
+        _JUDGING,
+        "            v = max(v, min(_arrival(v0, row[NEAR] / most, conduct.acceleration, dt), top))\n",
+        "",
+        _CLAUSES,
+    ),
+    off(
         "nobody brakes",
         _PREDICTION,
         "            slow = max(slow - conduct.braking * dt, 0.0) if",

@@ -15,7 +15,7 @@ from dynamics.networks.engine import command
 from dynamics.networks.layout import COUNT
 from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of
-from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
+from dynamics.simulator.layout import IMPACTED, SPEED, TARGET, TARGET_SPEED
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
@@ -255,9 +255,12 @@ class RoadDoor:
     def _watch(self, seen: Seen) -> None:
         """Who has broken a rule since the scene before."""
         margins, self.kept, ego = None, {}, self._base.vehicle
-        # Who has been hit does not do what it is told; who is about to be has done it so far.
+        # Who has been hit does not do what it is told; who is about to be has done it so far, and is judged unpushed.
         if self._stored is not None and not ego.crashed:
+            flags = self._alone.worlds.g[0, IMPACTED]
+            pushed, flags[:] = flags.copy(), 0
             self._try(self._stored)
+            flags[:] = pushed
             margins = self._trial.margins
             self.kept = {b: (self._then[b], float(margins[i])) for i, b in enumerate(seen.who) if b in self._then}
         self.watch.next(seen, self._clear, margins, self._road)

@@ -201,6 +201,22 @@ def test_holes_that_attacks_have_found_are_closed(env_id, seed, drivers):
     assert found.frames > 0
 
 
+@pytest.mark.parametrize("env_id", ["roundabout-v0", "intersection-v0", "merge-v0"])
+def test_who_is_about_to_be_pushed_is_judged_as_it_has_driven(env_id):
+    """highway-env pushes it in the coming frame: what the others have done by then is no worse for that."""
+    kept = []
+    for impact in (None, np.array([0.4, -0.5])):
+        env = ShieldedEnv(gym.make(env_id))
+        env.reset(seed=3)
+        for _ in range(2):
+            env.step(1)
+        env.unwrapped.vehicle.impact = impact
+        env.door.frame()
+        kept.append(list(env.door.kept.values()))
+    assert kept[0] == kept[1]
+    assert np.isfinite(kept[0]).any()
+
+
 def test_an_attack_asks_for_what_it_can_drive():
     with pytest.raises(ConfigError, match="have wild, bold, mixed"):
         attack(Setting("merge", "merge-v1"), 0, "tame")

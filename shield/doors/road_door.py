@@ -321,9 +321,9 @@ class RoadDoor:
     def _watch(self, who: list[Any]) -> None:
         margins, self.kept = None, {}
         ego = self._base.vehicle
-        # Who has been hit does not do what it is told; who is about to be has done it so far.
+        # Who has been hit does not do what it is told.
         if self._stored is not None and not ego.crashed:
-            try_course(self._alone, self._road, self._others, self._stored, True, self._trial)
+            self._try_again(self._stored)
             margins = self._trial.margins
             self.kept = {b: (self._then[b], float(margins[i])) for i, b in enumerate(who) if b in self._then}
         first = self.watch.last is None
@@ -335,6 +335,20 @@ class RoadDoor:
             stop = np.array([self._alone.worlds.g[0, TARGET, 0], 0.0, _COMMITTED, 0, 0, self.config.braking], float)
             try_course(self._alone, self._road, self._others, stop, True, self._trial)
             self._owe(True)
+
+    def _try_again(self, stored: FloatArray) -> None:
+        """What was verified a frame before, in this scene. A blow comes with the next frame: so far who is about to get
+        one has done what it was told, and is judged without it."""
+        ego, alone = self._base.vehicle, self._alone
+        impact, ego.impact = ego.impact, None
+        if impact is not None:
+            load_ego(self._base, alone.rules, self._index, alone.worlds)
+        try:
+            try_course(alone, self._road, self._others, stored, True, self._trial)
+        finally:
+            ego.impact = impact
+            if impact is not None:
+                load_ego(self._base, alone.rules, self._index, alone.worlds)
 
     def _owe(self, verified: bool) -> None:
         """Who owes the ego its distance from now on: whoever did, and is still behind it in a lane where it is seen;

@@ -39,12 +39,14 @@ def _beside(box: FloatArray, row: FloatArray) -> float:
 
 
 @inlined
-def _arrival(v: float, way: float, acceleration: float, dt: float) -> float:
+def _arrival(v: float, way: float, drive: FloatArray, acceleration: float, dt: float) -> float:
     """How fast one can be at most in its first frame beyond so much way [m/s], wherever between two frames it comes
-    there. v (v - a dt) + 2 a way becomes greater in no frame, however it drives: so neither does this."""
-    step = acceleration * dt
-    reserve = max(v * (v - step), 0.0) + 2 * acceleration * max(way, 0.0)
-    return 1.5 * step + math.sqrt(reserve + 0.25 * step * step)
+    there. With the least share of the way that it gets along its lanes, v (v - a dt) + 2 a way / share becomes greater
+    in no frame, however it drives: so neither does this. One that creeps and steers hard may get less."""
+    step, most = acceleration * dt, drive[2] / drive[1]
+    reserve = max(v * (v - step), 0.0) + 2 * acceleration * max(way, 0.0) / drive[1]
+    half = 0.5 + most
+    return half * step + math.sqrt(reserve + (half * half - 2 * most) * step * step)
 
 
 @uncounted
@@ -72,7 +74,7 @@ def _followed(
         there = anywhere or x >= row[NEAR]
         if there and not anywhere and not within:
             # One that is slower may be further into the lane in its first frame there, and faster.
-            v = max(v, min(_arrival(v0, row[NEAR] / most, conduct.acceleration, dt), top))
+            v = max(v, min(_arrival(v0, row[NEAR], others.drive[i], conduct.acceleration, dt), top))
             x = row[NEAR] + v * most * dt
             within = True
         waited = waited + 1 if k >= since and there else 0

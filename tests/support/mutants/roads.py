@@ -34,7 +34,7 @@ ROADS = (
     off(
         "who comes from the lane before is no faster for how the frames fall",
         _JUDGING,
-        "            v = max(v, min(_arrival(v0, row[NEAR] / most, conduct.acceleration, dt), top))\n",
+        "            v = max(v, min(_arrival(v0, row[NEAR], others.drive[i], conduct.acceleration, dt), top))\n",
         "",
         _CLAUSES,
     ),

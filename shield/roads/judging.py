@@ -29,6 +29,9 @@ from shield.roads.survey import FAR_OFF
 
 __all__ = ["judge"]
 
+_ENDLESS = 100_000
+"""Frames: whoever has not come to rest by then is not counted on to."""
+
 
 @inlined
 def _beside(box: FloatArray, row: FloatArray) -> float:
@@ -64,6 +67,8 @@ def _followed(
     v, x, waited, least, k = v0, 0.0, 0, np.inf, 0
     within = row[NEAR] <= 0
     while k <= last or (rests and v > 0.0):
+        if k > _ENDLESS:
+            return -1.0
         box = boxes[lane, min(k, last)]
         # Both move between two frames.
         ahead = x + v * most * dt - row[NEAR]

@@ -238,18 +238,3 @@ def test_who_comes_from_the_lane_before_gains_nothing_by_how_the_frames_fall(way
     for rate in (-6.0, -1.7, 0.0, 1.1, 3.0):
         now = stays(end - way + speed * dt, max(speed + rate * dt, 0.0))
         assert now >= then - 1e-6
-
-
-def test_a_blow_that_is_to_come_changes_nothing_of_what_has_been_done():
-    """Where highway-env foresees a contact, what was verified is tried in this scene as if there were none."""
-    lane, blow = ("a", "b", 0), np.array([0.0, -0.6])
-    door = scene("merge-v0", lane, 60.0, 20.0, [(lane, 115.0, 20.0), (("a", "b", 1), 64.0, 20.0)])
-    stored = np.array([door._alone.worlds.g[0, 2, 0], 20.0, 1e3, 15, 0, HARD], float)
-    door._try_again(stored)
-    margins = door._trial.margins.copy()
-    door._base.vehicle.impact = blow
-    door._read()
-    door._others.owes[:] = False
-    door._try_again(stored)
-    assert door._trial.margins.tolist() == margins.tolist()
-    assert door._base.vehicle.impact is blow

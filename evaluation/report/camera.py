@@ -8,11 +8,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from dynamics.errors import SceneError
-from dynamics.roads.straight import StraightRoad
+from dynamics.roads.straight import Road, StraightRoad
 from dynamics.state import FloatArray, RoadState, State
 from evaluation.measuring.recorder import read_road
-from evaluation.report.draw import Shot
+from evaluation.report.draw import Shot, World
 from evaluation.report.proposal import action_labels, ego_copy, proposed_path
 from shield import ShieldedEnv
 
@@ -24,12 +23,7 @@ class Camera:
 
     Parameters
     ----------
-    env : the environment, after `reset`.
-
-    Raises
-    ------
-    SceneError
-        If its road is no single road of parallel lanes: plans and areas have no place on it.
+    env : the environment, after `reset`. On a network of roads plans and areas are in the world's frame.
     """
 
     def __init__(self, env: ShieldedEnv) -> None:
@@ -40,10 +34,7 @@ class Camera:
         self._base.enable_auto_render = False
         self._viewer: Any = self._base.viewer
         self._viewer.enabled = True  # highway-env draws nothing under SDL's dummy driver otherwise
-        road = read_road(self._base.road.network)
-        if road is None:
-            raise SceneError("this road cannot be filmed; have single roads of parallel lanes, straight or curved")
-        self._road = road
+        self._road: Road | World = read_road(self._base.road.network) or World()
         self._viewer.observer_vehicle = SimpleNamespace(position=np.zeros(2))
         self._dt = 1.0 / self._base.config["simulation_frequency"]
         self._taken: list[dict[str, Any]] = []

@@ -24,6 +24,7 @@ from evaluation.running.named_policies import make_policy, start_episode
 from evaluation.settings import Setting, get_setting
 from shield import ShieldConfig, ShieldedEnv, Tier
 from shield.errors import ConfigError
+from shield.roads.reading import default_on
 
 __all__ = [
     "FILM_POLICY",
@@ -73,7 +74,8 @@ class Film:
 
 _ROAD = {"screen_width": 1100, "screen_height": 150, "scaling": 9.0, "centering_position": [0.2, 0.5]}
 _TRACK = {"screen_width": 1000, "screen_height": 500, "scaling": 9.0, "centering_position": [0.5, 0.5]}
-"""Pictures: a strip along a straight road, and what is around the ego on a track."""
+"""Pictures: a strip along a straight road, and what is around the ego on any other."""
+_STRAIGHT = ("highway", "two-way")
 
 
 def _filmed(setting: Setting, smooth: bool = True) -> Setting:
@@ -82,7 +84,7 @@ def _filmed(setting: Setting, smooth: bool = True) -> Setting:
     return setting.override(
         {
             **(frequency if smooth else {}),
-            **(_TRACK if "racetrack" in setting.env_id else _ROAD),
+            **(_ROAD if any(name in setting.env_id for name in _STRAIGHT) else _TRACK),
             "offscreen_rendering": True,
         }
     )
@@ -105,11 +107,10 @@ def record(
     setting, policy : what to drive, by name.
     seed : seed of the episode.
     first, last : decisions to keep, from `first` up to but not including `last`.
-    config : the shield's settings.
+    config : the shield's settings; those for the road's traffic by default.
     smooth : whether to drive at a simulation frequency that is good to look at, rather than at the setting's.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
-    config = (config or ShieldConfig()).replace(record=True)
     with _shielded(_filmed(setting, smooth), policy, seed, config, "rgb_array") as (env, decide):
         camera = Camera(env)
         shots: list[Shot] = []
@@ -124,13 +125,17 @@ def record(
 
 @contextmanager
 def _shielded(
-    setting: Setting, policy: str, seed: int, config: ShieldConfig, render_mode: str | None
+    setting: Setting, policy: str, seed: int, config: ShieldConfig | None, render_mode: str | None
 ) -> Iterator[tuple[ShieldedEnv, Callable[[], bool]]]:
-    """A shielded episode, and a function that takes its next decision and says if it is over."""
+    """A shielded episode, and a function that takes its next decision and says if it is over; what is decided is
+    recorded where it is drawn."""
     bare = setting.make(render_mode=render_mode)
     try:
         driver = make_policy(policy, bare)
-        env = ShieldedEnv(bare, config, policy=driver)
+        if config is None:
+            bare.reset(seed=seed)
+            config = default_on(bare.unwrapped)
+        env = ShieldedEnv(bare, config.replace(record=render_mode is not None), policy=driver)
         obs, _ = env.reset(seed=seed)
         start_episode(driver, seed)
 
@@ -147,7 +152,7 @@ def _shielded(
 
 def _overridden(setting: Setting, policy: str, seed: int) -> tuple[list[bool], int]:
     """Which decisions of an episode end in another action, and how many there are in a second; nothing is drawn."""
-    with _shielded(_filmed(setting), policy, seed, ShieldConfig(), None) as (env, decide):
+    with _shielded(_filmed(setting), policy, seed, None, None) as (env, decide):
         flags, done = [], False
         while not done:
             done = decide()
@@ -245,7 +250,7 @@ def film_end(
     ----------
     path : the file to write, ending in .gif.
     setting, policy, seed : what to drive.
-    config : the shield's settings.
+    config : the shield's settings; those for the road's traffic by default.
     """
     path = Path(path)
     if path.suffix != ".gif":

@@ -1,16 +1,15 @@
 """Pictures show the scene, carry the right colour, and land where highway-env drew the vehicles."""
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from PIL import Image
 
-from dynamics.errors import SceneError
 from dynamics.state import RoadState
 from evaluation.report.camera import Camera
-from evaluation.report.draw import GREEN, ORANGE, RED, Shot, _executed, _label, draw
+from evaluation.report.draw import GREEN, ORANGE, RED, Shot, _executed, _label, _pixels, draw
 from evaluation.report.video import _best_clip, _decisions, _filmed, film_override, find_override, record
 from evaluation.settings import get_setting
+from shield import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
 
@@ -83,14 +82,20 @@ def test_a_curved_road_is_filmed_around_the_ego():
         bare.close()
 
 
-def test_a_road_that_branches_is_not_filmed():
-    env = gym.make("merge-v0", render_mode="rgb_array")
-    env.reset(seed=0)
-    try:
-        with pytest.raises(SceneError, match="straight or curved"):
-            Camera(env)
-    finally:
-        env.close()
+@pytest.mark.parametrize("config", [ShieldConfig.exact(), None])
+def test_a_network_of_roads_is_filmed_around_the_ego(config):
+    shots = record("roundabout", "faster", 3, last=2, config=config, smooth=False)
+    assert len(shots) == 30
+    assert (shots[0].decision.plan is not None) == (config is not None), "the worst case has no single future to show"
+    for shot in shots[::15]:
+        height, width, _ = shot.image.shape
+        assert (width, height) == (1000, 500)
+        red, green, blue = shot.image[250, 500].astype(int)
+        assert green > max(red, blue) + 30, "an ego with meta-actions is green in highway-env's picture"
+        assert draw(shot).size[0] == width
+    if config is not None:
+        # What is planned begins where the ego is.
+        assert _pixels(shots[0], shots[0].decision.plan[:1, :2])[0] == pytest.approx((1000, 500), abs=4)
 
 
 def test_recording_does_not_change_the_drive():

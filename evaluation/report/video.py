@@ -23,6 +23,7 @@ from evaluation.report.plots import picture_path
 from evaluation.running.named_policies import make_policy, start_episode
 from evaluation.settings import Setting, get_setting
 from shield import ShieldConfig, ShieldedEnv, Tier
+from shield.doors.road_door import RoadDoor
 from shield.errors import ConfigError
 from shield.roads.reading import default_on
 
@@ -151,13 +152,16 @@ def _shielded(
 
 
 def _overridden(setting: Setting, policy: str, seed: int) -> tuple[list[bool], int]:
-    """Which decisions of an episode end in another action, and how many there are in a second; nothing is drawn."""
+    """Which decisions of an episode end in another action, or on a network of roads, where actions stay what they are,
+    in other frames; and how many there are in a second. Nothing is drawn."""
     with _shielded(_filmed(setting), policy, seed, None, None) as (env, decide):
         flags, done = [], False
         while not done:
             done = decide()
             decision = env.last_decision
-            flags.append(decision is not None and not np.array_equal(decision.executed, decision.proposed))
+            other = decision is not None and not np.array_equal(decision.executed, decision.proposed)
+            held = isinstance(env.door, RoadDoor) and any(frame.overridden for frame in env.frame_decisions)
+            flags.append(other or held)
         return flags, _rate(env)
 
 

@@ -7,7 +7,7 @@ from PIL import Image
 from dynamics.state import RoadState
 from evaluation.report.camera import Camera
 from evaluation.report.draw import GREEN, ORANGE, RED, Shot, _executed, _label, _pixels, draw
-from evaluation.report.video import _best_clip, _decisions, _filmed, film_override, find_override, record
+from evaluation.report.video import _best_clip, _decisions, _filmed, _overridden, film_override, find_override, record
 from evaluation.settings import get_setting
 from shield import ShieldConfig
 from shield.decision import Decision, Reason, Tier
@@ -80,6 +80,13 @@ def test_a_curved_road_is_filmed_around_the_ego():
         assert min(red, green) > blue + 50, "a car with a wheel is yellow in highway-env's picture"
     finally:
         bare.close()
+
+
+def test_a_network_of_roads_has_overrides_to_be_filmed():
+    flags, rate = _overridden(get_setting("roundabout"), "faster", 0)
+    assert rate == 1
+    assert any(flags)
+    assert not all(flags)
 
 
 @pytest.mark.parametrize("config", [ShieldConfig.exact(), None])

@@ -4,7 +4,8 @@ The numbers say which scene it is, what the ego proposes, and what each driver o
 where it turns. What is tested is the claim of `shield.roads`: whatever the others do is named by the monitor in the
 frame in which it breaks a rule, or brings nobody nearer to the ego than its buffer. So what counts is how near those
 come whom the monitor has not named, from when something is verified, and as long as nobody named has been in the way
-of it. Whoever owes the ego its distance may come into its buffer; of it the bodies count.
+of it, nor a wreck that was none before. Whoever owes the ego its distance may come into its buffer; of it the bodies
+count.
 """
 
 from __future__ import annotations
@@ -181,7 +182,7 @@ class _Referee:
     def __init__(self, base: Any, door: RoadDoor) -> None:
         self._base, self._door, self._step, self._ask = base, door, base.road.step, door.frame
         self._near: list[tuple[Any, int, float, float]] = []
-        self._promised, self.frames, self.counted = False, 0, 0
+        self._promised, self._crashes, self.frames, self.counted = False, door.by_rule.get(Breach.CRASH, 0), 0, 0
         self.clearance, self.near, self.who, self.when = np.inf, np.inf, -1, -1
         self.margin, self.shrunk = np.inf, 0
         base.road.step = self._watched
@@ -212,10 +213,12 @@ class _Referee:
             innocent = less.keys() - named - self._door.have_broken(less, before)
             self.shrunk += bool(innocent)
             self.margin = min(self.margin, *(less[body] for body in innocent), np.inf)
-        if self._door.disturbed:
-            self._promised = False
-        elif decision.tier.verified:
-            self._promised = True
+        crashes = self._door.by_rule.get(Breach.CRASH, 0)
+        # Two that have crashed into one another slide: they are no longer among those who offend.
+        disturbed = self._door.disturbed or crashes > self._crashes
+        if decision.tier.verified or disturbed:
+            self._promised = decision.tier.verified
+        self._crashes = crashes
         return command, decision
 
     def _watched(self, dt: float) -> None:

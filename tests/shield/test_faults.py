@@ -2,27 +2,11 @@
 
 import numpy as np
 import pytest
-from faults import Policy, kind, spied
+from faults import INF, NAN, SLOWER, Policy, kind, spied
 
 from shield import Shield, ShieldedEnv
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError, PolicyError
-
-NAN, INF = float("nan"), float("inf")
-SLOWER = 4
-
-
-@pytest.fixture
-def spy():
-    return spied()
-
-
-@pytest.fixture
-def shielded(spy):
-    env = ShieldedEnv(spy)
-    env.reset(seed=0)
-    return env
-
 
 # -- actions that are none -----------------------------------------------------------------------------------
 

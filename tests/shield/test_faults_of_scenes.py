@@ -3,29 +3,13 @@
 import numpy as np
 import pytest
 from cores import nowhere
-from faults import Policy, kind, spied
+from faults import INF, NAN, SLOWER, Policy, kind, spied
 
 from dynamics.vehicle.rollouts import Rollouts
 from shield import Shield, ShieldedEnv
 from shield.certificate import verify
 from shield.decision import Reason, Tier
 from shield.errors import SceneError
-
-NAN, INF = float("nan"), float("inf")
-SLOWER = 4
-
-
-@pytest.fixture
-def spy():
-    return spied()
-
-
-@pytest.fixture
-def shielded(spy):
-    env = ShieldedEnv(spy)
-    env.reset(seed=0)
-    return env
-
 
 # -- scenes that cannot be --------------------------------------------------------------------------------------
 

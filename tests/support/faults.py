@@ -3,6 +3,9 @@
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 
+NAN, INF = float("nan"), float("inf")
+SLOWER = 4
+
 
 class Spy(gym.Wrapper):
     """Remembers what reached the environment."""

@@ -15,30 +15,6 @@ from dynamics.traffic.mixed import Mixed
 
 __all__ = ["CONSTANTS", "constants_of", "kind_of", "mix_of", "ranges_of"]
 
-_NUMBERS = (
-    "LENGTH",
-    "WIDTH",
-    "MAX_SPEED",
-    "MIN_SPEED",
-    "ACC_MAX",
-    "COMFORT_ACC_MAX",
-    "COMFORT_ACC_MIN",
-    "DISTANCE_WANTED",
-    "TIME_WANTED",
-    "DELTA",
-    "POLITENESS",
-    "LANE_CHANGE_MIN_ACC_GAIN",
-    "LANE_CHANGE_MAX_BRAKING_IMPOSED",
-    "LANE_CHANGE_DELAY",
-    "ACCELERATION_PARAMETERS",
-    "STEERING_PARAMETERS",
-)
-CONSTANTS = frozenset(
-    {*_NUMBERS, "DELTA_RANGE", "ACCELERATION_RANGE", "STEERING_RANGE", "DEFAULT_INITIAL_SPEEDS", "HISTORY_SIZE"}
-)
-"""What a vehicle, or a class of them, may have of its own."""
-_DRAWN = 6
-"""Numbers that may be drawn for each vehicle: IDM's exponent, and the linear model's five."""
 _IN_ORDER = (
     "MAX_SPEED",
     "MIN_SPEED",
@@ -54,6 +30,24 @@ _IN_ORDER = (
 )
 """Constants as `layout` has them, but for the size and its diagonal before the first, and after the fourth twice the
 root of the product of IDM's accelerations."""
+CONSTANTS = frozenset(
+    {
+        *_IN_ORDER,
+        "LENGTH",
+        "WIDTH",
+        "COMFORT_ACC_MIN",
+        "ACCELERATION_PARAMETERS",
+        "STEERING_PARAMETERS",
+        "DELTA_RANGE",
+        "ACCELERATION_RANGE",
+        "STEERING_RANGE",
+        "DEFAULT_INITIAL_SPEEDS",
+        "HISTORY_SIZE",
+    }
+)
+"""What a vehicle, or a class of them, may have of its own."""
+_DRAWN = 6
+"""Numbers that may be drawn for each vehicle: IDM's exponent, and the linear model's five."""
 _MADE = ("__init__", "__new__", "__getattr__", "__getattribute__")
 _STOCK = (IDMVehicle, LinearVehicle, AggressiveVehicle, DefensiveVehicle)
 

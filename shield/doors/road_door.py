@@ -81,7 +81,6 @@ class RoadDoor:
         self._network: Any = None
         self._dues = Dues()
         self._stored: Course | None = None
-        self._clear: set[Any] = set()
         self._wish: Wish | None = None
         self.disturbed = False
         self.kept: dict[Any, tuple[float, float]] = {}
@@ -263,7 +262,7 @@ class RoadDoor:
             flags[:] = pushed
             margins = self._trial.margins
             self.kept = {b: (self._then[b], float(margins[i])) for i, b in enumerate(seen.who) if b in self._then}
-        self.watch.next(seen, self._clear, margins, self._road)
+        self.watch.next(seen, set(self._then), margins, self._road)
         self.disturbed = self.disturbed or bool(self.watch.offenders)
         self._others.offends[:] = [body in self.watch.offenders for body in seen.who]
 
@@ -299,7 +298,6 @@ class RoadDoor:
     def _go(self, course: Course, tier: Tier) -> None:
         """Remember what is gone on with; the trial holds what comes of it."""
         who = [] if self.watch.last is None else self.watch.last.who
-        self._clear = set(who) if tier.verified else set()
         self._then = {body: float(self._trial.margins[i]) for i, body in enumerate(who)} if tier.verified else {}
         self.disturbed = self.disturbed and not tier.verified
         self._keep_distance(who, tier.verified)

@@ -9,20 +9,20 @@ import numpy as np
 
 from dynamics.networks.strips import HALF, NEAR
 from dynamics.state import BoolArray, FloatArray, IntArray
-from shield.roads.room import Others, Road, Trial
+from shield.roads.room import Others, Road, Trial, comes_over
 
 __all__ = ["Dues", "behind"]
 
 
-def behind(others: Others, boxes: FloatArray, seen: BoolArray, ahead: bool, buffer: float) -> BoolArray:
+def behind(others: Others, boxes: FloatArray, seen: BoolArray, road: Road, buffer: float) -> BoolArray:
     """Who is behind the ego in a lane where it is seen, (m, n): see `survey`, of the first frame. Whoever owes it its
-    distance may come into the buffer of so many metres, and owes it still."""
+    distance may come into the buffer of so many metres, and owes it still. Who has yet to come over is not behind."""
     out = np.zeros(others.owes.shape, dtype=bool)
     for j in range(int(others.found[0])):
         (i, lane), row = others.marks[j, :2], others.numbers[j]
         rear = boxes[lane, 0, 0] + (buffer if others.owes[i, lane] else 0.0)
-        if seen[lane, 0] and (ahead or row[NEAR] <= 0) and row[HALF] - row[NEAR] <= rear:
-            out[i, lane] = True
+        if seen[lane, 0] and (road.duty.ahead or row[NEAR] <= 0) and row[HALF] - row[NEAR] <= rear:
+            out[i, lane] = out[i, lane] or not comes_over(others, road.ways, j)
     return out
 
 
@@ -61,7 +61,7 @@ class Dues:
     ) -> None:
         """Who owes the ego its distance from now on: whoever did, and is still behind it in a lane where it is seen;
         where its path is `verified`, all who are. `trial` begins where the ego is; `Others.owes` is written."""
-        there = behind(others, trial.boxes, trial.seen, road.duty.ahead, buffer)
+        there = behind(others, trial.boxes, trial.seen, road, buffer)
         if not verified:
             there &= others.owes
         others.owes[:] = there

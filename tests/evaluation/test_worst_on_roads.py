@@ -125,9 +125,6 @@ def test_a_hole_is_found_and_driven_again(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    reason="one that passes the ego on a ramp is counted on to stay behind it (docs/roads.md)", strict=True
-)
 def test_who_passes_on_a_ramp_is_foreseen():
     assert not search_roads(MERGE, "bold", episodes=50, seed=3_500_000).hole
 

@@ -106,6 +106,15 @@ def test_one_that_has_to_come_over_does_not_wait():
     assert margin(road, 0.0, 20.0) >= CLEAR
 
 
+def test_one_behind_that_has_to_come_over_owes_nothing():
+    """On merge's ramp it may drive past, and come over then; in the ego's own lane it brakes."""
+    lane, ramp = ("b", "c", 1), ("b", "c", 2)
+    for behind, owes in ((ramp, False), (lane, True)):
+        door = scene("merge-v0", lane, 60.0, 5.0, [(behind, 10.0, 20.0)])
+        assert (margin(door, 0.0, 0.0) >= CLEAR) == owes
+        assert door.is_owed_by(door._base.road.vehicles[1]) == owes
+
+
 def test_what_stands_is_in_the_way():
     lane = ("a", "b", 0)
     assert margin(scene("merge-v0", lane, 60.0, 20.0, things=[(lane, 75.0)]), 0.0, 20.0) < CLEAR

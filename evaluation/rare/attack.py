@@ -22,6 +22,7 @@ from joblib import Parallel, delayed
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
 from shield import ShieldConfig, ShieldedEnv
+from shield.decision import Decision
 from shield.doors.road_door import RoadDoor
 from shield.errors import ConfigError
 from shield.roads.watch import Breach
@@ -115,8 +116,8 @@ class Attack:
     Attributes
     ----------
     env_id, seed, drivers : to drive it again. frames : how many there were.
-    crashed : whether the ego was. blameless : whether nobody that it crashed with had broken a rule, nor had anybody
-        else come into the way of what was verified last.
+    crashed : whether the ego was. blameless : whether something had been verified, and nobody that it crashed with had
+        broken a rule, nor had anybody else come into the way of what was verified last.
     by_rule : how often each was broken.
     """
 
@@ -169,7 +170,14 @@ def _watch_for_a_crash(base: Any, door: RoadDoor) -> list[bool]:
     """Whether the ego was `Attack.blameless`, in a list that is empty until it crashes."""
     found: list[bool] = []
     wrecks: dict[Any, int] = {}
-    step, ego, frame = base.road.step, base.vehicle, count()
+    step, ego, frame, ask = base.road.step, base.vehicle, count(), door.frame
+    promised = False
+
+    def asked() -> tuple[Any, Decision]:
+        nonlocal promised
+        command, decision = ask()
+        promised = promised or decision.tier.verified
+        return command, decision
 
     def watched(dt: float) -> None:
         now = next(frame)
@@ -182,9 +190,11 @@ def _watch_for_a_crash(base: Any, door: RoadDoor) -> list[bool]:
             hit = [body for body in near if body.crashed]
             # Who had its crash just before has slid into the way; what has lain there for long was to be seen.
             fresh = any(now - wrecks.get(body, -np.inf) <= _FRESH / dt for body in hit)
-            found.append(not (fresh or door.disturbed or door.culprits(hit)))
+            # Where nothing has been verified since the reset, nothing has been promised.
+            found.append(promised and not (fresh or door.disturbed or door.culprits(hit)))
 
     base.road.step = watched
+    door.frame = asked  # type: ignore[method-assign]
     return found
 
 

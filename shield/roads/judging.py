@@ -156,6 +156,8 @@ def judge(
             ahead = others.most[i, k + 1] - row[NEAR]
             if rests and k == count - 1:
                 ahead = ALWAYS
+                # Whoever rolls back does so until it stands.
+                back = min(back, others.least[i, others.least.shape[1] - 1] - row[FAR])
             back, ahead = max(back, row[START]), min(ahead, max(end, -row[NEAR]))
             if back > ahead:
                 continue

@@ -217,6 +217,13 @@ def test_who_is_about_to_be_pushed_is_judged_as_it_has_driven(env_id):
     assert np.isfinite(kept[0]).any()
 
 
+def test_nothing_is_promised_before_anything_verifies():
+    """Too near to somebody at the reset, at twice his speed."""
+    found = attack(Setting("exit", "exit-v0"), 828026, "bold")
+    assert found.crashed
+    assert not found.blameless
+
+
 def test_an_attack_asks_for_what_it_can_drive():
     with pytest.raises(ConfigError, match="have wild, bold, mixed"):
         attack(Setting("merge", "merge-v1"), 0, "tame")

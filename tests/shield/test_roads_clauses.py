@@ -115,6 +115,16 @@ def test_one_behind_that_has_to_come_over_owes_nothing():
         assert door.is_owed_by(door._base.road.vehicles[1]) == owes
 
 
+def test_who_rolls_back_before_an_ego_that_rests_does_so_until_it_stands():
+    """At 3 m/s, braking at 6 m/s², it comes back 0.85 m in frames of 1/15 s, long after the ego stands."""
+    lane = ("a", "b", 0)
+    standing, rolling = (
+        margin(scene("merge-v0", lane, 60.0, 0.0, [(lane, 69.0, speed)]), 0.0, 0.0) for speed in (0.0, -3.0)
+    )
+    speeds = -3.0 + 6.0 / 15 * np.arange(8)
+    assert standing - rolling == pytest.approx(-speeds.sum() / 15, rel=0.15)
+
+
 def test_what_stands_is_in_the_way():
     lane = ("a", "b", 0)
     assert margin(scene("merge-v0", lane, 60.0, 20.0, things=[(lane, 75.0)]), 0.0, 20.0) < CLEAR

@@ -48,7 +48,7 @@ ROADS = (
     off(
         "where the ego rests nobody comes later",
         _JUDGING,
-        "            if rests and k == count - 1:\n                ahead = ALWAYS\n",
+        "                ahead = ALWAYS\n",
         "",
         _CLAUSES,
     ),
@@ -64,6 +64,13 @@ ROADS = (
         "shield/roads/dues.py",
         "out[i, lane] or not comes_over(others, road.ways, j)",
         "True",
+        _CLAUSES,
+    ),
+    off(
+        "where the ego rests nobody rolls back later",
+        _JUDGING,
+        "                back = min(back, others.least[i, others.least.shape[1] - 1] - row[FAR])\n",
+        "",
         _CLAUSES,
     ),
     off(

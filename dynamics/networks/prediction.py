@@ -35,13 +35,13 @@ from dynamics.networks.strips import (
 from dynamics.simulator.layout import LANE_LENGTH, LANE_LIMIT
 from dynamics.state import FloatArray, IntArray, Vehicle
 
-__all__ = ["reach", "spread"]
+__all__ = ["CREEPS", "reach", "spread"]
 
 _WIDTH = int(Vehicle.WIDTH)
 _STRAIGHT = math.cos(ALIGNED)
 _STANDS = 0.5
 """Who is slower than that at the end of a lane waits until those beside it have gone by [m/s]."""
-_CREEPS, _GAIN = 3.0, 0.34
+CREEPS, _GAIN = 3.0, 0.34
 """Who is slower than that [m/s] can steer so hard that it gains this share of what others do, along its lane."""
 
 
@@ -194,7 +194,7 @@ def reach(
         cap = max(drive[i, 0], fast)
         for k in range(least.shape[1]):
             least[i, k], most[i, k] = min(back * drive[i, 1], back * drive[i, 2]), ahead * drive[i, 2]
-            back += slow * dt * (_GAIN if 0.0 < slow < _CREEPS else 1.0)
+            back += slow * dt * (_GAIN if 0.0 < slow < CREEPS else 1.0)
             ahead += fast * dt
             slow = max(slow - conduct.braking * dt, 0.0) if slow > 0 else min(slow + conduct.braking * dt, 0.0)
             fast = min(fast + conduct.acceleration * dt, cap)

@@ -21,6 +21,7 @@ import math
 import numpy as np
 
 from dynamics.compiled import inlined, uncounted
+from dynamics.networks.prediction import CREEPS
 from dynamics.networks.strips import ALWAYS, BACK, FAR, HALF, HIGH, KEEP, LOW, NEAR, START
 from dynamics.simulator.layout import LANE_LENGTH
 from dynamics.state import FloatArray
@@ -46,8 +47,10 @@ def _beside(box: FloatArray, row: FloatArray) -> float:
 def _arrival(v: float, way: float, drive: FloatArray, acceleration: float, dt: float) -> float:
     """How fast one can be at most in its first frame beyond so much way [m/s], wherever between two frames it comes
     there. With the least share of the way that it gets along its lanes, v (v - a dt) + 2 a way / share becomes greater
-    in no frame, however it drives: so neither does this. One that creeps and steers hard may get less."""
+    in no frame, however it drives: so neither does this. One that creeps and steers hard may get less of the way: it is
+    taken to be as fast as it can be when it has come to creep no more."""
     step, most = acceleration * dt, drive[2] / drive[1]
+    v = max(v, CREEPS + step)
     reserve = max(v * (v - step), 0.0) + 2 * acceleration * max(way, 0.0) / drive[1]
     half = 0.5 + most
     return half * step + math.sqrt(reserve + (half * half - 2 * most) * step * step)

@@ -257,3 +257,19 @@ def test_who_comes_from_the_lane_before_gains_nothing_by_how_the_frames_fall(way
     for rate in (-6.0, -1.7, 0.0, 1.1, 3.0):
         now = stays(end - way + speed * dt, max(speed + rate * dt, 0.0))
         assert now >= then - 1e-6
+
+
+@pytest.mark.parametrize("way", [10.0, *later(25.0, 40.0)])
+@pytest.mark.parametrize("speed", [2.9, *later(1.0, 2.0)])
+def test_who_comes_from_the_lane_before_gains_nothing_by_creeping(way, speed):
+    """Steering hard, it gets a third of its way along its lane."""
+    lane, after, dt = ("a", "b", 0), ("b", "c", 0), 1 / 15
+
+    def stays(s, v):
+        return margin(scene("merge-v0", after, 40.0, 0.0, [(lane, s, v)]), 0.0, 0.0)
+
+    end = gym.make("merge-v0").unwrapped.road.network.get_lane(lane).length
+    then = stays(end - way, speed)
+    assert then > 0
+    for rate in (-6.0, 0.0, 3.0):
+        assert stays(end - way + 0.34 * speed * dt, max(speed + rate * dt, 0.0)) >= then - 1e-6

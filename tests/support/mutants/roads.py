@@ -67,6 +67,13 @@ ROADS = (
         _CLAUSES,
     ),
     off(
+        "who creeps gets as far along its lane as others",
+        _JUDGING,
+        "    v = max(v, CREEPS + step)\n",
+        "",
+        _CLAUSES,
+    ),
+    off(
         "where the ego rests nobody rolls back later",
         _JUDGING,
         "                back = min(back, others.least[i, others.least.shape[1] - 1] - row[FAR])\n",
@@ -118,7 +125,7 @@ ROADS = (
     off(
         "who creeps gains as much as others",
         _PREDICTION,
-        "(_GAIN if 0.0 < slow < _CREEPS else 1.0)",
+        "(_GAIN if 0.0 < slow < CREEPS else 1.0)",
         "1.0",
         _CLAUSES,
     ),

@@ -23,11 +23,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from dynamics.errors import ConfigError, SceneError
 from dynamics.networks.conflicts import ConflictZone, zones_of
-from dynamics.networks.continuations import continuations_of, leads_over
 from dynamics.networks.lanes import Lanes
 from dynamics.networks.layout import COUNT, ID, SHAPE, STRAIGHT
 from dynamics.networks.network import Network, index_of, network_of
 from dynamics.networks.points import closest_all, curvature_all, heading_all, position_all, project_all
+from dynamics.networks.reachable.continuations import continuations_of, leads_over
 from dynamics.simulator.arithmetic import sums_of_numpy
 from dynamics.simulator.layout import LANE_LENGTH, LANE_WIDTH
 from dynamics.simulator.loops import addresses

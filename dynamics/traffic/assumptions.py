@@ -55,7 +55,7 @@ class Assumptions:
     looks_ahead : on road networks, whether those behind look beyond the end of their own lane; highway-env's traffic
         does not, but where its road is told to.
     gives_way : on road networks, whether whoever has less right of way than the ego waits for it
-        (`dynamics.networks.rights`); highway-env's traffic does not always.
+        (`dynamics.networks.reachable.rights`); highway-env's traffic does not always.
     simulated : whether the others are highway-env's own and are simulated, so that nothing above is asked; see `exact`.
     """
 

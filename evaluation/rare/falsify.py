@@ -34,7 +34,7 @@ _LOST = 1e3
 """The clearance of an episode whose first decision finds nothing that verifies [m]: nothing was promised of it."""
 TRAFFIC = ("idm", "bold", "wild", "mixed")
 """Who drives the others: highway-env's own, or as recklessly as the rules permit (`evaluation.rare.bold`); on networks
-of roads drivers of `evaluation.rare.attack`."""
+of roads drivers of `evaluation.rare.drivers`."""
 _AT_ONCE = 16
 """Episodes among bold drivers, in several processes, before it is asked whether anything was found."""
 

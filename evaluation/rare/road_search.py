@@ -83,7 +83,7 @@ def search_roads(
 
     Parameters
     ----------
-    setting : a network of roads with meta-actions. drivers : of `evaluation.rare.attack.DRIVERS`.
+    setting : a network of roads with meta-actions. drivers : of `evaluation.rare.drivers.DRIVERS`.
     config : the shield's settings; those for the road's traffic by default. episodes : at most, from `LEVEL` on.
     seed : of the search, and the first of the seeds of its scenes. jobs : processes, -1 for one per core.
     drawn : whether all are drawn at random instead, for comparison.

@@ -16,16 +16,16 @@ from shield.decision import Decision
 from shield.doors.adapters import as_policy
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import base_environments, the_action_type
-from shield.doors.exact_door import ExactDoor
-from shield.doors.exact_input_door import ExactInputDoor
 from shield.doors.input_door import InputDoor
 from shield.doors.meta_door import MetaDoor
 from shield.doors.patience import Patience
 from shield.doors.ranking import normalised, order_from_scores, ranking_of
 from shield.doors.report import Offences, Statistics, report, team_report
 from shield.doors.road_door import RoadDoor
+from shield.doors.simulated.exact_door import ExactDoor
+from shield.doors.simulated.exact_input_door import ExactInputDoor
+from shield.doors.simulated.team_door import TeamDoor, is_team
 from shield.doors.supervision import Command, Supervision
-from shield.doors.team_door import TeamDoor, is_team
 from shield.doors.warm_doors import warm_up_door
 from shield.doors.which import Door, door_for
 from shield.errors import ConfigError, SceneError

@@ -15,8 +15,8 @@ from dynamics.scenes.scene import SceneReader
 from dynamics.state import FloatArray, State
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
-from shield.doors.by_simulation import by_simulation
 from shield.doors.input_frames import InputFrames
+from shield.doors.simulated.by_simulation import by_simulation
 from shield.procedures.decide import Core, Unreadable, read
 from shield.procedures.inputs import Inputs
 from shield.procedures.parking_lot import ParkingLot

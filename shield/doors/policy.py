@@ -16,8 +16,6 @@ from shield.decision import Decision, Reason
 from shield.doors.adapters import as_policy, refuse_misfits
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import base_environments, the_action_type
-from shield.doors.exact_door import ExactDoor
-from shield.doors.exact_input_door import ExactInputDoor
 from shield.doors.input_door import InputDoor
 from shield.doors.known_environments import known_beforehand
 from shield.doors.liveness import Liveness
@@ -25,6 +23,8 @@ from shield.doors.meta_door import MetaDoor
 from shield.doors.patience import Patience
 from shield.doors.ranking import Ranking
 from shield.doors.report import Offences, Statistics, report
+from shield.doors.simulated.exact_door import ExactDoor
+from shield.doors.simulated.exact_input_door import ExactInputDoor
 from shield.doors.supervision import Command, Supervision
 from shield.doors.warm_doors import warm_up_door
 from shield.doors.which import Door, door_for

@@ -19,8 +19,8 @@ from dynamics.simulator.layout import IMPACTED, SPEED, TARGET, TARGET_SPEED
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
-from shield.doors.exact_scene import why_unread
 from shield.doors.input_door import refuse_lots
+from shield.doors.simulated.exact_scene import why_unread
 from shield.doors.supervision import Command
 from shield.errors import SceneError
 from shield.refusals import refuse_simulated

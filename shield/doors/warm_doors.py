@@ -8,10 +8,10 @@ import gymnasium as gym
 import numpy as np
 
 from shield.config import ShieldConfig
-from shield.doors.exact_door import ExactDoor
-from shield.doors.exact_input_door import ExactInputDoor
 from shield.doors.road_door import RoadDoor
-from shield.doors.team_door import TeamDoor
+from shield.doors.simulated.exact_door import ExactDoor
+from shield.doors.simulated.exact_input_door import ExactInputDoor
+from shield.doors.simulated.team_door import TeamDoor
 from shield.doors.which import Door
 from shield.procedures.warm_up import announced, warm_up
 

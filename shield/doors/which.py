@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from shield.config import ShieldConfig
-from shield.doors.exact_door import ExactDoor
-from shield.doors.exact_input_door import ExactInputDoor
 from shield.doors.input_door import InputDoor
 from shield.doors.meta_door import MetaDoor
 from shield.doors.road_door import RoadDoor
+from shield.doors.simulated.exact_door import ExactDoor
+from shield.doors.simulated.exact_input_door import ExactInputDoor
 from shield.errors import ConfigError
 from shield.perception.perceiving import PerceptionConfig
 from shield.perception.scenes import NO_OBSERVED_SCENES, scenes_of

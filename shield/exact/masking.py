@@ -1,4 +1,4 @@
-"""Which actions pass in many environments: what `shield.doors.exact_door.ExactDoor.mask` finds."""
+"""Which actions pass in many environments: what `shield.doors.simulated.exact_door.ExactDoor.mask` finds."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.networks.strips import HALF, NEAR
+from dynamics.networks.reachable.strips import HALF, NEAR
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.roads.room import Others, Road, Trial, comes_over
 

@@ -2,16 +2,17 @@
 
 Notation
 --------
-As in `dynamics.networks.strips`. The ego's body with its buffer takes s from `box[0]` to `box[1]` of a lane, and r
-from `box[2]` to `box[3]`. Whoever is at x on the way to that lane has its body between x - FAR - HALF and x - NEAR +
-HALF, within its band. The *separation* is the greater of the gaps along and across, negative where both overlap.
+As in `dynamics.networks.reachable.strips`. The ego's body with its buffer takes s from `box[0]` to `box[1]` of a lane,
+and r from `box[2]` to `box[3]`. Whoever is at x on the way to that lane has its body between x - FAR - HALF and x -
+NEAR + HALF, within its band. The *separation* is the greater of the gaps along and across, negative where both
+overlap.
 
 Who owes what: one that comes up from behind in the ego's own lane brakes for it, `Duty.braking` at least, once the ego
 has been visible there for `Duty.reaction` frames, and on a road where nobody looks beyond the end of the own lane no
 sooner than it has come into that lane itself. Who has yet to come over from a lane that ends owes nothing before it
-does: it may as well drive past. With `Duty.gives_way`, one with less right of way than the ego has does
-the same before any lane, from when the ego has it: if it can stay behind the ego's body by braking so, it does. Nobody
-else yields: who crosses, joins or comes the other way is where the strips say.
+does: it may as well drive past. With `Duty.gives_way`, one with less right of way than the ego has does the same before
+any lane, from when the ego has it: if it can stay behind the ego's body by braking so, it does. Nobody else yields: who
+crosses, joins or comes the other way is where the strips say.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ import math
 import numpy as np
 
 from dynamics.compiled import inlined, uncounted
-from dynamics.networks.prediction import CREEPS
-from dynamics.networks.strips import ALWAYS, BACK, FAR, HALF, HIGH, KEEP, LOW, NEAR, START
+from dynamics.networks.reachable.prediction import CREEPS
+from dynamics.networks.reachable.strips import ALWAYS, BACK, FAR, HALF, HIGH, KEEP, LOW, NEAR, START
 from dynamics.simulator.layout import LANE_LENGTH
 from dynamics.state import FloatArray
 from dynamics.traffic.permits import Ego, gap_between

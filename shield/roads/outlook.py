@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from dynamics.networks.alone import Alone
-from dynamics.networks.continuations import continuations_of, leads_over
 from dynamics.networks.lanes import Lanes
 from dynamics.networks.layout import PRIORITY
 from dynamics.networks.network import index_of
-from dynamics.networks.prediction import reach, spread
-from dynamics.networks.rights import ranks_of, rights_of
-from dynamics.networks.strips import Conduct, Ways, empty_strips
+from dynamics.networks.reachable.continuations import continuations_of, leads_over
+from dynamics.networks.reachable.prediction import reach, spread
+from dynamics.networks.reachable.rights import ranks_of, rights_of
+from dynamics.networks.reachable.strips import Conduct, Ways, empty_strips
 from shield.config import ShieldConfig
 from shield.roads.dues import Dues
 from shield.roads.reading import read_traffic

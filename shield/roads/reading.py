@@ -25,8 +25,8 @@ class Traffic(NamedTuple):
     Attributes
     ----------
     who : what they are, to know them again. rows : vehicle rows, (m, 7). own : the lane that each is on, (m,).
-    routes : see `dynamics.networks.prediction.spread`, (m, roads). things : rows of what stands, and of wrecks with
-        all of the way that they slide, (b, 7).
+    routes : see `dynamics.networks.reachable.prediction.spread`, (m, roads). things : rows of what stands, and of
+        wrecks with all of the way that they slide, (b, 7).
     """
 
     who: list[Any]

@@ -8,7 +8,7 @@ import numpy as np
 
 from dynamics.compiled import uncounted
 from dynamics.networks.lanes import Lanes
-from dynamics.networks.strips import FAR, HALF, HIGH, LOW, NEAR, SEVERAL, Conduct, Ways
+from dynamics.networks.reachable.strips import FAR, HALF, HIGH, LOW, NEAR, SEVERAL, Conduct, Ways
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.roads.survey import Body
 
@@ -34,7 +34,7 @@ class Others(NamedTuple):
     Attributes
     ----------
     rows : vehicle rows, (m, 7). things : rows of what stands, (b, 7).
-    marks, numbers : strips, see `dynamics.networks.prediction.spread`; found : how many there are, (1,).
+    marks, numbers : strips, see `dynamics.networks.reachable.prediction.spread`; found : how many there are, (1,).
     drive : (m, 3). least, most : (m, K), see `reach`.
     owes : whether each vehicle owes the ego its distance in each lane, (m, n).
     offends : who has broken a rule, (m,).

@@ -1,6 +1,7 @@
 """Whether the others keep to what is assumed of them on a network of roads, frame by frame.
 
-What a vehicle may do from one frame to the next (`dynamics.networks.prediction` bounds what comes of it for all time):
+What a vehicle may do from one frame to the next (`dynamics.networks.reachable.prediction` bounds what comes of it for
+all time):
 
 1. *speed*: brake and accelerate no harder than `Conduct` says, and no further than to the limit of the lanes before it;
 2. *ways*: be where one of its strips says, along it and across, with its body no further out, and on the way back to
@@ -23,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.networks.strips import BACK, FAR, HALF, HIGH, KEEP, LOW, NEAR
+from dynamics.networks.reachable.strips import BACK, FAR, HALF, HIGH, KEEP, LOW, NEAR
 from dynamics.state import FloatArray
 from shield.roads.choosing import CLEAR
 from shield.roads.room import Others, Road

@@ -14,7 +14,8 @@ from slowly import later
 from typer.testing import CliRunner
 
 from evaluation.commands.cli import app
-from evaluation.rare.attack import attack, man
+from evaluation.rare.attack import attack
+from evaluation.rare.drivers import man
 from evaluation.settings import Setting
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.decision import Reason, Tier

@@ -10,8 +10,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.objects import Obstacle
 from slowly import later
 
-from dynamics.networks.prediction import reach
-from dynamics.networks.strips import Conduct
+from dynamics.networks.reachable.prediction import reach
+from dynamics.networks.reachable.strips import Conduct
 from shield import ShieldConfig
 from shield.doors.road_door import RoadDoor
 from shield.roads.choosing import CLEAR, try_course

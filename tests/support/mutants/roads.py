@@ -7,7 +7,7 @@ from mutants.kinds import off
 __all__ = ["ROADS"]
 
 _TESTS, _CLAUSES = "tests/shield/test_roads.py", "tests/shield/test_roads_clauses.py"
-_JUDGING, _PREDICTION = "shield/roads/judging.py", "dynamics/networks/prediction.py"
+_JUDGING, _PREDICTION = "shield/roads/judging.py", "dynamics/networks/reachable/prediction.py"
 
 ROADS = (
     off(

@@ -20,8 +20,8 @@ from shield.batch.vocabulary import REASONS, TIERS
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
-from shield.doors.exact_scene import STATE, ExactScene, Room, why_unread
 from shield.doors.input_door import refuse_lots
+from shield.doors.simulated.exact_scene import STATE, ExactScene, Room, why_unread
 from shield.errors import ConfigError
 from shield.exact.deciding import Plans, boxed_in, empty_plans, last_resort, passes, replace, verify
 from shield.exact.effort import begin_anew

@@ -7,7 +7,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from dynamics.compiled import uncounted
-from dynamics.networks.strips import SEVERAL, Ways
+from dynamics.networks.reachable.strips import SEVERAL, Ways
 from dynamics.state import IntArray
 
 __all__ = ["ranks_of", "rights_of"]

@@ -19,8 +19,8 @@ from shield.batch.vocabulary import REASONS
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
-from shield.doors.exact_door import as_decision
-from shield.doors.exact_scene import STATE, ExactScene, why_unread
+from shield.doors.simulated.exact_door import as_decision
+from shield.doors.simulated.exact_scene import STATE, ExactScene, why_unread
 from shield.errors import ConfigError
 from shield.exact.deciding import Plans, empty_plans, last_resort, passes, replace
 from shield.exact.room import Search, Wish

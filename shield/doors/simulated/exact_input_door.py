@@ -20,8 +20,8 @@ from dynamics.state import FloatArray
 from shield.batch.vocabulary import TIERS
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
-from shield.doors.exact_scene import STATE, ExactScene, why_unread
 from shield.doors.input_frames import InputFrames
+from shield.doors.simulated.exact_scene import STATE, ExactScene, why_unread
 from shield.exact.inputs import Tail, decide_inputs, empty_tail, play
 from shield.exact.room import Search
 from shield.refusals import check

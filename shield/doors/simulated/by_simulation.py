@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from shield.config import ShieldConfig
-from shield.doors.exact_input_door import ExactInputDoor
+from shield.doors.simulated.exact_input_door import ExactInputDoor
 
 __all__ = ["by_simulation"]
 

@@ -3,7 +3,7 @@
 Whoever is on a lane, or reaches into it, may follow it to its end, and any lane that goes on from there; whoever is
 known to follow a route, only that. Nobody turns into a neighbouring lane that it does not touch yet: who does has
 taken more room, and that is for `shield.roads.watch` to judge. Each lane that one may come to is a strip
-(`dynamics.networks.strips`, with the notation).
+(`dynamics.networks.reachable.strips`, with the notation).
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from __future__ import annotations
 import math
 
 from dynamics.compiled import uncounted
-from dynamics.networks.continuations import SETTLED
 from dynamics.networks.lanes import Lanes, local, place
 from dynamics.networks.layout import AMPLITUDE, PULSATION, ROAD, SHAPE, SINE
-from dynamics.networks.standing import ALIGNED, Subject, stand
-from dynamics.networks.strips import (
+from dynamics.networks.reachable.continuations import SETTLED
+from dynamics.networks.reachable.standing import ALIGNED, Subject, stand
+from dynamics.networks.reachable.strips import (
     BACK,
     BEFORE,
     FAR,

@@ -6,10 +6,10 @@ import math
 from typing import NamedTuple
 
 from dynamics.compiled import inlined, uncounted
-from dynamics.networks.continuations import SETTLED
 from dynamics.networks.lanes import Lanes, heading_at, local
 from dynamics.networks.layout import ROAD
-from dynamics.networks.strips import BEFORE, Conduct, Strip, Strips, Ways, add, bulge, keep_of
+from dynamics.networks.reachable.continuations import SETTLED
+from dynamics.networks.reachable.strips import BEFORE, Conduct, Strip, Strips, Ways, add, bulge, keep_of
 from dynamics.simulator.arithmetic import wrap_to_pi
 from dynamics.simulator.layout import LANE_LENGTH, LANE_WIDTH
 from dynamics.state import FloatArray, IntArray, Vehicle

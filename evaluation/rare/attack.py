@@ -100,7 +100,8 @@ def attack(
 
     Parameters
     ----------
-    drivers : of `evaluation.rare.drivers.DRIVERS`. vehicles : how many of the others they take. decisions : how many at most.
+    drivers : of `evaluation.rare.drivers.DRIVERS`. vehicles : how many of the others they take. decisions : how many at
+        most.
     config : settings; those for the road's traffic by default.
 
     Raises

@@ -2,14 +2,14 @@
 
 *Wild* ones are vehicles with throttle and steering at random, and break every rule there is. *Bold* ones keep to every
 rule that `shield.roads.watch` knows and are otherwise as reckless as the rules permit: from one moment to the next they
-brake or accelerate as hard as the assumptions allow, turn wherever the road leads, and answer to nobody but to whoever
-is before them in their own lane.
+brake or accelerate as hard as the assumptions allow, turn wherever the road leads, come over from a lane that ends
+wherever they like, and answer to nobody but to whoever is before them in their own lane.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from highway_env.vehicle.controller import ControlledVehicle
@@ -26,17 +26,24 @@ FAIL_SAFE = 9.8
 """How hard the ego may brake at any time [m/s^2]."""
 Draw = Any
 """A numpy generator, or what stands for one."""
-Ahead = dict[tuple[str, str, int], list[tuple[str, str, int]]]
+Lane = tuple[str, str, int]
 _HELD = 2, 20
 _CAUTION = 1.0
 """What a bold driver keeps to the one before it beside its own way to a standstill [m]."""
 
 
+class Ways(NamedTuple):
+    """The lanes that each lane leads to, and the one that one has to come over to from each that ends."""
+
+    ahead: dict[Lane, list[Lane]]
+    over: dict[Lane, Lane]
+
+
 class Wild(Vehicle):  # type: ignore[misc]
     """Throttle and steering at random, each held for a while; nothing else decides what it does."""
 
-    def take(self, draw: Draw, turns: Draw, door: RoadDoor, period: float, ahead: Ahead) -> None:
-        """Be driven by these numbers, and turn by these, in frames of so long [s], on lanes that lead to these."""
+    def take(self, draw: Draw, turns: Draw, door: RoadDoor, period: float, ways: Ways) -> None:
+        """Be driven by these numbers, and turn by these, in frames of so long [s]."""
         self.draw, self.left, self.route = draw, 0, ()
 
     def act(self, action: Any = None) -> None:
@@ -57,10 +64,10 @@ class Bold(ControlledVehicle):  # type: ignore[misc]
 
     target_lane_index: Any
 
-    def take(self, draw: Draw, turns: Draw, door: RoadDoor, period: float, ahead: Ahead) -> None:
-        """Be driven by these numbers, and turn by these, in frames of so long [s], on lanes that lead to these."""
+    def take(self, draw: Draw, turns: Draw, door: RoadDoor, period: float, ways: Ways) -> None:
+        """Be driven by these numbers, and turn by these, in frames of so long [s]."""
         self.draw, self.left, self.held, self.period = draw, 0, 0.0, period
-        self.turns, self.ahead = turns, ahead
+        self.turns, self.ways, self.until = turns, ways, -1.0
         self.door, self.assumptions, self.route = door, door.config.assumptions, None
 
     def act(self, action: Any = None) -> None:
@@ -77,10 +84,16 @@ class Bold(ControlledVehicle):  # type: ignore[misc]
         Vehicle.act(self, {"acceleration": self._permitted(), "steering": steering})
 
     def _turn_anywhere(self) -> None:
-        if self.road.network.get_lane(self.target_lane_index).after_end(self.position):
-            ahead = self.ahead[self.target_lane_index]
+        lane = self.road.network.get_lane(self.target_lane_index)
+        if lane.after_end(self.position):
+            ahead = self.ways.ahead[self.target_lane_index]
             if ahead:
                 self.target_lane_index = ahead[int(self.turns.integers(len(ahead)))]
+        elif self.target_lane_index in self.ways.over:
+            if self.until < 0:
+                self.until = float(self.turns.random()) * lane.length
+            if lane.local_coordinates(self.position)[0] >= self.until:
+                self.target_lane_index = self.ways.over[self.target_lane_index]
 
     def _permitted(self) -> float:
         """No faster than its lane, and no nearer to the one before it than it can stop behind."""
@@ -118,13 +131,13 @@ def man(
     base: Any = env.unwrapped
     assert isinstance(env.door, RoadDoor)
     kinds: Sequence[type[Any]] = {"wild": (Wild,), "bold": (Bold,), "mixed": (Wild, Bold)}[drivers]
-    left, ahead, period = vehicles, env.door.ahead, 1 / base.config["simulation_frequency"]
+    left, ways, period = vehicles, Ways(env.door.ahead, env.door.over), 1 / base.config["simulation_frequency"]
     for k, body in enumerate(base.road.vehicles):
         if body is base.vehicle or left == 0:
             continue
         driven = kinds[left % len(kinds)](body.road, body.position.copy(), body.heading, body.speed)
         draw = np.random.default_rng([seed, k])
         habits, turns = (draw, draw) if told is None else told[vehicles - left]
-        driven.take(habits, turns, env.door, period, ahead)
+        driven.take(habits, turns, env.door, period, ways)
         driven.crashed = body.crashed
         base.road.vehicles[k], left = driven, left - 1

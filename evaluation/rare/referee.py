@@ -2,8 +2,8 @@
 
 Whatever the others do is named by the monitor in the frame in which it breaks a rule, or brings nobody nearer to the
 ego than its buffer. So what counts is how near those come whom the monitor has not named, from when something is
-verified, and as long as nobody named has been in the way of it, nor a wreck that was none before. Whoever owes the ego
-its distance may come into its buffer; of it the bodies count.
+verified, and as long as nobody named has been in the way of it, nor a wreck that was none before or is being pushed.
+Whoever owes the ego its distance may come into its buffer; of it the bodies count.
 """
 
 from __future__ import annotations
@@ -68,8 +68,10 @@ class Referee:
             self.shrunk += bool(innocent)
             self.margin = min(self.margin, *(less[body] for body in innocent), np.inf)
         crashes = self._door.by_rule.get(Breach.CRASH, 0)
-        # Two that have crashed into one another slide: they are no longer among those who offend.
-        disturbed = self._door.disturbed or crashes > self._crashes
+        # Two that have crashed into one another slide, and are pushed as long as they overlap: they are no longer among
+        # those who offend.
+        pushed = any(body.crashed and body.impact is not None for body in self._base.road.vehicles)
+        disturbed = self._door.disturbed or crashes > self._crashes or pushed
         if decision.tier.verified or disturbed:
             self._promised = decision.tier.verified
         self._crashes = crashes

@@ -106,6 +106,11 @@ class RoadDoor:
         }
 
     @property
+    def over(self) -> dict[tuple[str, str, int], tuple[str, str, int]]:
+        """The lane that one has to come over to from each that ends."""
+        return {self._names[k]: self._names[beside] for k, beside in enumerate(self._road.ways.over) if beside >= 0}
+
+    @property
     def foreseen(self) -> Foreseen:
         """What the last decision has gone by."""
         return foreseen(self._others, self._trial, self._names)

@@ -22,7 +22,6 @@ import math
 import numpy as np
 
 from dynamics.compiled import inlined, uncounted
-from dynamics.networks.reachable.prediction import CREEPS
 from dynamics.networks.reachable.strips import ALWAYS, BACK, FAR, HALF, HIGH, KEEP, LOW, NEAR, START
 from dynamics.simulator.layout import LANE_LENGTH
 from dynamics.state import FloatArray
@@ -51,7 +50,7 @@ def _arrival(v: float, way: float, drive: FloatArray, acceleration: float, dt: f
     in no frame, however it drives: so neither does this. One that creeps and steers hard may get less of the way: it is
     taken to be as fast as it can be when it has come to creep no more."""
     step, most = acceleration * dt, drive[2] / drive[1]
-    v = max(v, CREEPS + step)
+    v = max(v, drive[3] + step)
     reserve = max(v * (v - step), 0.0) + 2 * acceleration * max(way, 0.0) / drive[1]
     half = 0.5 + most
     return half * step + math.sqrt(reserve + (half * half - 2 * most) * step * step)

@@ -65,7 +65,7 @@ class Outlook:
     def look(self, dues: Dues) -> Seen:
         """The others now, and where they can be."""
         seen, road = read_traffic(self._base, self._network, self._index), self._road
-        drive = np.zeros((len(seen.rows), 3))
+        drive = np.zeros((len(seen.rows), 5))
         while True:
             strips = self._strips
             given = seen.rows, seen.own, seen.routes

@@ -35,7 +35,7 @@ class Others(NamedTuple):
     ----------
     rows : vehicle rows, (m, 7). things : rows of what stands, (b, 7).
     marks, numbers : strips, see `dynamics.networks.reachable.prediction.spread`; found : how many there are, (1,).
-    drive : (m, 3). least, most : (m, K), see `reach`.
+    drive : (m, 5). least, most : (m, K), see `reach`.
     owes : whether each vehicle owes the ego its distance in each lane, (m, n).
     offends : who has broken a rule, (m,).
     gives : for how many frames each vehicle has been counted on to wait for an ego with more right of way before each

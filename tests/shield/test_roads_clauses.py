@@ -7,6 +7,7 @@ import highway_env  # noqa: F401
 import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 from slowly import later
 
@@ -86,7 +87,7 @@ def test_those_behind_see_the_ego_in_their_own_lane_only():
 def test_they_may_accelerate():
     """Bounds on the way are those of the hardest braking and acceleration, frame by frame; one that creeps may steer so
     hard that it gains less."""
-    rows, drive = np.array([[0.0, 0.0, 0.0, 10.0, 5.0, 2.0, 0.0]]), np.array([[14.0, 1.0, 1.0]])
+    rows, drive = np.array([[0.0, 0.0, 0.0, 10.0, 5.0, 2.0, 0.0]]), np.array([[14.0, 1.0, 1.0, 3.0, 0.34]])
     least, most = np.zeros((1, 60)), np.zeros((1, 60))
     reach(Conduct(6.0, 3.0, 30.0, 0.6, 0.15), rows, drive, 0.1, least, most)
     for rate, low, high, bound in ((3.0, 0.0, 14.0, most), (-6.0, 0.0, 14.0, least)):
@@ -273,3 +274,29 @@ def test_who_comes_from_the_lane_before_gains_nothing_by_creeping(way, speed):
     assert then > 0
     for rate in (-6.0, 0.0, 3.0):
         assert stays(end - way + 0.34 * speed * dt, max(speed + rate * dt, 0.0)) >= then - 1e-6
+
+
+@pytest.mark.parametrize(
+    ("start", "speed", "rate"), [(20.0, 8.0, 0.0), (60.0, 20.0, -6.0), *later((5.0, 4.0, 3.0), (70.0, 15.0, 3.0))]
+)
+def test_coming_over_from_a_lane_that_ends_is_no_offence(start, speed, rate):
+    """By highway-env's own controller, anywhere on merge's ramp, whatever the throttle."""
+    door = scene("merge-v0", ("a", "b", 0), 20.0, 0.0, [(("b", "c", 2), start, speed)])
+    body, frames = door._base.road.vehicles[1], 0
+    while body.lane_index == ("b", "c", 2) and body.speed > 0.5:
+        since = door.watch.last
+        wheel = body.steering_control(("b", "c", 1))
+        Vehicle.act(body, {"acceleration": rate, "steering": float(np.clip(wheel, -np.pi / 3, np.pi / 3))})
+        body.step(1 / door._frequency)
+        door._read()
+        assert not door.have_broken([body], since)
+        frames += 1
+    assert frames > 5
+
+
+@pytest.mark.parametrize("lane", [("k", "b", 0), ("b", "c", 2)])
+def test_who_stands_in_a_lane_that_ends_waits_there(lane):
+    """Who is as slow before it does not: it has the time to come to be faster."""
+    door = scene("merge-v0", ("a", "b", 0), 20.0, 0.0, [(lane, 40.0, 0.4)])
+    lanes = {door._names[each] for each in door._others.marks[:, 1]}
+    assert (("b", "c", 1) in lanes) == (lane == ("k", "b", 0))

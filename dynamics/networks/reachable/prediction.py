@@ -35,14 +35,16 @@ from dynamics.networks.reachable.strips import (
 from dynamics.simulator.layout import LANE_LENGTH, LANE_LIMIT
 from dynamics.state import FloatArray, IntArray, Vehicle
 
-__all__ = ["CREEPS", "reach", "spread"]
+__all__ = ["reach", "spread"]
 
 _WIDTH = int(Vehicle.WIDTH)
 _STRAIGHT = math.cos(ALIGNED)
 _STANDS = 0.5
-"""Who is slower than that at the end of a lane waits until those beside it have gone by [m/s]."""
-CREEPS, _GAIN = 3.0, 0.34
+"""Who is slower than that in a lane that ends waits there until those beside it have gone by [m/s]."""
+_CREEPS, _GAIN = 3.0, 0.34
 """Who is slower than that [m/s] can steer so hard that it gains this share of what others do, along its lane."""
+_TURNS, _GAIN_OVER = 16.0, 0.1
+"""The same of who may come over to the lane beside."""
 
 
 @uncounted
@@ -71,6 +73,17 @@ def _chain(ways: Ways, strips: Strips, first: int, count: int) -> None:
 
 
 @uncounted
+def _reaches_over(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, strips: Strips, j: int) -> None:
+    """Give the strip of a lane that ends the room to come over from it, anywhere before its end."""
+    lane, numbers = strips.marks[j, 1], strips.numbers[j]
+    beside = ways.over[lane]
+    x, y = place(lanes, lane, 0.0)
+    r, keep = local(lanes, beside, x, y)[1], keep_of(lanes, beside, row, conduct)
+    numbers[LOW], numbers[HIGH] = min(numbers[LOW], -r - keep), max(numbers[HIGH], keep - r)
+    numbers[BACK] = numbers[FAR] + lanes.rows[lane, LANE_LENGTH] + SETTLED
+
+
+@uncounted
 def _comes_over(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, strips: Strips, j: int) -> Strip:
     """The strip of the lane beside one that ends, into which one may come from it anywhere."""
     lane, numbers = strips.marks[j, 1], strips.numbers[j]
@@ -79,9 +92,8 @@ def _comes_over(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, str
     s, r = local(lanes, beside, x, y)
     keep = keep_of(lanes, beside, row, conduct)
     low, high = min(-keep, numbers[LOW] + r), max(keep, numbers[HIGH] + r)
-    back = numbers[FAR] + lanes.rows[lane, LANE_LENGTH]
     near, far, start = numbers[NEAR] - s, numbers[FAR] - s, numbers[START] + s
-    return Strip(strips.marks[j, 0], beside, j, near, far, low, high, numbers[HALF], start, back, keep)
+    return Strip(strips.marks[j, 0], beside, j, near, far, low, high, numbers[HALF], start, numbers[BACK], keep)
 
 
 @uncounted
@@ -93,7 +105,7 @@ def _goes_on(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, strips
     near, far, back = numbers[NEAR] + long - s - slack, numbers[FAR] + long - s + slack, numbers[BACK]
     keep = keep_of(lanes, after, row, conduct)
     low, high = -keep, keep
-    if numbers[FAR] + long < back:
+    if numbers[FAR] + long < back and ways.over[lane] < 0:
         low, high = min(low, numbers[LOW]), max(high, numbers[HIGH])
     if slack > 0:
         # Who has to come over from beside a lane does so in the course of it.
@@ -115,14 +127,24 @@ def _pace(lanes: Lanes, conduct: Conduct, lane: int, off: float, drive: FloatArr
 
 @uncounted
 def _lead_on(
-    lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: Strips, first: int, count: int, j: int
+    lanes: Lanes,
+    ways: Ways,
+    conduct: Conduct,
+    subject: Subject,
+    strips: Strips,
+    drive: FloatArray,
+    first: int,
+    count: int,
+    j: int,
 ) -> int:
     """The strips that strip j leads to; how many there are then. Whoever has a route keeps to it, until it is over or
     does not go on from here."""
     lane, row, route = strips.marks[j, 1], subject.row, subject.route
-    if ways.over[lane] >= 0 and row[3] <= _STANDS:
+    if ways.over[lane] >= 0 and row[3] <= _STANDS and strips.marks[j, 2] == -1:
         return count
     if ways.over[lane] >= 0:
+        drive[3], drive[4] = _TURNS, _GAIN_OVER
+        _reaches_over(lanes, ways, conduct, row, strips, j)
         count = add(strips, first, count, _comes_over(lanes, ways, conduct, row, strips, j))
     known = subject.limited and route[lanes.ids[lane, ROAD]] < 2
     for anywhere in range(2):
@@ -156,8 +178,8 @@ def spread(
     routes : for each road, 1 where it is on a vehicle's route, 2 where it is the last of it, (m, roads); all 0 of whom
         no route is known.
     strips : written.
-    drive : speed that it accelerates to [m/s], and the least and the greatest metres of s in a metre driven, (m, 3);
-        written.
+    drive : speed that it accelerates to [m/s], the least and the greatest metres of s in a metre driven, and the speed
+        below which it may gain only a part of that [m/s], and which, (m, 5); written.
 
     Returns
     -------
@@ -172,12 +194,12 @@ def spread(
         subject = Subject(i, rows[i], own[i], routes[i], routed)
         count = stand(lanes, ways, conduct, subject, strips, first)
         _chain(ways, strips, first, min(count, room))
-        drive[i, 0], drive[i, 1], drive[i, 2] = 0.0, _STRAIGHT, 1.0
+        drive[i, 0], drive[i, 1], drive[i, 2], drive[i, 3], drive[i, 4] = 0.0, _STRAIGHT, 1.0, _CREEPS, _GAIN
         j = first
         while j < min(count, room):
             off = max(-numbers[j, LOW], numbers[j, HIGH]) - 0.5 * rows[i, _WIDTH]
             _pace(lanes, conduct, marks[j, 1], off, drive[i])
-            count = _lead_on(lanes, ways, conduct, subject, strips, first, count, j)
+            count = _lead_on(lanes, ways, conduct, subject, strips, drive[i], first, count, j)
             j += 1
         if count > room:
             return count
@@ -194,7 +216,7 @@ def reach(
         cap = max(drive[i, 0], fast)
         for k in range(least.shape[1]):
             least[i, k], most[i, k] = min(back * drive[i, 1], back * drive[i, 2]), ahead * drive[i, 2]
-            back += slow * dt * (_GAIN if 0.0 < slow < CREEPS else 1.0)
+            back += slow * dt * (drive[i, 4] if 0.0 < slow < drive[i, 3] else 1.0)
             ahead += fast * dt
             slow = max(slow - conduct.braking * dt, 0.0) if slow > 0 else min(slow + conduct.braking * dt, 0.0)
             fast = min(fast + conduct.acceleration * dt, cap)

@@ -20,8 +20,8 @@ ROADS = (
     off(
         "nobody comes over from a lane that ends",
         _PREDICTION,
-        "    if ways.over[lane] >= 0:\n        count = add",
-        "    if False:\n        count = add",
+        "    if ways.over[lane] >= 0:\n        drive[3]",
+        "    if False:\n        drive[3]",
         _CLAUSES,
     ),
     off(
@@ -69,7 +69,7 @@ ROADS = (
     off(
         "who creeps gets as far along its lane as others",
         _JUDGING,
-        "    v = max(v, CREEPS + step)\n",
+        "    v = max(v, drive[3] + step)\n",
         "",
         _CLAUSES,
     ),
@@ -125,7 +125,7 @@ ROADS = (
     off(
         "who creeps gains as much as others",
         _PREDICTION,
-        "(_GAIN if 0.0 < slow < CREEPS else 1.0)",
+        "(drive[i, 4] if 0.0 < slow < drive[i, 3] else 1.0)",
         "1.0",
         _CLAUSES,
     ),

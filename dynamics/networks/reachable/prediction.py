@@ -21,6 +21,7 @@ from dynamics.networks.reachable.strips import (
     FAR,
     HALF,
     HIGH,
+    KEEP,
     LOW,
     NEAR,
     START,
@@ -40,7 +41,7 @@ __all__ = ["reach", "spread"]
 _WIDTH = int(Vehicle.WIDTH)
 _STRAIGHT = math.cos(ALIGNED)
 _STANDS = 0.5
-"""Who is slower than that in a lane that ends waits there until those beside it have gone by [m/s]."""
+"""Who keeps to a lane that ends and is slower than that waits there until those beside it have gone by [m/s]."""
 _CREEPS, _GAIN = 3.0, 0.34
 """Who is slower than that [m/s] can steer so hard that it gains this share of what others do, along its lane."""
 _TURNS, _GAIN_OVER = 16.0, 0.1
@@ -139,8 +140,9 @@ def _lead_on(
 ) -> int:
     """The strips that strip j leads to; how many there are then. Whoever has a route keeps to it, until it is over or
     does not go on from here."""
-    lane, row, route = strips.marks[j, 1], subject.row, subject.route
-    if ways.over[lane] >= 0 and row[3] <= _STANDS and strips.marks[j, 2] == -1:
+    lane, row, route, numbers = strips.marks[j, 1], subject.row, subject.route, strips.numbers[j]
+    keeps = strips.marks[j, 2] == -1 and max(numbers[HIGH], -numbers[LOW]) <= numbers[KEEP]
+    if ways.over[lane] >= 0 and row[3] <= _STANDS and keeps:
         return count
     if ways.over[lane] >= 0:
         drive[3], drive[4] = _TURNS, _GAIN_OVER

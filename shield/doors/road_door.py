@@ -15,7 +15,8 @@ from dynamics.networks.engine import command
 from dynamics.networks.layout import COUNT
 from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of
-from dynamics.simulator.layout import IMPACTED, SPEED, TARGET, TARGET_SPEED
+from dynamics.simulator.layout import CRASHED, IMPACTED, SPEED, TARGET, TARGET_SPEED
+from dynamics.state import FloatArray
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
@@ -28,7 +29,7 @@ from shield.roads.choosing import CLEAR, Choice, choose, try_course
 from shield.roads.courses import Wish, courses_of, frames_of, gone_on_with, stopping
 from shield.roads.dues import Dues
 from shield.roads.outlook import Outlook, road_of
-from shield.roads.room import Foreseen, Trial, empty_trial, foreseen
+from shield.roads.room import Foreseen, Others, Trial, empty_trial, foreseen
 from shield.roads.saving import bare, save
 from shield.roads.watch import Breach, Seen, Watch
 
@@ -85,6 +86,7 @@ class RoadDoor:
         self.disturbed = False
         self.kept: dict[Any, tuple[float, float]] = {}
         self._then: dict[Any, float] = {}
+        self._stays: dict[Any, float] = {}
         self._ready: tuple[Course, Decision] | None = None
 
     @property
@@ -130,7 +132,10 @@ class RoadDoor:
         for body in hit:
             body.crashed = False
         try:
-            return self.watch.judge(self._look(), hit, self._road)
+            seen = self._look()
+            load_ego(self._base, self._alone.rules, self._index, self._alone.worlds)
+            self._alone.worlds.g[0, [CRASHED, IMPACTED]] = 0
+            return self.watch.judge(seen, hit, self._road) | (hit & self._late(seen))
         finally:
             for body in hit:
                 body.crashed = True
@@ -228,9 +233,11 @@ class RoadDoor:
         self._names = list(self._index)
         self._road = road_of(base, self._alone, self.config)
         self._bare = bare(self._road)
+        self._at_once = self._bare._replace(duty=self._road.duty._replace(reaction=0))
         self._frames = frames_of(self._frequency)
         self._outlook = Outlook(base, self._alone, self._road, self._frames)
         self._trial: Trial = empty_trial(self._frames, len(self._names), 0)
+        self._aside: Trial = empty_trial(self._frames, len(self._names), 0)
 
     def _read(self) -> None:
         """Take in the scene, and what has become of it since the one before."""
@@ -245,7 +252,7 @@ class RoadDoor:
         seen = self._look()
         self._others = seen.others
         if len(self._trial.margins) != len(seen.who):
-            self._trial = empty_trial(self._frames, len(self._names), len(seen.who))
+            self._trial, self._aside = (empty_trial(self._frames, len(self._names), len(seen.who)) for _ in range(2))
         if self.watch.last is None:
             # Whoever is behind when it all begins has seen the ego for long.
             self._try(stopping(self._bound, self.config.braking))
@@ -258,18 +265,34 @@ class RoadDoor:
 
     def _watch(self, seen: Seen) -> None:
         """Who has broken a rule since the scene before."""
-        margins, self.kept, ego = None, {}, self._base.vehicle
+        margins, late, self.kept, ego = None, set[Any](), {}, self._base.vehicle
         # Who has been hit does not do what it is told; who is about to be has done it so far, and is judged unpushed.
         if self._stored is not None and not ego.crashed:
             flags = self._alone.worlds.g[0, IMPACTED]
             pushed, flags[:] = flags.copy(), 0
             self._try(self._stored)
+            late = self._late(seen)
             flags[:] = pushed
             margins = self._trial.margins
             self.kept = {b: (self._then[b], float(margins[i])) for i, b in enumerate(seen.who) if b in self._then}
-        self.watch.next(seen, set(self._then), margins, self._road)
+        self.watch.next(seen, set(self._then), margins, self._road, late)
         self.disturbed = self.disturbed or bool(self.watch.offenders)
         self._others.offends[:] = [body in self.watch.offenders for body in seen.who]
+
+    def _late(self, seen: Seen) -> set[Any]:
+        """Who owed the ego its distance a frame ago, could have kept it by braking, and no longer can."""
+        if self._stored is None or not self._stays:
+            return set()
+        now = self._brakes(self._stored, seen.others, len(seen.who))
+        return {b for i, b in enumerate(seen.who) if self._stays.get(b, -1.0) >= CLEAR and now[i] < CLEAR}
+
+    def _brakes(self, course: Course, others: Others, count: int) -> FloatArray:
+        """How far each of the others stays from the body of the ego on a course, if who is behind it brakes at once,
+        (count,) [m]."""
+        if len(self._aside.margins) != count:
+            self._aside = empty_trial(self._frames, len(self._names), count)
+        try_course(self._alone, self._at_once, others, np.array(course, float), False, self._aside)
+        return self._aside.margins
 
     def _try(self, course: Course) -> None:
         """Have the trial hold what comes of a course; whoever owes the ego its distance keeps it."""
@@ -306,6 +329,11 @@ class RoadDoor:
         self._then = {body: float(self._trial.margins[i]) for i, body in enumerate(who)} if tier.verified else {}
         self.disturbed = self.disturbed and not tier.verified
         self._keep_distance(who, tier.verified)
+        self._stays = {}
+        owing = np.flatnonzero(self._others.owes.any(axis=1))
+        if owing.size:
+            stays = self._brakes(course, self._others, len(who))
+            self._stays = {who[i]: float(stays[i]) for i in owing}
         if self._road.duty.gives_way:
             self._dues.give_way(who, self._others, self._trial, self._road, tier.verified)
         bound = int(self._trial.bound[0])

@@ -8,11 +8,13 @@ all time):
    the middle. It may take another lane where that leaves the room for the ego's fail-safe;
 3. *reversing*: not go backwards where the ego's fail-safe suffers;
 4. *no crash*;
-5. *right of way*: where that is assumed, whoever has been counted on to wait for the ego, and has had the time to
+5. *distance*: who is behind the ego in its lane, and owes it its distance, brakes for it as long as that helps: at the
+   duty's braking it stays behind the ego's body, on its fail-safe;
+6. *right of way*: where that is assumed, whoever has been counted on to wait for the ego, and has had the time to
    react, brakes for it where the fail-safe suffers otherwise.
 
-Rules 1 and 4 are judged alone, the others where the ego's fail-safe suffers; so is who has *appeared*. `UNFORESEEN` is
-for the sake of honesty: the fail-safe has come to suffer from one who has broken no rule. That is a hole in the
+Rules 1, 4 and 5 are judged alone, the others where the ego's fail-safe suffers; so is who has *appeared*. `UNFORESEEN`
+is for the sake of honesty: the fail-safe has come to suffer from one who has broken no rule. That is a hole in the
 certificate, and a test fails.
 """
 
@@ -42,6 +44,7 @@ class Breach(StrEnum):
     CRASH = "crash"
     APPEARED = "appeared"
     REVERSING = "reversing"
+    DISTANCE = "distance"
     RIGHT_OF_WAY = "right of way"
     UNFORESEEN = "unforeseen"
 
@@ -77,13 +80,14 @@ class Watch:
         """How often a rule has been broken."""
         return sum(self.by_rule.values())
 
-    def next(self, now: Seen, clear: set[Any], margins: FloatArray | None, road: Road) -> None:
+    def next(self, now: Seen, clear: set[Any], margins: FloatArray | None, road: Road, late: set[Any]) -> None:
         """Take in the scene one frame later.
 
         Parameters
         ----------
         clear : of whom the ego's fail-safe stayed clear when it was chosen, and those who owed it their distance.
         margins : how far it stays from each now, (m,) [m]; None without one.
+        late : who has not kept its distance by braking, since the scene before.
         """
         last, breaking = self.last, {}
         self.last = now
@@ -103,6 +107,8 @@ class Watch:
             else:
                 suffers = suffers and body in clear
                 broken = self._broken(last.others, j, now.others, i, road, suffers)
+                if body in late:
+                    broken.add(Breach.DISTANCE)
                 if suffers and not broken and body not in self.offenders:
                     broken = {Breach.UNFORESEEN}
             if broken:

@@ -163,7 +163,7 @@ def test_who_is_beside_its_lane_comes_back():
     for clear, broken in (({body}, {Breach.WAYS: 1}), (set(), {})):
         watch = Watch()
         for k in range(2):
-            watch.next(seen[k], clear, np.array([-1.0]), door._road)
+            watch.next(seen[k], clear, np.array([-1.0]), door._road, set())
         assert watch.by_rule == broken
 
 
@@ -300,3 +300,24 @@ def test_who_stands_in_a_lane_that_ends_waits_there(lane):
     door = scene("merge-v0", ("a", "b", 0), 20.0, 0.0, [(lane, 40.0, 0.4)])
     lanes = {door._names[each] for each in door._others.marks[:, 1]}
     assert (("b", "c", 1) in lanes) == (lane == ("k", "b", 0))
+
+
+@pytest.mark.parametrize("brakes", [True, False])
+def test_who_is_behind_and_does_not_brake_is_named(brakes):
+    """As soon as braking no longer helps: at 15 m/s that is 19 m before the ego, which cannot go on."""
+    lane = ("a", "b", 0)
+    door = scene("merge-v0", lane, 100.0, 0.0, [(lane, 60.0, 15.0)], [(lane, 106.0)])
+    body, named = door._base.road.vehicles[1], []
+    door.reset()
+    door.decide(1)
+    while body.position[0] < 94.9 and body.speed > 0.1:
+        door.frame()
+        room = 95.0 - body.position[0]
+        if door.watch.by_rule and not named:
+            named.append(room)
+        hard = brakes and room - 1.0 < body.speed * 2 / 15 + (body.speed + 0.2) ** 2 / 12
+        Vehicle.act(body, {"acceleration": -6.0 if hard else 0.0, "steering": 0.0})
+        body.step(1 / door._frequency)
+    door.frame()
+    assert door.watch.by_rule == ({} if brakes else {Breach.DISTANCE: 1})
+    assert brakes or named[0] == pytest.approx(15.0**2 / 12, abs=1.5)

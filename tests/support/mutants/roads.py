@@ -74,6 +74,27 @@ ROADS = (
         _CLAUSES,
     ),
     off(
+        "who is behind need not brake",
+        "shield/roads/watch.py",
+        "                if body in late:\n                    broken.add(Breach.DISTANCE)\n",
+        "",
+        _CLAUSES,
+    ),
+    off(
+        "who stands astride waits too",
+        _PREDICTION,
+        "strips.marks[j, 2] == -1 and max(numbers[HIGH], -numbers[LOW]) <= numbers[KEEP]",
+        "strips.marks[j, 2] == -1",
+        _CLAUSES,
+    ),
+    off(
+        "who is coming over keeps to its lane",
+        _PREDICTION,
+        "        _reaches_over(lanes, ways, conduct, row, strips, j)\n",
+        "",
+        _CLAUSES,
+    ),
+    off(
         "where the ego rests nobody rolls back later",
         _JUDGING,
         "                back = min(back, others.least[i, others.least.shape[1] - 1] - row[FAR])\n",

@@ -10,7 +10,7 @@ overlap.
 Who owes what: one that comes up from behind in the ego's own lane brakes for it, `Duty.braking` at least, once the ego
 has been visible there for `Duty.reaction` frames, and on a road where nobody looks beyond the end of the own lane no
 sooner than it has come into that lane itself. Who has yet to come over from a lane that ends owes nothing before it
-does: it may as well drive past. With `Duty.gives_way`, one with less right of way than the ego has does the same before
+does: it may as well drive past, and the strip of that lane reaches over. With `Duty.gives_way`, one with less right of way than the ego has does the same before
 any lane, from when the ego has it: if it can stay behind the ego's body by braking so, it does. Nobody else yields: who
 crosses, joins or comes the other way is where the strips say.
 """
@@ -26,7 +26,7 @@ from dynamics.networks.reachable.strips import ALWAYS, BACK, FAR, HALF, HIGH, KE
 from dynamics.simulator.layout import LANE_LENGTH
 from dynamics.state import FloatArray
 from dynamics.traffic.permits import Ego, gap_between
-from shield.roads.room import Others, Road, Trial, comes_over
+from shield.roads.room import Others, Road, Trial
 from shield.roads.survey import FAR_OFF
 
 __all__ = ["judge"]
@@ -175,7 +175,7 @@ def judge(
                 since -= 1
             # Who is behind, and sees the ego from some frame on.
             box = boxes[lane, bad]
-            if since <= contact and not comes_over(others, road.ways, j):
+            if since <= contact:
                 start = -row[NEAR] + row[HALF] <= box[0]
                 owed = others.owes[i, lane] and since == 0 and boxes[lane, 0, 0] < FAR_OFF
                 if owed and lenient:

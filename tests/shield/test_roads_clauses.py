@@ -12,7 +12,7 @@ from highway_env.vehicle.objects import Obstacle
 from slowly import later
 
 from dynamics.networks.reachable.prediction import reach
-from dynamics.networks.reachable.strips import Conduct
+from dynamics.networks.reachable.strips import LOW, Conduct
 from shield import ShieldConfig
 from shield.doors.road_door import RoadDoor
 from shield.roads.choosing import CLEAR, try_course
@@ -300,6 +300,18 @@ def test_who_stands_in_a_lane_that_ends_waits_there(lane):
     door = scene("merge-v0", ("a", "b", 0), 20.0, 0.0, [(lane, 40.0, 0.4)])
     lanes = {door._names[each] for each in door._others.marks[:, 1]}
     assert (("b", "c", 1) in lanes) == (lane == ("k", "b", 0))
+
+
+def test_who_stands_astride_may_come_over():
+    """It has not kept to its lane, so that it is not waiting there."""
+    lane = ("b", "c", 2)
+    door = scene("merge-v0", ("a", "b", 0), 20.0, 0.0, [(lane, 40.0, 0.3)])
+    body = door._base.road.vehicles[1]
+    for r, least in ((0.0, -1.6), (-1.0, -5.6)):
+        body.position = body.lane.position(40.0, r)
+        door._read()
+        rows = door._others.numbers[[door._names[k] == lane for k in door._others.marks[:, 1]]]
+        assert rows[0, LOW] == pytest.approx(least)
 
 
 @pytest.mark.parametrize("brakes", [True, False])

@@ -53,13 +53,6 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "one behind brakes before it has come over from a lane that ends",
-        _JUDGING,
-        " and not comes_over(others, road.ways, j)",
-        "",
-        _CLAUSES,
-    ),
-    off(
         "one behind owes its distance before it has come over from a lane that ends",
         "shield/roads/dues.py",
         "out[i, lane] or not comes_over(others, road.ways, j)",

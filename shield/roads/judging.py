@@ -10,9 +10,9 @@ overlap.
 Who owes what: one that comes up from behind in the ego's own lane brakes for it, `Duty.braking` at least, once the ego
 has been visible there for `Duty.reaction` frames, and on a road where nobody looks beyond the end of the own lane no
 sooner than it has come into that lane itself. Who has yet to come over from a lane that ends owes nothing before it
-does: it may as well drive past, and the strip of that lane reaches over. With `Duty.gives_way`, one with less right of way than the ego has does the same before
-any lane, from when the ego has it: if it can stay behind the ego's body by braking so, it does. Nobody else yields: who
-crosses, joins or comes the other way is where the strips say.
+does: it may as well drive past, and the strip of that lane reaches over. With `Duty.gives_way`, one with less right of
+way than the ego has does the same before any lane, from when the ego has it: if it can stay behind the ego's body by
+braking so, it does. Nobody else yields: who crosses, joins or comes the other way is where the strips say.
 """
 
 from __future__ import annotations

@@ -252,7 +252,7 @@ class RoadDoor:
         seen = self._look()
         self._others = seen.others
         if len(self._trial.margins) != len(seen.who):
-            self._trial, self._aside = (empty_trial(self._frames, len(self._names), len(seen.who)) for _ in range(2))
+            self._trial = empty_trial(self._frames, len(self._names), len(seen.who))
         if self.watch.last is None:
             # Whoever is behind when it all begins has seen the ego for long.
             self._try(stopping(self._bound, self.config.braking))

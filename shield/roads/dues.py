@@ -7,22 +7,31 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.networks.reachable.strips import HALF, NEAR
+from dynamics.networks.reachable.strips import HALF, NEAR, SEVERAL, Ways
 from dynamics.state import BoolArray, FloatArray, IntArray
-from shield.roads.room import Others, Road, Trial, comes_over
+from shield.roads.room import Others, Road, Trial
 
 __all__ = ["Dues", "behind"]
+
+
+def _comes_over(others: Others, ways: Ways) -> BoolArray:
+    """Whether the vehicle of each strip has to come over to its lane, from one beside it that ends, (k,)."""
+    vehicles, lanes, before = others.marks.T
+    over = ways.over[lanes]
+    several = (vehicles[:, None] == vehicles) & (over == lanes[:, None])
+    return np.where(before == SEVERAL, several.any(axis=1), (before >= 0) & (over[before] == lanes))
 
 
 def behind(others: Others, boxes: FloatArray, seen: BoolArray, road: Road, buffer: float) -> BoolArray:
     """Who is behind the ego in a lane where it is seen, (m, n): see `survey`, of the first frame. Whoever owes it its
     distance may come into the buffer of so many metres, and owes it still. Who has yet to come over is not behind."""
+    (vehicles, lanes, _), numbers = others.marks.T, others.numbers
+    rear = boxes[lanes, 0, 0] + np.where(others.owes[vehicles, lanes], buffer, 0.0)
+    there = seen[lanes, 0] & (numbers[:, HALF] - numbers[:, NEAR] <= rear) & ~_comes_over(others, road.ways)
+    if not road.duty.ahead:
+        there &= numbers[:, NEAR] <= 0
     out = np.zeros(others.owes.shape, dtype=bool)
-    for j in range(int(others.found[0])):
-        (i, lane), row = others.marks[j, :2], others.numbers[j]
-        rear = boxes[lane, 0, 0] + (buffer if others.owes[i, lane] else 0.0)
-        if seen[lane, 0] and (road.duty.ahead or row[NEAR] <= 0) and row[HALF] - row[NEAR] <= rear:
-            out[i, lane] = out[i, lane] or not comes_over(others, road.ways, j)
+    out[vehicles[there], lanes[there]] = True
     return out
 
 

@@ -6,13 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import uncounted
 from dynamics.networks.lanes import Lanes
-from dynamics.networks.reachable.strips import FAR, HALF, HIGH, LOW, NEAR, SEVERAL, Conduct, Ways
+from dynamics.networks.reachable.strips import FAR, HALF, HIGH, LOW, NEAR, Conduct, Ways
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.roads.survey import Body
 
-__all__ = ["Duty", "Foreseen", "Others", "Road", "Trial", "comes_over", "empty_trial", "foreseen"]
+__all__ = ["Duty", "Foreseen", "Others", "Road", "Trial", "empty_trial", "foreseen"]
 
 _STANDS = 1e-6
 """Slower is standing [m/s]."""
@@ -112,19 +111,6 @@ class Trial(NamedTuple):
     seen: BoolArray
     met: IntArray
     margins: FloatArray
-
-
-@uncounted
-def comes_over(others: Others, ways: Ways, j: int) -> bool:
-    """Whether a vehicle has to come over to the lane of strip j, from one beside it that ends."""
-    marks, lane, before = others.marks, others.marks[j, 1], others.marks[j, 2]
-    if before >= 0:
-        return bool(ways.over[marks[before, 1]] == lane)
-    if before == SEVERAL:
-        for k in range(others.found[0]):
-            if marks[k, 0] == marks[j, 0] and ways.over[marks[k, 1]] == lane:
-                return True
-    return False
 
 
 def empty_trial(frames: int, lanes: int, vehicles: int) -> Trial:

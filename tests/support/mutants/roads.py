@@ -55,8 +55,8 @@ ROADS = (
     off(
         "one behind owes its distance before it has come over from a lane that ends",
         "shield/roads/dues.py",
-        "out[i, lane] or not comes_over(others, road.ways, j)",
-        "True",
+        " & ~_comes_over(others, road.ways)",
+        "",
         _CLAUSES,
     ),
     off(

@@ -21,7 +21,7 @@ from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
 from shield.doors.input_door import refuse_lots
-from shield.doors.simulated.exact_scene import STATE, ExactScene, Room, why_unread
+from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, Room, why_unread
 from shield.errors import ConfigError
 from shield.exact.deciding import Plans, boxed_in, empty_plans, last_resort, passes, replace, verify
 from shield.exact.effort import begin_anew
@@ -34,7 +34,7 @@ from shield.repair.order import resolve
 __all__ = ["ExactDoor", "as_decision"]
 
 
-class ExactDoor:
+class ExactDoor(Foretells):
     """Filters meta-actions where the traffic, of known classes, follows from its state: on straight highways, and on
     the networks of merges, exits, roundabouts, two-way roads, u-turns and intersections (where nobody knows
     who comes next).
@@ -74,16 +74,6 @@ class ExactDoor:
         self.cause = ""
         self._plans: Plans = empty_plans(1, 1)
         self._search: Search | None = None
-
-    @property
-    def violations(self) -> int:
-        """Vehicles that have done something else than what was foretold, counted at each decision."""
-        return self._scene.violations
-
-    @property
-    def by_rule(self) -> dict[str, int]:
-        """The same by the rule that was broken: to do what is foretold is the only one."""
-        return self._scene.by_rule
 
     def reset(self) -> None:
         """Forget everything about the episode."""

@@ -21,7 +21,7 @@ from shield.batch.vocabulary import TIERS
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.input_frames import InputFrames
-from shield.doors.simulated.exact_scene import STATE, ExactScene, why_unread
+from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, why_unread
 from shield.exact.inputs import Tail, decide_inputs, empty_tail, play
 from shield.exact.room import Search
 from shield.refusals import check
@@ -32,7 +32,7 @@ _HOLD = 1.0
 """How long the law holds a lane and a speed before it may turn to others [s]."""
 
 
-class ExactInputDoor(InputFrames):
+class ExactInputDoor(Foretells, InputFrames):
     """Filters throttle and steering where the traffic, of known classes, follows from its state.
 
     At every frame the proposal is simulated for that frame, and after it a law that keeps lanes and speeds, for
@@ -81,16 +81,6 @@ class ExactInputDoor(InputFrames):
         self._search: Search | None = None
         self._present: Search | None = None
         self._tail: Tail = empty_tail(1)
-
-    @property
-    def violations(self) -> int:
-        """Vehicles that have done something else than what was foretold."""
-        return self._scene.violations
-
-    @property
-    def by_rule(self) -> dict[str, int]:
-        """The same by the rule that was broken: to do what is foretold is the only one."""
-        return self._scene.by_rule
 
     def _physical(self, action: Any, read: FloatArray) -> FloatArray:
         """As highway-env itself computes them: in the precision of the action, which tells in the end."""

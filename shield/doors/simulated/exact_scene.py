@@ -21,7 +21,7 @@ from shield.exact.room import Search, new_search
 from shield.exact.search import foretell
 from shield.roads.watch import Breach
 
-__all__ = ["STATE", "ExactScene", "Room", "why_unread"]
+__all__ = ["STATE", "ExactScene", "Foretells", "Room", "why_unread"]
 
 _log = logging.getLogger(__name__)
 
@@ -176,3 +176,19 @@ class ExactScene:
         self.surprised = bool(other.any())
         ego = self.ego(bodies)
         return 0 if other[columns[:, 0] == ego].any() else int(other.sum())
+
+
+class Foretells:
+    """A door that foretells a scene: what offends is what comes about otherwise."""
+
+    _scene: ExactScene
+
+    @property
+    def violations(self) -> int:
+        """Vehicles that have done something else than what was foretold, counted whenever the scene is read."""
+        return self._scene.violations
+
+    @property
+    def by_rule(self) -> dict[str, int]:
+        """The same by the rule that was broken: to do what is foretold is the only one."""
+        return self._scene.by_rule

@@ -20,7 +20,7 @@ from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
 from shield.doors.simulated.exact_door import as_decision
-from shield.doors.simulated.exact_scene import STATE, ExactScene, why_unread
+from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, why_unread
 from shield.errors import ConfigError
 from shield.exact.deciding import Plans, empty_plans, last_resort, passes, replace
 from shield.exact.room import Search, Wish
@@ -36,7 +36,7 @@ def is_team(base: Any) -> bool:
     return isinstance(getattr(base, "action_type", None), MultiAgentAction)
 
 
-class TeamDoor:
+class TeamDoor(Foretells):
     """Filters the meta-actions of several egos, where the traffic follows from its state.
 
     There is a plan for each of them, and all plans together keep everybody's buffer. One ego after the other is asked
@@ -84,16 +84,6 @@ class TeamDoor:
     def agents(self) -> int:
         """How many egos there are."""
         return len(self._base.controlled_vehicles)
-
-    @property
-    def violations(self) -> int:
-        """Vehicles that have done something else than what was foretold, counted at each decision."""
-        return self._scene.violations
-
-    @property
-    def by_rule(self) -> dict[str, int]:
-        """The same by the rule that was broken: to do what is foretold is the only one."""
-        return self._scene.by_rule
 
     def reset(self) -> None:
         """Forget everything about the episode."""

@@ -101,9 +101,20 @@ def test_the_property_is_not_empty() -> None:
     assert judged(scene) < 0
 
 
-def test_one_that_brakes_behind_its_leader_slips_in_beside_an_ego_that_keeps_its_lane() -> None:
+@pytest.mark.parametrize(
+    ("offset", "u", "behind", "v", "gap", "leader"),
+    [
+        (0.1, 34.3, -7.5, 14.0, 33.0, 9.5),
+        (0.2, 36.83, -6.81, 18.76, 39.97, 10.57),
+        (0.2, 37.61, -11.78, 18.15, 17.78, 13.34),
+        (0.2, 36.86, -11.44, 16.38, 25.62, 14.07),
+    ],
+)
+def test_one_that_brakes_behind_its_leader_slips_in_beside_an_ego_that_keeps_its_lane(
+    offset: float, u: float, behind: float, v: float, gap: float, leader: float
+) -> None:
     """It is faster than its leader when the ego falls back to it, and no longer when the ego is alongside."""
-    scene = scene_of(offset=0.1, u=34.3, behind=-7.5, v=14.0, gap=33.0, leader=9.5)
+    scene = scene_of(offset, u, behind, v, gap, leader)
     assert worst_overlap(scene, beyond=-1.0) > 0
     assert judged(scene) < 0
 

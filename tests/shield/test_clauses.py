@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import gymnasium as gym
@@ -18,6 +19,8 @@ from shield import Decision, Reason, Tier
 from shield.certificate.clauses.edge import verdicts
 from shield.certificate.manoeuvres import brake_candidates
 from shield.certificate.verify import Surveyor
+from shield.procedures import frames as of_frames
+from shield.procedures import inputs as of_inputs
 from shield.procedures.frames import first_verified
 
 
@@ -120,6 +123,44 @@ def test_what_evades_an_offender_clears_everybody_else(core):
             assert along(now, path, ignored=np.array([True, False])) >= 0
     assert tiers.count(Tier.EVADED) > 100
     # Braking in the stored lane is one of the evasions: where it clears the others, something does.
+    assert Tier.STORED_PLAN not in tiers
+
+
+def last_of_them(expected, worst):
+    """In the place of `least_bad_evasion`: the last, which accelerates."""
+    return len(worst.margin) - 1
+
+
+@pytest.mark.parametrize(("core", "procedure"), [(ShieldCore, of_frames), (ContinuousCore, of_inputs)])
+def test_whatever_evades_an_offender_clears_everybody_else(core, procedure, monkeypatch):
+    """It is among what clears the others that the choice is made, however that is done."""
+    monkeypatch.setattr(procedure, "least_bad_evasion", last_of_them)
+    taken = []
+    for gap in np.arange(12.0, 20.0, 0.07):
+        cars = (-7.05, 0.0, 0.0, 18.0), (gap, 0.0, 0.0, 10.0)
+        moved = [(x + v * DT, y, psi, v) for x, y, psi, v in cars]
+        now = scene_of((15 * DT, 0, 0, 15), *moved, lanes=1, speed=30.0)
+        decision = after(core(), scene_of((0, 0, 0, 15), *cars, lanes=1, speed=30.0), now)
+        assert decision.tier is Tier.EVADED
+        path = decision.plan if core is ShieldCore else decision.plan[1:]
+        assert along(now, path, ignored=np.array([True, False])) >= 0
+        taken.append(decision.executed.acceleration if core is ShieldCore else decision.executed[0])
+    assert len(np.unique(taken)) > 1
+
+
+def test_nobody_evades_one_who_stops_into_the_way_of_another():
+    """The leader stops more abruptly than anybody may, and beside the ego another leaves more room or less."""
+    tiers, sides = [], []
+    for speed, gap in itertools.product((20.0, 24.0, 28.0), np.arange(8.0, 40.0, 0.2)):
+        before = scene_of((0, 0, 0, 33), (44, 0, 0, 14), (gap, 4, 0, speed), lanes=2, speed=35.0)
+        moved = (44 + 6 * DT, 0, 0, 6), (gap + speed * DT, 4, 0, speed)
+        now = scene_of((33 * DT, 0, 0, 33), *moved, lanes=2, speed=35.0)
+        decision = after(ShieldCore(), before, now)
+        tiers.append(decision.tier)
+        if decision.tier is Tier.EVADED:
+            sides.append(round(decision.plan[-1, 1] / 4.0))
+            assert along(now, decision.plan, ignored=np.array([True, False])) >= 0
+    assert {0, 1} <= set(sides)
     assert Tier.STORED_PLAN not in tiers
 
 

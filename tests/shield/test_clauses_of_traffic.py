@@ -38,17 +38,20 @@ def test_the_bound_along_the_road_is_that_of_one_that_brakes(frames, ahead, calm
 @pytest.mark.parametrize("config", [CONFIG, HELD_UP])
 @pytest.mark.parametrize(("v", "leader"), [(10.0, 10.0), (25.0, 15.0)])
 def test_a_leader_that_brakes_and_turns_as_it_may_is_not_touched(v, leader, config):
+    """It turns as soon as it is slow, and again with what has come back since."""
     accepted, least = 0, np.inf
     for gap in np.arange(8.0, 60.0, 0.1):
         scene = scene_of((0, 0, 0, v), (gap, 0, 0, leader))
         if margin(scene, 0, config=config) < 0:
             continue
         accepted += 1
-        s, u, lost, k = gap, leader, 0.0, 0
+        s, u, lost, spent, k = gap, leader, 0.0, 0.0, 0
         for state in driven(scene, 0):
-            turned = min(u * DT, 1.47 - lost) if u < 5.5 else 0.0
+            turned = 0.0
+            if u < 5.5:
+                turned = min(u * DT, 1.47 + 0.5 * k * DT - lost, (8.6 + 6 * k * DT - spent) / max(u, 1e-9))
             rate, k = (6 if k >= 45 or config is HELD_UP else 3), k + 1
-            s, u, lost = s + u * DT - turned, max(u - rate * DT, 0.0), lost + turned
+            s, u, lost, spent = s + u * DT - turned, max(u - rate * DT, 0.0), lost + turned, spent + u * turned
             least = min(least, s - 2.5 - (state[0] + 4.5))
             assert s - 2.5 - (state[0] + 4.5) >= -1e-9, gap
     assert 0 < accepted < 520
@@ -106,6 +109,17 @@ def test_one_that_stands_in_a_queue_may_reverse_into_the_ego():
     """From one that stands 6 m ahead of it, by another 8 m."""
     assert margin(scene_of((0, 0, 0, 0), (14, 0, 0, 0)), 0) > 6
     assert margin(scene_of((0, 0, 0, 0), (14, 0, 0, 0), (20, 0, 0, 0)), 0) < 0
+
+
+def test_the_last_frame_that_is_looked_at_stands_for_all_that_follow():
+    """One that stands 6 m behind another may reverse until it is 8 m away from it."""
+    rows = np.array([[s, 0.0, 0.0, 0.0, *BODY] for s in (14.0, 20.0)])
+    around = Surroundings(rows, rows[:, :4], StraightRoad.from_lanes(1), CONFIG.assumptions, DT)
+    rears = [around.rear(frames)[0] for frames in (3, 200)]
+    for rear in rears:
+        assert rear[-1] <= rear[0] - 1.5
+        assert rear[-1] == pytest.approx(rears[1].min())
+    assert rears[0][1] > rears[0][-1] + 1
 
 
 def test_a_body_beyond_the_midline_may_go_back():

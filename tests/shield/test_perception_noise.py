@@ -231,6 +231,19 @@ def test_nobody_swerves_into_who_is_thought_to_be_beside(side, free):
     assert decision.executed.acceleration < 0.0 or decision.executed.lane == free
 
 
+@pytest.mark.parametrize(("side", "free"), [(0.0, 2), (8.0, 0)])
+def test_among_bounds_it_goes_by_where_the_others_are_likely(side, free):
+    """Nothing clears the bounds. The lane on the likely one's far side is taken from one close ahead, and nobody brakes
+    as hard as can be for one who is likely far away."""
+    near, far = (
+        Core(Frames(ShieldConfig())).decide(hemmed((1.0, side), (gap, 4.0)), Target(1, 30.0)) for gap in (7.0, 40.0)
+    )
+    assert near.tier is far.tier is Tier.LARGEST_MARGIN
+    assert near.executed.lane == free
+    assert far.executed.lane == 1
+    assert far.executed.acceleration > -1.0
+
+
 def test_a_likely_place_in_the_way_is_braked_for():
     decisions = [
         Core(Frames(ShieldConfig())).decide(hemmed((1.0, 0.0), (gap, 4.0)), Target(1, 30.0)).executed

@@ -36,13 +36,13 @@ ACCEPTED = (
         FRAMES,
         "    keeps = lawful >= 0\n",
         "    keeps = lawful >= -0.3\n",
-        "evades[ShieldCore]",
+        "stops",
     ),
     both(
         "frame evades at -0.3 m",
         Edit(FRAMES, "    keeps = lawful >= 0\n", "    keeps = lawful >= -0.3\n"),
         Edit(FRAMES, "                if lawful >= 0:", "                if lawful >= -0.3:"),
-        tests=("evades[ShieldCore]",),
+        tests=("stops",),
     ),
     off(
         "fail-safe of an input chosen at -0.3 m",
@@ -78,7 +78,7 @@ ACCEPTED = (
         "shield/batch/repairing.py",
         "plans.expected[i], plans.lasting[i] = plans.margins[i], plans.clear[i]",
         "plans.expected[i], plans.lasting[i] = plans.lawful[i], plans.clear[i]",
-        "tests/shield/test_found.py",
+        "tests/shield/test_batch.py",
     ),
     off(
         "a frame evades without the worst case",
@@ -92,14 +92,14 @@ ACCEPTED = (
         "shield/batch/repairing.py",
         "found = (plans.lasting[i], plans.clear[i], margin)",
         "found = (plans.lasting[i], 0, margin)",
-        "tests/evaluation/test_found_in_abz.py",
+        "tests/shield/test_batch.py",
     ),
     off(
         "input evades at -0.3 m",
         INPUTS,
         "np.flatnonzero(lawful.margin >= 0)",
         "np.flatnonzero(lawful.margin >= -0.3)",
-        "evades[ContinuousCore]",
+        "evades[ContinuousCore-shield.procedures.inputs]",
     ),
     off(
         "parking repaired near the proposal to -0.05 m",

@@ -48,7 +48,8 @@ PERMITS, GAPS, ROLLOUTS = "dynamics/traffic/permits.py", "dynamics/roads/gaps.py
 TESTS_OF_CLAUSES, TRAFFIC = "tests/shield/test_clauses.py", "tests/shield/test_clauses_of_traffic.py"
 TESTS = {
     "door": "test_nothing_verified_has_a_negative_margin",
-    "evades": "test_what_evades_an_offender_clears_everybody_else",
+    "evades": "test_whatever_evades_an_offender_clears_everybody_else",
+    "stops": "test_nobody_evades_one_who_stops_into_the_way_of_another",
     "mended": "test_what_nearly_verifies_does_not_stand_in_the_way_of_what_does",
     "first": "test_the_first_that_verifies_is_taken_and_else_the_best",
     "lanes": "test_an_input_passes_in_whichever_lane_its_fail_safe_stops",
@@ -70,6 +71,7 @@ TESTS_OF_TRAFFIC = {
     "brakes": "test_the_bound_along_the_road_is_that_of_one_that_brakes",
     "bicycle": "test_the_fail_safe_of_inputs_is_what_the_bicycle_does",
     "buffer": "test_the_buffer_is_kept_along_and_across",
+    "last": "test_the_last_frame_that_is_looked_at_stands_for_all_that_follow",
     "queue": "test_one_that_stands_in_a_queue_may_reverse_into_the_ego",
     "midline": "test_a_body_beyond_the_midline_may_go_back",
     "drift": "test_a_body_counts_as_where_its_heading_leads",

@@ -207,8 +207,7 @@ OBSERVED = (
         _FRAMES,
         "if now.scene.likely is not None:",
         "if False:",
-        f"{_NOISE_TESTS}::test_nobody_swerves_into_who_is_thought_to_be_beside",
-        "tests/evaluation/test_splitting.py::test_crashes_that_splitting_has_found_are_avoided",
+        f"{_NOISE_TESTS}::test_among_bounds_it_goes_by_where_the_others_are_likely",
     ),
     off(
         "the fallback leaves its lane for one that looks freer",

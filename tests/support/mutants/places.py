@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mutants.kinds import BODIES, ROLLOUTS, TESTS_OF_PERMITS, off
+from mutants.kinds import BODIES, ROLLOUTS, TESTS_OF_PERMITS, TOGETHER, off
 
 __all__ = ["PLACES"]
 
@@ -43,6 +43,13 @@ PLACES = (
         BODIES,
         "        if hold == 0 and frames > 0:",
         "        if hold == 0 and frames < 0:",
+        "last",
+    ),
+    off(
+        "least place of the last frame looked at off",
+        TOGETHER,
+        "        if last and hold == 0:",
+        "        if last and hold > 0:",
         "queue",
     ),
     off("others brake less hard", BODIES, "speed -= _rate(", "speed -= 0.8 * _rate(", "brakes"),

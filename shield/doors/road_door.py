@@ -16,7 +16,6 @@ from dynamics.networks.layout import COUNT
 from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of
 from dynamics.simulator.layout import CRASHED, IMPACTED, SPEED, TARGET, TARGET_SPEED
-from dynamics.state import FloatArray
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
@@ -28,8 +27,9 @@ from shield.refusals import refuse_simulated
 from shield.roads.choosing import CLEAR, Choice, choose, try_course
 from shield.roads.courses import Wish, courses_of, frames_of, gone_on_with, stopping
 from shield.roads.dues import Dues
+from shield.roads.late import Braking
 from shield.roads.outlook import Outlook, road_of
-from shield.roads.room import Foreseen, Others, Trial, empty_trial, foreseen
+from shield.roads.room import Foreseen, Trial, empty_trial, foreseen
 from shield.roads.saving import bare, save
 from shield.roads.watch import Breach, Seen, Watch
 
@@ -86,7 +86,6 @@ class RoadDoor:
         self.disturbed = False
         self.kept: dict[Any, tuple[float, float]] = {}
         self._then: dict[Any, float] = {}
-        self._stays: dict[Any, float] = {}
         self._ready: tuple[Course, Decision] | None = None
 
     @property
@@ -228,16 +227,16 @@ class RoadDoor:
         base = self._base
         if len(base.controlled_vehicles) != 1:
             raise SceneError(f"have one ego on a road network, not {len(base.controlled_vehicles)}")
+        stays = {} if self._network is None else self._braking.stays
         self._alone: Alone = alone_on(base)
         self._network, self._index = base.road.network, index_of(base.road.network)
         self._names = list(self._index)
         self._road = road_of(base, self._alone, self.config)
         self._bare = bare(self._road)
-        self._at_once = self._bare._replace(duty=self._road.duty._replace(reaction=0))
         self._frames = frames_of(self._frequency)
+        self._braking: Braking = Braking.on(self._alone, self._bare, self._frames, stays)
         self._outlook = Outlook(base, self._alone, self._road, self._frames)
         self._trial: Trial = empty_trial(self._frames, len(self._names), 0)
-        self._aside: Trial = empty_trial(self._frames, len(self._names), 0)
 
     def _read(self) -> None:
         """Take in the scene, and what has become of it since the one before."""
@@ -281,18 +280,7 @@ class RoadDoor:
 
     def _late(self, seen: Seen) -> set[Any]:
         """Who owed the ego its distance a frame ago, could have kept it by braking, and no longer can."""
-        if self._stored is None or not self._stays:
-            return set()
-        now = self._brakes(self._stored, seen.others, len(seen.who))
-        return {b for i, b in enumerate(seen.who) if self._stays.get(b, -1.0) >= CLEAR and now[i] < CLEAR}
-
-    def _brakes(self, course: Course, others: Others, count: int) -> FloatArray:
-        """How far each of the others stays from the body of the ego on a course, if who is behind it brakes at once,
-        (count,) [m]."""
-        if len(self._aside.margins) != count:
-            self._aside = empty_trial(self._frames, len(self._names), count)
-        try_course(self._alone, self._at_once, others, np.array(course, float), False, self._aside)
-        return self._aside.margins
+        return set() if self._stored is None else self._braking.late(self._stored, seen)
 
     def _try(self, course: Course) -> None:
         """Have the trial hold what comes of a course; whoever owes the ego its distance keeps it."""
@@ -329,11 +317,7 @@ class RoadDoor:
         self._then = {body: float(self._trial.margins[i]) for i, body in enumerate(who)} if tier.verified else {}
         self.disturbed = self.disturbed and not tier.verified
         self._keep_distance(who, tier.verified)
-        self._stays = {}
-        owing = np.flatnonzero(self._others.owes.any(axis=1))
-        if owing.size:
-            stays = self._brakes(course, self._others, len(who))
-            self._stays = {who[i]: float(stays[i]) for i in owing}
+        self._braking.remember(course, who, self._others)
         if self._road.duty.gives_way:
             self._dues.give_way(who, self._others, self._trial, self._road, tier.verified)
         bound = int(self._trial.bound[0])

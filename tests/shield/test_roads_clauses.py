@@ -245,15 +245,20 @@ def test_they_have_time_to_react():
     assert clear is not None
 
 
+FIRST, SECOND = ("a", "b", 0), ("b", "c", 0)
+
+
+def from_the_lane_before(ego):
+    """The length of the lane before that of an ego that stands so far along it at merge; and how far one there stays
+    from it, by where that is and its speed."""
+    length = gym.make("merge-v0").unwrapped.road.network.get_lane(FIRST).length
+    return length, lambda s, v: margin(scene("merge-v0", SECOND, ego, 0.0, [(FIRST, s, v)]), 0.0, 0.0)
+
+
 @pytest.mark.parametrize(("way", "speed"), [(40.0, 0.0), (3.0, 0.4), *later((3.0, 0.0), (41.3, 8.0), (118.0, 11.47))])
 def test_who_comes_from_the_lane_before_gains_nothing_by_how_the_frames_fall(way, speed):
     """It brakes, goes on or accelerates for a frame: the ego that stands before it is as far from it as it was."""
-    lane, after, dt = ("a", "b", 0), ("b", "c", 0), 1 / 15
-
-    def stays(s, v):
-        return margin(scene("merge-v0", after, 70.0, 0.0, [(lane, s, v)]), 0.0, 0.0)
-
-    end = gym.make("merge-v0").unwrapped.road.network.get_lane(lane).length
+    dt, (end, stays) = 1 / 15, from_the_lane_before(70.0)
     then = stays(end - way, speed)
     for rate in (-6.0, -1.7, 0.0, 1.1, 3.0):
         now = stays(end - way + speed * dt, max(speed + rate * dt, 0.0))
@@ -264,12 +269,7 @@ def test_who_comes_from_the_lane_before_gains_nothing_by_how_the_frames_fall(way
 @pytest.mark.parametrize("speed", [2.9, *later(1.0, 2.0)])
 def test_who_comes_from_the_lane_before_gains_nothing_by_creeping(way, speed):
     """Steering hard, it gets a third of its way along its lane."""
-    lane, after, dt = ("a", "b", 0), ("b", "c", 0), 1 / 15
-
-    def stays(s, v):
-        return margin(scene("merge-v0", after, 40.0, 0.0, [(lane, s, v)]), 0.0, 0.0)
-
-    end = gym.make("merge-v0").unwrapped.road.network.get_lane(lane).length
+    dt, (end, stays) = 1 / 15, from_the_lane_before(40.0)
     then = stays(end - way, speed)
     assert then > 0
     for rate in (-6.0, 0.0, 3.0):

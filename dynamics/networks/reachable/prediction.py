@@ -74,24 +74,16 @@ def _chain(ways: Ways, strips: Strips, first: int, count: int) -> None:
 
 
 @uncounted
-def _reaches_over(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, strips: Strips, j: int) -> None:
-    """Give the strip of a lane that ends the room to come over from it, anywhere before its end."""
-    lane, numbers = strips.marks[j, 1], strips.numbers[j]
-    beside = ways.over[lane]
-    x, y = place(lanes, lane, 0.0)
-    r, keep = local(lanes, beside, x, y)[1], keep_of(lanes, beside, row, conduct)
-    numbers[LOW], numbers[HIGH] = min(numbers[LOW], -r - keep), max(numbers[HIGH], keep - r)
-    numbers[BACK] = numbers[FAR] + lanes.rows[lane, LANE_LENGTH] + SETTLED
-
-
-@uncounted
 def _comes_over(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, strips: Strips, j: int) -> Strip:
-    """The strip of the lane beside one that ends, into which one may come from it anywhere."""
+    """The strip of the lane beside one that ends, into which one may come from it anywhere; the strip of that which
+    ends is given the room for it."""
     lane, numbers = strips.marks[j, 1], strips.numbers[j]
     beside = ways.over[lane]
     x, y = place(lanes, lane, 0.0)
     s, r = local(lanes, beside, x, y)
     keep = keep_of(lanes, beside, row, conduct)
+    numbers[LOW], numbers[HIGH] = min(numbers[LOW], -r - keep), max(numbers[HIGH], keep - r)
+    numbers[BACK] = numbers[FAR] + lanes.rows[lane, LANE_LENGTH] + SETTLED
     low, high = min(-keep, numbers[LOW] + r), max(keep, numbers[HIGH] + r)
     near, far, start = numbers[NEAR] - s, numbers[FAR] - s, numbers[START] + s
     return Strip(strips.marks[j, 0], beside, j, near, far, low, high, numbers[HALF], start, numbers[BACK], keep)
@@ -146,7 +138,6 @@ def _lead_on(
         return count
     if ways.over[lane] >= 0:
         drive[3], drive[4] = _TURNS, _GAIN_OVER
-        _reaches_over(lanes, ways, conduct, row, strips, j)
         count = add(strips, first, count, _comes_over(lanes, ways, conduct, row, strips, j))
     known = subject.limited and route[lanes.ids[lane, ROAD]] < 2
     for anywhere in range(2):

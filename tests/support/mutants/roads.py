@@ -83,7 +83,7 @@ ROADS = (
     off(
         "who is coming over keeps to its lane",
         _PREDICTION,
-        "        _reaches_over(lanes, ways, conduct, row, strips, j)\n",
+        "    numbers[LOW], numbers[HIGH] = min(numbers[LOW], -r - keep), max(numbers[HIGH], keep - r)\n",
         "",
         _CLAUSES,
     ),

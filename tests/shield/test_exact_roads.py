@@ -17,9 +17,11 @@ from evaluation.settings import get_setting
 from shield.batch.vocabulary import TIERS
 from shield.config import ShieldConfig
 from shield.decision import Tier
+from shield.exact.closest import best_plan, stopping
+from shield.exact.deciding import longest
 from shield.exact.highways import ExactHighways
 from shield.exact.roads import ExactRoads
-from shield.exact.room import Wish
+from shield.exact.room import ANY, Wish
 from shield.exact.search import enter, in_depth, leap, survives
 
 CONFIG = ShieldConfig.exact()
@@ -162,6 +164,22 @@ def test_what_cannot_join_what_was_planned_slows_down(env_id, seed, decisions):
     enter(search, roads.worlds, 0)
     assert survives(search, FASTER, stored, length)[0] >= 0
     assert search.spent[0] <= budget + len(search.order)
+
+
+@pytest.mark.parametrize("seed", [52, 130])
+def test_what_lasts_longest_is_looked_for_in_more_than_one_future_of_each_lane_and_speed(seed):
+    """Boxed in with nothing planned, what was most clear until then is hit."""
+    roads = ExactRoads("u-turn-v0", 1)
+    roads.reset([seed])
+    for _ in range(9):
+        roads.step([FASTER])
+    (search,) = roads._searches
+    assert not roads.plans.verified[0]
+    enter(search, roads.worlds, 0)
+    of_each, _ = best_plan(search, ANY, ANY, search.bounds.depth, stopping(search), -1e9)
+    enter(search, roads.worlds, 0)
+    lasts, _ = longest(search, roads.plans.actions[0], 0)
+    assert 0 < of_each < lasts
 
 
 @pytest.mark.parametrize("seed", [135, 271, 287, 347])

@@ -83,7 +83,9 @@ class Setting:
             throttle and steering, with what makes it.
         """
         try:
-            return gym.make(self.env_id, config=deepcopy(dict(self.config)), render_mode=render_mode)
+            # By what it stands for: that there is a later version is no news to who asks for this one.
+            known = gym.registry.get(self.env_id, self.env_id)
+            return gym.make(known, config=deepcopy(dict(self.config)), render_mode=render_mode)
         except (gym.error.Error, ModuleNotFoundError) as error:
             raise ConfigError(f"there is no environment {self.env_id!r}: {error}") from None
         except (TypeError, ValueError, KeyError, AttributeError) as error:

@@ -48,7 +48,7 @@ def draw_override(env_id: str, policy: str = "faster", seed: int = 0) -> Image.I
     if not 0 <= seed <= FIRST_EVALUATION_SEED - _SEARCH:
         raise ConfigError(f"have a seed from 0 to {FIRST_EVALUATION_SEED - _SEARCH}, not {seed}")
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
-    raw = gym.make(env_id, render_mode="rgb_array", config=dict(_SCREEN))
+    raw = gym.make(gym.registry.get(env_id, env_id), render_mode="rgb_array", config=dict(_SCREEN))
     shield = Shield(make_policy(policy, raw), raw, ShieldConfig.exact().replace(record=True), frames=False)
     env = ShieldOverlay(raw, shield)
     best: tuple[float, Any] = np.inf, None

@@ -113,7 +113,7 @@ def draw_worst_cases(
 
 def _find(env_id: str, config: ShieldConfig, seed: int) -> _View:
     """The decision of a few shielded episodes in which the path meets the most others."""
-    env: Any = ShieldedEnv(gym.make(env_id), config)
+    env: Any = ShieldedEnv(gym.make(gym.registry.get(env_id, env_id)), config)
     base: Any = env.unwrapped
     best: tuple[tuple[int, bool], _View] | None = None
     for each in range(seed, seed + _EPISODES):

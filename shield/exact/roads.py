@@ -93,7 +93,7 @@ class ExactRoads(ExactHighways):
     def one(self) -> gym.Env[Any, Any]:
         """One such environment, unfiltered, reset."""
         scenario = self.simulator.scenario
-        env = gym.make(scenario.env_id, config=dict(scenario.config))
+        env = gym.make(gym.registry.get(scenario.env_id, scenario.env_id), config=dict(scenario.config))
         env.reset(seed=0)
         return env
 

@@ -174,7 +174,7 @@ def _made(env_id: str, config: Mapping[str, Any] | None) -> Any:
         refused.append("ContinuousAction, which its own reward does not take")
     if refused:
         raise ConfigError(f"the compiled episodes cannot run {env_id} with {'; '.join(refused)}")
-    base = cast(Any, gym.make(env_id, config=dict(whole)).unwrapped)
+    base = cast(Any, gym.make(spec, config=dict(whole)).unwrapped)
     base.reset(seed=0)
     return base
 

@@ -20,6 +20,8 @@ def ego_copy(base: Any) -> Any:
     ego = copy(base.vehicle)
     ego.__dict__.pop("act", None)  # a supervision of the ego would drive the ego
     ego.position, ego.action = ego.position.copy(), dict(ego.action)
+    if hasattr(ego, "route"):  # what has been driven is taken off it
+        ego.route = copy(ego.route)
     return ego
 
 

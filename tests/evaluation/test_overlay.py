@@ -116,6 +116,24 @@ def test_the_copy_goes_where_the_ego_would_have_gone(env_id, action):
     assert path[-1] == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.parametrize("env_id", ["roundabout-v1", "intersection-v2"])
+def test_a_copied_ego_that_drives_on_to_other_roads_leaves_the_ego_its_route(env_id):
+    """highway-env takes what has been driven off the route itself."""
+    env, driven = made(env_id, render_mode=None), 0
+    env.reset(seed=4)
+    ego, done = env.unwrapped.vehicle, False
+    while not done:
+        before, alone = list(ego.route), ego_copy(env.unwrapped)
+        for _ in range(60):
+            alone.act()
+            alone.step(1 / 15)
+        driven += alone.route != before
+        assert ego.route == before
+        *_, terminated, truncated, _ = env.step(1)
+        done = terminated or truncated
+    assert driven > 0
+
+
 def test_a_proposal_that_is_none_is_not_driven():
     env = made()
     env.reset(seed=4)

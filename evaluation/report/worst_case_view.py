@@ -31,7 +31,7 @@ VIEWED = (
     *("exit-v1", "two-way-v0", "u-turn-v1", "intersection-v0"),
 )
 _EPISODES = 3
-"""In so many the decision is found in which the ego meets the most others."""
+"""In so many a decision is found."""
 _ACTION = "FASTER"
 _WINDOW, _AROUND = (50.0, 29.0), 12.0
 """Half of what is shown at least, along x and y, and what is left around the path [m]."""
@@ -61,6 +61,11 @@ class _View(NamedTuple):
         """Whose ways it meets."""
         return {int(self.foreseen.vehicles[j]) for j, _ in self.meetings}
 
+    @property
+    def waits(self) -> bool:
+        """Whether somebody is counted on to wait where they meet."""
+        return any(self.foreseen.waits[j] for j, _ in self.meetings)
+
 
 def draw_worst_cases(
     path: str | Path,
@@ -68,7 +73,8 @@ def draw_worst_cases(
     config: ShieldConfig | None = None,
     seed: int = 0,
 ) -> Path:
-    """Draw one decision on each of some road networks: of always FASTER, where the ego meets the most others.
+    """Draw one decision on each of some road networks: of always FASTER, where somebody is counted on to wait and
+    the ego meets the most others.
 
     Shown are where anybody may be in 1 and in 2 s (its body within what the assumptions permit, on every way that it
     may take); the path that is verified, to its standstill; where the ego would be going, alone on the road; and the
@@ -112,10 +118,11 @@ def draw_worst_cases(
 
 
 def _find(env_id: str, config: ShieldConfig, seed: int) -> _View:
-    """The decision of a few shielded episodes in which the path meets the most others."""
+    """The decision of a few shielded episodes in which somebody waits for the ego, if there is one, and its path meets
+    the most others."""
     env: Any = ShieldedEnv(gym.make(gym.registry.get(env_id, env_id)), config)
     base: Any = env.unwrapped
-    best: tuple[tuple[int, bool], _View] | None = None
+    best: tuple[tuple[bool, int, bool], _View] | None = None
     for each in range(seed, seed + _EPISODES):
         env.reset(seed=each)
         done = False
@@ -126,7 +133,7 @@ def _find(env_id: str, config: ShieldConfig, seed: int) -> _View:
             # From an emergency nothing is foreseen.
             if decision.tier.verified:
                 view = _view(env_id, base, decision, door.foreseen)
-                score = len(view.vehicles), decision.overridden
+                score = view.waits, len(view.vehicles), decision.overridden
                 if best is None or score > best[0]:
                     best = score, view
             *_, terminated, truncated, _ = env.step(actions[_ACTION])

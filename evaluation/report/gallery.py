@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
 
-import gymnasium as gym
-import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 from PIL import Image, ImageDraw
 
@@ -18,6 +16,7 @@ from evaluation.report.draw import font
 from evaluation.report.overlay import ShieldOverlay
 from evaluation.report.plots import picture_path
 from evaluation.running.named_policies import make_policy
+from evaluation.settings import Setting
 from shield import Shield, ShieldConfig
 from shield.decision import Tier
 from shield.errors import ConfigError
@@ -48,7 +47,7 @@ def draw_override(env_id: str, policy: str = "faster", seed: int = 0) -> Image.I
     if not 0 <= seed <= FIRST_EVALUATION_SEED - _SEARCH:
         raise ConfigError(f"have a seed from 0 to {FIRST_EVALUATION_SEED - _SEARCH}, not {seed}")
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
-    raw = gym.make(gym.registry.get(env_id, env_id), render_mode="rgb_array", config=dict(_SCREEN))
+    raw = Setting(env_id, env_id, _SCREEN).make("rgb_array")
     shield = Shield(make_policy(policy, raw), raw, ShieldConfig.exact().replace(record=True), frames=False)
     env = ShieldOverlay(raw, shield)
     best: tuple[float, Any] = np.inf, None

@@ -22,6 +22,7 @@ from dynamics.simulator.loops import addresses
 from dynamics.simulator.random import WORDS, from_generator
 from dynamics.slices import Slices
 from dynamics.state import FloatArray
+from dynamics.traffic.crossing import with_own_traffic
 
 __all__ = ["RoadSimulator"]
 
@@ -191,7 +192,7 @@ class RoadSimulator:
         if not 0 <= e < self.num_envs:
             raise ConfigError(f"there are environments 0 to {self.num_envs - 1}, not {e}")
         base, scenario = cast(Any, env.unwrapped), self.scenario
-        if base.config != scenario.config:
+        if with_own_traffic(scenario.env_id, base.config) != scenario.config:
             raise SceneError("the environment has another configuration than the simulator")
         load(env, scenario.rules.drive, scenario.lanes, self.episodes.worlds, e)
         self.episodes.rows[e] = from_generator(base.np_random)

@@ -1,0 +1,49 @@
+"""Traffic of intersections that keeps to itself what they change.
+
+highway-env's `IntersectionEnv` sets `DISTANCE_WANTED`, `COMFORT_ACC_MAX` and `COMFORT_ACC_MIN` of the class of its
+traffic whenever it is reset, and so when it is made: in every other environment of the process vehicles of that class
+drive otherwise from then on. Where its traffic is of a class of its own, no other is changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, cast
+
+import gymnasium as gym
+from gymnasium.envs.registration import load_env_creator
+from highway_env.envs.intersection_env import IntersectionEnv
+from highway_env.vehicle import behavior
+
+__all__ = ["AggressiveVehicle", "DefensiveVehicle", "IDMVehicle", "LinearVehicle", "with_own_traffic"]
+
+_KEY, _STOCK = "other_vehicles_type", behavior.__name__
+
+
+class IDMVehicle(behavior.IDMVehicle):
+    """highway-env's, at intersections."""
+
+
+class LinearVehicle(behavior.LinearVehicle):
+    """highway-env's, at intersections."""
+
+
+class AggressiveVehicle(behavior.AggressiveVehicle):
+    """highway-env's, at intersections."""
+
+
+class DefensiveVehicle(behavior.DefensiveVehicle):
+    """highway-env's, at intersections."""
+
+
+def with_own_traffic(env_id: str, config: Mapping[str, Any]) -> dict[str, Any]:
+    """What an environment is made with: its configuration as given, and traffic of its own where it is an intersection
+    and would have one of highway-env's classes."""
+    spec, given = gym.registry.get(env_id.rpartition(":")[2]), dict(config)
+    entry: Any = None if spec is None else spec.entry_point
+    kind = load_env_creator(entry) if isinstance(entry, str) else entry
+    if not (isinstance(kind, type) and issubclass(kind, IntersectionEnv)):
+        return given
+    default = cast(Any, kind).default_config()[_KEY]
+    module, _, name = str(given.get(_KEY, default)).rpartition(".")
+    return {**given, _KEY: f"{__name__}.{name}"} if module == _STOCK and name in __all__ else given

@@ -176,8 +176,10 @@ def judge(
             # Who is behind, and sees the ego from some frame on.
             box = boxes[lane, bad]
             if since <= contact:
-                start = -row[NEAR] + row[HALF] <= box[0]
-                owed = others.owes[i, lane] and since == 0 and boxes[lane, 0, 0] < FAR_OFF
+                start, rear = -row[NEAR] + row[HALF] <= box[0], boxes[lane, 0, 0] + body.along - body.length
+                # It was behind a frame ago. On a ring one that is ahead of the ego comes up behind it as well.
+                came = row[HALF] - row[NEAR] - max(others.rows[i, 3], 0.0) * dt
+                owed = others.owes[i, lane] and since == 0 and came <= rear < FAR_OFF
                 if owed and lenient:
                     others.shut[j] = rests and contact == count - 1
                     least, bad = np.inf, count

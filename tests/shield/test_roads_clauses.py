@@ -72,6 +72,19 @@ def test_whoever_comes_along_the_ring_has_not_to_wait():
     assert margin(scene("roundabout-v0", ENTRY, 5.0, 6.0), 3.0, 8.0) >= CLEAR
 
 
+@pytest.mark.parametrize("env_id", ["roundabout-v1", "roundabout-generic-v1"])
+def test_who_is_ahead_on_a_ring_is_not_behind(env_id):
+    """Where one looks beyond the end of its lane it comes up behind the ego as well, once around, and owes it its
+    distance there: not where it is."""
+    door = scene(env_id, RING, 3.0, 8.0, [(RING, 14.0, 4.0)], config=ShieldConfig.for_roads(looks_ahead=True))
+    alone = margin(door, 2.0, 8.0)
+    assert alone < CLEAR
+    margin(door, 0.0, 0.0)
+    door._keep_distance(door.watch.last.who, True)
+    assert door._others.owes.any()
+    assert margin(door, 2.0, 8.0, lenient=True) == alone
+
+
 def test_those_behind_see_the_ego_in_their_own_lane_only():
     """The ego stops just behind where the lane of the one behind it ends."""
     lane, after = ("a", "b", 0), ("b", "c", 0)

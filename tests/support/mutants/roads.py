@@ -60,6 +60,13 @@ ROADS = (
         _CLAUSES,
     ),
     off(
+        "who is ahead on a ring is behind",
+        _JUDGING,
+        "came <= rear < FAR_OFF",
+        "rear < FAR_OFF",
+        _CLAUSES,
+    ),
+    off(
         "who creeps gets as far along its lane as others",
         _JUDGING,
         "    v = max(v, drive[3] + step)\n",

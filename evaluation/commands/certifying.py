@@ -82,9 +82,11 @@ def replay_command(
     assert seed is not None
     from evaluation.report.video import film_end
     from evaluation.running.episodes import run_episode
-    from evaluation.running.records import variant_for
+    from evaluation.running.records import config_on, variant_for
+    from evaluation.settings import get_setting
 
-    shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)
+    usual = config_on(get_setting(setting)) or ShieldConfig()
+    shield_config = usual if config is None else ShieldConfig.load(config)
     record = run_episode(setting, policy, variant_for(shield_config), seed, simulator="highway-env")
     table = Table("", f"seed {seed}", show_header=True)
     for name in ("crashed", "attribution", "return_", "steps", "overridden", "violations", "min_margin", "min_gap"):

@@ -8,12 +8,11 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-import gymnasium as gym
-import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 from joblib import Parallel, delayed
 
 from evaluation.measuring.statistics import wilson
+from evaluation.settings import Setting
 from shield import ShieldConfig, ShieldedEnv
 
 FASTER = 2
@@ -22,7 +21,7 @@ FASTER = 2
 def drive(env_id: str, egos: int, policy: str, shielded: bool, seed: int) -> tuple[bool, bool, bool, int, int, int]:
     """Whether an ego crashed, whether two egos did into one another, whether all arrived, and how many; decisions of
     single egos, and how many were overridden."""
-    env: Any = gym.make(env_id, config={"controlled_vehicles": egos})
+    env: Any = Setting(env_id, env_id, {"controlled_vehicles": egos}).make()
     if shielded:
         env = ShieldedEnv(env, ShieldConfig.exact())
     env.reset(seed=seed)

@@ -22,7 +22,7 @@ import numpy as np
 from dynamics.networks.compiled_frames import CompiledFrames
 from dynamics.networks.episodes.simulator import RoadSimulator
 from dynamics.networks.simulator import NetworkSimulator
-from evaluation.settings import Setting
+from evaluation.settings import setting_of
 
 IDS = (
     *("merge-v0", "merge-v1", "merge-generic-v0", "roundabout-v0", "roundabout-v1", "roundabout-generic-v0"),
@@ -56,8 +56,8 @@ def episodes(env: gym.Env[Any, Any], decisions: int) -> Callable[[], None]:
 
 def whole(env_id: str, decisions: int, count: int) -> tuple[float, float, float]:
     """Seconds of a decision: highway-env, with its frames compiled, and compiled altogether."""
-    plain = Setting(env_id, env_id).make()
-    theirs, framed = episodes(plain, _AT_ONCE), episodes(CompiledFrames(Setting(env_id, env_id).make()), _AT_ONCE)
+    plain = setting_of(env_id).make()
+    theirs, framed = episodes(plain, _AT_ONCE), episodes(CompiledFrames(setting_of(env_id).make()), _AT_ONCE)
     simulator, space = RoadSimulator(env_id, count), plain.action_space
     simulator.reset(range(count))
     turns = max(1, decisions // _AT_ONCE)
@@ -75,7 +75,7 @@ def whole(env_id: str, decisions: int, count: int) -> tuple[float, float, float]
 
 def frames(env_id: str, decisions: int) -> tuple[float, float]:
     """Seconds of the frames of a decision: highway-env's `_simulate`, and `NetworkSimulator.step` of one scene."""
-    env = Setting(env_id, env_id).make().unwrapped
+    env = setting_of(env_id).make().unwrapped
     if not isinstance(env.action_space, gym.spaces.Discrete):
         return np.nan, np.nan
     theirs = ours = 0.0

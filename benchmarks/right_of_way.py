@@ -9,7 +9,7 @@ from collections import Counter
 from dataclasses import replace
 
 from evaluation.measuring.statistics import wilson
-from evaluation.settings import Setting
+from evaluation.settings import setting_of
 from shield import ShieldedEnv
 from shield.doors.road_door import RoadDoor
 from shield.roads.reading import default_on
@@ -23,7 +23,7 @@ ROADS = (("roundabout-v1", 3), ("merge-v1", 3), ("intersection-v2", 2))
 def main() -> None:
     """Drive always FASTER, and print the share of episodes with a breach."""
     for env_id, faster in ROADS:
-        raw = Setting(env_id, env_id).make()
+        raw = setting_of(env_id).make()
         config = default_on(raw.unwrapped)
         env = ShieldedEnv(raw, config.replace(assumptions=replace(config.assumptions, gives_way=True)))
         door, broken, rules = env.door, 0, Counter[str]()

@@ -30,7 +30,7 @@ from typing import Any
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 
-from dynamics.traffic.crossing import with_own_traffic
+from dynamics.traffic.crossing import make
 from evaluation.continuous_roads import what_makes
 from shield.errors import ConfigError
 
@@ -84,10 +84,7 @@ class Setting:
             throttle and steering, with what makes it.
         """
         try:
-            # By what it stands for: that there is a later version is no news to who asks for this one.
-            known = gym.registry.get(self.env_id, self.env_id)
-            config = with_own_traffic(self.env_id, deepcopy(dict(self.config)))
-            return gym.make(known, config=config, render_mode=render_mode)
+            return make(self.env_id, deepcopy(dict(self.config)), render_mode=render_mode)
         except (gym.error.Error, ModuleNotFoundError) as error:
             raise ConfigError(f"there is no environment {self.env_id!r}: {error}") from None
         except (TypeError, ValueError, KeyError, AttributeError) as error:

@@ -15,7 +15,7 @@ from gymnasium.envs.registration import load_env_creator
 from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.vehicle import behavior
 
-__all__ = ["AggressiveVehicle", "DefensiveVehicle", "IDMVehicle", "LinearVehicle", "with_own_traffic"]
+__all__ = ["AggressiveVehicle", "DefensiveVehicle", "IDMVehicle", "LinearVehicle", "make", "with_own_traffic"]
 
 _KEY, _STOCK = "other_vehicles_type", behavior.__name__
 
@@ -47,3 +47,10 @@ def with_own_traffic(env_id: str, config: Mapping[str, Any]) -> dict[str, Any]:
     default = cast(Any, kind).default_config()[_KEY]
     module, _, name = str(given.get(_KEY, default)).rpartition(".")
     return {**given, _KEY: f"{__name__}.{name}"} if module == _STOCK and name in __all__ else given
+
+
+def make(env_id: str, config: Mapping[str, Any], **options: Any) -> gym.Env[Any, Any]:
+    """What `gym.make` makes, `with_own_traffic`; by what the id stands for: that there is a later version is no news to
+    who asks for this one."""
+    known = gym.registry.get(env_id, env_id)
+    return gym.make(known, config=with_own_traffic(env_id, config), **options)

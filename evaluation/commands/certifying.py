@@ -85,8 +85,8 @@ def replay_command(
     from evaluation.running.records import config_on, variant_for
     from evaluation.settings import get_setting
 
-    usual = config_on(get_setting(setting)) or ShieldConfig()
-    shield_config = usual if config is None else ShieldConfig.load(config)
+    loaded = None if config is None else ShieldConfig.load(config)
+    shield_config = loaded or config_on(get_setting(setting)) or ShieldConfig()
     record = run_episode(setting, policy, variant_for(shield_config), seed, simulator="highway-env")
     table = Table("", f"seed {seed}", show_header=True)
     for name in ("crashed", "attribution", "return_", "steps", "overridden", "violations", "min_margin", "min_gap"):

@@ -16,7 +16,7 @@ from evaluation.measuring.rectangles import polygons
 from evaluation.names import FIRST_EVALUATION_SEED
 from evaluation.report.plots import picture_path, save_plot
 from evaluation.report.proposal import ego_copy
-from evaluation.settings import Setting
+from evaluation.settings import setting_of
 from shield import ShieldConfig, ShieldedEnv
 from shield.decision import Decision
 from shield.doors.road_door import RoadDoor
@@ -119,7 +119,7 @@ def draw_worst_cases(
 def _find(env_id: str, config: ShieldConfig, seed: int) -> _View:
     """The decision of a few shielded episodes in which somebody waits for the ego, if there is one, and its path meets
     the most others."""
-    env: Any = ShieldedEnv(Setting(env_id, env_id).make(), config)
+    env: Any = ShieldedEnv(setting_of(env_id).make(), config)
     base: Any = env.unwrapped
     best: tuple[tuple[bool, int, bool], _View] | None = None
     for each in range(seed, seed + _EPISODES):

@@ -18,6 +18,7 @@ from dynamics.networks.layout import ACROSS, ALONG, FRAMES
 from dynamics.simulator.engine import write_row
 from dynamics.simulator.layout import LANE
 from dynamics.state import BoolArray, FloatArray, IntArray
+from dynamics.traffic.crossing import make
 from shield.batch.arrays import Records
 from shield.batch.vocabulary import TIERS
 from shield.decision import Tier
@@ -93,7 +94,7 @@ class ExactRoads(ExactHighways):
     def one(self) -> gym.Env[Any, Any]:
         """One such environment, unfiltered, reset."""
         scenario = self.simulator.scenario
-        env = gym.make(gym.registry.get(scenario.env_id, scenario.env_id), config=dict(scenario.config))
+        env = make(scenario.env_id, scenario.config)
         env.reset(seed=0)
         return env
 

@@ -107,16 +107,20 @@ def test_an_input_passes_in_whichever_lane_its_fail_safe_stops():
     assert (True, False) in passed
 
 
+def pressed(core, gap):
+    """The scene with one behind the ego in its buffer, and a leader so far ahead; and what is decided in it."""
+    cars = (-7.05, 0.0, 0.0, 18.0), (gap, 0.0, 0.0, 10.0)
+    moved = [(x + v * DT, y, psi, v) for x, y, psi, v in cars]
+    now = scene_of((15 * DT, 0, 0, 15), *moved, lanes=1, speed=30.0)
+    return now, after(core(), scene_of((0, 0, 0, 15), *cars, lanes=1, speed=30.0), now)
+
+
 @pytest.mark.parametrize("core", [ShieldCore, ContinuousCore])
 def test_what_evades_an_offender_clears_everybody_else(core):
     """One behind runs into the buffer; the ego gets away from it, but only as far as its leader leaves the room."""
     tiers = []
     for gap in np.arange(12.0, 50.0, 0.21):
-        shield = core()
-        cars = (-7.05, 0.0, 0.0, 18.0), (gap, 0.0, 0.0, 10.0)
-        moved = [(x + v * DT, y, psi, v) for x, y, psi, v in cars]
-        now = scene_of((15 * DT, 0, 0, 15), *moved, lanes=1, speed=30.0)
-        decision = after(shield, scene_of((0, 0, 0, 15), *cars, lanes=1, speed=30.0), now)
+        now, decision = pressed(core, gap)
         tiers.append(decision.tier)
         if decision.tier is Tier.EVADED:
             path = decision.plan if core is ShieldCore else decision.plan[1:]
@@ -137,10 +141,7 @@ def test_whatever_evades_an_offender_clears_everybody_else(core, procedure, monk
     monkeypatch.setattr(procedure, "least_bad_evasion", last_of_them)
     taken = []
     for gap in np.arange(12.0, 20.0, 0.07):
-        cars = (-7.05, 0.0, 0.0, 18.0), (gap, 0.0, 0.0, 10.0)
-        moved = [(x + v * DT, y, psi, v) for x, y, psi, v in cars]
-        now = scene_of((15 * DT, 0, 0, 15), *moved, lanes=1, speed=30.0)
-        decision = after(core(), scene_of((0, 0, 0, 15), *cars, lanes=1, speed=30.0), now)
+        now, decision = pressed(core, gap)
         assert decision.tier is Tier.EVADED
         path = decision.plan if core is ShieldCore else decision.plan[1:]
         assert along(now, path, ignored=np.array([True, False])) >= 0

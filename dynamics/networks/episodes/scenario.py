@@ -35,7 +35,7 @@ from dynamics.simulator.live import load_body
 from dynamics.simulator.observe import FEATURES
 from dynamics.simulator.scenario import ACTIONS, COPIED, Inputs
 from dynamics.state import FloatArray, IntArray
-from dynamics.traffic.crossing import with_own_traffic
+from dynamics.traffic.crossing import make
 
 __all__ = ["RoadScenario", "on_roads", "road_scenario_of"]
 
@@ -175,7 +175,7 @@ def _made(env_id: str, config: Mapping[str, Any] | None) -> Any:
         refused.append("ContinuousAction, which its own reward does not take")
     if refused:
         raise ConfigError(f"the compiled episodes cannot run {env_id} with {'; '.join(refused)}")
-    base = cast(Any, gym.make(spec, config=with_own_traffic(env_id, whole)).unwrapped)
+    base = cast(Any, make(env_id, whole).unwrapped)
     base.reset(seed=0)
     return base
 

@@ -134,7 +134,10 @@ class RoadDoor:
             seen = self._look()
             load_ego(self._base, self._alone.rules, self._index, self._alone.worlds)
             self._alone.worlds.g[0, [CRASHED, IMPACTED]] = 0
-            return self.watch.judge(seen, hit, self._road) | (hit & self._late(seen))
+            late = set()
+            if self._stored is not None:
+                late = self._braking.late(self._braking.margins(self._stored, seen.others), seen.who)
+            return self.watch.judge(seen, hit, self._road) | (hit & late)
         finally:
             for body in hit:
                 body.crashed = True
@@ -269,18 +272,16 @@ class RoadDoor:
         if self._stored is not None and not ego.crashed:
             flags = self._alone.worlds.g[0, IMPACTED]
             pushed, flags[:] = flags.copy(), 0
+            at_once = self._braking.margins(self._stored, seen.others)
             self._try(self._stored)
-            late = self._late(seen)
             flags[:] = pushed
-            margins = self._trial.margins
+            late = self._braking.late(at_once, seen.who)
+            # Nobody is believed to keep what it cannot.
+            margins = np.where(at_once < CLEAR, at_once, self._trial.margins)
             self.kept = {b: (self._then[b], float(margins[i])) for i, b in enumerate(seen.who) if b in self._then}
         self.watch.next(seen, set(self._then), margins, self._road, late)
         self.disturbed = self.disturbed or bool(self.watch.offenders)
         self._others.offends[:] = [body in self.watch.offenders for body in seen.who]
-
-    def _late(self, seen: Seen) -> set[Any]:
-        """Who owed the ego its distance a frame ago, could have kept it by braking, and no longer can."""
-        return set() if self._stored is None else self._braking.late(self._stored, seen)
 
     def _try(self, course: Course) -> None:
         """Have the trial hold what comes of a course; whoever owes the ego its distance keeps it."""
@@ -299,11 +300,12 @@ class RoadDoor:
         speed, several = float(alone.worlds.f[0, SPEED, 0]), self._road.lanes.ids[self._wish.lane, COUNT] > 1
         tried = list(courses_of(self._wish, self._stored, speed, self._bound, several, self._frequency, braking))
         courses = np.array([course for course, _ in tried], float)
-        found: Choice = choose(alone, self._road, self._others, courses, self._trial)
+        at_once = self._braking.road
+        found: Choice = choose(alone, self._road, at_once, self._others, courses, self._trial)
         margin, who, evades = found.margin, found.vehicle, found.innocent >= CLEAR
         if margin < CLEAR and found.clear == 0:
             # The buffer is gone: what is left to save is the body.
-            evades, found = False, save(alone, self._bare, self._others, courses, speed, self._trial)
+            evades, found = False, save(alone, self._bare, at_once, self._others, courses, speed, self._trial)
         course, tier = tried[found.course]
         reason = Reason.NONE if tier is Tier.PASSED else Reason.UNVERIFIED
         if margin < CLEAR:

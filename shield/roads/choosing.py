@@ -88,11 +88,32 @@ def _at(found: Choice, k: int) -> Choice:
 
 
 @uncounted
-def choose(alone: Alone, road: Road, others: Others, courses: FloatArray, trial: Trial) -> Choice:
+def _asked(alone: Alone, at_once: Road, others: Others, row: FloatArray, found: Choice, trial: Trial) -> Choice:
+    """What `_weigh` has found of a course, less what is left where those who owe the ego their distance brake at once:
+    they have to stay behind its body. That is what they owe, and no more (`shield.roads.watch`)."""
+    least = try_course(alone, at_once, others, row, False, trial)
+    if least.margin >= CLEAR:
+        return found
+    margin, vehicle = (least.margin, least.vehicle) if least.margin < found.margin else (found.margin, found.vehicle)
+    clear, speed = (least.clear, least.speed) if least.clear < found.clear else (found.clear, found.speed)
+    return Choice(found.course, margin, vehicle, clear, min(found.innocent, least.innocent), speed)
+
+
+@uncounted
+def choose(
+    alone: Alone,
+    road: Road,
+    at_once: Road,
+    others: Others,
+    courses: FloatArray,
+    trial: Trial,
+) -> Choice:
     """The first of the courses, rows (c, 6), whose path stays clear of everybody; else the first that does of all but
-    those who owe the ego their distance; else the best of them, see `_better`. `trial` is then
-    what comes of it."""
+    those who owe the ego their distance, where they can keep it by braking; else the best of them, see `_better`.
+    `at_once` is the road for an ego without its buffer and for those who need no time to react. `trial` is then what
+    comes of it."""
     best = Choice(-1, -np.inf, -1, -1, -np.inf, np.inf)
+    owed = others.owes.any()
     for k in range(courses.shape[0]):
         way = _follow(alone, road, others, courses[k], trial)
         found = _weigh(road, others, way, False, trial)
@@ -101,6 +122,8 @@ def choose(alone: Alone, road: Road, others: Others, courses: FloatArray, trial:
         if best.margin >= CLEAR:
             continue
         found = _weigh(road, others, way, True, trial)
+        if owed and _better(found, best):
+            found = _asked(alone, at_once, others, courses[k], found, trial)
         if _better(found, best):
             best = _at(found, k)
     if best.course >= 0:

@@ -11,7 +11,6 @@ from dynamics.networks.alone import Alone, Course
 from dynamics.state import FloatArray
 from shield.roads.choosing import CLEAR, try_course
 from shield.roads.room import Others, Road, Trial, empty_trial
-from shield.roads.watch import Seen
 
 __all__ = ["Braking"]
 
@@ -39,20 +38,19 @@ class Braking:
 
     def remember(self, course: Course, who: list[Any], others: Others) -> None:
         """Where the ego goes on with a course, who owes it its distance, and how far they stay."""
-        owing = np.flatnonzero(others.owes.any(axis=1))
-        margins = self._margins(course, others, len(who)) if owing.size else np.empty(0)
-        self.stays = {who[i]: float(margins[i]) for i in owing}
+        margins = self.margins(course, others)
+        self.stays = {who[i]: float(margins[i]) for i in np.flatnonzero(others.owes.any(axis=1))}
 
-    def late(self, course: Course, seen: Seen) -> set[Any]:
-        """Who could have kept its distance on that course when it was remembered, a frame ago, and no longer can."""
-        if not self.stays:
-            return set()
-        now = self._margins(course, seen.others, len(seen.who))
-        return {b for i, b in enumerate(seen.who) if self.stays.get(b, -1.0) >= CLEAR and now[i] < CLEAR}
+    def late(self, margins: FloatArray, who: list[Any]) -> set[Any]:
+        """Who could have kept its distance when it was remembered, a frame ago, and no longer can: see `margins`."""
+        return {b for i, b in enumerate(who) if self.stays.get(b, -1.0) >= CLEAR and margins[i] < CLEAR}
 
-    def _margins(self, course: Course, others: Others, count: int) -> FloatArray:
-        """The least distance of each of so many others, (count,) [m]."""
-        if len(self.trial.margins) != count:
-            self.trial = empty_trial(len(self.trial.path) - 1, len(self.trial.boxes), count)
+    def margins(self, course: Course, others: Others) -> FloatArray:
+        """How far those who owe the ego their distance stay from its body on a course, (m,) [m]; inf of the rest."""
+        owing = others.owes.any(axis=1)
+        if not owing.any():
+            return np.full(len(owing), np.inf)
+        if len(self.trial.margins) != len(owing):
+            self.trial = empty_trial(len(self.trial.path) - 1, len(self.trial.boxes), len(owing))
         try_course(self.alone, self.road, others, np.array(course, float), False, self.trial)
-        return self.trial.margins
+        return np.where(owing, self.trial.margins, np.inf)

@@ -21,19 +21,27 @@ def bare(road: Road) -> Road:
     return road._replace(body=road.body._replace(along=road.body.length, across=road.body.width))
 
 
-def save(alone: Alone, road: Road, others: Others, courses: FloatArray, speed: float, trial: Trial) -> Choice:
+def save(
+    alone: Alone,
+    road: Road,
+    at_once: Road,
+    others: Others,
+    courses: FloatArray,
+    speed: float,
+    trial: Trial,
+) -> Choice:
     """What keeps the body clear, or does for longest; nothing faster than now, where that does as long.
 
     Parameters
     ----------
-    road : as of `bare`. courses : rows (c, 6) of `Course`. speed : of the ego now [m/s].
-    trial : what comes of the course that is taken, written.
+    road : as of `bare`. at_once : as in `choose`. courses : rows (c, 6) of `Course`.
+    speed : of the ego now [m/s]. trial : what comes of the course that is taken, written.
     """
     slow = (courses[:, _SPEED] <= speed) & (courses[:, _GENTLE] < COMMITTED)
     slower, faster = np.flatnonzero(slow), np.flatnonzero(~slow)
-    least: Choice = choose(alone, road, others, courses[slower], trial)
+    least: Choice = choose(alone, road, at_once, others, courses[slower], trial)
     if least.margin < CLEAR:
-        most: Choice = choose(alone, road, others, courses[faster], trial)
+        most: Choice = choose(alone, road, at_once, others, courses[faster], trial)
         # What is clear of all who have broken no rule comes before what is clear for longer.
         longer = most.clear > least.clear and (most.innocent >= CLEAR or least.innocent < CLEAR)
         if most.margin >= CLEAR or longer:

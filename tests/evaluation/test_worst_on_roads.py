@@ -205,11 +205,6 @@ def test_what_is_found_is_driven_again(name, policy, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="who owes the ego its distance is excused on any course that it takes next",
-)
 def test_who_owes_its_distance_is_asked_again_where_the_course_is_another():
     """On a ring the ego goes aside, which keeps it clear of one behind, and back before it."""
     found = search_roads(Setting("roundabout-v1", "roundabout-v1"), "mixed", episodes=LEVEL, seed=5_700_000)

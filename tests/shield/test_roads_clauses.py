@@ -15,7 +15,7 @@ from dynamics.networks.reachable.prediction import reach
 from dynamics.networks.reachable.strips import LOW, Conduct
 from shield import ShieldConfig
 from shield.doors.road_door import RoadDoor
-from shield.roads.choosing import CLEAR, try_course
+from shield.roads.choosing import CLEAR, choose, try_course
 from shield.roads.watch import Breach, Watch
 
 HARD = 9.8
@@ -327,19 +327,36 @@ def test_who_stands_astride_may_come_over():
         assert rows[0, LOW] == pytest.approx(least)
 
 
+@pytest.mark.parametrize(("gap", "clear"), [(16.0, False), (20.0, True), (28.0, True)])
+def test_who_owes_its_distance_is_asked_for_no_more_than_it_can(gap, clear):
+    """The ego brakes from 20 m/s, and one as fast behind it has no more than 6 m/s^2: 14 m, and a body, if it does at
+    once; for which it owes its distance."""
+    lane = ("a", "b", 0)
+    door = scene("merge-v0", lane, 60.0, 20.0, [(lane, 60.0 - gap, 20.0)])
+    index = door._index[lane]
+    row = np.array([[index, 0.0, 1e3, 0, 0, HARD]])
+    for owes in (False, True):
+        door._others.owes[0, index] = owes
+        found = choose(door._alone, door._road, door._braking.road, door._others, row, door._trial)
+        assert (found.margin >= CLEAR) == (clear and (owes or gap > 25.0))
+
+
 @pytest.mark.parametrize("brakes", [True, False])
 def test_who_is_behind_and_does_not_brake_is_named(brakes):
     """As soon as braking no longer helps: at 15 m/s that is 19 m before the ego, which cannot go on."""
     lane = ("a", "b", 0)
     door = scene("merge-v0", lane, 100.0, 0.0, [(lane, 60.0, 15.0)], [(lane, 106.0)])
-    body, named = door._base.road.vehicles[1], []
+    body, named, verified = door._base.road.vehicles[1], [], []
     door.reset()
     door.decide(1)
     while body.position[0] < 94.9 and body.speed > 0.1:
-        door.frame()
+        verified.append(door.frame()[1].tier.verified)
         room = 95.0 - body.position[0]
         if door.watch.by_rule and not named:
             named.append(room)
+            assert door.watch.offenders == {body}
+        # It is counted on for as long as it can.
+        assert verified[-1] == (not named)
         hard = brakes and room - 1.0 < body.speed * 2 / 15 + (body.speed + 0.2) ** 2 / 12
         Vehicle.act(body, {"acceleration": -6.0 if hard else 0.0, "steering": 0.0})
         body.step(1 / door._frequency)

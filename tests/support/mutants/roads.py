@@ -81,6 +81,27 @@ ROADS = (
         _CLAUSES,
     ),
     off(
+        "who owes its distance keeps it on whatever course",
+        "shield/roads/choosing.py",
+        "if owed and _better(found, best):",
+        "if False:",
+        _CLAUSES,
+    ),
+    off(
+        "who can keep its distance no longer is counted on to",
+        "shield/doors/road_door.py",
+        "np.where(at_once < CLEAR, at_once, self._trial.margins)",
+        "self._trial.margins",
+        _CLAUSES,
+    ),
+    off(
+        "who owes its distance has the time to react again",
+        "shield/roads/late.py",
+        "road.duty._replace(reaction=0)",
+        "road.duty",
+        _CLAUSES,
+    ),
+    off(
         "who stands astride waits too",
         _PREDICTION,
         "strips.marks[j, 2] == -1 and max(numbers[HIGH], -numbers[LOW]) <= numbers[KEEP]",

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.networks.alone import Alone, Course
-from dynamics.state import FloatArray
+from dynamics.state import BoolArray, FloatArray
 from shield.roads.choosing import CLEAR, try_course
 from shield.roads.room import Others, Road, Trial, empty_trial
 
@@ -47,7 +47,7 @@ class Braking:
 
     def margins(self, course: Course, others: Others) -> FloatArray:
         """How far those who owe the ego their distance stay from its body on a course, (m,) [m]; inf of the rest."""
-        owing = others.owes.any(axis=1)
+        owing: BoolArray = others.owes.any(axis=1)
         if not owing.any():
             return np.full(len(owing), np.inf)
         if len(self.trial.margins) != len(owing):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.networks.alone import Alone, Course
-from dynamics.state import BoolArray, FloatArray
+from dynamics.state import FloatArray
 from shield.roads.choosing import CLEAR, try_course
 from shield.roads.room import Others, Road, Trial, empty_trial
 
@@ -47,10 +47,10 @@ class Braking:
 
     def margins(self, course: Course, others: Others) -> FloatArray:
         """How far those who owe the ego their distance stay from its body on a course, (m,) [m]; inf of the rest."""
-        owing: BoolArray = others.owes.any(axis=1)
-        if not owing.any():
-            return np.full(len(owing), np.inf)
-        if len(self.trial.margins) != len(owing):
-            self.trial = empty_trial(len(self.trial.path) - 1, len(self.trial.boxes), len(owing))
-        try_course(self.alone, self.road, others, np.array(course, float), False, self.trial)
-        return np.where(owing, self.trial.margins, np.inf)
+        owing, out = np.flatnonzero(others.owes.any(axis=1)), np.full(len(others.owes), np.inf)
+        if owing.size:
+            if len(self.trial.margins) != len(out):
+                self.trial = empty_trial(len(self.trial.path) - 1, len(self.trial.boxes), len(out))
+            try_course(self.alone, self.road, others, np.array(course, float), False, self.trial)
+            out[owing] = self.trial.margins[owing]
+        return out

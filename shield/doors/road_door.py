@@ -237,7 +237,7 @@ class RoadDoor:
         self._road = road_of(base, self._alone, self.config)
         self._bare = bare(self._road)
         self._frames = frames_of(self._frequency)
-        self._braking: Braking = Braking.on(self._alone, self._bare, self._frames, stays)
+        self._braking: Braking = Braking.on(self._alone, self._road, self._frames, stays)
         self._outlook = Outlook(base, self._alone, self._road, self._frames)
         self._trial: Trial = empty_trial(self._frames, len(self._names), 0)
 
@@ -300,12 +300,12 @@ class RoadDoor:
         speed, several = float(alone.worlds.f[0, SPEED, 0]), self._road.lanes.ids[self._wish.lane, COUNT] > 1
         tried = list(courses_of(self._wish, self._stored, speed, self._bound, several, self._frequency, braking))
         courses = np.array([course for course, _ in tried], float)
-        at_once = self._braking.road
-        found: Choice = choose(alone, self._road, at_once, self._others, courses, self._trial)
+        room = self._trial, self._braking.bodies
+        found: Choice = choose(alone, self._road, self._bare.body, self._others, courses, *room)
         margin, who, evades = found.margin, found.vehicle, found.innocent >= CLEAR
         if margin < CLEAR and found.clear == 0:
             # The buffer is gone: what is left to save is the body.
-            evades, found = False, save(alone, self._bare, at_once, self._others, courses, speed, self._trial)
+            evades, found = False, save(alone, self._bare, self._others, courses, speed, *room)
         course, tier = tried[found.course]
         reason = Reason.NONE if tier is Tier.PASSED else Reason.UNVERIFIED
         if margin < CLEAR:

@@ -9,11 +9,11 @@ import numpy as np
 from dynamics.compiled import inlined, uncounted
 from dynamics.networks.alone import Alone, Course, drive
 from dynamics.state import FloatArray
-from shield.roads.judging import judge
+from shield.roads.judging import ASKED, BELIEVED, STRICT, judge
 from shield.roads.room import Others, Road, Trial
-from shield.roads.survey import survey
+from shield.roads.survey import Body, survey
 
-__all__ = ["CLEAR", "Choice", "choose", "try_course"]
+__all__ = ["CLEAR", "Choice", "ask", "choose", "try_course"]
 
 _OFF, _SAME = 1e3, 1e-6
 CLEAR = -1e-6
@@ -49,11 +49,11 @@ def _follow(alone: Alone, road: Road, others: Others, row: FloatArray, trial: Tr
 
 
 @uncounted
-def _weigh(road: Road, others: Others, found: int, lenient: bool, trial: Trial) -> Choice:
+def _weigh(road: Road, others: Others, found: int, trust: int, trial: Trial, bodies: Trial) -> Choice:
     """What becomes of the course that `_follow` has driven."""
     count = abs(found)
     rests = found > 0 and abs(trial.path[count - 1, 3]) < 1e-6
-    margin, who, when, innocent = judge(others, road, trial, count, rests, lenient)
+    margin, who, when, innocent = judge(others, road, trial, bodies.boxes, count, rests, trust)
     if found < 0:
         # It leaves the road, at that speed.
         when = min(when, count - 1)
@@ -62,9 +62,25 @@ def _weigh(road: Road, others: Others, found: int, lenient: bool, trial: Trial) 
 
 
 @uncounted
+def _ask(road: Road, body: Body, others: Others, found: int, trial: Trial, bodies: Trial) -> Choice:
+    """The same, where those who owe the ego their distance brake at once: they have to stay behind its body."""
+    room = bodies.points, bodies.boxes, bodies.seen, bodies.met
+    survey(road.lanes, road.circles, others.lanes, trial.path, abs(found), body, road.period, *room)
+    return _weigh(road, others, found, ASKED, trial, bodies)
+
+
+@uncounted
 def try_course(alone: Alone, road: Road, others: Others, row: FloatArray, lenient: bool, trial: Trial) -> Choice:
-    """What comes of one course, a row of `Course`; `lenient` as in `judge`."""
-    return _weigh(road, others, _follow(alone, road, others, row, trial), lenient, trial)
+    """What comes of one course, a row of `Course`; `lenient` where those who owe the ego their distance are believed to
+    keep it."""
+    trust = BELIEVED if lenient else STRICT
+    return _weigh(road, others, _follow(alone, road, others, row, trial), trust, trial, trial)
+
+
+@uncounted
+def ask(alone: Alone, road: Road, body: Body, others: Others, row: FloatArray, trial: Trial, bodies: Trial) -> Choice:
+    """What comes of one course where those who owe the ego their distance brake at once; see `choose`."""
+    return _ask(road, body, others, _follow(alone, road, others, row, trial), trial, bodies)
 
 
 @inlined
@@ -88,42 +104,30 @@ def _at(found: Choice, k: int) -> Choice:
 
 
 @uncounted
-def _asked(alone: Alone, at_once: Road, others: Others, row: FloatArray, found: Choice, trial: Trial) -> Choice:
-    """What `_weigh` has found of a course, less what is left where those who owe the ego their distance brake at once:
-    they have to stay behind its body. That is what they owe, and no more (`shield.roads.watch`)."""
-    least = try_course(alone, at_once, others, row, False, trial)
-    if least.margin >= CLEAR:
-        return found
-    margin, vehicle = (least.margin, least.vehicle) if least.margin < found.margin else (found.margin, found.vehicle)
-    clear, speed = (least.clear, least.speed) if least.clear < found.clear else (found.clear, found.speed)
-    return Choice(found.course, margin, vehicle, clear, min(found.innocent, least.innocent), speed)
-
-
-@uncounted
 def choose(
-    alone: Alone,
-    road: Road,
-    at_once: Road,
-    others: Others,
-    courses: FloatArray,
-    trial: Trial,
+    alone: Alone, road: Road, body: Body, others: Others, courses: FloatArray, trial: Trial, bodies: Trial
 ) -> Choice:
     """The first of the courses, rows (c, 6), whose path stays clear of everybody; else the first that does of all but
-    those who owe the ego their distance, where they can keep it by braking; else the best of them, see `_better`.
-    `at_once` is the road for an ego without its buffer and for those who need no time to react. `trial` is then what
-    comes of it."""
-    best = Choice(-1, -np.inf, -1, -1, -np.inf, np.inf)
-    owed = others.owes.any()
+    those who owe the ego their distance, who stay behind its body there if they brake at once; else the best of them,
+    see `_better`.
+
+    Parameters
+    ----------
+    body : of the ego, without its buffer. bodies : room for where that is.
+    trial : what comes of the course that is taken, written; those who owe their distance are believed to keep it.
+    """
+    best, owed = Choice(-1, -np.inf, -1, -1, -np.inf, np.inf), others.owes.any()
     for k in range(courses.shape[0]):
         way = _follow(alone, road, others, courses[k], trial)
-        found = _weigh(road, others, way, False, trial)
+        found = _weigh(road, others, way, STRICT, trial, trial)
         if found.margin >= CLEAR:
             return _at(found, k)
         if best.margin >= CLEAR:
             continue
-        found = _weigh(road, others, way, True, trial)
-        if owed and _better(found, best):
-            found = _asked(alone, at_once, others, courses[k], found, trial)
+        if owed:
+            found = _ask(road, body, others, way, trial, bodies)
+        else:
+            found = _weigh(road, others, way, BELIEVED, trial, trial)
         if _better(found, best):
             best = _at(found, k)
     if best.course >= 0:

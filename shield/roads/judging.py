@@ -29,7 +29,11 @@ from dynamics.traffic.permits import Ego, gap_between
 from shield.roads.room import Others, Road, Trial
 from shield.roads.survey import FAR_OFF
 
-__all__ = ["judge"]
+__all__ = ["ASKED", "BELIEVED", "STRICT", "judge"]
+
+STRICT, BELIEVED, ASKED = 0, 1, 2
+"""What those who owe the ego their distance are trusted with: to answer to its buffer, with time to react, as anybody
+behind it; to keep their distance; to brake at once, where that keeps them behind its body."""
 
 _ENDLESS = 100_000
 """Frames: whoever has not come to rest by then is not counted on to."""
@@ -58,11 +62,19 @@ def _arrival(v: float, way: float, drive: FloatArray, acceleration: float, dt: f
 
 @uncounted
 def _followed(
-    others: Others, road: Road, trial: Trial, j: int, since: int, delay: int, anywhere: bool, rests: bool
+    others: Others,
+    road: Road,
+    trial: Trial,
+    rears: FloatArray,
+    j: int,
+    since: int,
+    delay: int,
+    anywhere: bool,
+    rests: bool,
 ) -> float:
     """The least separation of the ego from one that comes up behind it in strip j and brakes for it, `delay` frames
     after it sees it, which it does from frame `since` on, `anywhere` or as `Duty.ahead` says [m]; anything negative
-    where it is."""
+    where it is. `rears` are boxes like the trial's: it stays behind their rear where it is not beside the trial's."""
     conduct, duty, dt = road.conduct, road.duty, road.period
     i, row, lane = others.marks[j, 0], others.numbers[j], others.marks[j, 1]
     boxes, first, last = trial.boxes, trial.met[lane, 0], trial.met[lane, 1]
@@ -73,11 +85,14 @@ def _followed(
     while k <= last or (rests and v > 0.0):
         if k > _ENDLESS:
             return -1.0
-        box = boxes[lane, min(k, last)]
+        m = min(k, last)
+        box, rear = boxes[lane, m], rears[lane, m, 0]
         # Both move between two frames.
         ahead = x + v * most * dt - row[NEAR]
         if k >= first and box[0] < FAR_OFF and ahead >= row[START]:
-            least = min(least, max(box[0] - row[HALF] - ahead, _beside(box, row)))
+            if not rear < FAR_OFF:
+                rear = box[0]
+            least = min(least, max(rear - row[HALF] - ahead, _beside(box, row)))
             if least < 0:
                 return least
         there = anywhere or x >= row[NEAR]
@@ -108,20 +123,21 @@ def _waits(
     delay, given = road.duty.reaction, others.gives[i, lane]
     if lenient and given > 0 and since == 0:
         delay = max(delay - given, 0)
-    return _followed(others, road, trial, j, since, delay, True, there)
+    return _followed(others, road, trial, trial.boxes, j, since, delay, True, there)
 
 
 @uncounted
 def judge(
-    others: Others, road: Road, trial: Trial, count: int, rests: bool, lenient: bool
+    others: Others, road: Road, trial: Trial, bodies: FloatArray, count: int, rests: bool, trust: int
 ) -> tuple[float, int, int, float]:
     """The least separation from anybody along the first `count` places of a path, surveyed before.
 
     Parameters
     ----------
     trial : the path, and where it is on the lanes; its `margins`, from each vehicle, are written.
+    bodies : boxes of the ego without its buffer, surveyed like the trial's; looked at where it is `ASKED`.
     rests : whether the ego stays at the last of them for good.
-    lenient : whether those count who owe the ego its distance; they are believed to keep it.
+    trust : `STRICT`, `BELIEVED` or `ASKED`.
 
     Returns
     -------
@@ -180,18 +196,20 @@ def judge(
                 # It was behind a frame ago. On a ring one that is ahead of the ego comes up behind it as well.
                 came = row[HALF] - row[NEAR] - max(others.rows[i, 3], 0.0) * dt
                 owed = others.owes[i, lane] and since == 0 and came <= rear < FAR_OFF
-                if owed and lenient:
+                asked = owed and trust == ASKED
+                if owed and trust == BELIEVED:
                     others.shut[j] = rests and contact == count - 1
                     least, bad = np.inf, count
-                elif start:
-                    there = rests and last == count - 1
-                    stays = _followed(others, road, trial, j, since, road.duty.reaction, road.duty.ahead, there)
+                elif start or asked:
+                    there, delay = rests and last == count - 1, 0 if asked else road.duty.reaction
+                    rears = bodies if asked else boxes
+                    stays = _followed(others, road, trial, rears, j, since, delay, road.duty.ahead, there)
                     if stays >= 0:
                         others.shut[j] = there and contact == count - 1
                         least, bad = stays, count
             if least < 0 and road.duty.gives_way:
                 there = rests and last == count - 1
-                stays = _waits(others, road, trial, j, contact, bad, there, lenient)
+                stays = _waits(others, road, trial, j, contact, bad, there, trust != STRICT)
                 if stays >= 0:
                     others.shut[j], others.waits[j] = there and contact == count - 1, True
                     least, bad = stays, count

@@ -9,8 +9,10 @@ import numpy as np
 
 from dynamics.networks.alone import Alone, Course
 from dynamics.state import FloatArray
-from shield.roads.choosing import CLEAR, try_course
+from shield.roads.choosing import CLEAR, ask
 from shield.roads.room import Others, Road, Trial, empty_trial
+from shield.roads.saving import bare
+from shield.roads.survey import Body
 
 __all__ = ["Braking"]
 
@@ -21,20 +23,22 @@ class Braking:
 
     Attributes
     ----------
-    alone, road : of the ego, without its buffer and with nobody's time to react. trial : written.
+    alone, road : of the ego. body : of it without its buffer. trial, bodies : room, see `choose`.
     stays : of each who owed it when `remember` was called [m].
     """
 
     alone: Alone
     road: Road
+    body: Body
     trial: Trial
+    bodies: Trial
     stays: dict[Any, float]
 
     @classmethod
     def on(cls, alone: Alone, road: Road, frames: int, stays: dict[Any, float]) -> Braking:
-        """On a road without a buffer, for paths of so many frames; what is known of who owed before."""
-        at_once = road._replace(duty=road.duty._replace(reaction=0))
-        return cls(alone, at_once, empty_trial(frames, len(road.ways.over), 0), stays)
+        """On a road, for paths of so many frames; what is known of who owed before."""
+        lanes = len(road.ways.over)
+        return cls(alone, road, bare(road).body, empty_trial(frames, lanes, 0), empty_trial(frames, lanes, 0), stays)
 
     def remember(self, course: Course, who: list[Any], others: Others) -> None:
         """Where the ego goes on with a course, who owes it its distance, and how far they stay."""
@@ -46,11 +50,12 @@ class Braking:
         return {b for i, b in enumerate(who) if self.stays.get(b, -1.0) >= CLEAR and margins[i] < CLEAR}
 
     def margins(self, course: Course, others: Others) -> FloatArray:
-        """How far those who owe the ego their distance stay from its body on a course, (m,) [m]; inf of the rest."""
+        """How far those who owe the ego their distance stay from it on a course, (m,) [m]; inf of the rest."""
         owing, out = np.flatnonzero(others.owes.any(axis=1)), np.full(len(others.owes), np.inf)
         if owing.size:
             if len(self.trial.margins) != len(out):
                 self.trial = empty_trial(len(self.trial.path) - 1, len(self.trial.boxes), len(out))
-            try_course(self.alone, self.road, others, np.array(course, float), False, self.trial)
+            row = np.array(course, float)
+            ask(self.alone, self.road, self.body, others, row, self.trial, self.bodies)
             out[owing] = self.trial.margins[owing]
         return out

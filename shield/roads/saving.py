@@ -22,26 +22,20 @@ def bare(road: Road) -> Road:
 
 
 def save(
-    alone: Alone,
-    road: Road,
-    at_once: Road,
-    others: Others,
-    courses: FloatArray,
-    speed: float,
-    trial: Trial,
+    alone: Alone, road: Road, others: Others, courses: FloatArray, speed: float, trial: Trial, bodies: Trial
 ) -> Choice:
     """What keeps the body clear, or does for longest; nothing faster than now, where that does as long.
 
     Parameters
     ----------
-    road : as of `bare`. at_once : as in `choose`. courses : rows (c, 6) of `Course`.
-    speed : of the ego now [m/s]. trial : what comes of the course that is taken, written.
+    road : as of `bare`. courses : rows (c, 6) of `Course`. speed : of the ego now [m/s].
+    trial : what comes of the course that is taken, written. bodies : as in `choose`.
     """
     slow = (courses[:, _SPEED] <= speed) & (courses[:, _GENTLE] < COMMITTED)
     slower, faster = np.flatnonzero(slow), np.flatnonzero(~slow)
-    least: Choice = choose(alone, road, at_once, others, courses[slower], trial)
+    least: Choice = choose(alone, road, road.body, others, courses[slower], trial, bodies)
     if least.margin < CLEAR:
-        most: Choice = choose(alone, road, at_once, others, courses[faster], trial)
+        most: Choice = choose(alone, road, road.body, others, courses[faster], trial, bodies)
         # What is clear of all who have broken no rule comes before what is clear for longer.
         longer = most.clear > least.clear and (most.innocent >= CLEAR or least.innocent < CLEAR)
         if most.margin >= CLEAR or longer:

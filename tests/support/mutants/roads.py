@@ -83,8 +83,8 @@ ROADS = (
     off(
         "who owes its distance keeps it on whatever course",
         "shield/roads/choosing.py",
-        "if owed and _better(found, best):",
-        "if False:",
+        "        if owed:",
+        "        if False:",
         _CLAUSES,
     ),
     off(
@@ -96,9 +96,9 @@ ROADS = (
     ),
     off(
         "who owes its distance has the time to react again",
-        "shield/roads/late.py",
-        "road.duty._replace(reaction=0)",
-        "road.duty",
+        _JUDGING,
+        "0 if asked else road.duty.reaction",
+        "road.duty.reaction",
         _CLAUSES,
     ),
     off(

@@ -155,7 +155,7 @@ def hold(worlds: NetworkWorlds, e: int, throttle: float, wheel: float) -> None:
 
 @inlined
 def _lanes(machine: Machine, network: Network) -> Lanes:
-    return Lanes(machine.sums, machine.loops, network.lanes, network.ids)
+    return Lanes(machine.sums, machine.loops, network.lanes, network.ids, network.near)
 
 
 @inlined

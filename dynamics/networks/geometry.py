@@ -104,7 +104,7 @@ class RoadGeometry:
         if not names:
             raise SceneError("the network has no lanes")
         after = tuple(tuple(int(k) for k in row if k >= 0) for row in continuations_of(road)[0])
-        lanes = Lanes(sums_of_numpy()[0], addresses(), network.lanes, network.ids)
+        lanes = Lanes(sums_of_numpy()[0], addresses(), network.lanes, network.ids, network.near)
         return cls(names, network, lanes, after, leads_over(road))
 
     @property

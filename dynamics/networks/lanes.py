@@ -32,6 +32,7 @@ from dynamics.networks.layout import (
     PULSATION,
     QUARTER,
     RADIUS,
+    REACH,
     SHAPE,
     SINE,
 )
@@ -65,13 +66,14 @@ class Lanes(NamedTuple):
 
     Attributes
     ----------
-    rows, ids : (n, COLUMNS) and (n, IDS), see `layout`.
+    rows, ids : (n, COLUMNS) and (n, IDS), see `layout`. near : (n, most), see `network.Network`.
     """
 
     sums: int
     loops: IntArray
     rows: FloatArray
     ids: IntArray
+    near: IntArray
 
 
 @inlined
@@ -187,6 +189,13 @@ def _away(lanes: Lanes, lane: int, s: float, r: float, heading: float) -> float:
 
 
 @inlined
+def _within(row: FloatArray, x: float, y: float, limit: float) -> bool:
+    """Whether a place is no further than that from the box around a lane."""
+    across = row[LEAST_X] - limit <= x <= row[MOST_X] + limit
+    return across and row[LEAST_Y] - limit <= y <= row[MOST_Y] + limit
+
+
+@inlined
 def closest(lanes: Lanes, x: float, y: float, heading: float, guess: int) -> tuple[int, float, float]:
     """The lane nearest in position and heading, the first of equals, and (s, r) on it [m]; a good guess saves most of
     the work."""
@@ -201,10 +210,15 @@ def closest(lanes: Lanes, x: float, y: float, heading: float, guess: int) -> tup
         along, across = local(lanes, guess, x, y)
     guessed = limit = _away(lanes, guess, along, across, heading)
     best, least, guess_along, guess_across = guess, math.inf, along, across
-    for lane in range(len(lanes.rows)):
+    # A place no further than that from the box of a lane is no nearer to one that is not near that lane.
+    known_near = limit <= REACH and _within(lanes.rows[guess], x, y, REACH)
+    for j in range(lanes.near.shape[1] if known_near else len(lanes.rows)):
+        lane = lanes.near[guess, j] if known_near else j
+        if lane < 0:
+            break
         row = lanes.rows[lane]
         # No place is nearer to a lane than to a box around it.
-        if x < row[LEAST_X] - limit or x > row[MOST_X] + limit or y < row[LEAST_Y] - limit or y > row[MOST_Y] + limit:
+        if not _within(row, x, y, limit):
             continue
         if lane == guess:
             s, r, away = guess_along, guess_across, guessed

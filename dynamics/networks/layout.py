@@ -39,6 +39,7 @@ __all__ = [
     "PULSATION",
     "QUARTER",
     "RADIUS",
+    "REACH",
     "ROAD",
     "ROUTE",
     "ROUTE_END",
@@ -101,5 +102,8 @@ ROUTE, ROUTE_END, YIELDS, FRAMES, LAW, DYNAMICAL = range(layout.G, layout.G + 6)
 without a route; whether it yields; in the first column, the frames that the road has seen; and of an ego with throttle
 and steering, whether it follows a law of its own instead of inputs that are held, and whether its tyres slip."""
 G = layout.G + 6
+
+REACH = 4.0
+"""How far from the box around its lane a body is looked for among the lanes near that one alone [m]."""
 
 assert (_WIDTH, _LENGTH, _LIMIT) == (layout.LANE_WIDTH, layout.LANE_LENGTH, layout.LANE_LIMIT)

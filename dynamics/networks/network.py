@@ -34,6 +34,7 @@ from dynamics.networks.layout import (
     PULSATION,
     QUARTER,
     RADIUS,
+    REACH,
     ROAD,
     SHAPE,
     SINE,
@@ -61,6 +62,8 @@ class Network(NamedTuple):
     outs : the roads that leave each node, in highway-env's order, (nodes, most); -1 for none.
     linked : lanes on which others are neighbours too, (n, most, 2): the lane, -1 for none, and 1 where it follows, -1
         where it leads here. No columns where highway-env looks at one lane at a time.
+    near : for each lane those whose boxes are no more than 2 `REACH` from its own, itself too, in order, (n, most); -1
+        for none.
     """
 
     lanes: FloatArray
@@ -68,6 +71,7 @@ class Network(NamedTuple):
     roads: IntArray
     outs: IntArray
     linked: IntArray
+    near: IntArray
 
 
 def index_of(network: Any) -> dict[tuple[str, str, int], int]:
@@ -109,7 +113,7 @@ def network_of(network: Any, connected: bool = False, leaves: Leaves | None = No
             ids[n, ENDS] = all(_leads_back(lane, each) for each in graph.get(b, {}).values())
     outs = [[edges[name, to] for to in graph.get(name, {})] for name in nodes]
     linked = [_linked(graph, numbers, key) if connected else [] for key in numbers]
-    return Network(lanes, ids, roads, _table(outs), _pairs(linked))
+    return Network(lanes, ids, roads, _table(outs), _pairs(linked), _near(lanes))
 
 
 def _leads_back(lane: Any, road: list[Any]) -> bool:
@@ -122,6 +126,12 @@ def _table(rows: list[list[int]]) -> IntArray:
     for k, row in enumerate(rows):
         out[k, : len(row)] = row
     return out
+
+
+def _near(lanes: FloatArray) -> IntArray:
+    low, high = lanes[:, LEAST_X : LEAST_X + 2] - REACH, lanes[:, MOST_X : MOST_X + 2] + REACH
+    overlap = ((low[:, None] <= high) & (low <= high[:, None])).all(axis=2)
+    return _table([np.flatnonzero(row).tolist() for row in overlap])
 
 
 def _pairs(rows: list[list[tuple[int, int]]]) -> IntArray:

@@ -32,7 +32,7 @@ def road_of(base: Any, alone: Alone, config: ShieldConfig) -> Road:
     """The road of an environment, unwrapped, and who drives on it how."""
     a, buffer, frequency = config.assumptions, config.buffer, base.config["simulation_frequency"]
     network, machine = alone.rules.network, alone.machine
-    lanes = Lanes(machine.sums, machine.loops, network.lanes, network.ids)
+    lanes = Lanes(machine.sums, machine.loops, network.lanes, network.ids, network.near)
     ways = Ways(*continuations_of(base.road.network), leads_over(base.road.network))
     circles = np.zeros((len(network.lanes), 3))
     circles_of(lanes, circles)

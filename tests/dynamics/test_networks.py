@@ -173,7 +173,7 @@ def test_every_lane_is_highway_envs(env_id):
 
 def compare_lanes(road, rng, count):
     sums, network = sums_of_numpy()[0], network_of(road)
-    all_lanes = lanes.Lanes(sums, addresses(), network.lanes, network.ids)
+    all_lanes = lanes.Lanes(sums, addresses(), network.lanes, network.ids, network.near)
     exact, names = sums < 2, {number: key for key, number in index_of(road).items()}
     for at, heading in positions(road, rng, count):
         x, y = at.tolist()
@@ -189,6 +189,7 @@ def compare_lanes(road, rng, count):
             assert bool(lane.on_lane(at, s, r, 1.0)) == lanes.on_lane(network.lanes, number, s, r, 1.0)
             assert lanes.least_across(*given) <= abs(r)
         found, s, r = lanes.closest(all_lanes, x, y, heading, int(rng.integers(len(names))))
+        assert lanes.closest(all_lanes, x, y, heading, found) == (found, s, r)
         assert road.get_closest_lane_index(at, heading) == names[found]
         assert (s, r) == lanes.local(all_lanes, found, x, y)
 

@@ -130,8 +130,8 @@ def _table(rows: list[list[int]]) -> IntArray:
 
 def _near(lanes: FloatArray) -> IntArray:
     low, high = lanes[:, LEAST_X : LEAST_X + 2] - REACH, lanes[:, MOST_X : MOST_X + 2] + REACH
-    overlap = ((low[:, None] <= high) & (low <= high[:, None])).all(axis=2)
-    return _table([np.flatnonzero(row).tolist() for row in overlap])
+    x, y = ((low[:, None, axis] <= high[:, axis]) & (low[:, axis] <= high[:, None, axis]) for axis in range(2))
+    return _table([np.flatnonzero(row).tolist() for row in x & y])
 
 
 def _pairs(rows: list[list[tuple[int, int]]]) -> IntArray:

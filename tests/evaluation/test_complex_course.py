@@ -17,7 +17,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from dynamics.networks.lanes import Lanes, closest
+from dynamics.networks.network import index_of, network_of
 from dynamics.networks.priority_road import PriorityRoad
+from dynamics.simulator.arithmetic import sums_of_numpy
+from dynamics.simulator.loops import addresses
 from dynamics.state import wrap_to_pi
 from evaluation.report.course_picture import draw_course
 from evaluation.scenarios import ComplexRoadsEnv
@@ -119,6 +123,25 @@ def test_the_nearest_lane_is_the_one_that_highway_env_finds(place: tuple[float, 
     assert network.get_closest_lane_index(position, heading) == RoadNetwork.get_closest_lane_index(
         network, position, heading
     )
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 10**6), st.floats(-6, 6), st.floats(-5, 5), st.floats(-4, 4), st.integers(0, 10**6))
+def test_a_body_is_looked_for_among_the_lanes_near_its_own(
+    lane: int, beyond: float, across: float, turned: float, guess: int
+) -> None:
+    names, network = list(index_of(COURSE.network)), network_of(COURSE.network)
+    number = lane % len(names)
+    near = network.near[number][network.near[number] >= 0]
+    assert number in near
+    assert len(near) < len(names) / 4
+    at = COURSE.network.get_lane(names[number])
+    s = beyond if guess % 2 else at.length + beyond
+    position, heading = at.position(s, across), float(at.heading_at(s)) + turned
+    lanes = Lanes(sums_of_numpy()[0], addresses(), network.lanes, network.ids, network.near)
+    found, *place = closest(lanes, *position.tolist(), heading, int(near[guess % len(near)]))
+    assert names[found] == RoadNetwork.get_closest_lane_index(COURSE.network, position, heading)
+    assert tuple(place) == pytest.approx(COURSE.network.get_lane(names[found]).local_coordinates(position), abs=1e-9)
 
 
 # -- rights of way ---------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from dynamics.networks.layout import COUNT
 from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of
 from dynamics.simulator.layout import CRASHED, IMPACTED, SPEED, TARGET, TARGET_SPEED
+from dynamics.state import FloatArray
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
@@ -134,10 +135,8 @@ class RoadDoor:
             seen = self._look()
             load_ego(self._base, self._alone.rules, self._index, self._alone.worlds)
             self._alone.worlds.g[0, [CRASHED, IMPACTED]] = 0
-            late = set()
-            if self._stored is not None:
-                late = self._braking.late(self._braking.margins(self._stored, seen.others), seen.who)
-            return self.watch.judge(seen, hit, self._road) | (hit & late)
+            late = set() if self._stored is None else self._now(self._stored, seen)[1]
+            return self.watch.judge(seen, hit, self._road, late)
         finally:
             for body in hit:
                 body.crashed = True
@@ -146,7 +145,7 @@ class RoadDoor:
         """Who of these has broken a rule from a scene on, a frame ago, to the one seen last, whether or not what is
         verified suffers from it."""
         last = self.watch.last
-        return set() if last is None else Watch(last=since).judge(last, set(bodies), self._road)
+        return set() if last is None else Watch(last=since).judge(last, set(bodies), self._road, set())
 
     def reset(self) -> None:
         """Forget everything about the episode."""
@@ -272,16 +271,22 @@ class RoadDoor:
         if self._stored is not None and not ego.crashed:
             flags = self._alone.worlds.g[0, IMPACTED]
             pushed, flags[:] = flags.copy(), 0
-            at_once = self._braking.margins(self._stored, seen.others)
-            self._try(self._stored)
+            margins, late = self._now(self._stored, seen)
             flags[:] = pushed
-            late = self._braking.late(at_once, seen.who)
-            # Nobody is believed to keep what it cannot.
-            margins = np.where(at_once < CLEAR, at_once, self._trial.margins)
             self.kept = {b: (self._then[b], float(margins[i])) for i, b in enumerate(seen.who) if b in self._then}
         self.watch.next(seen, set(self._then), margins, self._road, late)
         self.disturbed = self.disturbed or bool(self.watch.offenders)
         self._others.offends[:] = [body in self.watch.offenders for body in seen.who]
+
+    def _now(self, stored: Course, seen: Seen) -> tuple[FloatArray, set[Any]]:
+        """How far what was gone on with stays from each of the others now, (m,) [m]; and who has come to be late, since
+        nobody is believed to keep a distance that it cannot keep."""
+        at_once = self._braking.margins(stored, seen.others)
+        if len(self._trial.margins) != len(seen.who):
+            self._trial = empty_trial(self._frames, len(self._names), len(seen.who))
+        try_course(self._alone, self._road, seen.others, np.array(stored, float), True, self._trial)
+        believed = self._trial.margins
+        return np.where(at_once < CLEAR, at_once, believed), self._braking.late(at_once, believed, seen.who)
 
     def _try(self, course: Course) -> None:
         """Have the trial hold what comes of a course; whoever owes the ego its distance keeps it."""

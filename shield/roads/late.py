@@ -45,9 +45,11 @@ class Braking:
         margins = self.margins(course, others)
         self.stays = {who[i]: float(margins[i]) for i in np.flatnonzero(others.owes.any(axis=1))}
 
-    def late(self, margins: FloatArray, who: list[Any]) -> set[Any]:
-        """Who could have kept its distance when it was remembered, a frame ago, and no longer can: see `margins`."""
-        return {b for i, b in enumerate(who) if self.stays.get(b, -1.0) >= CLEAR and margins[i] < CLEAR}
+    def late(self, margins: FloatArray, believed: FloatArray, who: list[Any]) -> set[Any]:
+        """Who could have kept its distance when it was remembered, a frame ago, and no longer can: see `margins`. Who
+        is in the way although it is `believed` to keep it, (m,) [m], is so elsewhere."""
+        too_near = (margins < CLEAR) & (believed >= CLEAR)
+        return {b for i, b in enumerate(who) if too_near[i] and self.stays.get(b, -1.0) >= CLEAR}
 
     def margins(self, course: Course, others: Others) -> FloatArray:
         """How far those who owe the ego their distance stay from it on a course, (m,) [m]; inf of the rest."""

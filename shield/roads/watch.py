@@ -87,7 +87,7 @@ class Watch:
         ----------
         clear : of whom the ego's fail-safe stayed clear when it was chosen, and those who owed it their distance.
         margins : how far it stays from each now, (m,) [m]; None without one.
-        late : who has not kept its distance by braking, since the scene before.
+        late : who could have kept its distance by braking in the scene before, and no longer can.
         """
         last, breaking = self.last, {}
         self.last = now
@@ -106,9 +106,7 @@ class Watch:
                 broken = {Breach.APPEARED} if suffers else set()
             else:
                 suffers = suffers and body in clear
-                broken = self._broken(last.others, j, now.others, i, road, suffers)
-                if body in late:
-                    broken.add(Breach.DISTANCE)
+                broken = self._broken(last.others, j, now.others, i, road, suffers, body in late)
                 if suffers and not broken and body not in self.offenders:
                     broken = {Breach.UNFORESEEN}
             if broken:
@@ -122,18 +120,21 @@ class Watch:
                 self.offenders.discard(body)
         self.breaking = breaking
 
-    def judge(self, now: Seen, who: set[Any], road: Road) -> set[Any]:
-        """Who of these has broken a rule so far, or does from the scene seen last to this one, wherever it is."""
+    def judge(self, now: Seen, who: set[Any], road: Road, late: set[Any]) -> set[Any]:
+        """Who of these has broken a rule so far, or does from the scene seen last to this one, wherever it is; `late`
+        as in `next`."""
         found = who & self.culprits
         if self.last is not None:
             before = {body: i for i, body in enumerate(self.last.who)}
             for i, body in enumerate(now.who):
                 j = before.get(body)
-                if body in who and (j is None or self._broken(self.last.others, j, now.others, i, road, True)):
+                if body not in who:
+                    continue
+                if j is None or self._broken(self.last.others, j, now.others, i, road, True, body in late):
                     found.add(body)
         return found
 
-    def _broken(self, old: Others, j: int, new: Others, i: int, road: Road, suffers: bool) -> set[Breach]:
+    def _broken(self, old: Others, j: int, new: Others, i: int, road: Road, suffers: bool, late: bool) -> set[Breach]:
         broken, conduct, dt = set(), road.conduct, road.period
         v0, v = float(old.rows[j, 3]), float(new.rows[i, 3])
         slowest = v0 - conduct.braking * dt
@@ -144,9 +145,11 @@ class Watch:
             broken.add(Breach.REVERSING)
         if suffers and not _inside(old, j, new, i):
             broken.add(Breach.WAYS)
-        waits = suffers and new.gives[i].max(initial=0) > road.duty.reaction
-        if waits and v > max(v0 - road.duty.braking * dt, 0.0) + _SLACK:
-            broken.add(Breach.RIGHT_OF_WAY)
+        if v > max(v0 - road.duty.braking * dt, 0.0) + _SLACK:
+            if late:
+                broken.add(Breach.DISTANCE)
+            if suffers and new.gives[i].max(initial=0) > road.duty.reaction:
+                broken.add(Breach.RIGHT_OF_WAY)
         return broken
 
 

@@ -76,7 +76,7 @@ ROADS = (
     off(
         "who is behind need not brake",
         "shield/roads/watch.py",
-        "                if body in late:\n                    broken.add(Breach.DISTANCE)\n",
+        "            if late:\n                broken.add(Breach.DISTANCE)\n",
         "",
         _CLAUSES,
     ),
@@ -90,8 +90,8 @@ ROADS = (
     off(
         "who can keep its distance no longer is counted on to",
         "shield/doors/road_door.py",
-        "np.where(at_once < CLEAR, at_once, self._trial.margins)",
-        "self._trial.margins",
+        "np.where(at_once < CLEAR, at_once, believed)",
+        "believed",
         _CLAUSES,
     ),
     off(

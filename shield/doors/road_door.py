@@ -16,7 +16,6 @@ from dynamics.networks.layout import COUNT
 from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of
 from dynamics.simulator.layout import CRASHED, IMPACTED, SPEED, TARGET, TARGET_SPEED
-from dynamics.state import FloatArray
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
@@ -135,7 +134,7 @@ class RoadDoor:
             seen = self._look()
             load_ego(self._base, self._alone.rules, self._index, self._alone.worlds)
             self._alone.worlds.g[0, [CRASHED, IMPACTED]] = 0
-            late = set() if self._stored is None else self._now(self._stored, seen)[1]
+            late = set() if self._stored is None else self._braking.now(self._stored, seen)[1]
             return self.watch.judge(seen, hit, self._road, late)
         finally:
             for body in hit:
@@ -271,22 +270,12 @@ class RoadDoor:
         if self._stored is not None and not ego.crashed:
             flags = self._alone.worlds.g[0, IMPACTED]
             pushed, flags[:] = flags.copy(), 0
-            margins, late = self._now(self._stored, seen)
+            margins, late = self._braking.now(self._stored, seen)
             flags[:] = pushed
             self.kept = {b: (self._then[b], float(margins[i])) for i, b in enumerate(seen.who) if b in self._then}
         self.watch.next(seen, set(self._then), margins, self._road, late)
         self.disturbed = self.disturbed or bool(self.watch.offenders)
         self._others.offends[:] = [body in self.watch.offenders for body in seen.who]
-
-    def _now(self, stored: Course, seen: Seen) -> tuple[FloatArray, set[Any]]:
-        """How far what was gone on with stays from each of the others now, (m,) [m]; and who has come to be late, since
-        nobody is believed to keep a distance that it cannot keep."""
-        at_once = self._braking.margins(stored, seen.others)
-        if len(self._trial.margins) != len(seen.who):
-            self._trial = empty_trial(self._frames, len(self._names), len(seen.who))
-        try_course(self._alone, self._road, seen.others, np.array(stored, float), True, self._trial)
-        believed = self._trial.margins
-        return np.where(at_once < CLEAR, at_once, believed), self._braking.late(at_once, believed, seen.who)
 
     def _try(self, course: Course) -> None:
         """Have the trial hold what comes of a course; whoever owes the ego its distance keeps it."""

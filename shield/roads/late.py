@@ -9,10 +9,11 @@ import numpy as np
 
 from dynamics.networks.alone import Alone, Course
 from dynamics.state import FloatArray
-from shield.roads.choosing import CLEAR, ask
+from shield.roads.choosing import CLEAR, ask, try_course
 from shield.roads.room import Others, Road, Trial, empty_trial
 from shield.roads.saving import bare
 from shield.roads.survey import Body
+from shield.roads.watch import Seen
 
 __all__ = ["Braking"]
 
@@ -42,22 +43,32 @@ class Braking:
 
     def remember(self, course: Course, who: list[Any], others: Others) -> None:
         """Where the ego goes on with a course, who owes it its distance, and how far they stay."""
-        margins = self.margins(course, others)
+        margins = self._margins(course, others)
         self.stays = {who[i]: float(margins[i]) for i in np.flatnonzero(others.owes.any(axis=1))}
 
-    def late(self, margins: FloatArray, believed: FloatArray, who: list[Any]) -> set[Any]:
-        """Who could have kept its distance when it was remembered, a frame ago, and no longer can: see `margins`. Who
-        is in the way although it is `believed` to keep it, (m,) [m], is so elsewhere."""
-        too_near = (margins < CLEAR) & (believed >= CLEAR)
-        return {b for i, b in enumerate(who) if too_near[i] and self.stays.get(b, -1.0) >= CLEAR}
+    def now(self, course: Course, seen: Seen) -> tuple[FloatArray, set[Any]]:
+        """How far that course, a frame later, stays from each of the others, (m,) [m]; and who could have kept its
+        distance when it was remembered, and no longer can: nobody is believed to keep what it cannot."""
+        at_once = self._margins(course, seen.others)
+        self._fit(seen.others)
+        try_course(self.alone, self.road, seen.others, np.array(course, float), True, self.trial)
+        believed = self.trial.margins
+        # Who is in the way although it is believed to keep its distance is so elsewhere.
+        too_near = (at_once < CLEAR) & (believed >= CLEAR)
+        late = {b for i, b in enumerate(seen.who) if too_near[i] and self.stays.get(b, -1.0) >= CLEAR}
+        return np.where(at_once < CLEAR, at_once, believed), late
 
-    def margins(self, course: Course, others: Others) -> FloatArray:
+    def _margins(self, course: Course, others: Others) -> FloatArray:
         """How far those who owe the ego their distance stay from it on a course, (m,) [m]; inf of the rest."""
         owing, out = np.flatnonzero(others.owes.any(axis=1)), np.full(len(others.owes), np.inf)
         if owing.size:
-            if len(self.trial.margins) != len(out):
-                self.trial = empty_trial(len(self.trial.path) - 1, len(self.trial.boxes), len(out))
+            self._fit(others)
             row = np.array(course, float)
             ask(self.alone, self.road, self.body, others, row, self.trial, self.bodies)
             out[owing] = self.trial.margins[owing]
         return out
+
+    def _fit(self, others: Others) -> None:
+        """Room for as many."""
+        if len(self.trial.margins) != len(others.owes):
+            self.trial = empty_trial(len(self.trial.path) - 1, len(self.trial.boxes), len(others.owes))

@@ -89,7 +89,7 @@ ROADS = (
     ),
     off(
         "who can keep its distance no longer is counted on to",
-        "shield/doors/road_door.py",
+        "shield/roads/late.py",
         "np.where(at_once < CLEAR, at_once, believed)",
         "believed",
         _CLAUSES,

@@ -10,7 +10,7 @@ from shield.config import ShieldConfig
 
 
 @pytest.fixture(autouse=True)
-def traffic_as_it_is(monkeypatch):
+def traffic_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     """highway-env's intersections change these for the whole process, whichever test made one."""
     monkeypatch.setattr(IDMVehicle, "DISTANCE_WANTED", 5.0 + Vehicle.LENGTH)
     monkeypatch.setattr(IDMVehicle, "COMFORT_ACC_MAX", 3.0)

@@ -1,20 +1,10 @@
 """Episodes of the ABZ case study in which the ego was hit, or nearly so: found among 100,000, driven again here."""
 
 import pytest
-from highway_env.vehicle.behavior import IDMVehicle
-from highway_env.vehicle.kinematics import Vehicle
 
 from evaluation.running.episodes import run_episode
 from evaluation.running.records import variant_for
 from shield.config import ShieldConfig
-
-
-@pytest.fixture(autouse=True)
-def traffic_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    """highway-env's intersections change these for the whole process, whichever test made one."""
-    monkeypatch.setattr(IDMVehicle, "DISTANCE_WANTED", 5.0 + Vehicle.LENGTH)
-    monkeypatch.setattr(IDMVehicle, "COMFORT_ACC_MAX", 3.0)
-    monkeypatch.setattr(IDMVehicle, "COMFORT_ACC_MIN", -5.0)
 
 
 @pytest.mark.parametrize(

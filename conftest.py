@@ -1,5 +1,5 @@
 """Hypothesis profiles (the default suite repeats itself exactly; `make test-slow` explores new examples), and traffic
-that no test leaves changed behind.
+that no test, and no example in a docstring, leaves changed behind.
 """
 
 import os

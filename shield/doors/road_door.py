@@ -12,10 +12,10 @@ import numpy as np
 
 from dynamics.networks.alone import Alone, Course, alone_on
 from dynamics.networks.engine import command
-from dynamics.networks.layout import COUNT
+from dynamics.networks.layout import COUNT, ROAD
 from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of
-from dynamics.simulator.layout import CRASHED, IMPACTED, SPEED, TARGET, TARGET_SPEED
+from dynamics.simulator.layout import CRASHED, IMPACTED, LANE, SPEED, TARGET, TARGET_SPEED
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
@@ -83,6 +83,7 @@ class RoadDoor:
         self._dues = Dues()
         self._stored: Course | None = None
         self._wish: Wish | None = None
+        self._left = -1
         self.disturbed = False
         self.kept: dict[Any, tuple[float, float]] = {}
         self._then: dict[Any, float] = {}
@@ -210,7 +211,7 @@ class RoadDoor:
 
     def _intend(self, action: int) -> None:
         """Take a meta-action for what is wished from now on."""
-        alone = self._alone
+        alone, self._left = self._alone, self._bound
         command(alone.machine, alone.worlds, alone.rules, 0, 0, action)
         self._wish = Wish(self._bound, float(alone.worlds.f[0, TARGET_SPEED, 0]))
 
@@ -222,6 +223,13 @@ class RoadDoor:
     def _bound(self) -> int:
         """The lane that the ego is bound for."""
         return int(self._alone.worlds.g[0, TARGET, 0])
+
+    def _lanes(self) -> list[int]:
+        """The lane that the ego is bound for, and on the same road those that it was bound for before the decision, and
+        that it is on: it may not have left them yet."""
+        ids, bound = self._road.lanes.ids, self._bound
+        own = int(self._alone.worlds.g[0, LANE, 0])
+        return [bound, *(lane for lane in (self._left, own) if lane >= 0 and ids[lane, ROAD] == ids[bound, ROAD])]
 
     def _furnish(self) -> None:
         """Room for the episode's road."""
@@ -292,7 +300,7 @@ class RoadDoor:
         if self._wish is None:
             self._wish = Wish(self._bound, float(alone.worlds.f[0, TARGET_SPEED, 0]))
         speed, several = float(alone.worlds.f[0, SPEED, 0]), self._road.lanes.ids[self._wish.lane, COUNT] > 1
-        tried = list(courses_of(self._wish, self._stored, speed, self._bound, several, self._frequency, braking))
+        tried = list(courses_of(self._wish, self._stored, speed, self._lanes(), several, self._frequency, braking))
         courses = np.array([course for course, _ in tried], float)
         room = self._trial, self._braking.bodies
         found: Choice = choose(alone, self._road, self._bare.body, self._others, courses, *room)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from dynamics.networks.alone import Course
@@ -47,14 +47,21 @@ def gone_on_with(course: Course, bound: int) -> Course:
 
 
 def courses_of(
-    wish: Wish, stored: Course | None, speed: float, bound: int, several: bool, frequency: float, braking: float
+    wish: Wish,
+    stored: Course | None,
+    speed: float,
+    bound: Sequence[int],
+    several: bool,
+    frequency: float,
+    braking: float,
 ) -> Iterator[tuple[Course, Tier]]:
     """What is tried, with the tier that it has where it is clear: first what is wished, then what comes near to it.
 
     Parameters
     ----------
-    stored : what was verified a frame before, if anything. speed, bound : of the ego now [m/s], and the lane that it is
-        bound for. several : whether the wish is for a road of several lanes, so that one can turn aside.
+    stored : what was verified a frame before, if anything. speed : of the ego now [m/s]. bound : the lane that it is
+        bound for, and those that it may stay in instead. several : whether the wish is for a road of several lanes, so
+        that one can turn aside.
     frequency : frames in a second [Hz]. braking : of the fail-safe [m/s^2].
     """
     frames = [1 + round(seconds * frequency) for seconds in _ON]
@@ -64,7 +71,7 @@ def courses_of(
         for n in frames:
             yield Course(wish.lane, wish.speed, COMMITTED, n, aside, braking), Tier.PASSED
     top = max(min(wish.speed, speed + _GAIN), 0.0)
-    lanes = list(dict.fromkeys([wish.lane, *([] if stored is None else [stored.lane]), bound]))
+    lanes = list(dict.fromkeys([wish.lane, *([] if stored is None else [stored.lane]), *bound]))
     for lane in lanes:
         for k in range(1 if lane == wish.lane else 0, _SPEEDS + 1):
             yield Course(lane, top * (1 - k / _SPEEDS), braking, 1, 0, braking), Tier.GOVERNED

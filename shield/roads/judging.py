@@ -166,6 +166,8 @@ def judge(
             continue
         end = rows[lane, LANE_LENGTH] if after.shape[1] > 0 and after[lane, 0] >= 0 else ALWAYS
         least, bad, contact = np.inf, count, -1
+        # Who has to stand before the ego's rear does not come to the next lane, where that is within this one.
+        closes = rests and last == count - 1 and boxes[lane, last, 0] <= end
         for k in range(first, last + 1):
             box = boxes[lane, k]
             if not box[0] < FAR_OFF:
@@ -198,20 +200,20 @@ def judge(
                 owed = others.owes[i, lane] and since == 0 and came <= rear < FAR_OFF
                 asked = owed and trust == ASKED
                 if owed and trust == BELIEVED:
-                    others.shut[j] = rests and contact == count - 1
+                    others.shut[j] = closes and contact == count - 1
                     least, bad = np.inf, count
                 elif start or asked:
                     there, delay = rests and last == count - 1, 0 if asked else road.duty.reaction
                     rears = bodies if asked else boxes
                     stays = _followed(others, road, trial, rears, j, since, delay, road.duty.ahead, there)
                     if stays >= 0:
-                        others.shut[j] = there and contact == count - 1
+                        others.shut[j] = closes and contact == count - 1
                         least, bad = stays, count
             if least < 0 and road.duty.gives_way:
                 there = rests and last == count - 1
                 stays = _waits(others, road, trial, j, contact, bad, there, trust != STRICT)
                 if stays >= 0:
-                    others.shut[j], others.waits[j] = there and contact == count - 1, True
+                    others.shut[j], others.waits[j] = closes and contact == count - 1, True
                     least, bad = stays, count
         margins[i] = min(margins[i], least)
         when = min(when, bad)

@@ -97,4 +97,4 @@ class Outlook:
             shut=np.zeros(count, dtype=bool),
             lanes=np.unique(marks[:, 1]),
         )
-        return Seen(seen.who, others)
+        return Seen(seen.who, others, seen.stand)

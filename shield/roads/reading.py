@@ -25,11 +25,12 @@ class Traffic(NamedTuple):
     Attributes
     ----------
     who : what they are, to know them again. rows : vehicle rows, (m, 7). own : the lane that each is on, (m,).
-    routes : see `dynamics.networks.reachable.prediction.spread`, (m, roads). things : rows of what stands, and of
-        wrecks with all of the way that they slide, (b, 7).
+    routes : see `dynamics.networks.reachable.prediction.spread`, (m, roads). stand : what stands and the wrecks, to
+        know them again. things : rows of these, of wrecks with all of the way that they slide, (b, 7).
     """
 
     who: list[Any]
+    stand: tuple[Any, ...]
     rows: FloatArray
     own: IntArray
     routes: IntArray
@@ -81,7 +82,8 @@ def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int
     others = [body for body in base.road.vehicles if body is not base.vehicle]
     who = [body for body in others if not body.crashed]
     rows = np.array([_row(body) for body in who], float).reshape(-1, len(Vehicle))
-    standing = [*map(_row, base.road.objects), *(_sliding(body) for body in others if body.crashed)]
+    objects, wrecks = base.road.objects, [body for body in others if body.crashed]
+    standing = [*map(_row, objects), *map(_sliding, wrecks)]
     things = np.array(standing, float).reshape(-1, len(Vehicle))
     if not (np.isfinite(rows).all() and np.isfinite(things).all()):
         raise SceneError("a position, heading, speed or size of a vehicle is not finite")
@@ -95,4 +97,4 @@ def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int
         if route and route[0][0] == end:
             # highway-env forgets the road that a vehicle is on a little before its end.
             routes[i, network.ids[own[i], ROAD]] = 1
-    return Traffic(who, rows, own, routes, things)
+    return Traffic(who, (*objects, *wrecks), rows, own, routes, things)

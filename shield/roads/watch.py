@@ -13,7 +13,8 @@ all time):
 6. *right of way*: where that is assumed, whoever has been counted on to wait for the ego, and has had the time to
    react, brakes for it where the fail-safe suffers otherwise.
 
-Rules 1, 4 and 5 are judged alone, the others where the ego's fail-safe suffers; so is who has *appeared*. `UNFORESEEN`
+Rules 1, 4 and 5 are judged alone, the others where the ego's fail-safe suffers; so is who has *appeared*, but for a
+wreck or an object, which never may. `UNFORESEEN`
 is for the sake of honesty: the fail-safe has come to suffer from one who has broken no rule. That is a hole in the
 certificate, and a test fails.
 """
@@ -51,10 +52,11 @@ class Breach(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A scene: who was there, and where they could be."""
+    """A scene: who was there, where they could be, and what stood there, wrecks included."""
 
     who: list[Any]
     others: Others
+    stand: tuple[Any, ...] = ()
 
 
 @dataclass(slots=True, eq=False)
@@ -98,6 +100,11 @@ class Watch:
         for body in last.who:
             if body not in there and getattr(body, "crashed", False):
                 self.by_rule[Breach.CRASH] = self.by_rule.get(Breach.CRASH, 0) + 1
+                self.culprits.add(body)
+        known = {*last.who, *last.stand}
+        for body in now.stand:
+            if body not in known:
+                self.by_rule[Breach.APPEARED] = self.by_rule.get(Breach.APPEARED, 0) + 1
                 self.culprits.add(body)
         for i, body in enumerate(now.who):
             suffers = margins is not None and bool(margins[i] < CLEAR)

@@ -107,7 +107,8 @@ class Decision:
     executed : the action that goes to the environment.
     reason : why the two differ, or `Reason.NONE`.
     tier : the stage that produced `executed`.
-    margin : clearance beyond the buffer of what is executed, over its verified horizon [m].
+    margin : clearance beyond the buffer of what is executed, over its verified horizon [m]; NaN where none is known,
+        and where whatever was found ends in a crash.
     latency : time spent deciding [s].
     plan : road states of the executed action and its fail-safe, shape (frames + 1, 4), or None.
     occupancy : rectangles where the others can be, shape (frames, vehicles, 4) as s_min, s_max, r_min, r_max

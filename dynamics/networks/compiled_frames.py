@@ -26,8 +26,9 @@ class CompiledFrames(gym.Wrapper[Any, Any, Any, Any]):
     changes between two decisions are its own (but that Kinematics is observed without a data frame). The same to the
     last bit (where `exact`).
 
-    Any actions, and several egos with meta-actions. What looks at single frames (a film, a `ShieldedEnv` that
-    supervises them) finds only those in which a decision is made.
+    Any actions, and several egos with meta-actions. What looks at single frames (a film) finds only those in which a
+    decision is made. Where somebody has a hand in the frames of a vehicle, as a shield that supervises them has, the
+    decision is driven by highway-env itself, no faster than without.
 
     Parameters
     ----------
@@ -84,6 +85,9 @@ class CompiledFrames(gym.Wrapper[Any, Any, Any, Any]):
     def _simulate(self, action: Any = None) -> None:
         """What stands in for highway-env's `AbstractEnv._simulate`."""
         base, config = self._base, self._base.config
+        if any("act" in vars(vehicle) for vehicle in base.road.vehicles):
+            self._by_itself(action)
+            return
         frames = int(config["simulation_frequency"] // config["policy_frequency"])
         if action is not None:
             base.action_type.act(action)
@@ -94,6 +98,16 @@ class CompiledFrames(gym.Wrapper[Any, Any, Any, Any]):
         base.enable_auto_render = False
         for watch in self.watchers:
             watch([*base.road.vehicles, *base.road.objects], rows, on_road)
+
+    def _by_itself(self, action: Any) -> None:
+        """The frames as highway-env drives them, with whoever has a hand in them."""
+        if self.watchers:
+            raise ConfigError("frames that a shield supervises are not compiled, so there is nothing to be watched")
+        base, drive = self._base, vars(self._base).pop("_simulate")
+        try:
+            base._simulate(action)
+        finally:
+            base._simulate = drive
 
     def _read(self) -> NetworkSimulator:
         """The scene as it is, in a simulator that has room for it."""

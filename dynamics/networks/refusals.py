@@ -16,10 +16,13 @@ from highway_env.envs.roundabout_env import RoundaboutEnv
 from highway_env.envs.two_way_env import TwoWayEnv
 from highway_env.envs.u_turn_env import UTurnEnv
 from highway_env.road.regulation import RegulatedRoad
+from highway_env.utils import class_from_path
 
 from dynamics.errors import ConfigError
 from dynamics.networks.priority_road import PriorityRoad
 from dynamics.networks.regulation import Customs
+from dynamics.simulator.kinds import kind_of
+from dynamics.simulator.layout import LINEAR
 
 __all__ = ["check_network", "customs_of", "exits_of", "on_network"]
 
@@ -41,7 +44,7 @@ def check_network(base: Any) -> None:
     Raises
     ------
     ConfigError
-        That lists the classes that are.
+        That lists the classes that are; or if its vehicles drive in a way that is not known there.
     """
     declared = getattr(base, "changes_between_decisions_only", False)
     if not declared and not isinstance(base, _KNOWN):
@@ -53,6 +56,9 @@ def check_network(base: Any) -> None:
     for kind in type(base).__mro__[:own]:
         if "_simulate" in vars(kind) or ("step" in vars(kind) and not declared):
             raise ConfigError(f"{kind.__name__} steps in a way of its own")
+    traffic = base.config.get("other_vehicles_type")
+    if traffic is not None and kind_of(class_from_path(traffic)) == LINEAR:
+        raise ConfigError(f"vehicles of the linear model ({traffic}) are known on straight highways only")
 
 
 def exits_of(base: Any) -> Callable[[tuple[str, str, int]], bool] | None:

@@ -36,7 +36,7 @@ MAX_DEVIATION = 0.5
 _SUPPORTED = (
     "supported are single chains or loops of sections with the same number of parallel lanes of one width, made of "
     "StraightLane, CircularLane or SineLane: highway-v0, highway-fast-v0, racetrack-v0, racetrack-large-v0, "
-    "racetrack-oval-v0, u-turn-v0, lane-keeping-v0"
+    "racetrack-oval-v0, u-turn-v0"
 )
 _NAMED = 4
 """Nodes that a message names."""

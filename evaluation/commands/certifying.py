@@ -80,11 +80,12 @@ def replay_command(
         return
     seed = number if seed is None else seed
     assert seed is not None
-    from evaluation.report.video import film_end
+    from evaluation.report.video import film_end, film_path
     from evaluation.running.episodes import run_episode
     from evaluation.running.records import config_on, variant_for
     from evaluation.settings import get_setting
 
+    film = None if film is None else film_path(film)
     loaded = None if config is None else ShieldConfig.load(config)
     shield_config = loaded or config_on(get_setting(setting)) or ShieldConfig()
     record = run_episode(setting, policy, variant_for(shield_config), seed, simulator="highway-env")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from difflib import get_close_matches
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
@@ -345,7 +346,15 @@ def _asked_settings(names: list[str] | None, env_id: str | None, config: Path | 
     if names is not None:
         raise ConfigError("give either --setting or --env-id")
     setting = setting_of(env_id, config)
-    setting.make().close()
+    env = setting.make()
+    known: dict[str, object] = getattr(type(env.unwrapped), "default_config", dict)()
+    env.close()
+    for key in setting.config if known else ():
+        if key not in known:
+            meant = get_close_matches(key, known, 1)
+            hint = f"; perhaps {meant[0]!r} is meant" if meant else ""
+            told = f"{env_id} has no {key!r} in its configuration, and ignores it{hint}"
+            _err.print(told, style="yellow", markup=False, soft_wrap=True)
     return [setting]
 
 

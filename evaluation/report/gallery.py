@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+from highway_env.envs.common.action import DiscreteMetaAction
 from PIL import Image, ImageDraw
 
 from evaluation.names import FIRST_EVALUATION_SEED
@@ -48,6 +49,8 @@ def draw_override(env_id: str, policy: str = "faster", seed: int = 0) -> Image.I
         raise ConfigError(f"have a seed from 0 to {FIRST_EVALUATION_SEED - _SEARCH}, not {seed}")
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
     raw = Setting(env_id, env_id, _SCREEN).make("rgb_array")
+    if not isinstance(cast(Any, raw.unwrapped).action_type, DiscreteMetaAction):
+        raise ConfigError(f"the gallery draws meta-actions, which {env_id} does not take; have {', '.join(ROADS)}")
     shield = Shield(make_policy(policy, raw), raw, ShieldConfig.exact().replace(record=True), frames=False)
     env = ShieldOverlay(raw, shield)
     best: tuple[float, Any] = np.inf, None

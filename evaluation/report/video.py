@@ -33,6 +33,7 @@ __all__ = [
     "Film",
     "film_end",
     "film_override",
+    "film_path",
     "find_override",
     "record",
     "still_of_override",
@@ -234,15 +235,27 @@ def film_override(
     setting, policy : what to drive, by name.
     seed : where the search for an episode begins; below 10,000.
     """
-    path = Path(path)
-    if path.suffix != ".gif":
-        raise ConfigError(f"a film is written as .gif, not {path.suffix or 'without an ending'!r}")
+    path = film_path(path)
     chosen, start = find_override(setting, policy, seed)
     shots = record(setting, policy, chosen, first=start, last=start + _decisions(setting))
     path.parent.mkdir(parents=True, exist_ok=True)
     _write_gif(path, [draw(shot) for shot in shots], 1000 * shots[0].dt)
     overrides = len({id(s.decision) for s in shots if s.decision.overridden})
     return Film(path, chosen, overrides, len(shots))
+
+
+def film_path(path: str | Path) -> Path:
+    """Where a film is written.
+
+    Raises
+    ------
+    ConfigError
+        If it is no .gif.
+    """
+    path = Path(path)
+    if path.suffix != ".gif":
+        raise ConfigError(f"a film is written as .gif, not {path.suffix or 'without an ending'!r}")
+    return path
 
 
 def film_end(
@@ -256,9 +269,7 @@ def film_end(
     setting, policy, seed : what to drive.
     config : the shield's settings; those for the road's traffic by default.
     """
-    path = Path(path)
-    if path.suffix != ".gif":
-        raise ConfigError(f"a film is written as .gif, not {path.suffix or 'without an ending'!r}")
+    path = film_path(path)
     shots = record(setting, policy, seed, config=config, smooth=False)
     shots = shots[-round(_CLIP / shots[0].dt) :]
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -29,6 +29,7 @@ VIEWED = (
     *("merge-v1", "merge-generic-v0", "roundabout-v1", "roundabout-generic-v0"),
     *("exit-v1", "two-way-v0", "u-turn-v1", "intersection-v0"),
 )
+_HAVE = f"have {', '.join(VIEWED)}, and others like these"
 _EPISODES = 3
 """In so many a decision is found."""
 _ACTION = "FASTER"
@@ -121,6 +122,8 @@ def _find(env_id: str, config: ShieldConfig, seed: int) -> _View:
     the most others."""
     env: Any = ShieldedEnv(setting_of(env_id).make(), config)
     base: Any = env.unwrapped
+    if not isinstance(env.door, RoadDoor):
+        raise ConfigError(f"the worst case is drawn on networks of roads with meta-actions, not of {env_id}; {_HAVE}")
     best: tuple[tuple[bool, int, bool], _View] | None = None
     for each in range(seed, seed + _EPISODES):
         env.reset(seed=each)

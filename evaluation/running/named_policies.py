@@ -49,6 +49,7 @@ __all__ = [
 
 _META = {"faster": "FASTER", "slower": "SLOWER", "idle": "IDLE", "left": "LANE_LEFT", "right": "LANE_RIGHT"}
 _INPUTS = {"throttle", "idle"}
+_TEAM = "several egos are driven by ShieldedEnv(env, ShieldConfig.exact()), whose step takes a tuple of actions"
 _WEAVING = ("LANE_LEFT", "FASTER", "LANE_RIGHT", "FASTER")
 
 
@@ -122,7 +123,8 @@ class RandomPolicy:
             return np.asarray(space.start + self._generator.integers(space.n)), state
         if isinstance(space, gym.spaces.Box):
             return self._generator.uniform(space.low, space.high).astype(space.dtype), state
-        raise ConfigError(f"random actions need a Discrete or a Box action space, not {space}")
+        several = f"; {_TEAM}" if isinstance(space, gym.spaces.Tuple) else ""
+        raise ConfigError(f"random actions need a Discrete or a Box action space, not {space}{several}")
 
     def plan(self, seed: int, steps: int) -> NDArray[np.intp]:
         """The actions of the first `steps` decisions of an episode, of a Discrete action space."""
@@ -224,6 +226,8 @@ def _constant(name: str, env: gym.Env[Any, Any]) -> int | NDArray[np.float32]:
     if isinstance(kind, ContinuousAction):
         inputs = _inputs(name, Actuators.of(kind))
         return int(inputs) if isinstance(kind, DiscreteAction) else inputs
+    if label == "MultiAgentAction":
+        raise ConfigError(f"policy {name!r} drives one ego, and this environment takes {label}; {_TEAM}")
     if label != "DiscreteMetaAction":
         raise ConfigError(
             f"policy {name!r} needs DiscreteMetaAction, ContinuousAction or DiscreteAction; this environment takes"

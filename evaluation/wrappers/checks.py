@@ -1,4 +1,4 @@
-"""Numbers that users hand in."""
+"""What users hand in: environments and numbers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,17 @@ import numpy as np
 
 from shield.errors import ConfigError
 
-__all__ = ["check_number"]
+__all__ = ["check_highway_env", "check_number"]
+
+
+def check_highway_env(env: Any, wrapper: str) -> None:
+    """Raise a `ConfigError` unless the environment is one of highway-env's, or made as these are."""
+    base = getattr(env, "unwrapped", env)
+    if not hasattr(base, "road") or not hasattr(base, "controlled_vehicles"):
+        raise ConfigError(
+            f"{wrapper} is for highway-env's environments, and those made as they are; {type(base).__name__} has no "
+            "road and vehicles"
+        )
 
 
 def check_number(name: str, value: Any, least: float = -np.inf, above: float = -np.inf) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from evaluation.wrappers.checks import check_number
+from evaluation.wrappers.checks import check_highway_env, check_number
 from evaluation.wrappers.signed_lane import lane_offset
 
 __all__ = ["HanoiWeights", "HanoiWorldReward"]
@@ -70,6 +70,7 @@ class HanoiWorldReward(gym.Wrapper[Any, Any, Any, Any]):
     """
 
     def __init__(self, env: gym.Env[Any, Any], weights: HanoiWeights | None = None) -> None:
+        check_highway_env(env, "HanoiWorldReward")
         super().__init__(env)
         self.weights = weights or HanoiWeights()
         self._lane: tuple[str, str, int] | None = None

@@ -9,7 +9,7 @@ import numpy as np
 from highway_env.vehicle.controller import ControlledVehicle
 
 from evaluation.measuring.recorder import is_off_road
-from evaluation.wrappers.checks import check_number
+from evaluation.wrappers.checks import check_highway_env, check_number
 from shield.errors import ConfigError
 
 __all__ = ["OffRoadWrapper"]
@@ -46,6 +46,7 @@ class OffRoadWrapper(gym.Wrapper[Any, Any, Any, Any]):
     """
 
     def __init__(self, env: gym.Env[Any, Any], penalty: float = 1.0, re_entry: bool = True) -> None:
+        check_highway_env(env, "OffRoadWrapper")
         check_number("penalty", penalty, least=0.0)
         if env.observation_space != env.unwrapped.observation_space:
             raise ConfigError("OffRoadWrapper observes anew on re-entry: put wrappers of observations around it")

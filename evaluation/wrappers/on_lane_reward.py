@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from evaluation.wrappers.checks import check_number
+from evaluation.wrappers.checks import check_highway_env, check_number
 from evaluation.wrappers.signed_lane import LaneOffset, lane_offset
 from shield.errors import ConfigError
 
@@ -109,6 +109,7 @@ class OnLaneReward(gym.Wrapper[Any, Any, Any, Any]):
     """
 
     def __init__(self, env: gym.Env[Any, Any], terms: OnLane | None = None) -> None:
+        check_highway_env(env, "OnLaneReward")
         super().__init__(env)
         self.terms = terms or OnLane()
 

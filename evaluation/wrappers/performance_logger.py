@@ -19,7 +19,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from evaluation.measuring.jerk import jerk, normalised_jerk
 from evaluation.measuring.recorder import is_off_road
-from evaluation.wrappers.checks import check_number
+from evaluation.wrappers.checks import check_highway_env, check_number
 from evaluation.wrappers.signed_lane import lane_offset
 from shield.errors import ConfigError
 
@@ -96,6 +96,7 @@ class PerformanceLogger(gym.Wrapper[Any, Any, Any, Any]):
         speed_range: tuple[float, float] = (0.0, Vehicle.MAX_SPEED),
         acceleration_range: float | None = None,
     ) -> None:
+        check_highway_env(env, "PerformanceLogger")
         if np.shape(speed_range) != (2,):
             raise ConfigError(f"speed_range is two speeds, the lower one first, not {speed_range!r}")
         check_number("the lower end of speed_range", speed_range[0])

@@ -14,6 +14,7 @@ import numpy as np
 from gymnasium import spaces
 
 from dynamics.state import wrap_to_pi
+from evaluation.wrappers.checks import check_highway_env
 from shield.errors import ConfigError
 
 __all__ = ["LaneOffset", "SignedLaneObservation", "extend_observation", "extended_space", "lane_offset"]
@@ -113,6 +114,7 @@ class SignedLaneObservation(gym.ObservationWrapper[Any, Any, Any]):
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
+        check_highway_env(env, "SignedLaneObservation")
         super().__init__(env)
         self.observation_space = extended_space(env.observation_space)
 

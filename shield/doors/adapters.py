@@ -27,8 +27,10 @@ def as_policy(policy: Any, env: Any) -> Any:
     Raises
     ------
     PolicyError
-        If it is none of these, or its `predict` does not take those arguments.
+        If it is none of these, is shielded already, or its `predict` does not take those arguments.
     """
+    if type(policy).__name__ == "Shield":
+        raise PolicyError("this policy is a Shield already: another around it would filter what was filtered")
     if callable(getattr(policy, "predict", None)):
         _check_signature(policy)
         return policy

@@ -75,13 +75,14 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     SceneError
         If the environment's road or number of controlled vehicles is not supported.
     ConfigError
-        If its action type is neither `DiscreteMetaAction` nor `ContinuousAction`, or meta-actions in a parking lot; or
-        if the settings cannot be read.
+        If its action type is neither `DiscreteMetaAction` nor `ContinuousAction`, or meta-actions in a parking lot; if
+        a wrapper inside changes the actions, which `step` finds out of one that is no `ActionWrapper`; or if the
+        settings cannot be read.
 
     Notes
     -----
-    `info["shield"]` holds `overridden`, `reason`, `tier`, `margin` [m], `frames_overridden`, `violations` (of the
-    assumptions, by the traffic), `rules` (how often each was broken, by name) and `guarantee` (a
+    `info["shield"]` holds `overridden`, `reason`, `tier`, `margin` [m] (NaN where none is known), `frames_overridden`,
+    `violations` (of the assumptions, by the traffic), `rules` (how often each was broken, by name) and `guarantee` (a
     `shield.decision.Guarantee`, the weakest of the decision and its frames), and of several egos `agents`, the same of
     each; `latency` is all the time that the shield took in the last step [s]. With an episode's last step comes
     `info["shield_episode"]`: `decisions`, how many were `overridden`, `frames_overridden`, `violations`, `rules`, the
@@ -106,6 +107,11 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         rule: Rule | None = None,
         perception: str | PerceptionConfig = "simulator",
     ) -> None:
+        if hasattr(env, "num_envs"):
+            raise ConfigError(
+                f"ShieldedEnv takes one Gymnasium environment, not a {type(env).__name__}: put the shield inside, "
+                "DummyVecEnv([lambda: ShieldedEnv(gym.make(...))]), or take Shield(policy, env)"
+            )
         bases = base_environments(env, "ShieldedEnv")
         RecordConstructorArgs.__init__(
             self, _disable_deepcopy=True, config=config, policy=policy, model=model, rule=rule, perception=perception
@@ -180,6 +186,12 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
                 obs, reward, terminated, truncated, info = self.env.step(executed)
         else:
             obs, reward, terminated, truncated, info = self.env.step(executed)
+        given = info.get("action", executed)
+        if isinstance(executed, int) and isinstance(given, int | np.integer) and int(given) != executed:
+            raise ConfigError(
+                f"the environment was given action {given} and not {executed}, which was verified: a wrapper inside "
+                "changes it; put that around the ShieldedEnv"
+            )
         self._observation = obs
         self.latency = deciding + self._supervising
         offences = before.since(self._door)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import gymnasium as gym
 from highway_env.envs.common.action import ContinuousAction
 
 from shield.errors import ConfigError
@@ -20,7 +21,8 @@ def base_environments(env: Any, door: str) -> list[Any]:
     Raises
     ------
     ConfigError
-        If it is none, keeps its environments in other processes, or is shielded already.
+        If it is none, keeps its environments in other processes, is shielded already, has fewer frames than decisions,
+        or a wrapper of it changes the actions.
     """
     if not hasattr(env, "unwrapped") and not hasattr(env, "num_envs"):
         raise ConfigError(
@@ -37,6 +39,7 @@ def base_environments(env: Any, door: str) -> list[Any]:
             )
     for one in each:
         _refuse_shielded(one, door)
+        _refuse_changed_actions(one, door)
     bases = [one.unwrapped for one in each]
     for base in bases:
         if not hasattr(base, "road") or not hasattr(base, "controlled_vehicles"):
@@ -45,7 +48,29 @@ def base_environments(env: Any, door: str) -> list[Any]:
                 "highways, racetracks, merges, exits, roundabouts, two-way roads, u-turns, intersections, lane keeping "
                 "and parking lots, and for environments made as these are"
             )
+        frames, decisions = (base.config.get(f"{name}_frequency", 1) for name in ("simulation", "policy"))
+        if frames < decisions:
+            raise ConfigError(
+                f"there are fewer frames (simulation_frequency {frames}) than decisions (policy_frequency {decisions})"
+            )
     return bases
+
+
+def _refuse_changed_actions(env: Any, door: str) -> None:
+    """Raise where something inside changes the actions: what is executed would not be what was verified.
+
+    Raises
+    ------
+    ConfigError
+        If one of the wrappers is an `ActionWrapper`.
+    """
+    for one in _layers(env):
+        if isinstance(one, gym.ActionWrapper):
+            kind = type(one).__name__
+            raise ConfigError(
+                f"{kind} changes the actions, and what was verified would not be what is executed; {door} takes the "
+                f"environment without it. Put it around a ShieldedEnv: {kind}(ShieldedEnv(gym.make(...)), ...)"
+            )
 
 
 def _refuse_shielded(env: Any, door: str) -> None:

@@ -40,7 +40,7 @@ class Statistics:
     frames_overridden, violations : frames that were replaced, and offences of the traffic.
     rules : how often each rule was broken; who breaks several at once is one offence.
     reasons : how often each was the reason.
-    margin : the smallest that was verified [m].
+    margin : the smallest that is known of what was executed [m]; NaN where there is none.
     latency : all the time that it took [s].
     """
 
@@ -50,7 +50,7 @@ class Statistics:
     violations: int = 0
     rules: Counter[str] = field(default_factory=Counter)
     reasons: Counter[str] = field(default_factory=Counter)
-    margin: float = float("inf")
+    margin: float = float("nan")
     latency: float = 0.0
 
     def add(self, report: Mapping[str, Any], latency: float) -> None:
@@ -61,7 +61,7 @@ class Statistics:
         self.violations += report["violations"]
         self.rules.update(report["rules"])
         self.reasons[report["reason"]] += 1
-        self.margin = min(self.margin, report["margin"])
+        self.margin = float(np.fmin(self.margin, report["margin"]))
         self.latency += latency
 
     def summary(self) -> dict[str, Any]:
@@ -94,7 +94,7 @@ def report(decision: Decision, frames: Sequence[Decision], violations: int, rule
         "overridden": bool(overridden),
         "reason": shown.reason.value,
         "tier": shown.tier.value,
-        "margin": min(margins, default=float("inf")),
+        "margin": min(margins, default=float("nan")),
         "frames_overridden": len(held),
         "violations": violations,
         "rules": dict(rules),

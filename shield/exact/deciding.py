@@ -182,7 +182,7 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
         _execute(records, plans, e, search.plan, search.bounds.depth, tier, reason)
         return
     lasts, margin = longest(search, stored, length)
-    records.margin[e] = margin if margin > -np.inf else math.nan
+    records.margin[e] = margin if lasts == search.bounds.depth else math.nan
     _execute(records, plans, e, search.plan, lasts, _LARGEST, _NO_SAFE_PLAN)
 
 

@@ -9,6 +9,7 @@ from functools import cache
 from threading import Timer
 
 import numpy as np
+from numba.core.event import Event, Listener, install_listener
 
 from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import EgoControl, Scene, Target
@@ -30,16 +31,32 @@ _PATIENCE = 1.0
 
 @contextmanager
 def announced(seconds: int) -> Iterator[None]:
-    """Says what is waited for where it takes long; `seconds` is what it takes at most, about."""
-    said = Timer(
-        _PATIENCE, _log.warning, [f"compiling the shield's kernels: once after installation, some {seconds} s"]
-    )
-    said.daemon = True
-    said.start()
-    try:
-        yield
-    finally:
-        said.cancel()
+    """Says what is waited for where something is compiled and that takes long; `seconds` is what it takes at most,
+    about. Reading what is compiled already is not announced, however busy the machine."""
+    waiting = _Compiling(seconds)
+    with install_listener("numba:compile", waiting):
+        try:
+            yield
+        finally:
+            waiting.said.cancel()
+
+
+class _Compiling(Listener):
+    """Starts to wait when numba begins to compile."""
+
+    def __init__(self, seconds: int) -> None:
+        self._begun = False
+        message = f"compiling the shield's kernels: once after installation, some {seconds} s"
+        self.said = Timer(_PATIENCE, _log.warning, [message])
+        self.said.daemon = True
+
+    def on_start(self, event: Event) -> None:
+        if not self._begun:
+            self._begun = True
+            self.said.start()
+
+    def on_end(self, event: Event) -> None:
+        pass
 
 
 @cache

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import evaluation.scenarios
 import evaluation.wrappers  # noqa: F401  (registers environments)
-from dynamics.errors import ConfigError, SceneError
+from dynamics.errors import ConfigError
 from dynamics.networks.compiled_frames import CompiledFrames
 from dynamics.networks.kinematics import without_data_frames
 
@@ -147,5 +147,5 @@ def test_what_is_not_known_is_refused():
     with pytest.raises(ConfigError, match="show_trajectories"):
         CompiledFrames(gym.make("merge-v0", config={"show_trajectories": True}))
     linear = {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}
-    with pytest.raises(SceneError, match="linear"):
-        CompiledFrames(gym.make("roundabout-v0", config=linear)).reset(seed=0)
+    with pytest.raises(ConfigError, match="linear"):
+        CompiledFrames(gym.make("roundabout-v0", config=linear))

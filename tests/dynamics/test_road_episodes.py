@@ -178,3 +178,8 @@ def test_more_vehicles_than_there_is_room_for_are_an_error(monkeypatch):
     simulator.step(np.ones(20, int))
     with pytest.raises(SceneError, match="has room for 3 vehicles, and more came"):
         simulator.step(np.ones(20, int))
+
+
+def test_the_number_of_environments_comes_after_their_id():
+    with pytest.raises(ConfigError, match="takes the id of an environment first, not 2"):
+        RoadVectorEnv(2, "roundabout-v0")

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evaluation import policies
-from evaluation.commands.cli import _split, app, main
+from evaluation.commands.cli import _asked_settings, _split, app, main
 from evaluation.commands.road_demo import check_road
 from evaluation.report.gallery import ROADS
 from evaluation.settings import setting_of
@@ -125,6 +125,32 @@ def test_a_road_that_is_not_made_with_throttle_and_steering_is_answered_with_wha
     result = RUN.invoke(app, ["evaluate", "--env-id", "two-way-v0", "--env-config", str(config)])
     assert isinstance(result.exception, ConfigError)
     assert "Have evaluation.wrappers:two-way-continuous-v0 instead" in str(result.exception)
+
+
+def test_a_key_that_an_environment_does_not_know_is_told(tmp_path, capsys):
+    config = tmp_path / "env.toml"
+    config.write_text("vehicles_counts = 3\nduration = 2\nnonsense = 1\n", encoding="utf-8")
+    (setting,) = _asked_settings(None, "highway-fast-v0", config)
+    told = capsys.readouterr().err
+    assert setting.config["duration"] == 2
+    assert "no 'vehicles_counts' in its configuration, and ignores it; perhaps 'vehicles_count' is meant" in told
+    assert "no 'nonsense' in its configuration, and ignores it\n" in told
+    assert "duration" not in told
+
+
+@pytest.mark.parametrize("policy", ["faster", "random"])
+def test_several_egos_are_answered_with_what_drives_them(policy):
+    arguments = ["--env-id", "intersection-multi-agent-v0", "--policy", policy, "--episodes", "1", "--jobs", "1"]
+    result = RUN.invoke(app, ["evaluate", *arguments])
+    assert isinstance(result.exception, ConfigError)
+    assert "several egos are driven by ShieldedEnv(env, ShieldConfig.exact())" in str(result.exception)
+
+
+def test_a_film_of_another_kind_is_refused_before_the_episode_is_driven(monkeypatch):
+    monkeypatch.setattr("evaluation.running.episodes.run_episode", lambda *a, **k: pytest.fail("driven"))
+    result = RUN.invoke(app, ["replay", "5", "--setting", "merge", "--film", "lost.mp4"])
+    assert isinstance(result.exception, ConfigError)
+    assert "written as .gif, not '.mp4'" in str(result.exception)
 
 
 def test_the_demo_of_a_road_drives_it_and_draws_a_decision(tmp_path, monkeypatch):

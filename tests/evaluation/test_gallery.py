@@ -66,8 +66,13 @@ def test_what_cannot_be_drawn_is_refused(tmp_path):
         draw_gallery(tmp_path / "roads.gif")
     with pytest.raises(ConfigError, match="not 10000"):
         draw_override("merge-v1", seed=10_000)
-    with pytest.raises(ConfigError, match="at every frame"):
-        draw_override("parking-v0", "random")
+    for env_id in ("parking-v0", "racetrack-v0", "intersection-multi-agent-v0"):
+        with pytest.raises(ConfigError, match=r"draws meta-actions.*have merge-v0"):
+            draw_override(env_id, "random")
+        with pytest.raises(ConfigError):
+            draw_worst_cases(tmp_path / "worst.png", [env_id])
+    with pytest.raises(ConfigError, match=r"on networks of roads.*have merge-v1"):
+        draw_worst_cases(tmp_path / "worst.png", ["highway-fast-v0"])
     with pytest.raises(ConfigError, match="not overridden"):
         draw_override("exit-v1", "idle")
 

@@ -201,3 +201,11 @@ def test_what_cannot_be_penalised_or_observed_is_refused() -> None:
             OffRoadWrapper(highway(), penalty=penalty)
     with pytest.raises(ConfigError, match="observations around it"):
         OffRoadWrapper(SignedLaneObservation(highway()))
+
+
+@pytest.mark.parametrize(
+    "wrapper", [SignedLaneObservation, OnLaneReward, OffRoadWrapper, PerformanceLogger, HanoiWorldReward]
+)
+def test_what_has_no_road_is_refused(wrapper):
+    with pytest.raises(ConfigError, match=f"{wrapper.__name__} is for highway-env's environments.*CartPoleEnv"):
+        wrapper(gym.make("CartPole-v1"))

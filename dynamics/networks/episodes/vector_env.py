@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from dynamics.errors import ConfigError
 from dynamics.networks.episodes.simulator import RoadSimulator
 from dynamics.simulator.vector_env import CompiledVectorEnv
 
@@ -33,5 +34,7 @@ class RoadVectorEnv(CompiledVectorEnv):
     def __init__(
         self, env_id: str, num_envs: int = 1, config: Mapping[str, Any] | None = None, threads: int = 1
     ) -> None:
+        if not isinstance(env_id, str):
+            raise ConfigError(f"RoadVectorEnv(env_id, num_envs) takes the id of an environment first, not {env_id!r}")
         simulator = RoadSimulator(env_id, num_envs, config, threads)
         super().__init__(simulator, env_id, simulator.scenario.names)

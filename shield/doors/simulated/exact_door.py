@@ -21,7 +21,7 @@ from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
 from shield.doors.input_door import refuse_lots
-from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, Room, why_unread
+from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, Room, simulate_network, why_unread
 from shield.errors import ConfigError
 from shield.exact.deciding import Plans, boxed_in, empty_plans, last_resort, passes, replace, verify
 from shield.exact.effort import begin_anew
@@ -147,7 +147,7 @@ class ExactDoor(Foretells):
 
 
 def _simulate(base: Any, like: Any) -> Simulator | NetworkSimulator:
-    return NetworkSimulator(base, like=like) if on_network(base) else Simulator.of(base, observes=False)
+    return simulate_network(base, like) if on_network(base) else Simulator.of(base, observes=False)
 
 
 def as_decision(

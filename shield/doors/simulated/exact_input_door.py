@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
+from functools import partial
 from time import perf_counter
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +13,6 @@ import numpy as np
 from dynamics.errors import ConfigError
 from dynamics.networks.layout import LAW
 from dynamics.networks.refusals import check_network, on_network
-from dynamics.networks.simulator import NetworkSimulator
 from dynamics.scenes.parking_lot import is_lot
 from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.simulator.layout import CONTINUOUS, KIND, TARGET, TARGET_SPEED
@@ -21,7 +21,7 @@ from shield.batch.vocabulary import TIERS
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.input_frames import InputFrames
-from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, why_unread
+from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, simulate_network, why_unread
 from shield.exact.inputs import Tail, decide_inputs, empty_tail, play
 from shield.exact.room import Search
 from shield.refusals import check
@@ -68,7 +68,7 @@ class ExactInputDoor(Foretells, InputFrames):
             check_network(base)
         super().__init__(base, config)
         law = config.braking, self.actuators.acceleration[1], _HOLD
-        self._scene = ExactScene(base, config, lambda env, like: NetworkSimulator(env, law=law, like=like))
+        self._scene = ExactScene(base, config, partial(simulate_network, law=law))
         self._inputs = np.zeros(2)
         self.reset()
         if base.road is not None:

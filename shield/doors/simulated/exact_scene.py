@@ -21,7 +21,7 @@ from shield.exact.room import Search, new_search
 from shield.exact.search import foretell
 from shield.roads.watch import Breach
 
-__all__ = ["STATE", "ExactScene", "Foretells", "Room", "why_unread"]
+__all__ = ["STATE", "ExactScene", "Foretells", "Room", "simulate_network", "why_unread"]
 
 _log = logging.getLogger(__name__)
 
@@ -43,6 +43,11 @@ def why_unread(error: Exception) -> tuple[Reason, str]:
         return Reason.BAD_SCENE, str(error)
     _log.error("the scene could not be read; the last resort acts", exc_info=error)
     return Reason.STAGE_FAILED, f"{type(error).__name__}: {error}"
+
+
+def simulate_network(base: Any, like: Any, **options: Any) -> NetworkSimulator:
+    """A simulator of a network of roads, for `ExactScene`; options as of `NetworkSimulator`."""
+    return NetworkSimulator(base, like=like, **options)
 
 
 class ExactScene:

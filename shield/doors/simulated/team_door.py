@@ -12,7 +12,6 @@ from highway_env.envs.common.action import DiscreteMetaAction, MultiAgentAction
 
 from dynamics.networks.layout import FRAMES
 from dynamics.networks.refusals import check_network, on_network
-from dynamics.networks.simulator import NetworkSimulator
 from dynamics.simulator.layout import ALLY, EGO, KIND
 from shield.batch.arrays import empty_records
 from shield.batch.vocabulary import REASONS
@@ -20,7 +19,7 @@ from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
 from shield.doors.simulated.exact_door import as_decision
-from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, why_unread
+from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, simulate_network, why_unread
 from shield.errors import ConfigError
 from shield.exact.deciding import Plans, empty_plans, last_resort, passes, replace
 from shield.exact.room import Search, Wish
@@ -76,7 +75,7 @@ class TeamDoor(Foretells):
             )
         check_network(base)
         self.config, self._base = config, base
-        self._scene = ExactScene(base, config, lambda env, like: NetworkSimulator(env, like=like))
+        self._scene = ExactScene(base, config, simulate_network)
         self.cause = ""
         self.reset()
 
@@ -102,8 +101,10 @@ class TeamDoor(Foretells):
         ConfigError
             If there are more or fewer.
         """
-        if len(actions) != self.agents:
-            raise ConfigError(f"there are {self.agents} egos and {len(actions)} actions")
+        given: Any = actions
+        rows: list[Any] = list(given) if np.iterable(given) else [given]
+        if len(rows) != self.agents or not np.iterable(given):
+            raise ConfigError(f"there are {self.agents} egos and {len(rows)} actions; have a tuple of one for each")
         start, self.cause = perf_counter(), ""
         try:
             simulator, search = self._scene.read()

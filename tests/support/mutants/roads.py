@@ -7,6 +7,7 @@ from mutants.kinds import off
 __all__ = ["ROADS"]
 
 _TESTS, _CLAUSES = "tests/shield/test_roads.py", "tests/shield/test_roads_clauses.py"
+_FOUND, _AROUND = "tests/shield/test_found_on_roads.py", "tests/shield/test_around_and_inside.py"
 _JUDGING, _PREDICTION = "shield/roads/judging.py", "dynamics/networks/reachable/prediction.py"
 
 ROADS = (
@@ -200,4 +201,33 @@ ROADS = (
         _CLAUSES,
     ),
     off("the ego leaves the road", "shield/roads/choosing.py", "    if found < 0:\n", "    if False:\n", _CLAUSES),
+    off("who stops behind the ego comes no further", _JUDGING, " and boxes[lane, last, 0] <= end\n", "\n", _FOUND),
+    off(
+        "the lane that the ego is in is not tried",
+        "shield/doors/road_door.py",
+        "speed, self._lanes(), several",
+        "speed, [self._bound], several",
+        _FOUND,
+    ),
+    off(
+        "wrecks appear unnamed",
+        "shield/roads/watch.py",
+        "            if body not in known:\n",
+        "            if False:\n",
+        _FOUND,
+    ),
+    off(
+        "frames that are supervised are compiled",
+        "dynamics/networks/compiled_frames.py",
+        '        if any("act" in vars(vehicle)',
+        '        if False and any("act" in vars(vehicle)',
+        _AROUND,
+    ),
+    off(
+        "a wrapper changes what was verified",
+        "shield/doors/env.py",
+        "int(given) != executed:",
+        "False:",
+        _AROUND,
+    ),
 )

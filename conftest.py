@@ -6,19 +6,28 @@ import os
 from collections.abc import Iterator
 
 import pytest
-from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.behavior import AggressiveVehicle, DefensiveVehicle, IDMVehicle, LinearVehicle
 from hypothesis import settings
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.register_profile("explore", derandomize=False, print_blob=True, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
-_TRAFFIC = {name: getattr(IDMVehicle, name) for name in ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")}
+_CHANGED = ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")
+_TRAFFIC = {
+    kind: {name: vars(kind)[name] for name in _CHANGED if name in vars(kind)}
+    for kind in (IDMVehicle, LinearVehicle, AggressiveVehicle, DefensiveVehicle)
+}
 
 
 @pytest.fixture(autouse=True)
 def traffic_as_it_comes() -> Iterator[None]:
-    """highway-env's intersection sets these on the class: every later environment of the process would feel it."""
+    """highway-env's intersection sets these on the class of its traffic: every later environment of the process would
+    feel it."""
     yield
-    for name, value in _TRAFFIC.items():
-        setattr(IDMVehicle, name, value)
+    for kind, own in _TRAFFIC.items():
+        for name in _CHANGED:
+            if name in own:
+                setattr(kind, name, own[name])
+            elif name in vars(kind):
+                delattr(kind, name)

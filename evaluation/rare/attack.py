@@ -22,7 +22,7 @@ from shield.doors.road_door import RoadDoor
 from shield.errors import ConfigError
 from shield.roads.watch import Breach
 
-__all__ = ["Attack", "attack", "attack_many"]
+__all__ = ["Attack", "attack", "attack_many", "watch_for_a_crash"]
 
 _HIT = 8.0
 """Whoever has crashed and is nearer to the ego was in it [m]."""
@@ -56,7 +56,7 @@ class Attack:
         return Breach.UNFORESEEN in self.by_rule or self.blameless
 
 
-def _watch_for_a_crash(base: Any, door: RoadDoor) -> list[bool]:
+def watch_for_a_crash(base: Any, door: RoadDoor) -> list[bool]:
     """Whether the ego was `Attack.blameless`, in a list that is empty until it crashes."""
     found: list[bool] = []
     wrecks: dict[Any, int] = {}
@@ -118,7 +118,7 @@ def attack(
         env.reset(seed=seed)
         env.action_space.seed(seed)
         man(env, drivers, vehicles, seed)
-        blameless = _watch_for_a_crash(base, door)
+        blameless = watch_for_a_crash(base, door)
         each, frames = int(base.config["simulation_frequency"] // base.config["policy_frequency"]), 0
         for _ in range(decisions):
             *_, terminated, truncated, _ = env.step(env.action_space.sample())

@@ -101,7 +101,7 @@ def test_other_actions_have_no_constant_policy():
     team = {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}
     env = get_setting("highway-fast").override({"action": team}).make()
     try:
-        with pytest.raises(ConfigError, match="takes MultiAgentAction; have random"):
+        with pytest.raises(ConfigError, match="takes MultiAgentAction; several egos are driven by ShieldedEnv"):
             make_policy("idle", env)
     finally:
         env.close()

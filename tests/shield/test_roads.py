@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from highway_env.vehicle.kinematics import Vehicle
 from input_scenes import gap
+from placed import Body, placed
 from slowly import later
 from typer.testing import CliRunner
 
 from evaluation.commands.cli import app
-from evaluation.rare.attack import attack
+from evaluation.rare.attack import attack, watch_for_a_crash
 from evaluation.rare.drivers import man
 from evaluation.settings import Setting
 from shield import Shield, ShieldConfig, ShieldedEnv
@@ -219,10 +220,16 @@ def test_who_is_about_to_be_pushed_is_judged_as_it_has_driven(env_id):
 
 
 def test_nothing_is_promised_before_anything_verifies():
-    """Too near to somebody at the reset, at twice his speed."""
-    found = attack(Setting("exit", "exit-v0"), 828026, "bold")
-    assert found.crashed
-    assert not found.blameless
+    """Too near to somebody at the reset, at four times his speed, where there is one lane."""
+    entry = ("ser", "ses", 0)
+    env = placed("roundabout-v1", "worst case", Body(entry, 80.0, 20.0, "nxs"), [Body(entry, 86.5, 5.0, "nxs")])
+    blameless, done = watch_for_a_crash(env.unwrapped, env.door), False
+    while not done:
+        *_, terminated, truncated, info = env.step(1)
+        done = terminated or truncated
+    del env.door.frame
+    assert info["crashed"]
+    assert blameless == [False]
 
 
 def test_an_attack_asks_for_what_it_can_drive():

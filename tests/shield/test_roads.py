@@ -220,9 +220,9 @@ def test_who_is_about_to_be_pushed_is_judged_as_it_has_driven(env_id):
 
 
 def test_nothing_is_promised_before_anything_verifies():
-    """Too near to somebody at the reset, at four times his speed, where there is one lane."""
+    """Too near to somebody at the reset, at more than twice his speed, where there is one lane."""
     entry = ("ser", "ses", 0)
-    env = placed("roundabout-v1", "worst case", Body(entry, 80.0, 20.0, "nxs"), [Body(entry, 86.5, 5.0, "nxs")])
+    env = placed("roundabout-v1", "worst case", Body(entry, 80.0, 20.0, "nxs"), [Body(entry, 90.0, 8.0, "nxs")])
     blameless, done = watch_for_a_crash(env.unwrapped, env.door), False
     while not done:
         *_, terminated, truncated, info = env.step(1)

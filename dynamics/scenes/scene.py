@@ -19,7 +19,7 @@ from dynamics.roads.straight import Road, StraightRoad
 from dynamics.state import FloatArray, IntArray, State, Vehicle
 from dynamics.vehicle.controllers import speed_to_index
 
-__all__ = ["EgoControl", "Scene", "SceneReader", "Target"]
+__all__ = ["EgoControl", "Scene", "SceneReader", "Target", "has_road_and_vehicles"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +159,11 @@ def _finite(ego: Any, others: Any) -> bool:
     return True
 
 
+def has_road_and_vehicles(base: Any) -> bool:
+    """Whether an environment, unwrapped, is one of highway-env's, or made as these are."""
+    return hasattr(base, "road") and hasattr(base, "controlled_vehicles")
+
+
 class SceneReader:
     """Reads scenes from the simulator's true state; keeps the road map between reads.
 
@@ -176,7 +181,7 @@ class SceneReader:
 
     def __init__(self, env: Any, curved: bool = False) -> None:
         base = getattr(env, "unwrapped", env)
-        if not hasattr(base, "road") or not hasattr(base, "controlled_vehicles"):
+        if not has_road_and_vehicles(base):
             raise SceneError(f"{type(base).__name__} is not a highway-env environment: it has no road and vehicles")
         if len(base.controlled_vehicles) != 1:
             raise SceneError(f"the shield supports one controlled vehicle, got {len(base.controlled_vehicles)}")

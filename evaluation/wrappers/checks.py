@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from dynamics.scenes.scene import has_road_and_vehicles
 from shield.errors import ConfigError
 
 __all__ = ["check_highway_env", "check_number"]
@@ -14,7 +15,7 @@ __all__ = ["check_highway_env", "check_number"]
 def check_highway_env(env: Any, wrapper: str) -> None:
     """Raise a `ConfigError` unless the environment is one of highway-env's, or made as these are."""
     base = getattr(env, "unwrapped", env)
-    if not hasattr(base, "road") or not hasattr(base, "controlled_vehicles"):
+    if not has_road_and_vehicles(base):
         raise ConfigError(
             f"{wrapper} is for highway-env's environments, and those made as they are; {type(base).__name__} has no "
             "road and vehicles"

@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 from highway_env.envs.common.action import ContinuousAction
 
+from dynamics.scenes.scene import has_road_and_vehicles
 from shield.errors import ConfigError
 
 __all__ = ["base_environments", "the_action_type"]
@@ -42,7 +43,7 @@ def base_environments(env: Any, door: str) -> list[Any]:
         _refuse_changed_actions(one, door)
     bases = [one.unwrapped for one in each]
     for base in bases:
-        if not hasattr(base, "road") or not hasattr(base, "controlled_vehicles"):
+        if not has_road_and_vehicles(base):
             raise ConfigError(
                 f"{type(base).__name__} is not a highway-env environment: it has no road and vehicles. {door} is for "
                 "highways, racetracks, merges, exits, roundabouts, two-way roads, u-turns, intersections, lane keeping "

@@ -99,13 +99,11 @@ class Watch:
         there = set(now.who)
         for body in last.who:
             if body not in there and getattr(body, "crashed", False):
-                self.by_rule[Breach.CRASH] = self.by_rule.get(Breach.CRASH, 0) + 1
-                self.culprits.add(body)
+                self._name(body, {Breach.CRASH})
         known = {*last.who, *last.stand}
         for body in now.stand:
             if body not in known:
-                self.by_rule[Breach.APPEARED] = self.by_rule.get(Breach.APPEARED, 0) + 1
-                self.culprits.add(body)
+                self._name(body, {Breach.APPEARED})
         for i, body in enumerate(now.who):
             suffers = margins is not None and bool(margins[i] < CLEAR)
             j = before.get(body)
@@ -118,14 +116,18 @@ class Watch:
                     broken = {Breach.UNFORESEEN}
             if broken:
                 breaking[body] = broken
-                self.culprits.add(body)
-                for rule in broken - self.breaking.get(body, set()):
-                    self.by_rule[rule] = self.by_rule.get(rule, 0) + 1
+                self._name(body, broken - self.breaking.get(body, set()))
             if suffers:
                 self.offenders.add(body)
             else:
                 self.offenders.discard(body)
         self.breaking = breaking
+
+    def _name(self, body: Any, rules: set[Breach]) -> None:
+        """Count the rules that somebody has come to break."""
+        self.culprits.add(body)
+        for rule in rules:
+            self.by_rule[rule] = self.by_rule.get(rule, 0) + 1
 
     def judge(self, now: Seen, who: set[Any], road: Road, late: set[Any]) -> set[Any]:
         """Who of these has broken a rule so far, or does from the scene seen last to this one, wherever it is; `late`

@@ -166,8 +166,9 @@ def judge(
             continue
         end = rows[lane, LANE_LENGTH] if after.shape[1] > 0 and after[lane, 0] >= 0 else ALWAYS
         least, bad, contact = np.inf, count, -1
+        there = rests and last == count - 1
         # Who has to stand before the ego's rear does not come to the next lane, where that is within this one.
-        closes = rests and last == count - 1 and boxes[lane, last, 0] <= end
+        closes = there and boxes[lane, last, 0] <= end
         for k in range(first, last + 1):
             box = boxes[lane, k]
             if not box[0] < FAR_OFF:
@@ -203,14 +204,13 @@ def judge(
                     others.shut[j] = closes and contact == count - 1
                     least, bad = np.inf, count
                 elif start or asked:
-                    there, delay = rests and last == count - 1, 0 if asked else road.duty.reaction
+                    delay = 0 if asked else road.duty.reaction
                     rears = bodies if asked else boxes
                     stays = _followed(others, road, trial, rears, j, since, delay, road.duty.ahead, there)
                     if stays >= 0:
                         others.shut[j] = closes and contact == count - 1
                         least, bad = stays, count
             if least < 0 and road.duty.gives_way:
-                there = rests and last == count - 1
                 stays = _waits(others, road, trial, j, contact, bad, there, trust != STRICT)
                 if stays >= 0:
                     others.shut[j], others.waits[j] = closes and contact == count - 1, True

@@ -5,14 +5,15 @@ Nothing here imports them before one is asked for.
 
 from __future__ import annotations
 
-import json
-import zipfile
+import inspect
+import logging
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from evaluation.learning.saved_objects import misfits, read_data, read_objects
 from shield.errors import ConfigError, PolicyError
 
 if TYPE_CHECKING:
@@ -52,6 +53,15 @@ _POLICIES = {
 }
 """Which algorithm a policy class is of; those of `stable_baselines3.common` are told by their settings."""
 
+_log = logging.getLogger(__name__)
+_NETWORK = ("policy_class", "policy_kwargs")
+"""Objects that the network is built from."""
+_SPACES = ("observation_space", "action_space")
+_BUFFER: Mapping[str, Any] = MappingProxyType(
+    {"replay_buffer_class": None, "replay_buffer_kwargs": {}, "buffer_size": 1, "optimize_memory_usage": False}
+)
+"""Settings under which an off-policy algorithm makes the smallest replay buffer, for any environment."""
+
 
 def get_algorithm(name: str) -> type[BaseAlgorithm]:
     """The class of that name, in any case.
@@ -80,7 +90,7 @@ def algorithm_of(path: Path) -> str | None:
     PolicyError
         If the file is no saved model.
     """
-    data = _data(path)
+    data = read_data(path)
     policy = data.get("policy_class")
     module = str(policy.get("__module__", "")) if isinstance(policy, dict) else ""
     for start, name in _POLICIES.items():
@@ -93,32 +103,93 @@ def algorithm_of(path: Path) -> str | None:
     return None
 
 
-def load_model(path: Path, algorithm: str) -> BaseAlgorithm:
-    """A saved model, on the CPU.
+def load_model(
+    path: str | Path,
+    algorithm: str | None = None,
+    env: Any = None,
+    custom_objects: Mapping[str, Any] | None = None,
+) -> BaseAlgorithm:
+    """A saved model on the CPU, to predict with. To train it further, load it with SB3: `SAC.load(path, env=env)`.
+
+    What only training needs is left out: the replay buffer, and objects that cannot be unpickled here, such as a
+    learning rate schedule of another Python. Spaces that cannot be unpickled (models of the time of gym, SB3 1.x) are
+    those of `env`, and a warning says so.
+
+    Parameters
+    ----------
+    path : the zip file. algorithm : its name; by default the file says it.
+    env : the environment that the model is to act in; only its spaces are read.
+    custom_objects : objects by name that take the place of those in the file, as of SB3's `load`.
 
     Raises
     ------
     ConfigError
-        If there is no such algorithm.
+        If there is no such algorithm, or the file does not say which and none is given.
     PolicyError
-        If the file is no saved model, or was trained with another algorithm.
+        If the file is no saved model, was trained with another algorithm or for other spaces, or if an object that
+        prediction needs cannot be unpickled. The message names the object and the way out.
     """
+    path = Path(path)
+    data = read_data(path)
+    algorithm = algorithm or algorithm_of(path)
+    if algorithm is None:
+        raise ConfigError(
+            f"{path} does not say which algorithm it was trained with; give one, in Python with load_model(path,"
+            f" algorithm), on the command line with --algorithm: {', '.join(sorted(ALGORITHMS))}"
+        )
     kind, trained = get_algorithm(algorithm), algorithm_of(path)
     same = {"ddpg": "td3"}.get(algorithm.lower(), algorithm.lower())
     if trained is not None and get_algorithm(trained) is not get_algorithm(same):
         raise PolicyError(f"{path.name} was trained with {trained}, not with {algorithm}; pass --algorithm {trained}")
+    objects, unreadable = read_objects(data, custom_objects or {})
+    if lost := [name for name in _NETWORK if name in unreadable]:
+        raise PolicyError(_unreadable(path, kind, data, lost[0], unreadable[lost[0]]))
+    taken = {name: _space(path, name, data, env, unreadable[name]) for name in _SPACES if name in unreadable}
+    # What else cannot be read has no part in predictions: the algorithm's default.
+    parameters = inspect.signature(kind.__init__).parameters
+    for name in unreadable.keys() - taken.keys():
+        parameter = parameters.get(name)
+        objects[name] = None if parameter is None or parameter.default is parameter.empty else parameter.default
+        _log.info("%s: %s cannot be read (%s) and is left out", path.name, name, unreadable[name])
+    # A replay buffer is for training; that of hindsight experience replay would need the environment.
+    stored = {name: objects.get(name, data[name]) for name in _BUFFER if name in data}
+    objects = {**objects, **taken, **{name: _BUFFER[name] for name in stored}}
     try:
-        return kind.load(path, device="cpu")
+        model = kind.load(path, device="cpu", custom_objects=objects)
     except Exception as error:
         raise PolicyError(f"{path.name} cannot be loaded as {algorithm}: {error}") from error
+    if stored:
+        vars(model).update(stored, replay_buffer=None)
+    if taken:
+        _log.warning("%s: %s cannot be read here; those of the environment are taken", path.name, " and ".join(taken))
+    return model
 
 
-def _data(path: Path) -> Mapping[str, Any]:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            data = json.loads(archive.read("data"))
-    except (OSError, zipfile.BadZipFile, KeyError, ValueError) as error:
+def _space(path: Path, name: str, data: Mapping[str, Any], env: Any, error: Exception) -> Any:
+    """The environment's space in place of one that cannot be unpickled."""
+    if env is None:
         raise PolicyError(
-            f"{path} is not a model saved by Stable-Baselines3: it holds no readable 'data' ({error})"
-        ) from None
-    return data if isinstance(data, dict) else {}
+            f"{path.name}: its {name} cannot be read here ({_told(error)}); hand in the environment that it was trained"
+            f" in: load_model(path, env=env)"
+        )
+    space = getattr(env, f"single_{name}", None) or getattr(env, name)
+    if different := misfits(data[name], space):
+        raise PolicyError(f"{path.name} was trained with another {name}: {different[0]}")
+    return space
+
+
+def _unreadable(path: Path, kind: type[BaseAlgorithm], data: Mapping[str, Any], name: str, error: Exception) -> str:
+    """What is said of an object that the network is built from, and the way out through Python."""
+    item = data.get(name)
+    known = {key: value for key, value in item.items() if not key.startswith((":", "__"))} if item else {}
+    listed = f" The file says that it holds {known}." if known and name == "policy_kwargs" else ""
+    load = f"{kind.__name__}.load({str(path)!r}, custom_objects={{{name!r}: ...}})"
+    return (
+        f"{path.name}: its {name} cannot be read here ({_told(error)}).{listed} Load it in Python, where the "
+        f"class is defined, model = {load}, and hand the model to Shield, "
+        "ShieldedEnv or run_paired; or model.save() it under another name, which this command reads"
+    )
+
+
+def _told(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"

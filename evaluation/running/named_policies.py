@@ -22,7 +22,7 @@ from highway_env.envs.common.action import ContinuousAction, DiscreteAction
 from numpy.typing import NDArray
 
 from dynamics.vehicle.actuators import Actuators
-from evaluation.learning.algorithms import ALGORITHMS, algorithm_of, load_model
+from evaluation.learning.algorithms import load_model
 from evaluation.learning.normalised_model import statistics_beside, with_statistics
 from evaluation.learning.training import manifest_path
 from evaluation.names import BASELINES
@@ -186,13 +186,15 @@ def make_policy(
     name : a name in `BASELINES`, a reference policy, or the path of a zip file. Where the file of its `VecNormalize`
         lies beside it, observations are normalised (see `evaluation.learning.normalised_model.statistics_beside`).
     env : the environment that it is to act in.
-    algorithm : the SB3 algorithm of a zip file; by default the manifest beside the file says it.
+    algorithm : the SB3 algorithm of a zip file; by default the manifest beside the file, or the file, says it.
     model : what `mpc` plans with (see `evaluation.running.driving_model`); the others have no use for it.
 
     Raises
     ------
     ConfigError
         On an unknown name, or a zip file of unknown algorithm; the message lists what is valid.
+    PolicyError
+        If a zip file cannot be read (see `evaluation.learning.algorithms.load_model`).
     """
     if name in _META or name in _INPUTS:
         return ConstantPolicy(_constant(name, env))
@@ -214,7 +216,7 @@ def make_policy(
     if name in list_references():
         return load_reference(name)
     if name.endswith(".zip"):
-        return _load_zip(Path(name), algorithm)
+        return _load_zip(Path(name), algorithm, env)
     known = ", ".join([*BASELINES, *list_references()])
     raise ConfigError(f"unknown policy {name!r}; have {known}, or the path of an SB3 .zip file")
 
@@ -261,17 +263,11 @@ def _list(names: Iterable[str]) -> str:
     return ", ".join([*sorted(names), "random"])
 
 
-def _load_zip(path: Path, algorithm: str | None) -> Policy:
+def _load_zip(path: Path, algorithm: str | None, env: gym.Env[Any, Any]) -> Policy:
     if not path.is_file():
         raise ConfigError(f"there is no policy file {path}")
     manifest = manifest_path(path)
     if algorithm is None and manifest.is_file():
         algorithm = json.loads(manifest.read_text(encoding="utf-8")).get("algorithm")
-    algorithm = algorithm or algorithm_of(path)
-    if algorithm is None:
-        raise ConfigError(
-            f"{path} does not say which algorithm it was trained with; give one with --algorithm:"
-            f" {', '.join(sorted(ALGORITHMS))}"
-        )
-    model, statistics = load_model(path, algorithm), statistics_beside(path)
+    model, statistics = load_model(path, algorithm, env), statistics_beside(path)
     return model if statistics is None else with_statistics(model, statistics)

@@ -1,1 +1,90 @@
-"""Everything that measures: settings, training, episodes, statistics and the command line."""
+"""Everything that measures: settings, training, episodes, statistics and the command line.
+
+Nothing is imported before it is used.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+try:
+    from dynamics import __version__ as __version__
+    from dynamics.packages import refuse_hidden
+except ImportError as error:
+    import dynamics
+
+    raise ImportError(
+        f"{dynamics.__file__} hides the package 'dynamics' of highway-shield: rename or move that file"
+    ) from error
+
+refuse_hidden("dynamics", "mpc", "shield")
+
+if TYPE_CHECKING:
+    from evaluation.learning.algorithms import load_model
+    from evaluation.learning.fast_road_vec_env import FastRoadVecEnv
+    from evaluation.learning.fast_vec_env import FastHighwayVecEnv
+    from evaluation.learning.shielded_vec_env import ShieldedVecEnv
+    from evaluation.learning.training import train
+    from evaluation.measuring.metrics import compare, summarise
+    from evaluation.policies import list_references, load_reference
+    from evaluation.report.overlay import ShieldOverlay
+    from evaluation.report.plots import plot_episodes
+    from evaluation.report.table import read_episodes
+    from evaluation.report.video import film_override
+    from evaluation.running.episodes import run_episode, run_paired
+    from evaluation.running.many import Many
+    from evaluation.running.named_policies import make_policy
+    from evaluation.running.records import make_variants
+    from evaluation.settings import Setting, get_setting, setting_of
+
+__all__ = [
+    "FastHighwayVecEnv",
+    "FastRoadVecEnv",
+    "Many",
+    "Setting",
+    "ShieldOverlay",
+    "ShieldedVecEnv",
+    "compare",
+    "film_override",
+    "get_setting",
+    "list_references",
+    "load_model",
+    "load_reference",
+    "make_policy",
+    "make_variants",
+    "plot_episodes",
+    "read_episodes",
+    "run_episode",
+    "run_paired",
+    "setting_of",
+    "summarise",
+    "train",
+]
+
+__getattr__, _, _ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "learning.algorithms": ["load_model"],
+        "learning.fast_road_vec_env": ["FastRoadVecEnv"],
+        "learning.fast_vec_env": ["FastHighwayVecEnv"],
+        "learning.shielded_vec_env": ["ShieldedVecEnv"],
+        "learning.training": ["train"],
+        "measuring.metrics": ["compare", "summarise"],
+        "policies": ["list_references", "load_reference"],
+        "report.overlay": ["ShieldOverlay"],
+        "report.plots": ["plot_episodes"],
+        "report.table": ["read_episodes"],
+        "report.video": ["film_override"],
+        "running.episodes": ["run_episode", "run_paired"],
+        "running.many": ["Many"],
+        "running.named_policies": ["make_policy"],
+        "running.records": ["make_variants"],
+        "settings": ["Setting", "get_setting", "setting_of"],
+    },
+)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -9,6 +9,18 @@ from typing import TYPE_CHECKING
 
 import lazy_loader
 
+try:
+    from dynamics import __version__ as __version__
+    from dynamics.packages import refuse_hidden
+except ImportError as error:
+    import dynamics
+
+    raise ImportError(
+        f"{dynamics.__file__} hides the package 'dynamics' of highway-shield: rename or move that file"
+    ) from error
+
+refuse_hidden("dynamics")
+
 if TYPE_CHECKING:
     from mpc.cem_policy import CEMPolicy
     from mpc.filter.predictive_filter import PredictiveFilter
@@ -31,7 +43,7 @@ __all__ = [
     "Status",
 ]
 
-__getattr__, __dir__, _ = lazy_loader.attach(
+__getattr__, _, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "cem_policy": ["CEMPolicy"],
@@ -42,3 +54,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
         "mpc_policy": ["MPCPolicy"],
     },
 )
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -9,6 +9,19 @@ from typing import TYPE_CHECKING
 
 import lazy_loader
 
+try:
+    from dynamics import __version__ as __version__
+    from dynamics.packages import refuse_hidden, warn_of_hidden
+except ImportError as error:
+    import dynamics
+
+    raise ImportError(
+        f"{dynamics.__file__} hides the package 'dynamics' of highway-shield: rename or move that file"
+    ) from error
+
+refuse_hidden("dynamics", "mpc")
+warn_of_hidden("evaluation")
+
 if TYPE_CHECKING:
     from dynamics.traffic.assumptions import Assumptions
     from shield.callback import ShieldCallback
@@ -45,7 +58,7 @@ __all__ = [
     "Unseen",
 ]
 
-__getattr__, __dir__, _ = lazy_loader.attach(
+__getattr__, _, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "callback": ["ShieldCallback"],
@@ -61,3 +74,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
         "perception.unseen": ["Unseen"],
     },
 )
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

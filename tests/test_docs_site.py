@@ -58,11 +58,14 @@ def origin(package: str, name: str) -> Path:
     path = ROOT / package / "__init__.py"
     names = rf"^ *from (\S+) import (?:\([^)]*|.*)\b{name}\b"
     while source := re.search(names, path.read_text(encoding="utf-8"), re.MULTILINE):
-        path = ROOT / f"{source[1].replace('.', '/')}.py"
+        module = ROOT / source[1].replace(".", "/")
+        path = module / "__init__.py" if module.is_dir() else module.with_suffix(".py")
     return path
 
 
-EXPORTED = [(package, name) for package in ("shield", "mpc") for name in exported(ROOT / package / "__init__.py")]
+EXPORTED = [
+    (package, name) for package in ("shield", "mpc", "evaluation") for name in exported(ROOT / package / "__init__.py")
+]
 
 
 @pytest.mark.parametrize(("package", "name"), EXPORTED)
@@ -70,7 +73,7 @@ def test_what_a_package_exports_is_described_and_in_the_reference(package: str, 
     path = origin(package, name)
     (node,) = (n for n in ast.parse(path.read_text(encoding="utf-8")).body if getattr(n, "name", None) == name)
     assert ast.get_docstring(node)
-    home = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    home = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
     assert shown & {f"{package}.{name}", f"{home}.{name}"}
 
 

@@ -52,6 +52,7 @@ INTERNAL = frozenset(
         "mpc.filter.program",
         "mpc.filter.solvers",
         "dynamics.compiled",
+        "dynamics.packages",
         "dynamics.networks.alone",
         "dynamics.networks.reachable.continuations",
         "dynamics.networks.driving",
@@ -243,7 +244,8 @@ def _section(module: Module) -> str:
 def _home(root: Path, package: Module, name: str) -> Module:
     """The module that a package takes a name from."""
     module = package.imported[name]
-    return Module(module, root.joinpath(*module.split(".")).with_suffix(".py"))
+    folder = root.joinpath(*module.split("."))
+    return Module(module, folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py"))
 
 
 def _summary(root: Path, module: Module, name: str) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from difflib import get_close_matches
 from enum import StrEnum
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -28,6 +27,7 @@ from evaluation.names import (
     SIMULATORS,
     TRAINABLE,
 )
+from shield import __version__
 from shield.config import MODES, PERCEPTIONS, PROFILES, ShieldConfig
 from shield.errors import ConfigError, ShieldError
 
@@ -52,7 +52,7 @@ _out, _err = Console(), Console(stderr=True, highlight=False)
 
 def _version(asked: bool) -> None:
     if asked:
-        typer.echo(f"highway-shield {version('highway-shield')}")
+        typer.echo(f"highway-shield {__version__}")
         raise typer.Exit
 
 
@@ -372,7 +372,12 @@ def _split(values: list[str]) -> list[str]:
 
 
 def main() -> None:
-    """Entry point: errors of the project become one line and exit code 2."""
+    """Entry point: errors of the project become one line and exit code 2.
+
+    The working directory is importable, for `--env-id module:id`. It comes last: its files hide no installed module.
+    """
+    if (here := str(Path.cwd())) not in sys.path:
+        sys.path.append(here)
     try:
         app()
     except ShieldError as error:

@@ -61,7 +61,8 @@ class Scene:
     frame : index of the simulation frame since the episode began, which tells one instant from the next; None where it
         is not known, and each scene is the next.
     ids : which of the others is which, (n,), -1 for those who may be somebody else in each scene; None where they are
-        the same in every scene, in the same order, and their states are exact.
+        the same in every scene, in the same order.
+    observed : whether it was made from observations: the others' states are estimates, and some may be missing.
     blurred : whether the rows of the others are bounds: bodies as far as they may reach, speeds as low ahead of the ego
         and as high behind it as they may be.
     likely : where the others are thought to be, (n, 7), where their rows are bounds; None where these are all that is
@@ -78,6 +79,7 @@ class Scene:
     ids: IntArray | None = None
     blurred: bool = False
     likely: FloatArray | None = None
+    observed: bool = False
     ego_road: FloatArray = field(init=False, repr=False)
     others_road: FloatArray = field(init=False, repr=False)
 
@@ -117,8 +119,8 @@ class Scene:
 
     @classmethod
     def from_env(cls, env: Any, curved: bool = False) -> Scene:
-        """Read the true state of a highway-env environment (see `SceneReader`)."""
-        return SceneReader(env, curved).read()
+        """Read the true state of a highway-env environment, once (see `SceneReader`): without ids."""
+        return replace(SceneReader(env, curved).read(), ids=None)
 
     def target_of(self, action: int) -> Target:
         """What the controllers will track after meta-action index `action`.
@@ -189,6 +191,9 @@ class SceneReader:
         self._network: Any = None
         self._road: Road | None = None
         self._curved = curved
+        self._bodies: list[Any] = []
+        self._ids = np.zeros(0, np.intp)
+        self._next_id = 0
 
     @property
     def road(self) -> Any:
@@ -246,12 +251,12 @@ class SceneReader:
         ego = env.vehicle
         if ego is None:
             raise SceneError("the environment has no ego vehicle; call reset() first")
-        rows = getattr(env, "rows", None)
+        rows, ids = getattr(env, "rows", None), None
         if rows is None:
-            others = [_row(v) for v in env.road.vehicles if v is not ego]
-            others += [_row(o) for o in env.road.objects if o.solid]
-            flat = np.fromiter(chain.from_iterable((_row(ego), *others)), float)
-            rows = flat.reshape(-1, len(Vehicle))
+            bodies = [v for v in env.road.vehicles if v is not ego]
+            bodies += [o for o in env.road.objects if o.solid]
+            flat = np.fromiter(chain.from_iterable(map(_row, (ego, *bodies))), float)
+            rows, ids = flat.reshape(-1, len(Vehicle)), self._ids_of(bodies)
         config = env.config
         return Scene(
             ego=rows[0],
@@ -261,7 +266,20 @@ class SceneReader:
             dt=1 / config["simulation_frequency"],
             frames_per_decision=int(config["simulation_frequency"] // config["policy_frequency"]),
             frame=int(env.steps),
+            ids=ids,
         )
+
+    def _ids_of(self, bodies: list[Any]) -> IntArray:
+        """A number for each object, (n,), the same as in the last scene and never given to another; the same array
+        where they are the same."""
+        if bodies != self._bodies:
+            known = dict(zip(map(id, self._bodies), self._ids.tolist(), strict=True))
+            fresh = range(self._next_id, self._next_id + len(bodies))
+            self._next_id = fresh.stop
+            # The objects of the last scene are still held here, so that no other has the id of one of them.
+            self._ids = np.array([known.get(id(b), new) for b, new in zip(bodies, fresh, strict=True)], np.intp)
+            self._bodies = bodies
+        return self._ids
 
 
 def _road_of(network: Any, curved: bool) -> Road:

@@ -190,11 +190,11 @@ def room_for(m: int, frames: int) -> tuple[int, int, int]:
 
 
 class Before(NamedTuple):
-    """What has to be known of the others a frame before: `states` (m, 4), and their `Tables.numbers` and `recent`."""
+    """The others of the scene before, in the present order: vehicle rows (m, 7), road states (m, 4), tables."""
 
+    others: FloatArray
     states: FloatArray
-    numbers: FloatArray
-    recent: FloatArray
+    tables: Tables
 
 
 class Surroundings:
@@ -242,9 +242,7 @@ class Surroundings:
             ends = bends.stretch(self.low), bends.stretch(self.high)
             self.stretch = np.stack([np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])])
         last: tuple[FloatArray, FloatArray, FloatArray] = (_NOBODY, self.tables.numbers, self.tables.recent)
-        if isinstance(before, Before):
-            last = before
-        elif before is not None:
+        if before is not None:
             last = (before.states, before.tables.numbers, before.tables.recent)
         scene = (others, states, growth, self.stretch, centers, width, self.settings, self.lap, float(ego))
         marks, numbers, brakes, recent = self.tables

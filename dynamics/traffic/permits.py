@@ -15,7 +15,9 @@ may do, from one frame to the next:
    it where that leaves the room for the ego's fail-safe;
 6. *no crash* with another than the ego;
 7. *braking*: harder than at `calm_braking` only as what is ahead asks for, or may come to ask for once it has moved in
-   before it (`dynamics.traffic.reaction`); harder where that leaves the room for the ego's fail-safe.
+   before it (`dynamics.traffic.reaction`); harder where that leaves the room for the ego's fail-safe;
+8. *appearing*: only where that leaves the room for the ego's fail-safe and its buffer. What a newcomer did before is
+   not known, so this is judged by the shield alone (`shield.certificate.monitor`).
 
 Rules 1 and 2 are judged here alone. Of rules 3, 4 and 7 this module finds who has taken more room; whether the
 fail-safe suffers from it, and whether one that has come beside the ego (rule 5) leaves it the room, is for the shield
@@ -35,13 +37,13 @@ import numpy as np
 from dynamics.compiled import inlined, numbers_of, uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
 from dynamics.traffic.assumptions import Assumptions
-from dynamics.traffic.occupancy import Surroundings
+from dynamics.traffic.occupancy import Before, Surroundings
 from dynamics.traffic.tables import bodies_of
 
 __all__ = ["Ego", "Motions", "Rule", "footprint", "gap_between", "judge_motions", "limits_of", "permits"]
 
 _LENGTH, _WIDTH, _CRASHED = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
-_SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH, _BRAKING = 1, 2, 4, 8, 16, 32, 64
+_SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH, _BRAKING, _APPEARED = 1, 2, 4, 8, 16, 32, 64, 128
 _TOUCHING = 2.0
 """Bodies nearer than this have crashed into one another: highway-env moves them apart in the frame of a crash [m]."""
 _TOLERANCE = 1e-6
@@ -68,6 +70,7 @@ class Rule(IntFlag):
     DISTANCE = _DISTANCE
     CRASH = _CRASH
     BRAKING = _BRAKING
+    APPEARED = _APPEARED
 
     def __str__(self) -> str:
         """The name that one rule is reported by."""
@@ -241,12 +244,12 @@ def footprint(ego: FloatArray, longitudinal: float, lateral: float, crashed: boo
     return Ego(x, y, heading, speed, along + longitudinal, across + lateral, along, across, crashed)
 
 
-def permits(before: Surroundings, after: Surroundings, period: float, behind: BoolArray, ego: Ego) -> Motions:
+def permits(before: Surroundings | Before, after: Surroundings, period: float, behind: BoolArray, ego: Ego) -> Motions:
     """What the vehicles did between two scenes, `period` seconds apart; they are matched by their order.
 
     Parameters
     ----------
-    before, after : the others in both scenes, of the same number; `after` knows `before`.
+    before, after : the others in both scenes, the same in the same order; `after` knows `before`.
     period : time between them [s]. Over more than a frame, the way (rule 2) is not judged.
     behind : who owed the ego its distance in the scene before, (m,).
     ego : the ego after the frame.
@@ -266,7 +269,7 @@ def permits(before: Surroundings, after: Surroundings, period: float, behind: Bo
     >>> Rule(int(permits(first, at(2.0, 19.0, first), 0.1, nobody, ego).broken[0]))
     <Rule.SPEED: 1>
     """
-    limits = limits_of(before.assumptions, float(period), after.lap, max(round(period / before.dt), 1))
+    limits = limits_of(after.assumptions, float(period), after.lap, max(round(period / after.dt), 1))
     m = len(after.states)
     found = Motions(np.zeros(m, np.intp), np.zeros(m, np.intp))
     old, new = (before.others, before.states, *before.tables), (after.others, after.states, *after.tables)

@@ -132,21 +132,19 @@ def observe(
         return Instant(scene, config, memory, rollouts, memory.survey)
     watch = memory.watch if isinstance(memory.watch, Watch) else Watch()
     last, lane = memory.survey, memory.stored if isinstance(memory.stored, int) else None
-    same = None if last is None or scene.ids is None else _same(last.scene, scene)
-    if same is not None and scene.blurred and frames == 1:
-        assert last is not None
+    same = None if last is None else _same(last.scene, scene)
+    if last is not None and same is not None and scene.blurred and frames == 1:
         scene = nested(last.scene, last.around, same, scene)
     ego = float(scene.ego_road[RoadState.S])
-    before: Surroundings | Before | None = watch.before(scene) if frames == 1 else None
-    if same is not None:
-        assert last is not None
-        exact = frames == 1 and not scene.blurred
-        before = _before(last.around, same, scene, config, ego) if exact else None
-    around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, before, ego)
+    before: Surroundings | Before | None = None
+    if last is not None and not scene.blurred:
+        before = last.around if same is None else _before(last.around, same, scene, config, ego)
+    # Over more than a frame it is not known what turning has taken of each vehicle's way.
+    frame_before = before if frames == 1 else None
+    around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, frame_before, ego)
     visible, owned, coming = _lanes(last, scene, config, frames, lane, same)
-    followers = watch.followers(scene)
-    if same is not None and (same >= 0).any():
-        followers = np.where(same >= 0, watch.owing[same], False)
+    watch = watch.of(same, len(scene.others))
+    followers = None if last is None else watch.owing
     survey = Surveyor(scene, config, visible, owned, around, None, followers, coming, lane)
 
     def separations() -> FloatArray:
@@ -155,34 +153,41 @@ def observe(
         stop = lane if lane is not None else scene.road.lane_at(float(scene.ego_road[RoadState.R]))
         return survey.of_each(_brake(scene, stop, config.braking, rollouts, survey)[1])
 
-    period = frames * scene.dt
-    watch = watch.next(scene, survey.seen, around, survey.behind, survey.held, period, separations)
+    if scene.observed:
+        before = None
+    watch = watch.next(survey, before, None if same is None else same < 0, frames * scene.dt, separations)
     memory = Memory(scene.frame, memory.stored, survey, watch, memory.plan)
     return Instant(scene, config, memory, rollouts, survey)
 
 
-def _same(last: Scene, scene: Scene) -> IntArray:
-    """Which of the others in the last scene each is now, (m,); -1 for newcomers."""
-    assert scene.ids is not None
-    if last.ids is None or not len(last.ids):
+def _same(last: Scene, scene: Scene) -> IntArray | None:
+    """Which of the others in the last scene each is now, (m,), -1 for newcomers; None where they are the same in the
+    same order. Without ids nobody is known again where their number is another."""
+    if scene.ids is None or last.ids is None:
+        if scene.ids is last.ids and len(last.others) == len(scene.others):
+            return None
+        return np.full(len(scene.others), -1)
+    if scene.ids is last.ids and not (scene.observed or scene.blurred):
+        return None
+    if not len(last.ids):
         return np.full(len(scene.others), -1)
     same = (scene.ids[:, None] == last.ids) & (scene.ids[:, None] >= 0)
     return np.where(same.any(axis=1), same.argmax(axis=1), -1)
 
 
-def _before(last: Surroundings, same: IntArray, scene: Scene, config: ShieldConfig, ego: float) -> Before | None:
-    """What was known of the others a frame before; newcomers have kept their speed, and lost nothing by turning."""
-    known = same >= 0
-    if not known.any():
-        return None
+def _before(last: Surroundings, same: IntArray, scene: Scene, config: ShieldConfig, ego: float) -> Before:
+    """The others in the last scene; newcomers have kept their speed, and lost nothing by turning."""
     fresh = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, None, ego)
-    states, numbers, recent = scene.others_road.copy(), fresh.tables.numbers.copy(), fresh.tables.recent.copy()
+    known = np.flatnonzero(same >= 0)
+    rows, states, tables = scene.others.copy(), scene.others_road.copy(), fresh.tables
     way = states[:, RoadState.SPEED] * scene.dt
     states[:, RoadState.S] -= way * np.cos(states[:, RoadState.HEADING])
     states[:, RoadState.R] -= way * np.sin(states[:, RoadState.HEADING])
-    states[known], recent[known] = last.states[same[known]], last.tables.recent[same[known]]
-    numbers[:, known] = last.tables.numbers[:, same[known]]
-    return Before(states, numbers, recent)
+    rows[known], states[known] = last.others[same[known]], last.states[same[known]]
+    then = same[known]
+    tables.marks[:, known], tables.numbers[:, known] = last.tables.marks[:, then], last.tables.numbers[:, then]
+    tables.brakes[known], tables.recent[known] = last.tables.brakes[then], last.tables.recent[then]
+    return Before(rows, states, tables)
 
 
 def _lanes(
@@ -198,10 +203,9 @@ def _lanes(
     before = _FIRST
     if last is not None and last.visible is not None and last.visible.shape == scene.road.centers.shape:
         comes = last.comes
-        if same is not None and len(last.scene.others):
-            comes = np.where(same >= 0, last.comes[:, same], True)
-        elif same is not None:
+        if same is not None:
             comes = np.ones((len(last.visible), len(same)), dtype=bool)
+            comes[:, same >= 0] = last.comes[:, same[same >= 0]]
         before = last.visible, last.owned, comes
     swing = 0.5 * float(scene.ego[Vehicle.LENGTH]) * abs(math.sin(scene.ego_road[RoadState.HEADING]))
     touch, sight = TOUCH + 0.5 * float(scene.ego[Vehicle.WIDTH]) + swing, config.assumptions.visible_distance

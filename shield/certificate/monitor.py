@@ -7,20 +7,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dynamics.compiled import uncounted
-from dynamics.scenes.scene import Scene
-from dynamics.state import BoolArray, FloatArray, Vehicle
-from dynamics.traffic.occupancy import Surroundings
-from dynamics.traffic.permits import Ego, Rule, permits
+from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
+from dynamics.traffic.occupancy import Before, Surroundings
+from dynamics.traffic.permits import Ego, Rule, gap_between, permits
+
+if TYPE_CHECKING:
+    from shield.certificate.verify import Surveyor
 
 __all__ = ["Stillness", "Watch", "stayed"]
 
 
-_DISTANCE = int(Rule.DISTANCE)
+_DISTANCE, _APPEARED = int(Rule.DISTANCE), int(Rule.APPEARED)
 
 
 def _nobody() -> BoolArray:
@@ -44,13 +46,20 @@ def stayed(owed: Any, behind: Any, held: Any, broken: Any, grown: Any, owing: An
     return some, more
 
 
+def appeared(new: BoolArray, rows: FloatArray, ego: Ego, broken: IntArray, grown: IntArray) -> None:
+    """Judge newcomers, (m,) bool: each has to leave the fail-safe its room, and breaks a rule if it touches the ego's
+    buffer; what it did before it was there is not known. `broken` and `grown` are written."""
+    for i in np.flatnonzero(new).tolist():
+        touches = gap_between(ego, ego.along, ego.across, rows, i, 0.0) < 0
+        broken[i], grown[i] = (_APPEARED, 0) if touches else (0, _APPEARED)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Watch:
     """What has been seen of the others up to one scene.
 
     Attributes
     ----------
-    around : their surroundings in that scene; None before the first.
     owing : who of them owed the ego its distance, (m,) bool.
     crashed : whether the ego had crashed.
     breaking : who was breaking a rule in that very frame, (m,) bool.
@@ -59,7 +68,6 @@ class Watch:
     by_rule : the same by the rule that was broken.
     """
 
-    around: Surroundings | None = None
     owing: BoolArray = field(default_factory=_nobody)
     crashed: bool = False
     breaking: BoolArray = field(default_factory=_nobody)
@@ -81,44 +89,49 @@ class Watch:
         """The same once a plan clears everybody again."""
         return replace(self, offenders=np.zeros(self.offenders.shape, dtype=bool)) if self.violated else self
 
-    def before(self, scene: Scene) -> Surroundings | None:
-        """The surroundings that were seen last, where the others are the same as in `scene`, and their states exact."""
-        if self.around is None or scene.ids is not None or len(self.around.states) != len(scene.others):
-            return None
-        return self.around
-
-    def followers(self, scene: Scene) -> BoolArray | None:
-        """Who owed the ego its distance in the scene seen last, (m,) bool; None where the others are not the same."""
-        return None if self.before(scene) is None else self.owing
-
-    def next(
-        self,
-        scene: Scene,
-        ego: Ego,
-        around: Surroundings,
-        behind: BoolArray,
-        held: BoolArray,
-        period: float,
-        fail_safe: Separations,
-    ) -> Watch:
-        """The watch one scene later.
+    def of(self, same: IntArray | None, m: int) -> Watch:
+        """The same of the m others of the next scene, in their order.
 
         Parameters
         ----------
-        scene, ego : the scene, and the ego with its buffer in it.
-        around : its surroundings, which know those of the scene before.
-        behind, held : who is behind the ego with its buffer, and who is in a lane that it owns, (m,) bool.
+        same : which of the others each was in the scene seen last, (m,), -1 for newcomers; None for the same order.
+        """
+        if same is None and len(self.owing) == m:
+            return self
+        flags = np.zeros((3, m), dtype=bool)
+        if same is not None:
+            known = same >= 0
+            flags[:, known] = np.stack([self.owing, self.breaking, self.offenders])[:, same[known]]
+        return replace(self, owing=flags[0], breaking=flags[1], offenders=flags[2])
+
+    def next(
+        self,
+        survey: Surveyor,
+        before: Surroundings | Before | None,
+        new: BoolArray | None,
+        period: float,
+        fail_safe: Separations,
+    ) -> Watch:
+        """The watch one scene later; this one is already `of` its others.
+
+        Parameters
+        ----------
+        survey : the scene, and what is known of the others in it; its surroundings know those of the scene before.
+        before : the others in the scene before; None in the first, and where their states are estimates.
+        new : who was not there then, (m,) bool; None where everybody was.
         period : time since the scene before [s].
         fail_safe : asked where somebody has taken more room than before.
         """
-        before = self.before(scene)
-        crashed = bool(scene.ego[Vehicle.CRASHED] > 0)
+        behind, held, ego = survey.behind, survey.held, survey.seen
+        crashed = bool(survey.scene.ego[Vehicle.CRASHED] > 0)
         if before is None:
-            nobody = np.zeros(len(scene.others), dtype=bool)
-            return Watch(around, behind & held, crashed, nobody, nobody, self.count, self.by_rule)
+            nobody = np.zeros(len(behind), dtype=bool)
+            return Watch(behind & held, crashed, nobody, nobody, self.count, self.by_rule)
         if crashed and not self.crashed:
             ego = ego._replace(crashed=True)
-        broken, grown = permits(before, around, period, self.owing, ego)
+        broken, grown = permits(before, survey.around, period, self.owing, ego)
+        if new is not None:
+            appeared(new, survey.scene.others, ego, broken, grown)
         owing = np.empty(len(broken), dtype=bool)
         some, more = stayed(self.owing, behind, held, broken, grown, owing)
         if more:
@@ -127,13 +140,13 @@ class Watch:
             some = bool(broken.any())
         breaking = broken != 0
         if not some:
-            return Watch(around, owing, crashed, breaking, self.offenders, self.count, self.by_rule)
+            return Watch(owing, crashed, breaking, self.offenders, self.count, self.by_rule)
         count, by_rule = self.count, dict(self.by_rule)
         for i in np.flatnonzero(breaking & ~self.breaking):
             count += 1
             for rule in Rule(int(broken[i])):
                 by_rule[rule] = by_rule.get(rule, 0) + 1
-        return Watch(around, owing, crashed, breaking, self.offenders | breaking, count, by_rule)
+        return Watch(owing, crashed, breaking, self.offenders | breaking, count, by_rule)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -168,7 +168,7 @@ class BlindScenes:
             return None
         row = self._row(self._ego)
         nobody, control = np.zeros((0, len(Vehicle))), self._control(self._target)
-        return Scene(row, nobody, self._known.road, control, self._known.dt, self._known.frames)
+        return Scene(row, nobody, self._known.road, control, self._known.dt, self._known.frames, observed=True)
 
     def _strays(self, ego: FloatArray) -> bool:
         """Whether an ego, on the road, is not where it was told to go."""

@@ -144,6 +144,7 @@ class GridPerception:
             frame=frame,
             ids=np.concatenate([self._ids, nobody]),
             blurred=bool(((high - low) > _EXACT).any()),
+            observed=True,
         )
 
     def _take_in(self, low: FloatArray, high: FloatArray, ego: FloatArray, passed: float) -> None:

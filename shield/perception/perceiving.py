@@ -214,6 +214,7 @@ class ObservationPerception:
             ids=ids,
             blurred=blurred,
             likely=likely,
+            observed=True,
         )
 
     def _ghosts(self, ego: FloatArray, mean: FloatArray) -> FloatArray:

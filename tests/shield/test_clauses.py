@@ -273,10 +273,12 @@ def test_one_instant_seen_twice_is_one(core):
 
 @pytest.mark.parametrize("core", [ShieldCore, ContinuousCore])
 def test_a_stored_plan_is_recorded_with_its_own_margin(core):
-    """Somebody appears from nowhere, which breaks no rule and leaves no plan; what is least bad is another input."""
+    """Somebody is observed all at once, of whom no rule is known to be broken, and leaves no plan; what is least bad is
+    another input."""
     shield = core()
     assert after(shield, scene_of((0, 0, 0, 10), lanes=3)).tier.verified
     scene = scene_of((10 * DT, 0, 0, 10), (10.4, 0, 0, 0), (19.5, 0, 0, 19), lanes=3)
+    scene = replace(scene, observed=True)
     decision = after(shield, scene)
     assert decision.tier is Tier.STORED_PLAN
     assert decision.margin == pytest.approx(along(scene, braked(scene)))

@@ -25,8 +25,8 @@ WATCHED = (
     off(
         "monitor never reports",
         MONITOR,
-        "        before = self.before(scene)\n        crashed",
-        "        before = None\n        crashed",
+        "        if before is None:\n            nobody",
+        "        if True:\n            nobody",
         "alarm",
     ),
     off(

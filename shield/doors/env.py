@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ from shield.doors.discrete_action import action_index
 from shield.doors.environments import base_environments, the_action_type
 from shield.doors.input_door import InputDoor
 from shield.doors.meta_door import MetaDoor
-from shield.doors.patience import Patience
+from shield.doors.patience import ActionWarning, Patience
 from shield.doors.ranking import normalised, order_from_scores, ranking_of
 from shield.doors.report import Offences, Statistics, report, team_report
 from shield.doors.road_door import RoadDoor
@@ -86,7 +87,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     `shield.decision.Guarantee`, the weakest of the decision and its frames), and of several egos `agents`, the same of
     each; `latency` is all the time that the shield took in the last step [s]. With an episode's last step comes
     `info["shield_episode"]`: `decisions`, how many were `overridden`, `frames_overridden`, `violations`, `rules`, the
-    smallest `margin` [m], the mean `latency_ms`, and `reasons`, how often each was one.
+    smallest `margin` [m], the mean `latency_ms`, and `reasons`, how often each was one. Of an episode that a wrapper
+    outside ends (`TimeLimit`), `statistics` has it, and the info of the next `reset`.
 
     Examples
     --------
@@ -141,22 +143,28 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         warm_up_door(self._door)
         self._observation: Any = None
         self._supervising = self.latency = 0.0
-        self._episode = Statistics()
+        self._episode, self._summed = Statistics(), False
         self._patience = Patience(self.config.patience)
+        self._action_warning = ActionWarning()
         self.last_decision: Decision | None = None
         self.last_decisions: list[Decision] = []
         self.frame_decisions: list[Decision] = []
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment and forget everything about the last episode."""
+        """Reset the environment and forget everything about the last episode.
+
+        `info["shield_episode"]` is of that episode, where a wrapper outside has ended it: no step could say so.
+        """
         obs, info = self.env.reset(seed=seed, options=options)
+        if self._episode.decisions and not self._summed:
+            info["shield_episode"] = self._episode.summary()
         team = is_team(self._base)
         inputs = not team and the_action_type([self._base], "ShieldedEnv") == "ContinuousAction"
         same = inputs is isinstance(self._door, InputDoor | ExactInputDoor) and team is isinstance(self._door, TeamDoor)
         if not same:
             raise ConfigError("the reset has changed the environment's action type; make a new ShieldedEnv around it")
         self._door.reset()
-        self._episode = Statistics()
+        self._episode, self._summed = Statistics(), False
         self._observation = obs
         self.last_decision = None
         self.last_decisions, self.frame_decisions = [], []
@@ -177,6 +185,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             decisions = [self._door.decide(action, self._order_of(action))]
             executed = decisions[0].executed
         self._patience.check(decisions[0], self._door.cause)
+        self._action_warning.check(decisions, self._base)
         self.last_decisions, self.last_decision = decisions, decisions[0]
         self.frame_decisions = []
         self._supervising = 0.0
@@ -204,6 +213,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         each = isinstance(terminated, tuple)
         if truncated or (self._base._is_terminated() if each else terminated):
             info["shield_episode"] = self._episode.summary()
+            self._summed = True
         paid: Any = reward if isinstance(reward, tuple) else float(reward)
         return obs, paid, terminated, truncated, info
 
@@ -215,6 +225,14 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if not isinstance(self._door, MetaDoor | ExactDoor | RoadDoor):
             raise ConfigError("action_masks() needs DiscreteMetaAction of one ego; this environment has other actions")
         return self._door.mask()
+
+    @property
+    def statistics(self) -> Statistics:
+        """What has been done in this episode so far; `statistics.summary()` is what `info["shield_episode"]` has.
+
+        For an episode that a wrapper outside ends, such as `TimeLimit`: `env.get_wrapper_attr("statistics")`.
+        """
+        return deepcopy(self._episode)
 
     @property
     def door(self) -> Door | TeamDoor:

@@ -1,13 +1,16 @@
-"""A fallback is for an instant: what goes wrong decision after decision is an error, and is raised as one."""
+"""A fallback is for an instant: what goes wrong decision after decision is an error, and is raised as one. An action
+that is none of the environment's is warned of once."""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
+from typing import Any
 
 from shield.decision import Decision, Reason
 from shield.errors import PolicyError, SceneError
 
-__all__ = ["Patience"]
+__all__ = ["ActionWarning", "Patience"]
 
 _log = logging.getLogger("shield")
 _ERRORS: dict[Reason, type[PolicyError | SceneError]] = {
@@ -47,3 +50,55 @@ class Patience:
                 f"{self._count} decisions in a row: {decision.reason.text}{f' ({cause})' if cause else ''}. "
                 "ShieldConfig.patience says after how many that is raised; 0 leaves it to the fallback for ever"
             )
+
+
+class ActionWarning:
+    """Warns once of an action that is none of the environment's, and says which are."""
+
+    def __init__(self) -> None:
+        self._told = False
+
+    def check(self, decisions: Iterable[Decision], base: Any) -> None:
+        """Take in the decisions of one step.
+
+        Parameters
+        ----------
+        decisions : about one ego or several. base : the environment, unwrapped, or what is known of it
+            (`shield.Known`).
+        """
+        for decision in () if self._told else decisions:
+            if decision.reason is Reason.BAD_ACTION:
+                self._told = True
+                valid, hint = _valid(base, decision.proposed)
+                _log.warning(
+                    "%r is no action of this environment; have %s%s. The fallback acts instead, here %s, and the "
+                    "record says %s. Told once",
+                    decision.proposed,
+                    valid,
+                    hint,
+                    _name(base, decision.executed),
+                    decision.reason.value,
+                )
+
+
+def _labels(base: Any) -> dict[int, str]:
+    """The names of meta-actions by index, of one ego or of each of several; none of other actions."""
+    kind = getattr(base, "action_type", None)
+    kind = getattr(kind, "agents_action_types", [kind])[0]
+    actions = base.actions if kind is None else getattr(kind, "actions", None)
+    return dict(actions if isinstance(actions, dict) else enumerate(actions or ()))
+
+
+def _valid(base: Any, proposed: Any) -> tuple[str, str]:
+    """The valid actions, and what one that is a name stands for."""
+    labels = _labels(base)
+    if not labels:
+        return f"finite numbers of {base.action_space}", ""
+    indexes = {label: index for index, label in labels.items()}
+    hint = f": {proposed} is {indexes[proposed]}" if isinstance(proposed, str) and proposed in indexes else ""
+    return ", ".join(f"{index} {label}" for index, label in sorted(labels.items())), hint
+
+
+def _name(base: Any, executed: Any) -> str:
+    labels = _labels(base)
+    return labels.get(int(executed), str(executed)) if labels else str(executed)

@@ -20,7 +20,7 @@ from shield.doors.input_door import InputDoor
 from shield.doors.known_environments import known_beforehand
 from shield.doors.liveness import Liveness
 from shield.doors.meta_door import MetaDoor
-from shield.doors.patience import Patience
+from shield.doors.patience import ActionWarning, Patience
 from shield.doors.ranking import Ranking
 from shield.doors.report import Offences, Statistics, report
 from shield.doors.simulated.exact_door import ExactDoor
@@ -153,6 +153,7 @@ class Shield:
         n = len(self._bases)
         self._roads: list[Any] = [None] * n
         self._patience = [Patience(self.config.patience) for _ in self._bases]
+        self._action_warning = ActionWarning()
         self._alive = [Liveness(base) for base in self._bases if base is not None]
         self._supervisions: list[Supervision | None] = [None] * n
         self._counted = [Offences(door) for door in self._doors]
@@ -247,6 +248,7 @@ class Shield:
         self.last_decisions = [self._decide(i, row, ranking, proposed.reason) for i, row in enumerate(rows)]
         for patience, decision, door in zip(self._patience, self.last_decisions, self._doors, strict=True):
             patience.check(decision, proposed.cause or door.cause)
+        self._action_warning.check(self.last_decisions, self._known[0] if self._known else self._bases[0])
         return self._executed(proposed.actions), proposed.state
 
     @property

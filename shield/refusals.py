@@ -1,13 +1,16 @@
-"""Where verification by simulation is refused, and where it is asked of what cannot do it."""
+"""Settings and configurations that the shield refuses, wherever they are handed in."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
 
-__all__ = ["check", "refuse_simulated", "require"]
+__all__ = ["check", "check_target_speeds", "refuse_manual_control", "refuse_simulated", "require"]
 
 
 def check(config: ShieldConfig) -> None:
@@ -54,4 +57,42 @@ def refuse_simulated(config: ShieldConfig) -> None:
         raise ConfigError(
             "Assumptions.exact() verifies by simulation, which Shield and ShieldedEnv do on roads whose traffic is "
             'known; here there are the profiles "idm", "moderate" and "rss"'
+        )
+
+
+def check_target_speeds(speeds: Any) -> None:
+    """Raise where meta-actions could make the ego drive backwards, or where SLOWER would not be slower.
+
+    Parameters
+    ----------
+    speeds : target speeds of `DiscreteMetaAction` [m/s], (n,).
+
+    Raises
+    ------
+    ConfigError
+        If there are fewer than two, or one is not finite or below zero, or one is below the one before it.
+    """
+    each = np.asarray(speeds, dtype=float).reshape(-1)
+    shown = ", ".join(f"{speed:g}" for speed in each)
+    if (each < 0).any():
+        raise ConfigError(
+            f"target_speeds [{shown}] m/s: the shield does not verify an ego that drives backwards with meta-actions; "
+            "leave out the speeds below 0"
+        )
+    if not np.isfinite(each).all() or each.size < 2 or (np.diff(each) < 0).any() or each[0] == each[-1]:
+        raise ConfigError(f"target_speeds [{shown}] m/s: have two or more speeds in ascending order, from 0 on")
+
+
+def refuse_manual_control(config: Mapping[str, Any]) -> None:
+    """Raise where highway-env's configuration lets the keyboard drive the ego and drops all actions.
+
+    Raises
+    ------
+    ConfigError
+        If `manual_control` is set.
+    """
+    if config.get("manual_control"):
+        raise ConfigError(
+            "with manual_control the ego ignores all actions, so nothing that the shield verifies is executed; "
+            "set manual_control to False"
         )

@@ -16,7 +16,7 @@ from shield.config import ShieldConfig
 from shield.decision import Decision
 from shield.doors.adapters import as_policy
 from shield.doors.discrete_action import action_index
-from shield.doors.environments import base_environments, the_action_type
+from shield.doors.environments import base_environments, check_step, the_action_type
 from shield.doors.input_door import InputDoor
 from shield.doors.meta_door import MetaDoor
 from shield.doors.patience import ActionWarning, Patience
@@ -189,18 +189,13 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self.last_decisions, self.last_decision = decisions, decisions[0]
         self.frame_decisions = []
         self._supervising = 0.0
-        deciding = perf_counter() - start
+        deciding, frames = perf_counter() - start, int(self._base.steps)
         if self._door.supervising:
             with Supervision(self._base, self._frame):
                 obs, reward, terminated, truncated, info = self.env.step(executed)
         else:
             obs, reward, terminated, truncated, info = self.env.step(executed)
-        given = info.get("action", executed)
-        if isinstance(executed, int) and isinstance(given, int | np.integer) and int(given) != executed:
-            raise ConfigError(
-                f"the environment was given action {given} and not {executed}, which was verified: a wrapper inside "
-                "changes it; put that around the ShieldedEnv"
-            )
+        check_step(self._base, frames, executed, info)
         self._observation = obs
         self.latency = deciding + self._supervising
         offences = before.since(self._door)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from highway_env.envs.common.action import ContinuousAction
 
 from dynamics.scenes.scene import has_road_and_vehicles
+from shield.config import ShieldConfig
 from shield.errors import ConfigError
+from shield.refusals import check_target_speeds, refuse_manual_control
 
-__all__ = ["base_environments", "the_action_type"]
+__all__ = ["base_environments", "check_configuration", "check_gone_on", "check_step", "the_action_type"]
 
 _META, _INPUTS = "DiscreteMetaAction", "ContinuousAction"
 
@@ -55,6 +58,92 @@ def base_environments(env: Any, door: str) -> list[Any]:
                 f"there are fewer frames (simulation_frequency {frames}) than decisions (policy_frequency {decisions})"
             )
     return bases
+
+
+def check_configuration(base: Any, config: ShieldConfig) -> None:
+    """Raise where an environment is configured as no verification holds for: at construction, and after each reset.
+
+    Parameters
+    ----------
+    base : highway-env's environment, unwrapped, or a compiled one.
+    config : settings of the shield; with mode "none" nothing is verified, and target speeds are not checked.
+
+    Raises
+    ------
+    ConfigError
+        If decisions do not reach the ego, or its meta-actions can make it drive backwards.
+    """
+    refuse_manual_control(base.config)
+    if config.mode == "none":
+        return
+    kinds = getattr(base.action_type, "agents_action_types", [base.action_type])
+    for each in (*kinds, *base.controlled_vehicles):
+        speeds = getattr(each, "target_speeds", None)
+        if speeds is not None:
+            check_target_speeds(speeds)
+
+
+def check_step(base: Any, before: int, executed: Any, info: Mapping[str, Any]) -> None:
+    """Raise where a step was not the one decision that was verified.
+
+    Parameters
+    ----------
+    base : highway-env's environment, unwrapped, after the step. before : its `steps` before.
+    executed : the action that was handed to the environment. info : what the step returned.
+
+    Raises
+    ------
+    ConfigError
+        If the ego got another action or none, or if there were more frames than a decision has, or none.
+    """
+    refuse_manual_control(base.config)
+    given = info.get("action", executed)
+    if not _same(given, executed):
+        raise ConfigError(
+            f"the environment was given action {given} and not {executed}, which was verified: a wrapper inside "
+            "changes it; put that around the ShieldedEnv"
+        )
+    frames, went = _frames_of(base), int(base.steps) - before
+    if not 0 < went <= frames:
+        raise ConfigError(
+            f"the environment went on by {went} frames in one step, and a decision has {frames}: a wrapper inside "
+            "repeats the action or resets the environment; put that wrapper around the ShieldedEnv"
+        )
+
+
+def check_gone_on(base: Any, before: int) -> None:
+    """Raise where more than one decision was carried out since a policy was asked last: the others were not verified.
+
+    Parameters
+    ----------
+    base : highway-env's environment, unwrapped, in the same episode. before : its `steps` then.
+
+    Raises
+    ------
+    ConfigError
+        If there were more frames than a decision has, or the actions do not reach the ego.
+    """
+    refuse_manual_control(base.config)
+    frames, went = _frames_of(base), int(base.steps) - before
+    if went > frames:
+        raise ConfigError(
+            f"the environment went on by {went} frames since the last predict(), and a decision has {frames}: its "
+            "actions are repeated, or taken without the shield. Ask predict() before each step, and put a wrapper that "
+            "repeats actions around a ShieldedEnv"
+        )
+
+
+def _frames_of(base: Any) -> int:
+    """Simulation frames of one decision."""
+    return int(base.config["simulation_frequency"] // base.config["policy_frequency"])
+
+
+def _same(given: Any, executed: Any) -> bool:
+    """Whether two actions are equal; True where they cannot be compared as numbers."""
+    try:
+        return np.array_equal(np.asarray(given, float), np.asarray(executed, float), equal_nan=True)
+    except (TypeError, ValueError):
+        return True
 
 
 def _refuse_changed_actions(env: Any, door: str) -> None:

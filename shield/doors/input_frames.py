@@ -13,6 +13,7 @@ from dynamics.vehicle.actuators import Actuators
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.cruise import Cruise
+from shield.doors.environments import check_configuration
 
 __all__ = ["InputFrames"]
 
@@ -41,7 +42,14 @@ class InputFrames(ABC):
         self._begin()
 
     def _begin(self) -> None:
-        """An episode begins."""
+        """An episode begins.
+
+        Raises
+        ------
+        ConfigError
+            If the environment is now configured as the shield does not support.
+        """
+        check_configuration(self._base, self.config)
         self._cruise.reset()
         self._untouched = True
         self._proposal: FloatArray | None = None

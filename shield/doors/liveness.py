@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from shield.doors.environments import check_gone_on
 from shield.errors import SceneError
 
 __all__ = ["Liveness"]
@@ -30,10 +31,16 @@ class Liveness:
         ------
         SceneError
             If it is another observation than the last, and neither the episode nor the environment's clock has moved.
+        ConfigError
+            If the environment has carried out more than one decision since.
         """
         road, frame, seen = self._base.road, getattr(self._base, "steps", None), _bytes(observation)
         last, self._last = self._last, (road, frame, seen)
-        if last is not None and last[0] is road and last[1] == frame and last[2] != seen:
+        if last is None or last[0] is not road:
+            return
+        if frame is not None and last[1] is not None:
+            check_gone_on(self._base, last[1])
+        if last[1] == frame and last[2] != seen:
             raise SceneError(
                 "the shield reads an environment that nobody drives: the observation has changed, but its episode "
                 f"stands at frame {frame}. Pass the environment that is driven: Shield(model, env=env), and not only "

@@ -13,6 +13,7 @@ from dynamics.scenes.scene import Scene, SceneReader, Target
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
+from shield.doors.environments import check_configuration
 from shield.doors.input_door import refuse_lots
 from shield.doors.supervision import Command
 from shield.perception.blind import BlindScenes
@@ -46,7 +47,7 @@ class MetaDoor:
     SceneError
         If the environment's road or number of controlled vehicles is not supported.
     ConfigError
-        If it is a parking lot.
+        If it is a parking lot, or configured as the shield does not support.
 
     Attributes
     ----------
@@ -63,6 +64,7 @@ class MetaDoor:
     ) -> None:
         if base is not None:
             refuse_lots([base])
+            check_configuration(base, config)
         refuse_simulated(config)
         self.config, self._base, self._scenes = config, base, scenes
         self.reader: SceneReader | ObservedScenes | BlindScenes = SceneReader(base) if scenes is None else scenes
@@ -97,7 +99,11 @@ class MetaDoor:
         ------
         SceneError
             If the episode's road is not supported.
+        ConfigError
+            If the environment is now configured as the shield does not support.
         """
+        if self._base is not None:
+            check_configuration(self._base, self.config)
         self.core.reset()
         if self.config.mode != "none":
             self.reader.check()

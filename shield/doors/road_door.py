@@ -19,9 +19,10 @@ from dynamics.simulator.layout import CRASHED, IMPACTED, LANE, SPEED, TARGET, TA
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
+from shield.doors.environments import check_configuration
 from shield.doors.input_door import refuse_lots
 from shield.doors.simulated.exact_scene import why_unread
-from shield.doors.supervision import Command
+from shield.doors.supervision import Command, limited_braking
 from shield.errors import SceneError
 from shield.refusals import refuse_simulated
 from shield.roads.choosing import CLEAR, Choice, choose, try_course
@@ -67,6 +68,7 @@ class RoadDoor:
 
     def __init__(self, base: Any, config: ShieldConfig) -> None:
         refuse_lots([base])
+        check_configuration(base, config)
         refuse_simulated(config)
         self.config, self._base, self.cause = config, base, ""
         self._frequency = base.config["simulation_frequency"]
@@ -148,7 +150,14 @@ class RoadDoor:
         return set() if last is None else Watch(last=since).judge(last, set(bodies), self._road, set())
 
     def reset(self) -> None:
-        """Forget everything about the episode."""
+        """Forget everything about the episode.
+
+        Raises
+        ------
+        ConfigError, SceneError
+            As of the class, if the environment is now configured otherwise.
+        """
+        check_configuration(self._base, self.config)
         self._forget()
         self._furnish()
 
@@ -187,7 +196,7 @@ class RoadDoor:
             reason, self.cause = why_unread(error)
             self._stored = None
             speed = float(getattr(self._base.vehicle, "speed", 0.0))
-            brake = max(-self.config.braking, -max(speed, 0.0) * self._frequency)
+            brake = limited_braking(-self.config.braking, speed, self._frequency)
             inputs = {"acceleration": brake, "steering": 0.0}
             return inputs, Decision(-1, -1, reason, Tier.EMERGENCY, np.nan, perf_counter() - start)
 

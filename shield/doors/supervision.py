@@ -8,11 +8,31 @@ from typing import Any
 
 from shield.procedures.frames import FrameCommand
 
-__all__ = ["Command", "Supervision"]
+__all__ = ["Command", "Supervision", "limited_braking"]
 
 Command = FrameCommand | dict[str, float] | None
 """What the actuators get for one frame: a lane and an acceleration, or both inputs as highway-env names them; None
 where the environment's own low-level action stands."""
+
+
+def limited_braking(acceleration: float, speed: float, frequency: float) -> float:
+    """An acceleration, limited so that braking ends in a standstill: it never makes the ego drive backwards, and an
+    ego that drives backwards is braked too [m/s^2].
+
+    Parameters
+    ----------
+    acceleration : asked for [m/s^2]; below zero it is braking. speed : of the ego [m/s], below zero backwards.
+    frequency : frames per second.
+
+    Examples
+    --------
+    >>> limited_braking(-9.8, 20.0, 5), limited_braking(-9.8, 1.0, 5), limited_braking(-9.8, -8.0, 5)
+    (-9.8, -5.0, 9.8)
+    """
+    stopping = -speed * frequency
+    if speed < 0:
+        return max(acceleration, min(-acceleration, stopping))
+    return max(acceleration, stopping)
 
 
 class Supervision:
@@ -65,9 +85,8 @@ class Supervision:
             lane = (*ego.target_lane_index[:2], command.lane)
             if command.lane != ego.target_lane_index[2]:
                 ego.target_lane_index = lane
-            floor = -max(ego.speed, 0.0) * self._env.config["simulation_frequency"]
-            wheel = command.steering
+            wheel, frequency = command.steering, self._env.config["simulation_frequency"]
             ego.action = {
                 "steering": ego.steering_control(lane) if wheel is None else wheel,
-                "acceleration": max(command.acceleration, floor),
+                "acceleration": limited_braking(command.acceleration, float(ego.speed), frequency),
             }

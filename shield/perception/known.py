@@ -19,6 +19,7 @@ from dynamics.roads.straight import StraightRoad
 from shield.errors import ConfigError
 from shield.perception.grid_spec import GridSpec, Spec, spec_from_config
 from shield.perception.undoing import SAME, check_wrappers
+from shield.refusals import check_target_speeds, refuse_manual_control
 
 __all__ = ["Known"]
 
@@ -94,7 +95,8 @@ class Known:
             raise ConfigError(f"the ego begins in a lane from 0 to {self.road.centers.size - 1}, got {self.lane}")
         if self.road.heading:
             raise ConfigError("observations are read on roads along x only")
-        if len(self.target_speeds) < 2 or not np.all(np.diff(self.target_speeds) > 0):
+        check_target_speeds(self.target_speeds)
+        if not np.all(np.diff(self.target_speeds) > 0):
             raise ConfigError(f"target speeds ascend, and there are at least two, got {self.target_speeds}")
 
     @classmethod
@@ -117,6 +119,7 @@ class Known:
                 f"the configuration lacks {', '.join(missing)}: pass all of it, such as env.unwrapped.config, or "
                 "HighwayEnvFast.default_config() with your changes"
             )
+        refuse_manual_control(config)
         action, lanes = dict(config["action"]), int(config["lanes_count"])
         if action.get("type") != DiscreteMetaAction.__name__:
             raise ConfigError(f"observations are read for DiscreteMetaAction, not {action.get('type')!r}")

@@ -156,7 +156,8 @@ class Inputs:
         """Brake in the stored lane where there is one; with the wheel straight where nothing can be seen."""
         inputs = np.array([-self.config.braking, 0.0])
         if isinstance(scene, Unreadable):
-            inputs[0] = np.fmax(inputs[0], min(scene.stopping, 0.0))
+            # NaN, where the speed is not known, is braking at full.
+            inputs[0] = np.fmin(np.fmax(inputs[0], scene.stopping), self.config.braking)
         elif np.isfinite(scene.ego).all():
             here = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
             inputs = self.execution.law(scene, here if memory.stored is None else memory.stored)

@@ -20,6 +20,7 @@ from shield.batch.vocabulary import REASONS, TIERS
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
+from shield.doors.environments import check_configuration
 from shield.doors.input_door import refuse_lots
 from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, Room, simulate_network, why_unread
 from shield.errors import ConfigError
@@ -61,6 +62,7 @@ class ExactDoor(Foretells):
     def __init__(self, base: Any, config: ShieldConfig) -> None:
         check(config)
         refuse_lots([base])
+        check_configuration(base, config)
         self.config, self._base = config, base
         self.on_network = not isinstance(base, CompiledHighwayEnv) and on_network(base)
         if not isinstance(base, CompiledHighwayEnv):
@@ -76,7 +78,14 @@ class ExactDoor(Foretells):
         self._search: Search | None = None
 
     def reset(self) -> None:
-        """Forget everything about the episode."""
+        """Forget everything about the episode.
+
+        Raises
+        ------
+        ConfigError
+            If the environment is now configured as the shield does not support.
+        """
+        check_configuration(self._base, self.config)
         self._scene.forget()
         self._plans = empty_plans(1, 1)
         self._search = None

@@ -18,6 +18,7 @@ from shield.batch.vocabulary import REASONS
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
+from shield.doors.environments import check_configuration
 from shield.doors.simulated.exact_door import as_decision
 from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, simulate_network, why_unread
 from shield.errors import ConfigError
@@ -73,6 +74,7 @@ class TeamDoor(Foretells):
                 f"several egos are shielded on networks of roads, such as intersection-multi-agent-v0, not in "
                 f"{type(base).__name__}"
             )
+        check_configuration(base, config)
         check_network(base)
         self.config, self._base = config, base
         self._scene = ExactScene(base, config, simulate_network)
@@ -85,7 +87,14 @@ class TeamDoor(Foretells):
         return len(self._base.controlled_vehicles)
 
     def reset(self) -> None:
-        """Forget everything about the episode."""
+        """Forget everything about the episode.
+
+        Raises
+        ------
+        ConfigError
+            If the environment is now configured as the shield does not support.
+        """
+        check_configuration(self._base, self.config)
         self._scene.forget()
         self._plans: list[Plans] = [empty_plans(1, 1) for _ in range(self.agents)]
 

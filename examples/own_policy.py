@@ -23,5 +23,5 @@ while not done:
     obs, _, terminated, truncated, _ = env.step(int(action))
     decision, done = shield.last_decision, terminated or truncated
     if decision.overridden:
-        print(f"{decision.proposed} -> {decision.executed}: {decision.reason.text}")
+        print(f"{decision.proposed} -> {decision.executed}, {decision.intervention}: {decision.reason.text}")
 print(shield.report(), "crashed:", env.unwrapped.vehicle.crashed)

@@ -7,15 +7,23 @@ from contextlib import suppress
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
+from shield.decision import Intervention
+from shield.errors import ConfigError
+
 __all__ = ["ShieldCallback"]
 
 
 class ShieldCallback(BaseCallback):
     """Logs what `ShieldedEnv` reports while an SB3 model learns, to TensorBoard where one is set up.
 
-    Means over the decisions between two dumps of the logger: `shield/overridden`, `shield/frames_overridden`,
-    `shield/violations`, `shield/margin` [m] where it is finite, `shield/latency_ms`, and the share of each reason that
-    there was, `shield/reason/...`.
+    Means over the decisions between two dumps of the logger: `shield/overridden`, `shield/held_back`,
+    `shield/frames_overridden`, `shield/violations`, `shield/margin` [m] where it is finite, `shield/latency_ms`, and
+    the share of each reason that there was, `shield/reason/...`.
+
+    Raises
+    ------
+    ConfigError
+        At the first step, if an environment reports no shield.
 
     Examples
     --------
@@ -25,9 +33,16 @@ class ShieldCallback(BaseCallback):
 
     def _on_step(self) -> bool:
         reports = [info["shield"] for info in self.locals["infos"] if "shield" in info]
+        if len(reports) < len(self.locals["infos"]):
+            raise ConfigError(
+                f"{len(self.locals['infos']) - len(reports)} of {len(self.locals['infos'])} environments report no "
+                "shield: the model learns unshielded there. Put each into one: PPO('MlpPolicy', ShieldedEnv(env)), or "
+                "DummyVecEnv([lambda: ShieldedEnv(gym.make(...))])"
+            )
         for report in reports:
             for name in ("overridden", "frames_overridden", "violations"):
                 self.logger.record_mean(f"shield/{name}", float(report[name]))
+            self.logger.record_mean("shield/held_back", float(report["intervention"] == Intervention.HELD_BACK))
             if np.isfinite(report["margin"]):
                 self.logger.record_mean("shield/margin", report["margin"])
             self._seen.add(report["reason"])

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from math import isnan
+from math import isfinite, isnan, nan
 from typing import Any
+
+import numpy as np
 
 from dynamics.state import FloatArray
 
-__all__ = ["Decision", "Guarantee", "Reason", "Tier"]
+__all__ = ["Decision", "Guarantee", "Intervention", "Reason", "Tier"]
 
 
 class Reason(StrEnum):
@@ -83,6 +86,18 @@ class Tier(StrEnum):
         return self in (Tier.STORED_PLAN, Tier.EVADED, Tier.LARGEST_MARGIN, Tier.EMERGENCY)
 
 
+class Intervention(StrEnum):
+    """What the shield did to a proposal.
+
+    `NONE`: the proposal was executed unchanged. `HELD_BACK`: the environment got the proposed action, and at least one
+    simulation frame got other inputs than that action leads to. `OTHER_ACTION`: the environment got another action.
+    """
+
+    NONE = "none"
+    HELD_BACK = "held back"
+    OTHER_ACTION = "other action"
+
+
 class Guarantee(StrEnum):
     """What a certificate rests on beside the assumptions about the others' behaviour.
 
@@ -97,9 +112,16 @@ class Guarantee(StrEnum):
     NONE = "none"
 
 
+_WEAKER = list(Guarantee)
+"""From the strongest to none."""
+
+
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """One decision of the shield.
+    """One decision of the shield, about an action or about one simulation frame; or the record of a whole step.
+
+    `last_decision` and `last_decisions` of both doors are records of steps (`with_frames`): what `info["shield"]` and
+    `report()` say is read from them. `frame_decisions` has the parts.
 
     Attributes
     ----------
@@ -121,6 +143,9 @@ class Decision:
         within its bounds there, 1 where the states are exact.
     alarm : whether the sensor did not behave as it is thought to, so that the widest bounds were taken and nothing is
         guaranteed (`shield.perception.monitor`).
+    frames_overridden : in the record of a step, how many of its frames got other inputs.
+    weakest : in the record of a step, the weakest guarantee of the decision and its frames; None elsewhere.
+    done : in the record of a step, what was done to the proposal; None elsewhere.
     """
 
     proposed: Any
@@ -136,13 +161,65 @@ class Decision:
     sight: Guarantee = Guarantee.FULL
     level: float = 1.0
     alarm: bool = False
+    frames_overridden: int = 0
+    weakest: Guarantee | None = None
+    done: Intervention | None = None
 
     @property
     def guarantee(self) -> Guarantee:
         """Which guarantee what is executed has: none, where nothing was verified, at this frame or an earlier one."""
+        if self.weakest is not None:
+            return self.weakest
         return self.sight if self.tier.certified and not isnan(self.margin) else Guarantee.NONE
 
     @property
     def overridden(self) -> bool:
         """Whether something else than the proposal was executed."""
-        return self.tier not in (Tier.OFF, Tier.PASSED)
+        return self.tier not in (Tier.OFF, Tier.PASSED) if self.done is None else self.done is not Intervention.NONE
+
+    @property
+    def intervention(self) -> Intervention:
+        """What was done to the proposal."""
+        return self.done if self.done is not None else self.with_frames(()).intervention
+
+    def with_frames(self, frames: Sequence[Decision]) -> Decision:
+        """The record of a step: this decision, and those about the frames that it has lasted for so far.
+
+        It is overridden where another action was executed or a frame was. Its reason and tier are those of the first
+        fallback, else those of the first override. Its margin is the least finite one, NaN without one, with the clause
+        and the vehicle of that; its guarantee is the weakest. A decision to hold the proposed action back whose frames
+        all passed is no override, and neither is a fallback that is what was proposed: that was executed unchanged.
+        """
+        held, parts = [frame for frame in frames if frame.overridden], (self, *frames)
+        same, holds = _same(self.proposed, self.executed), self.tier is Tier.GOVERNED
+        unchanged, done = bool(frames) and not held and holds and same, Intervention.NONE
+        if self.overridden and not same:
+            done = Intervention.OTHER_ACTION
+        elif held or (self.overridden and holds and not unchanged):
+            done = Intervention.HELD_BACK
+        overridden = [self, *held] if self.overridden and not unchanged else held
+        shown = next((d for d in overridden if d.tier.fallback), overridden[0] if overridden else None)
+        least = min((d for d in parts if isfinite(d.margin)), key=lambda d: d.margin, default=None)
+        tier = Tier.PASSED if unchanged else self.tier
+        return replace(
+            self,
+            reason=Reason.NONE if shown is None else shown.reason,
+            tier=tier if shown is None else shown.tier,
+            margin=nan if least is None else least.margin,
+            latency=sum(d.latency for d in parts),
+            clause="" if least is None else least.clause,
+            vehicle=-1 if least is None else least.vehicle,
+            level=min(d.level for d in parts),
+            alarm=any(d.alarm for d in parts),
+            frames_overridden=len(held),
+            weakest=max((d.guarantee for d in parts), key=_WEAKER.index),
+            done=done,
+        )
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two actions are the same; NaN and what is no action are the same as nothing."""
+    try:
+        return bool(np.array_equal(np.ravel(np.asarray(a, float)), np.ravel(np.asarray(b, float))))
+    except (TypeError, ValueError, OverflowError):
+        return False

@@ -15,13 +15,16 @@ from dynamics.state import BoolArray
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 from shield.batch.vocabulary import CERTIFIED, FALLBACKS, OVERRIDES, REASONS, TIERS, rules_in
 from shield.config import ShieldConfig
-from shield.decision import Guarantee, Tier
+from shield.decision import Guarantee, Intervention, Reason, Tier
 from shield.doors.report import Statistics
 from shield.exact.batches import highways_for
 
 __all__ = ["ShieldedVecEnv"]
 
-_OFF = TIERS.index(Tier.OFF)
+_OFF, _PASSED, _GOVERNED = (TIERS.index(tier) for tier in (Tier.OFF, Tier.PASSED, Tier.GOVERNED))
+_INTERVENTIONS = tuple(Intervention)
+_AS_PROPOSED, _HELD_BACK, _OTHER_ACTION = range(len(_INTERVENTIONS))
+_NONE = REASONS.index(Reason.NONE)
 
 
 class ShieldedVecEnv(FastHighwayVecEnv):
@@ -123,22 +126,28 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         return infos
 
     def _reports(self) -> list[dict[str, Any]]:
-        """Of each environment what `shield.doors.report.report` has of one: the decision and its frames side by side,
-        (e, 1 + F)."""
+        """Of each environment what `shield.doors.report.report` has of one, as `Decision.with_frames` makes a record:
+        the decision and its frames side by side, (e, 1 + F)."""
         records, each = self.highways.records, np.arange(self.num_envs)
         tiers = np.column_stack([records.tier, records.tiers])
         reasons = np.column_stack([records.reason, records.reasons])
         margins = np.column_stack([records.margin, records.margins])
         held = OVERRIDES[tiers]
+        other = (records.executed != records.proposed) & held[:, 0]
+        unchanged = (records.tier == _GOVERNED) & ~other & ~held[:, 1:].any(axis=1)
+        held[:, 0] &= ~unchanged
+        tiers[unchanged, 0], reasons[unchanged, 0] = _PASSED, _NONE
         fallbacks = held & FALLBACKS[tiers]
         shown = np.where(fallbacks.any(axis=1), fallbacks.argmax(axis=1), held.argmax(axis=1))
         # Frames that are not supervised are off.
         certified = CERTIFIED[records.tier] & (CERTIFIED[records.tiers] | (records.tiers == _OFF)).all(axis=1)
+        done = np.where(other, _OTHER_ACTION, np.where(held[:, 1:].any(axis=1), _HELD_BACK, _AS_PROPOSED))
         columns: tuple[Any, ...] = (
-            held.any(axis=1),
+            done != _AS_PROPOSED,
+            done,
             reasons[each, shown],
             tiers[each, shown],
-            np.where(np.isfinite(margins), margins, np.inf).min(axis=1),
+            np.fmin.reduce(np.where(np.isfinite(margins), margins, np.nan), axis=1),
             held[:, 1:].sum(axis=1),
             records.violations,
             certified,
@@ -146,6 +155,7 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         return [
             {
                 "overridden": overridden,
+                "intervention": _INTERVENTIONS[done].value,
                 "reason": REASONS[reason].value,
                 "tier": TIERS[tier].value,
                 "margin": margin,
@@ -154,7 +164,7 @@ class ShieldedVecEnv(FastHighwayVecEnv):
                 "rules": rules_in(broken) if violations else {},
                 "guarantee": (Guarantee.FULL if full else Guarantee.NONE).value,
             }
-            for overridden, reason, tier, margin, frames, violations, full, broken in zip(
+            for overridden, done, reason, tier, margin, frames, violations, full, broken in zip(
                 *(column.tolist() for column in columns), records.broken, strict=True
             )
         ]

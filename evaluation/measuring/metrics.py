@@ -52,8 +52,8 @@ def summarise(episodes: pd.DataFrame) -> pd.DataFrame:
     - `return` with a bootstrap interval;
     - the means of `mean_speed` [m/s], `distance` [m], `lane_changes`, `laps`, `mean_jerk` [m/s^3] and
       `mean_lateral_acceleration` [m/s^2]; NaN where they are not defined;
-    - `override_rate`, `fallback_rate` and `reason_…`: shares of all decisions;
-      `frame_override_rate`: share of all simulation frames;
+    - `override_rate`, `held_back_rate`, `fallback_rate` and `reason_…`: shares of all decisions, of which the second is
+      part of the first, and NaN in older tables; `frame_override_rate`: share of all simulation frames;
     - `violations` of the assumptions by the traffic, summed; NaN where they are not counted;
     - `min_margin` and `min_gap` [m]: the smallest of all episodes;
     - `latency_p50_ms`, `latency_p99_ms`: over all decisions of all episodes.
@@ -81,6 +81,7 @@ def _summary(group: pd.DataFrame) -> dict[str, Any]:
         "distance": float(group["distance"].mean()),
         **{name: float(group[name].astype(float).mean()) for name in _MEANS},
         "override_rate": float(group["overridden"].sum() / decisions),
+        "held_back_rate": float(group["held_back"].sum() / decisions) if "held_back" in group else float("nan"),
         "frame_override_rate": float(group["frames_overridden"].sum() / group["frames"].sum()),
         **{reason: float(group[reason].sum() / decisions) for reason in _REASONS},
         "fallback_rate": float(group[_FALLBACKS].to_numpy().sum() / decisions),

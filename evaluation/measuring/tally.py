@@ -24,6 +24,7 @@ SOON = 1e-3
 class Tallies(NamedTuple):
     """Of the episode of each environment so far, (e,); the names are those of `EpisodeRecord`.
 
+    `held_back` counts those of `overridden` whose action was the proposed one.
     `min_ttc` is the least time to a collision at constant velocities, at most `HORIZON`, and 0 in a crash [s]; `speeds`
     adds up the ego's speed over `counted` frames, up to a crash [m/s]; `fallbacks` counts the decisions in
     which a fallback acted. `broken` (e, rules) counts what `Records.broken` does.
@@ -34,6 +35,7 @@ class Tallies(NamedTuple):
     speeds: FloatArray
     counted: IntArray
     overridden: IntArray
+    held_back: IntArray
     frames: IntArray
     frames_overridden: IntArray
     violations: IntArray
@@ -48,7 +50,7 @@ class Tallies(NamedTuple):
 
 def empty_tallies(e: int) -> Tallies:
     """For e environments."""
-    kinds: list[Any] = [float, int, float, int, int, int, int, int, float, float, float, bool, bool, int]
+    kinds: list[Any] = [float, int, float, int, int, int, int, int, int, float, float, float, bool, bool, int]
     rows: list[Any] = [*(np.zeros(e, kind) for kind in kinds), np.zeros((e, len(Rule)), int)]
     return Tallies(*rows)
 
@@ -136,6 +138,7 @@ def begin_tally(tallies: Tallies, e: int, rows: FloatArray, off_road: bool, time
     """Begin an episode, in the scene that it was reset to; see `tally`."""
     tallies.total[e] = tallies.speeds[e] = 0.0
     tallies.steps[e] = tallies.counted[e] = tallies.overridden[e] = tallies.frames[e] = 0
+    tallies.held_back[e] = 0
     tallies.frames_overridden[e] = tallies.violations[e] = tallies.fallbacks[e] = 0
     for k in range(tallies.broken.shape[1]):
         tallies.broken[e, k] = 0
@@ -183,5 +186,8 @@ def tally(
         tallies.min_margin[e] = margin
         tallies.frames[e] += rows.shape[1]
         tallies.frames_overridden[e] += held
-        tallies.overridden[e] += OVERRIDES[records.tier[e]] or held > 0
+        # As in `Decision.with_frames`: a fallback that is what was proposed is no override.
+        other = OVERRIDES[records.tier[e]] and records.executed[e] != records.proposed[e]
+        tallies.overridden[e] += other or held > 0
+        tallies.held_back[e] += held > 0 and not other
         tallies.fallbacks[e] += fell

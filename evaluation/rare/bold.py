@@ -350,8 +350,7 @@ def _drive(env: ShieldedEnv, setting: Setting, seed: int, vehicles: int, decisio
         action = int(actions.choice(len(labels), p=often / often.sum()))
         *_, terminated, truncated, _ = env.step(action)
         if step == 0:
-            assert env.last_decision is not None
-            started = env.last_decision.tier.verified and env.frame_decisions[0].tier.verified
+            started = env.decisions[0].tier.verified and env.frame_decisions[0].tier.verified
         if referee.over or terminated or truncated or not started:
             break
     if not referee.over:

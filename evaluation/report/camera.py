@@ -84,8 +84,9 @@ class Camera:
         """The shots of the last step, with the decisions that were taken in it."""
         env, frames = self._env, self._env.frame_decisions
         actions = action_labels(self._base.action_type)
-        assert env.last_decision is not None
-        proposal = proposed_path(self._base, self._ego, env.last_decision.proposed, self._road)
+        record = env.last_decision
+        assert record is not None
+        proposal = proposed_path(self._base, self._ego, record.proposed, self._road)
         period = max(1, round(1.0 / (self._dt * self._base.config["policy_frequency"])))
         return [
             Shot(
@@ -93,7 +94,7 @@ class Camera:
                 road=self._road,
                 dt=self._dt,
                 actions=actions,
-                decision=env.last_decision,
+                decision=record,
                 frame=frames[i] if i < len(frames) else None,
                 age=i,
                 period=period,

@@ -21,7 +21,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from dynamics.roads.straight import Road
 from dynamics.state import FloatArray, RoadState, State
-from shield.decision import Decision, Reason, Tier
+from shield.decision import Decision, Intervention, Reason
 
 __all__ = ["AREA", "GREEN", "ORANGE", "PROPOSAL", "RED", "Shot", "World", "draw", "font", "without_decision"]
 
@@ -64,7 +64,7 @@ class Shot:
     time, speed : time since reset [s], and the ego's speed [m/s].
     size : the ego's length and width [m].
     actions : label of each action index; none where actions are throttle and steering.
-    decision, frame : the decision about the action, and about this frame (None in modes without).
+    decision, frame : the record of the step, and the decision about this frame (None in modes without).
     age : frames since `decision` was made.
     period : frames from one decision to the next.
     proposal : road states (period + 1, 4) of what was proposed, from the decision on, or None.
@@ -93,17 +93,30 @@ class Shot:
 
         It is that about the action where another action was taken, else that about the frame.
         """
-        other = self.decision.overridden and self.decision.tier is not Tier.GOVERNED
-        if self.frame is None or (other and not self.frame.overridden):
+        if self.frame is None or (self._other_action and not self.frame.overridden):
             return self.decision
         return self.frame
 
     @property
+    def status(self) -> str:
+        """What is done in this frame: "PASSED"; "HELD BACK", where the action is the proposed one and the frame got
+        other inputs than it leads to; "OVERRIDE", where the action is another one; or "FALLBACK"."""
+        if self.acting.tier.fallback if self.frame is None else self.frame.tier.fallback:
+            return "FALLBACK"
+        if self._other_action:
+            return "OVERRIDE"
+        return "HELD BACK" if self.acting.overridden else "PASSED"
+
+    @property
     def color(self) -> tuple[int, int, int]:
-        """Green, orange or red: passed, overridden, fallback."""
-        if self.acting.tier.fallback:
-            return RED
-        return ORANGE if self.acting.overridden else GREEN
+        """Green, orange or red: passed, overridden or held back, fallback."""
+        return {"PASSED": GREEN, "FALLBACK": RED}.get(self.status, ORANGE)
+
+    @property
+    def _other_action(self) -> bool:
+        """Whether another action lasts for the whole step; throttle and steering are decided about frame by frame."""
+        other = self.decision.intervention is Intervention.OTHER_ACTION
+        return other and (bool(self.actions) or self.frame is None)
 
 
 def draw(shot: Shot) -> Image.Image:
@@ -169,7 +182,7 @@ def _draw_plan(overlay: Image.Image, shot: Shot) -> None:
     for step in range(0, until + 1, max(1, round(_OUTLINES / shot.dt))):
         _draw_outline(pen, shot, plan[step], (*shot.color, 150))
     path = _pixels(shot, plan[:, : RoadState.R + 1])
-    if shot.proposal is not None and shot.acting.overridden and shot.age < shot.period:
+    if shot.proposal is not None and shot.status != "PASSED" and shot.age < shot.period:
         ahead = _pixels(shot, shot.proposal[shot.age :, : RoadState.R + 1])
         _draw_dashes(pen, ahead, (*PROPOSAL, 255), 3 * _OVERSAMPLING, dash=9 * _OVERSAMPLING)
         _draw_outline(pen, shot, shot.proposal[-1], (*PROPOSAL, 230))
@@ -237,13 +250,12 @@ def _executed(shot: Shot) -> str:
 
 def _draw_caption(pen: ImageDraw.ImageDraw, shot: Shot, top: int, width: int) -> None:
     acting = shot.acting
-    status = "FALLBACK" if acting.tier.fallback else "OVERRIDE" if acting.overridden else "PASSED"
     pen.rectangle((0, top, 10, top + _BAR), fill=shot.color)
     x, y = 24, top + 10
-    pen.text((x, y + 2), status, font=font(21, bold=True), fill=shot.color)
+    pen.text((x, y + 2), shot.status, font=font(21, bold=True), fill=shot.color)
     for heading, text, left, bold in (
         ("proposed", _label(shot, shot.decision.proposed), 170, False),
-        ("executed", _executed(shot), 360, acting.overridden),
+        ("executed", _executed(shot), 360, shot.status != "PASSED"),
         ("margin", _metres(acting.margin), width - 330, False),
         ("speed", f"{shot.speed:.1f} m/s", width - 215, False),
         ("time", f"{shot.time:.1f} s", width - 90, False),
@@ -267,7 +279,7 @@ def _draw_legend(pen: ImageDraw.ImageDraw, shot: Shot, width: int, y: int) -> No
         ("others, foretold for 1 s" if shot.simulated else "others within 1 s", (AREA,), 0),
         ("planned to go on" if shot.simulated else "fail-safe in reserve", (_PALE,), 3),
         ("proposed", (PROPOSAL,), 7),
-        ("executed: passed, overridden, fallback", (GREEN, ORANGE, RED), 0),
+        ("executed: passed, overridden or held back, fallback", (GREEN, ORANGE, RED), 0),
     ):
         left = right - pen.textlength(text, font=small)
         pen.text((left, y + 2), text, font=small, fill=_PALE)

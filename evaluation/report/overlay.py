@@ -67,7 +67,7 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._base = cast(Any, env.unwrapped)
         self._ego: Any = None
         self._begun = 0
-        self._drawn: Decision | None = None
+        self._drawn: list[Decision] | None = None
         self._proposal: FloatArray | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -108,8 +108,9 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if road is None:
             raise SceneError("this road cannot be drawn on; have single roads of parallel lanes, straight or curved")
         surface, ego, dt = base.viewer.sim_surface, base.vehicle, 1.0 / base.config["simulation_frequency"]
-        if decision is not self._drawn:
-            self._drawn = decision
+        if frames is not self._drawn:
+            # Each decision has a list of its own.
+            self._drawn = frames
             self._proposal = proposed_path(base, self._ego, decision.proposed, road)
         frame = frames[-1] if frames else None
         if frame is not None and frame.plan is not None:

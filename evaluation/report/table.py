@@ -97,6 +97,7 @@ SUMMARY: tuple[Column, ...] = (
     _plain("jerk m/s³", "mean_jerk", 2),
     _plain("lateral m/s²", "mean_lateral_acceleration", 2),
     _percent("overridden %", "override_rate"),
+    _percent("of it held back %", "held_back_rate"),
     _percent("fallback %", "fallback_rate"),
     _plain("margin m", "min_margin", 2),
     _plain("latency p50 ms", "latency_p50_ms"),

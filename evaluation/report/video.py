@@ -23,6 +23,7 @@ from evaluation.report.plots import picture_path
 from evaluation.running.named_policies import make_policy, start_episode
 from evaluation.settings import Setting, get_setting
 from shield import ShieldConfig, ShieldedEnv, Tier
+from shield.decision import Intervention
 from shield.doors.road_door import RoadDoor
 from shield.errors import ConfigError
 from shield.roads.reading import default_on
@@ -159,10 +160,9 @@ def _overridden(setting: Setting, policy: str, seed: int) -> tuple[list[bool], i
         flags, done = [], False
         while not done:
             done = decide()
-            decision = env.last_decision
-            other = decision is not None and not np.array_equal(decision.executed, decision.proposed)
-            held = isinstance(env.door, RoadDoor) and any(frame.overridden for frame in env.frame_decisions)
-            flags.append(other or held)
+            assert env.last_decision is not None
+            done_to_it, roads = env.last_decision.intervention, isinstance(env.door, RoadDoor)
+            flags.append(done_to_it is Intervention.OTHER_ACTION or (roads and done_to_it is Intervention.HELD_BACK))
         return flags, _rate(env)
 
 

@@ -41,6 +41,7 @@ COLUMNS = (
     "steps",
     "mean_speed",
     "overridden",
+    "held_back",
     "frames",
     "frames_overridden",
     "violations",
@@ -100,8 +101,8 @@ def certify(asked: Asked, folder: str | Path, jobs: int = 1, progress: Any = Non
     Returns
     -------
     A row for each episode, by seed: setting, policy, mode, seed, crashed, off_road, attribution, return, steps,
-    mean_speed [m/s], overridden, frames, frames_overridden, violations, min_margin and min_gap [m], simulator, rules
-    (how often each was broken, as a text), and `fallbacks`, the decisions in which a fallback acted.
+    mean_speed [m/s], overridden, held_back, frames, frames_overridden, violations, min_margin and min_gap [m],
+    simulator, rules (how often each was broken, as a text), and `fallbacks`, the decisions in which a fallback acted.
 
     Raises
     ------

@@ -13,12 +13,13 @@ import numpy as np
 
 from dynamics.roads.path import PathRoad
 from evaluation.measuring.recorder import History, Track
-from shield.decision import Reason, Tier
+from shield.decision import Intervention, Reason, Tier
 
 __all__ = ["UNSHIELDED", "Tally", "arrival", "driving"]
 
 UNSHIELDED: dict[str, Any] = {
     "overridden": False,
+    "intervention": Intervention.NONE.value,
     "frames_overridden": 0,
     "violations": None,
     "rules": {},
@@ -34,6 +35,7 @@ class Tally:
     """Counts that an episode adds up, decision by decision."""
 
     overridden: int = 0
+    held_back: int = 0
     frames_overridden: int = 0
     violations: int | None = 0
     rules: Counter[str] = field(default_factory=Counter)
@@ -45,6 +47,7 @@ class Tally:
     def add(self, shield: Mapping[str, Any]) -> None:
         """Count a decision: `info["shield"]`, and `latency_ms`."""
         self.overridden += bool(shield["overridden"])
+        self.held_back += shield["intervention"] == Intervention.HELD_BACK
         self.frames_overridden += int(shield["frames_overridden"])
         violations = shield["violations"]
         if violations is None or self.violations is None:

@@ -101,6 +101,7 @@ class Driver:
             mean_jerk=history.mean_jerk(),
             mean_lateral_acceleration=history.mean_lateral_acceleration(),
             overridden=tally.overridden,
+            held_back=tally.held_back,
             reasons=dict(tally.reasons),
             tiers=dict(tally.tiers),
             frames=len(history.states) - 1,

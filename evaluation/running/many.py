@@ -289,6 +289,7 @@ class Many:
             "steps": int(tallies.steps[i]),
             "mean_speed": float(tallies.speeds[i] / tallies.counted[i]),
             "overridden": int(tallies.overridden[i]),
+            "held_back": int(tallies.held_back[i]),
             "frames": int(tallies.frames[i]),
             "frames_overridden": int(tallies.frames_overridden[i]),
             "violations": int(tallies.violations[i]),

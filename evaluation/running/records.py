@@ -128,7 +128,8 @@ class EpisodeRecord:
     laps : share of a closed road that was driven, 1 for a lap; NaN on any other.
     mean_jerk : mean size of the jerk along the way, frame by frame [m/s^3].
     mean_lateral_acceleration : mean size of speed times yaw rate, frame by frame [m/s^2].
-    overridden : decisions in which something else than the proposal was done, in part or whole.
+    overridden : decisions in which something else than the proposal was done, in part or whole; held_back : those of
+        them whose action was the proposed one, and that had frames replaced only.
     reasons, tiers : decisions by `Reason` and `Tier` (columns "reason_…", "tier_…").
     frames, frames_overridden : simulation frames, and those in which the shield acted.
     violations : how often the traffic broke the assumptions; None where the door does not count it.
@@ -171,6 +172,7 @@ class EpisodeRecord:
     arrival_speed: float = float("nan")
     simulator: str = "highway-env"
     rules: Mapping[str, int] = field(default_factory=dict)
+    held_back: int = 0
 
     def row(self) -> dict[str, Any]:
         """The record as flat columns of a table."""

@@ -101,7 +101,12 @@ class _Function:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
-        return np.asarray(self.function(observation)), state
+        actions = self.function(observation)
+        try:
+            return np.asarray(actions), state
+        except ValueError:
+            # Rows of different lengths: no action, or one for each of several environments.
+            return actions, state
 
 
 class _Network:

@@ -21,7 +21,7 @@ from shield.doors.input_door import InputDoor
 from shield.doors.meta_door import MetaDoor
 from shield.doors.patience import ActionWarning, Patience
 from shield.doors.ranking import normalised, order_from_scores, ranking_of
-from shield.doors.report import Offences, Statistics, report, team_report
+from shield.doors.report import Offences, Statistics, report, team_record, team_report
 from shield.doors.road_door import RoadDoor
 from shield.doors.simulated.exact_door import ExactDoor
 from shield.doors.simulated.exact_input_door import ExactInputDoor
@@ -71,6 +71,11 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         what the policy observes (Kinematics, grids; meta-actions, a highway), sensed anew at each frame; or a
         `PerceptionConfig`, which has the settings of the latter.
 
+    Attributes
+    ----------
+    decisions : the decisions of the last step about the action alone, one for each ego.
+    frame_decisions : those about its frames. Both together are `last_decision`.
+
     Raises
     ------
     SceneError
@@ -82,13 +87,15 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     Notes
     -----
-    `info["shield"]` holds `overridden`, `reason`, `tier`, `margin` [m] (NaN where none is known), `frames_overridden`,
-    `violations` (of the assumptions, by the traffic), `rules` (how often each was broken, by name) and `guarantee` (a
-    `shield.decision.Guarantee`, the weakest of the decision and its frames), and of several egos `agents`, the same of
-    each; `latency` is all the time that the shield took in the last step [s]. With an episode's last step comes
-    `info["shield_episode"]`: `decisions`, how many were `overridden`, `frames_overridden`, `violations`, `rules`, the
-    smallest `margin` [m], the mean `latency_ms`, and `reasons`, how often each was one. Of an episode that a wrapper
-    outside ends (`TimeLimit`), `statistics` has it, and the info of the next `reset`.
+    `info["shield"]` is read from `last_decision`, the record of the step. It holds `overridden`, `intervention` (a
+    `shield.decision.Intervention`: "none", "held back" or "other action"), `reason`, `tier`, `margin` [m] (NaN where
+    none is known), `frames_overridden`, `violations` (of the assumptions, by the traffic), `rules` (how often each was
+    broken, by name) and `guarantee` (a `shield.decision.Guarantee`, the weakest of the decision and its frames), and of
+    several egos `agents`, the same of each; `latency` is all the time that the shield took in the last step [s]. With
+    an episode's last step comes `info["shield_episode"]`: `decisions`, how many were `overridden`, and of these only
+    `held_back`, `frames_overridden`, `violations`, `rules`, the smallest `margin` [m], the mean `latency_ms`, and
+    `reasons`, how often each was one. Of an episode that a wrapper outside ends (`TimeLimit`), `statistics` has it, and
+    the info of the next `reset`.
 
     Examples
     --------
@@ -146,9 +153,23 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._episode, self._summed = Statistics(), False
         self._patience = Patience(self.config.patience)
         self._action_warning = ActionWarning()
-        self.last_decision: Decision | None = None
-        self.last_decisions: list[Decision] = []
+        self.decisions: list[Decision] = []
         self.frame_decisions: list[Decision] = []
+
+    @property
+    def last_decisions(self) -> list[Decision]:
+        """The record of the last step, of each ego: the decision and its frames so far (`Decision.with_frames`)."""
+        if isinstance(self._door, TeamDoor):
+            return [each.with_frames(()) for each in self.decisions]
+        return [each.with_frames(self.frame_decisions) for each in self.decisions]
+
+    @property
+    def last_decision(self) -> Decision | None:
+        """The record of the last step, which `info["shield"]` is read from; None before the first. Of several egos,
+        their records as one, with tuples of what was proposed and executed."""
+        if not self.decisions:
+            return None
+        return team_record(self.decisions) if isinstance(self._door, TeamDoor) else self.last_decisions[0]
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment and forget everything about the last episode.
@@ -166,8 +187,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._door.reset()
         self._episode, self._summed = Statistics(), False
         self._observation = obs
-        self.last_decision = None
-        self.last_decisions, self.frame_decisions = [], []
+        self.decisions, self.frame_decisions = [], []
         return obs, info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -186,8 +206,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             executed = decisions[0].executed
         self._patience.check(decisions[0], self._door.cause)
         self._action_warning.check(decisions, self._base)
-        self.last_decisions, self.last_decision = decisions, decisions[0]
-        self.frame_decisions = []
+        self.decisions, self.frame_decisions = decisions, []
         self._supervising = 0.0
         deciding, frames = perf_counter() - start, int(self._base.steps)
         if self._door.supervising:
@@ -199,10 +218,12 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._observation = obs
         self.latency = deciding + self._supervising
         offences = before.since(self._door)
+        record = self.last_decision
+        assert record is not None
         if isinstance(self._door, TeamDoor):
-            info["shield"] = team_report(decisions, *offences)
+            info["shield"] = team_report(record, self.last_decisions, *offences)
         else:
-            info["shield"] = report(decisions[0], self.frame_decisions, *offences)
+            info["shield"] = report(record, *offences)
         self._episode.add(info["shield"], self.latency)
         # highway-env's wrapper for several egos rewards each, and says of each whether it is over for it.
         each = isinstance(terminated, tuple)

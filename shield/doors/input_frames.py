@@ -80,8 +80,11 @@ class InputFrames(ABC):
         read = self.actuators.read(action)
         self._proposal = None if read is None else self._physical(action, read)
         inputs, decision = self._filter(True)
-        self._first = inputs, decision
-        executed = action if decision.tier is Tier.PASSED else self.actuators.normalised(inputs)
+        self._first = inputs, replace(decision, latency=0.0)
+        executed = self.actuators.normalised(inputs)
+        if decision.tier is Tier.PASSED:
+            # A whole number may have come in an array or a list, which the environment does not take.
+            executed = action if self.actuators.choices is None else int(np.asarray(action).item())
         return replace(decision, proposed=action, executed=executed)
 
     def frame(self) -> tuple[dict[str, float] | None, Decision]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
+from shield.doors.action_rows import ActionRows
 from shield.doors.adapters import as_policy, refuse_misfits
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import base_environments, the_action_type
@@ -28,6 +29,7 @@ from shield.doors.simulated.exact_input_door import ExactInputDoor
 from shield.doors.supervision import Command, Supervision
 from shield.doors.warm_doors import warm_up_door
 from shield.doors.which import Door, door_for
+from shield.doors.wrapped_policy import WrappedPolicy
 from shield.errors import ConfigError
 from shield.perception.blind import BlindScenes
 from shield.perception.known import Known
@@ -49,7 +51,7 @@ class _Proposed(NamedTuple):
     cause: str = ""
 
 
-class Shield:
+class Shield(WrappedPolicy):
     """Wraps a policy; `predict` returns its action where that verifies, and an alternative otherwise.
 
     The shield reads the simulator's true state unless `perception` says otherwise: the observation alone does not show
@@ -89,8 +91,8 @@ class Shield:
 
     Attributes
     ----------
-    last_decisions : the decision of the last `predict`, one for each environment.
-    frame_decisions : those about the frames since, a list for each environment.
+    decisions : the decisions of the last `predict` about the actions alone, one for each environment.
+    frame_decisions : those about the frames since, a list for each environment. Both together are `last_decisions`.
 
     Examples
     --------
@@ -158,13 +160,20 @@ class Shield:
         self._supervisions: list[Supervision | None] = [None] * n
         self._counted = [Offences(door) for door in self._doors]
         self._statistics = Statistics()
-        self.last_decisions: list[Decision] = []
+        self.decisions: list[Decision] = []
         self.frame_decisions: list[list[Decision]] = [[] for _ in range(n)]
 
     @property
+    def last_decisions(self) -> list[Decision]:
+        """The record of the step since the last `predict`, of each environment: the decision and its frames so far
+        (`Decision.with_frames`)."""
+        return [each.with_frames(self.frame_decisions[i]) for i, each in enumerate(self.decisions)]
+
+    @property
     def last_decision(self) -> Decision | None:
-        """The decision of the last `predict` (of the first environment, where there are several)."""
-        return self.last_decisions[0] if self.last_decisions else None
+        """The record of the first environment in `last_decisions`, which `report()` is read from; None before the first
+        `predict`."""
+        return self.last_decisions[0] if self.decisions else None
 
     def report(self, i: int = 0) -> dict[str, Any]:
         """What `ShieldedEnv` has in `info["shield"]`, of environment `i` since the last `predict`.
@@ -174,31 +183,26 @@ class Shield:
         ConfigError
             If there has been none.
         """
-        if not self.last_decisions:
+        if not self.decisions:
             raise ConfigError("report() is about the last decision; call predict() first")
         offences = self._counted[i].since(self._doors[i])
-        return report(self.last_decisions[i], self.frame_decisions[i], *offences)
+        return report(self.decisions[i].with_frames(self.frame_decisions[i]), *offences)
 
     @property
     def statistics(self) -> Statistics:
         """What has been done since this shield was made, in all environments."""
         statistics = deepcopy(self._statistics)
-        for i in range(len(self.last_decisions)):
+        for i in range(len(self.decisions)):
             statistics.add(self.report(i), self._latency(i))
         return statistics
 
     @property
     def latency(self) -> float:
         """All the time that the shield took since `predict` was called last, the policy's own excepted [s]."""
-        return sum(self._latency(i) for i in range(len(self.last_decisions)))
+        return sum(self._latency(i) for i in range(len(self.decisions)))
 
     def _latency(self, i: int) -> float:
-        return sum(d.latency for d in (self.last_decisions[i], *self.frame_decisions[i]))
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or name == "policy":
-            raise AttributeError(name)
-        return getattr(self.policy, name)
+        return sum(d.latency for d in (self.decisions[i], *self.frame_decisions[i]))
 
     def reset(self) -> None:
         """Forget everything; done by itself when an environment starts a new episode."""
@@ -208,7 +212,7 @@ class Shield:
             supervision, self._supervisions[i] = self._supervisions[i], None
             if supervision is not None:
                 supervision.remove()
-        self.last_decisions = []
+        self.decisions = []
 
     def predict(
         self,
@@ -241,15 +245,19 @@ class Shield:
         for i, alive in enumerate(self._alive):
             alive.check(_row(observation, i, len(self._alive)))
         proposed = self._propose(observation, state, episode_start, deterministic)
-        rows, ranking = self._rows(proposed.actions), Ranking(self.policy, observation)
+        size, whole = self._form
+        actions = ActionRows.of(proposed.actions, len(self._doors), None if whole else size, self._batched(observation))
+        ranking = Ranking(self.policy, observation)
         for i in range(len(self._doors)):
             self._begin(i, episode_start)
         self._show(observation, episode_start is None)
-        self.last_decisions = [self._decide(i, row, ranking, proposed.reason) for i, row in enumerate(rows)]
-        for patience, decision, door in zip(self._patience, self.last_decisions, self._doors, strict=True):
+        self.decisions = [self._decide(i, row, ranking, proposed.reason) for i, row in enumerate(actions.rows)]
+        for patience, decision, door in zip(self._patience, self.decisions, self._doors, strict=True):
             patience.check(decision, proposed.cause or door.cause)
-        self._action_warning.check(self.last_decisions, self._known[0] if self._known else self._bases[0])
-        return self._executed(proposed.actions), proposed.state
+        self._action_warning.check(self.decisions, self._known[0] if self._known else self._bases[0])
+        if self._inputs and not whole and not any(decision.overridden for decision in self.decisions):
+            return proposed.actions, proposed.state
+        return actions.answer([decision.executed for decision in self.decisions]), proposed.state
 
     @property
     def _form(self) -> tuple[int, bool]:
@@ -268,34 +276,10 @@ class Shield:
         except Exception as error:
             _log.debug("the policy raised", exc_info=True)
             shape = (len(self._doors),) if self._batched(observation) else ()
-            nothing = np.full((*shape, self._form[0]) if self._inputs else shape, np.nan)
+            nothing = np.full((*shape, self._form[0]) if self._inputs else shape, np.nan, np.float32)
             return _Proposed(nothing, state, Reason.POLICY_FAILED, f"{type(error).__name__}: {error}")
-        numbers = np.asarray(actions)
-        broken = not self._inputs and numbers.dtype.kind == "f" and not np.isfinite(numbers).all()
+        broken = not self._inputs and _has_nan(actions)
         return _Proposed(actions, state, Reason.POLICY_FAILED if broken else None)
-
-    def _rows(self, actions: Any) -> Any:
-        """The action for each environment."""
-        (size, whole), flat, n = self._form, np.asarray(actions).reshape(-1), len(self._doors)
-        if flat.size != n * size:
-            raise ConfigError(
-                f"the policy returned {flat.size / size:g} actions for {n} environments; a batch needs one row per "
-                "environment"
-            )
-        return flat if whole else flat.reshape(n, -1)
-
-    def _executed(self, proposed: Any) -> Any:
-        """What has been decided, as the policy's actions were."""
-        executed = [decision.executed for decision in self.last_decisions]
-        if not self._inputs:
-            return np.array(executed, dtype=np.int64).reshape(np.shape(proposed))
-        if not any(decision.overridden for decision in self.last_decisions):
-            return proposed
-        if self._form[1]:
-            return np.reshape([int(action) for action in executed], np.shape(proposed))
-        # Whole numbers cannot hold what was verified.
-        kind = proposed.dtype if proposed.dtype.kind == "f" else np.dtype(np.float32)
-        return np.stack([np.asarray(action, dtype=kind).reshape(-1) for action in executed]).reshape(proposed.shape)
 
     def _decide(self, i: int, proposal: Any, ranking: Ranking, reason: Reason | None) -> Decision:
         door, base = self._doors[i], self._bases[i]
@@ -314,7 +298,7 @@ class Shield:
     def _begin(self, i: int, episode_start: Any) -> None:
         """Count the last decision, and forget the last episode where this is another."""
         door, base = self._doors[i], self._bases[i]
-        if len(self.last_decisions) > i:
+        if len(self.decisions) > i:
             self._statistics.add(self.report(i), self._latency(i))
         if base is None:
             if episode_start is not None and np.reshape(episode_start, -1)[i]:
@@ -359,6 +343,15 @@ class Shield:
         command, decision = door.frame()
         self.frame_decisions[i].append(decision)
         return command
+
+
+def _has_nan(actions: Any) -> bool:
+    """Whether what a policy has returned are numbers, and not all finite."""
+    try:
+        numbers = np.asarray(actions)
+    except (TypeError, ValueError):
+        return False
+    return numbers.dtype.kind == "f" and not bool(np.isfinite(numbers).all())
 
 
 def _row(observation: Any, i: int, n: int) -> Any:

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from shield.decision import Decision, Guarantee
+from shield.decision import Decision, Intervention
 
-__all__ = ["Offences", "Statistics", "report", "team_report"]
-
-_WEAKER = list(Guarantee)
-"""From the strongest to none."""
+__all__ = ["Offences", "Statistics", "report", "team_record", "team_report"]
 
 
 class Offences:
@@ -37,6 +34,7 @@ class Statistics:
     Attributes
     ----------
     decisions, overridden : how many there were, and of how many the action or a frame was replaced.
+    held_back : how many of `overridden` kept the proposed action, and had frames replaced only.
     frames_overridden, violations : frames that were replaced, and offences of the traffic.
     rules : how often each rule was broken; who breaks several at once is one offence.
     reasons : how often each was the reason.
@@ -46,6 +44,7 @@ class Statistics:
 
     decisions: int = 0
     overridden: int = 0
+    held_back: int = 0
     frames_overridden: int = 0
     violations: int = 0
     rules: Counter[str] = field(default_factory=Counter)
@@ -57,6 +56,7 @@ class Statistics:
         """Count one report, and the time that the decision and its frames took [s]."""
         self.decisions += 1
         self.overridden += report["overridden"]
+        self.held_back += report["intervention"] == Intervention.HELD_BACK
         self.frames_overridden += report["frames_overridden"]
         self.violations += report["violations"]
         self.rules.update(report["rules"])
@@ -69,6 +69,7 @@ class Statistics:
         return {
             "decisions": self.decisions,
             "overridden": self.overridden,
+            "held_back": self.held_back,
             "frames_overridden": self.frames_overridden,
             "violations": self.violations,
             "rules": dict(self.rules),
@@ -78,31 +79,35 @@ class Statistics:
         }
 
 
-def report(decision: Decision, frames: Sequence[Decision], violations: int, rules: Mapping[str, int]) -> dict[str, Any]:
-    """A decision and those about its frames as one: overridden where one of them is, with the reason of a fallback
-    before that of any other, and the weakest guarantee of them all.
+def report(record: Decision, violations: int, rules: Mapping[str, int]) -> dict[str, Any]:
+    """The record of a step (`Decision.with_frames`) as `info["shield"]` has it.
 
     Parameters
     ----------
     violations, rules : of the assumptions, by the traffic; and how often each rule was broken.
     """
-    held = [d for d in frames if d.overridden]
-    overridden = [decision, *held] if decision.overridden else held
-    shown = next((d for d in overridden if d.tier.fallback), overridden[0] if overridden else decision)
-    margins = [d.margin for d in (decision, *frames) if np.isfinite(d.margin)]
     return {
-        "overridden": bool(overridden),
-        "reason": shown.reason.value,
-        "tier": shown.tier.value,
-        "margin": min(margins, default=float("nan")),
-        "frames_overridden": len(held),
+        "overridden": record.overridden,
+        "intervention": record.intervention.value,
+        "reason": record.reason.value,
+        "tier": record.tier.value,
+        "margin": record.margin,
+        "frames_overridden": record.frames_overridden,
         "violations": violations,
         "rules": dict(rules),
-        "guarantee": max((d.guarantee for d in (decision, *frames)), key=_WEAKER.index).value,
+        "guarantee": record.guarantee.value,
     }
 
 
-def team_report(decisions: Sequence[Decision], violations: int, rules: Mapping[str, int]) -> dict[str, Any]:
-    """The decisions about several egos as one, and each by itself under `agents`."""
-    together = report(decisions[0], decisions[1:], violations, rules)
-    return {**together, "frames_overridden": 0, "agents": [report(each, (), 0, {}) for each in decisions]}
+def team_record(decisions: Sequence[Decision]) -> Decision:
+    """The decisions about several egos as one record, with a tuple of their proposals and one of what was executed."""
+    together = decisions[0].with_frames(decisions[1:])
+    proposed, executed = (tuple(getattr(each, name) for each in decisions) for name in ("proposed", "executed"))
+    return replace(together, proposed=proposed, executed=executed, frames_overridden=0)
+
+
+def team_report(
+    record: Decision, decisions: Sequence[Decision], violations: int, rules: Mapping[str, int]
+) -> dict[str, Any]:
+    """The record of several egos, see `team_record`, and each decision by itself under `agents`."""
+    return {**report(record, violations, rules), "agents": [report(each, 0, {}) for each in decisions]}

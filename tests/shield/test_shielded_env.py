@@ -15,6 +15,7 @@ from shield import ShieldConfig, ShieldedEnv
 
 KEYS = {
     "overridden": bool,
+    "intervention": str,
     "reason": str,
     "tier": str,
     "margin": float,
@@ -136,7 +137,7 @@ def test_a_masked_action_is_one_that_would_be_overridden():
             if mask.sum() < 5 and mask.any():
                 disagreed += 1
             # All True also stands for none: MaskablePPO cannot handle an empty mask.
-            assert env.last_decision.overridden == (not mask[3]) or mask.all()
+            assert env.decisions[0].overridden == (not mask[3]) or mask.all()
             done = terminated or truncated
     assert disagreed
     env.close()

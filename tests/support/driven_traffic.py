@@ -341,7 +341,7 @@ def drive(
             *_, info = env.step(policy(stage.moment(base.vehicle), rng))
             decisions = env.frame_decisions
             _note(out, decisions, before)
-            if step == 0 and not (env.last_decision and env.last_decision.tier.verified and decisions[0].tier.verified):
+            if step == 0 and not (env.decisions[0].tier.verified and decisions[0].tier.verified):
                 out.started = False
             out.violations_before += info["shield"]["violations"]
             if out.breached and not out.flagged:

@@ -1,0 +1,75 @@
+"""What a policy returns, taken apart: the action for each environment, and the form that it gets its answer in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from shield.errors import ConfigError
+
+__all__ = ["ActionRows"]
+
+
+@dataclass(frozen=True, slots=True)
+class ActionRows:
+    """The actions that a policy has returned for some environments.
+
+    Attributes
+    ----------
+    rows : the action for each environment, whatever it is: what is no action is for the doors to fall back on.
+    shape : of the array that is returned in the policy's place. kind : its data type.
+    """
+
+    rows: list[Any]
+    shape: tuple[int, ...]
+    kind: Any
+
+    @classmethod
+    def of(cls, actions: Any, count: int, size: int | None, batched: bool) -> ActionRows:
+        """Take apart what a policy has returned: an array, a number, a list or a tuple.
+
+        Parameters
+        ----------
+        count : how many environments there are.
+        size : how many inputs an action has, None where an action is a whole number.
+        batched : whether the observations were a batch, of one environment at least.
+
+        Raises
+        ------
+        ConfigError
+            If there are several environments, and not as many actions.
+        """
+        array, entries = _array(actions), 1 if size is None else size
+        kind: Any = np.dtype(np.int64) if size is None else np.dtype(np.float32)
+        if array is not None and array.size == count * entries:
+            flat = array.reshape(-1)
+            # Whole numbers cannot hold the inputs that were verified.
+            if size is not None and array.dtype.kind == "f":
+                kind = array.dtype
+            return cls(list(flat if size is None else flat.reshape(count, size)), array.shape, kind)
+        shape = (*((count,) if batched or count > 1 else ()), *(() if size is None else (size,)))
+        if count == 1:
+            return cls([actions], shape, kind)
+        several = isinstance(actions, Sequence | np.ndarray) and getattr(actions, "ndim", 1) > 0
+        there = len(actions) if several else 1
+        if there != count:
+            raise ConfigError(
+                f"the policy returned {there} actions for {count} environments; a batch needs one row per environment"
+            )
+        return cls(list(actions), shape, kind)
+
+    def answer(self, executed: Sequence[Any]) -> Any:
+        """What was decided for each environment, as the policy's actions were."""
+        return np.stack([np.asarray(each, dtype=self.kind).reshape(-1) for each in executed]).reshape(self.shape)
+
+
+def _array(actions: Any) -> np.ndarray[Any, Any] | None:
+    """The actions as an array of numbers, None where they are none."""
+    try:
+        array = np.asarray(actions)
+    except (TypeError, ValueError):
+        return None
+    return array if array.dtype.kind in "iufb" else None

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 __all__ = [
     "ActionError",
     "ConfigError",
@@ -12,7 +15,20 @@ __all__ = [
     "PolicyError",
     "SceneError",
     "ShieldError",
+    "perhaps",
 ]
+
+
+def perhaps(name: str, valid: Iterable[str]) -> str:
+    """What is added to a message about an unknown name: the valid name nearest to it, or nothing if none is near.
+
+    Examples
+    --------
+    >>> perhaps("highway-fats", ["highway-fast", "merge"]), perhaps("boat", ["merge"])
+    ("; perhaps 'highway-fast' is meant", '')
+    """
+    near = get_close_matches(name, list(valid), 1)
+    return f"; perhaps {near[0]!r} is meant" if near else ""
 
 
 class ShieldError(Exception):

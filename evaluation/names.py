@@ -2,7 +2,23 @@
 
 from __future__ import annotations
 
-__all__ = ["BASELINES", "CHANNEL_NAMES", "FIRST_EVALUATION_SEED", "MODELS", "SENSOR_NAMES", "SIMULATORS", "TRAINABLE"]
+from pathlib import Path
+
+from dynamics.errors import ConfigError, perhaps
+
+__all__ = [
+    "BASELINES",
+    "CHANNEL_NAMES",
+    "FIRST_EVALUATION_SEED",
+    "MODELS",
+    "SENSOR_NAMES",
+    "SIMULATORS",
+    "TABLE_ENDINGS",
+    "TRAINABLE",
+    "check_policy",
+    "list_references",
+    "policy_label",
+]
 
 FIRST_EVALUATION_SEED = 10_000
 """Seeds below it are for training and choosing, from it on for evaluation."""
@@ -17,6 +33,8 @@ SENSOR_NAMES = (
 """The sensors in `evaluation.wrappers.SENSORS`."""
 CHANNEL_NAMES = ("confidence", "tracked-confidence", "intent")
 """What can be added to what they show, `evaluation.wrappers.channels.CHANNELS`."""
+TABLE_ENDINGS = (".csv", ".parquet")
+"""File endings that `evaluation.report.table.write_table` knows."""
 MODELS = ("bicycle", "learned")
 """What the predictive filter can plan with; a folder of models is the third."""
 BASELINES = (
@@ -45,3 +63,37 @@ the future (`mpc.lookahead_policy`, on the simulator's true state), and `lookahe
 (`shield.batch.lookahead`); `mpc` drives with continuous actions by itself
 (`mpc.MPCPolicy`, on the simulator's true state); the others park (`evaluation.running.parking_planner`), and `cem`
 drives on a highway and in a roundabout with meta-actions as well."""
+
+
+def list_references() -> list[str]:
+    """The names of the reference policies."""
+    return sorted(path.stem for path in Path(__file__).with_name("policies").glob("*.zip"))
+
+
+def check_policy(name: str) -> None:
+    """Raise where no policy has the name.
+
+    Parameters
+    ----------
+    name : of `BASELINES`, of a reference policy, or the path of a zip file.
+
+    Raises
+    ------
+    ConfigError
+        That lists the names, or says that there is no such file.
+    """
+    known = [*BASELINES, *list_references()]
+    if name in known:
+        return
+    if name.endswith(".zip"):
+        if not Path(name).is_file():
+            raise ConfigError(f"there is no policy file {name}")
+        return
+    file = Path(f"{name}.zip")
+    meant = f"; perhaps {str(file)!r} is meant" if file.is_file() else perhaps(name, known)
+    raise ConfigError(f"unknown policy {name!r}{meant}; have {', '.join(known)}, or the path of an SB3 .zip file")
+
+
+def policy_label(name: str) -> str:
+    """The name that results are reported under: of a zip file, its stem."""
+    return Path(name).stem if name.endswith(".zip") else name

@@ -15,6 +15,8 @@ can be compared across them.
 
 `racetrack`, the two of `parking` and all that end in `-continuous` are driven with throttle and steering, or
 steering alone. Parking has a goal, and its results say how often it was reached.
+
+Nothing slow is imported before an environment is made: a mistake in a name is told at once.
 """
 
 from __future__ import annotations
@@ -25,14 +27,13 @@ from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import gymnasium as gym
-import highway_env  # noqa: F401  (registers the environments)
-
-from dynamics.traffic.crossing import make
+from dynamics.errors import ConfigError, perhaps
 from evaluation.continuous_roads import what_makes
-from shield.errors import ConfigError
+
+if TYPE_CHECKING:
+    import gymnasium as gym
 
 __all__ = ["SETTINGS", "TRAFFIC", "Setting", "get_setting", "setting_of"]
 
@@ -56,9 +57,9 @@ class Setting:
     Attributes
     ----------
     name : the name it is reported under.
-    env_id : a Gymnasium id that highway-env registers.
-    config : what differs from the environment's default configuration; in highway-env's units (speeds in m/s,
-        frequencies in Hz, durations in s). Read-only.
+    env_id : a Gymnasium id; "module:id" imports a module first, which registers it.
+    config : what differs from the configuration that the environment is registered with, and from its class's
+        default; in highway-env's units (speeds in m/s, frequencies in Hz, durations in s). Read-only.
     description : one line for people.
     road : whether it is a road or a parking lot that shields can read by their own settings, so that none and full are
         compared on it unless others are asked for; on networks with throttle and steering they stop with an error.
@@ -80,11 +81,16 @@ class Setting:
         Raises
         ------
         ConfigError
-            If there is no such environment, or it takes no configuration as highway-env's do; where that is for its
-            throttle and steering, with what makes it.
+            If there is no such environment, it is none of highway-env's nor made as these are, or it takes no such
+            configuration; where that is for its throttle and steering, with what makes it.
         """
+        import gymnasium as gym
+
+        from dynamics.scenes.scene import has_road_and_vehicles
+        from dynamics.traffic.crossing import make
+
         try:
-            return make(self.env_id, deepcopy(dict(self.config)), render_mode=render_mode)
+            env = make(self.env_id, self.configured, **({"render_mode": render_mode} if render_mode else {}))
         except (gym.error.Error, ModuleNotFoundError) as error:
             raise ConfigError(f"there is no environment {self.env_id!r}: {error}") from None
         except (TypeError, ValueError, KeyError, AttributeError) as error:
@@ -93,6 +99,30 @@ class Setting:
                 or f"{self.env_id} cannot be made with {dict(self.config) or 'its defaults'}: "
                 f"{type(error).__name__}: {error}"
             ) from error
+        if not has_road_and_vehicles(env.unwrapped):
+            env.close()
+            raise ConfigError(f"{self.env_id} is not a highway-env environment: it has no road and vehicles")
+        return env
+
+    @property
+    def configured(self) -> dict[str, Any]:
+        """What the environment is made with: `config` over the configuration that the id is registered with, key by
+        key; whole values, as highway-env itself replaces them.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such environment.
+        """
+        import gymnasium as gym
+
+        from dynamics.scenes.registration import registered_config, spec_of
+
+        try:
+            registered = registered_config(spec_of(self.env_id))
+        except (gym.error.Error, ModuleNotFoundError) as error:
+            raise ConfigError(f"there is no environment {self.env_id!r}: {error}") from None
+        return {**registered, **deepcopy(dict(self.config))}
 
     def override(self, config: Mapping[str, Any], name: str | None = None) -> Setting:
         """The same setting with these keys replaced (whole values: highway-env does not merge).
@@ -347,7 +377,7 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
 
 def setting_of(env_id: str, config: Path | None = None) -> Setting:
     """Any environment as a setting: its Gymnasium id ("module:id" imports a module first), and a TOML file of what
-    differs from its default configuration.
+    differs from the configuration that it is registered with.
 
     Raises
     ------
@@ -370,4 +400,4 @@ def get_setting(name: str) -> Setting:
     try:
         return SETTINGS[name]
     except KeyError:
-        raise ConfigError(f"unknown setting {name!r}; have {sorted(SETTINGS)}") from None
+        raise ConfigError(f"unknown setting {name!r}{perhaps(name, SETTINGS)}; have {sorted(SETTINGS)}") from None

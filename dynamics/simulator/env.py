@@ -14,6 +14,7 @@ from highway_env.envs.common.observation import ObservationType, observation_fac
 from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
+from dynamics.scenes.registration import spec_of
 from dynamics.simulator.layout import LANE, SPEED, TARGET, TARGET_SPEED
 from dynamics.simulator.scenario import REWARDS
 from dynamics.simulator.simulator import Simulator
@@ -57,7 +58,7 @@ class CompiledHighwayEnv(gym.Env[Any, Any]):
         scenario = self.simulator.scenario
         self.config = dict(scenario.config)
         self.observation_space, self.action_space = scenario.observation_space, scenario.action_space
-        self.render_mode, self.spec = None, gym.spec(env_id)
+        self.render_mode, self.spec = None, spec_of(env_id)
         self.road: Any = None
         self.controlled_vehicles: list[_Ego] = [_Ego(self)]
         self.action_type = action_factory(self, self.config["action"])

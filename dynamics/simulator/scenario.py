@@ -19,6 +19,7 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from dynamics.errors import ConfigError, PlatformError
+from dynamics.scenes.registration import spec_of
 from dynamics.simulator.engine import Rules, View
 from dynamics.simulator.grid import LAYERS
 from dynamics.simulator.kinds import constants_of, kind_of, mix_of, ranges_of
@@ -133,8 +134,8 @@ def scenario_of(env_id: str, config: Mapping[str, Any] | None = None, observes: 
 def _class_of(env_id: str) -> tuple[type[HighwayEnv], Mapping[str, Any]]:
     """The class behind an id, and the configuration that it is registered with."""
     try:
-        spec = gym.spec(env_id)
-    except gym.error.Error as error:
+        spec = spec_of(env_id)
+    except (gym.error.Error, ImportError) as error:
         raise ConfigError(f"there is no environment {env_id!r}: {error}") from None
     entry: Any = spec.entry_point
     kind: Any = gym.envs.registration.load_env_creator(entry) if isinstance(entry, str) else entry

@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
+from dynamics.scenes.registration import spec_of
 from dynamics.simulator.scenario import REWARDS
 from dynamics.simulator.simulator import Simulator
 
@@ -32,7 +33,7 @@ class CompiledVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
     def __init__(self, simulator: Any, env_id: str, names: Sequence[str]) -> None:
         scenario, num_envs = simulator.scenario, simulator.num_envs
         self.simulator, self._names = simulator, tuple(names)
-        self.num_envs, self.spec, self.render_mode = num_envs, gym.spec(env_id), None
+        self.num_envs, self.spec, self.render_mode = num_envs, spec_of(env_id), None
         self.config = dict(scenario.config)
         self.single_observation_space, self.single_action_space = scenario.observation_space, scenario.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)

@@ -11,9 +11,11 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 import gymnasium as gym
-from gymnasium.envs.registration import load_env_creator
+from gymnasium.envs.registration import EnvSpec, load_env_creator
 from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.vehicle import behavior
+
+from dynamics.scenes.registration import spec_of
 
 __all__ = ["AggressiveVehicle", "DefensiveVehicle", "IDMVehicle", "LinearVehicle", "make", "with_own_traffic"]
 
@@ -39,9 +41,13 @@ class DefensiveVehicle(behavior.DefensiveVehicle):
 def with_own_traffic(env_id: str, config: Mapping[str, Any]) -> dict[str, Any]:
     """What an environment is made with: its configuration as given, and traffic of its own where it is an intersection
     and would have one of highway-env's classes."""
-    spec, given = gym.registry.get(env_id.rpartition(":")[2]), dict(config)
-    entry: Any = None if spec is None else spec.entry_point
-    kind = load_env_creator(entry) if isinstance(entry, str) else entry
+    spec = gym.registry.get(env_id.rpartition(":")[2])
+    return dict(config) if spec is None else _with_own_traffic(spec, config)
+
+
+def _with_own_traffic(spec: EnvSpec, config: Mapping[str, Any]) -> dict[str, Any]:
+    entry, given = spec.entry_point, dict(config)
+    kind: Any = load_env_creator(entry) if isinstance(entry, str) else entry
     if not (isinstance(kind, type) and issubclass(kind, IntersectionEnv)):
         return given
     default = cast(Any, kind).default_config()[_KEY]
@@ -51,6 +57,14 @@ def with_own_traffic(env_id: str, config: Mapping[str, Any]) -> dict[str, Any]:
 
 def make(env_id: str, config: Mapping[str, Any], **options: Any) -> gym.Env[Any, Any]:
     """What `gym.make` makes, `with_own_traffic`; by what the id stands for: that there is a later version is no news to
-    who asks for this one."""
-    known = gym.registry.get(env_id, env_id)
-    return gym.make(known, config=with_own_traffic(env_id, config), **options)
+    who asks for this one.
+
+    As in `gym.make`, `config` replaces the configuration that the id is registered with
+    (`dynamics.scenes.registration.registered_config`). Nothing is passed where it is empty: an environment may be made
+    by a function that takes none.
+    """
+    spec = spec_of(env_id)
+    whole = _with_own_traffic(spec, config)
+    if whole:
+        options["config"] = whole
+    return gym.make(spec, **options)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import sys
-from difflib import get_close_matches
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
+from evaluation.commands.asking import EnvConfig, EnvId, ask_policies, ask_settings, check_modes, split
 from evaluation.commands.certifying import add_certifying
 from evaluation.commands.dynamics import dynamics_app
 from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING
@@ -30,9 +30,6 @@ from evaluation.names import (
 from shield import __version__
 from shield.config import MODES, PERCEPTIONS, PROFILES, ShieldConfig
 from shield.errors import ConfigError, ShieldError
-
-if TYPE_CHECKING:
-    from evaluation.settings import Setting
 
 __all__ = ["app", "main"]
 
@@ -126,12 +123,8 @@ def evaluate(
         list[str] | None,
         typer.Option(help=f"Named environment (repeatable, or a comma list; see `shield settings`) [{DEMO_SETTING}]."),
     ] = None,
-    env_id: Annotated[
-        str | None, typer.Option(help="Any environment by its Gymnasium id instead, such as highway-v0 or module:id.")
-    ] = None,
-    env_config: Annotated[
-        Path | None, typer.Option(help="TOML file of what differs from the default configuration of --env-id.")
-    ] = None,
+    env_id: EnvId = None,
+    env_config: EnvConfig = None,
     policy: Annotated[
         list[str] | None,
         typer.Option(
@@ -193,7 +186,14 @@ def evaluate(
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")] = False,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on where a run with this --output was stopped.")] = False,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            help="Go on where a run with this --output was stopped, or extend one that is finished: more"
+            " episodes, policies, settings, shield modes.",
+        ),
+    ] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
     simulator: Annotated[
         str,
@@ -208,73 +208,61 @@ def evaluate(
     All rows drive the same seeds. Rates in percent with 95 % intervals, speeds in m/s,
     distances and margins in m, latencies in ms per decision.
     """
-    import pandas as pd
-
-    from evaluation.learning.normalised_model import statistics_beside
-    from evaluation.running.episodes import run_paired
-    from evaluation.running.records import config_on, make_variants
-    from evaluation.running.store import Store, provenance
-
-    shield_config = None if config is None else ShieldConfig.load(config)
     doors = [each.value for each in Door if each is not Door.ALL] if door is Door.ALL else [door.value]
-    settings = _asked_settings(setting, env_id, env_config)
     # The demo's policy was trained on the demo's observations: another environment's it may not be able to read.
-    policies = _split(policy or [DEMO_POLICY if env_id is None else "random"])
+    policies = ask_policies(policy or [DEMO_POLICY if env_id is None else "random"])
+    sensors, perceptions, modes = split([sensor]), split([perception]), None if shield is None else split(shield)
+    check_modes(modes or [], perceptions)
     if resume and output is None:
         raise ConfigError("--resume goes with --output")
     if output is not None:
-        check_output(output, force)
-    asked = {
-        "settings": {each.name: {"env_id": each.env_id, "config": dict(each.config)} for each in settings},
-        "policies": policies,
-        "shields": shield,
-        "doors": doors,
-        "perception": perception,
-        "sensor": sensor,
-        "episodes": episodes,
-        "seed": seed,
-        "algorithm": algorithm,
-        "model": model,
-        "shield": None if shield_config is None else shield_config.to_toml(),
-        "simulator": simulator,
-    }
+        check_output(output, force, resume)
+    shield_config = None if config is None else ShieldConfig.load(config)
+    settings = ask_settings(setting, env_id, env_config)
+
+    from evaluation.learning.normalised_model import statistics_beside
+    from evaluation.report.table import finished
+    from evaluation.running.comparing import Comparison
+    from evaluation.running.records import config_on, make_variants
+    from evaluation.running.store import Store
+
     for name in policies:
         if name.endswith(".zip") and (statistics := statistics_beside(Path(name))):
             _err.print(f"{name}: observations are normalised by {statistics.name} beside it")
-    compared = [
+    compared = tuple(
         (
             each,
-            make_variants(_shields(shield, each.road), doors, shield_config or config_on(each), _split([perception])),
+            tuple(
+                make_variants(
+                    modes or (["none", "full"] if each.road else ["none"]),
+                    doors,
+                    shield_config or config_on(each),
+                    perceptions,
+                )
+            ),
         )
         for each in settings
-    ]
-    store = Store(output, asked, resume)
+    )
+    asked = Comparison(
+        compared,
+        tuple(policies),
+        range(seed, seed + episodes),
+        tuple(sensors),
+        algorithm=algorithm,
+        model=model,
+        simulator=simulator,
+    )
+    store = Store(output, asked.asked(), resume, finished(output) if resume and output is not None else None)
     try:
-        parts = [
-            run_paired(
-                each if through == "exact" else each.override({}, name=f"{each.name}, {through}"),
-                driver,
-                variants,
-                range(seed, seed + episodes),
-                jobs=jobs,
-                algorithm=algorithm,
-                model=model,
-                simulator=simulator,
-                sensor=through,
-                progress=True,
-                store=store,
-            )
-            for each, variants in compared
-            for through in _split([sensor])
-            for driver in policies
-        ]
+        driven = asked.drive(store, jobs)
     except KeyboardInterrupt:
-        if store.rows:
-            report(pd.DataFrame(store.rows), None, markdown)
+        stopped = store.table()
+        if len(stopped):
+            report(stopped, None, markdown)
         kept = "" if output is None else "; --resume goes on from there"
-        _err.print(f"stopped after {len(store.rows)} episodes{kept}")
+        _err.print(f"stopped after {len(stopped)} episodes{kept}")
         raise typer.Exit(130) from None
-    report(pd.concat(parts, ignore_index=True), output, markdown, provenance(asked))
+    report(driven, output, markdown, store.made)
     store.finish()
 
 
@@ -333,42 +321,6 @@ def cem_demo_command(
 
 
 add_showing(app)
-
-
-def _asked_settings(names: list[str] | None, env_id: str | None, config: Path | None) -> list[Setting]:
-    """The settings of a comparison: named, or an environment of the user's."""
-    from evaluation.settings import get_setting, setting_of
-
-    if env_id is None:
-        if config is not None:
-            raise ConfigError("--env-config goes with --env-id")
-        return [get_setting(name) for name in _split(names or [DEMO_SETTING])]
-    if names is not None:
-        raise ConfigError("give either --setting or --env-id")
-    setting = setting_of(env_id, config)
-    env = setting.make()
-    known: dict[str, object] = getattr(type(env.unwrapped), "default_config", dict)()
-    env.close()
-    for key in setting.config if known else ():
-        if key not in known:
-            meant = get_close_matches(key, known, 1)
-            hint = f"; perhaps {meant[0]!r} is meant" if meant else ""
-            told = f"{env_id} has no {key!r} in its configuration, and ignores it{hint}"
-            _err.print(told, style="yellow", markup=False, soft_wrap=True)
-    return [setting]
-
-
-def _shields(asked: list[str] | None, road: bool) -> list[str]:
-    """The shield modes that were asked for, or those that a setting is driven with otherwise."""
-    if asked is not None:
-        return _split(asked)
-    return ["none", "full"] if road else ["none"]
-
-
-def _split(values: list[str]) -> list[str]:
-    """Repeated options and comma lists as one list, each value once."""
-    names = [name.strip() for value in values for name in value.split(",") if name.strip()]
-    return list(dict.fromkeys(names))
 
 
 def main() -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 from rich.console import Console
 
+from evaluation.names import TABLE_ENDINGS
 from shield.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -19,14 +20,19 @@ __all__ = ["check_output", "report"]
 _out = Console()
 
 
-def check_output(path: Path, force: bool) -> None:
-    """Refuse what cannot be written before hours of driving, not after."""
-    from evaluation.report.table import TABLE_ENDINGS
+def check_output(path: Path, force: bool, resume: bool = False) -> None:
+    """Refuse what cannot be written before hours of driving, not after.
 
+    Parameters
+    ----------
+    path : of the table. force : whether what is there is begun again. resume : whether it is gone on with.
+    """
     if path.suffix not in TABLE_ENDINGS:
         raise ConfigError(f"--output {path.name!r} must end in {' or '.join(TABLE_ENDINGS)}")
-    if path.exists() and not force:
-        raise ConfigError(f"--output {path} exists already; --force overwrites it")
+    if force and resume:
+        raise ConfigError("--force begins again and --resume goes on: give one of them")
+    if path.exists() and not (force or resume):
+        raise ConfigError(f"--output {path} exists already; --resume extends it, --force overwrites it")
     if force:
         path.with_name(path.name + ".episodes").unlink(missing_ok=True)
     try:

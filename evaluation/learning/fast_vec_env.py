@@ -11,6 +11,7 @@ import numpy as np
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
+from dynamics.scenes.registration import spec_of
 from dynamics.simulator.scenario import REWARDS
 from dynamics.simulator.simulator import Simulator
 from shield.errors import ConfigError, MissingAttributeError
@@ -53,7 +54,7 @@ class FastHighwayVecEnv(VecEnv):
     ) -> None:
         self.simulator = self._made(num_envs, env_id, config, threads)
         scenario = self.simulator.scenario
-        self.env_id, self.config, self.spec = env_id, dict(scenario.config), gym.spec(env_id)
+        self.env_id, self.config, self.spec = env_id, dict(scenario.config), spec_of(env_id)
         self.render_mode = None
         self._actions: Any = None
         self._returns = np.zeros(num_envs)

@@ -261,9 +261,9 @@ def _world(
             frames = with_compiled_frames(env)
             return Monitor(frames), frames.exact
         if sensor != "exact":
-            alone = CompiledHighwayEnv(setting.env_id, setting.config)
+            alone = CompiledHighwayEnv(setting.env_id, setting.configured)
             return Monitor(seen_through(alone, sensor)), alone.simulator.exact
-        world = FastHighwayVecEnv(1, setting.env_id, setting.config)
+        world = FastHighwayVecEnv(1, setting.env_id, setting.configured)
         return world, world.simulator.exact
 
     world = compiled_where_it_serves(simulator, compiled)
@@ -278,7 +278,7 @@ def _shielded(setting: Setting, settings: ShieldConfig, sensor: str) -> tuple[Ve
 
     if sensor != "exact":
         raise ConfigError(f"inside the shield the sensor {sensor!r} observes highway-env itself")
-    world = ShieldedVecEnv(1, setting.env_id, setting.config, settings)
+    world = ShieldedVecEnv(1, setting.env_id, setting.configured, settings)
     return world, world.simulator.exact
 
 
@@ -288,7 +288,7 @@ def _whole_episodes(setting: Setting) -> tuple[VecEnv, bool] | None:
     from evaluation.learning.fast_road_vec_env import FastRoadVecEnv
 
     try:
-        world = FastRoadVecEnv(1, setting.env_id, setting.config)
+        world = FastRoadVecEnv(1, setting.env_id, setting.configured)
     except ConfigError:
         return None
     return world, world.simulator.exact

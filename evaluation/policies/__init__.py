@@ -12,23 +12,19 @@ from __future__ import annotations
 
 import json
 from importlib.resources import as_file, files
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from evaluation.learning.algorithms import get_algorithm
+from evaluation.names import list_references
 from shield.errors import ConfigError
 
-__all__ = ["list_references", "load_reference", "reference_manifest"]
+__all__ = ["list_references", "load_reference", "reference_file", "reference_manifest"]
 
 _HERE = files(__name__)
-
-
-def list_references() -> list[str]:
-    """The names of the reference policies."""
-    names = (entry.name for entry in _HERE.iterdir())
-    return sorted(name.removesuffix(".zip") for name in names if name.endswith(".zip"))
 
 
 def reference_manifest(name: str) -> dict[str, Any]:
@@ -50,3 +46,8 @@ def load_reference(name: str, env: gym.Env[Any, Any] | None = None) -> BaseAlgor
     algorithm = get_algorithm(reference_manifest(name)["algorithm"])
     with as_file(_HERE / f"{name}.zip") as path:
         return algorithm.load(path, env=env, device="cpu")
+
+
+def reference_file(name: str) -> Path:
+    """The zip file of the reference policy of that name."""
+    return Path(str(_HERE / f"{name}.zip"))

@@ -16,7 +16,7 @@ from scipy.special import ndtr
 from dynamics.networks.episodes.scenario import on_roads
 from dynamics.state import FloatArray, IntArray
 from evaluation.rare.bold import BoldEpisode, drive_bold_many
-from evaluation.rare.finds import ANY, Find
+from evaluation.rare.finds import ANY, Find, made_with
 from evaluation.rare.subset import MOST_SHARE, Subset, subset_simulation
 from evaluation.running.many import Chosen, Many
 from evaluation.settings import Setting
@@ -194,6 +194,7 @@ def falsify(
         actions=() if actions is None else tuple(actions[0].tolist()),
         clearance=float(result.performance[0]),
         seed=int(searched.seeds(shares)[0]) if searched.seeded else 0,
+        made=made_with(setting, policy if actions is None else ANY),
     )
     drawn = first[0]
     return Searched(
@@ -243,6 +244,7 @@ def falsify_among(
         clearance=worst.clearance,
         drivers="bold",
         seed=worst.seed,
+        made=made_with(road, ANY),
     )
     holes = tuple(x.seed for x in began if x.unnamed)
     return Met(find, len(driven), len(began), sum(bool(x.named) for x in began), dict(by_rule), holes)

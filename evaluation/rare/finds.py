@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,14 @@ from dynamics.simulator.simulator import Simulator
 from evaluation.measuring.recorder import Recorder
 from evaluation.rare.bold import drive_bold
 from evaluation.rare.road_episode import RoadNumbers, drive_numbers
+from evaluation.running.identity import differences, of_environment, of_policy, versions
 from evaluation.running.named_policies import make_policy, start_episode
 from evaluation.settings import Setting
 from shield import Shield, ShieldedEnv
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
 
-__all__ = ["ANY", "Find", "replay"]
+__all__ = ["ANY", "Find", "changed", "made_with", "replay"]
 
 ANY = "any"
 """The policy that may propose anything: its actions are searched too. Drawn evenly, they are those of `random`."""
@@ -40,6 +41,7 @@ class Find:
     drivers : of `evaluation.rare.falsify.TRAFFIC`. Among bold ones on straight highways `seed` says everything, and
         there are no shares and actions. On networks of roads it says the scene, where highway-env's own traffic drives;
         among other drivers `shares` say everything, and it is the first of the seeds (`RoadNumbers`).
+    made : of the environment, of the policy, and versions (see `made_with`); nothing in older files.
     """
 
     env_id: str
@@ -51,6 +53,7 @@ class Find:
     clearance: float
     drivers: str = "idm"
     seed: int = 0
+    made: dict[str, Any] = field(default_factory=dict)
 
     def save(self, path: str | Path) -> None:
         """Write a JSON file."""
@@ -72,9 +75,30 @@ class Find:
             raise ConfigError(f"{path} is no find of `shield falsify`: {error}") from None
 
 
+def made_with(setting: Setting, policy: str) -> dict[str, Any]:
+    """What determines an episode beside the find's own numbers: see `evaluation.running.identity`."""
+    return {"environment": of_environment(setting), "policy": of_policy(policy), "version of": versions()}
+
+
+def changed(find: Find) -> list[str]:
+    """Which versions of the libraries are others than those that a find was made with."""
+    return differences({"version of": find.made.get("version of", {})}, {"version of": versions()})
+
+
 def replay(find: Find) -> Find:
-    """Drive a find again in highway-env itself; its clearance is what is found there."""
+    """Drive a find again in highway-env itself; its clearance is what is found there.
+
+    Raises
+    ------
+    ConfigError
+        If the environment or the files of the policy are others than those that it was found with.
+    """
     setting, shield = Setting("find", find.env_id, find.config), ShieldConfig.from_toml(find.shield)
+    if find.made:
+        now, kept = made_with(setting, find.policy), ("environment", "policy")
+        differ = differences(*({key: made.get(key) for key in kept} for made in (find.made, now)))
+        if differ:
+            raise ConfigError(f"this is not what the episode was found with: {', '.join(differ)} differ; search again")
     if find.drivers != "idm" and find.shares:
         numbers, given = RoadNumbers(find.drivers, find.seed), shield if find.shield else None
         return replace(find, clearance=drive_numbers(setting, numbers, np.array(find.shares), given).clearance)
@@ -91,7 +115,7 @@ def replay(find: Find) -> Find:
         shielded = ShieldedEnv(env, shield, policy=None if find.policy == ANY else policy)
     shielded.reset(seed=find.seed)
     if not on_roads(find.env_id):
-        simulator = Simulator(find.env_id, 1, find.config, tape=True)
+        simulator = Simulator(find.env_id, 1, setting.configured, tape=True)
         simulator.reset_to(np.array(find.shares)[None], [0])
         simulator.store(env)
     base: Any = env.unwrapped

@@ -15,7 +15,7 @@ from joblib import Parallel, delayed
 from scipy.special import ndtr
 
 from dynamics.state import FloatArray
-from evaluation.rare.finds import ANY, Find
+from evaluation.rare.finds import ANY, Find, made_with
 from evaluation.rare.road_episode import RoadEpisode, RoadNumbers, drive_numbers
 from evaluation.rare.subset import MOST_SHARE, subset_simulation
 from evaluation.settings import Setting
@@ -131,6 +131,7 @@ def search_roads(
         clearance=driven[worst].clearance,
         drivers=drivers,
         seed=seed,
+        made=made_with(setting, ANY),
     )
     return RoadSearched(
         find=find,

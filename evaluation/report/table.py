@@ -17,21 +17,19 @@ import pyarrow as pa
 from rich.markup import escape
 from rich.table import Table
 
+from evaluation.names import TABLE_ENDINGS
 from shield.errors import ConfigError
 
 __all__ = [
     "COMPARISON",
     "SUMMARY",
-    "TABLE_ENDINGS",
     "Column",
+    "finished",
     "markdown",
     "read_episodes",
     "rich_table",
     "write_table",
 ]
-
-TABLE_ENDINGS = (".csv", ".parquet")
-"""File endings that `write_table` knows."""
 
 _Row = dict[str, Any]
 
@@ -191,6 +189,31 @@ def read_episodes(path: str | Path) -> pd.DataFrame:
         return _read(path)
     except (KeyError, ValueError, pa.ArrowInvalid) as error:
         raise ConfigError(f"{path} is not a table of episodes: {error}") from None
+
+
+def finished(path: str | Path) -> tuple[dict[str, Any], list[dict[str, Any]]] | None:
+    """Of a table of episodes: how it was made (see `evaluation.running.store.provenance`), and its rows, as
+    `EpisodeRecord.row` made them; None if there is no such file.
+
+    Raises
+    ------
+    ConfigError
+        If it is no such table.
+    """
+    path = Path(path)
+    if not path.is_file():
+        return None
+    frame, beside = read_episodes(path), path.with_suffix(".json")
+    made = frame.attrs.get("made") or {}
+    if path.suffix == ".csv" and beside.is_file():
+        made = json.loads(beside.read_text(encoding="utf-8"))
+    empty = {"violations": None, "success": None, "rules": ""}
+    rows = []
+    for row in frame.to_dict("records"):
+        row["latencies_ms"] = [float(each) for each in row["latencies_ms"]]
+        blank = {key: nothing for key, nothing in empty.items() if key in row and pd.isna(row[key])}
+        rows.append({**{str(key): value for key, value in row.items()}, **blank})
+    return made, rows
 
 
 def _read(path: Path) -> pd.DataFrame:

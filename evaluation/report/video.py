@@ -83,7 +83,7 @@ _STRAIGHT = ("highway", "two-way")
 
 def _filmed(setting: Setting, smooth: bool = True) -> Setting:
     """The setting as it is filmed: large pictures, and a high simulation frequency, which makes it another episode."""
-    frequency = {"simulation_frequency": max(_FREQUENCY, setting.config.get("simulation_frequency", 0))}
+    frequency = {"simulation_frequency": max(_FREQUENCY, setting.configured.get("simulation_frequency", 0))}
     return setting.override(
         {
             **(frequency if smooth else {}),

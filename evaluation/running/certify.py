@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import tomllib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,9 @@ import pandas as pd
 
 from evaluation.measuring.statistics import bootstrap_mean, clopper_pearson
 from evaluation.running.episodes import run_paired
+from evaluation.running.identity import check_files, differences, hash_of_files, of_environment, of_policy, versions
 from evaluation.running.many import Many
+from evaluation.running.named_policies import is_model, make_policy
 from evaluation.running.records import told, variant_for
 from evaluation.running.store import provenance
 from evaluation.settings import Setting
@@ -76,12 +79,23 @@ class Asked:
     def told(self) -> dict[str, Any]:
         """As plain values: what tells one run from another, whatever its length."""
         return {
-            "setting": {"env_id": self.setting.env_id, "config": dict(self.setting.config)},
-            "policy": self.policy,
+            "setting": of_environment(self.setting),
+            "policy": {"name": self.policy, **self._policy()},
             "seed": self.seed,
-            "shield": self.config.to_toml(),
+            "shield": tomllib.loads(self.config.to_toml()),
             "simulator": self.simulator,
+            "version of": versions(),
         }
+
+    def _policy(self) -> dict[str, Any]:
+        """What the policy is read from; a model is tried in the environment."""
+        if not is_model(self.policy):
+            return of_policy(self.policy)
+        env = self.setting.make()
+        try:
+            return of_policy(self.policy, make_policy(self.policy, env))
+        finally:
+            env.close()
 
     def parts(self) -> list[tuple[int, int]]:
         """Seed of the first episode of each part, and how many it has."""
@@ -114,7 +128,8 @@ def certify(asked: Asked, folder: str | Path, jobs: int = 1, progress: Any = Non
     folder = Path(folder)
     _claim(folder, asked)
     left = [part for part in asked.parts() if not _kept(folder, *part)]
-    for frame in _driven(asked, folder, left, joblib.effective_n_jobs(jobs)):
+    files = hash_of_files(asked.policy)
+    for frame in _driven(partial(_drive, asked, folder, files), left, joblib.effective_n_jobs(jobs)):
         if progress is not None:
             progress(frame)
     frames = [pd.read_parquet(_path(folder, *part)) for part in asked.parts()]
@@ -131,7 +146,7 @@ def _claim(folder: Path, asked: Asked) -> None:
         if note.exists():
             before = json.loads(note.read_text(encoding="utf-8"))["asked"]
             if before != told:
-                differ = ", ".join(sorted(key for key in told if before.get(key) != told[key]))
+                differ = ", ".join(differences(before, told)[:_SHOWN])
                 raise ConfigError(f"{folder} holds episodes of another run: it differs in {differ}; take a new folder")
             return
         note.write_text(json.dumps(provenance(told), indent=2) + "\n", encoding="utf-8")
@@ -147,18 +162,21 @@ def _kept(folder: Path, first: int, count: int) -> bool:
     return _path(folder, first, count).is_file()
 
 
-def _driven(asked: Asked, folder: Path, parts: list[tuple[int, int]], workers: int) -> Iterator[pd.DataFrame]:
+def _driven(
+    drive: Callable[[int, int], pd.DataFrame], parts: list[tuple[int, int]], workers: int
+) -> Iterator[pd.DataFrame]:
     if workers == 1:
-        yield from (_drive(asked, folder, *part) for part in parts)
+        yield from (drive(*part) for part in parts)
         return
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
         pool = joblib.Parallel(n_jobs=workers, return_as="generator_unordered")
-        yield from pool(joblib.delayed(_drive)(asked, folder, *part) for part in parts)
+        yield from pool(joblib.delayed(drive)(*part) for part in parts)
 
 
 @lru_cache(maxsize=1)
-def _side_by_side(asked: Asked) -> Many | None:
-    """What drives many episodes at once, where that can be done."""
+def _side_by_side(asked: Asked, files: str) -> Many | None:
+    """What drives many episodes at once, where that can be done; kept while `files`, the hashes of what the policy is
+    read from, are the same."""
 
     def compiled() -> tuple[Many, bool]:
         many = Many(asked.setting, asked.policy, asked.config)
@@ -170,19 +188,21 @@ def _side_by_side(asked: Asked) -> Many | None:
         return None  # one at a time it may be had, or says what is missing
 
 
-def _drive(asked: Asked, folder: Path, first: int, count: int) -> pd.DataFrame:
-    """One part, written whole or not at all."""
+def _drive(asked: Asked, folder: Path, files: str, first: int, count: int) -> pd.DataFrame:
+    """One part, written whole or not at all; `files` are the hashes of what the policy is read from."""
     seeds = range(first, first + count)
-    many = _side_by_side(asked)
+    check_files(asked.policy, None, files)
+    many = _side_by_side(asked, files)
     if many is not None:
         frame = many.run(seeds)
     else:
         table = run_paired(asked.setting, asked.policy, [variant_for(asked.config)], seeds, simulator=asked.simulator)
         frame = table[list(COLUMNS)].assign(fallbacks=table[FALLBACKS].sum(axis=1))
+    check_files(asked.policy, None, files)
     path = _path(folder, first, count)
-    partial = path.with_suffix(f".{os.getpid()}.partial")
-    frame.to_parquet(partial, index=False)
-    partial.replace(path)
+    written = path.with_suffix(f".{os.getpid()}.partial")
+    frame.to_parquet(written, index=False)
+    written.replace(path)
     return frame
 
 

@@ -125,7 +125,7 @@ def collect_driving(
         "offroad_terminal": False,
     }
     if policy is None:
-        kind = dict(setting.config["action"])
+        kind = dict(setting.configured["action"])
         top = float(kind.get("acceleration_range", (-5.0, 5.0))[1])
         change |= {"vehicles_count": 0, "action": {**kind, "acceleration_range": [BRAKING, top]}}
     env = setting.override(change).make()

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import joblib
 import numpy as np
@@ -21,6 +21,7 @@ from evaluation.measuring.attribution import AttributionRules, attribute_from_si
 from evaluation.measuring.recorder import Recorder
 from evaluation.running.counting import UNSHIELDED, Tally, arrival, driving
 from evaluation.running.driving_model import driving_model
+from evaluation.running.identity import check_files, hash_of_files
 from evaluation.running.named_policies import Policy, make_policy, policy_label, start_episode
 from evaluation.running.processes import in_processes
 from evaluation.running.records import EpisodeRecord, Variant
@@ -29,9 +30,10 @@ from evaluation.running.store import Store
 from evaluation.settings import Setting, get_setting
 from evaluation.threads import one_thread
 from shield import Shield, ShieldedEnv
+from shield.doors.adapters import refuse_misfits
 from shield.errors import ConfigError
 
-__all__ = ["Driver", "run_episode", "run_paired"]
+__all__ = ["Driver", "policy_name", "run_episode", "run_paired"]
 
 _CHUNK = 25
 
@@ -63,9 +65,10 @@ class Driver:
     ) -> None:
         self.setting, self.variant = setting, variant
         self.simulator, self.env = environment(setting, policy, variant, model, simulator, sensor)
-        self.label = _label(policy, model)
+        self.label = policy_name(policy, model)
         learned = driving_model(model, self.env)
         self.policy: Policy = make_policy(policy, self.env, algorithm, learned) if isinstance(policy, str) else policy
+        refuse_misfits(self.policy, self.env)
         self.driver: Policy = self.policy
         self.shield: Shield | None = None
         if variant.door == "env":
@@ -223,18 +226,19 @@ def run_paired(
     rows: list[dict[str, Any]] = []
     done: set[tuple[str, str, int]] = set()
     if store is not None:
-        label = _label(policy, model)
+        label = policy_name(policy, model)
         done = store.done(setting.name, label)
         rows = [row for row in store.rows if (row["setting"], row["policy"]) == (setting.name, label)]
+        asked = {(variant.place, variant.mode, seed) for variant in variants for seed in seeds}
+        rows = [row for row in rows if (row["door"], row["mode"], row["seed"]) in asked]
     # One episode a call where each is kept as it finishes: the driver is, too.
     size = 1 if store is not None else min(_CHUNK, -(-len(seeds) // workers))
     calls = []
+    files = hash_of_files(policy, model) if isinstance(policy, str) else ""
     for variant in variants:
+        driven = _Driven(setting, policy, variant, algorithm, model, simulator, sensor, files)
         left = [seed for seed in seeds if (variant.place, variant.mode, seed) not in done]
-        calls += [
-            (setting, policy, variant, left[i : i + size], algorithm, model, simulator, sensor)
-            for i in range(0, len(left), size)
-        ]
+        calls += [(driven, left[i : i + size]) for i in range(0, len(left), size)]
     console, total, said = Console(stderr=True), len(seeds) * len(variants), 0
     with Progress(disable=not (progress and console.is_terminal), transient=True, console=console) as bar:
         task = bar.add_task(f"{setting.name}", total=total, completed=len(rows))
@@ -262,26 +266,43 @@ def _crashes(rows: list[dict[str, Any]]) -> str:
     return ", ".join(f"{name}: {sum(crashed)} of {len(crashed)} crashed" for name, crashed in driven.items())
 
 
-def _label(policy: str | Policy, model: str | None) -> str:
+def policy_name(policy: str | Policy, model: str | None) -> str:
     """The name that the episodes of a policy are reported under."""
     label = policy_label(policy) if isinstance(policy, str) else type(policy).__name__
     return label if model in (None, "bicycle") else f"{label}-{Path(str(model)).name}"
 
 
-def _run_chunk(
-    setting: Setting,
-    policy: str | Policy,
-    variant: Variant,
-    seeds: list[int],
-    algorithm: str | None,
-    model: str | None,
-    simulator: str,
-    sensor: str,
-) -> list[dict[str, Any]]:
+class _Driven(NamedTuple):
+    """What is driven, as of `run_episode`; `files` are the hashes of what the policy is read from."""
+
+    setting: Setting
+    policy: str | Policy
+    variant: Variant
+    algorithm: str | None
+    model: str | None
+    simulator: str
+    sensor: str
+    files: str
+
+    def driver(self) -> Driver:
+        """Ready to drive it.
+
+        Raises
+        ------
+        PolicyError
+            If the files of the policy have changed since the hashes were taken.
+        """
+        driver = Driver(*self[:-1])
+        if isinstance(self.policy, str):
+            check_files(self.policy, self.model, self.files)
+        return driver
+
+
+def _run_chunk(driven: _Driven, seeds: list[int]) -> list[dict[str, Any]]:
     with one_thread():
-        if len(seeds) == 1 and isinstance(policy, str):
-            return [_kept(setting, policy, variant, algorithm, model, simulator, sensor).run(seeds[0]).row()]
-        driver = Driver(setting, policy, variant, algorithm, model, simulator, sensor)
+        if len(seeds) == 1 and isinstance(driven.policy, str):
+            return [_kept(driven).run(seeds[0]).row()]
+        driver = driven.driver()
         try:
             return [driver.run(seed).row() for seed in seeds]
         finally:
@@ -289,14 +310,6 @@ def _run_chunk(
 
 
 @lru_cache(maxsize=4)
-def _kept(
-    setting: Setting,
-    policy: str,
-    variant: Variant,
-    algorithm: str | None,
-    model: str | None,
-    simulator: str,
-    sensor: str,
-) -> Driver:
-    """A driver that is kept from one episode to the next."""
-    return Driver(setting, policy, variant, algorithm, model, simulator, sensor)
+def _kept(driven: _Driven) -> Driver:
+    """A driver that is kept from one episode to the next, while the files that its policy is read from are the same."""
+    return driven.driver()

@@ -130,7 +130,9 @@ class Many:
             raise ConfigError(
                 f"{policy!r} does not drive side by side; have {', '.join(_NAMED)}, references and zip files"
             )
-        self._highways = batch_for(setting.env_id, config)(setting.env_id, envs, setting.config, config, tape=chosen)
+        self._highways = batch_for(setting.env_id, config)(
+            setting.env_id, envs, setting.configured, config, tape=chosen
+        )
         self._setting, self._policy, self._config = setting, policy, config
         self.steps = self._highways.steps
         made = make_policy(policy, self._highways.one())

@@ -25,7 +25,7 @@ from dynamics.vehicle.actuators import Actuators
 from evaluation.learning.algorithms import load_model
 from evaluation.learning.normalised_model import statistics_beside, with_statistics
 from evaluation.learning.training import manifest_path
-from evaluation.names import BASELINES
+from evaluation.names import BASELINES, check_policy, policy_label
 from evaluation.policies import list_references, load_reference
 from evaluation.running.highway_planner import highway_policy
 from evaluation.running.parking_planner import PARKING_POLICIES, parking_policy
@@ -34,7 +34,8 @@ from mpc import MPCPolicy
 from mpc.filter.program.road_step import StageModel
 from mpc.lookahead_policy import LookaheadPolicy
 from shield.batch.lookahead import ShieldedLookaheadPolicy
-from shield.errors import ConfigError
+from shield.doors.adapters import refuse_misfits
+from shield.errors import ConfigError, PolicyError
 
 __all__ = [
     "BASELINES",
@@ -42,6 +43,7 @@ __all__ = [
     "Policy",
     "RandomPolicy",
     "WeavingPolicy",
+    "is_model",
     "make_policy",
     "policy_label",
     "start_episode",
@@ -165,15 +167,15 @@ class WeavingPolicy:
         return np.resize(self.actions, steps)
 
 
+def is_model(name: str) -> bool:
+    """Whether a policy is read from a file: a reference policy, or a zip file."""
+    return name.endswith(".zip") or name in list_references()
+
+
 def start_episode(policy: Policy, seed: int) -> None:
     """Tell a policy that an episode with this seed begins; `RandomPolicy` and `WeavingPolicy` listen."""
     if isinstance(policy, RandomPolicy | WeavingPolicy):
         policy.reset(seed)
-
-
-def policy_label(name: str) -> str:
-    """The name that results are reported under: of a zip file, its stem."""
-    return Path(name).stem if name.endswith(".zip") else name
 
 
 def make_policy(
@@ -194,7 +196,8 @@ def make_policy(
     ConfigError
         On an unknown name, or a zip file of unknown algorithm; the message lists what is valid.
     PolicyError
-        If a zip file cannot be read (see `evaluation.learning.algorithms.load_model`).
+        If a file cannot be read (see `evaluation.learning.algorithms.load_model`), or holds a model for other
+        observations or actions than the environment's.
     """
     if name in _META or name in _INPUTS:
         return ConstantPolicy(_constant(name, env))
@@ -213,12 +216,15 @@ def make_policy(
         return roundabout_policy(env) if roundabout else highway_policy(env)
     if name in PARKING_POLICIES:
         return parking_policy(name, env)
-    if name in list_references():
-        return load_reference(name)
-    if name.endswith(".zip"):
-        return _load_zip(Path(name), algorithm, env)
-    known = ", ".join([*BASELINES, *list_references()])
-    raise ConfigError(f"unknown policy {name!r}; have {known}, or the path of an SB3 .zip file")
+    if is_model(name):
+        made = load_reference(name) if name in list_references() else _load_zip(Path(name), algorithm, env)
+        try:
+            refuse_misfits(made, env)
+        except PolicyError as error:
+            raise PolicyError(f"{name} does not drive this environment: {error}") from None
+        return made
+    check_policy(name)
+    raise ConfigError(f"the policy {name!r} does not drive this environment")
 
 
 def _constant(name: str, env: gym.Env[Any, Any]) -> int | NDArray[np.float32]:
@@ -264,8 +270,7 @@ def _list(names: Iterable[str]) -> str:
 
 
 def _load_zip(path: Path, algorithm: str | None, env: gym.Env[Any, Any]) -> Policy:
-    if not path.is_file():
-        raise ConfigError(f"there is no policy file {path}")
+    check_policy(str(path))
     manifest = manifest_path(path)
     if algorithm is None and manifest.is_file():
         algorithm = json.loads(manifest.read_text(encoding="utf-8")).get("algorithm")

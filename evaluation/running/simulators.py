@@ -56,7 +56,7 @@ def environment(
                 raise ConfigError(f"the sensor {sensor!r} observes highway-env itself on this road")
             return _with_compiled_frames(made, variant)
         _check(policy, variant, model)
-        env = CompiledHighwayEnv(setting.env_id, setting.config)
+        env = CompiledHighwayEnv(setting.env_id, setting.configured)
         if variant.door != "none" and variant.config.simulates and isinstance(env.action_type, ContinuousAction):
             raise ConfigError("throttle and steering are verified by simulation in highway-env itself")
         return seen_through(env, sensor), env.simulator.exact

@@ -7,34 +7,36 @@ import os
 import sys
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from dynamics.errors import ConfigError, DataError
+from evaluation.running.identity import differences, versions
 
-__all__ = ["Store", "provenance"]
+__all__ = ["SECTIONS", "Store", "provenance"]
 
-_PACKAGES = ("highway-shield", "highway-env", "gymnasium", "stable-baselines3", "torch", "numpy", "numba")
+SECTIONS = {"settings": "setting", "policies": "policy", "shields": "shield"}
+"""What is asked for by name: a run that goes on may have others, and those of the same name have to be the same."""
+_FREE = ("episodes", *SECTIONS)
+"""What a run that goes on may have more of."""
+_SHOWN = 6
+"""So many differences are listed."""
 _KEY = ("setting", "policy", "door", "mode", "seed")
+_AGAIN = "--force begins again, another --output keeps both"
 
 
-def provenance(asked: Mapping[str, Any]) -> dict[str, Any]:
-    """What made a file: what was asked for, the command line, the date, and the versions of what took part."""
-    versions = {}
-    for name in _PACKAGES:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    command = " ".join(["shield", *sys.argv[1:]])
-    python = sys.version.split()[0]
+def provenance(asked: Mapping[str, Any], earlier: Iterable[str] = ()) -> dict[str, Any]:
+    """What made a file: what was asked for, the command line and those before it, the date, and the versions of what
+    took part."""
     return {
         "asked": dict(asked),
-        "command": command,
+        "command": " ".join(["shield", *sys.argv[1:]]),
+        "earlier": list(earlier),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "python": python,
-        "versions": versions,
+        "python": sys.version.split()[0],
+        "versions": versions(),
     }
 
 
@@ -47,36 +49,54 @@ class Store:
     Parameters
     ----------
     path : of the table that is to come; the episodes are beside it until then. None keeps them in memory.
-    asked : what tells one comparison from another.
-    resume : whether to go on where one that was stopped has left off.
+    asked : what determines the rows, as plain values: mappings by name under the keys in `SECTIONS`, and whatever else
+        is the same for all rows.
+    resume : whether to go on where one that was stopped has left off, or to extend one that is finished.
+    finished : of one that is finished, how its table was made (see `provenance`), and its rows.
 
     Raises
     ------
     ConfigError
-        If episodes of another comparison are there, or there are some and it is not to be resumed.
+        If episodes of another comparison are there: what determines their rows, or the versions of the libraries,
+        differ. Or if there are some and it is not to be resumed.
+    DataError
+        If the file cannot be read.
     """
 
-    def __init__(self, path: Path | None, asked: Mapping[str, Any], resume: bool = False) -> None:
+    def __init__(
+        self,
+        path: Path | None,
+        asked: Mapping[str, Any],
+        resume: bool = False,
+        finished: tuple[Mapping[str, Any], list[dict[str, Any]]] | None = None,
+    ) -> None:
         self._rows: list[dict[str, Any]] = []
         self.path: Path | None = None
+        self.made = provenance(json.loads(json.dumps(asked)))
         if path is None:
             return
         self.path = path.with_name(path.name + ".episodes")
-        asked = json.loads(json.dumps(asked))
         if self.path.exists() and self.path.stat().st_size:
             if not resume:
                 raise ConfigError(
                     f"{self.path.name} holds the episodes of a run that was stopped; --resume goes on with it, "
                     "--force begins again"
                 )
-            self._read(asked)
+            before, rows = self._read()
+            self._go_on(self.path.name, before, rows)
+        elif finished is not None:
+            self._go_on(path.name, *finished)
         else:
-            self._write([provenance(asked)])
+            self._write([self.made])
 
     @property
     def rows(self) -> list[dict[str, Any]]:
         """The episodes so far, as `EpisodeRecord.row` made them."""
         return list(self._rows)
+
+    def table(self) -> pd.DataFrame:
+        """The episodes so far."""
+        return pd.DataFrame(self._rows)
 
     def done(self, setting: str, policy: str) -> set[tuple[str, str, int]]:
         """Door, mode and seed of those that need not be driven again."""
@@ -95,6 +115,41 @@ class Store:
         if self.path is not None:
             self.path.unlink(missing_ok=True)
 
+    def _go_on(self, name: str, before: Mapping[str, Any], rows: Iterable[dict[str, Any]]) -> None:
+        """Take the rows that are there, and add what is asked for to what was asked for."""
+        asked, was = self.made["asked"], before.get("asked")
+        if was is None:
+            raise ConfigError(f"{name} does not say how it was made, and nothing can be added to it; {_AGAIN}")
+        differ = _differences(was, asked)
+        differ += differences({"version of": before.get("versions", {})}, {"version of": self.made["versions"]})
+        if differ:
+            more = f" and {len(differ) - _SHOWN} more" if len(differ) > _SHOWN else ""
+            raise ConfigError(
+                f"{name} holds episodes of another comparison: {', '.join(differ[:_SHOWN])}{more} differ; {_AGAIN}"
+            )
+        whole = {**asked, **{key: {**was.get(key, {}), **asked[key]} for key in SECTIONS if key in asked}}
+        commands = dict.fromkeys([*before.get("earlier", ()), before.get("command", "")])
+        self.made = {**self.made, "asked": whole, "earlier": list(commands)}
+        seen: set[Any] = set()
+        for row in rows:
+            key = tuple(row[name] for name in _KEY)
+            if key not in seen:
+                seen.add(key)
+                self._rows.append(row)
+        self._rewrite()
+
+    def _rewrite(self) -> None:
+        """The whole file anew, or not at all."""
+        assert self.path is not None
+        partial, path = self.path.with_name(self.path.name + ".partial"), self.path
+        self.path = partial
+        try:
+            partial.unlink(missing_ok=True)
+            self._write([self.made, *self._rows])
+            partial.replace(path)
+        finally:
+            self.path = path
+
     def _write(self, lines: list[dict[str, Any]]) -> None:
         if self.path is None:
             return
@@ -104,32 +159,31 @@ class Store:
             file.flush()
             os.fsync(file.fileno())
 
-    def _read(self, asked: Any) -> None:
+    def _read(self) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+        """How the episodes that are there were made, and their rows, without one that was not written to its end."""
         assert self.path is not None
-        whole, _, torn = self.path.read_bytes().rpartition(b"\n")
-        lines = whole.split(b"\n") if whole else []
+        whole, _, _torn = self.path.read_bytes().rpartition(b"\n")
+        if not whole:
+            # Killed before the first line was written to its end.
+            return self.made, []
         try:
-            first, *rows = [json.loads(line) for line in lines] or [{}]
+            first, *rows = [json.loads(line) for line in whole.split(b"\n")]
         except ValueError as error:
             raise DataError(f"{self.path} is damaged: {error}; --force begins again") from None
-        before = first.get("asked")
-        if before != asked and lines:
-            keys = sorted(k for k in {*asked, *(before or {})} if (before or {}).get(k) != asked.get(k))
-            raise ConfigError(
-                f"{self.path.name} holds episodes of another comparison: {', '.join(keys)} differ; --force begins again"
-            )
-        if torn or not lines:
-            # Cut off what has not been written to its end, so that the next line begins at the start of one.
-            with self.path.open("r+b") as file:
-                file.truncate(len(whole) + 1 if lines else 0)
-            if not lines:
-                self._write([provenance(asked)])
-        seen: set[Any] = set()
-        for row in rows:
-            key = tuple(row[name] for name in _KEY)
-            if key not in seen:
-                seen.add(key)
-                self._rows.append(row)
+        return first, rows
+
+
+def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Where what was asked for differs from what is, in words: of what has a name, where both have it."""
+    found = differences(*({key: value for key, value in each.items() if key not in _FREE} for each in (before, now)))
+    for key, word in SECTIONS.items():
+        one, two = before.get(key, {}), now.get(key, {})
+        if not (isinstance(one, Mapping) and isinstance(two, Mapping)):
+            found += differences({key: one}, {key: two})
+            continue
+        for name in sorted(one.keys() & two.keys()):
+            found += [f"{word} {name}: {each}" for each in differences(one[name], two[name])]
+    return found
 
 
 def _plain(value: Any) -> Any:

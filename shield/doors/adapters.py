@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
 from shield.errors import PolicyError
@@ -63,7 +64,7 @@ def refuse_misfits(policy: Any, env: Any) -> None:
         mine, theirs = getattr(policy, name, None), _single(env, name)
         if mine is None or theirs is None:
             continue
-        if type(mine) is not type(theirs) or mine.shape != theirs.shape or _count(mine) != _count(theirs):
+        if not _alike(mine, theirs):
             raise PolicyError(
                 f"the policy was made for another {name}: it has {mine}, the environment {theirs}. Pass one with the "
                 "configuration, and the wrappers, that the policy was trained with"
@@ -74,8 +75,16 @@ def _single(env: Any, name: str) -> Any:
     return getattr(env, f"single_{name}", None) or getattr(env, name, None)
 
 
-def _count(space: Any) -> Any:
-    return getattr(space, "n", None)
+def _alike(mine: Any, theirs: Any) -> bool:
+    """Whether two spaces are of one kind, shape and number of values, and so are the spaces within them."""
+    if type(mine) is not type(theirs) or mine.shape != theirs.shape:
+        return False
+    if isinstance(mine, gym.spaces.Dict):
+        return mine.keys() == theirs.keys() and all(_alike(mine[key], theirs[key]) for key in mine)
+    if isinstance(mine, gym.spaces.Tuple):
+        return len(mine) == len(theirs) and all(map(_alike, mine, theirs))
+    counts: list[Any] = [[getattr(space, name, None) for name in ("n", "nvec")] for space in (mine, theirs)]
+    return all(map(np.array_equal, *counts))
 
 
 def _check_signature(policy: Any) -> None:

@@ -14,7 +14,7 @@ from gymnasium.utils import RecordConstructorArgs
 
 from shield.config import ShieldConfig
 from shield.decision import Decision
-from shield.doors.adapters import as_policy
+from shield.doors.adapters import as_policy, refuse_misfits
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import base_environments, check_step, the_action_type
 from shield.doors.input_door import InputDoor
@@ -80,6 +80,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     ------
     SceneError
         If the environment's road or number of controlled vehicles is not supported.
+    PolicyError
+        If `policy` cannot be used as one, or was made for other observations or actions.
     ConfigError
         If its action type is neither `DiscreteMetaAction` nor `ContinuousAction`, or meta-actions in a parking lot; if
         a wrapper inside changes the actions, which `step` finds out of one that is no `ActionWrapper`; or if the
@@ -128,6 +130,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         gym.Wrapper.__init__(self, env)
         self._base: Any = bases[0]
         self.policy = None if policy is None else as_policy(policy, env)
+        refuse_misfits(self.policy, env)
         kind = "MultiAgentAction" if is_team(self._base) else the_action_type(bases, "ShieldedEnv")
         on_roads = kind == "DiscreteMetaAction" and rule is None and has_crossings(self._base)
         self.config = ShieldConfig.of(config, default_on(self._base) if on_roads else None)

@@ -10,7 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from evaluation import policies
-from evaluation.commands.cli import _asked_settings, _split, app, main
+from evaluation.commands.asking import ask_settings, split
+from evaluation.commands.cli import app, main
 from evaluation.commands.road_demo import check_road
 from evaluation.report.gallery import ROADS
 from evaluation.settings import setting_of
@@ -33,7 +34,7 @@ def test_config_prints_the_defaults():
 
 
 def test_lists_may_be_repeated_or_separated_by_commas():
-    assert _split(["none,full", " rss ", "full"]) == ["none", "full", "rss"]
+    assert split(["none,full", " rss ", "full"]) == ["none", "full", "rss"]
 
 
 def test_evaluate_prints_markdown_and_writes_three_tables(tmp_path):
@@ -88,7 +89,7 @@ def test_any_environment_is_evaluated_by_its_id(tmp_path):
     assert set(pd.read_parquet(output)["setting"]) == {"highway-v0+short"}
     again = RUN.invoke(app, ["evaluate", *arguments])
     assert isinstance(again.exception, ConfigError)
-    assert "exists already; --force overwrites it" in str(again.exception)
+    assert "exists already; --resume extends it, --force overwrites it" in str(again.exception)
     assert RUN.invoke(app, ["evaluate", *arguments, "--force"], catch_exceptions=False).exit_code == 0
 
 
@@ -97,7 +98,7 @@ def test_any_environment_is_evaluated_by_its_id(tmp_path):
     [
         (["--env-id", "nothing-v0"], "there is no environment 'nothing-v0'"),
         (["--env-id", "no_module:nothing-v0"], "there is no environment"),
-        (["--env-id", "CartPole-v1"], "CartPole-v1 cannot be made with its defaults"),
+        (["--env-id", "CartPole-v1"], "CartPole-v1 is not a highway-env environment"),
         (
             ["--env-id", "highway-v0", "--env-config", "missing.toml"],
             "there is no environment configuration missing.toml",
@@ -130,7 +131,7 @@ def test_a_road_that_is_not_made_with_throttle_and_steering_is_answered_with_wha
 def test_a_key_that_an_environment_does_not_know_is_told(tmp_path, capsys):
     config = tmp_path / "env.toml"
     config.write_text("vehicles_counts = 3\nduration = 2\nnonsense = 1\n", encoding="utf-8")
-    (setting,) = _asked_settings(None, "highway-fast-v0", config)
+    (setting,) = ask_settings(None, "highway-fast-v0", config)
     told = capsys.readouterr().err
     assert setting.config["duration"] == 2
     assert "no 'vehicles_counts' in its configuration, and ignores it; perhaps 'vehicles_count' is meant" in told

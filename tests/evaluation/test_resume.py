@@ -26,7 +26,7 @@ from evaluation.settings import Setting
 
 EPISODES = 20
 SHORT = Setting("short", "highway-fast-v0", {"duration": 2, "vehicles_count": 5})
-ASKED = {"seed": 5, "policies": ["faster"]}
+ASKED = {"seed": 5, "policies": {"faster": {}}}
 
 
 def command(folder, *more):
@@ -124,7 +124,10 @@ def test_episodes_of_another_comparison_are_not_mixed_in(tmp_path):
     Store(path, ASKED)
     with pytest.raises(ConfigError, match=r"was stopped; --resume goes on with it, --force begins again"):
         Store(path, ASKED)
-    with pytest.raises(ConfigError, match=r"another comparison: model, seed differ; --force"):
+    with pytest.raises(
+        ConfigError,
+        match=r"another comparison: seed \(5, now 6\), model \(none, now learned\) differ; --force begins again",
+    ):
         Store(path, {**ASKED, "seed": 6, "model": "learned"}, resume=True)
     assert Store(path, ASKED, resume=True).rows == []
     (tmp_path / "x.parquet.episodes").write_bytes(b"nothing\n{}\n")

@@ -29,6 +29,7 @@ from dynamics.networks.episodes.rewards import CROSSING, EXITING, MERGING, NAMES
 from dynamics.networks.layout import ACROSS, ALONG, ROAD, F, G
 from dynamics.networks.network import Network, index_of, network_of
 from dynamics.networks.refusals import customs_of, exits_of
+from dynamics.scenes.registration import spec_of
 from dynamics.simulator.kinds import constants_of, ranges_of
 from dynamics.simulator.layout import ACC_MAX, COMFORT, CONTINUOUS, EGO, LANE, MAX_SPEED, MIN_SPEED, OBSTACLE, TARGET, P
 from dynamics.simulator.live import load_body
@@ -120,7 +121,7 @@ def road_scenario_of(env_id: str, config: Mapping[str, Any] | None = None) -> Ro
         labels=np.array([ACTIONS.index(labels[k]) for k in sorted(labels)], np.int64),
         law=_LAW,
     )
-    worth = _worth(base, lanes)._replace(decisions=int(gym.spec(env_id).max_episode_steps or 0))
+    worth = _worth(base, lanes)._replace(decisions=int(spec_of(env_id).max_episode_steps or 0))
     view, shape = _view(base, lanes)
     rules = EpisodeRules(drive, _scene(base, lanes, places, ways, target_speeds), _coming(base, lanes), view, worth)
     return RoadScenario(
@@ -152,8 +153,8 @@ def on_roads(env_id: str) -> bool:
 def _class_of(env_id: str) -> tuple[Any, Any]:
     """How an environment is registered, and what makes it."""
     try:
-        spec = gym.spec(env_id)
-    except gym.error.Error as error:
+        spec = spec_of(env_id)
+    except (gym.error.Error, ImportError) as error:
         raise ConfigError(f"there is no environment {env_id!r}: {error}") from None
     entry: Any = spec.entry_point
     return spec, gym.envs.registration.load_env_creator(entry) if isinstance(entry, str) else entry

@@ -1,0 +1,103 @@
+"""What several commands ask for alike: settings, environments of the user's, policies. Mistakes in names and files are
+found before anything slow is imported."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from dynamics.errors import perhaps
+from evaluation.commands.names import DEMO_SETTING
+from evaluation.names import check_policy
+from evaluation.settings import get_setting, setting_of
+from shield.config import MODES, PERCEPTIONS
+from shield.errors import ConfigError
+
+if TYPE_CHECKING:
+    from evaluation.settings import Setting
+
+__all__ = ["EnvConfig", "EnvId", "ask_policies", "ask_setting", "ask_settings", "check_modes", "split"]
+
+_err = Console(stderr=True, highlight=False)
+
+EnvId = Annotated[
+    str | None, typer.Option(help="Any environment by its Gymnasium id instead, such as highway-v0 or module:id.")
+]
+EnvConfig = Annotated[
+    Path | None,
+    typer.Option(help="TOML file of what differs from the configuration that --env-id is registered with."),
+]
+
+
+def ask_settings(names: Sequence[str] | None, env_id: str | None, config: Path | None) -> list[Setting]:
+    """The settings of a comparison: named, or an environment of the user's, whose unknown keys are told.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such setting, environment or file; or if both are given.
+    """
+    if env_id is None:
+        if config is not None:
+            raise ConfigError("--env-config goes with --env-id")
+        return [get_setting(name) for name in split(names or [DEMO_SETTING])]
+    if names is not None:
+        raise ConfigError("give either --setting or --env-id")
+    setting = setting_of(env_id, config)
+    if config is not None:
+        from evaluation.commands.unknown_keys import unknown_keys
+
+        for told in unknown_keys(setting):
+            _err.print(told, style="yellow", markup=False, soft_wrap=True)
+    return [setting]
+
+
+def ask_setting(name: str | None, env_id: str | None, config: Path | None) -> Setting:
+    """One setting, as of `ask_settings`."""
+    if name is not None and env_id is None and config is None:
+        return get_setting(name)
+    return ask_settings(None if name is None else [name], env_id, config)[0]
+
+
+def ask_policies(names: Sequence[str]) -> list[str]:
+    """Policies by name, or as paths of zip files.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such policy or file.
+    """
+    policies = split(names)
+    for name in policies:
+        check_policy(name)
+    return policies
+
+
+def check_modes(modes: Sequence[str], perceptions: Sequence[str] = ()) -> None:
+    """Raise where a shield has no such mode, or reads scenes from nothing of that name.
+
+    Raises
+    ------
+    ConfigError
+        That lists what there is.
+    """
+    for what, names, valid in (("shield mode", modes, MODES), ("perception", perceptions, PERCEPTIONS)):
+        for name in names:
+            if name not in valid:
+                raise ConfigError(f"unknown {what} {name!r}{perhaps(name, valid)}; valid are {', '.join(valid)}")
+
+
+def split(values: Sequence[str]) -> list[str]:
+    """Repeated options and comma lists as one list, each value once.
+
+    Examples
+    --------
+    >>> split(["none,full", " rss ", "full"])
+    ['none', 'full', 'rss']
+    """
+    names = [name.strip() for value in values for name in value.split(",") if name.strip()]
+    return list(dict.fromkeys(names))

@@ -1,0 +1,119 @@
+"""A comparison: policies in settings, through sensors, behind variants of the shield, all on the same seeds."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from evaluation.running.episodes import policy_name, run_paired
+from evaluation.running.identity import of_environment, of_policy
+from evaluation.running.named_policies import is_model, make_policy
+from evaluation.running.records import Variant
+from evaluation.running.simulators import environment
+from evaluation.running.store import Store
+from evaluation.settings import Setting
+from shield.errors import ConfigError
+
+__all__ = ["Comparison"]
+
+_KEY = ["setting", "policy", "door", "mode", "seed"]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What is driven.
+
+    Attributes
+    ----------
+    settings : each with what stands between the policy and the environment there.
+    policies : by name, or as paths of zip files. sensors : through which they see.
+    seeds : of the episodes of each row.
+    algorithm, model, simulator : as of `evaluation.running.episodes.run_episode`.
+
+    Raises
+    ------
+    ConfigError
+        If two policies would be reported under the same name.
+    """
+
+    settings: tuple[tuple[Setting, tuple[Variant, ...]], ...]
+    policies: tuple[str, ...]
+    seeds: range
+    sensors: tuple[str, ...] = ("exact",)
+    algorithm: str | None = None
+    model: str | None = None
+    simulator: str = "auto"
+
+    def __post_init__(self) -> None:
+        named: dict[str, str] = {}
+        for each in self.policies:
+            label = policy_name(each, self.model)
+            if label in named:
+                raise ConfigError(
+                    f"{named[label]} and {each} would both be reported as {label!r}; copy one to another name"
+                )
+            named[label] = each
+
+    def asked(self) -> dict[str, Any]:
+        """What determines the rows, as plain values (see `evaluation.running.store.Store`).
+
+        Raises
+        ------
+        ConfigError, PolicyError
+            If an environment cannot be made, or a policy cannot drive it.
+        """
+        return {
+            "settings": {setting.name: of_environment(setting) for setting, _ in self.settings},
+            "policies": self._policies(),
+            "shields": {
+                f"{setting.name}, {variant.place}, {variant.mode}": tomllib.loads(variant.config.to_toml())
+                for setting, variants in self.settings
+                for variant in variants
+            },
+            "seed": self.seeds.start,
+            "episodes": len(self.seeds),
+            "simulator": self.simulator,
+        }
+
+    def drive(self, store: Store, jobs: int) -> pd.DataFrame:
+        """Drive what is not in the store; all rows, those of earlier runs that were not asked for again first."""
+        parts = [
+            run_paired(
+                setting if sensor == "exact" else setting.override({}, name=f"{setting.name}, {sensor}"),
+                policy,
+                variants,
+                self.seeds,
+                jobs=jobs,
+                algorithm=self.algorithm,
+                model=self.model,
+                simulator=self.simulator,
+                sensor=sensor,
+                progress=True,
+                store=store,
+            )
+            for setting, variants in self.settings
+            for sensor in self.sensors
+            for policy in self.policies
+        ]
+        driven = pd.concat(parts, ignore_index=True)
+        asked = set(driven[_KEY].itertuples(index=False, name=None))
+        others = [row for row in store.rows if tuple(row[key] for key in _KEY) not in asked]
+        return pd.concat([pd.DataFrame(others), driven], ignore_index=True) if others else driven
+
+    def _policies(self) -> Mapping[str, Any]:
+        """What each policy is read from; each model is tried in each environment."""
+        found = {policy_name(each, self.model): of_policy(each, model=self.model) for each in self.policies}
+        for setting, _ in self.settings:
+            for sensor in self.sensors:
+                _, env = environment(setting, "idle", Variant(), None, "highway-env", sensor)
+                try:
+                    for each in filter(is_model, self.policies):
+                        made = make_policy(each, env, self.algorithm)
+                        found[policy_name(each, self.model)] = of_policy(each, made, self.model)
+                finally:
+                    env.close()
+        return found

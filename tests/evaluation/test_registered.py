@@ -1,0 +1,93 @@
+"""An environment that is registered with settings of its own is driven with them, wherever it is named by its id."""
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import pytest
+from registered_highways import CONFIG
+from typer.testing import CliRunner
+
+from dynamics.scenes.registration import spec_of
+from evaluation.commands.cli import app
+from evaluation.rare.finds import Find, replay
+from evaluation.running.certify import Asked, certify
+from evaluation.running.episodes import run_episode
+from evaluation.running.records import Variant
+from evaluation.settings import Setting, setting_of
+from shield.config import ShieldConfig
+
+RUN = CliRunner()
+IDS = ["registered-stock-v0", "registered-own-v0", "registered-function-v0"]
+"""The first is simulated compiled where it can be."""
+
+
+def bare(env_id, seed, **config):
+    """Return and number of decisions of always FASTER in what `gym.make` makes."""
+    env = gym.make(env_id, **({"config": {**CONFIG, **config}} if config else {}))
+    env.reset(seed=seed)
+    total, steps, done = 0.0, 0, False
+    while not done:
+        _, reward, terminated, truncated, _ = env.step(3)
+        total, steps, done = total + reward, steps + 1, terminated or truncated
+    env.close()
+    return total, steps
+
+
+@pytest.mark.parametrize("env_id", IDS)
+@pytest.mark.parametrize("name", ["{}", "registered_highways:{}"])
+def test_a_setting_by_id_is_what_is_registered(env_id, name):
+    env = setting_of(name.format(env_id)).make()
+    try:
+        assert {key: env.unwrapped.config[key] for key in CONFIG} == CONFIG
+    finally:
+        env.close()
+
+
+def test_a_configuration_goes_over_what_is_registered(tmp_path):
+    (tmp_path / "longer.toml").write_text("duration = 5\n", encoding="utf-8")
+    setting = setting_of("registered-stock-v0", tmp_path / "longer.toml")
+    assert setting.configured == {**CONFIG, "duration": 5}
+    assert setting.config == {"duration": 5}
+    env = setting.make()
+    assert {key: env.unwrapped.config[key] for key in CONFIG} == {**CONFIG, "duration": 5}
+    env.close()
+    for simulator in ("compiled", "highway-env"):
+        record = run_episode(setting, "faster", seed=100_007, simulator=simulator)
+        assert (record.return_, record.steps) == pytest.approx(bare("registered-stock-v0", 100_007, duration=5))
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_the_command_drives_what_is_registered(env_id, tmp_path):
+    output = tmp_path / "x.csv"
+    asked = ["evaluate", "--env-id", env_id, "--policy", "faster", "--shield", "none", "--episodes", "2", "--jobs", "1"]
+    result = RUN.invoke(app, [*asked, "--seed", "100005", "--output", str(output)], catch_exceptions=False)
+    assert result.exit_code == 0
+    episodes = pd.read_csv(output)
+    for k, seed in enumerate((100_005, 100_006)):
+        assert tuple(episodes.loc[k, ["return", "steps"]]) == pytest.approx(bare(env_id, seed))
+
+
+def test_a_certificate_is_of_what_is_registered(tmp_path):
+    asked = Asked(setting_of("registered-stock-v0"), "faster", 2, 50, ShieldConfig())
+    found = certify(asked, tmp_path)
+    record = run_episode(asked.setting, "faster", Variant("env"), 51, simulator="highway-env")
+    assert record.steps == CONFIG["duration"]
+    assert tuple(found.loc[1, ["steps", "return", "min_gap"]]) == (record.steps, record.return_, record.min_gap)
+
+
+def test_a_find_is_replayed_in_what_is_registered():
+    """Two lanes and four others: with the class's defaults the numbers would be of another scene."""
+    from dynamics.simulator.simulator import Simulator
+
+    setting = Setting("registered", "registered-stock-v0")
+    draws = Simulator("registered-stock-v0", 1, setting.configured, tape=True).draws
+    shares = tuple(np.linspace(0.05, 0.95, draws).tolist())
+    find = Find("registered-stock-v0", {}, ShieldConfig(mode="none").to_toml(), "any", shares, (3,), 0.0)
+    explicit = Find("highway-fast-v0", CONFIG, find.shield, "any", shares, (3,), 0.0)
+    assert replay(find).clearance == replay(explicit).clearance
+
+
+def test_an_id_without_a_version_is_the_latest():
+    assert spec_of("registered_highways:registered-own").id == "registered-own-v0"
+    with pytest.raises(gym.error.Error):
+        spec_of("registered-nothing-v0")

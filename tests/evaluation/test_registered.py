@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
-from registered_highways import CONFIG
+from registered_highways import CONFIG, IDS, registered
 from typer.testing import CliRunner
 
 from dynamics.scenes.registration import spec_of
@@ -17,8 +17,12 @@ from evaluation.settings import Setting, setting_of
 from shield.config import ShieldConfig
 
 RUN = CliRunner()
-IDS = ["registered-stock-v0", "registered-own-v0", "registered-function-v0"]
-"""The first is simulated compiled where it can be."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _registered():
+    with registered():
+        yield
 
 
 def bare(env_id, seed, **config):

@@ -1,5 +1,7 @@
 """Environments of a user's own, registered with Gymnasium as users do: with a configuration, a class, a function."""
 
+from contextlib import contextmanager
+
 import gymnasium as gym
 from highway_env.envs.highway_env import HighwayEnvFast
 
@@ -18,15 +20,17 @@ def of_lanes(lanes=1, render_mode=None):
     return HighwayEnvFast({**CONFIG, "lanes_count": lanes}, render_mode=render_mode)
 
 
-def register():
-    """Under registered-stock-v0, registered-own-v0 and registered-function-v0."""
-    for name, entry, kwargs in (
-        ("stock", "highway_env.envs.highway_env:HighwayEnvFast", {"config": CONFIG}),
-        ("own", OwnReward, {"config": CONFIG}),
-        ("function", of_lanes, {"lanes": 2}),
-    ):
-        if f"registered-{name}-v0" not in gym.registry:
-            gym.register(f"registered-{name}-v0", entry_point=entry, kwargs=kwargs)
+IDS = ("registered-stock-v0", "registered-own-v0", "registered-function-v0")
 
 
-register()
+@contextmanager
+def registered():
+    """Registers `IDS` for a while."""
+    entries = "highway_env.envs.highway_env:HighwayEnvFast", OwnReward, of_lanes
+    for env_id, entry in zip(IDS, entries, strict=True):
+        gym.register(env_id, entry_point=entry, kwargs={"lanes": 2} if entry is of_lanes else {"config": CONFIG})
+    try:
+        yield
+    finally:
+        for env_id in IDS:
+            gym.registry.pop(env_id)

@@ -13,12 +13,14 @@ import tomli_w
 from dynamics.traffic.assumptions import Assumptions
 from shield.errors import ConfigError
 
-__all__ = ["MODES", "PERCEPTIONS", "PROFILES", "Buffer", "ShieldConfig"]
+__all__ = ["MODES", "PERCEPTIONS", "PROFILES", "SIMULATED", "WORST_CASE", "Buffer", "ShieldConfig"]
 
 MODES = ("none", "distance", "rss", "ttc", "full")
 """Valid `ShieldConfig.mode`: no shield, one rule alone, or the whole procedure."""
 PROFILES = ("default", "meta-actions", "roads", "exact")
 """Names of `ShieldConfig.profile`."""
+SIMULATED, WORST_CASE = "simulated", "worst-case"
+"""Names of settings that fit themselves to the environment (`shield.doors.defaults`)."""
 REPAIRS = ("hold", "filter")
 """Valid `ShieldConfig.repair`: hold the meta-action back, or take the nearest inputs."""
 
@@ -228,6 +230,11 @@ class ShieldConfig:
         if not isinstance(config, ShieldConfig):
             raise ConfigError(f"config must be a ShieldConfig or the path of a TOML file, got {config!r}")
         return config
+
+    @classmethod
+    def named(cls, name: str | Path) -> ShieldConfig | str:
+        """Settings as a command line takes them: "simulated" or "worst-case" as they are, else the TOML file `name`."""
+        return str(name) if str(name) in (SIMULATED, WORST_CASE) else cls.load(name)
 
     def save(self, path: str | Path) -> None:
         """Write a TOML file."""

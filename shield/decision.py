@@ -12,7 +12,7 @@ import numpy as np
 
 from dynamics.state import FloatArray
 
-__all__ = ["Decision", "Guarantee", "Intervention", "Reason", "Tier"]
+__all__ = ["Decision", "Guarantee", "Intervention", "Reason", "Tier", "Verification"]
 
 
 class Reason(StrEnum):
@@ -96,6 +96,21 @@ class Intervention(StrEnum):
     NONE = "none"
     HELD_BACK = "held back"
     OTHER_ACTION = "other action"
+
+
+class Verification(StrEnum):
+    """What actions are verified against.
+
+    `WORST_CASE`: every behaviour of the others within the assumptions. `SIMULATED`: highway-env's own traffic,
+    simulated. `STANDING`: obstacles that stand still (parking lots). `RULE`: nothing, a rule decides alone. `OFF`:
+    there is no shield.
+    """
+
+    WORST_CASE = "worst_case"
+    SIMULATED = "simulated_traffic"
+    STANDING = "standing_obstacles"
+    RULE = "rule_alone"
+    OFF = "off"
 
 
 class Guarantee(StrEnum):

@@ -44,9 +44,11 @@ def certify_command(
 
     from evaluation.report.table import write_table
     from evaluation.running.certify import Asked, certify, page
+    from evaluation.running.records import config_on
     from evaluation.settings import get_setting
 
-    shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)
+    given = None if config is None else ShieldConfig.named(config)
+    shield_config = config_on(get_setting(setting), given)
     asked = Asked(get_setting(setting), policy, episodes, seed, shield_config, simulator)
     with Progress(console=_err, disable=not _err.is_terminal, transient=True) as bar:
         task = bar.add_task(f"{policy} on {setting}", total=len(asked.parts()))
@@ -86,8 +88,8 @@ def replay_command(
     from evaluation.settings import get_setting
 
     film = None if film is None else film_path(film)
-    loaded = None if config is None else ShieldConfig.load(config)
-    shield_config = loaded or config_on(get_setting(setting)) or ShieldConfig()
+    given = None if config is None else ShieldConfig.named(config)
+    shield_config = config_on(get_setting(setting), given)
     record = run_episode(setting, policy, variant_for(shield_config), seed, simulator="highway-env")
     table = Table("", f"seed {seed}", show_header=True)
     for name in ("crashed", "attribution", "return_", "steps", "overridden", "violations", "min_margin", "min_gap"):

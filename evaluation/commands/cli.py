@@ -177,7 +177,10 @@ def evaluate(
             " a folder from `shield dynamics fit --setting`. The shield verifies on the bicycle in any case."
         ),
     ] = MODELS[0],
-    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="Shield settings: a TOML file (see `shield config`), simulated, or worst-case."),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -217,13 +220,13 @@ def evaluate(
         raise ConfigError("--resume goes with --output")
     if output is not None:
         check_output(output, force, resume)
-    shield_config = None if config is None else ShieldConfig.load(config)
+    shield_config = None if config is None else ShieldConfig.named(config)
     settings = ask_settings(setting, env_id, env_config)
 
     from evaluation.learning.normalised_model import statistics_beside
     from evaluation.report.table import finished
     from evaluation.running.comparing import Comparison
-    from evaluation.running.records import config_on, make_variants
+    from evaluation.running.records import make_variants
     from evaluation.running.store import Store
 
     for name in policies:
@@ -234,10 +237,7 @@ def evaluate(
             each,
             tuple(
                 make_variants(
-                    modes or (["none", "full"] if each.road else ["none"]),
-                    doors,
-                    shield_config or config_on(each),
-                    perceptions,
+                    modes or (["none", "full"] if each.road else ["none"]), doors, shield_config, perceptions, each
                 )
             ),
         )

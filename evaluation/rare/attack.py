@@ -17,6 +17,7 @@ from evaluation.rare.drivers import man
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
 from shield import ShieldConfig, ShieldedEnv
+from shield.config import WORST_CASE
 from shield.decision import Decision
 from shield.doors.road_door import RoadDoor
 from shield.errors import ConfigError
@@ -102,7 +103,7 @@ def attack(
     ----------
     drivers : of `evaluation.rare.drivers.DRIVERS`. vehicles : how many of the others they take. decisions : how many at
         most.
-    config : settings; those for the road's traffic by default.
+    config : settings; the worst case of the road's traffic by default.
 
     Raises
     ------
@@ -110,7 +111,7 @@ def attack(
         If there are none of that name, or the environment is none of a road network with meta-actions.
     """
     with one_thread():
-        env = ShieldedEnv(setting.make(), config)
+        env = ShieldedEnv(setting.make(), config or WORST_CASE)
         door = env.door
         if not isinstance(door, RoadDoor):
             raise ConfigError(f"{setting.name} is no road network with meta-actions, which this attacks")

@@ -19,6 +19,7 @@ from evaluation.rare.referee import Referee
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
 from shield import ShieldConfig, ShieldedEnv
+from shield.config import WORST_CASE
 from shield.doors.road_door import RoadDoor
 from shield.errors import ConfigError
 from shield.roads.watch import Breach
@@ -169,7 +170,8 @@ def drive_numbers(
 
     Parameters
     ----------
-    shares : numbers from 0 to 1, (`numbers.count`,). config : settings; those for the road's traffic by default.
+    shares : numbers from 0 to 1, (`numbers.count`,).
+    config : settings; the worst case of the road's traffic by default.
 
     Raises
     ------
@@ -179,7 +181,7 @@ def drive_numbers(
     if shares.shape != (numbers.count,):
         raise ConfigError(f"have {numbers.count} numbers for an episode, not shape {shares.shape}")
     with one_thread():
-        env = ShieldedEnv(setting.make(), config)
+        env = ShieldedEnv(setting.make(), config or WORST_CASE)
         try:
             return _drive(env, setting, numbers, shares)
         finally:

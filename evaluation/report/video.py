@@ -21,12 +21,12 @@ from evaluation.report.camera import Camera
 from evaluation.report.draw import AREA, GREEN, ORANGE, PROPOSAL, RED, Shot, draw
 from evaluation.report.plots import picture_path
 from evaluation.running.named_policies import make_policy, start_episode
+from evaluation.running.records import config_on
 from evaluation.settings import Setting, get_setting
 from shield import ShieldConfig, ShieldedEnv, Tier
 from shield.decision import Intervention
 from shield.doors.road_door import RoadDoor
 from shield.errors import ConfigError
-from shield.roads.reading import default_on
 
 __all__ = [
     "FILM_POLICY",
@@ -110,7 +110,7 @@ def record(
     setting, policy : what to drive, by name.
     seed : seed of the episode.
     first, last : decisions to keep, from `first` up to but not including `last`.
-    config : the shield's settings; those for the road's traffic by default.
+    config : the shield's settings; those that the shield takes by itself by default.
     smooth : whether to drive at a simulation frequency that is good to look at, rather than at the setting's.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
@@ -136,8 +136,7 @@ def _shielded(
     try:
         driver = make_policy(policy, bare)
         if config is None:
-            bare.reset(seed=seed)
-            config = default_on(bare.unwrapped)
+            config = config_on(setting)
         env = ShieldedEnv(bare, config.replace(record=render_mode is not None), policy=driver)
         obs, _ = env.reset(seed=seed)
         start_episode(driver, seed)
@@ -267,7 +266,7 @@ def film_end(
     ----------
     path : the file to write, ending in .gif.
     setting, policy, seed : what to drive.
-    config : the shield's settings; those for the road's traffic by default.
+    config : the shield's settings; those that the shield takes by itself by default.
     """
     path = film_path(path)
     shots = record(setting, policy, seed, config=config, smooth=False)

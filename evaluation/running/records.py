@@ -6,11 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from highway_env.envs.common.action import ContinuousAction
+
 from evaluation.settings import Setting
 from shield.config import PERCEPTIONS, ShieldConfig
 from shield.decision import Reason, Tier
+from shield.doors.defaults import Given, Place, choose_settings
 from shield.errors import ConfigError
-from shield.roads.reading import default_on, has_crossings
 
 __all__ = ["DOORS", "EpisodeRecord", "Variant", "config_on", "make_variants", "told", "variant_for"]
 
@@ -56,15 +58,21 @@ def variant_for(config: ShieldConfig) -> Variant:
     return Variant("actions" if config.assumptions.simulated else "env", config)
 
 
-def config_on(setting: Setting) -> ShieldConfig | None:
-    """What a shield has on a network of roads with meta-actions where no settings are given: those for its traffic.
-    None elsewhere."""
+def config_on(setting: Setting, given: Given = None, door: str = "env", observes: bool = False) -> ShieldConfig:
+    """The settings that a shield has in an environment.
+
+    Parameters
+    ----------
+    given : settings, "simulated" or "worst-case"; None for those that the shield takes by itself.
+    door : one of `DOORS`. observes : whether its scenes are made from observations.
+    """
     env = setting.make()
     try:
         base: Any = env.unwrapped
         if base.road is None:
             env.reset(seed=0)
-        return default_on(base) if has_crossings(base) and hasattr(base.action_type, "actions_indexes") else None
+        inputs = isinstance(base.action_type, ContinuousAction)
+        return choose_settings(given, Place(base, inputs, door != "actions", observes)).config
     finally:
         env.close()
 
@@ -72,13 +80,17 @@ def config_on(setting: Setting) -> ShieldConfig | None:
 def make_variants(
     modes: Sequence[str],
     doors: Sequence[str],
-    config: ShieldConfig | None = None,
+    config: Given = None,
     perceptions: Sequence[str] = ("simulator",),
+    setting: Setting | None = None,
 ) -> list[Variant]:
     """Each mode behind each door, with scenes from each of `perceptions`; the mode "none" stands for driving without
     any shield.
 
-    Without a config, each door has its own defaults.
+    Parameters
+    ----------
+    config : settings, "simulated" or "worst-case"; by default each door has those that it takes by itself in the
+        environment of `setting`, or without one on a straight highway.
 
     Examples
     --------
@@ -88,8 +100,13 @@ def make_variants(
     variants: list[Variant] = []
     for mode in modes:
         for door in ["none"] if mode == "none" else doors:
-            chosen = config or (ShieldConfig.for_meta_actions() if door == "actions" else ShieldConfig())
             for perception in ["simulator"] if mode == "none" else perceptions:
+                observes = perception != "simulator"
+                if isinstance(config, ShieldConfig) or setting is None or mode != "full":
+                    simple = ShieldConfig.for_meta_actions() if door == "actions" else ShieldConfig()
+                    chosen = config if isinstance(config, ShieldConfig) else simple
+                else:
+                    chosen = config_on(setting, config, door, observes)
                 variant = Variant(door, chosen if door == "none" else chosen.replace(mode=mode), perception)
                 if variant not in variants:
                     variants.append(variant)

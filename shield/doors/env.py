@@ -15,6 +15,7 @@ from gymnasium.utils import RecordConstructorArgs
 from shield.config import ShieldConfig
 from shield.decision import Decision
 from shield.doors.adapters import as_policy, refuse_misfits
+from shield.doors.defaults import Chosen, Place, as_settings, choose_settings
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import base_environments, check_step, the_action_type
 from shield.doors.input_door import InputDoor
@@ -33,7 +34,7 @@ from shield.errors import ConfigError, SceneError
 from shield.perception.perceiving import PerceptionConfig
 from shield.perception.scenes import NO_OBSERVED_SCENES
 from shield.procedures.decide import Core
-from shield.roads.reading import default_on, has_crossings
+from shield.roads.reading import has_crossings
 from shield.rules import Rule
 
 if TYPE_CHECKING:
@@ -58,8 +59,10 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     ----------
     env : the environment: with meta-actions on any road; with continuous actions on straight highways, racetracks and
         parking lots, and with `ShieldConfig.exact()` on every other road.
-    config : settings, or the path of a TOML file with them; by default `ShieldConfig()`, and on a network of several
-        roads `ShieldConfig.for_roads()` for its traffic.
+    config : settings, the path of a TOML file with them, "simulated" (`ShieldConfig.exact()`) or "worst-case". By
+        default highway-env's own traffic is simulated on networks of roads, with several egos, and with tyres that
+        slip; elsewhere, and where the traffic is unknown, actions are verified against the worst case. A line in the
+        log of "shield" says what is promised, a warning where the traffic is unknown.
     policy : where given, alternatives are tried in its order of preference (probabilities or Q-values of the
         last observation).
     model : what the predictive filter plans with for `ContinuousAction`, such as
@@ -92,17 +95,25 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     `info["shield"]` is read from `last_decision`, the record of the step. It holds `overridden`, `intervention` (a
     `shield.decision.Intervention`: "none", "held back" or "other action"), `reason`, `tier`, `margin` [m] (NaN where
     none is known), `frames_overridden`, `violations` (of the assumptions, by the traffic), `rules` (how often each was
-    broken, by name) and `guarantee` (a `shield.decision.Guarantee`, the weakest of the decision and its frames), and of
-    several egos `agents`, the same of each; `latency` is all the time that the shield took in the last step [s]. With
-    an episode's last step comes `info["shield_episode"]`: `decisions`, how many were `overridden`, and of these only
-    `held_back`, `frames_overridden`, `violations`, `rules`, the smallest `margin` [m], the mean `latency_ms`, and
-    `reasons`, how often each was one. Of an episode that a wrapper outside ends (`TimeLimit`), `statistics` has it, and
-    the info of the next `reset`.
+    broken, by name), `guarantee` (a `shield.decision.Guarantee`, the weakest of the decision and its frames) and
+    `verification` (a `shield.decision.Verification`, what actions are verified against), and of several egos `agents`,
+    the same of each; `latency` is all the time that the shield took in the last step [s]. With an episode's last step
+    comes `info["shield_episode"]`: `decisions`, how many were `overridden`, and of these only `held_back`,
+    `frames_overridden`, `violations`, `rules`, the smallest `margin` [m], the mean `latency_ms`, and `reasons`, how
+    often each was one. Of an episode that a wrapper outside ends (`TimeLimit`), `statistics` has it, and the info of
+    the next `reset`.
+
+    Attributes
+    ----------
+    config, verification, promise : the settings, what actions are verified against with them, and what that promises in
+        a sentence.
 
     Examples
     --------
     >>> import gymnasium as gym, highway_env
     >>> env = ShieldedEnv(gym.make("highway-fast-v0"))
+    >>> env.verification.value
+    'worst_case'
     >>> obs, info = env.reset(seed=0)
     >>> obs, reward, terminated, truncated, info = env.step(3)
     >>> info["shield"]["reason"]
@@ -132,25 +143,12 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self.policy = None if policy is None else as_policy(policy, env)
         refuse_misfits(self.policy, env)
         kind = "MultiAgentAction" if is_team(self._base) else the_action_type(bases, "ShieldedEnv")
-        on_roads = kind == "DiscreteMetaAction" and rule is None and has_crossings(self._base)
-        self.config = ShieldConfig.of(config, default_on(self._base) if on_roads else None)
-        self._door: Door | TeamDoor
         if rule is not None and kind == "ContinuousAction":
             raise ConfigError("a rule judges meta-actions; this environment has ContinuousAction")
         if model is not None and kind != "ContinuousAction":
             raise ConfigError("a model is for ContinuousAction; with meta-actions leave it out")
-        if self.config.simulates and (rule is not None or model is not None):
-            raise ConfigError("Assumptions.exact() verifies by simulation: leave rule and model out")
-        if is_team(self._base):
-            self._door = TeamDoor(self._base, self.config)
-            if perception != "simulator":
-                raise ConfigError(NO_OBSERVED_SCENES)
-        else:
-            inputs = kind == "ContinuousAction"
-            self._door = door_for(
-                env, self.config, inputs=inputs, on_roads=on_roads, perception=perception, model=model, rule=rule
-            )
-        warm_up_door(self._door)
+        self._given, self._rule, self._model, self._perception = as_settings(config), rule, model, perception
+        self._door: Door | TeamDoor = self._choose(kind)
         self._observation: Any = None
         self._supervising = self.latency = 0.0
         self._episode, self._summed = Statistics(), False
@@ -183,10 +181,13 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if self._episode.decisions and not self._summed:
             info["shield_episode"] = self._episode.summary()
         team = is_team(self._base)
-        inputs = not team and the_action_type([self._base], "ShieldedEnv") == "ContinuousAction"
+        kind = "MultiAgentAction" if team else the_action_type([self._base], "ShieldedEnv")
+        inputs = kind == "ContinuousAction"
         same = inputs is isinstance(self._door, InputDoor | ExactInputDoor) and team is isinstance(self._door, TeamDoor)
         if not same:
             raise ConfigError("the reset has changed the environment's action type; make a new ShieldedEnv around it")
+        if self._settings(kind).config != self.config:
+            self._door = self._choose(kind)
         self._door.reset()
         self._episode, self._summed = Statistics(), False
         self._observation = obs
@@ -227,6 +228,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             info["shield"] = team_report(record, self.last_decisions, *offences)
         else:
             info["shield"] = report(record, *offences)
+        info["shield"]["verification"] = self.verification.value
         self._episode.add(info["shield"], self.latency)
         # highway-env's wrapper for several egos rewards each, and says of each whether it is over for it.
         each = isinstance(terminated, tuple)
@@ -235,6 +237,45 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             self._summed = True
         paid: Any = reward if isinstance(reward, tuple) else float(reward)
         return obs, paid, terminated, truncated, info
+
+    def _settings(self, kind: str) -> Chosen:
+        """What was handed in, or what is taken without: that may change with the traffic, at a reset."""
+        observes = self._perception != "simulator"
+        return choose_settings(
+            self._given,
+            Place(
+                self._base,
+                inputs=kind == "ContinuousAction",
+                worst_case_only=observes or self._model is not None,
+                rule=self._rule is not None,
+            ),
+        )
+
+    def _choose(self, kind: str) -> Door | TeamDoor:
+        """Take the settings, and make what filters by them."""
+        chosen = self._settings(kind)
+        self.config = config = chosen.config
+        if config.simulates and (self._rule is not None or self._model is not None):
+            raise ConfigError("Assumptions.exact() verifies by simulation: leave rule and model out")
+        door: Door | TeamDoor
+        if is_team(self._base):
+            door = TeamDoor(self._base, config)
+            if self._perception != "simulator":
+                raise ConfigError(NO_OBSERVED_SCENES)
+        else:
+            door = door_for(
+                self.env,
+                config,
+                inputs=kind == "ContinuousAction",
+                on_roads=kind == "DiscreteMetaAction" and self._rule is None and has_crossings(self._base),
+                perception=self._perception,
+                model=self._model,
+                rule=self._rule,
+            )
+        warm_up_door(door)
+        chosen.announce()
+        self.verification, self.promise = chosen.verification, chosen.promise
+        return door
 
     def action_masks(self) -> np.ndarray[Any, Any]:
         """Which actions verify now, for sb3-contrib's MaskablePPO; all True where none does.

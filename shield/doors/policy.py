@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from shield.config import ShieldConfig
-from shield.decision import Decision, Reason
+from shield.decision import Decision, Reason, Verification
 from shield.doors.action_rows import ActionRows
 from shield.doors.adapters import as_policy, refuse_misfits
+from shield.doors.defaults import Chosen, Place, as_settings, choose_settings
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import base_environments, the_action_type
 from shield.doors.input_door import InputDoor
@@ -35,7 +36,7 @@ from shield.perception.blind import BlindScenes
 from shield.perception.known import Known
 from shield.perception.perceiving import PerceptionConfig
 from shield.perception.undoing import as_shown
-from shield.roads.reading import default_on, has_crossings
+from shield.roads.reading import has_crossings
 
 __all__ = ["Shield"]
 
@@ -65,8 +66,8 @@ class Shield(WrappedPolicy):
     env : the environment(s) that the actions are meant for: a Gymnasium environment or a VecEnv. Without it the
         environment that the model carries is used; `predict` raises where another one is driven. One of other processes
         is for `perception="observation"` with `frames=False`: it is asked once for its configuration.
-    config : settings, or the path of a TOML file; `ShieldConfig()` by default. Without `frames`, meta-actions have
-        `ShieldConfig.for_meta_actions()`.
+    config : settings, the path of a TOML file, "simulated" or "worst-case"; the default as of `ShieldedEnv`. In the
+        worst case, meta-actions without `frames` have `ShieldConfig.for_meta_actions()`.
     frames : whether the frames between two decisions are supervised. Without, `Shield` is a pure filter of actions: it
         touches nothing but what `predict` returns, and has to look seconds ahead with what it assumes. With
         `ShieldConfig.exact()` it simulates the traffic instead, and meta-actions need no supervision either way.
@@ -129,7 +130,6 @@ class Shield(WrappedPolicy):
         self.policy = as_policy(policy, env)
         self._frames = frames
         self._doors: list[Door]
-        meta = ShieldConfig.for_meta_actions()
         self._bases: list[Any]
         if self._known:
             self._bases, self._inputs = [None] * len(self._known), False
@@ -137,22 +137,16 @@ class Shield(WrappedPolicy):
             self._bases = base_environments(env, "Shield")
             self._inputs = the_action_type(self._bases, "Shield") == "ContinuousAction"
         refuse_misfits(self.policy, env)
-        roads = frames and not self._known and not self._inputs and all(map(has_crossings, self._bases))
-        default = default_on(self._bases[0]) if roads else ShieldConfig() if frames or self._inputs else meta
-        self.config = ShieldConfig.of(config, default)
+        self._given, self._perception = as_settings(config), perception
+        n = len(self._bases)
+        self._chosen = [self._settings(i) for i in range(n)]
         if self._known:
             settings = perception if isinstance(perception, PerceptionConfig) else None
             scenes = [BlindScenes(one, settings) for one in self._known]
             self._doors = [MetaDoor(None, self.config, frames=False, scenes=each) for each in scenes]
-        elif self.config.simulates and self._inputs and not frames:
-            raise ConfigError("Assumptions.exact() verifies throttle and steering at every frame: frames=True")
+            warm_up_door(self._doors[0])
         else:
-            self._doors = [
-                door_for(one, self.config, inputs=self._inputs, on_roads=roads, frames=frames, perception=perception)
-                for one in getattr(env, "envs", [env])
-            ]
-        warm_up_door(self._doors[0])
-        n = len(self._bases)
+            self._doors = [self._choose(i) for i in range(n)]
         self._roads: list[Any] = [None] * n
         self._patience = [Patience(self.config.patience) for _ in self._bases]
         self._action_warning = ActionWarning()
@@ -162,6 +156,45 @@ class Shield(WrappedPolicy):
         self._statistics = Statistics()
         self.decisions: list[Decision] = []
         self.frame_decisions: list[list[Decision]] = [[] for _ in range(n)]
+
+    def _settings(self, i: int) -> Chosen:
+        """What was handed in, or what environment `i` is given without."""
+        observes = bool(self._known) or self._perception != "simulator"
+        return choose_settings(self._given, Place(self._bases[i], self._inputs, self._frames, observes))
+
+    def _choose(self, i: int) -> Door:
+        """What filters in environment `i`, by its settings; `config` becomes those of the first."""
+        chosen, base = self._settings(i), self._bases[i]
+        self._chosen[i] = chosen
+        if chosen.config.simulates and self._inputs and not self._frames:
+            raise ConfigError("Assumptions.exact() verifies throttle and steering at every frame: frames=True")
+        door = door_for(
+            getattr(self._env, "envs", [self._env])[i],
+            chosen.config,
+            inputs=self._inputs,
+            on_roads=self._frames and not self._inputs and has_crossings(base),
+            frames=self._frames,
+            perception=self._perception,
+        )
+        warm_up_door(door)
+        if i == 0:
+            chosen.announce()
+        return door
+
+    @property
+    def config(self) -> ShieldConfig:
+        """The settings (of the first environment, where there are several)."""
+        return self._chosen[0].config
+
+    @property
+    def verification(self) -> Verification:
+        """What actions are verified against (in the first environment, where there are several)."""
+        return self._chosen[0].verification
+
+    @property
+    def promise(self) -> str:
+        """What that promises, in a sentence."""
+        return self._chosen[0].promise
 
     @property
     def last_decisions(self) -> list[Decision]:
@@ -186,7 +219,8 @@ class Shield(WrappedPolicy):
         if not self.decisions:
             raise ConfigError("report() is about the last decision; call predict() first")
         offences = self._counted[i].since(self._doors[i])
-        return report(self.decisions[i].with_frames(self.frame_decisions[i]), *offences)
+        told = report(self.decisions[i].with_frames(self.frame_decisions[i]), *offences)
+        return {**told, "verification": self._chosen[i].verification.value}
 
     @property
     def statistics(self) -> Statistics:
@@ -209,10 +243,13 @@ class Shield(WrappedPolicy):
         self._statistics = self.statistics
         for i, door in enumerate(self._doors):
             door.reset()
-            supervision, self._supervisions[i] = self._supervisions[i], None
-            if supervision is not None:
-                supervision.remove()
+            self._unsupervise(i)
         self.decisions = []
+
+    def _unsupervise(self, i: int) -> None:
+        supervision, self._supervisions[i] = self._supervisions[i], None
+        if supervision is not None:
+            supervision.remove()
 
     def predict(
         self,
@@ -305,6 +342,9 @@ class Shield(WrappedPolicy):
                 door.reset()
         elif base.road is not self._roads[i]:
             self._roads[i] = base.road
+            if self._settings(i).config != door.config:
+                self._unsupervise(i)
+                self._doors[i] = door = self._choose(i)
             door.reset()
         self._counted[i], self.frame_decisions[i] = Offences(door), []
 

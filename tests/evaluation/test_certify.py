@@ -14,7 +14,7 @@ from evaluation.measuring.statistics import clopper_pearson
 from evaluation.running import certify as certifying
 from evaluation.running.certify import Asked, certify, page
 from evaluation.running.episodes import run_episode
-from evaluation.running.records import Variant, config_on
+from evaluation.running.records import Variant, config_on, variant_for
 from evaluation.settings import Setting, get_setting
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
@@ -127,8 +127,9 @@ def test_mistakes_are_one_line(tmp_path, monkeypatch, capsys):
 def test_an_episode_on_a_network_of_roads_is_replayed_with_the_settings_of_its_traffic():
     """At the intersection, where others accelerate harder than elsewhere: the same that `shield evaluate` drives."""
     setting = get_setting("intersection")
-    record = run_episode(setting, "faster", Variant("env", config_on(setting)), 9, simulator="highway-env")
+    record = run_episode(setting, "faster", variant_for(config_on(setting)), 9, simulator="highway-env")
     shown = CliRunner().invoke(app, ["replay", "9", "--setting", "intersection"]).stdout
     for found in (record.return_, record.min_margin, record.violations):
         assert str(found) in shown
-    assert config_on(setting).assumptions.acceleration == 6.0
+    assert config_on(setting) == ShieldConfig.exact()
+    assert config_on(setting, "worst-case").assumptions.acceleration == 6.0

@@ -12,6 +12,7 @@ import evaluation.scenarios  # noqa: F401  (registers environments)
 from dynamics.errors import ConfigError, PolicyError
 from dynamics.networks.compiled_frames import CompiledFrames
 from shield import Shield, ShieldConfig, ShieldedEnv
+from shield.config import WORST_CASE
 
 EXACT = ShieldConfig.exact()
 
@@ -34,12 +35,12 @@ def driven(env, predict=faster, seed=0):
 
 @pytest.mark.parametrize("env_id", ["merge-v0", "roundabout-v0"])
 def test_compiled_frames_do_not_take_the_frames_from_a_shield(env_id):
-    plain, frames = driven(ShieldedEnv(gym.make(env_id)))
+    plain, frames = driven(ShieldedEnv(gym.make(env_id), WORST_CASE))
     assert frames > 0
-    assert driven(ShieldedEnv(CompiledFrames(gym.make(env_id)))) == (plain, frames)
-    assert driven(CompiledFrames(ShieldedEnv(gym.make(env_id)))) == (plain, frames)
+    assert driven(ShieldedEnv(CompiledFrames(gym.make(env_id)), WORST_CASE)) == (plain, frames)
+    assert driven(CompiledFrames(ShieldedEnv(gym.make(env_id), WORST_CASE))) == (plain, frames)
     env = CompiledFrames(gym.make(env_id))
-    shield = Shield(faster, env=env)
+    shield = Shield(faster, env=env, config=WORST_CASE)
     assert driven(env, lambda observation: int(shield.predict(observation)[0]))[0] == plain
 
 
@@ -54,7 +55,7 @@ def test_compiled_frames_do_not_take_the_frames_from_throttle_and_steering():
 
 def test_frames_that_a_shield_supervises_cannot_be_watched():
     inner = CompiledFrames(gym.make("merge-v0"))
-    env = ShieldedEnv(inner)
+    env = ShieldedEnv(inner, WORST_CASE)
     env.reset(seed=0)
     inner.watchers.append(lambda *_: None)
     with pytest.raises(ConfigError, match="nothing to be watched"):
@@ -64,7 +65,7 @@ def test_frames_that_a_shield_supervises_cannot_be_watched():
 def test_after_a_supervised_decision_frames_are_compiled_again():
     env = CompiledFrames(gym.make("merge-v0"))
     env.reset(seed=0)
-    Shield(faster, env=env).predict(np.zeros((5, 5)))
+    Shield(faster, env=env, config=WORST_CASE).predict(np.zeros((5, 5)))
     env.step(3)
     del env.unwrapped.vehicle.act
     seen = []
@@ -73,7 +74,7 @@ def test_after_a_supervised_decision_frames_are_compiled_again():
     assert seen == [15]
 
 
-@pytest.mark.parametrize("config", [None, EXACT])
+@pytest.mark.parametrize("config", [WORST_CASE, EXACT])
 def test_a_wrapper_that_changes_actions_is_refused_inside(config):
     for inside in (
         TransformAction(gym.make("merge-v0"), lambda action: 3, gym.spaces.Discrete(5)),
@@ -94,7 +95,7 @@ class _Stubborn(gym.Wrapper):
         return self.env.step(3)
 
 
-@pytest.mark.parametrize("config", [None, EXACT])
+@pytest.mark.parametrize("config", [WORST_CASE, EXACT])
 def test_another_action_than_the_one_that_was_verified_is_found_out(config):
     env = ShieldedEnv(_Stubborn(gym.make("merge-v0")), config)
     env.reset(seed=0)

@@ -23,7 +23,7 @@ DENSE = {"vehicles_density": 2.5, "vehicles_count": 50}
 def test_the_lane_that_the_ego_is_in_is_tried_where_the_one_beside_is_taken(env_id, config, seed, action):
     """At the first decision nothing is stored: only the lane that was asked for was tried, and the ego steered into
     whoever was there. In the first three it crashed."""
-    env = ShieldedEnv(gym.make(env_id, config=config))
+    env = ShieldedEnv(gym.make(env_id, config=config), "worst-case")
     env.reset(seed=seed)
     mask = env.action_masks()
     assert mask[IDLE]
@@ -58,7 +58,7 @@ def test_who_gets_shorter_takes_nothing_away_from_what_is_verified(start):
     """The ego was to rest with its rear just beyond the end of a lane. Whoever would have reached it from there was
     taken to wait before it, and so never to come to the next lane; as it turned its body grew too short to reach it,
     and then it did come, and had broken no rule."""
-    env = ShieldedEnv(gym.make("merge-v0"))
+    env = ShieldedEnv(gym.make("merge-v0"), "worst-case")
     env.reset(seed=1)
     base, lane = env.unwrapped, ("b", "c", 1)
     ego, road = base.vehicle, base.road
@@ -83,7 +83,7 @@ def test_who_gets_shorter_takes_nothing_away_from_what_is_verified(start):
 
 @pytest.mark.parametrize("kind", ["sound", "wreck", "object"])
 def test_whatever_appears_is_named(kind):
-    env = ShieldedEnv(gym.make("merge-v0"))
+    env = ShieldedEnv(gym.make("merge-v0"), "worst-case")
     env.reset(seed=1)
     base = env.unwrapped
     ego, road = base.vehicle, base.road

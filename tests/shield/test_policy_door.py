@@ -141,7 +141,7 @@ def test_roads_that_are_not_supported_are_refused_at_once(door, name, kind):
     """Throttle and steering; and one rule alone, which knows straight roads."""
     env = gym.make(name, config={"action": {"type": kind}})
     with pytest.raises(SceneError, match=r"support"):
-        door(env, ShieldConfig(mode="rss") if kind == "DiscreteMetaAction" else None)
+        door(env, ShieldConfig(mode="rss") if kind == "DiscreteMetaAction" else "worst-case")
     assert env.reset(seed=0)  # the environment is none the worse for it
 
 

@@ -28,7 +28,7 @@ ROADS = ("roundabout-v1", "merge-v1", "exit-v0", "two-way-v0", "u-turn-v1", "int
 STEPS = 15
 
 
-def shielded(env_id, seed=0, wild=0, config=None, drivers="wild"):
+def shielded(env_id, seed=0, wild=0, config="worst-case", drivers="wild"):
     """A reset environment; so many of the others are driven against the certificate."""
     env = ShieldedEnv(gym.make(env_id), config)
     env.reset(seed=seed)
@@ -178,8 +178,8 @@ def test_both_doors_decide_alike():
     for door in ("env", "policy"):
         env = gym.make("roundabout-v1")
         if door == "env":
-            env = ShieldedEnv(env)
-        policy = Always(3) if door == "env" else Shield(Always(3), env)
+            env = ShieldedEnv(env, "worst-case")
+        policy = Always(3) if door == "env" else Shield(Always(3), env, "worst-case")
         obs, _ = env.reset(seed=5)
         for _ in range(5):
             obs, *_ = env.step(policy.predict(obs)[0])
@@ -208,7 +208,7 @@ def test_who_is_about_to_be_pushed_is_judged_as_it_has_driven(env_id):
     """highway-env pushes it in the coming frame: what the others have done by then is no worse for that."""
     kept = []
     for impact in (None, np.array([0.4, -0.5])):
-        env = ShieldedEnv(gym.make(env_id))
+        env = ShieldedEnv(gym.make(env_id), "worst-case")
         env.reset(seed=3)
         for _ in range(2):
             env.step(1)
@@ -288,7 +288,7 @@ def test_masks_are_what_passes():
             break
 
 
-def test_settings_for_its_traffic_are_the_default():
+def test_the_worst_case_has_the_settings_for_its_traffic():
     """Those of intersections accelerate harder, and the settings say so."""
     assert isinstance(shielded("roundabout-v1")._door, RoadDoor)
     assert shielded("intersection-v0").config == ShieldConfig.for_roads(6.0)

@@ -12,6 +12,7 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from shield import Shield, ShieldConfig, ShieldedEnv
+from shield.decision import Verification
 from shield.errors import ConfigError, PolicyError, SceneError, ShieldError
 
 BY_SIMULATION = {
@@ -135,18 +136,22 @@ def test_speed_limits_of_another_kind_are_refused():
         ShieldedEnv(make(action={"type": "ContinuousAction", "speed_range": (0, 20)}))
 
 
-@pytest.mark.parametrize("door", [lambda env: Shield(Always(np.zeros(2)), env), ShieldedEnv], ids=["policy", "env"])
+@pytest.mark.parametrize(
+    "door", [lambda env, config: Shield(Always(np.zeros(2)), env, config), ShieldedEnv], ids=["policy", "env"]
+)
 @pytest.mark.parametrize("env_id", BY_SIMULATION)
 def test_where_inputs_are_for_simulation_the_refusal_says_so_and_it_serves(env_id, door):
     env = gym.make(env_id, config=BY_SIMULATION[env_id])
     with pytest.raises(ShieldError, match=r"ShieldedEnv\(env, ShieldConfig\.exact\(\)\)") as refusal:
-        door(env)
+        door(env, "worst-case")
     assert len(str(refusal.value)) < 700
     # What highway-env does not make, or what is refused next, is not named.
     assert 'dynamical": False' not in str(refusal.value)
-    shielded = ShieldedEnv(env, ShieldConfig.exact())
-    shielded.reset(seed=0)
-    shielded.step(env.action_space.sample())
+    for config in (ShieldConfig.exact(), None):
+        shielded = ShieldedEnv(env, config)
+        shielded.reset(seed=0)
+        shielded.step(env.action_space.sample())
+        assert door(env, config).verification is Verification.SIMULATED
 
 
 class OwnSteps(ExitEnv):
@@ -170,7 +175,7 @@ def test_who_asks_for_tyres_that_slip_may_leave_them_out_too():
     action = {"type": "ContinuousAction", "dynamical": True}
     for env_id, simulated in (("highway-fast-v0", True), ("parking-v0", False)):
         with pytest.raises(ConfigError, match='"dynamical": False') as refusal:
-            ShieldedEnv(gym.make(env_id, config={"action": action}))
+            ShieldedEnv(gym.make(env_id, config={"action": action}), "worst-case")
         assert ("ShieldConfig.exact()" in str(refusal.value)) is simulated
 
 

@@ -1,0 +1,156 @@
+"""The settings that a shield takes where none are handed in: the strongest verification whose promise holds there."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from dynamics.networks.refusals import check_network, on_network
+from dynamics.networks.simulator import NetworkSimulator
+from dynamics.scenes.parking_lot import is_lot
+from shield.config import SIMULATED, WORST_CASE, ShieldConfig
+from shield.decision import Verification
+from shield.errors import ConfigError, SceneError
+from shield.roads.reading import default_on, has_crossings
+
+__all__ = ["Chosen", "Given", "Place", "as_settings", "choose_settings", "why_not_simulated"]
+
+Given = ShieldConfig | str | None
+"""Settings, "simulated" or "worst-case", or None for the default."""
+
+_log = logging.getLogger("shield")
+_CHOOSE = 'To choose, pass config="simulated", config="worst-case" or a ShieldConfig.'
+_PROMISES = {
+    Verification.OFF: "no shield; every action is executed as proposed",
+    Verification.RULE: "a rule decides alone, and nothing is verified",
+    Verification.STANDING: "actions are verified among obstacles that stand still",
+    Verification.SIMULATED: (
+        "each action executed leaves a continuation that is clear of highway-env's own traffic, as simulated; a "
+        "deviation from the simulation counts as a violation, and nothing is promised for other traffic"
+    ),
+    Verification.WORST_CASE: (
+        "actions are verified against the worst case within the assumptions: no crash unless another vehicle breaks "
+        "a rule of the road. The ego is held back more often than in simulated traffic"
+    ),
+}
+
+
+class Place(NamedTuple):
+    """What the choice of settings depends on.
+
+    Attributes
+    ----------
+    base : the environment, unwrapped; None where it is out of reach.
+    inputs : whether the actions are throttle and steering. frames : whether the frames between two decisions are
+        supervised.
+    worst_case_only : whether simulation is no option: a model of the user's, or scenes from observations.
+    rule : whether a rule of the user's decides alone.
+    """
+
+    base: Any
+    inputs: bool
+    frames: bool = True
+    worst_case_only: bool = False
+    rule: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """Settings, and what they promise in an environment.
+
+    Attributes
+    ----------
+    config : the settings.
+    verification : what actions are verified against.
+    promise : what that promises, in a sentence.
+    by_default : whether nobody asked for these settings.
+    unknown : why the traffic is not simulated by default where that would be better, "" elsewhere.
+    """
+
+    config: ShieldConfig
+    verification: Verification
+    promise: str
+    by_default: bool = False
+    unknown: str = ""
+
+    def announce(self) -> None:
+        """Log the promise of settings that nobody asked for: as a warning where the traffic is unknown."""
+        if not self.by_default:
+            return
+        if self.unknown:
+            _log.warning("%s. Its traffic cannot be simulated: %s. %s", self.promise, self.unknown, _CHOOSE)
+        else:
+            _log.info("%s. %s", self.promise, _CHOOSE)
+
+
+def as_settings(given: ShieldConfig | str | Path | None) -> Given:
+    """Settings as users hand them in; a TOML file is read once.
+
+    Raises
+    ------
+    ConfigError
+        As of `ShieldConfig.of`.
+    """
+    if given is None or (isinstance(given, str) and given in (SIMULATED, WORST_CASE)):
+        return given
+    return ShieldConfig.of(given)
+
+
+def choose_settings(given: Given, place: Place) -> Chosen:
+    """The settings for an environment of one ego or several.
+
+    Without settings, highway-env's own traffic is simulated on a network of roads, and wherever the worst case cannot
+    be verified (several egos, tyres that slip). Elsewhere, and where the traffic is unknown, the worst case is taken.
+    """
+    worst = _worst_case(place)
+    if isinstance(given, ShieldConfig):
+        return _described(place, given)
+    if given is not None:
+        return _described(place, ShieldConfig.exact() if given == SIMULATED else worst)
+    if place.worst_case_only or place.rule or place.base is None or not _better_simulated(place):
+        return _described(place, worst, True)
+    unknown = why_not_simulated(place.base)
+    return _described(place, worst if unknown else ShieldConfig.exact(), True, unknown)
+
+
+def why_not_simulated(base: Any) -> str:
+    """Why the traffic of an environment, unwrapped and reset, cannot be simulated, in words; "" where it can."""
+    try:
+        if on_network(base):
+            check_network(base)
+        NetworkSimulator(base)
+    except (ConfigError, SceneError) as error:
+        return str(error)
+    return ""
+
+
+def _better_simulated(place: Place) -> bool:
+    base = place.base
+    if base.road is None or is_lot(base):
+        return False
+    slips = place.inputs and getattr(base.action_type, "dynamical", False)
+    return has_crossings(base) or len(getattr(base, "controlled_vehicles", ())) > 1 or slips
+
+
+def _worst_case(place: Place) -> ShieldConfig:
+    if place.inputs:
+        return ShieldConfig()
+    if not place.frames:
+        return ShieldConfig.for_meta_actions()
+    return ShieldConfig() if place.rule or place.base is None else default_on(place.base)
+
+
+def _described(place: Place, config: ShieldConfig, by_default: bool = False, unknown: str = "") -> Chosen:
+    kind = Verification.WORST_CASE
+    if config.mode == "none":
+        kind = Verification.OFF
+    elif place.rule or config.mode != "full":
+        kind = Verification.RULE
+    elif config.simulates:
+        kind = Verification.SIMULATED
+    elif place.base is not None and is_lot(place.base):
+        kind = Verification.STANDING
+    name = "observations" if place.base is None else type(place.base).__name__
+    return Chosen(config, kind, f"{name}: {_PROMISES[kind]}", by_default, unknown)

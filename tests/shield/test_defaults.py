@@ -1,0 +1,124 @@
+"""The settings that a shield takes by itself: the strongest verification whose promise holds where it is put."""
+
+import logging
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+import pytest
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+import evaluation.wrappers  # noqa: F401  (registers environments)
+from shield import Shield, ShieldConfig, ShieldedEnv
+from shield.decision import Verification
+from shield.errors import ConfigError
+
+LINEAR = {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}
+TYRES = {"action": {"type": "ContinuousAction", "dynamical": True}}
+NETWORKS = ("merge-v0", "exit-v0", "roundabout-v1", "two-way-v0", "u-turn-v1", "intersection-v0", "intersection-v2")
+
+
+def idle(env):
+    """An action of the environment that asks for nothing."""
+    space = env.action_space
+    if isinstance(space, gym.spaces.Tuple):
+        return tuple(1 for _ in space)
+    return 1 if isinstance(space, gym.spaces.Discrete) else np.zeros(space.shape, np.float32)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "config", "kind"),
+    [
+        *((env_id, {}, Verification.SIMULATED) for env_id in NETWORKS),
+        ("intersection-multi-agent-v0", {}, Verification.SIMULATED),
+        ("roundabout-continuous-v1", {}, Verification.SIMULATED),
+        ("highway-fast-v0", TYRES, Verification.SIMULATED),
+        ("highway-fast-v0", {}, Verification.WORST_CASE),
+        ("highway-v0", {"action": {"type": "ContinuousAction"}}, Verification.WORST_CASE),
+        ("highway-fast-v0", LINEAR, Verification.WORST_CASE),
+        ("merge-v0", LINEAR, Verification.WORST_CASE),
+        ("parking-v0", {}, Verification.STANDING),
+    ],
+)
+def test_what_each_environment_is_verified_against_by_default(env_id, config, kind):
+    """`info`, the episode's records and both wrappers name the same."""
+    env = ShieldedEnv(gym.make(env_id, **({"config": config} if config else {})))
+    env.reset(seed=0)
+    *_, info = env.step(idle(env))
+    assert env.verification is kind
+    assert info["shield"]["verification"] == kind.value
+    assert env.config.simulates is (kind is Verification.SIMULATED)
+    if env_id == "intersection-multi-agent-v0":
+        return
+    bare = gym.make(env_id, **({"config": config} if config else {}))
+    obs, _ = bare.reset(seed=0)
+    action = idle(bare)
+    shield = Shield(lambda observation: action, bare)
+    shield.predict(obs)
+    assert shield.verification is kind
+    assert shield.report()["verification"] == kind.value
+
+
+@pytest.mark.parametrize("env_id", ["merge-v0", "roundabout-v1", "intersection-v0"])
+def test_without_frames_a_network_of_roads_is_simulated_too(env_id):
+    """It was refused: the worst case holds the ego back between two decisions."""
+    env = gym.make(env_id)
+    obs, _ = env.reset(seed=0)
+    shield = Shield(lambda observation: 1, env, frames=False)
+    shield.predict(obs)
+    assert shield.last_decision.tier.certified
+
+
+def test_rules_models_and_observations_keep_the_worst_case():
+    env = gym.make("highway-fast-v0")
+    assert ShieldedEnv(env, ShieldConfig(mode="ttc")).verification is Verification.RULE
+    assert ShieldedEnv(gym.make("highway-fast-v0"), perception="observation").verification is Verification.WORST_CASE
+    assert ShieldedEnv(gym.make("highway-fast-v0"), ShieldConfig(mode="none")).verification is Verification.OFF
+
+
+def test_settings_by_name():
+    for env_id, worst in (("merge-v0", ShieldConfig.for_roads()), ("highway-fast-v0", ShieldConfig())):
+        assert ShieldedEnv(gym.make(env_id), "worst-case").config == worst
+        assert ShieldedEnv(gym.make(env_id), "simulated").config == ShieldConfig.exact()
+    with pytest.raises(ConfigError, match="there is no shield configuration worst"):
+        ShieldedEnv(gym.make("merge-v0"), "worst")
+
+
+def test_unknown_traffic_is_told_at_construction(caplog):
+    """One warning: what is promised, why it is not simulated, and how to choose; for known traffic no warning."""
+    with caplog.at_level(logging.INFO, "shield"):
+        ShieldedEnv(gym.make("merge-v0"))
+        assert not [each for each in caplog.records if each.levelno > logging.INFO]
+        ShieldedEnv(gym.make("merge-v0", config=LINEAR))
+    (said,) = [each.getMessage() for each in caplog.records if each.levelno == logging.WARNING]
+    for part in ("MergeEnv", "worst case", "held back more often", "LinearVehicle", 'config="worst-case"'):
+        assert part in said
+
+
+@pytest.mark.parametrize("door", ["env", "policy"])
+def test_a_reset_that_changes_the_traffic_changes_the_settings(door):
+    """Traffic that is no longer known left every decision without a scene."""
+    env = gym.make("merge-v0")
+    shielded = ShieldedEnv(env) if door == "env" else Shield(lambda observation: 1, env)
+    before = {"other_vehicles_type": env.unwrapped.config["other_vehicles_type"]}
+    for config, kind in ((LINEAR, Verification.WORST_CASE), (before, Verification.SIMULATED)):
+        env.unwrapped.config.update(config)
+        if door == "env":
+            shielded.reset(seed=1)
+            *_, info = shielded.step(1)
+            report = info["shield"]
+        else:
+            obs, _ = env.reset(seed=1)
+            env.step(int(shielded.predict(obs)[0]))
+            report = shielded.report()
+        assert report["tier"] == "passed"
+        assert shielded.verification is kind
+        assert report["verification"] == kind.value
+
+
+def test_each_of_several_environments_has_its_own_settings():
+    env = DummyVecEnv([lambda: gym.make("merge-v0"), lambda: gym.make("merge-v0", config=LINEAR)])
+    shield = Shield(lambda observation: [1, 1], env)
+    shield.predict(env.reset())
+    kinds = [Verification.SIMULATED, Verification.WORST_CASE]
+    assert [shield.report(i)["verification"] for i in range(2)] == [kind.value for kind in kinds]

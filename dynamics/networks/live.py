@@ -185,6 +185,8 @@ def load_ego(base: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds
 
 def _load_inputs(base: Any, i: int, rules: NetworkRules, f: Any, g: Any, p: Any) -> None:
     """What is particular to an ego with throttle and steering."""
+    if hasattr(base.action_type, "agents_action_types"):
+        raise SceneError("several egos with throttle and steering are not simulated")
     g[ROUTE_END, i] = -1
     p[[ACC_MAX, COMFORT], i] = rules.law
     if base.action_type.speed_range:

@@ -160,10 +160,8 @@ class StraightRoad:
         names = [f"{a}->{b}" for a, b, _ in roads]
         if len(roads) != 1:
             raise SceneError(
-                f"the shield supports one road of straight parallel lanes (highway-v0, "
-                f"highway-fast-v0); this network has {len(roads)} roads: {', '.join(names[:6])}. On merges, exits, "
-                "roundabouts, two-way roads, u-turns and intersections meta-actions are filtered by "
-                "Shield(policy, env, ShieldConfig.exact(), frames=False)"
+                f"the shield supports one road of straight parallel lanes (highway-v0, highway-fast-v0); this network "
+                f"has {len(roads)} roads: {', '.join(names[:6])}"
             )
         lanes = roads[0][2]
         if any(type(lane).__name__ != "StraightLane" for lane in lanes):

@@ -130,9 +130,10 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         perception: str | PerceptionConfig = "simulator",
     ) -> None:
         if hasattr(env, "num_envs"):
+            around = ", or take Shield(policy, env)" if getattr(env, "envs", None) else ""
             raise ConfigError(
                 f"ShieldedEnv takes one Gymnasium environment, not a {type(env).__name__}: put the shield inside, "
-                "DummyVecEnv([lambda: ShieldedEnv(gym.make(...))]), or take Shield(policy, env)"
+                f"DummyVecEnv([lambda: ShieldedEnv(gym.make(...))]){around}"
             )
         bases = base_environments(env, "ShieldedEnv")
         RecordConstructorArgs.__init__(
@@ -255,8 +256,6 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """Take the settings, and make what filters by them."""
         chosen = self._settings(kind)
         self.config = config = chosen.config
-        if config.simulates and (self._rule is not None or self._model is not None):
-            raise ConfigError("Assumptions.exact() verifies by simulation: leave rule and model out")
         door: Door | TeamDoor
         if is_team(self._base):
             door = TeamDoor(self._base, config)
@@ -272,6 +271,9 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
                 model=self._model,
                 rule=self._rule,
             )
+        # After what is refused without them as well.
+        if config.simulates and (self._rule is not None or self._model is not None):
+            raise ConfigError("Assumptions.exact() verifies by simulation: leave rule and model out")
         warm_up_door(door)
         chosen.announce()
         self.verification, self.promise = chosen.verification, chosen.promise

@@ -9,12 +9,22 @@ import gymnasium as gym
 import numpy as np
 from highway_env.envs.common.action import ContinuousAction
 
+from dynamics.scenes.parking_lot import is_lot
 from dynamics.scenes.scene import has_road_and_vehicles
 from shield.config import ShieldConfig
-from shield.errors import ConfigError
+from shield.errors import ConfigError, ShieldError
+from shield.perception.known import Known
 from shield.refusals import check_target_speeds, refuse_manual_control
 
-__all__ = ["base_environments", "check_configuration", "check_gone_on", "check_step", "the_action_type"]
+__all__ = [
+    "base_environments",
+    "check_configuration",
+    "check_gone_on",
+    "check_step",
+    "is_known",
+    "refuse_lots",
+    "the_action_type",
+]
 
 _META, _INPUTS = "DiscreteMetaAction", "ContinuousAction"
 
@@ -36,10 +46,11 @@ def base_environments(env: Any, door: str) -> list[Any]:
     if hasattr(env, "num_envs"):
         each = getattr(env, "envs", None) or []
         if not each:
+            alone = 'observations alone: Shield(..., frames=False, perception="observation")'
             raise ConfigError(
                 f"{type(env).__name__} keeps its environments in other processes, where {door} cannot read "
-                "the scene; put the shield inside, SubprocVecEnv([lambda: ShieldedEnv(gym.make(...))]), or read "
-                'observations alone: Shield(..., frames=False, perception="observation")'
+                "the scene; put the shield inside, SubprocVecEnv([lambda: ShieldedEnv(gym.make(...))])"
+                f"{f', or read {alone}' if is_known(env) else ''}"
             )
     for one in each:
         _refuse_shielded(one, door)
@@ -58,6 +69,15 @@ def base_environments(env: Any, door: str) -> list[Any]:
                 f"there are fewer frames (simulation_frequency {frames}) than decisions (policy_frequency {decisions})"
             )
     return bases
+
+
+def is_known(env: Any) -> bool:
+    """Whether what is needed to read observations alone is known of the environments in other processes."""
+    try:
+        Known.of(env)
+    except ShieldError:
+        return False
+    return True
 
 
 def check_configuration(base: Any, config: ShieldConfig) -> None:
@@ -192,11 +212,33 @@ def the_action_type(bases: list[Any], door: str) -> str:
             return _META
     names = ", ".join(sorted(kind.__name__ for kind in kinds))
     if names == "MultiAgentAction":
-        raise ConfigError(f"{door} filters one ego's actions; ShieldedEnv(env, ShieldConfig.exact()) those of several")
+        # Imported here: what simulates uses this module.
+        from shield.doors.simulated.by_simulation import team_by_simulation
+
+        instead = team_by_simulation(bases[0])
+        raise ConfigError(f"{door} filters one ego's actions{f'; {instead}' if instead else ', and here are several'}")
+    valid = _INPUTS if any(map(is_lot, bases)) else _META
     raise ConfigError(
         f"{door} filters {_META}, {_INPUTS} or DiscreteAction; this environment has {names}. "
-        f'Pass config={{"action": {{"type": "{_META}"}}}} to gym.make'
+        f'Pass config={{"action": {{"type": "{valid}"}}}} to gym.make'
     )
+
+
+def refuse_lots(bases: list[Any]) -> None:
+    """Raise where meta-actions are to be filtered in a parking lot: they steer to lanes, and there are none.
+
+    Raises
+    ------
+    ConfigError
+        If one of the environments is a parking lot.
+    """
+    for base in bases:
+        if is_lot(base):
+            raise ConfigError(
+                f"{type(base).__name__} with {type(base.action_type).__name__}: in a parking lot the shield filters "
+                'ContinuousAction only. Pass config={"action": {"type": "ContinuousAction"}} to gym.make, and no '
+                "ShieldConfig.exact(): nothing is simulated there"
+            )
 
 
 def _layers(env: Any) -> Iterator[Any]:

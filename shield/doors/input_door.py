@@ -25,7 +25,7 @@ from shield.refusals import refuse_simulated
 if TYPE_CHECKING:
     from mpc.filter.program.road_step import StageModel
 
-__all__ = ["InputDoor", "refuse_lots"]
+__all__ = ["InputDoor"]
 
 
 class InputDoor(InputFrames):
@@ -51,11 +51,6 @@ class InputDoor(InputFrames):
         refuse_simulated(config)
         super().__init__(base, config)
         self._lot = is_lot(base)
-        if agent and self.actuators.choices is not None:
-            raise ConfigError(
-                "with frames=False the fail-safe goes through the policy's actions, and DiscreteAction has but a few; "
-                "take Shield(policy, env=env), ShieldedEnv(env), or ContinuousAction"
-            )
         if model is not None and (self._lot or agent):
             raise ConfigError("a model is for the predictive filter of ShieldedEnv on a road; leave it out here")
         # A reader and a core belong together: what the one reads, the other judges.
@@ -70,6 +65,12 @@ class InputDoor(InputFrames):
             raise ConfigError(
                 f"the shield's rollouts assume highway-env's own speed limits; this environment's ContinuousAction has "
                 f"speed_range {base.action_type.speed_range}. Leave speed_range out of the action's config"
+            )
+        # Last: what supervises the frames is refused for the same reasons as above.
+        if agent and self.actuators.choices is not None:
+            raise ConfigError(
+                "with frames=False the fail-safe goes through the policy's actions, and DiscreteAction has but a few; "
+                "take Shield(policy, env=env), ShieldedEnv(env), or ContinuousAction"
             )
         self._agent = agent
 
@@ -150,19 +151,3 @@ def _refuse_tyres(base: Any) -> None:
         "without simulation the shield knows highway-env's kinematic bicycle only, and this environment's "
         f"ContinuousAction is dynamical{': ' if mends else ''}{mends}"
     )
-
-
-def refuse_lots(bases: list[Any]) -> None:
-    """Raise where meta-actions are to be filtered in a parking lot: they steer to lanes, and there are none.
-
-    Raises
-    ------
-    ConfigError
-        If one of the environments is a parking lot.
-    """
-    for base in bases:
-        if is_lot(base):
-            raise ConfigError(
-                f"{type(base).__name__} with {type(base.action_type).__name__}: in a parking lot the shield filters "
-                'ContinuousAction only. Pass config={"action": {"type": "ContinuousAction"}} to gym.make'
-            )

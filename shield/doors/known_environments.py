@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from shield.doors.environments import is_known
 from shield.errors import ConfigError
 from shield.perception.known import Known
 from shield.perception.perceiving import PerceptionConfig
@@ -35,8 +36,9 @@ def known_beforehand(
     if perception == "simulator":
         raise ConfigError('known is for Shield(..., frames=False, perception="observation", known=...)')
     if frames:
+        alone = "pass frames=False, or " if known is not None or is_known(env) else ""
         raise ConfigError(
-            "the frames between two decisions are out of reach: pass frames=False, or put the shield inside, "
+            f"the frames between two decisions are out of reach: {alone}put the shield inside, "
             "SubprocVecEnv([lambda: ShieldedEnv(gym.make(...))])"
         )
     if known is None:

@@ -13,9 +13,9 @@ from dynamics.scenes.scene import Scene, SceneReader, Target
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
-from shield.doors.environments import check_configuration
-from shield.doors.input_door import refuse_lots
+from shield.doors.environments import check_configuration, refuse_lots
 from shield.doors.supervision import Command
+from shield.errors import SceneError
 from shield.perception.blind import BlindScenes
 from shield.perception.scenes import ObservedScenes
 from shield.procedures.decide import Core, Unreadable, read
@@ -75,7 +75,7 @@ class MetaDoor:
         self._passed: tuple[Decision, Target] | None = None
         self.cause = ""
         if base is not None and base.road is not None and config.mode != "none":
-            self.reader.check()
+            self._check()
 
     @property
     def violations(self) -> int:
@@ -106,7 +106,7 @@ class MetaDoor:
             check_configuration(self._base, self.config)
         self.core.reset()
         if self.config.mode != "none":
-            self.reader.check()
+            self._check()
         self._passed = None
 
     def show(self, observation: Any) -> None:
@@ -155,6 +155,21 @@ class MetaDoor:
         """Which actions verify now; all True where none does."""
         mask: np.ndarray[Any, Any] = self._meta.mask(self.core.memory, self.reader.read())
         return mask if mask.any() else np.ones_like(mask)
+
+    def _check(self) -> None:
+        """Read what depends on the road alone, or say what filters meta-actions on this road."""
+        try:
+            self.reader.check()
+        except SceneError as error:
+            if self._base is None or self._base.road is None:
+                raise
+            # Imported here: what simulates takes longer to import.
+            from shield.doors.simulated.by_simulation import by_default, by_simulation
+
+            instead = "; or ".join(each for each in (by_default(self._base), by_simulation(self._base)) if each)
+            if not instead:
+                raise
+            raise SceneError(f"this road is not supported with these settings: {instead}. ({error})") from error
 
     def _rated(self, decision: Decision, scene: Any) -> Decision:
         """The same with what its certificate rests on."""

@@ -7,6 +7,8 @@ import logging
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+
 from shield.decision import Decision, Reason
 from shield.errors import PolicyError, SceneError
 
@@ -69,11 +71,13 @@ class ActionWarning:
         for decision in () if self._told else decisions:
             if decision.reason is Reason.BAD_ACTION:
                 self._told = True
-                valid, hint = _valid(base, decision.proposed)
+                given = decision.proposed
+                shown = given.item() if isinstance(given, np.ndarray | np.generic) and given.size == 1 else given
+                valid, hint = _valid(base, shown)
                 _log.warning(
                     "%r is no action of this environment; have %s%s. The fallback acts instead, here %s, and the "
                     "record says %s. Told once",
-                    decision.proposed,
+                    shown,
                     valid,
                     hint,
                     _name(base, decision.executed),

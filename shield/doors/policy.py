@@ -166,8 +166,6 @@ class Shield(WrappedPolicy):
         """What filters in environment `i`, by its settings; `config` becomes those of the first."""
         chosen, base = self._settings(i), self._bases[i]
         self._chosen[i] = chosen
-        if chosen.config.simulates and self._inputs and not self._frames:
-            raise ConfigError("Assumptions.exact() verifies throttle and steering at every frame: frames=True")
         door = door_for(
             getattr(self._env, "envs", [self._env])[i],
             chosen.config,
@@ -176,6 +174,9 @@ class Shield(WrappedPolicy):
             frames=self._frames,
             perception=self._perception,
         )
+        # After what is refused with frames as well.
+        if chosen.config.simulates and self._inputs and not self._frames:
+            raise ConfigError("Assumptions.exact() verifies throttle and steering at every frame: frames=True")
         warm_up_door(door)
         if i == 0:
             chosen.announce()

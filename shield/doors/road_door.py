@@ -19,8 +19,7 @@ from dynamics.simulator.layout import CRASHED, IMPACTED, LANE, SPEED, TARGET, TA
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
-from shield.doors.environments import check_configuration
-from shield.doors.input_door import refuse_lots
+from shield.doors.environments import check_configuration, refuse_lots
 from shield.doors.simulated.exact_scene import why_unread
 from shield.doors.supervision import Command, limited_braking
 from shield.errors import SceneError

@@ -1,28 +1,69 @@
-"""What a refusal of throttle and steering adds where they are verified by simulation."""
+"""What a refusal adds: other ways to filter the same actions in the same environment, each of them tried."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
-from shield.config import ShieldConfig
-from shield.doors.simulated.exact_input_door import ExactInputDoor
+from highway_env.envs.common.action import ContinuousAction
 
-__all__ = ["by_simulation"]
+from shield.config import ShieldConfig
+from shield.doors.road_door import RoadDoor
+from shield.doors.simulated.exact_door import ExactDoor
+from shield.doors.simulated.exact_input_door import ExactInputDoor
+from shield.doors.simulated.team_door import TeamDoor, is_team
+from shield.roads.reading import default_on, has_crossings
+
+__all__ = ["by_default", "by_simulation", "team_by_simulation"]
 
 
 def by_simulation(base: Any) -> str:
-    """How to have throttle and steering filtered by `ShieldConfig.exact()`, in words; "" where that refuses them too.
+    """How to have the actions of one ego filtered by `ShieldConfig.exact()`, in words; "" where that refuses them too.
 
     Parameters
     ----------
-    base : highway-env's environment, unwrapped, with `ContinuousAction`. It is tried, and left as it is.
+    base : highway-env's environment, unwrapped. It is tried, and left as it is.
     """
-    try:
-        ExactInputDoor(base, ShieldConfig.exact())
-    except Exception:
-        # Whatever it is, it is not what the user has asked for, and must not hide what is told.
+    filters = ExactInputDoor if isinstance(base.action_type, ContinuousAction) else ExactDoor
+    if not _accepted(filters, base, ShieldConfig.exact()):
         return ""
     return (
         "pass ShieldConfig.exact(), which simulates the traffic here: ShieldedEnv(env, ShieldConfig.exact()), "
         "Shield(policy, env, ShieldConfig.exact()), or as TOML what `shield config --profile exact` prints"
     )
+
+
+def team_by_simulation(base: Any) -> str:
+    """How to have the meta-actions of several egos filtered, in words; "" where they are refused.
+
+    Parameters
+    ----------
+    base : highway-env's environment, unwrapped, with `MultiAgentAction`. It is tried, and left as it is.
+    """
+    accepted = is_team(base) and _accepted(TeamDoor, base, ShieldConfig.exact())
+    return "ShieldedEnv(env, ShieldConfig.exact()) filters those of several" if accepted else ""
+
+
+def by_default(base: Any) -> str:
+    """That the default settings filter meta-actions on a network of roads, in words; "" where they do not.
+
+    Parameters
+    ----------
+    base : highway-env's environment, unwrapped, with `DiscreteMetaAction`. It is tried, and left as it is.
+    """
+    if not has_crossings(base) or not _accepted(RoadDoor, base, default_on(base)):
+        return ""
+    return (
+        "by default ShieldedEnv(env) and Shield(policy, env=env) filter meta-actions here: without a rule or a mode, "
+        "without frames=False, and with the simulator's perception"
+    )
+
+
+def _accepted(filters: Callable[[Any, ShieldConfig], Any], base: Any, config: ShieldConfig) -> bool:
+    """Whether what filters an environment can be made for it."""
+    try:
+        filters(base, config)
+    except Exception:
+        # Whatever it is, it is not what the user has asked for, and must not hide what is told.
+        return False
+    return True

@@ -20,8 +20,7 @@ from shield.batch.vocabulary import REASONS, TIERS
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
-from shield.doors.environments import check_configuration
-from shield.doors.input_door import refuse_lots
+from shield.doors.environments import check_configuration, refuse_lots
 from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, Room, simulate_network, why_unread
 from shield.errors import ConfigError
 from shield.exact.deciding import Plans, boxed_in, empty_plans, last_resort, passes, replace, verify
@@ -60,8 +59,8 @@ class ExactDoor(Foretells):
     supervising = False
 
     def __init__(self, base: Any, config: ShieldConfig) -> None:
-        check(config)
         refuse_lots([base])
+        check(config)
         check_configuration(base, config)
         self.config, self._base = config, base
         self.on_network = not isinstance(base, CompiledHighwayEnv) and on_network(base)

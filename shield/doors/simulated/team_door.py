@@ -12,6 +12,7 @@ from highway_env.envs.common.action import DiscreteMetaAction, MultiAgentAction
 
 from dynamics.networks.layout import FRAMES
 from dynamics.networks.refusals import check_network, on_network
+from dynamics.scenes.parking_lot import is_lot
 from dynamics.simulator.layout import ALLY, EGO, KIND
 from shield.batch.arrays import empty_records
 from shield.batch.vocabulary import REASONS
@@ -62,20 +63,22 @@ class TeamDoor(Foretells):
     supervising = False
 
     def __init__(self, base: Any, config: ShieldConfig) -> None:
-        if not config.assumptions.simulated:
-            raise ConfigError("several egos are verified by simulation: ShieldedEnv(env, ShieldConfig.exact())")
-        check(config)
+        # What other settings do not mend comes first: they would be named as the remedy otherwise.
+        if not on_network(base) or is_lot(base):
+            raise ConfigError(
+                f"several egos are shielded on networks of roads, such as intersection-multi-agent-v2, not in "
+                f"{type(base).__name__}"
+            )
+        check_network(base)
         kinds = {type(each) for each in base.action_type.agents_action_types}
         if kinds - {DiscreteMetaAction}:
             names = ", ".join(sorted(kind.__name__ for kind in kinds))
-            raise ConfigError(f"the shield of several egos filters DiscreteMetaAction; here they have {names}")
-        if not on_network(base):
-            raise ConfigError(
-                f"several egos are shielded on networks of roads, such as intersection-multi-agent-v0, not in "
-                f"{type(base).__name__}"
-            )
+            instead = _with_meta_actions(base)
+            raise ConfigError(f"the shield of several egos filters DiscreteMetaAction; here they have {names}{instead}")
         check_configuration(base, config)
-        check_network(base)
+        if not config.assumptions.simulated:
+            raise ConfigError("several egos are verified by simulation: ShieldedEnv(env, ShieldConfig.exact())")
+        check(config)
         self.config, self._base = config, base
         self._scene = ExactScene(base, config, simulate_network)
         self.cause = ""
@@ -164,3 +167,22 @@ class TeamDoor(Foretells):
             last_resort(records, plans, 0, slowest, REASONS.index(reason))
             decisions.append(as_decision(action if proposed < 0 else proposed, records, start))
         return decisions
+
+
+def _with_meta_actions(base: Any) -> str:
+    """What gives the egos meta-actions that are filtered, in words; "" where highway-env or the shield refuses them.
+
+    Parameters
+    ----------
+    base : highway-env's environment, unwrapped. Another of its class is made.
+    """
+    action = {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}
+    try:
+        TeamDoor(type(base)(config={**base.config, "action": action}), ShieldConfig.exact())
+    except Exception:
+        # Whatever it is, it must not hide what is told.
+        return ""
+    return (
+        '. Pass config={"action": {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}} to '
+        "gym.make, and ShieldConfig.exact() to ShieldedEnv"
+    )

@@ -1,0 +1,111 @@
+"""What the default shield costs and saves: crash rate and return of each environment with meta-actions, bare and behind
+`ShieldedEnv(env)`, on the same seeds.
+
+    python benchmarks/default_drives.py --episodes 1000 --seed 920000      # the table of docs/what-it-drives.md
+    python benchmarks/default_drives.py merge-v0 intersection-v2 --episodes 200 --seed 5000
+"""
+
+from __future__ import annotations
+
+import argparse
+import warnings
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import pandas as pd
+from what_it_drives import config_of, env_ids, made
+
+from evaluation.measuring.statistics import wilson
+from evaluation.running.episodes import run_paired
+from evaluation.running.many import Many
+from evaluation.running.records import Variant, config_on
+from evaluation.settings import Setting
+from shield.config import ShieldConfig
+from shield.decision import Verification
+from shield.doors.env import ShieldedEnv
+from shield.errors import ConfigError, ShieldError
+
+POLICIES = ("faster", "random")
+
+
+class Row(NamedTuple):
+    """One environment and policy: what it is verified against, and the episodes, bare and shielded."""
+
+    env_id: str
+    verification: Verification
+    policy: str
+    bare: pd.DataFrame
+    shielded: pd.DataFrame
+
+
+def shielded_episodes(setting: Setting, policy: str, config: ShieldConfig, seeds: range, jobs: int) -> pd.DataFrame:
+    """Episodes of the default shield: side by side where they are compiled so, else one by one."""
+    try:
+        return Many(setting, policy, config).run(seeds)
+    except ConfigError:
+        return run_paired(setting, policy, [Variant("env", config)], seeds, simulator="auto", jobs=jobs)
+
+
+def rows(env_ids: Sequence[str], seeds: range, jobs: int) -> Iterator[Row]:
+    """A row for each environment that highway-env drives with meta-actions of one ego, and policy."""
+    for env_id in env_ids:
+        config = config_of(env_id, "DiscreteMetaAction")
+        if config is None:
+            continue
+        try:
+            shield = ShieldedEnv(made(env_id, config))
+        except (ShieldError, TypeError, ValueError, KeyError):
+            continue
+        if shield.verification not in (Verification.SIMULATED, Verification.WORST_CASE) or "multi-agent" in env_id:
+            continue
+        setting = Setting(env_id, env_id, config)
+        for policy in POLICIES:
+            bare = run_paired(setting, policy, [Variant()], seeds, simulator="auto", jobs=jobs)
+            behind = shielded_episodes(setting, policy, config_on(setting), seeds, jobs)
+            yield Row(env_id, shield.verification, policy, bare, behind)
+
+
+def crashes(frame: pd.DataFrame) -> str:
+    """The crash rate [%] with its Wilson interval."""
+    rate = wilson(int(frame.crashed.sum()), len(frame))
+    return f"{100 * rate.estimate:.1f} [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
+
+
+def line(row: Row) -> str:
+    """A row in Markdown; returns and crash rates that miss are bold, with the seeds of crashes."""
+    better = row.shielded["return"].mean() >= row.bare["return"].mean() - 0.005
+    returned, crashed = f"{row.shielded['return'].mean():.2f}", crashes(row.shielded)
+    seeds = ", ".join(map(str, row.shielded.seed[row.shielded.crashed]))
+    cells = [
+        row.env_id,
+        row.verification.value.replace("_", " "),
+        row.policy,
+        crashes(row.bare),
+        f"{row.bare['return'].mean():.2f}",
+        f"**{crashed}** ({seeds})" if seeds else crashed,
+        returned if better else f"**{returned}**",
+        f"{row.shielded.mean_speed.mean():.1f}",
+        f"{100 * row.shielded.overridden.sum() / row.shielded.steps.sum():.1f}",
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("env_ids", nargs="*", help="all by default")
+    parser.add_argument("--episodes", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=920_000)
+    parser.add_argument("--jobs", type=int, default=1)
+    asked = parser.parse_args()
+    warnings.simplefilter("ignore")
+    print(
+        "| environment | verified against | policy | bare: crashes %; 95 % Wilson | return "
+        "| default: crashes %; 95 % Wilson | return | speed m/s | overridden % |"
+    )
+    print("| :-- | :-- | :-- | --: | --: | --: | --: | --: | --: |")
+    for row in rows(asked.env_ids or env_ids(), range(asked.seed, asked.seed + asked.episodes), asked.jobs):
+        print(line(row), flush=True)
+
+
+if __name__ == "__main__":
+    main()

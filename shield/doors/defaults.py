@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from dynamics.networks.refusals import check_network, on_network
 from dynamics.networks.simulator import NetworkSimulator
 from dynamics.scenes.parking_lot import is_lot
+from dynamics.traffic.assumptions import Assumptions
 from shield.config import SIMULATED, WORST_CASE, ShieldConfig
 from shield.decision import Verification
 from shield.errors import ConfigError, SceneError
@@ -22,6 +23,10 @@ Given = ShieldConfig | str | None
 
 _log = logging.getLogger("shield")
 _CHOOSE = 'To choose, pass config="simulated", config="worst-case" or a ShieldConfig.'
+_FORGOTTEN = (
+    "These settings have the assumptions of a straight highway; without settings this traffic would be simulated: pass "
+    "ShieldConfig.exact().replace(...) instead"
+)
 _PROMISES = {
     Verification.OFF: "no shield; every action is executed as proposed",
     Verification.RULE: "a rule decides alone, and nothing is verified",
@@ -66,22 +71,20 @@ class Chosen:
     verification : what actions are verified against.
     promise : what that promises, in a sentence.
     by_default : whether nobody asked for these settings.
-    unknown : why the traffic is not simulated by default where that would be better, "" elsewhere.
+    caution : why the traffic is not simulated where that would be better, in a sentence; "" elsewhere.
     """
 
     config: ShieldConfig
     verification: Verification
     promise: str
     by_default: bool = False
-    unknown: str = ""
+    caution: str = ""
 
     def announce(self) -> None:
-        """Log the promise of settings that nobody asked for: as a warning where the traffic is unknown."""
-        if not self.by_default:
-            return
-        if self.unknown:
-            _log.warning("%s. Its traffic cannot be simulated: %s. %s", self.promise, self.unknown, _CHOOSE)
-        else:
+        """Log the promise: as a warning with a caution, as information where nobody asked for the settings."""
+        if self.caution:
+            _log.warning("%s. %s. %s", self.promise, self.caution, _CHOOSE)
+        elif self.by_default:
             _log.info("%s. %s", self.promise, _CHOOSE)
 
 
@@ -105,14 +108,18 @@ def choose_settings(given: Given, place: Place) -> Chosen:
     be verified (several egos, tyres that slip). Elsewhere, and where the traffic is unknown, the worst case is taken.
     """
     worst = _worst_case(place)
-    if isinstance(given, ShieldConfig):
-        return _described(place, given)
-    if given is not None:
+    if isinstance(given, str):
         return _described(place, ShieldConfig.exact() if given == SIMULATED else worst)
-    if place.worst_case_only or place.rule or place.base is None or not _better_simulated(place):
+    open_to_both = not (place.worst_case_only or place.rule) and _better_simulated(place)
+    if given is not None:
+        forgotten = open_to_both and given.mode == "full" and given.assumptions == Assumptions()
+        caution = _FORGOTTEN if forgotten and not why_not_simulated(place.base) else ""
+        return _described(place, given, caution=caution)
+    if not open_to_both:
         return _described(place, worst, True)
     unknown = why_not_simulated(place.base)
-    return _described(place, worst if unknown else ShieldConfig.exact(), True, unknown)
+    caution = f"Its traffic cannot be simulated: {unknown}" if unknown else ""
+    return _described(place, worst if unknown else ShieldConfig.exact(), True, caution)
 
 
 def why_not_simulated(base: Any) -> str:
@@ -128,7 +135,7 @@ def why_not_simulated(base: Any) -> str:
 
 def _better_simulated(place: Place) -> bool:
     base = place.base
-    if base.road is None or is_lot(base):
+    if base is None or base.road is None or is_lot(base):
         return False
     slips = place.inputs and getattr(base.action_type, "dynamical", False)
     return has_crossings(base) or len(getattr(base, "controlled_vehicles", ())) > 1 or slips
@@ -142,7 +149,7 @@ def _worst_case(place: Place) -> ShieldConfig:
     return ShieldConfig() if place.rule or place.base is None else default_on(place.base)
 
 
-def _described(place: Place, config: ShieldConfig, by_default: bool = False, unknown: str = "") -> Chosen:
+def _described(place: Place, config: ShieldConfig, by_default: bool = False, caution: str = "") -> Chosen:
     kind = Verification.WORST_CASE
     if config.mode == "none":
         kind = Verification.OFF
@@ -153,4 +160,4 @@ def _described(place: Place, config: ShieldConfig, by_default: bool = False, unk
     elif place.base is not None and is_lot(place.base):
         kind = Verification.STANDING
     name = "observations" if place.base is None else type(place.base).__name__
-    return Chosen(config, kind, f"{name}: {_PROMISES[kind]}", by_default, unknown)
+    return Chosen(config, kind, f"{name}: {_PROMISES[kind]}", by_default, caution)

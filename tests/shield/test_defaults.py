@@ -122,3 +122,15 @@ def test_each_of_several_environments_has_its_own_settings():
     shield.predict(env.reset())
     kinds = [Verification.SIMULATED, Verification.WORST_CASE]
     assert [shield.report(i)["verification"] for i in range(2)] == [kind.value for kind in kinds]
+
+
+def test_settings_that_forget_the_road_are_told(caplog):
+    """`ShieldConfig(record=True)` on a network of roads takes the worst case of a straight highway, in place of the
+    default there."""
+    with caplog.at_level(logging.WARNING, "shield"):
+        for config in (ShieldConfig.exact(), ShieldConfig.for_roads(), "worst-case", ShieldConfig(mode="none")):
+            ShieldedEnv(gym.make("merge-v0"), config)
+        ShieldedEnv(gym.make("highway-fast-v0"), ShieldConfig(record=True))
+        assert not caplog.records
+        ShieldedEnv(gym.make("merge-v0"), ShieldConfig(record=True))
+    assert "ShieldConfig.exact().replace" in caplog.text

@@ -11,6 +11,7 @@ from highway_env.envs.highway_env import HighwayEnv
 from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.envs.lane_keeping_env import LaneKeepingEnv
 from highway_env.envs.merge_env import MergeEnv
+from highway_env.envs.parking_env import ParkingEnv
 from highway_env.envs.racetrack_env import RacetrackEnv
 from highway_env.envs.roundabout_env import RoundaboutEnv
 from highway_env.envs.two_way_env import TwoWayEnv
@@ -23,11 +24,14 @@ from dynamics.networks.priority_road import PriorityRoad
 from dynamics.networks.regulation import Customs
 from dynamics.simulator.kinds import kind_of
 from dynamics.simulator.layout import LINEAR
+from dynamics.simulator.own_methods import check_moves
 
 __all__ = ["check_network", "customs_of", "exits_of", "on_network"]
 
 _KNOWN = (ExitEnv, IntersectionEnv, LaneKeepingEnv, MergeEnv, RacetrackEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv)
 """Nothing of their traffic is drawn after the reset, but for who comes to an intersection."""
+_AT_CROSSINGS = ("_clear_vehicles", "_spawn_vehicle")
+"""What `IntersectionEnv` changes between two decisions: vehicles leave near their exits, and others come."""
 
 
 def on_network(base: Any) -> bool:
@@ -38,24 +42,21 @@ def on_network(base: Any) -> bool:
 def check_network(base: Any) -> None:
     """Raise where the traffic of an environment, unwrapped, is not known.
 
-    An environment of another class says by an attribute `changes_between_decisions_only = True` that whatever its
-    `step` changes on the road, beside highway-env's `_simulate`, it changes between two decisions.
+    Its class may be anybody's: what moves its traffic has to be highway-env's own (`check_moves`), and
+    what is on its road is checked where the scene is read.
 
     Raises
     ------
     ConfigError
-        That lists the classes that are; or if its vehicles drive in a way that is not known there.
+        That names the method that is not highway-env's own; or if its vehicles drive in a way that is not known there,
+        or it is no environment of highway-env's, or a parking lot.
     """
-    declared = getattr(base, "changes_between_decisions_only", False)
-    if not declared and not isinstance(base, _KNOWN):
+    if not isinstance(base, AbstractEnv) or isinstance(base, ParkingEnv):
         raise ConfigError(
             f"the traffic of {type(base).__name__} does not follow from its state; it does on straight highways "
-            f"(highway-v0, highway-fast-v0) and in {_names(_KNOWN)}"
+            f"(highway-v0, highway-fast-v0), in {_names(_KNOWN)}, and in environments made as these are"
         )
-    own = next((k for k, each in enumerate(type(base).__mro__) if each in _KNOWN or each is AbstractEnv))
-    for kind in type(base).__mro__[:own]:
-        if "_simulate" in vars(kind) or ("step" in vars(kind) and not declared):
-            raise ConfigError(f"{kind.__name__} steps in a way of its own")
+    check_moves(base, _AT_CROSSINGS if isinstance(base, IntersectionEnv) else ())
     traffic = base.config.get("other_vehicles_type")
     if traffic is not None and kind_of(class_from_path(traffic)) == LINEAR:
         raise ConfigError(f"vehicles of the linear model ({traffic}) are known on straight highways only")

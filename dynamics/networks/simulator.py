@@ -122,9 +122,13 @@ class NetworkSimulator:
         return cast(Any, env.unwrapped).road.network is self._network
 
     def fits(self, env: gym.Env[Any, Any]) -> bool:
-        """Whether an environment has the road and as many bodies as this one, so that `load` takes it."""
-        road = cast(Any, env.unwrapped).road
+        """Whether an environment has the road, the frequencies and as many bodies as this one, so that `load` takes
+        it."""
+        base = cast(Any, env.unwrapped)
+        road, config = base.road, base.config
         same = road is not None and road.network is self._network and len(road.vehicles) == self.rules.numbers[1]
+        frame, decision = 1 / config["simulation_frequency"], 1 / config["policy_frequency"]
+        same = same and frame == self.rules.times[0] and (self._inputs or decision == self.rules.times[1])
         return same and len(road.objects) + len(road.vehicles) == self._bodies and longest_route(env) <= self._entries
 
     def load(self, env: gym.Env[Any, Any], e: int = 0) -> None:

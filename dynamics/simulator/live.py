@@ -120,8 +120,9 @@ def load(env: gym.Env[Any, Any], scenario: Scenario, worlds: Worlds, e: int) -> 
 def _check_clock(base: Any, scenario: Scenario) -> None:
     """Raise where decisions, frames or observations are others than the simulator's."""
     frames, config = scenario.rules.numbers[0], base.config
-    times = 1 / config["simulation_frequency"], 1 / config["policy_frequency"], float(config["duration"])
-    if times != scenario.rules.times or base.steps % frames:
+    times = 1 / config["simulation_frequency"], 1 / config["policy_frequency"]
+    lasts = not scenario.observes or float(config["duration"]) == scenario.rules.times[2]
+    if times != scenario.rules.times[:2] or not lasts or base.steps % frames:
         raise SceneError("the environment has other frequencies than the simulator, or is amid a decision")
     if scenario.observes and base.observation_space.shape != scenario.observation_space.shape:
         raise SceneError("the environment's observations are not those of its configuration; reset it first")

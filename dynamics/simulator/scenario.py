@@ -25,16 +25,28 @@ from dynamics.simulator.grid import LAYERS
 from dynamics.simulator.kinds import constants_of, kind_of, mix_of, ranges_of
 from dynamics.simulator.layout import CONTINUOUS, EGO, LANE_COLUMNS
 from dynamics.simulator.observe import FEATURES
+from dynamics.simulator.own_methods import check_moves
 from dynamics.simulator.refusals import refusals
 from dynamics.state import FloatArray
 
-__all__ = ["ACTIONS", "REWARDS", "Inputs", "Scenario", "scenario_of"]
+__all__ = ["ACTIONS", "REWARDS", "Inputs", "Scenario", "scenario_of", "scenario_of_live"]
 
 ACTIONS = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
 """The labels of meta-actions, by the number that the kernels know them by."""
 
 COPIED = "1.12"
 """The version of highway-env: traffic of the versions before it drives in other ways."""
+
+_MOVES = (
+    "action",
+    "simulation_frequency",
+    "policy_frequency",
+    "other_vehicles_type",
+    "lanes_count",
+    "controlled_vehicles",
+    "manual_control",
+)
+"""Settings that tell how the traffic of a live highway moves."""
 
 REWARDS = ("collision_reward", "right_lane_reward", "high_speed_reward", "on_road_reward")
 """What the reward is made of, in the order of `engine.Seen.parts`."""
@@ -111,12 +123,55 @@ def scenario_of(env_id: str, config: Mapping[str, Any] | None = None, observes: 
     PlatformError
         If another version of highway-env is installed than the one that it is a copy of.
     """
-    installed = version("highway-env")
-    if not installed.startswith(f"{COPIED}."):
-        raise PlatformError(f"the compiled highway is a copy of highway-env {COPIED}; {installed} is installed")
     kind, registered = _class_of(env_id)
     whole = kind.default_config()
     whole.update(registered if config is None else config)
+    return _scenario(env_id, kind, whole, observes)
+
+
+def scenario_of_live(base: Any, observes: bool = True) -> Scenario:
+    """The scenario of a live environment, unwrapped, as it is configured now.
+
+    Parameters
+    ----------
+    base : an environment of `HighwayEnv` or `HighwayEnvFast`, whatever its id; without `observes`, also of a class
+        derived from these that has its own rewards, observations, ends or vehicles (see `own_methods`).
+    observes : as of `scenario_of`. Without, settings that only its own class knows are left out.
+
+    Raises
+    ------
+    ConfigError
+        If it needs what the compiled simulator cannot do; the message lists all of it.
+    PlatformError
+        As of `scenario_of`.
+    """
+    env_id = type(base).__name__ if base.spec is None else base.spec.id
+    if observes:
+        if type(base) not in (HighwayEnv, HighwayEnvFast):
+            raise ConfigError(
+                f"the compiled simulator observes and rewards as HighwayEnv and HighwayEnvFast do, not as {env_id} does"
+            )
+        return _scenario(env_id, type(base), dict(base.config), observes)
+    if not isinstance(base, HighwayEnv):
+        raise ConfigError(f"the compiled simulator runs straight highways, HighwayEnv, not {env_id}")
+    check_moves(base)
+    kind = HighwayEnvFast if isinstance(base, HighwayEnvFast) else HighwayEnv
+    whole = kind.default_config()
+    whole.update({key: base.config[key] for key in _MOVES if key in base.config})
+    # What the last reset has made counts, where the configuration has been changed since.
+    if base.road is not None:
+        whole["lanes_count"] = len(base.road.network.lanes_list())
+    speeds = getattr(base.action_type, "target_speeds", None)
+    if speeds is not None:
+        whole["action"] = {**whole["action"], "target_speeds": speeds}
+    return _scenario(env_id, kind, whole, observes)
+
+
+def _scenario(env_id: str, kind: type[HighwayEnv], whole: dict[str, Any], observes: bool) -> Scenario:
+    """The scenario of a class and all of its configuration."""
+    installed = version("highway-env")
+    if not installed.startswith(f"{COPIED}."):
+        raise PlatformError(f"the compiled highway is a copy of highway-env {COPIED}; {installed} is installed")
     if not observes:
         whole["observation"] = {"type": "Kinematics"}
     refused = refusals(whole)

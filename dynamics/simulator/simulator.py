@@ -31,7 +31,7 @@ from dynamics.simulator.layout import LINEAR, F, G, P
 from dynamics.simulator.live import bodies_of, load, store
 from dynamics.simulator.loops import addresses
 from dynamics.simulator.random import TAPE, WORDS
-from dynamics.simulator.scenario import Scenario, scenario_of
+from dynamics.simulator.scenario import Scenario, scenario_of, scenario_of_live
 from dynamics.slices import Slices
 from dynamics.state import FloatArray
 
@@ -81,6 +81,7 @@ class Simulator:
         threads: int = 1,
         tape: bool = False,
     ) -> None:
+        self._network: Any = None
         self._build(scenario_of(env_id, config), num_envs, threads, tape)
         entropy = np.random.SeedSequence().generate_state(num_envs, np.uint64) >> np.uint64(1)
         self.reset(entropy.astype(np.int64))
@@ -100,15 +101,13 @@ class Simulator:
         SceneError
             If its scene does: another road, strange objects, vehicles that drive in another way.
         """
-        base = cast(Any, env.unwrapped)
-        if base.spec is None:
-            raise ConfigError("the environment has no id; make it with gym.make")
-        scenario = scenario_of(base.spec.id, base.config, observes)
+        scenario = scenario_of_live(cast(Any, env.unwrapped), observes)
         vehicles, obstacles = bodies_of(env)
         rules = scenario.rules
         numbers = (rules.numbers[0], len(vehicles), *rules.numbers[2:])
         bodies = len(vehicles) + len(obstacles)
         simulator = cls.__new__(cls)
+        simulator._network = cast(Any, env.unwrapped).road.network
         simulator._build(replace(scenario, rules=rules._replace(numbers=numbers), bodies=bodies), num_envs)
         for e in range(num_envs):
             simulator.load(env, e)
@@ -125,13 +124,15 @@ class Simulator:
             raise ConfigError(f"there are environments 0 to {self.num_envs - 1}, not {e}")
 
     def fits(self, env: gym.Env[Any, Any]) -> bool:
-        """Whether a live environment has as many bodies, so that `load` may take it."""
-        road = cast(Any, env.unwrapped).road
-        vehicles = self.scenario.rules.numbers[1]
-        return road is not None and (vehicles, self.scenario.bodies - vehicles) == (
-            len(road.vehicles),
-            len(road.objects),
-        )
+        """Whether a live environment has the road that this one was made `of`, and as many bodies and the same
+        frequencies still, so that `load` may take it."""
+        base = cast(Any, env.unwrapped)
+        road, config, rules = base.road, base.config, self.scenario.rules
+        if road is None or road.network is not self._network:
+            return False
+        times = 1 / config["simulation_frequency"], 1 / config["policy_frequency"]
+        bodies = rules.numbers[1], self.scenario.bodies - rules.numbers[1]
+        return times == rules.times[:2] and bodies == (len(road.vehicles), len(road.objects))
 
     def load(self, env: gym.Env[Any, Any], e: int = 0) -> None:
         """Copy a live environment, between two decisions, into copy `e`; see `live.load`."""

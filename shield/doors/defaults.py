@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from dynamics.networks.refusals import check_network, on_network
 from dynamics.networks.simulator import NetworkSimulator
 from dynamics.scenes.parking_lot import is_lot
+from dynamics.simulator.own_methods import check_moves
 from dynamics.traffic.assumptions import Assumptions
 from shield.config import SIMULATED, WORST_CASE, ShieldConfig
 from shield.decision import Verification
@@ -127,6 +128,8 @@ def why_not_simulated(base: Any) -> str:
     try:
         if on_network(base):
             check_network(base)
+        else:
+            check_moves(base)
         NetworkSimulator(base)
     except (ConfigError, SceneError) as error:
         return str(error)

@@ -124,6 +124,7 @@ def check_step(base: Any, before: int, executed: Any, info: Mapping[str, Any]) -
             "changes it; put that around the ShieldedEnv"
         )
     frames, went = _frames_of(base), int(base.steps) - before
+    _refuse_late_actions(before, frames)
     if not 0 < went <= frames:
         raise ConfigError(
             f"the environment went on by {went} frames in one step, and a decision has {frames}: a wrapper inside "
@@ -145,11 +146,21 @@ def check_gone_on(base: Any, before: int) -> None:
     """
     refuse_manual_control(base.config)
     frames, went = _frames_of(base), int(base.steps) - before
+    _refuse_late_actions(before, frames)
     if went > frames:
         raise ConfigError(
             f"the environment went on by {went} frames since the last predict(), and a decision has {frames}: its "
             "actions are repeated, or taken without the shield. Ask predict() before each step, and put a wrapper that "
             "repeats actions around a ShieldedEnv"
+        )
+
+
+def _refuse_late_actions(before: int, frames: int) -> None:
+    """Raise where highway-env carries an action out later than it was taken: at frames that `frames` divides only."""
+    if before % frames:
+        raise ConfigError(
+            f"the frequencies were changed within an episode: the decision began at frame {before}, and highway-env "
+            f"takes actions at every {frames}. frame only; call reset() after the change"
         )
 
 

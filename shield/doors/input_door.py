@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from dynamics.errors import ConfigError, SceneError
 from dynamics.scenes.parking_lot import LotReader, is_lot
 from dynamics.scenes.scene import SceneReader
 from dynamics.state import FloatArray, State
+from dynamics.vehicle.actuators import Actuators
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.input_frames import InputFrames
@@ -50,29 +51,33 @@ class InputDoor(InputFrames):
     def __init__(self, base: Any, config: ShieldConfig, agent: bool = False, model: StageModel | None = None) -> None:
         refuse_simulated(config)
         super().__init__(base, config)
-        self._lot = is_lot(base)
+        self._lot, self._agent, self._model = is_lot(base), agent, model
         if model is not None and (self._lot or agent):
             raise ConfigError("a model is for the predictive filter of ShieldedEnv on a road; leave it out here")
         # A reader and a core belong together: what the one reads, the other judges.
         self._reader: Any = LotReader(base) if self._lot else SceneReader(base, curved=True)
-        hold = self._period if agent else None
-        procedure: Any = Inputs(config, self.actuators, hold, model=model) if not self._lot else None
-        self.core: Core[Any] = Core(procedure or ParkingLot(config, self.actuators, hold))
+        self.core: Core[Any] = self._new_core()
         if base.road is not None and not self._off:
             self._check()
         _refuse_tyres(base)
-        if getattr(base.action_type, "speed_range", None):
-            raise ConfigError(
-                f"the shield's rollouts assume highway-env's own speed limits; this environment's ContinuousAction has "
-                f"speed_range {base.action_type.speed_range}. Leave speed_range out of the action's config"
-            )
+        _refuse_speed_range(base)
         # Last: what supervises the frames is refused for the same reasons as above.
-        if agent and self.actuators.choices is not None:
+        self._refuse_choices()
+
+    def _new_core(self) -> Core[Any]:
+        """What decides, for the actuators and the frequencies that the environment has now."""
+        self._made_for = self.actuators, self._period
+        hold = self._period if self._agent else None
+        if self._lot:
+            return Core(ParkingLot(self.config, self.actuators, hold))
+        return Core(Inputs(self.config, self.actuators, hold, model=self._model))
+
+    def _refuse_choices(self) -> None:
+        if self._agent and self.actuators.choices is not None:
             raise ConfigError(
                 "with frames=False the fail-safe goes through the policy's actions, and DiscreteAction has but a few; "
                 "take Shield(policy, env=env), ShieldedEnv(env), or ContinuousAction"
             )
-        self._agent = agent
 
     def reset(self) -> None:
         """Forget everything about the episode, and compute what depends on the road alone.
@@ -81,9 +86,16 @@ class InputDoor(InputFrames):
         ------
         SceneError
             If the episode's road is not supported.
+        ConfigError
+            If the environment is now configured as the shield does not support.
         """
-        self.core.reset()
         self._begin()
+        _refuse_tyres(self._base)
+        _refuse_speed_range(self._base)
+        if not _same(self._made_for, (self.actuators, self._period)):
+            self._refuse_choices()
+            self.core = self._new_core()
+        self.core.reset()
         procedure = self.core.procedure
         if self._off:
             return
@@ -137,6 +149,21 @@ class InputDoor(InputFrames):
         speed = float(getattr(self._base.vehicle, "speed", np.nan))
         frames = self._period if self._agent else 1
         return -speed * self._base.config["simulation_frequency"] / frames
+
+
+def _same(a: tuple[Actuators, int], b: tuple[Actuators, int]) -> bool:
+    """Whether actuators and frames of a decision are equal."""
+    names = [each.name for each in fields(Actuators)]
+    return a[1] == b[1] and all(np.array_equal(getattr(a[0], name), getattr(b[0], name)) for name in names)
+
+
+def _refuse_speed_range(base: Any) -> None:
+    """Raise where the ego has limits of speed of its own."""
+    if getattr(base.action_type, "speed_range", None):
+        raise ConfigError(
+            f"the shield's rollouts assume highway-env's own speed limits; this environment's ContinuousAction has "
+            f"speed_range {base.action_type.speed_range}. Leave speed_range out of the action's config"
+        )
 
 
 def _refuse_tyres(base: Any) -> None:

@@ -34,10 +34,7 @@ class InputFrames(ABC):
 
     def __init__(self, base: Any, config: ShieldConfig) -> None:
         self.config, self._base = config, base
-        self.actuators = Actuators.of(base.action_type)
-        self._period = int(base.config["simulation_frequency"] // base.config["policy_frequency"])
         self._off = config.mode == "none"
-        self._cruise = Cruise(self.actuators)
         self.cause = ""
         self._begin()
 
@@ -49,8 +46,11 @@ class InputFrames(ABC):
         ConfigError
             If the environment is now configured as the shield does not support.
         """
-        check_configuration(self._base, self.config)
-        self._cruise.reset()
+        base = self._base
+        check_configuration(base, self.config)
+        self.actuators = Actuators.of(base.action_type)
+        self._period = int(base.config["simulation_frequency"] // base.config["policy_frequency"])
+        self._cruise = Cruise(self.actuators)
         self._untouched = True
         self._proposal: FloatArray | None = None
         self._first: tuple[FloatArray, Decision] | None = None

@@ -70,7 +70,6 @@ class RoadDoor:
         check_configuration(base, config)
         refuse_simulated(config)
         self.config, self._base, self.cause = config, base, ""
-        self._frequency = base.config["simulation_frequency"]
         self._past: Counter[Breach] = Counter()
         self.watch = Watch()
         self._forget()
@@ -89,6 +88,11 @@ class RoadDoor:
         self.kept: dict[Any, tuple[float, float]] = {}
         self._then: dict[Any, float] = {}
         self._ready: tuple[Course, Decision] | None = None
+
+    @property
+    def _frequency(self) -> float:
+        """Frames per second, as the environment is configured now."""
+        return float(self._base.config["simulation_frequency"])
 
     @property
     def violations(self) -> int:

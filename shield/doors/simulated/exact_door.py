@@ -12,7 +12,7 @@ import numpy as np
 from dynamics.networks.refusals import check_network, on_network
 from dynamics.networks.simulator import NetworkSimulator
 from dynamics.simulator.env import CompiledHighwayEnv
-from dynamics.simulator.scenario import scenario_of
+from dynamics.simulator.scenario import scenario_of_live
 from dynamics.simulator.simulator import Simulator
 from dynamics.state import FloatArray
 from shield.batch.arrays import Records, empty_records
@@ -22,7 +22,6 @@ from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import check_configuration, refuse_lots
 from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, Room, simulate_network, why_unread
-from shield.errors import ConfigError
 from shield.exact.deciding import Plans, boxed_in, empty_plans, last_resort, passes, replace, verify
 from shield.exact.effort import begin_anew
 from shield.exact.room import Search, Wish
@@ -61,16 +60,9 @@ class ExactDoor(Foretells):
     def __init__(self, base: Any, config: ShieldConfig) -> None:
         refuse_lots([base])
         check(config)
-        check_configuration(base, config)
         self.config, self._base = config, base
         self.on_network = not isinstance(base, CompiledHighwayEnv) and on_network(base)
-        if not isinstance(base, CompiledHighwayEnv):
-            if self.on_network:
-                check_network(base)
-            elif base.spec is None:
-                raise ConfigError("the environment has no id; make it with gym.make")
-            else:
-                scenario_of(base.spec.id, base.config, observes=False)
+        self._check()
         self._scene = ExactScene(base, config, _simulate)
         self.cause = ""
         self._plans: Plans = empty_plans(1, 1)
@@ -84,10 +76,18 @@ class ExactDoor(Foretells):
         ConfigError
             If the environment is now configured as the shield does not support.
         """
-        check_configuration(self._base, self.config)
+        self._check()
         self._scene.forget()
         self._plans = empty_plans(1, 1)
         self._search = None
+
+    def _check(self) -> None:
+        """Raise where the environment, as it is configured now, is none that can be simulated."""
+        check_configuration(self._base, self.config)
+        if self.on_network:
+            check_network(self._base)
+        elif not isinstance(self._base, CompiledHighwayEnv):
+            scenario_of_live(self._base, observes=False)
 
     def decide(self, action: Any, order: Callable[[], list[int] | None] | None = None) -> Decision:
         """Filter one meta-action; `order` gives the policy's order of preference over the others."""

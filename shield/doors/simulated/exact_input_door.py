@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from copy import copy
-from functools import partial
 from time import perf_counter
 from types import SimpleNamespace
 from typing import Any
@@ -13,9 +12,11 @@ import numpy as np
 from dynamics.errors import ConfigError
 from dynamics.networks.layout import LAW
 from dynamics.networks.refusals import check_network, on_network
+from dynamics.networks.simulator import NetworkSimulator
 from dynamics.scenes.parking_lot import is_lot
 from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.simulator.layout import CONTINUOUS, KIND, TARGET, TARGET_SPEED
+from dynamics.simulator.own_methods import check_moves
 from dynamics.state import FloatArray
 from shield.batch.vocabulary import TIERS
 from shield.config import ShieldConfig
@@ -64,20 +65,31 @@ class ExactInputDoor(Foretells, InputFrames):
                 f"nothing is simulated in a parking lot, {type(base).__name__}: leave ShieldConfig.exact() out; "
                 "ShieldedEnv(env) and Shield(policy, env) filter ContinuousAction there"
             )
-        if on_network(base):
-            check_network(base)
         super().__init__(base, config)
-        law = config.braking, self.actuators.acceleration[1], _HOLD
-        self._scene = ExactScene(base, config, partial(simulate_network, law=law))
+        self._scene = ExactScene(base, config, self._simulate)
         self._inputs = np.zeros(2)
         self.reset()
         if base.road is not None:
             self._scene.read()
 
+    def _simulate(self, base: Any, like: Any) -> NetworkSimulator:
+        law = self.config.braking, self.actuators.acceleration[1], _HOLD
+        return simulate_network(base, like, law=law)
+
     def reset(self) -> None:
-        """Forget everything about the episode."""
-        self._scene.forget()
+        """Forget everything about the episode.
+
+        Raises
+        ------
+        ConfigError
+            If the environment is now configured as the shield does not support.
+        """
+        if on_network(self._base):
+            check_network(self._base)
+        else:
+            check_moves(self._base)
         self._begin()
+        self._scene.forget()
         self._search: Search | None = None
         self._present: Search | None = None
         self._tail: Tail = empty_tail(1)

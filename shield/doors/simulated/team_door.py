@@ -98,6 +98,7 @@ class TeamDoor(Foretells):
             If the environment is now configured as the shield does not support.
         """
         check_configuration(self._base, self.config)
+        check_network(self._base)
         self._scene.forget()
         self._plans: list[Plans] = [empty_plans(1, 1) for _ in range(self.agents)]
 

@@ -1,0 +1,87 @@
+"""Whether an environment moves its traffic by highway-env's own methods: the class that defines each is looked up."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dynamics.errors import ConfigError
+
+__all__ = ["check_moves"]
+
+_STEPS = ("_simulate", "step")
+"""What moves the traffic between two decisions, and what calls it."""
+_OF_ROADS = (
+    "act",
+    "step",
+    "neighbour_vehicles",
+    "close_objects_to",
+    "close_vehicles_to",
+    "enforce_road_rules",
+    "respect_priorities",
+    "is_conflict_possible",
+)
+"""What a road moves its vehicles by."""
+_KNOWN = ("highway_env", "dynamics")
+"""Packages whose methods the compiled copies reproduce."""
+
+
+def check_moves(base: Any, others: tuple[str, ...] = ()) -> None:
+    """Raise where an environment, unwrapped, or its road moves traffic by a method that is not highway-env's own.
+
+    Its rewards, observations, ends, and what its reset creates may be its own: the scene is read as it is. A class says
+    by `changes_between_decisions_only = True` that whatever its `step` changes on the road, beside highway-env's
+    `_simulate`, it changes between two decisions.
+
+    Parameters
+    ----------
+    others : names of further methods that have to be highway-env's own.
+
+    Raises
+    ------
+    ConfigError
+        That names the first such method and the class that defines it.
+    """
+    declared = getattr(base, "changes_between_decisions_only", False)
+    for name in (*_STEPS, *others):
+        if name == "step" and declared:
+            continue
+        own = _owner(base, name)
+        if own:
+            remedy = (
+                "; if its step changes nothing on the road but between two decisions, set "
+                "changes_between_decisions_only = True in the class"
+                if name == "step"
+                else ""
+            )
+            raise ConfigError(
+                f"{type(base).__name__} steps in a way of its own: {own}.{name} is not highway-env's, so its traffic "
+                f"may move otherwise than it is simulated{remedy}"
+            )
+    road = base.road
+    for name in _OF_ROADS if road is not None else ():
+        # An attribute of the road itself is how frames are recorded.
+        own = _defined_in(type(road), name)
+        if own:
+            raise ConfigError(
+                f"the road, a {type(road).__name__}, moves its vehicles in a way of its own: {own}.{name} is not "
+                "highway-env's"
+            )
+
+
+def _owner(thing: Any, name: str) -> str:
+    """The name of the class that defines a method, or of the object itself, where it is none of highway-env's or of
+    its compiled copy; "" where it is, and where there is no such method."""
+    method = vars(thing).get(name)
+    if method is not None:
+        return "" if _is_known(getattr(method, "__module__", None)) else f"this {type(thing).__name__}"
+    return _defined_in(type(thing), name)
+
+
+def _defined_in(kind: type[Any], name: str) -> str:
+    """As `_owner`, of the classes alone."""
+    defines = next((each for each in kind.__mro__ if name in vars(each)), None)
+    return "" if defines is None or _is_known(defines.__module__) else defines.__name__
+
+
+def _is_known(module: str | None) -> bool:
+    return module is not None and module.partition(".")[0] in _KNOWN

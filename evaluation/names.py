@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from pathlib import Path
 
 from dynamics.errors import ConfigError, perhaps
 
 __all__ = [
+    "ANY",
     "BASELINES",
     "CHANNEL_NAMES",
     "FIRST_EVALUATION_SEED",
@@ -14,8 +17,11 @@ __all__ = [
     "SENSOR_NAMES",
     "SIMULATORS",
     "TABLE_ENDINGS",
+    "TRAFFIC",
     "TRAINABLE",
+    "check_name",
     "check_policy",
+    "check_sensor",
     "list_references",
     "policy_label",
 ]
@@ -31,10 +37,16 @@ SENSOR_NAMES = (
     *("heavy-0.5", "biased-0.5", "worsening-0.5", "ghosts", "range-60"),
 )
 """The sensors in `evaluation.wrappers.SENSORS`."""
+_ANY_NOISE = re.compile(r"(metric|normalised)-\d+(\.\d+)?")
 CHANNEL_NAMES = ("confidence", "tracked-confidence", "intent")
 """What can be added to what they show, `evaluation.wrappers.channels.CHANNELS`."""
 TABLE_ENDINGS = (".csv", ".parquet")
 """File endings that `evaluation.report.table.write_table` knows."""
+ANY = "any"
+"""The policy that may propose anything: its actions are searched too. Drawn evenly, they are those of `random`."""
+TRAFFIC = ("idm", "bold", "wild", "mixed")
+"""Who drives the others: highway-env's own, or as recklessly as the rules permit (`evaluation.rare.bold`); on networks
+of roads drivers of `evaluation.rare.drivers`."""
 MODELS = ("bicycle", "learned")
 """What the predictive filter can plan with; a folder of models is the third."""
 BASELINES = (
@@ -68,6 +80,42 @@ drives on a highway and in a roundabout with meta-actions as well."""
 def list_references() -> list[str]:
     """The names of the reference policies."""
     return sorted(path.stem for path in Path(__file__).with_name("policies").glob("*.zip"))
+
+
+def check_name(what: str, name: str, valid: Iterable[str], more: str = "") -> None:
+    """Raise where a name is none of the valid ones.
+
+    Parameters
+    ----------
+    what : what it names, for the message. more : what else would be valid, in words.
+
+    Raises
+    ------
+    ConfigError
+        That lists them, and says which is the nearest.
+    """
+    names = list(valid)
+    if name not in names:
+        raise ConfigError(f"unknown {what} {name!r}{perhaps(name, names)}; have {', '.join(names)}{more}")
+
+
+def check_sensor(name: str) -> None:
+    """Raise where no sensor has the name, or nothing that is added to what it shows.
+
+    Parameters
+    ----------
+    name : of `SENSOR_NAMES`, or metric-S or normalised-S of any number S; and of `CHANNEL_NAMES`, with a + before each.
+
+    Raises
+    ------
+    ConfigError
+        That lists those that there are.
+    """
+    sensor, *channels = name.split("+")
+    for each in channels:
+        check_name("channel", each, CHANNEL_NAMES)
+    if not _ANY_NOISE.fullmatch(sensor):
+        check_name("sensor", sensor, SENSOR_NAMES, ", and metric-S and normalised-S of any number S")
 
 
 def check_policy(name: str) -> None:

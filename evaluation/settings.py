@@ -29,8 +29,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from dynamics.errors import ConfigError, perhaps
+from dynamics.errors import ConfigError
 from evaluation.continuous_roads import what_makes
+from evaluation.names import check_name
 
 if TYPE_CHECKING:
     import gymnasium as gym
@@ -89,8 +90,9 @@ class Setting:
         from dynamics.scenes.scene import has_road_and_vehicles
         from dynamics.traffic.crossing import make
 
+        config = self.configured
         try:
-            env = make(self.env_id, self.configured, **({"render_mode": render_mode} if render_mode else {}))
+            env = make(self.env_id, config, **({"render_mode": render_mode} if render_mode else {}))
         except (gym.error.Error, ModuleNotFoundError) as error:
             raise ConfigError(f"there is no environment {self.env_id!r}: {error}") from None
         except (TypeError, ValueError, KeyError, AttributeError) as error:
@@ -397,7 +399,5 @@ def setting_of(env_id: str, config: Path | None = None) -> Setting:
 
 def get_setting(name: str) -> Setting:
     """The setting of that name; a `ConfigError` that lists the names if there is none."""
-    try:
-        return SETTINGS[name]
-    except KeyError:
-        raise ConfigError(f"unknown setting {name!r}{perhaps(name, SETTINGS)}; have {sorted(SETTINGS)}") from None
+    check_name("setting", name, sorted(SETTINGS))
+    return SETTINGS[name]

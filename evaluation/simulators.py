@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import gymnasium as gym
 
 from dynamics.networks.compiled_frames import CompiledFrames
-from evaluation.names import SIMULATORS
+from evaluation.names import SIMULATORS, check_name
 from shield.errors import ConfigError, PlatformError, SceneError
 
 __all__ = ["compiled_where_it_serves", "with_compiled_frames"]
@@ -31,8 +31,7 @@ def compiled_where_it_serves(simulator: str, make: Callable[[], tuple[T, bool]])
     PlatformError
         If it is asked for, and cannot be had on this machine.
     """
-    if simulator not in SIMULATORS:
-        raise ConfigError(f"unknown simulator {simulator!r}; have {', '.join(SIMULATORS)}")
+    check_name("simulator", simulator, SIMULATORS)
     if simulator == "highway-env":
         return None
     try:

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from dynamics.errors import perhaps
 from evaluation.commands.names import DEMO_SETTING
-from evaluation.names import check_policy
+from evaluation.names import check_name, check_policy
 from evaluation.settings import get_setting, setting_of
 from shield.config import MODES, PERCEPTIONS
 from shield.errors import ConfigError
@@ -20,10 +19,13 @@ from shield.errors import ConfigError
 if TYPE_CHECKING:
     from evaluation.settings import Setting
 
-__all__ = ["EnvConfig", "EnvId", "ask_policies", "ask_setting", "ask_settings", "check_modes", "split"]
+__all__ = ["EnvConfig", "EnvId", "NamedSetting", "ask_policies", "ask_setting", "ask_settings", "check_modes", "split"]
 
 _err = Console(stderr=True, highlight=False)
 
+NamedSetting = Annotated[
+    str | None, typer.Option(help=f"Named environment (see `shield settings`) [{DEMO_SETTING}].", show_default=False)
+]
 EnvId = Annotated[
     str | None, typer.Option(help="Any environment by its Gymnasium id instead, such as highway-v0 or module:id.")
 ]
@@ -48,6 +50,7 @@ def ask_settings(names: Sequence[str] | None, env_id: str | None, config: Path |
     if names is not None:
         raise ConfigError("give either --setting or --env-id")
     setting = setting_of(env_id, config)
+    _ = setting.configured  # that there is such an environment is found out before more is imported
     if config is not None:
         from evaluation.commands.unknown_keys import unknown_keys
 
@@ -87,8 +90,7 @@ def check_modes(modes: Sequence[str], perceptions: Sequence[str] = ()) -> None:
     """
     for what, names, valid in (("shield mode", modes, MODES), ("perception", perceptions, PERCEPTIONS)):
         for name in names:
-            if name not in valid:
-                raise ConfigError(f"unknown {what} {name!r}{perhaps(name, valid)}; valid are {', '.join(valid)}")
+            check_name(what, name, valid)
 
 
 def split(values: Sequence[str]) -> list[str]:

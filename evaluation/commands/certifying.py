@@ -9,9 +9,11 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from evaluation.commands.asking import EnvConfig, EnvId, NamedSetting, ask_setting
 from evaluation.commands.falsifying import falsify_command
 from evaluation.commands.names import DEMO_SETTING
-from evaluation.names import SIMULATORS
+from evaluation.names import ANY, SIMULATORS, check_policy
+from evaluation.settings import get_setting
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
 
@@ -25,7 +27,9 @@ _out, _err = Console(), Console(stderr=True, highlight=False)
 
 def certify_command(
     output: Annotated[Path, typer.Argument(help="Folder for the episodes; a run that was stopped goes on there.")],
-    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
+    setting: NamedSetting = None,
+    env_id: EnvId = None,
+    env_config: EnvConfig = None,
     policy: Annotated[str, typer.Option(help="A policy by name, or an SB3 .zip.")] = "faster",
     episodes: Annotated[int, typer.Option(min=1, help="How many, all shielded.")] = 10_000,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first; the others follow.")] = 1_000_000,
@@ -40,18 +44,18 @@ def certify_command(
     certificate.md: crashes with their seeds, a Clopper-Pearson bound on their rate, the
     smallest clearance, offences of the traffic, fallbacks.
     """
+    check_policy(policy)
+    given = None if config is None else ShieldConfig.named(config)
+    where = ask_setting(setting, env_id, env_config)
     from rich.progress import Progress
 
     from evaluation.report.table import write_table
     from evaluation.running.certify import Asked, certify, page
     from evaluation.running.records import config_on
-    from evaluation.settings import get_setting
 
-    given = None if config is None else ShieldConfig.named(config)
-    shield_config = config_on(get_setting(setting), given)
-    asked = Asked(get_setting(setting), policy, episodes, seed, shield_config, simulator)
+    asked = Asked(where, policy, episodes, seed, config_on(where, given), simulator)
     with Progress(console=_err, disable=not _err.is_terminal, transient=True) as bar:
-        task = bar.add_task(f"{policy} on {setting}", total=len(asked.parts()))
+        task = bar.add_task(f"{policy} on {where.name}", total=len(asked.parts()))
 
         def told(part: pd.DataFrame) -> None:
             bar.advance(task)
@@ -68,7 +72,9 @@ def certify_command(
 def replay_command(
     seed: Annotated[int | None, typer.Argument(min=0, help="Seed of the episode.")] = None,
     number: Annotated[int | None, typer.Option("--seed", min=0, help="The same.")] = None,
-    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
+    setting: NamedSetting = None,
+    env_id: EnvId = None,
+    env_config: EnvConfig = None,
     policy: Annotated[str, typer.Option(help="A policy by name, or an SB3 .zip.")] = "faster",
     config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
     film: Annotated[Path | None, typer.Option(help="Write a .gif of how it ends.")] = None,
@@ -82,15 +88,16 @@ def replay_command(
         return
     seed = number if seed is None else seed
     assert seed is not None
+    check_policy(policy)
+    loaded = None if config is None else ShieldConfig.named(config)
+    where = ask_setting(setting, env_id, env_config)
     from evaluation.report.video import film_end, film_path
     from evaluation.running.episodes import run_episode
     from evaluation.running.records import config_on, variant_for
-    from evaluation.settings import get_setting
 
     film = None if film is None else film_path(film)
-    given = None if config is None else ShieldConfig.named(config)
-    shield_config = config_on(get_setting(setting), given)
-    record = run_episode(setting, policy, variant_for(shield_config), seed, simulator="highway-env")
+    shield_config = config_on(where, loaded)
+    record = run_episode(where, policy, variant_for(shield_config), seed, simulator="highway-env")
     table = Table("", f"seed {seed}", show_header=True)
     for name in ("crashed", "attribution", "return_", "steps", "overridden", "violations", "min_margin", "min_gap"):
         table.add_row(name.rstrip("_").replace("_", " "), str(getattr(record, name)))
@@ -98,14 +105,20 @@ def replay_command(
     table.add_row("decisions by tier", ", ".join(f"{tier} {count}" for tier, count in fallbacks.items()))
     _out.print(table)
     if film is not None:
-        made = film_end(film, setting, policy, seed, shield_config)
+        made = film_end(film, where, policy, seed, shield_config)
         _out.print(f"wrote {made.path} ({made.frames} frames)")
 
 
 def _replay_find(path: Path) -> None:
-    from evaluation.rare.finds import Find, replay
+    if not path.is_file():
+        raise ConfigError(f"there is no file {path}")
+    from evaluation.rare.finds import Find, changed, replay
 
     found = Find.load(path)
+    if others := changed(found):
+        _err.print(f"found with other versions: {', '.join(others)}", style="yellow", markup=False, soft_wrap=True)
+    if not found.made:
+        _err.print(f"{path.name} does not say what it was found with, so that nothing can be compared", style="yellow")
     again = replay(found)
     table = Table("", "searched", "highway-env")
     table.add_row("smallest clearance \\[m]", f"{found.clearance:.3f}", f"{again.clearance:.3f}")
@@ -132,16 +145,18 @@ def rare_command(
     some 8,000 of them; counting takes 250,000 for the same error. Through a noisy sensor an
     episode is random all the way: then by splitting those that come near a crash.
     """
+    if policy != ANY:
+        check_policy(policy)
+    where = get_setting(setting)
     import numpy as np
 
     from evaluation.rare.falsify import crash_probability
-    from evaluation.settings import get_setting
 
     shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)
     if sensor != "exact":
         _rare_through(setting, policy, samples or 200, seed, shield_config, sensor, perception, jobs)
         return
-    found = crash_probability(get_setting(setting), policy, shield_config, samples or 2_000, seed)
+    found = crash_probability(where, policy, shield_config, samples or 2_000, seed)
     table = Table("level", "time to collision [s]", "probability", "moves taken")
     for k, level in enumerate(found.levels):
         moves = "" if np.isnan(level.accepted) else f"{level.accepted:.0%}"
@@ -158,7 +173,6 @@ def _rare_through(
 ) -> None:
     from evaluation.rare.noisy import crash_probability_through
     from evaluation.running.records import Variant
-    from evaluation.settings import get_setting
 
     variant = Variant() if config.mode == "none" else Variant("env", config, perception)
     found = crash_probability_through(get_setting(setting), policy, variant, sensor, paths, seed=seed, jobs=jobs)
@@ -194,7 +208,6 @@ def attack_command(
     from collections import Counter
 
     from evaluation.rare.attack import attack_many
-    from evaluation.settings import get_setting
 
     shield_config = None if config is None else ShieldConfig.load(config)
     table = Table("environment", "drivers", "episodes", "frames", "crashes", "rules broken", "unforeseen")

@@ -14,10 +14,10 @@ from evaluation.commands.asking import EnvConfig, EnvId, ask_policies, ask_setti
 from evaluation.commands.certifying import add_certifying
 from evaluation.commands.dynamics import dynamics_app
 from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING
-from evaluation.commands.reporting import check_output, report
+from evaluation.commands.reporting import Form, check_output, report
 from evaluation.commands.showing import add_showing
-from evaluation.learning.algorithms import ALGORITHMS
-from evaluation.learning.recipes import RECIPES
+from evaluation.learning.algorithms import ALGORITHMS, algorithm_named
+from evaluation.learning.recipes import RECIPES, get_recipe
 from evaluation.names import (
     BASELINES,
     CHANNEL_NAMES,
@@ -26,7 +26,10 @@ from evaluation.names import (
     SENSOR_NAMES,
     SIMULATORS,
     TRAINABLE,
+    check_name,
+    check_sensor,
 )
+from evaluation.settings import get_setting
 from shield import __version__
 from shield.config import MODES, PERCEPTIONS, PROFILES, ShieldConfig
 from shield.errors import ConfigError, ShieldError
@@ -101,6 +104,13 @@ def train_command(
         raise ConfigError("give either --recipe or --setting")
     if recipe is not None and shield != "none":
         raise ConfigError("a recipe says itself whether it trains inside the shield; give --setting with --shield")
+    check_name("algorithm", algorithm.lower(), TRAINABLE)
+    check_name("simulator", simulator, SIMULATORS)
+    check_sensor(sensor)
+    if recipe is not None:
+        get_recipe(recipe)
+    if setting is not None:
+        get_setting(setting)
     from evaluation.learning.training import train, train_recipe
 
     if recipe is not None:
@@ -198,6 +208,7 @@ def evaluate(
         ),
     ] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
+    latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX tables, for the package booktabs.")] = False,
     simulator: Annotated[
         str,
         typer.Option(
@@ -211,11 +222,19 @@ def evaluate(
     All rows drive the same seeds. Rates in percent with 95 % intervals, speeds in m/s,
     distances and margins in m, latencies in ms per decision.
     """
+    form = Form.of(markdown, latex)
     doors = [each.value for each in Door if each is not Door.ALL] if door is Door.ALL else [door.value]
     # The demo's policy was trained on the demo's observations: another environment's it may not be able to read.
     policies = ask_policies(policy or [DEMO_POLICY if env_id is None else "random"])
     sensors, perceptions, modes = split([sensor]), split([perception]), None if shield is None else split(shield)
     check_modes(modes or [], perceptions)
+    for each in sensors:
+        check_sensor(each)
+    check_name("simulator", simulator, SIMULATORS)
+    if algorithm is not None:
+        algorithm_named(algorithm)
+    if not Path(model).is_dir():
+        check_name("model", model, MODELS, ", or the folder of learned models")
     if resume and output is None:
         raise ConfigError("--resume goes with --output")
     if output is not None:
@@ -258,11 +277,11 @@ def evaluate(
     except KeyboardInterrupt:
         stopped = store.table()
         if len(stopped):
-            report(stopped, None, markdown)
+            report(stopped, None, form)
         kept = "" if output is None else "; --resume goes on from there"
         _err.print(f"stopped after {len(stopped)} episodes{kept}")
         raise typer.Exit(130) from None
-    report(driven, output, markdown, store.made)
+    report(driven, output, form, store.made)
     store.finish()
 
 
@@ -301,7 +320,7 @@ def demo(
         jobs=jobs,
         progress=True,
     )
-    report(frame, output / "episodes.parquet", markdown=False)
+    report(frame, output / "episodes.parquet")
     film = film_override(output / "override.gif")
     _out.print(f"wrote {film.path} (seed {film.seed}, {film.overrides} decisions overridden)")
 

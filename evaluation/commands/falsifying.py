@@ -9,7 +9,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.commands.names import DEMO_SETTING
+from evaluation.commands.asking import EnvConfig, EnvId, NamedSetting, ask_setting
+from evaluation.names import ANY, TRAFFIC, check_name, check_policy
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
 
@@ -24,7 +25,9 @@ _EPISODES = {"idm": 5_000, "bold": 5_000, "network": 500}
 
 def falsify_command(
     output: Annotated[Path, typer.Argument(help="JSON file for the worst episode; `shield replay --find` drives it.")],
-    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
+    setting: NamedSetting = None,
+    env_id: EnvId = None,
+    env_config: EnvConfig = None,
     policy: Annotated[
         str, typer.Option(help="A policy by name, an SB3 .zip, or `any`: its actions are searched too.")
     ] = "any",
@@ -57,18 +60,18 @@ def falsify_command(
     drivers on road networks: subset simulation over what each of them does and what the ego
     proposes, for a breach by one whom nobody has named (it ends with 1 then).
     """
-    from evaluation.rare.falsify import TRAFFIC, falsify
-    from evaluation.rare.finds import ANY
-    from evaluation.settings import get_setting
-
-    where, given = get_setting(setting), None if config is None else ShieldConfig.load(config)
-    if drivers not in TRAFFIC:
-        raise ConfigError(f"unknown drivers {drivers!r}; have {', '.join(TRAFFIC)}")
+    given = None if config is None else ShieldConfig.load(config)
+    check_name("drivers", drivers, TRAFFIC)
+    if policy != ANY:
+        check_policy(policy)
+    where = ask_setting(setting, env_id, env_config)
     if drivers != "idm":
         if policy != ANY:
             raise ConfigError(f"among {drivers} drivers the policy is {ANY!r}, not {policy!r}")
         _among(output, where, drivers, given, episodes, seed, jobs)
         return
+    from evaluation.rare.falsify import falsify
+
     found = falsify(where, policy, given or ShieldConfig(), episodes or _EPISODES["idm"], seed)
     found.find.save(output)
     table = Table("", f"{found.episodes} episodes")

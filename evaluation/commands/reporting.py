@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,7 @@ from shield.errors import ConfigError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["check_output", "report"]
+__all__ = ["Form", "check_output", "report"]
 
 _out = Console()
 
@@ -43,17 +44,36 @@ def check_output(path: Path, force: bool, resume: bool = False) -> None:
         raise ConfigError(f"--output {path} cannot be written: {error.strerror}") from None
 
 
-def report(episodes: pd.DataFrame, output: Path | None, markdown: bool, made: dict[str, Any] | None = None) -> None:
+class Form(StrEnum):
+    """How tables are printed."""
+
+    TERMINAL = "terminal"
+    MARKDOWN = "markdown"
+    LATEX = "latex"
+
+    @classmethod
+    def of(cls, markdown: bool, latex: bool) -> Form:
+        """The one that is asked for."""
+        if markdown and latex:
+            raise ConfigError("give one of --markdown and --latex")
+        return cls.MARKDOWN if markdown else cls.LATEX if latex else cls.TERMINAL
+
+
+def report(
+    episodes: pd.DataFrame,
+    output: Path | None = None,
+    form: Form = Form.TERMINAL,
+    made: dict[str, Any] | None = None,
+) -> None:
     """Print the tables of some episodes, and write them where asked."""
     from evaluation.measuring.metrics import compare, summarise
-    from evaluation.report.table import COMPARISON, SUMMARY, rich_table, write_table
-    from evaluation.report.table import markdown as to_markdown
+    from evaluation.report.table import COMPARISON, SUMMARY, latex, markdown, rich_table, write_table
 
     summary, comparison = summarise(episodes), compare(episodes)
     tables = [(summary, SUMMARY)] + ([(comparison, COMPARISON)] if len(comparison) else [])
     for frame, columns in tables:
-        if markdown:
-            typer.echo(to_markdown(frame, columns) + "\n")
+        if form is not Form.TERMINAL:
+            typer.echo((markdown if form is Form.MARKDOWN else latex)(frame, columns) + "\n")
             continue
         for _, part in frame.groupby(["setting", "policy"], sort=False):
             _out.print(rich_table(part, columns))

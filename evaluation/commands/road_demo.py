@@ -40,7 +40,7 @@ def road_demo(env_id: str, seeds: Sequence[int], output: Path, jobs: int) -> Pat
     check_road(setting, config)
     variants = make_variants(["none", "full"], ["actions"], config)
     frame = run_paired(setting, _POLICY, variants, seeds, jobs=jobs, progress=True)
-    report(frame, output / "episodes.parquet", markdown=False)
+    report(frame, output / "episodes.parquet")
     return draw_gallery(output / "override.png", [env_id])
 
 

@@ -1,4 +1,4 @@
-"""The commands that show something: film, picture, plot, figures, course, gallery, settings, config."""
+"""The commands that show something: film, picture, plot, table, figures, course, gallery, settings, config."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING
-from evaluation.names import FIRST_EVALUATION_SEED
+from evaluation.commands.asking import EnvConfig, EnvId, NamedSetting, ask_setting
+from evaluation.commands.names import DEMO_POLICY
+from evaluation.commands.reporting import Form, report
+from evaluation.names import FIRST_EVALUATION_SEED, check_policy
 from shield.config import PROFILES, ShieldConfig
 from shield.errors import ConfigError
 
@@ -21,19 +23,27 @@ _out = Console()
 
 def film_command(
     output: Annotated[Path, typer.Argument(help="The .gif to write.")] = Path("runs", "film.gif"),
-    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
-    policy: Annotated[str, typer.Option(help="A policy by name, or an SB3 .zip.")] = DEMO_POLICY,
+    setting: NamedSetting = None,
+    env_id: EnvId = None,
+    env_config: EnvConfig = None,
+    policy: Annotated[
+        str | None,
+        typer.Option(help=f"A policy by name, or an SB3 .zip [{DEMO_POLICY}; random with --env-id]."),
+    ] = None,
     seed: Annotated[
         int, typer.Option(min=0, help=f"Where the search for an override begins, below {FIRST_EVALUATION_SEED}.")
     ] = 0,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
 ) -> None:
     """Film a policy behind the shield, around one of its overrides."""
-    from evaluation.report.video import film_override
-
     if output.exists() and not force:
         raise ConfigError(f"{output} exists already; --force overwrites it")
-    made = film_override(output, setting, policy, seed)
+    policy = policy or (DEMO_POLICY if env_id is None else "random")
+    check_policy(policy)
+    where = ask_setting(setting, env_id, env_config)
+    from evaluation.report.video import film_override
+
+    made = film_override(output, where, policy, seed)
     _out.print(f"wrote {made.path} (seed {made.seed}, {made.overrides} decisions overridden)")
 
 
@@ -66,6 +76,20 @@ def plot_command(
         raise ConfigError(f"{path} exists already; --force overwrites it")
     plot = plot_noise if noise else plot_episodes
     _out.print(f"wrote {plot(read_episodes(episodes), path)}")
+
+
+def table_command(
+    episodes: Annotated[Path, typer.Argument(help="What `shield evaluate --output` wrote, .csv or .parquet.")],
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown.")] = False,
+    latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX, for the package booktabs.")] = False,
+) -> None:
+    """Print the tables of episodes that were written before."""
+    form = Form.of(markdown, latex)
+    if not episodes.is_file():
+        raise ConfigError(f"there is no file {episodes}")
+    from evaluation.report.table import read_episodes
+
+    report(read_episodes(episodes), form=form)
 
 
 def figures_command(
@@ -135,6 +159,7 @@ def add_showing(app: typer.Typer) -> None:
     app.command("film")(film_command)
     app.command("picture")(picture_command)
     app.command("plot")(plot_command)
+    app.command("table")(table_command)
     app.command("figures")(figures_command)
     app.command("course")(course_command)
     app.command("gallery")(gallery_command)

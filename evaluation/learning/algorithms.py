@@ -14,12 +14,13 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from evaluation.learning.saved_objects import misfits, read_data, read_objects
+from evaluation.names import check_name
 from shield.errors import ConfigError, PolicyError
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
-__all__ = ["ALGORITHMS", "algorithm_of", "get_algorithm", "load_model"]
+__all__ = ["ALGORITHMS", "algorithm_named", "algorithm_of", "get_algorithm", "load_model"]
 
 ALGORITHMS: Mapping[str, str] = MappingProxyType(
     {
@@ -63,6 +64,19 @@ _BUFFER: Mapping[str, Any] = MappingProxyType(
 """Settings under which an off-policy algorithm makes the smallest replay buffer, for any environment."""
 
 
+def algorithm_named(name: str) -> str:
+    """The key in `ALGORITHMS` of a name in any case, with dashes or without.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such algorithm.
+    """
+    key = name.lower().replace("_", "").replace("-", "")
+    check_name("algorithm", key, sorted(ALGORITHMS))
+    return key
+
+
 def get_algorithm(name: str) -> type[BaseAlgorithm]:
     """The class of that name, in any case.
 
@@ -71,9 +85,7 @@ def get_algorithm(name: str) -> type[BaseAlgorithm]:
     ConfigError
         If there is no such algorithm, or sb3-contrib is not installed.
     """
-    where = ALGORITHMS.get(name.lower().replace("_", "").replace("-", ""))
-    if where is None:
-        raise ConfigError(f"unknown algorithm {name!r}; have {', '.join(sorted(ALGORITHMS))}")
+    where = ALGORITHMS[algorithm_named(name)]
     module, _, kind = where.partition(".")
     try:
         found: type[BaseAlgorithm] = getattr(import_module(module), kind)

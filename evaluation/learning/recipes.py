@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-from shield.errors import ConfigError
+from evaluation.names import check_name
 
 __all__ = ["RECIPES", "Recipe", "get_recipe"]
 
@@ -203,7 +203,5 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
 
 def get_recipe(name: str) -> Recipe:
     """The recipe of that name; a `ConfigError` that lists the names if there is none."""
-    try:
-        return RECIPES[name]
-    except KeyError:
-        raise ConfigError(f"unknown recipe {name!r}; have {sorted(RECIPES)}") from None
+    check_name("recipe", name, sorted(RECIPES))
+    return RECIPES[name]

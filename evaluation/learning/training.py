@@ -30,7 +30,7 @@ from evaluation.learning.algorithms import get_algorithm
 from evaluation.learning.normalisation import NORMALISABLE, fold, normalised
 from evaluation.learning.observations import FastObservations
 from evaluation.learning.recipes import get_recipe
-from evaluation.names import FIRST_EVALUATION_SEED, TRAINABLE
+from evaluation.names import FIRST_EVALUATION_SEED, TRAINABLE, check_name
 from evaluation.settings import Setting, get_setting
 from evaluation.simulators import compiled_where_it_serves, with_compiled_frames
 from evaluation.threads import one_thread
@@ -124,8 +124,7 @@ def train(
     The written file and its manifest.
     """
     algorithm = algorithm.lower()
-    if algorithm not in TRAINABLE:
-        raise ConfigError(f"unknown algorithm {algorithm!r}; have {', '.join(TRAINABLE)}")
+    check_name("algorithm", algorithm, TRAINABLE)
     algorithm_class = get_algorithm(algorithm)
     setting = get_setting(setting) if isinstance(setting, str) else setting
     parameters = dict(hyperparameters or {})

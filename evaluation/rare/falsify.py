@@ -15,8 +15,9 @@ from scipy.special import ndtr
 
 from dynamics.networks.episodes.scenario import on_roads
 from dynamics.state import FloatArray, IntArray
+from evaluation.names import ANY, TRAFFIC
 from evaluation.rare.bold import BoldEpisode, drive_bold_many
-from evaluation.rare.finds import ANY, Find, made_with
+from evaluation.rare.finds import Find, made_with
 from evaluation.rare.subset import MOST_SHARE, Subset, subset_simulation
 from evaluation.running.many import Chosen, Many
 from evaluation.settings import Setting
@@ -32,9 +33,6 @@ _ACTIONS = 40
 """So many actions of an episode are searched at most; what follows is the last of them."""
 _LOST = 1e3
 """The clearance of an episode whose first decision finds nothing that verifies [m]: nothing was promised of it."""
-TRAFFIC = ("idm", "bold", "wild", "mixed")
-"""Who drives the others: highway-env's own, or as recklessly as the rules permit (`evaluation.rare.bold`); on networks
-of roads drivers of `evaluation.rare.drivers`."""
 _AT_ONCE = 16
 """Episodes among bold drivers, in several processes, before it is asked whether anything was found."""
 

@@ -12,6 +12,7 @@ import numpy as np
 from dynamics.networks.episodes.scenario import on_roads
 from dynamics.simulator.simulator import Simulator
 from evaluation.measuring.recorder import Recorder
+from evaluation.names import ANY
 from evaluation.rare.bold import drive_bold
 from evaluation.rare.road_episode import RoadNumbers, drive_numbers
 from evaluation.running.identity import differences, of_environment, of_policy, versions
@@ -22,9 +23,6 @@ from shield.config import ShieldConfig
 from shield.errors import ConfigError
 
 __all__ = ["ANY", "Find", "changed", "made_with", "replay"]
-
-ANY = "any"
-"""The policy that may propose anything: its actions are searched too. Drawn evenly, they are those of `random`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -91,7 +91,7 @@ def _against_noise(episodes: pd.DataFrame) -> pd.DataFrame:
         raise ConfigError(
             "have rows through at least two sensors of one kind, such as --sensor exact,normalised-0.2,normalised-0.5"
         )
-    unit = "m, m/s" if kinds == {"metric"} else "normalised"
+    unit = "m, m/s" if kinds == {"metric"} else "normalised: a feature goes from −1 to 1"
     return pd.DataFrame(rows).assign(unit=unit)
 
 

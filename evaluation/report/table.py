@@ -25,6 +25,7 @@ __all__ = [
     "SUMMARY",
     "Column",
     "finished",
+    "latex",
     "markdown",
     "read_episodes",
     "rich_table",
@@ -151,6 +152,28 @@ def markdown(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> str:
     aligned = ["left" if i < len(_NAMES) else "right" for i in range(len(headings))]
     table = pd.DataFrame(cells, columns=headings)
     return table.to_markdown(index=False, disable_numparse=True, colalign=aligned)
+
+
+_LATEX = {
+    **{character: f"\\{character}" for character in "&%$#_{}"},
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "Δ": r"$\Delta$",
+    "–": "--",
+    "−": "$-$",
+    "²": "$^2$",
+    "³": "$^3$",
+}
+
+
+def latex(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> str:
+    """The table in LaTeX, with the rules of the package booktabs."""
+    headings, cells = _cells(frame, columns)
+    aligned = "".join("l" if i < len(_NAMES) else "r" for i in range(len(headings)))
+    lines = [" & ".join("".join(_LATEX.get(x, x) for x in cell) for cell in row) + r" \\" for row in (headings, *cells)]
+    body = [rf"\begin{{tabular}}{{{aligned}}}", r"\toprule", lines[0], r"\midrule", *lines[1:], r"\bottomrule"]
+    return "\n".join([*body, r"\end{tabular}"])
 
 
 def write_table(frame: pd.DataFrame, path: str | Path) -> Path:

@@ -27,7 +27,7 @@ from dynamics.learned.tasks.driving_state import OBSERVATION, RandomDriver, stat
 from dynamics.learned.training.fit import FitConfig, fit
 from dynamics.learned.training.open_loop import OpenLoop, open_loop
 from dynamics.vehicle.actuators import Actuators
-from evaluation.names import MODELS
+from evaluation.names import MODELS, check_name
 from evaluation.settings import Setting, get_setting
 from shield.errors import ConfigError
 
@@ -242,7 +242,7 @@ def driving_model(name: str | None, env: Any) -> LearnedSteps | None:
     if name == "learned":
         return _bundled(frequency)
     if not Path(name).is_dir():
-        raise ConfigError(f"unknown model {name!r}; have {', '.join(MODELS)}, or the folder of learned models")
+        check_name("model", name, MODELS, ", or the folder of learned models")
     return load_driving(frequency, name)
 
 

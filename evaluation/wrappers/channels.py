@@ -15,6 +15,7 @@ import numpy as np
 from gymnasium import spaces
 
 from dynamics.state import BoolArray, FloatArray
+from evaluation.names import check_sensor
 from evaluation.wrappers.checks import check_number
 from evaluation.wrappers.ghosts import in_units
 from evaluation.wrappers.sensor_model import SensorModel, get_sensor
@@ -210,10 +211,8 @@ def split_sensor(name: str) -> tuple[SensorModel, tuple[str, ...]]:
     ConfigError
         That lists those that there are.
     """
+    check_sensor(name)
     sensor, *channels = name.split("+")
-    for each in channels:
-        if each not in CHANNELS:
-            raise ConfigError(f"unknown channel {each!r}; have {', '.join(CHANNELS)}")
     return get_sensor(sensor), tuple(channels)
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from math import inf, isfinite
 from types import MappingProxyType
 
+from evaluation.names import check_sensor
 from evaluation.wrappers.checks import check_number
 from shield.errors import ConfigError
 from shield.perception.spec import STATE
@@ -112,11 +113,8 @@ def get_sensor(name: str) -> SensorModel:
     ConfigError
         That lists those that there are.
     """
+    check_sensor(name)
     if name in SENSORS:
         return SENSORS[name]
     kind, _, sigma = name.partition("-")
-    if kind not in ("metric", "normalised") or not _NUMBER.fullmatch(sigma):
-        raise ConfigError(
-            f"unknown sensor {name!r}; have {', '.join(SENSORS)}, and metric-S and normalised-S of any number S"
-        )
     return SensorModel(_all(float(sigma)), normalised=kind == "normalised")

@@ -1,5 +1,6 @@
 """The command line does what its help says, and answers mistakes with one line."""
 
+import os
 import re
 import subprocess
 import sys
@@ -19,6 +20,10 @@ from shield.config import ShieldConfig
 from shield.errors import ConfigError
 
 RUN = CliRunner()
+_ENVIRONMENT = {
+    **os.environ,
+    "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]),
+}
 
 
 def test_help_names_every_command():
@@ -54,7 +59,7 @@ def test_evaluate_prints_markdown_and_writes_three_tables(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["evaluate", "--shield", "fulll"], "valid are none, distance, rss, ttc, full"),
+        (["evaluate", "--shield", "fulll"], "have none, distance, rss, ttc, full"),
         (["evaluate", "--policy", "fastest", "--jobs", "1"], "have faster, idle, slower, throttle, random"),
         (["evaluate", "--setting", "motorway"], "highway-fast"),
         (["evaluate", "--output", "x.xlsx"], ".csv or .parquet"),
@@ -265,3 +270,76 @@ def test_a_plot_of_something_else_is_refused(tmp_path, arguments, message, monke
         main()
     assert raised.value.code == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("evaluate --policy fastr", "perhaps 'faster' is meant"),
+        ("evaluate --policy missing.zip", "there is no policy file missing.zip"),
+        ("evaluate --setting highway-fats", "perhaps 'highway-fast' is meant"),
+        ("evaluate --shield ful", "perhaps 'full' is meant"),
+        ("evaluate --perception simulatr", "perhaps 'simulator' is meant"),
+        ("evaluate --sensor exakt", "perhaps 'exact' is meant"),
+        ("evaluate --sensor exact+intents", "perhaps 'intent' is meant"),
+        ("evaluate --simulator compild", "perhaps 'compiled' is meant"),
+        ("evaluate --algorithm pppo", "perhaps 'ppo' is meant"),
+        ("evaluate --model learnt", "perhaps 'learned' is meant"),
+        ("evaluate --config missing.toml", "missing.toml"),
+        (
+            "evaluate --env-id highway-v0 --env-config missing.toml",
+            "there is no environment configuration missing.toml",
+        ),
+        ("evaluate --output x.xlsx", ".csv or .parquet"),
+        ("evaluate --resume", "--resume goes with --output"),
+        ("evaluate --markdown --latex", "give one of --markdown and --latex"),
+        ("train --setting highway-fats", "perhaps 'highway-fast' is meant"),
+        ("train --recipe ppo-highway-fats", "perhaps 'ppo-highway-fast' is meant"),
+        ("train --setting highway --algorithm pppo", "perhaps 'ppo' is meant"),
+        ("certify x --policy fastr", "perhaps 'faster' is meant"),
+        ("replay 5 --setting mergr", "perhaps 'merge' is meant"),
+        ("replay --find missing.json", "there is no file missing.json"),
+        ("falsify x.json --drivers blod", "perhaps 'bold' is meant"),
+        ("rare --policy fastr", "perhaps 'faster' is meant"),
+        ("film x.gif --policy ppo-highway-fats", "perhaps 'ppo-highway-fast' is meant"),
+        ("table missing.csv", "there is no file missing.csv"),
+    ],
+)
+def test_a_simple_mistake_is_told_before_anything_slow_is_imported(arguments, message, tmp_path):
+    """In a process of its own: the libraries that take seconds to import are not there yet."""
+    slow = ("torch", "stable_baselines3", "gymnasium", "highway_env", "pandas", "numba", "casadi", "matplotlib")
+    code = (
+        "import sys; from evaluation.commands.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as stop: code = stop.code\n"
+        f"print(code, [name for name in {slow} if name in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments.split()], capture_output=True, text=True, cwd=tmp_path, env=_ENVIRONMENT
+    )
+    assert done.stdout.strip() == "2 []", done.stderr
+    assert message in " ".join(done.stderr.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_tables_of_episodes_are_printed_again(tmp_path):
+    output = tmp_path / "x.csv"
+    arguments = [
+        "--policy",
+        "slower",
+        "--shield",
+        "none,rss",
+        "--episodes",
+        "1",
+        "--jobs",
+        "1",
+        "--output",
+        str(output),
+    ]
+    driven = RUN.invoke(app, ["evaluate", *arguments, "--latex"], catch_exceptions=False).stdout
+    shown = RUN.invoke(app, ["table", str(output), "--latex"], catch_exceptions=False).stdout
+    assert shown.count(r"\begin{tabular}") == 2
+    assert shown.strip() in driven
+    assert "| highway-fast | slower | rss (env) |" in re.sub(
+        " +", " ", RUN.invoke(app, ["table", str(output), "--markdown"]).stdout
+    )

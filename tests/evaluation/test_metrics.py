@@ -12,6 +12,7 @@ from evaluation.measuring.metrics import compare, summarise
 from evaluation.report.table import (
     COMPARISON,
     SUMMARY,
+    latex,
     markdown,
     read_episodes,
     rich_table,
@@ -150,6 +151,19 @@ def test_other_files_and_other_tables_are_refused(episodes, tmp_path):
         summarise(episodes.drop(columns="seed"))
     with pytest.raises(ConfigError, match="twice"):
         summarise(pd.concat([episodes, episodes]))
+
+
+def test_latex_has_the_cells_of_markdown_with_what_is_special_escaped(episodes):
+    summary = summarise(episodes.assign(setting="a_b & c"))
+    lines = latex(summary).splitlines()
+    (columns,) = re.fullmatch(r"\\begin\{tabular\}\{(lllr+)\}", lines[0]).groups()
+    assert len(columns) == len(lines[2].split(" & "))
+    assert r"crashes \%" in lines[2]
+    assert all(line.startswith(r"a\_b \& c & ") and line.endswith(r" \\") for line in lines[4:-2])
+    assert len(lines) == len(summary) + 6
+    unescaped = re.sub(r"\\[&%$#_{}\\]", "", "\n".join(lines[4:-2]))
+    assert not set(unescaped) & set("%#_{}\\")
+    assert r"$\Delta$ return" in latex(compare(episodes), COMPARISON)
 
 
 def test_the_terminal_and_markdown_show_the_same_cells(episodes):

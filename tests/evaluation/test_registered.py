@@ -15,6 +15,7 @@ from evaluation.running.episodes import run_episode
 from evaluation.running.records import Variant
 from evaluation.settings import Setting, setting_of
 from shield.config import ShieldConfig
+from shield.errors import ConfigError
 
 RUN = CliRunner()
 
@@ -77,6 +78,48 @@ def test_a_certificate_is_of_what_is_registered(tmp_path):
     record = run_episode(asked.setting, "faster", Variant("env"), 51, simulator="highway-env")
     assert record.steps == CONFIG["duration"]
     assert tuple(found.loc[1, ["steps", "return", "min_gap"]]) == (record.steps, record.return_, record.min_gap)
+
+
+def test_every_command_takes_an_environment_by_its_id(tmp_path):
+    """What is registered with, and what the file changes, is what certify, replay, film and falsify drive."""
+    (tmp_path / "four.toml").write_text("duration = 4\nvehicle_count = 1\n", encoding="utf-8")
+    mine = ["--env-id", "registered-stock-v0", "--env-config", str(tmp_path / "four.toml")]
+
+    def shield(*arguments):
+        result = RUN.invoke(app, [*arguments, *mine], catch_exceptions=False)
+        assert result.exit_code == 0, result.output
+        return result.output
+
+    told = shield("certify", str(tmp_path / "parts"), "--episodes", "2", "--seed", "60", "--jobs", "1")
+    assert "perhaps 'vehicles_count' is meant" in told
+    (tmp_path / "four.toml").write_text("duration = 4\n", encoding="utf-8")
+    episodes = pd.read_parquet(tmp_path / "parts" / "episodes.parquet")
+    record = run_episode(setting_of("registered-stock-v0", tmp_path / "four.toml"), "faster", Variant("env"), 60)
+    assert record.steps == 4
+    assert tuple(episodes.loc[0, ["steps", "return", "min_gap"]]) == (4, record.return_, record.min_gap)
+    assert str(record.min_gap) in shield("replay", "60")
+    film = tmp_path / "film.gif"
+    shield("film", str(film), "--policy", "faster")
+    assert film.stat().st_size > 10_000
+    find = tmp_path / "find.json"
+    shield("falsify", str(find), "--episodes", "500")
+    found = Find.load(find)
+    assert found.made["environment"]["configuration"]["lanes_count"] == CONFIG["lanes_count"]
+    assert found.made["environment"]["configuration"]["duration"] == 4
+    assert replay(found).clearance == pytest.approx(found.clearance)
+
+
+@pytest.mark.parametrize("command", [["certify", "{}"], ["replay", "5"], ["film", "{}.gif"], ["falsify", "{}.json"]])
+def test_a_setting_and_an_id_are_not_both_given(command, tmp_path):
+    arguments = [each.format(tmp_path / "x") for each in command]
+    for more, message in (
+        (["--setting", "merge", "--env-id", "merge-v0"], "give either --setting or --env-id"),
+        (["--env-config", "x.toml"], "--env-config goes with --env-id"),
+        (["--env-id", "nothing-v0"], "there is no environment 'nothing-v0'"),
+    ):
+        result = RUN.invoke(app, [*arguments, *more])
+        assert isinstance(result.exception, ConfigError)
+        assert message in str(result.exception)
 
 
 def test_a_find_is_replayed_in_what_is_registered():

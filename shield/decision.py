@@ -147,7 +147,8 @@ class Decision:
     margin : clearance beyond the buffer of what is executed, over its verified horizon [m]; NaN where none is known,
         and where whatever was found ends in a crash.
     latency : time spent deciding [s].
-    plan : road states of the executed action and its fail-safe, shape (frames + 1, 4), or None.
+    plan : road states of the executed action and its fail-safe, shape (frames + 1, 4), or None. On a network of roads
+        they are states in the world, of the present frame on, and filled only with `ShieldConfig.record`.
     occupancy : rectangles where the others can be, shape (frames, vehicles, 4) as s_min, s_max, r_min, r_max
         in the road frame [m], or None; filled only with `ShieldConfig.record`. Where the traffic is simulated, plan and
         occupancy are what is foretold, in the world's frame (x, y, heading, speed; boxes around the others).

@@ -18,7 +18,7 @@ from shield.errors import ConfigError
 
 __all__ = ["add_showing"]
 
-_out = Console()
+_out, _err = Console(), Console(stderr=True, highlight=False)
 
 
 def film_command(
@@ -35,7 +35,7 @@ def film_command(
     ] = 0,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
 ) -> None:
-    """Film a policy behind the shield, around one of its overrides."""
+    """Film a policy behind the shield: around one of its overrides, or the first episode where there is none."""
     if output.exists() and not force:
         raise ConfigError(f"{output} exists already; --force overwrites it")
     policy = policy or (DEMO_POLICY if env_id is None else "random")
@@ -43,7 +43,15 @@ def film_command(
     where = ask_setting(setting, env_id, env_config)
     from evaluation.report.video import film_override
 
-    made = film_override(output, where, policy, seed)
+    with _err.status("looking for an override") as status:
+
+        def progress(tried: int, most: int) -> None:
+            text = f"looking for an override: episode {tried + 1} of {most} at most (seed {seed + tried})"
+            status.update(text)
+            if not _err.is_terminal and tried % 10 == 0:
+                _err.print(text)
+
+        made = film_override(output, where, policy, seed, progress)
     _out.print(f"wrote {made.path} (seed {made.seed}, {made.overrides} decisions overridden)")
 
 

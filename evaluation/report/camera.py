@@ -13,7 +13,9 @@ from dynamics.state import FloatArray, RoadState, State
 from evaluation.measuring.recorder import read_road
 from evaluation.report.draw import Shot, World
 from evaluation.report.proposal import action_labels, ego_copy, proposed_path
+from evaluation.report.reachable_areas import ReachableAreas
 from shield import ShieldedEnv
+from shield.doors.road_door import RoadDoor
 
 __all__ = ["Camera"]
 
@@ -35,8 +37,11 @@ class Camera:
         self._viewer: Any = self._base.viewer
         self._viewer.enabled = True  # highway-env draws nothing under SDL's dummy driver otherwise
         self._road: Road | World = read_road(self._base.road.network) or World()
+        in_world = env.config.simulates or isinstance(env.door, RoadDoor)
+        self._frame: Road | World = World() if in_world else self._road
         self._viewer.observer_vehicle = SimpleNamespace(position=np.zeros(2))
         self._dt = 1.0 / self._base.config["simulation_frequency"]
+        self._areas = ReachableAreas(self._base)
         self._taken: list[dict[str, Any]] = []
         self._keep = True
         self._frames = 0
@@ -68,6 +73,7 @@ class Camera:
                 "speed": float(ego.speed),
                 "size": (float(ego.LENGTH), float(ego.WIDTH)),
                 "time": self._frames * self._dt,
+                "areas": self._areas.now(self._env.door),
             }
         )
 
@@ -86,12 +92,12 @@ class Camera:
         actions = action_labels(self._base.action_type)
         record = env.last_decision
         assert record is not None
-        proposal = proposed_path(self._base, self._ego, record.proposed, self._road)
+        proposal = proposed_path(self._base, self._ego, record.proposed, self._frame)
         period = max(1, round(1.0 / (self._dt * self._base.config["policy_frequency"])))
         return [
             Shot(
                 **taken,
-                road=self._road,
+                road=self._frame,
                 dt=self._dt,
                 actions=actions,
                 decision=record,

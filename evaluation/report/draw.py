@@ -23,7 +23,7 @@ from dynamics.roads.straight import Road
 from dynamics.state import FloatArray, RoadState, State
 from shield.decision import Decision, Intervention, Reason
 
-__all__ = ["AREA", "GREEN", "ORANGE", "PROPOSAL", "RED", "Shot", "World", "draw", "font", "without_decision"]
+__all__ = ["AHEAD", "AREA", "GREEN", "ORANGE", "PROPOSAL", "RED", "Shot", "World", "draw", "font", "without_decision"]
 
 GREEN, ORANGE, RED = (46, 160, 67), (240, 136, 30), (215, 45, 45)
 AREA, PROPOSAL = (150, 75, 235), (255, 214, 10)
@@ -33,7 +33,7 @@ _BAR = 112
 _OVERSAMPLING = 2
 _OUTLINES = 0.25
 """Time between two outlines of the ego along its path [s]."""
-_AHEAD = (1.0, 2 / 3, 1 / 3, 0.0)
+AHEAD = (1.0, 2 / 3, 1 / 3, 0.0)
 """Times ahead at which the areas are drawn [s], the last on top."""
 _UNVERIFIED = "nothing was found that begins with it and keeps the buffer, the others as they are simulated"
 """`Reason.UNVERIFIED` where nothing is assumed of the others."""
@@ -69,6 +69,8 @@ class Shot:
     period : frames from one decision to the next.
     proposal : road states (period + 1, 4) of what was proposed, from the decision on, or None.
     simulated : whether the traffic is, so that plan and areas are foretold and no bounds.
+    areas : where the others can be on a network of roads, at each of the times of `AHEAD`: outlines (n, 2) in the frame
+        of `road` [m]. Where there are none, the decision's `occupancy` is drawn.
     """
 
     image: NDArray[np.uint8]
@@ -86,6 +88,7 @@ class Shot:
     period: int
     proposal: FloatArray | None = None
     simulated: bool = False
+    areas: tuple[tuple[FloatArray, ...], ...] = ()
 
     @property
     def acting(self) -> Decision:
@@ -152,21 +155,28 @@ def _pixels(shot: Shot, points: FloatArray) -> list[tuple[float, float]]:
 
 def _draw_areas(overlay: Image.Image, shot: Shot) -> None:
     """Where the others can be, from this frame on."""
-    areas = shot.decision.occupancy
-    if areas is None:
-        return
-    for rank, ahead in enumerate(_AHEAD):
-        step = shot.age + round(ahead / shot.dt)
-        if step >= len(areas):
-            continue
+    for rank, outlines in enumerate(shot.areas or _rectangles(shot)):
         layer = Image.new("RGBA", overlay.size, (0, 0, 0, 0))
         pen = ImageDraw.Draw(layer)
-        for s_min, s_max, r_min, r_max in areas[step]:
-            if not (s_max > s_min and r_max > r_min):
-                continue
-            corners = [(s_min, r_min), (s_max, r_min), (s_max, r_max), (s_min, r_max)]
-            pen.polygon(_pixels(shot, np.array(corners)), fill=(*AREA, 70 + 20 * rank))
+        for outline in outlines:
+            pen.polygon(_pixels(shot, outline), fill=(*AREA, 70 + 20 * rank))
         overlay.alpha_composite(layer)
+
+
+def _rectangles(shot: Shot) -> list[list[FloatArray]]:
+    """The occupancy of the decision at each of the times that are drawn, as outlines (4, 2)."""
+    areas = shot.decision.occupancy
+    if areas is None:
+        return []
+    steps = [shot.age + round(ahead / shot.dt) for ahead in AHEAD]
+    return [
+        [
+            np.array([(s_min, r_min), (s_max, r_min), (s_max, r_max), (s_min, r_max)])
+            for s_min, s_max, r_min, r_max in (areas[step] if step < len(areas) else ())
+            if s_max > s_min and r_max > r_min
+        ]
+        for step in steps
+    ]
 
 
 def _draw_plan(overlay: Image.Image, shot: Shot) -> None:

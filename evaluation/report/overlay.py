@@ -16,8 +16,10 @@ from dynamics.state import FloatArray
 from evaluation.measuring.recorder import read_road
 from evaluation.report.draw import Shot, World, draw, without_decision
 from evaluation.report.proposal import action_labels, ego_copy, proposed_path
+from evaluation.report.reachable_areas import ReachableAreas
 from shield import Shield, ShieldedEnv
 from shield.decision import Decision
+from shield.doors.road_door import RoadDoor
 from shield.errors import ConfigError
 
 __all__ = ["ShieldOverlay"]
@@ -34,22 +36,22 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     Parameters
     ----------
-    env : an environment made with `render_mode="rgb_array"`, with a `ShieldedEnv` in or around it.
+    env : an environment made with `render_mode="rgb_array"`, with a `ShieldedEnv` in or around it. The shield is told
+        to keep what is drawn (`ShieldedEnv.record`), from its next decision on.
     shield : the `Shield` around the policy, where there is that instead of a `ShieldedEnv`.
 
     Raises
     ------
     ConfigError
-        If there is no shield, it does not keep what is drawn (`ShieldConfig(record=True)`), or nothing is rendered.
+        If there is no shield, or nothing is rendered.
     SceneError
-        At the first `render`, if the road is not one of parallel lanes, and the traffic is not simulated.
+        At the first `render`, if the road is neither one of parallel lanes nor a network.
 
     Examples
     --------
     >>> import gymnasium as gym, highway_env
-    >>> from shield import ShieldConfig
     >>> env = gym.make("highway-fast-v0", render_mode="rgb_array")
-    >>> env = ShieldOverlay(ShieldedEnv(env, ShieldConfig(record=True)))
+    >>> env = ShieldOverlay(ShieldedEnv(env))
     >>> obs, _ = env.reset(seed=0)
     >>> _ = env.step(3)
     >>> env.render().shape
@@ -60,11 +62,11 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         RecordConstructorArgs.__init__(self, _disable_deepcopy=True, shield=shield)
         gym.Wrapper.__init__(self, env)
         self._shield = _inside(env) if shield is None else shield
-        if not self._shield.config.record:
-            raise ConfigError("nothing is kept to be drawn; make the shield with ShieldConfig(record=True)")
         if env.render_mode != "rgb_array":
             raise ConfigError(f"have gym.make(..., render_mode='rgb_array'); this is {env.render_mode!r}")
+        self._shield.record()
         self._base = cast(Any, env.unwrapped)
+        self._areas = ReachableAreas(self._base)
         self._ego: Any = None
         self._begun = 0
         self._drawn: list[Decision] | None = None
@@ -103,8 +105,9 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         decision, frames = self._shield.last_decision, _frames(self._shield)
         if self._ego is None or decision is None:
             return None
-        base, simulated = self._base, self._shield.config.assumptions.simulated
-        road = World() if simulated else read_road(base.road.network)
+        base, simulated, filters = self._base, self._shield.config.simulates, _filters(self._shield)
+        in_world = simulated or isinstance(filters, RoadDoor)
+        road = World() if in_world else read_road(base.road.network)
         if road is None:
             raise SceneError("this road cannot be drawn on; have single roads of parallel lanes, straight or curved")
         surface, ego, dt = base.viewer.sim_surface, base.vehicle, 1.0 / base.config["simulation_frequency"]
@@ -132,6 +135,7 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             period=max(1, round(1.0 / (dt * base.config["policy_frequency"]))),
             proposal=self._proposal,
             simulated=simulated,
+            areas=self._areas.now(filters),
         )
 
 
@@ -143,6 +147,11 @@ def _inside(env: Any) -> ShieldedEnv:
             return layer
         layer = layer.env
     raise ConfigError("there is no ShieldedEnv inside this environment; around a policy, pass shield=")
+
+
+def _filters(shield: Shield | ShieldedEnv) -> Any:
+    """What filters the actions of the environment."""
+    return shield.door if isinstance(shield, ShieldedEnv) else shield.doors[0]
 
 
 def _frames(shield: Shield | ShieldedEnv) -> list[Decision]:

@@ -100,7 +100,7 @@ def record(
     *,
     first: int = 0,
     last: int | None = None,
-    config: ShieldConfig | None = None,
+    config: ShieldConfig | str | None = None,
     smooth: bool = True,
 ) -> list[Shot]:
     """Drive a shielded episode and keep a shot of each simulation frame.
@@ -128,7 +128,7 @@ def record(
 
 @contextmanager
 def _shielded(
-    setting: Setting, policy: str, seed: int, config: ShieldConfig | None, render_mode: str | None
+    setting: Setting, policy: str, seed: int, config: ShieldConfig | str | None, render_mode: str | None
 ) -> Iterator[tuple[ShieldedEnv, Callable[[], bool]]]:
     """A shielded episode, and a function that takes its next decision and says if it is over; what is decided is
     recorded where it is drawn."""
@@ -137,7 +137,9 @@ def _shielded(
         driver = make_policy(policy, bare)
         if config is None:
             config = config_on(setting)
-        env = ShieldedEnv(bare, config.replace(record=render_mode is not None), policy=driver)
+        env = ShieldedEnv(bare, config, policy=driver)
+        if render_mode is not None:
+            env.record()
         obs, _ = env.reset(seed=seed)
         start_episode(driver, seed)
 
@@ -193,21 +195,39 @@ def find_override(setting: str | Setting = FILM_SETTING, policy: str = FILM_POLI
         If no episode has any, or the seeds are those of the evaluation.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
+    count, chosen, start = _most_overridden(setting, policy, seed, _silent)
+    if count == 0:
+        raise ConfigError(f"{policy} was not overridden in {_SEARCH} episodes of {setting.name}")
+    return chosen, start
+
+
+def _most_overridden(
+    setting: Setting, policy: str, seed: int, progress: Callable[[int, int], None]
+) -> tuple[int, int, int]:
+    """The most decisions overridden in one clip, and its seed and first decision; without any, `seed` from its start.
+
+    Parameters
+    ----------
+    progress : called before each episode with how many have been tried, and how many are tried at most.
+    """
     if not 0 <= seed <= FIRST_EVALUATION_SEED - _SEARCH:
         raise ConfigError(
             f"episodes are chosen among seeds below {FIRST_EVALUATION_SEED}, not {seed}:"
             " the others are kept for evaluation"
         )
     best = (0, seed, 0)
-    for candidate in range(seed, seed + _SEARCH):
-        start, count = _best_clip(*_overridden(setting, policy, candidate))
+    for tried in range(_SEARCH):
+        progress(tried, _SEARCH)
+        start, count = _best_clip(*_overridden(setting, policy, seed + tried))
         if count > best[0]:
-            best = (count, candidate, start)
+            best = (count, seed + tried, start)
         if count >= _WANTED:
             break
-    if best[0] == 0:
-        raise ConfigError(f"{policy} was not overridden in {_SEARCH} episodes of {setting.name}")
-    return best[1], best[2]
+    return best
+
+
+def _silent(tried: int, most: int) -> None:
+    """No progress is shown."""
 
 
 def _decisions(setting: str | Setting) -> int:
@@ -225,17 +245,20 @@ def film_override(
     setting: str | Setting = FILM_SETTING,
     policy: str = FILM_POLICY,
     seed: int = 0,
+    progress: Callable[[int, int], None] = _silent,
 ) -> Film:
-    """Find an episode in which the override shows, and write it as a GIF.
+    """Find an episode in which the override shows, and write it as a GIF; without any override, the first episode.
 
     Parameters
     ----------
     path : the file to write, ending in .gif.
     setting, policy : what to drive, by name.
     seed : where the search for an episode begins; below 10,000.
+    progress : called before each episode of the search with how many have been tried, and how many are tried at most.
     """
     path = film_path(path)
-    chosen, start = find_override(setting, policy, seed)
+    setting = get_setting(setting) if isinstance(setting, str) else setting
+    _, chosen, start = _most_overridden(setting, policy, seed, progress)
     shots = record(setting, policy, chosen, first=start, last=start + _decisions(setting))
     path.parent.mkdir(parents=True, exist_ok=True)
     _write_gif(path, [draw(shot) for shot in shots], 1000 * shots[0].dt)
@@ -258,7 +281,7 @@ def film_path(path: str | Path) -> Path:
 
 
 def film_end(
-    path: str | Path, setting: str | Setting, policy: str, seed: int, config: ShieldConfig | None = None
+    path: str | Path, setting: str | Setting, policy: str, seed: int, config: ShieldConfig | str | None = None
 ) -> Film:
     """Write the last seconds of an episode as a GIF, whatever happens in it, at the frequency that it is driven at.
 

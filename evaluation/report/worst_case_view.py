@@ -16,6 +16,7 @@ from evaluation.measuring.rectangles import polygons
 from evaluation.names import FIRST_EVALUATION_SEED
 from evaluation.report.plots import picture_path, save_plot
 from evaluation.report.proposal import ego_copy
+from evaluation.report.reachable_areas import strip_outline
 from evaluation.settings import setting_of
 from shield import ShieldConfig, ShieldedEnv
 from shield.decision import Decision
@@ -178,11 +179,10 @@ def _meetings(view: _View) -> list[tuple[int, Any]]:
 
 def _area(view: _View, j: int, first: int, last: int) -> Any:
     """Where strip `j` has its vehicle's body from frame `first` to `last`, a polygon; None where that is nowhere."""
-    foreseen, lane = view.foreseen, view.geometry.number(view.foreseen.lanes[j])
-    near, far = max(foreseen.least[j, first], 0.0), min(foreseen.most[j, last], float(view.geometry.lengths[lane]))
-    if not far - near > 0.1:
+    outline = strip_outline(view.geometry, view.foreseen, j, first, last)
+    if outline is None:
         return None
-    area = shapely.Polygon(view.geometry.outline(lane, near, far, foreseen.low[j], foreseen.high[j]))
+    area = shapely.Polygon(outline)
     return area if area.is_valid else area.buffer(0)
 
 

@@ -149,6 +149,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if model is not None and kind != "ContinuousAction":
             raise ConfigError("a model is for ContinuousAction; with meta-actions leave it out")
         self._given, self._rule, self._model, self._perception = as_settings(config), rule, model, perception
+        self._recording = False
         self._door: Door | TeamDoor = self._choose(kind)
         self._observation: Any = None
         self._supervising = self.latency = 0.0
@@ -275,6 +276,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if config.simulates and (self._rule is not None or self._model is not None):
             raise ConfigError("Assumptions.exact() verifies by simulation: leave rule and model out")
         warm_up_door(door)
+        if self._recording:
+            door.record()
         chosen.announce()
         self.verification, self.promise = chosen.verification, chosen.promise
         return door
@@ -287,6 +290,11 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if not isinstance(self._door, MetaDoor | ExactDoor | RoadDoor):
             raise ConfigError("action_masks() needs DiscreteMetaAction of one ego; this environment has other actions")
         return self._door.mask()
+
+    def record(self) -> None:
+        """Keep in each decision from now on what films and overlays draw, as with `ShieldConfig.record`."""
+        self._recording = True
+        self._door.record()
 
     @property
     def statistics(self) -> Statistics:

@@ -79,6 +79,12 @@ class InputDoor(InputFrames):
                 "take Shield(policy, env=env), ShieldedEnv(env), or ContinuousAction"
             )
 
+    def record(self) -> None:
+        """Keep in each decision what is drawn, as with `ShieldConfig.record`."""
+        self.config = self.config.replace(record=True)
+        procedure: Any = self.core.procedure
+        procedure.config = procedure.config.replace(record=True)
+
     def reset(self) -> None:
         """Forget everything about the episode, and compute what depends on the road alone.
 

@@ -92,6 +92,13 @@ class MetaDoor:
         """Whether `frame` has a say."""
         return self.config.mode == "full" and not self._alone
 
+    def record(self) -> None:
+        """Keep in each decision what is drawn, as with `ShieldConfig.record`."""
+        self.config = self.config.replace(record=True)
+        procedures: tuple[Any, ...] = (self._meta, self._frames, self.core.procedure)
+        for procedure in procedures:
+            procedure.config = self.config
+
     def reset(self) -> None:
         """Forget everything about the episode.
 

@@ -138,7 +138,7 @@ class Shield(WrappedPolicy):
             self._inputs = the_action_type(self._bases, "Shield") == "ContinuousAction"
         refuse_misfits(self.policy, env)
         self._given, self._perception = as_settings(config), perception
-        n = len(self._bases)
+        n, self._recording = len(self._bases), False
         self._chosen = [self._settings(i) for i in range(n)]
         if self._known:
             settings = perception if isinstance(perception, PerceptionConfig) else None
@@ -178,9 +178,22 @@ class Shield(WrappedPolicy):
         if chosen.config.simulates and self._inputs and not self._frames:
             raise ConfigError("Assumptions.exact() verifies throttle and steering at every frame: frames=True")
         warm_up_door(door)
+        if self._recording:
+            door.record()
         if i == 0:
             chosen.announce()
         return door
+
+    def record(self) -> None:
+        """Keep in each decision from now on what films and overlays draw, as with `ShieldConfig.record`."""
+        self._recording = True
+        for door in self._doors:
+            door.record()
+
+    @property
+    def doors(self) -> tuple[Door, ...]:
+        """What filters, in each environment: its class says what is verified and how."""
+        return tuple(self._doors)
 
     @property
     def config(self) -> ShieldConfig:

@@ -152,6 +152,10 @@ class RoadDoor:
         last = self.watch.last
         return set() if last is None else Watch(last=since).judge(last, set(bodies), self._road, set())
 
+    def record(self) -> None:
+        """Keep in each decision what is drawn, as with `ShieldConfig.record`."""
+        self.config = self.config.replace(record=True)
+
     def reset(self) -> None:
         """Forget everything about the episode.
 
@@ -325,7 +329,8 @@ class RoadDoor:
         if margin < CLEAR:
             reason = Reason.NO_SAFE_PLAN
             tier = Tier.EVADED if evades else Tier.LARGEST_MARGIN
-        return course, Decision(-1, -1, reason, tier, float(margin), 0.0, vehicle=int(who))
+        plan = self.foreseen.path if self.config.record else None
+        return course, Decision(-1, -1, reason, tier, float(margin), 0.0, plan, vehicle=int(who))
 
     def _go(self, course: Course, tier: Tier) -> None:
         """Remember what is gone on with; the trial holds what comes of it."""

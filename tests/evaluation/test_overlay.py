@@ -11,7 +11,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 
 from dynamics.roads.straight import StraightRoad
-from evaluation.report.draw import GREEN, ORANGE, PROPOSAL, RED
+from evaluation.report.draw import GREEN, ORANGE, PROPOSAL, RED, draw
 from evaluation.report.overlay import ShieldOverlay
 from evaluation.report.proposal import ego_copy, proposed_path
 from shield import Shield, ShieldConfig, ShieldedEnv
@@ -141,11 +141,41 @@ def test_a_proposal_that_is_none_is_not_driven():
         assert proposed_path(env.unwrapped, ego_copy(env.unwrapped), action, None) is None
 
 
+@pytest.mark.parametrize(
+    ("env_id", "config", "settings"),
+    [
+        ("highway-fast-v0", {}, None),
+        ("highway-fast-v0", {"action": {"type": "ContinuousAction"}}, None),
+        ("roundabout-v1", {}, None),
+        ("roundabout-v1", {}, "worst-case"),
+    ],
+)
+@pytest.mark.parametrize("around", ["env", "policy"])
+def test_it_draws_without_a_switch(env_id, config, settings, around):
+    """`record=True` was asked for before anything was drawn, and on networks there was nothing to draw."""
+    bare = made(env_id, **config)
+    action = 1 if not config else np.zeros(2, np.float32)
+    if around == "env":
+        shield = ShieldedEnv(bare, settings)
+        env = ShieldOverlay(shield)
+    else:
+        bare.reset(seed=5)
+        shield = Shield(lambda _: action, bare, settings)
+        env = ShieldOverlay(bare, shield)
+    obs, _ = env.reset(seed=5)
+    env.step(action if around == "env" else shield.predict(obs)[0])
+    env.render()
+    image = env.env.render()
+    shot = env._shot(image, 1)
+    assert shot.acting.plan is not None
+    assert shot.decision.occupancy is not None or any(shot.areas)
+    picture = np.asarray(draw(shot))[: image.shape[0]]
+    assert np.any(picture != image)
+
+
 def test_misuse_is_refused():
     with pytest.raises(ConfigError, match=r"no ShieldedEnv inside"):
         ShieldOverlay(made())
-    with pytest.raises(ConfigError, match=r"ShieldConfig\(record=True\)"):
-        ShieldOverlay(ShieldedEnv(made()))
     with pytest.raises(ConfigError, match=r"render_mode='rgb_array'"):
         ShieldOverlay(ShieldedEnv(made(render_mode=None), RECORD))
 

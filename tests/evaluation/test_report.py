@@ -1,15 +1,19 @@
 """Pictures show the scene, carry the right colour, and land where highway-env drew the vehicles."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import shapely
 from PIL import Image
 
 from dynamics.state import RoadState
+from evaluation.report import video
 from evaluation.report.camera import Camera
 from evaluation.report.draw import GREEN, ORANGE, RED, Shot, _executed, _label, _pixels, draw
 from evaluation.report.video import _best_clip, _decisions, _filmed, _overridden, film_override, find_override, record
 from evaluation.settings import get_setting
-from shield import ShieldConfig
+from shield import ShieldConfig, ShieldedEnv
 from shield.decision import Decision, Reason, Tier
 from shield.errors import ConfigError
 
@@ -67,9 +71,10 @@ def test_a_curved_road_is_filmed_around_the_ego():
     setting = get_setting("racetrack")
     bare = _filmed(setting).make(render_mode="rgb_array")
     try:
-        bare.reset(seed=0)
-        ego = bare.unwrapped.vehicle
-        camera = Camera(bare)
+        env = ShieldedEnv(bare)
+        env.reset(seed=0)
+        ego = env.unwrapped.vehicle
+        camera = Camera(env)
         camera._take()
         (taken,) = camera._taken
         height, width, _ = taken["image"].shape
@@ -89,20 +94,18 @@ def test_a_network_of_roads_has_overrides_to_be_filmed():
     assert not all(flags)
 
 
-@pytest.mark.parametrize("config", [ShieldConfig.exact(), None])
+@pytest.mark.parametrize("config", [ShieldConfig.exact(), "worst-case", None])
 def test_a_network_of_roads_is_filmed_around_the_ego(config):
     shots = record("roundabout", "faster", 3, last=2, config=config, smooth=False)
     assert len(shots) == 30
-    assert (shots[0].decision.plan is not None) == (config is not None), "the worst case has no single future to show"
     for shot in shots[::15]:
         height, width, _ = shot.image.shape
         assert (width, height) == (1000, 500)
         red, green, blue = shot.image[250, 500].astype(int)
         assert green > max(red, blue) + 30, "an ego with meta-actions is green in highway-env's picture"
         assert draw(shot).size[0] == width
-    if config is not None:
-        # What is planned begins where the ego is.
-        assert _pixels(shots[0], shots[0].decision.plan[:1, :2])[0] == pytest.approx((1000, 500), abs=4)
+    # What is planned begins where the ego is.
+    assert _pixels(shots[0], shots[0].decision.plan[:1, :2])[0] == pytest.approx((1000, 500), abs=4)
 
 
 def test_recording_does_not_change_the_drive():
@@ -148,3 +151,44 @@ def test_a_film_is_written(tmp_path):
     with Image.open(film.path) as picture:
         assert picture.n_frames > film.frames / 2  # frames that are the same are merged
     assert film.overrides >= 1
+
+
+def test_a_film_is_written_of_an_episode_without_an_override(tmp_path, monkeypatch):
+    """It was refused after 30 episodes; what is looked for is told before each of them."""
+    monkeypatch.setattr(video, "_SEARCH", 3)
+    setting = get_setting("highway-fast").override({"duration": 3, "vehicles_count": 1}, name="empty")
+    tried = []
+    film = film_override(tmp_path / "x.gif", setting, "idle", 7, lambda *seen: tried.append(seen))
+    assert (film.seed, film.overrides) == (7, 0)
+    assert tried == [(0, 3), (1, 3), (2, 3)]
+    with Image.open(film.path) as picture:
+        assert picture.n_frames >= 1
+    with pytest.raises(ConfigError, match="was not overridden in 3 episodes of empty"):
+        find_override(setting, "idle", 7)
+
+
+@pytest.mark.parametrize("settings", [None, "worst-case"])
+def test_films_on_networks_show_the_plan_and_the_others(settings):
+    """By default settings nothing was drawn there, under a legend that lists all of it."""
+    shots = record("roundabout", "faster", 0, last=2, config=settings)
+    assert shots
+    for shot in shots:
+        assert shot.acting.plan is not None
+        assert shot.decision.occupancy is not None or any(shot.areas)
+    bare = replace(shots[-1].decision, plan=None, occupancy=None)
+    values = {name: getattr(shots[-1], name) for name in Shot.__slots__}
+    nothing = draw(Shot(**{**values, "decision": bare, "frame": None, "areas": ()}))
+    assert np.any(np.asarray(draw(shots[-1])) != np.asarray(nothing))
+
+
+def test_what_is_shaded_is_where_the_others_may_be():
+    """The outlines of the first time hold each vehicle's middle: that is where it is now."""
+    shot = record("roundabout", "faster", 0, last=1, config="worst-case")[0]
+    env = get_setting("roundabout").make()
+    env.reset(seed=0)
+    others = [v.position for v in env.unwrapped.road.vehicles if v is not env.unwrapped.vehicle]
+    near = [at for at in others if np.hypot(*(at - env.unwrapped.vehicle.position)) < 150]
+    shapes = [shapely.Polygon(outline).buffer(0.1) for outline in shot.areas[-1]]
+    assert near
+    for at in near:
+        assert any(shape.contains(shapely.Point(at)) for shape in shapes)

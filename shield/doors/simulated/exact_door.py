@@ -68,6 +68,10 @@ class ExactDoor(Foretells):
         self._plans: Plans = empty_plans(1, 1)
         self._search: Search | None = None
 
+    def record(self) -> None:
+        """Keep in each decision what is drawn, as with `ShieldConfig.record`."""
+        self.config = self.config.replace(record=True)
+
     def reset(self) -> None:
         """Forget everything about the episode.
 

@@ -76,6 +76,10 @@ class ExactInputDoor(Foretells, InputFrames):
         law = self.config.braking, self.actuators.acceleration[1], _HOLD
         return simulate_network(base, like, law=law)
 
+    def record(self) -> None:
+        """Keep in each decision what is drawn, as with `ShieldConfig.record`."""
+        self.config = self.config.replace(record=True)
+
     def reset(self) -> None:
         """Forget everything about the episode.
 

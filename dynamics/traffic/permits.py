@@ -46,12 +46,12 @@ _LENGTH, _WIDTH, _CRASHED = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle
 _SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH, _BRAKING, _APPEARED = 1, 2, 4, 8, 16, 32, 64, 128
 _TOUCHING = 2.0
 """Bodies nearer than this have crashed into one another: highway-env moves them apart in the frame of a crash [m]."""
-_TOLERANCE = 1e-6
-"""Slack on accelerations and speeds [m/s^2], [m/s]."""
-_SLIGHT = 1e-6
-"""Slack on ways [m]."""
-_GREW = 0.02
-"""By how much the least place of a vehicle may come nearer before it counts as having grown [m]."""
+_ROUNDING = 1e-9
+"""What rounding may add to an acceleration, a speed or a way [m/s^2, m/s, m]. Real growth of a bound is no smaller in
+highway-env's own traffic, and none is granted: whatever is granted in each frame adds up. So the fail-safe is asked
+however little a bound has grown."""
+_SIDEWAYS = 1.0001
+"""Ways across the road may exceed what the speed says by this factor, for bends; no bound rests on it (rule 3 does)."""
 
 
 class Rule(IntFlag):
@@ -187,35 +187,35 @@ def judge_motions(
             bits |= _CRASH
         if not wrecked:
             rate = (v - v0) / limits.period
-            sped = not v <= max(v0, limits.fastest) + _SLIGHT or not v >= -limits.reversing
-            most_rate = min(limits.acceleration, limits.power / max(v0, 1e-3) + _TOLERANCE)
+            sped = not v <= max(v0, limits.fastest) + _ROUNDING or not v >= -limits.reversing
+            most_rate = min(limits.acceleration, limits.power / max(v0, 1e-3) + _ROUNDING)
             if sped or not (-limits.braking <= rate <= most_rate):
                 bits |= _SPEED
             if frames == 1:
-                back = not ds >= min(way, 0.0) * most - _SLIGHT
-                ahead = not ds <= max(way, 0.0) * most + _SLIGHT
-                if back or ahead or not abs(dr) <= abs(way) * 1.0001 + _SLIGHT:
+                back = not ds >= min(way, 0.0) * most - _ROUNDING
+                ahead = not ds <= max(way, 0.0) * most + _ROUNDING
+                if back or ahead or not abs(dr) <= abs(way) * _SIDEWAYS + _ROUNDING:
                     bits |= _WAY
-                if not min(budget[i], action[i]) >= -_SLIGHT:
+                if not min(budget[i], action[i]) >= -_ROUNDING:
                     bits |= _WAY
         if behind[i]:
             touches = gap_between(ego, ego.along, ego.across, rows, i, 0.0) < 0
             # highway-env counts what constant velocities would bring in the coming frame.
             if touches or gap_between(ego, ego.body_along, ego.body_across, rows, i, limits.period) <= 0:
                 bits |= _DISTANCE
-        if not (low[i] >= low0[i] - _SLIGHT and high[i] <= high0[i] + _SLIGHT):
+        if not (low[i] >= low0[i] - _ROUNDING and high[i] <= high0[i] + _ROUNDING):
             more |= _LANES
         harder = False
         if not wrecked:
             allowed = 0.0
             for k in range(frames):
                 allowed += brakes0[i, k] if k < brakes0.shape[1] else limits.braking
-            harder = not v0 - v <= (allowed + _TOLERANCE) * limits.period / limits.frames
+            harder = not v0 - v <= (allowed + _ROUNDING) * limits.period / limits.frames
             for k in range(brakes.shape[1] - frames):
-                harder = harder or brakes[i, k] > brakes0[i, k + frames] + _TOLERANCE
+                harder = harder or brakes[i, k] > brakes0[i, k + frames] + _ROUNDING
             if harder:
                 more |= _BRAKING
-        if not drop <= _GREW and not harder:
+        if not drop <= _ROUNDING and not harder:
             more |= _REVERSING
         broken[i], grown[i] = bits, more
 
@@ -224,11 +224,11 @@ def judge_motions(
 def limits_of(a: Assumptions, period: float, lap: float, frames: int) -> FloatArray:
     """The numbers that `judge_motions` judges by, (9,)."""
     limits = _Limits(
-        a.braking + _TOLERANCE,
-        a.acceleration + _TOLERANCE,
+        a.braking + _ROUNDING,
+        a.acceleration + _ROUNDING,
         a.power,
         a.max_speed,
-        a.reversing_speed + _TOLERANCE,
+        a.reversing_speed + _ROUNDING,
         a.slow_speed,
         period,
         lap,

@@ -92,7 +92,7 @@ def test_what_is_permitted_stays_inside_the_bound_and_the_bound_inside_itself(se
             assert body[:, 0].max() <= front[i, 0] + 1e-6
             assert old.low[i] - 1e-6 <= body[:, 1].min()
             assert body[:, 1].max() <= old.high[i] + 1e-6
-            assert (can[i] >= could[i, 1:] - 0.02 - 1e-6).all()
+            assert (can[i] >= could[i, 1:] - 1e-6).all()
             assert (later[i] <= front[i, 1:] + 1e-6).all()
             assert old.low[i] <= new.low[i] + 1e-6
             assert new.high[i] <= old.high[i] + 1e-6

@@ -89,7 +89,8 @@ def drive(
     Parameters
     ----------
     cast : makes the other vehicles on a road; ends with `Landmark`s and obstacles, if any, in `road.objects`.
-    period : frames a decision. action : what is proposed at each decision. door : "env" or "policy".
+    period : frames a decision. action : what is proposed at each decision. door : "env" or "policy", or "actions", a
+        filter of actions that supervises no frame.
     settings : of the environment.
     """
     frequency = {"simulation_frequency": hz, "policy_frequency": hz // period, "duration": 1e3}
@@ -111,7 +112,9 @@ def drive(
     proposed = [IDLE]
     shielded: Any = ShieldedEnv(env, config) if door == "env" else env
     obs, _ = shielded.reset(seed=0)
-    shield = None if door == "env" else Shield(lambda _: proposed[0], env=env, config=config)
+    shield = None
+    if door != "env":
+        shield = Shield(lambda _: proposed[0], env=env, config=config, frames=door == "policy")
     own_step = base.road.step
 
     def watched(dt: float) -> None:

@@ -1,0 +1,84 @@
+"""No tolerance of the monitor adds up: whoever comes nearer bit by bit is named before it touches the buffer."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hand_driven import Driven, drive
+
+from dynamics.roads.straight import StraightRoad
+from dynamics.traffic.assumptions import Assumptions
+from dynamics.traffic.occupancy import Surroundings
+from dynamics.traffic.permits import Ego, Rule, permits
+from shield import ShieldConfig
+
+IDLE, FASTER = 1, 3
+
+
+def rolling_back(step):
+    """Rolls back by so many metres a frame."""
+
+    def act(own, frame):
+        own.action["acceleration"] = (-step / own.dt - own.speed) / own.dt
+
+    return act
+
+
+@pytest.mark.parametrize(("hz", "step"), [(5, 0.018), (15, 0.018), (15, 0.007), (60, 0.01)])
+@pytest.mark.parametrize("door", ["env", "policy"])
+def test_a_leader_that_rolls_back_slowly_is_named(hz, step, door):
+    """At 0.09 to 0.6 m/s: each frame is less than 2 cm."""
+    out = drive(
+        lambda road: [Driven(road, 12.0, 1, -step * hz, rolling_back(step))],
+        hz,
+        seconds=9.0,
+        speed=3.0,
+        action=lambda k: FASTER,
+        door=door,
+    )
+    assert out.verified
+    assert out.clearance < -0.1
+    assert not out.unnamed
+    assert set(out.rules) <= {"reversing", "braking"}
+
+
+@pytest.mark.parametrize(("hz", "period"), [(5, 1), (15, 1), (15, 5)])
+def test_one_that_rolls_back_is_named_by_a_filter_of_actions(hz, period):
+    """Over one frame a decision, and over more."""
+    step = 0.018 / period
+    out = drive(
+        lambda road: [Driven(road, 14.0, 1, -step * hz, rolling_back(step))],
+        hz,
+        period=period,
+        seconds=15.0 if hz == 15 else 30.0,
+        speed=3.0,
+        action=lambda k: IDLE,
+        door="actions",
+        config=ShieldConfig.for_meta_actions(),
+    )
+    assert out.verified
+    assert out.clearance < 1.0
+    assert out.violations > 0
+    assert not out.unnamed
+
+
+@pytest.mark.parametrize(
+    ("change", "rule"),
+    [
+        ((-1e-7, 0, 0, 0), Rule.REVERSING),  # the place that it stands in
+        ((0, 1e-7, 0, 0), Rule.LANES),  # out of the middle of its lane, and no further
+        ((0, 0, 0, -1e-6), Rule.REVERSING),
+    ],
+)
+@pytest.mark.parametrize("frames", [1, 3])
+def test_growth_of_any_size_is_asked_about(change, rule, frames):
+    """One that stands at the edge of what it may touch: however little it takes more in a frame, it is noticed."""
+    row = np.array([[30.0, 4.25, 0.0, 0.0, 5.0, 2.0, 0.0]])
+
+    def around(rows, before=None):
+        return Surroundings(rows, rows[:, :4], StraightRoad.from_lanes(3), Assumptions.idm(), 0.1, before)
+
+    later = row + np.array([[*change, 0, 0, 0]])
+    first, far = around(row), Ego(1e6, 0.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
+    found = permits(first, around(later, first if frames == 1 else None), 0.1 * frames, np.zeros(1, bool), far)
+    assert Rule(int(found.grown[0])) & rule

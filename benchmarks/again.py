@@ -9,10 +9,12 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
+from typing import Any
 
 import joblib
 import numpy as np
 import pandas as pd
+import tomli_w
 
 from evaluation.measuring.statistics import bootstrap_mean, clopper_pearson
 from evaluation.running.many import Many
@@ -28,12 +30,12 @@ def drive(setting: str, policy: str, config: ShieldConfig, seeds: list[int]) -> 
     return Many(get_setting(setting), policy, config).run(seeds)
 
 
-def again(before: pd.DataFrame, asked: dict[str, str], jobs: int) -> pd.DataFrame:
+def again(before: pd.DataFrame, asked: dict[str, Any], jobs: int) -> pd.DataFrame:
     """The same episodes, driven again."""
-    config, seeds = ShieldConfig.from_toml(asked["shield"]), before["seed"].tolist()
+    config, seeds = ShieldConfig.from_toml(tomli_w.dumps(asked["shield"])), before["seed"].tolist()
     parts = [seeds[i : i + PART] for i in range(0, len(seeds), PART)]
     each = joblib.delayed(drive)
-    setting, policy = str(before["setting"].iloc[0]), asked["policy"]
+    setting, policy = str(before["setting"].iloc[0]), asked["policy"]["name"]
     return pd.concat(joblib.Parallel(n_jobs=jobs)(each(setting, policy, config, part) for part in parts))
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import tomli_w
 
+from dynamics.errors import perhaps
 from dynamics.traffic.assumptions import Assumptions
 from shield.errors import ConfigError
 
@@ -95,7 +96,9 @@ class ShieldConfig:
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:
-            raise ConfigError(f"unknown shield mode {self.mode!r}; valid are {', '.join(MODES)}")
+            raise ConfigError(
+                f"unknown shield mode {self.mode!r}{perhaps(self.mode, MODES)}; valid are {', '.join(MODES)}"
+            )
         if self.repair not in REPAIRS:
             raise ConfigError(f"unknown repair {self.repair!r}; valid are {', '.join(REPAIRS)}")
         if self.norm not in NORMS:
@@ -247,5 +250,6 @@ def _build(kind: Any, table: str, values: Any) -> Any:
     valid = [f.name for f in fields(kind)]
     unknown = sorted(set(values) - set(valid))
     if unknown:
-        raise ConfigError(f"unknown key {unknown[0]!r} in {table}; valid are {', '.join(valid)}")
+        near = perhaps(unknown[0], valid)
+        raise ConfigError(f"unknown key {unknown[0]!r} in {table}{near}; valid are {', '.join(valid)}")
     return kind(**values)

@@ -20,6 +20,7 @@ from evaluation.measuring.recorder import Track
 from evaluation.measuring.tally import HORIZON, SOON, time_to_collision
 from evaluation.rare.splitting import Path, Split, multilevel_splitting
 from evaluation.running.episodes import Driver
+from evaluation.running.identity import check_files, hash_of_files
 from evaluation.running.records import Variant
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
@@ -115,19 +116,24 @@ def crash_probability_through(
             return multilevel_splitting(lambda ways: [episodes.drive(x) for x in ways], 0.0, paths, share, seed, most)
         finally:
             episodes.close()
+    files = hash_of_files(policy)
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1), joblib.Parallel(n_jobs=jobs) as pool:
 
         def drive(ways: Sequence[Path]) -> Sequence[FloatArray]:
-            found: list[FloatArray] = pool(joblib.delayed(_drive)(setting, policy, variant, sensor, x) for x in ways)
+            found: list[FloatArray] = pool(
+                joblib.delayed(_drive)(setting, policy, variant, sensor, files, x) for x in ways
+            )
             return found
 
         return multilevel_splitting(drive, 0.0, paths, share, seed, most)
 
 
 @lru_cache(maxsize=1)
-def _kept(setting: Setting, policy: str, variant: Variant, sensor: str) -> NoisyEpisodes:
+def _kept(setting: Setting, policy: str, variant: Variant, sensor: str, files: str) -> NoisyEpisodes:
+    """Kept while `files`, the hashes of what the policy is read from, are the same."""
+    check_files(policy, None, files)
     return NoisyEpisodes(setting, policy, variant, sensor)
 
 
-def _drive(setting: Setting, policy: str, variant: Variant, sensor: str, path: Path) -> FloatArray:
-    return _kept(setting, policy, variant, sensor).drive(path)
+def _drive(setting: Setting, policy: str, variant: Variant, sensor: str, files: str, path: Path) -> FloatArray:
+    return _kept(setting, policy, variant, sensor, files).drive(path)

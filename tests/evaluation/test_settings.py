@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from evaluation.settings import SETTINGS, TRAFFIC, Setting, get_setting
+from shield.config import ShieldConfig
 from shield.errors import ConfigError, ShieldError
 
 
@@ -228,3 +229,18 @@ def test_a_setting_owns_its_configuration():
     assert setting.config["action"]["type"] == "DiscreteMetaAction"
     with pytest.raises(TypeError):
         setting.config["lanes_count"] = 1
+
+
+def test_an_unknown_name_is_answered_with_the_nearest():
+    for name, nearest in (("highway-fats", "highway-fast"), ("abz-idmm", "abz-idm"), ("round-about", "roundabout")):
+        with pytest.raises(ConfigError, match=f"perhaps '{nearest}' is meant"):
+            get_setting(name)
+    with pytest.raises(ConfigError, match=r"unknown setting 'boat'; have abz"):
+        get_setting("boat")
+
+
+def test_a_misspelt_setting_of_the_shield_is_answered_with_the_nearest():
+    with pytest.raises(ConfigError, match=r"unknown key 'brakng' in .*; perhaps 'braking' is meant; valid are"):
+        ShieldConfig.from_toml("brakng = 7.0\n")
+    with pytest.raises(ConfigError, match="perhaps 'full' is meant"):
+        ShieldConfig(mode="ful")

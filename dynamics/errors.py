@@ -23,7 +23,7 @@ _NEAR = 0.7
 """How alike two names are that one may be meant for the other, of 1 (see `difflib.SequenceMatcher.ratio`)."""
 
 
-def perhaps(name: str, valid: Iterable[str]) -> str:
+def perhaps(name: object, valid: Iterable[str]) -> str:
     """What is added to a message about an unknown name: the valid name nearest to it, or nothing if none is near.
 
     Examples
@@ -31,7 +31,7 @@ def perhaps(name: str, valid: Iterable[str]) -> str:
     >>> perhaps("highway-fats", ["highway-fast", "merge"]), perhaps("boat", ["merge"])
     ("; perhaps 'highway-fast' is meant", '')
     """
-    near = get_close_matches(name, list(valid), 1, cutoff=_NEAR)
+    near = get_close_matches(str(name), list(valid), 1, cutoff=_NEAR)
     return f"; perhaps {near[0]!r} is meant" if near else ""
 
 

@@ -19,7 +19,17 @@ from shield.errors import ConfigError
 if TYPE_CHECKING:
     from evaluation.settings import Setting
 
-__all__ = ["EnvConfig", "EnvId", "NamedSetting", "ask_policies", "ask_setting", "ask_settings", "check_modes", "split"]
+__all__ = [
+    "EnvConfig",
+    "EnvId",
+    "NamedSetting",
+    "ask_policies",
+    "ask_setting",
+    "ask_settings",
+    "check_jobs",
+    "check_modes",
+    "split",
+]
 
 _err = Console(stderr=True, highlight=False)
 
@@ -78,6 +88,18 @@ def ask_policies(names: Sequence[str]) -> list[str]:
     for name in policies:
         check_policy(name)
     return policies
+
+
+def check_jobs(jobs: int) -> None:
+    """Raise where a number of processes means nothing.
+
+    Raises
+    ------
+    ConfigError
+        If it is 0.
+    """
+    if jobs == 0:
+        raise ConfigError("--jobs must be at least 1, or -1 for one per core")
 
 
 def check_modes(modes: Sequence[str], perceptions: Sequence[str] = ()) -> None:

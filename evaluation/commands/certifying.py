@@ -9,10 +9,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.commands.asking import EnvConfig, EnvId, NamedSetting, ask_setting
+from evaluation.commands.asking import EnvConfig, EnvId, NamedSetting, ask_setting, check_jobs, check_modes, split
 from evaluation.commands.falsifying import falsify_command
 from evaluation.commands.names import DEMO_SETTING
-from evaluation.names import ANY, SIMULATORS, check_policy
+from evaluation.names import ANY, SIMULATORS, check_name, check_policy, check_sensor
 from evaluation.settings import get_setting
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
@@ -45,6 +45,8 @@ def certify_command(
     smallest clearance, offences of the traffic, fallbacks.
     """
     check_policy(policy)
+    check_jobs(jobs)
+    check_name("simulator", simulator, SIMULATORS)
     given = None if config is None else ShieldConfig.named(config)
     where = ask_setting(setting, env_id, env_config)
     from rich.progress import Progress
@@ -147,6 +149,9 @@ def rare_command(
     """
     if policy != ANY:
         check_policy(policy)
+    check_jobs(jobs)
+    check_sensor(sensor)
+    check_modes([], [perception])
     where = get_setting(setting)
     import numpy as np
 
@@ -205,6 +210,8 @@ def attack_command(
     Whatever it does is to be named by the monitor, or to do no harm. Ends with 1, and the
     seeds, where it is not.
     """
+    check_jobs(jobs)
+    settings = [get_setting(name) for name in split([setting])]
     from collections import Counter
 
     from evaluation.rare.attack import attack_many
@@ -212,7 +219,7 @@ def attack_command(
     shield_config = None if config is None else ShieldConfig.load(config)
     table = Table("environment", "drivers", "episodes", "frames", "crashes", "rules broken", "unforeseen")
     holes = False
-    for each in map(get_setting, setting.split(",")):
+    for each in settings:
         found = attack_many(each, drivers, episodes, seed, vehicles, jobs, shield_config)
         rules: Counter[str] = sum((Counter(one.by_rule) for one in found), Counter())
         seeds = [one.seed for one in found if one.unforeseen]

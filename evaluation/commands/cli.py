@@ -10,11 +10,11 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from evaluation.commands.asking import EnvConfig, EnvId, ask_policies, ask_settings, check_modes, split
+from evaluation.commands.asking import EnvConfig, EnvId, ask_policies, ask_settings, check_jobs, check_modes, split
 from evaluation.commands.certifying import add_certifying
 from evaluation.commands.dynamics import dynamics_app
 from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING
-from evaluation.commands.reporting import Form, check_output, report
+from evaluation.commands.reporting import Form, check_output, check_writable, report
 from evaluation.commands.showing import add_showing
 from evaluation.learning.algorithms import ALGORITHMS, algorithm_named
 from evaluation.learning.recipes import RECIPES, get_recipe
@@ -111,6 +111,8 @@ def train_command(
         get_recipe(recipe)
     if setting is not None:
         get_setting(setting)
+    if output is not None:
+        check_writable(output)
     from evaluation.learning.training import train, train_recipe
 
     if recipe is not None:
@@ -235,6 +237,7 @@ def evaluate(
         algorithm_named(algorithm)
     if not Path(model).is_dir():
         check_name("model", model, MODELS, ", or the folder of learned models")
+    check_jobs(jobs)
     if resume and output is None:
         raise ConfigError("--resume goes with --output")
     if output is not None:

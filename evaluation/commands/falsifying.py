@@ -9,7 +9,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.commands.asking import EnvConfig, EnvId, NamedSetting, ask_setting
+from evaluation.commands.asking import EnvConfig, EnvId, NamedSetting, ask_setting, check_jobs
+from evaluation.commands.reporting import check_writable
 from evaluation.names import ANY, TRAFFIC, check_name, check_policy
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
@@ -61,6 +62,8 @@ def falsify_command(
     proposes, for a breach by one whom nobody has named (it ends with 1 then).
     """
     given = None if config is None else ShieldConfig.load(config)
+    check_jobs(jobs)
+    check_writable(output)
     check_name("drivers", drivers, TRAFFIC)
     if policy != ANY:
         check_policy(policy)

@@ -16,7 +16,7 @@ from shield.errors import ConfigError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Form", "check_output", "report"]
+__all__ = ["Form", "check_output", "check_writable", "report"]
 
 _out = Console()
 
@@ -36,12 +36,23 @@ def check_output(path: Path, force: bool, resume: bool = False) -> None:
         raise ConfigError(f"--output {path} exists already; --resume extends it, --force overwrites it")
     if force:
         path.with_name(path.name + ".episodes").unlink(missing_ok=True)
+    check_writable(path)
+
+
+def check_writable(path: Path) -> None:
+    """Raise where no file can be written into a file's folder, which is made.
+
+    Raises
+    ------
+    ConfigError
+        That says why.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=path.parent):
             pass
     except OSError as error:
-        raise ConfigError(f"--output {path} cannot be written: {error.strerror}") from None
+        raise ConfigError(f"{path} cannot be written: {error.strerror}") from None
 
 
 class Form(StrEnum):

@@ -303,6 +303,12 @@ def test_a_plot_of_something_else_is_refused(tmp_path, arguments, message, monke
         ("rare --policy fastr", "perhaps 'faster' is meant"),
         ("film x.gif --policy ppo-highway-fats", "perhaps 'ppo-highway-fast' is meant"),
         ("table missing.csv", "there is no file missing.csv"),
+        ("evaluate --jobs 0", "--jobs must be at least 1, or -1 for one per core"),
+        ("certify x --jobs 0", "--jobs must be at least 1, or -1 for one per core"),
+        ("falsify /proc/none/x.json", "/proc/none/x.json cannot be written"),
+        ("train --setting highway --output /proc/none/x.zip", "/proc/none/x.zip cannot be written"),
+        ("attack --setting roundabout,mergr", "perhaps 'merge' is meant"),
+        ("rare --sensor exakt", "perhaps 'exact' is meant"),
     ],
 )
 def test_a_simple_mistake_is_told_before_anything_slow_is_imported(arguments, message, tmp_path):

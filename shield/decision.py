@@ -12,7 +12,7 @@ import numpy as np
 
 from dynamics.state import FloatArray
 
-__all__ = ["Decision", "Guarantee", "Intervention", "Reason", "Tier", "Verification"]
+__all__ = ["Decision", "Guarantee", "Intervention", "Reason", "Tier", "Verification", "weakest"]
 
 
 class Reason(StrEnum):
@@ -117,18 +117,30 @@ class Guarantee(StrEnum):
     """What a certificate rests on beside the assumptions about the others' behaviour.
 
     `FULL`: nothing, for everybody was seen as they are. `ASSUMED`: on what is assumed of those who may be there unseen
-    (`shield.Unseen`). `PROBABILISTIC`: on everybody being within the bounds of what was seen, besides. `NONE`: there is
-    no certificate.
+    (`shield.Unseen`). `PROBABILISTIC`: on everybody being within the bounds of what was seen, besides. `BROKEN`: of a
+    whole episode, in which the others broke the assumptions. `NONE`: there is no certificate.
     """
 
     FULL = "full"
     ASSUMED = "assumed"
     PROBABILISTIC = "probabilistic"
+    BROKEN = "assumptions broken"
     NONE = "none"
 
 
 _WEAKER = list(Guarantee)
 """From the strongest to none."""
+
+
+def weakest(*guarantees: Guarantee) -> Guarantee:
+    """The weakest of some guarantees.
+
+    Examples
+    --------
+    >>> weakest(Guarantee.FULL, Guarantee.BROKEN, Guarantee.ASSUMED).value
+    'assumptions broken'
+    """
+    return max(guarantees, key=_WEAKER.index)
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +240,7 @@ class Decision:
             level=min(d.level for d in parts),
             alarm=any(d.alarm for d in parts),
             frames_overridden=len(held),
-            weakest=max((d.guarantee for d in parts), key=_WEAKER.index),
+            weakest=weakest(*(d.guarantee for d in parts)),
             done=done,
         )
 

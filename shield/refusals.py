@@ -10,7 +10,21 @@ import numpy as np
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
 
-__all__ = ["check", "check_target_speeds", "refuse_manual_control", "refuse_simulated", "require"]
+__all__ = [
+    "LOWEST",
+    "LOWEST_SIMULATED",
+    "check",
+    "check_frequency",
+    "check_target_speeds",
+    "refuse_manual_control",
+    "refuse_simulated",
+    "require",
+]
+
+LOWEST = 5
+"""The fewest simulation frames a second at which the worst case is verified [Hz]."""
+LOWEST_SIMULATED = 3
+"""The same where the traffic is simulated [Hz]."""
 
 
 def check(config: ShieldConfig) -> None:
@@ -81,6 +95,28 @@ def check_target_speeds(speeds: Any) -> None:
         )
     if not np.isfinite(each).all() or each.size < 2 or (np.diff(each) < 0).any() or each[0] == each[-1]:
         raise ConfigError(f"target_speeds [{shown}] m/s: have two or more speeds in ascending order, from 0 on")
+
+
+def check_frequency(frequency: float, simulated: bool) -> None:
+    """Raise where there are fewer simulation frames a second than verification has been tested with.
+
+    Parameters
+    ----------
+    frequency : `simulation_frequency` of highway-env's configuration [Hz].
+    simulated : whether the traffic is simulated, and not bounded by the worst case.
+
+    Raises
+    ------
+    ConfigError
+        If there are fewer than `LOWEST_SIMULATED`, or `LOWEST`.
+    """
+    lowest = LOWEST_SIMULATED if simulated else LOWEST
+    if frequency < lowest:
+        raise ConfigError(
+            f"simulation_frequency {frequency:g} Hz: {'simulated traffic' if simulated else 'the worst case'} is "
+            f"verified from {lowest} Hz on. With fewer frames highway-env's own controllers overshoot and its traffic "
+            f"breaks the assumptions; set simulation_frequency to {lowest} or more"
+        )
 
 
 def refuse_manual_control(config: Mapping[str, Any]) -> None:

@@ -19,7 +19,7 @@ from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.batch.arrays import empty_records
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
-from shield.refusals import check_target_speeds
+from shield.refusals import check_frequency, check_target_speeds
 
 __all__ = ["FilteredHighways"]
 
@@ -63,6 +63,7 @@ class FilteredHighways(ABC):
             raise ConfigError("many shields at once filter meta-actions; this environment has ContinuousAction")
         if self.config.mode != "none":
             check_target_speeds(self.simulator.rules.target_speeds)
+            check_frequency(scenario.config["simulation_frequency"], self.config.simulates)
         frames = self.simulator.rules.numbers[0]
         self.records = empty_records(num_envs, frames)
         self.rows = np.zeros((num_envs, frames, scenario.bodies, _ROWS))

@@ -99,8 +99,9 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     `verification` (a `shield.decision.Verification`, what actions are verified against), and of several egos `agents`,
     the same of each; `latency` is all the time that the shield took in the last step [s]. With an episode's last step
     comes `info["shield_episode"]`: `decisions`, how many were `overridden`, and of these only `held_back`,
-    `frames_overridden`, `violations`, `rules`, the smallest `margin` [m], the mean `latency_ms`, and `reasons`, how
-    often each was one. Of an episode that a wrapper outside ends (`TimeLimit`), `statistics` has it, and the info of
+    `frames_overridden`, `violations`, `rules`, the smallest `margin` [m], the mean `latency_ms`, `reasons`, how often
+    each was one, and the weakest `guarantee`: no better than "assumptions broken" where there were violations. Of an
+    episode that a wrapper outside ends (`TimeLimit`), `statistics` has it, and the info of
     the next `reset`.
 
     Attributes

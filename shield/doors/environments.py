@@ -14,7 +14,7 @@ from dynamics.scenes.scene import has_road_and_vehicles
 from shield.config import ShieldConfig
 from shield.errors import ConfigError, ShieldError
 from shield.perception.known import Known
-from shield.refusals import check_target_speeds, refuse_manual_control
+from shield.refusals import check_frequency, check_target_speeds, refuse_manual_control
 
 __all__ = [
     "base_environments",
@@ -86,16 +86,19 @@ def check_configuration(base: Any, config: ShieldConfig) -> None:
     Parameters
     ----------
     base : highway-env's environment, unwrapped, or a compiled one.
-    config : settings of the shield; with mode "none" nothing is verified, and target speeds are not checked.
+    config : settings of the shield; with mode "none" nothing is verified, and neither speeds nor frames are checked.
 
     Raises
     ------
     ConfigError
-        If decisions do not reach the ego, or its meta-actions can make it drive backwards.
+        If decisions do not reach the ego, its meta-actions can make it drive backwards, or there are fewer frames a
+        second than verification has been tested with.
     """
     refuse_manual_control(base.config)
     if config.mode == "none":
         return
+    if config.mode == "full":
+        check_frequency(base.config["simulation_frequency"], config.simulates)
     kinds = getattr(base.action_type, "agents_action_types", [base.action_type])
     for each in (*kinds, *base.controlled_vehicles):
         speeds = getattr(each, "target_speeds", None)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from shield.decision import Decision, Intervention
+from shield.decision import Decision, Guarantee, Intervention, weakest
 
 __all__ = ["Offences", "Statistics", "report", "team_record", "team_report"]
 
@@ -40,6 +40,7 @@ class Statistics:
     reasons : how often each was the reason.
     margin : the smallest that is known of what was executed [m]; NaN where there is none.
     latency : all the time that it took [s].
+    guarantee : the weakest of all steps. The summary has `Guarantee.BROKEN` where there were offences.
     """
 
     decisions: int = 0
@@ -51,6 +52,7 @@ class Statistics:
     reasons: Counter[str] = field(default_factory=Counter)
     margin: float = float("nan")
     latency: float = 0.0
+    guarantee: Guarantee = Guarantee.FULL
 
     def add(self, report: Mapping[str, Any], latency: float) -> None:
         """Count one report, and the time that the decision and its frames took [s]."""
@@ -63,9 +65,11 @@ class Statistics:
         self.reasons[report["reason"]] += 1
         self.margin = float(np.fmin(self.margin, report["margin"]))
         self.latency += latency
+        self.guarantee = weakest(self.guarantee, Guarantee(report["guarantee"]))
 
     def summary(self) -> dict[str, Any]:
-        """As `info["shield_episode"]` has it: the counts, the margin, and the mean latency of a decision [ms]."""
+        """As `info["shield_episode"]` has it: the counts, the margin, the mean latency of a decision [ms], and the
+        weakest guarantee: no better than `Guarantee.BROKEN` where the traffic has broken an assumption."""
         return {
             "decisions": self.decisions,
             "overridden": self.overridden,
@@ -76,6 +80,7 @@ class Statistics:
             "margin": self.margin,
             "latency_ms": 1e3 * self.latency / max(self.decisions, 1),
             "reasons": dict(self.reasons),
+            "guarantee": weakest(self.guarantee, Guarantee.BROKEN if self.violations else Guarantee.FULL).value,
         }
 
 

@@ -19,7 +19,7 @@ from dynamics.roads.straight import StraightRoad
 from shield.errors import ConfigError
 from shield.perception.grid_spec import GridSpec, Spec, spec_from_config
 from shield.perception.undoing import SAME, check_wrappers
-from shield.refusals import check_target_speeds, refuse_manual_control
+from shield.refusals import check_frequency, check_target_speeds, refuse_manual_control
 
 __all__ = ["Known"]
 
@@ -95,9 +95,11 @@ class Known:
             raise ConfigError(f"the ego begins in a lane from 0 to {self.road.centers.size - 1}, got {self.lane}")
         if self.road.heading:
             raise ConfigError("observations are read on roads along x only")
-        check_target_speeds(self.target_speeds)
-        if not np.all(np.diff(self.target_speeds) > 0):
+        # Rounding of 1 / dt.
+        check_frequency(round(1 / self.dt, 9), simulated=False)
+        if len(self.target_speeds) < 2 or not np.all(np.diff(self.target_speeds) > 0):
             raise ConfigError(f"target speeds ascend, and there are at least two, got {self.target_speeds}")
+        check_target_speeds(self.target_speeds)
 
     @classmethod
     def from_config(cls, config: Mapping[str, Any], stacked: int = 1) -> Known:

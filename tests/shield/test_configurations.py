@@ -213,3 +213,59 @@ def test_braking_ends_in_a_standstill(speed):
     assert abs(after) <= abs(speed)
     assert after * speed >= 0
     assert limited_braking(3.0, speed, 5) == 3.0
+
+
+@pytest.mark.parametrize("entry", ENTRIES)
+@pytest.mark.parametrize("frequency", [1, 2, 2.9])
+def test_fewer_frames_than_were_tested_are_refused(entry, frequency):
+    """At 1 and 2 Hz every second episode crashed with `guarantee` "full"."""
+    env = made("highway-fast-v0", {"simulation_frequency": frequency, "policy_frequency": 1})
+    if entry == "env, a rule":
+        ENTRIES[entry](env)
+        return
+    with pytest.raises(ConfigError, match="simulation_frequency"):
+        ENTRIES[entry](env)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "config"), [("merge-v1", {}), ("highway-fast-v0", INPUTS), ("parking-v0", {}), ("racetrack-v1", {})]
+)
+def test_the_worst_case_is_verified_from_5_hz_on_elsewhere_too(env_id, config):
+    """On networks, and of throttle and steering."""
+    env = made(env_id, {**config, "simulation_frequency": 4, "policy_frequency": 1})
+    with pytest.raises(ConfigError, match="the worst case is verified from 5 Hz on"):
+        ShieldedEnv(env, ShieldConfig())
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda slow: ShieldedHighways("highway-fast-v0", 1, slow),
+        lambda slow: ExactHighways("highway-fast-v0", 1, slow),
+        lambda slow: ExactRoads("merge-v1", 1, slow),
+        lambda slow: Known.from_config({**highway_config(), **slow}),
+    ],
+)
+def test_batches_and_known_environments_refuse_few_frames(build):
+    """As the entry points of one environment do."""
+    with pytest.raises(ConfigError, match="simulation_frequency 2 Hz"):
+        build({"simulation_frequency": 2})
+
+
+def test_an_episode_with_offences_is_not_labelled_as_one_without():
+    """Nothing was promised of it as a whole, whatever each plan was verified against."""
+    env = ShieldedEnv(made("highway-fast-v0", {"duration": 3}))
+    env.reset(seed=0)
+    over, labels = False, set()
+    while not over:
+        env.unwrapped.road.vehicles[3].speed -= 8.0
+        *_, over, truncated, info = env.step(1)
+        labels.add(info["shield"]["guarantee"])
+        over = over or truncated
+    assert info["shield_episode"]["violations"] > 0
+    assert info["shield_episode"]["guarantee"] == ("none" if "none" in labels else "assumptions broken")
+    env.reset(seed=0)
+    for _ in range(3):
+        *_, info = env.step(1)
+    assert info["shield_episode"]["violations"] == 0
+    assert info["shield_episode"]["guarantee"] == "full"

@@ -45,6 +45,7 @@ def summarise(episodes: pd.DataFrame) -> pd.DataFrame:
     -------
     A table with, after the columns of `GROUP`:
 
+    - `verification`: what actions were verified against, "" in older tables;
     - `episodes`, `crashes`, `off_roads`; `crash_rate`, `off_road_rate` and `ego_fault_rate` with Wilson intervals, the
       last NaN where a crash could not be attributed;
     - `success_rate` and `stopped_rate` with Wilson intervals: the goal was reached, and at less than `STOPPED` [m/s];
@@ -69,6 +70,7 @@ def _summary(group: pd.DataFrame) -> dict[str, Any]:
     n, decisions = len(group), int(group["steps"].sum())
     p50, p99 = quantiles(np.concatenate([np.asarray(x, float) for x in group["latencies_ms"]]))
     return {
+        "verification": str(group["verification"].iloc[0]) if "verification" in group else "",
         "episodes": n,
         "crashes": int(group["crashed"].sum()),
         **_columns("crash_rate", wilson(int(group["crashed"].sum()), n)),

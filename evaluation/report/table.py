@@ -18,6 +18,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from evaluation.names import TABLE_ENDINGS
+from shield.decision import Verification
 from shield.errors import ConfigError
 
 __all__ = [
@@ -74,6 +75,12 @@ def _reasons(row: _Row) -> str:
     return ", ".join(f"{name} {_number(100 * share, 1)}" for name, share in parts) or "–"
 
 
+def _verification(row: _Row) -> str:
+    """In words; a dash where nothing is verified."""
+    told = row.get("verification") or Verification.OFF.value
+    return "–" if told == Verification.OFF else str(told).replace("_", " ")
+
+
 _NAMES = (
     Column("setting", lambda row: str(row["setting"])),
     Column("policy", lambda row: str(row["policy"])),
@@ -82,6 +89,7 @@ _NAMES = (
 
 SUMMARY: tuple[Column, ...] = (
     *_NAMES,
+    Column("verified against", _verification),
     _plain("episodes", "episodes", 0),
     _interval("crashes %", "crash_rate", 100),
     _interval("ego's fault %", "ego_fault_rate", 100),
@@ -123,7 +131,11 @@ def _cells(frame: pd.DataFrame, columns: Sequence[Column]) -> tuple[list[str], l
     """Headings and rows of cells, without the columns in which no row has a figure."""
     rows: list[_Row] = frame.to_dict("records")
     cells = [[column.cell(row) for column in columns] for row in rows]
-    figures = [any(map(str.isdigit, "".join(row[i] for row in cells))) for i in range(len(columns))]
+    figures = [
+        any(map(str.isdigit, "".join(row[i] for row in cells)))
+        or (columns[i].cell is _verification and any(row[i] != "–" for row in cells))
+        for i in range(len(columns))
+    ]
     kept = [i for i in range(len(columns)) if i < len(_NAMES) or figures[i]]
     return [columns[i].heading for i in kept], [[row[i] for i in kept] for row in cells]
 

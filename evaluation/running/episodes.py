@@ -30,6 +30,7 @@ from evaluation.running.store import Store
 from evaluation.settings import Setting, get_setting
 from evaluation.threads import one_thread
 from shield import Shield, ShieldedEnv
+from shield.decision import Verification
 from shield.doors.adapters import refuse_misfits
 from shield.errors import ConfigError
 
@@ -81,6 +82,15 @@ class Driver:
             self.driver = self.shield
         self.rules = AttributionRules(assumptions=variant.config.assumptions, braking=variant.config.braking)
 
+    @property
+    def verification(self) -> Verification:
+        """What actions are verified against."""
+        if self.variant.door == "none":
+            return Verification.OFF
+        shielded = self.env if self.shield is None else self.shield
+        assert isinstance(shielded, ShieldedEnv | Shield)
+        return shielded.verification
+
     def run(self, seed: int) -> EpisodeRecord:
         """Drive the episode with this seed to its end."""
         tally, total, steps, info = Tally(), 0.0, 0, dict[str, Any]()
@@ -115,6 +125,7 @@ class Driver:
             latencies=tuple(tally.latencies) if self.variant.door != "none" else (),
             simulator=self.simulator,
             rules=dict(tally.rules),
+            verification=self.verification.value,
             **arrival(info, self.env, history),
         )
 

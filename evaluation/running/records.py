@@ -10,7 +10,7 @@ from highway_env.envs.common.action import ContinuousAction
 
 from evaluation.settings import Setting
 from shield.config import PERCEPTIONS, ShieldConfig
-from shield.decision import Reason, Tier
+from shield.decision import Reason, Tier, Verification
 from shield.doors.defaults import Given, Place, choose_settings
 from shield.errors import ConfigError
 
@@ -157,6 +157,7 @@ class EpisodeRecord:
     success : whether the goal was reached; None where there is none.
     arrival_speed : the ego's speed then [m/s]; NaN where it was not.
     simulator : "highway-env", or "compiled", its copy.
+    verification : what actions were verified against, a `shield.decision.Verification`.
     """
 
     setting: str
@@ -190,6 +191,7 @@ class EpisodeRecord:
     simulator: str = "highway-env"
     rules: Mapping[str, int] = field(default_factory=dict)
     held_back: int = 0
+    verification: str = Verification.OFF.value
 
     def row(self) -> dict[str, Any]:
         """The record as flat columns of a table."""

@@ -17,7 +17,7 @@ from shield.decision import Verification
 from shield.errors import ConfigError, SceneError
 from shield.roads.reading import default_on, has_crossings
 
-__all__ = ["Chosen", "Given", "Place", "as_settings", "choose_settings", "why_not_simulated"]
+__all__ = ["Chosen", "Given", "Place", "as_settings", "choose_settings", "verification_of", "why_not_simulated"]
 
 Given = ShieldConfig | str | None
 """Settings, "simulated" or "worst-case", or None for the default."""
@@ -123,6 +123,15 @@ def choose_settings(given: Given, place: Place) -> Chosen:
     return _described(place, worst if unknown else ShieldConfig.exact(), True, caution)
 
 
+def verification_of(config: ShieldConfig) -> Verification:
+    """What settings verify actions against on a road, where no rule of the user's decides."""
+    if config.mode == "none":
+        return Verification.OFF
+    if config.mode != "full":
+        return Verification.RULE
+    return Verification.SIMULATED if config.simulates else Verification.WORST_CASE
+
+
 def why_not_simulated(base: Any) -> str:
     """Why the traffic of an environment, unwrapped and reset, cannot be simulated, in words; "" where it can."""
     try:
@@ -153,14 +162,10 @@ def _worst_case(place: Place) -> ShieldConfig:
 
 
 def _described(place: Place, config: ShieldConfig, by_default: bool = False, caution: str = "") -> Chosen:
-    kind = Verification.WORST_CASE
-    if config.mode == "none":
-        kind = Verification.OFF
-    elif place.rule or config.mode != "full":
+    kind = verification_of(config)
+    if config.mode == "full" and place.rule:
         kind = Verification.RULE
-    elif config.simulates:
-        kind = Verification.SIMULATED
-    elif place.base is not None and is_lot(place.base):
+    elif kind is Verification.WORST_CASE and place.base is not None and is_lot(place.base):
         kind = Verification.STANDING
     name = "observations" if place.base is None else type(place.base).__name__
     return Chosen(config, kind, f"{name}: {_PROMISES[kind]}", by_default, caution)

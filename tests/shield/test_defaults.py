@@ -9,6 +9,11 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import evaluation.wrappers  # noqa: F401  (registers environments)
+from evaluation.measuring.metrics import summarise
+from evaluation.report.table import markdown
+from evaluation.running.episodes import run_paired
+from evaluation.running.records import make_variants
+from evaluation.settings import get_setting
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.decision import Verification
 from shield.errors import ConfigError
@@ -134,3 +139,14 @@ def test_settings_that_forget_the_road_are_told(caplog):
         assert not caplog.records
         ShieldedEnv(gym.make("merge-v0"), ShieldConfig(record=True))
     assert "ShieldConfig.exact().replace" in caplog.text
+
+
+def test_records_and_tables_name_what_actions_are_verified_against():
+    for setting, kind in (("roundabout", Verification.SIMULATED), ("highway-fast", Verification.WORST_CASE)):
+        setting = get_setting(setting)
+        modes = ["none", "full", *(["ttc"] if setting.name == "highway-fast" else [])]
+        frame = run_paired(setting, "faster", make_variants(modes, ["env"], setting=setting), [5])
+        expected = {"none": Verification.OFF, "full": kind, "ttc": Verification.RULE}
+        assert all(expected[mode] == name for mode, name in zip(frame["mode"], frame["verification"], strict=True))
+        told = markdown(summarise(frame))
+        assert kind.value.replace("_", " ") in told

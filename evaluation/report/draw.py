@@ -238,7 +238,11 @@ def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
 
 def _label(shot: Shot, action: Any) -> str:
     if not shot.actions:
-        return ", ".join(f"{x:+.2f}" for x in np.ravel(action)).replace("-", "−")
+        values = np.ravel(action)
+        if values.dtype.kind in "iu":
+            return "number " + ", ".join(map(str, values))
+        # Throttle and steering as the policy gives them: shares of the ranges, whatever these are.
+        return (", ".join(f"{x:+.2f}" for x in values) + " of ±1").replace("-", "−")
     try:
         return shot.actions[int(action)]
     except (TypeError, ValueError, IndexError):

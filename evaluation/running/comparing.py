@@ -107,11 +107,12 @@ class Comparison:
     def _policies(self) -> Mapping[str, Any]:
         """What each policy is read from; each model is tried in each environment."""
         found = {policy_name(each, self.model): of_policy(each, model=self.model) for each in self.policies}
-        for setting, _ in self.settings:
+        models = [each for each in self.policies if is_model(each)]
+        for setting, _ in self.settings if models else ():
             for sensor in self.sensors:
                 _, env = environment(setting, "idle", Variant(), None, "highway-env", sensor)
                 try:
-                    for each in filter(is_model, self.policies):
+                    for each in models:
                         made = make_policy(each, env, self.algorithm)
                         found[policy_name(each, self.model)] = of_policy(each, made, self.model)
                 finally:

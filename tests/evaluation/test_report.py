@@ -56,7 +56,8 @@ def test_a_film_of_throttle_and_steering_shows_what_replaced_them():
     held = [shot for shot in shots if shot.color != GREEN]
     assert held, "full throttle for six seconds is not let through"
     assert _executed(held[0]).endswith("°")
-    assert _label(shots[0], shots[0].decision.proposed) == "+1.00, +0.00"
+    assert _label(shots[0], shots[0].decision.proposed) == "+1.00, +0.00 of ±1"
+    assert _label(shots[0], np.int64(4)) == "number 4"
     for shot in (shots[0], held[0]):
         assert draw(shot).getpixel((5, shot.image.shape[0] + 82)) == shot.color
 

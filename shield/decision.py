@@ -6,13 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import isfinite, isnan, nan
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from dynamics.state import FloatArray
+from shield.errors import ConfigError
 
-__all__ = ["Decision", "Guarantee", "Intervention", "Reason", "Tier", "Verification", "weakest"]
+if TYPE_CHECKING:
+    from shield.explanation import Explanation
+
+__all__ = ["Decision", "Guarantee", "Intervention", "Reason", "Source", "Tier", "Verification", "weakest"]
 
 
 class Reason(StrEnum):
@@ -128,6 +132,19 @@ class Guarantee(StrEnum):
     NONE = "none"
 
 
+class Source(Protocol):
+    """What a decision was made from, kept for whoever asks why."""
+
+    def explain(self, at: Decision, record: Decision, frame: int) -> Explanation:
+        """Why a proposal was refused.
+
+        Parameters
+        ----------
+        at : the decision that was made from this. record : the step's. frame : the frame that `at` is about, 0 for the
+            decision about the action.
+        """
+
+
 _WEAKER = list(Guarantee)
 """From the strongest to none."""
 
@@ -174,6 +191,10 @@ class Decision:
     frames_overridden : in the record of a step, how many of its frames got other inputs.
     weakest : in the record of a step, the weakest guarantee of the decision and its frames; None elsewhere.
     done : in the record of a step, what was done to the proposal; None elsewhere.
+    frames : in the record of a step, how many frames it has lasted for so far. held : the first that was overridden.
+    source : what it was made from, for `explain`; None where nothing was kept.
+    refusal : the decision that `explain` is about, and its frame: in the record of a step that which its reason and
+        tier are from.
     """
 
     proposed: Any
@@ -192,6 +213,10 @@ class Decision:
     frames_overridden: int = 0
     weakest: Guarantee | None = None
     done: Intervention | None = None
+    frames: int = 0
+    held: Decision | None = field(default=None, repr=False, compare=False)
+    source: Source | None = field(default=None, repr=False, compare=False)
+    refusal: tuple[Decision, int] | None = field(default=None, repr=False, compare=False)
 
     @property
     def guarantee(self) -> Guarantee:
@@ -227,6 +252,7 @@ class Decision:
             done = Intervention.HELD_BACK
         overridden = [self, *held] if self.overridden and not unchanged else held
         shown = next((d for d in overridden if d.tier.fallback), overridden[0] if overridden else None)
+        number = next((k for k, frame in enumerate(frames) if frame is shown), 0)
         least = min((d for d in parts if isfinite(d.margin)), key=lambda d: d.margin, default=None)
         tier = Tier.PASSED if unchanged else self.tier
         return replace(
@@ -242,7 +268,34 @@ class Decision:
             frames_overridden=len(held),
             weakest=weakest(*(d.guarantee for d in parts)),
             done=done,
+            frames=len(frames),
+            held=held[0] if held else None,
+            refusal=None if shown is None else (shown if shown.refusal is None else shown.refusal[0], number),
         )
+
+    def explain(self) -> Explanation:
+        """Why the proposal was refused: which clause or rule, whose fault, when and by how much; what was done instead,
+        and why that is right. `str()` of it is a sentence.
+
+        It is found out when it is asked for, from the scene and the memory that the decision was made from.
+
+        Raises
+        ------
+        ConfigError
+            If nothing was kept of these: in a copy that was pickled, or of a decision that no shield has made.
+        """
+        from shield.explanation import as_proposed
+
+        record = self if self.done is not None else self.with_frames(())
+        if record.refusal is None:
+            return as_proposed(record)
+        at, frame = record.refusal
+        if at.source is None:
+            raise ConfigError(
+                "nothing was kept that this decision was made from: ask last_decision.explain() of the shield that "
+                "made it, in its process, before the decision is copied or pickled"
+            )
+        return at.source.explain(at, record, frame)
 
 
 def _same(a: Any, b: Any) -> bool:

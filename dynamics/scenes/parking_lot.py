@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,6 +31,7 @@ class Lot:
     ego : shape (6,), columns `BODY`.
     obstacles : walls, parked vehicles and whatever else can be hit, rotated rectangles, shape (m, 6), columns `BODY`.
     dt : duration of a simulation frame [s].
+    bodies : the simulator's objects behind the rows of the obstacles; None where there are none.
 
     Raises
     ------
@@ -40,6 +42,7 @@ class Lot:
     ego: FloatArray
     obstacles: FloatArray
     dt: float
+    bodies: Sequence[Any] | None = None
 
     def __post_init__(self) -> None:
         if self.ego.shape != (len(BODY),):
@@ -119,10 +122,10 @@ class LotReader:
         if env.road is None or env.vehicle is None:
             raise SceneError("the environment has no road or no ego vehicle yet; call reset() first")
         ego = env.vehicle
-        around = [_row(v) for v in env.road.vehicles if v is not ego]
-        around += [_row(o) for o in env.road.objects if o.solid]
-        obstacles = np.array(around, dtype=float).reshape(-1, len(BODY))
-        return Lot(np.array(_row(ego), dtype=float), obstacles, 1 / env.config["simulation_frequency"])
+        around = [v for v in env.road.vehicles if v is not ego]
+        around += [o for o in env.road.objects if o.solid]
+        obstacles = np.array([_row(body) for body in around], dtype=float).reshape(-1, len(BODY))
+        return Lot(np.array(_row(ego), dtype=float), obstacles, 1 / env.config["simulation_frequency"], around)
 
 
 def _row(v: Any) -> tuple[float, ...]:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any
@@ -65,6 +66,7 @@ class Scene:
     observed : whether it was made from observations: the others' states are estimates, and some may be missing.
     blurred : whether the rows of the others are bounds: bodies as far as they may reach, speeds as low ahead of the ego
         and as high behind it as they may be.
+    bodies : the simulator's objects behind the rows of the others; None where there are none, or they are not seen.
     likely : where the others are thought to be, (n, 7), where their rows are bounds; None where these are all that is
         known.
     """
@@ -80,6 +82,7 @@ class Scene:
     blurred: bool = False
     likely: FloatArray | None = None
     observed: bool = False
+    bodies: Sequence[Any] | None = None
     ego_road: FloatArray = field(init=False, repr=False)
     others_road: FloatArray = field(init=False, repr=False)
 
@@ -251,7 +254,7 @@ class SceneReader:
         ego = env.vehicle
         if ego is None:
             raise SceneError("the environment has no ego vehicle; call reset() first")
-        rows, ids = getattr(env, "rows", None), None
+        rows, ids, bodies = getattr(env, "rows", None), None, None
         if rows is None:
             bodies = [v for v in env.road.vehicles if v is not ego]
             bodies += [o for o in env.road.objects if o.solid]
@@ -267,6 +270,7 @@ class SceneReader:
             frames_per_decision=int(config["simulation_frequency"] // config["policy_frequency"]),
             frame=int(env.steps),
             ids=ids,
+            bodies=bodies,
         )
 
     def _ids_of(self, bodies: list[Any]) -> IntArray:

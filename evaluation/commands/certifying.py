@@ -15,6 +15,7 @@ from evaluation.commands.names import DEMO_SETTING
 from evaluation.names import ANY, SIMULATORS, check_name, check_policy, check_sensor
 from evaluation.settings import get_setting
 from shield.config import ShieldConfig
+from shield.decision import Decision
 from shield.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -82,7 +83,8 @@ def replay_command(
     film: Annotated[Path | None, typer.Option(help="Write a .gif of how it ends.")] = None,
     find: Annotated[Path | None, typer.Option(help="A find of `shield falsify`, in a seed's place.")] = None,
 ) -> None:
-    """Drive one shielded episode in highway-env itself, and say what happens."""
+    """Drive one shielded episode in highway-env itself, and say what happens: a line for each
+    override, with what it was for."""
     if sum(each is not None for each in (seed, number, find)) != 1:
         raise ConfigError("have either the seed of an episode, or --find with the file of one")
     if find is not None:
@@ -99,9 +101,24 @@ def replay_command(
 
     film = None if film is None else film_path(film)
     shield_config = config_on(where, loaded)
-    record = run_episode(where, policy, variant_for(shield_config), seed, simulator="highway-env")
+
+    def tell(time: float, step: Decision) -> None:
+        if step.overridden or step.tier.fallback:
+            _out.print(f"{time:5.1f} s  {step.explain()}", highlight=False, markup=False, soft_wrap=True)
+
+    record = run_episode(where, policy, variant_for(shield_config), seed, simulator="highway-env", after=tell)
     table = Table("", f"seed {seed}", show_header=True)
-    for name in ("crashed", "attribution", "return_", "steps", "overridden", "violations", "min_margin", "min_gap"):
+    for name in (
+        "crashed",
+        "attribution",
+        "return_",
+        "steps",
+        "overridden",
+        "held_back",
+        "violations",
+        "min_margin",
+        "min_gap",
+    ):
         table.add_row(name.rstrip("_").replace("_", " "), str(getattr(record, name)))
     fallbacks = {tier: count for tier, count in record.tiers.items() if count}
     table.add_row("decisions by tier", ", ".join(f"{tier} {count}" for tier, count in fallbacks.items()))

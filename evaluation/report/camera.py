@@ -93,6 +93,7 @@ class Camera:
         record = env.last_decision
         assert record is not None
         proposal = proposed_path(self._base, self._ego, record.proposed, self._frame)
+        words = record.explain().text if record.overridden or record.tier.fallback else ""
         period = max(1, round(1.0 / (self._dt * self._base.config["policy_frequency"])))
         return [
             Shot(
@@ -106,6 +107,7 @@ class Camera:
                 period=period,
                 proposal=proposal,
                 simulated=env.config.simulates,
+                words=words,
             )
             for i, taken in enumerate(self._taken)
         ]

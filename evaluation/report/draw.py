@@ -31,6 +31,8 @@ _INK, _PALE, _PAPER = (30, 34, 40), (110, 116, 125), (250, 250, 248)
 _BAR = 112
 """Height of the caption [px]."""
 _OVERSAMPLING = 2
+_LINES = 2
+"""Lines of the caption for what happened and why."""
 _OUTLINES = 0.25
 """Time between two outlines of the ego along its path [s]."""
 AHEAD = (1.0, 2 / 3, 1 / 3, 0.0)
@@ -71,6 +73,7 @@ class Shot:
     simulated : whether the traffic is, so that plan and areas are foretold and no bounds.
     areas : where the others can be on a network of roads, at each of the times of `AHEAD`: outlines (n, 2) in the frame
         of `road` [m]. Where there are none, the decision's `occupancy` is drawn.
+    words : why the proposal was refused, where it was (`Decision.explain`).
     """
 
     image: NDArray[np.uint8]
@@ -89,6 +92,7 @@ class Shot:
     proposal: FloatArray | None = None
     simulated: bool = False
     areas: tuple[tuple[FloatArray, ...], ...] = ()
+    words: str = ""
 
     @property
     def acting(self) -> Decision:
@@ -276,10 +280,27 @@ def _draw_caption(pen: ImageDraw.ImageDraw, shot: Shot, top: int, width: int) ->
     ):
         pen.text((left, y - 3), heading, font=font(12), fill=_PALE)
         pen.text((left, y + 12), text, font=font(18, bold=bold), fill=_INK)
-    both = shot.decision.overridden and acting.overridden
-    reason = shot.decision.reason if both else acting.reason
-    pen.text((x, y + 50), f"{reason.value}: {_text(shot, reason)}", font=font(14), fill=_INK)
-    _draw_legend(pen, shot, width, y + 74)
+    words = shot.words
+    if shot.status == "PASSED" or not words:
+        words = f"{acting.reason.value}: {_text(shot, acting.reason)}"
+    for line, text in enumerate(_lines(pen, words, width - 2 * x)):
+        pen.text((x, y + 43 + 15 * line), text, font=font(12), fill=_INK)
+    _draw_legend(pen, shot, width, y + 76)
+
+
+def _lines(pen: ImageDraw.ImageDraw, text: str, width: int) -> list[str]:
+    """A text in two lines at most that are no wider than so many pixels, cut off where it is longer."""
+    lines: list[str] = [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}".strip()
+        if pen.textlength(longer, font=font(12)) <= width:
+            lines[-1] = longer
+        elif len(lines) < _LINES:
+            lines.append(word)
+        else:
+            lines[-1] = f"{lines[-1]} …"
+            break
+    return lines
 
 
 def _text(shot: Shot, reason: Reason) -> str:

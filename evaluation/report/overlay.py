@@ -136,6 +136,7 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             proposal=self._proposal,
             simulated=simulated,
             areas=self._areas.now(filters),
+            words=decision.explain().text if decision.overridden or decision.tier.fallback else "",
         )
 
 

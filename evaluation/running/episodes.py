@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import joblib
 import numpy as np
@@ -30,7 +30,7 @@ from evaluation.running.store import Store
 from evaluation.settings import Setting, get_setting
 from evaluation.threads import one_thread
 from shield import Shield, ShieldedEnv
-from shield.decision import Verification
+from shield.decision import Decision, Verification
 from shield.doors.adapters import refuse_misfits
 from shield.errors import ConfigError
 
@@ -91,11 +91,20 @@ class Driver:
         assert isinstance(shielded, ShieldedEnv | Shield)
         return shielded.verification
 
-    def run(self, seed: int) -> EpisodeRecord:
-        """Drive the episode with this seed to its end."""
+    def run(self, seed: int, after: Callable[[float, Decision], None] | None = None) -> EpisodeRecord:
+        """Drive the episode with this seed to its end.
+
+        Parameters
+        ----------
+        after : called after each step with the time at which it began [s] and the shield's record of it.
+        """
         tally, total, steps, info = Tally(), 0.0, 0, dict[str, Any]()
+        period = 1.0 / float(cast(Any, self.env.unwrapped).config["policy_frequency"])
         for reward, info in self.decisions(seed):
             tally.add(self._shield_info(info))
+            shielded = self.env if self.shield is None else self.shield
+            if after is not None and isinstance(shielded, ShieldedEnv | Shield) and shielded.last_decision is not None:
+                after(steps * period, shielded.last_decision)
             total += reward
             steps += 1
         history = self.recorder.history()
@@ -177,6 +186,7 @@ def run_episode(
     model: str | None = None,
     simulator: str = "auto",
     sensor: str = "exact",
+    after: Callable[[float, Decision], None] | None = None,
 ) -> EpisodeRecord:
     """Drive one episode.
 
@@ -190,12 +200,13 @@ def run_episode(
         `evaluation.running.driving_model.driving_model`).
     simulator : one of `SIMULATORS`. sensor : a name in `evaluation.wrappers.SENSORS`, and channels. Of both see
         `evaluation.running.simulators.environment`.
+    after : see `Driver.run`.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
     driver = Driver(setting, policy, variant or Variant(), algorithm, model, simulator, sensor)
     try:
         with one_thread():
-            return driver.run(seed)
+            return driver.run(seed, after)
     finally:
         driver.env.close()
 

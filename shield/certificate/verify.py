@@ -212,6 +212,12 @@ class Surveyor:
         other.ignored = ignored
         return other
 
+    def without_cut_ins(self) -> Surveyor:
+        """The same for whom nobody alongside slips in: what is left is the guarantee, without that precaution."""
+        other = copy(self)
+        other._slipping = self._slipping[:0]
+        return other
+
     def relevant(self, distance: float, followers: bool = True) -> Any:
         """Rows of those who can come into reach of an ego that travels at most `distance` [m].
 

@@ -18,6 +18,7 @@ from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.input_frames import InputFrames
 from shield.doors.simulated.by_simulation import by_simulation
+from shield.explaining.scenes import explain_scene
 from shield.procedures.decide import Core, Unreadable, read
 from shield.procedures.inputs import Inputs
 from shield.procedures.parking_lot import ParkingLot
@@ -69,8 +70,8 @@ class InputDoor(InputFrames):
         self._made_for = self.actuators, self._period
         hold = self._period if self._agent else None
         if self._lot:
-            return Core(ParkingLot(self.config, self.actuators, hold))
-        return Core(Inputs(self.config, self.actuators, hold, model=self._model))
+            return Core(ParkingLot(self.config, self.actuators, hold), explain_scene)
+        return Core(Inputs(self.config, self.actuators, hold, model=self._model), explain_scene)
 
     def _refuse_choices(self) -> None:
         if self._agent and self.actuators.choices is not None:

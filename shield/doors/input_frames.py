@@ -85,7 +85,7 @@ class InputFrames(ABC):
         if decision.tier is Tier.PASSED:
             # A whole number may have come in an array or a list, which the environment does not take.
             executed = action if self.actuators.choices is None else int(np.asarray(action).item())
-        return replace(decision, proposed=action, executed=executed)
+        return replace(decision, proposed=action, executed=executed, refusal=(decision, 0))
 
     def frame(self) -> tuple[dict[str, float] | None, Decision]:
         """The low-level action of the next frame, None where the environment's own stands; and the record.

@@ -16,6 +16,7 @@ from shield.doors.discrete_action import action_index
 from shield.doors.environments import check_configuration, refuse_lots
 from shield.doors.supervision import Command
 from shield.errors import SceneError
+from shield.explaining.scenes import explain_scene
 from shield.perception.blind import BlindScenes
 from shield.perception.scenes import ObservedScenes
 from shield.procedures.decide import Core, Unreadable, read
@@ -71,7 +72,7 @@ class MetaDoor:
         self._meta: Any = MetaActions(config) if frames else MetaActionsOnly(config)
         self._frames = Frames(config, NearestInputs(config) if config.repair == "filter" else None)
         self._alone = rule is not None or config.mode in ("distance", "rss", "ttc")
-        self.core: Core[Any] = Core(RuleAlone(config, rule) if self._alone else self._meta)
+        self.core: Core[Any] = Core(RuleAlone(config, rule) if self._alone else self._meta, explain_scene)
         self._passed: tuple[Decision, Target] | None = None
         self.cause = ""
         if base is not None and base.road is not None and config.mode != "none":

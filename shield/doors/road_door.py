@@ -17,12 +17,13 @@ from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of
 from dynamics.simulator.layout import CRASHED, IMPACTED, LANE, SPEED, TARGET, TARGET_SPEED
 from shield.config import ShieldConfig
-from shield.decision import Decision, Reason, Tier
+from shield.decision import Decision, Reason, Source, Tier
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import check_configuration, refuse_lots
 from shield.doors.simulated.exact_scene import why_unread
 from shield.doors.supervision import Command, limited_braking
 from shield.errors import SceneError
+from shield.explaining.roads import on_roads
 from shield.refusals import refuse_simulated
 from shield.roads.choosing import CLEAR, Choice, choose, try_course
 from shield.roads.courses import Wish, courses_of, frames_of, gone_on_with, stopping
@@ -198,7 +199,9 @@ class RoadDoor:
                 self._ready = self._choose()
             (course, decision), self._ready = self._ready, None
             self._go(course, decision.tier)
-            return self._command(decision.tier), replace(decision, latency=perf_counter() - start)
+            command = self._command(decision.tier)
+            executed = decision.executed if command is None else command
+            return command, replace(decision, executed=executed, latency=perf_counter() - start)
         except Exception as error:
             reason, self.cause = why_unread(error)
             self._stored = None
@@ -274,7 +277,7 @@ class RoadDoor:
             self._furnish()
         load_ego(base, self._alone.rules, self._index, self._alone.worlds)
         seen = self._look()
-        self._others = seen.others
+        self._others, self._who = seen.others, seen.who
         if len(self._trial.margins) != len(seen.who):
             self._trial = empty_trial(self._frames, len(self._names), len(seen.who))
         if self.watch.last is None:
@@ -329,8 +332,24 @@ class RoadDoor:
         if margin < CLEAR:
             reason = Reason.NO_SAFE_PLAN
             tier = Tier.EVADED if evades else Tier.LARGEST_MARGIN
+        source = None if tier is Tier.PASSED else self._kept(tried)
         plan = self.foreseen.path if self.config.record else None
-        return course, Decision(-1, -1, reason, tier, float(margin), 0.0, plan, vehicle=int(who))
+        return course, Decision(-1, -1, reason, tier, float(margin), 0.0, plan, vehicle=int(who), source=source)
+
+    def _kept(self, tried: list[tuple[Course, Tier]]) -> Source:
+        """What a decision is made from, for whoever asks why."""
+        ego, labels = self._base.vehicle, self._base.action_type.actions
+        return on_roads(
+            self._alone,
+            road=self._road,
+            body=self._bare.body,
+            others=self._others,
+            who=self._who,
+            tried=tried,
+            lanes=[body.lane_index for body in self._who],
+            labels=[labels[k] for k in sorted(labels)],
+            size=(float(ego.LENGTH), float(ego.WIDTH)),
+        )
 
     def _go(self, course: Course, tier: Tier) -> None:
         """Remember what is gone on with; the trial holds what comes of it."""

@@ -9,7 +9,7 @@ decision can be made again from what it was made from.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any, Generic, Protocol, TypeVar
@@ -21,8 +21,9 @@ from dynamics.state import FloatArray
 from shield.certificate.memory import Memory
 from shield.certificate.verify import NOTHING, Binding
 from shield.decision import Decision, Reason, Tier
+from shield.explanation import Explanation
 
-__all__ = ["Core", "Plan", "Procedure", "Reader", "Tried", "Unreadable", "decide", "read"]
+__all__ = ["Core", "Explainer", "Made", "Plan", "Procedure", "Reader", "Tried", "Unreadable", "decide", "read"]
 
 _log = logging.getLogger(__name__)
 
@@ -108,15 +109,43 @@ class Procedure(Protocol[S, View]):
         """What to do where nothing can be judged. It must not raise, whatever the scene."""
 
 
-def decide(memory: Memory[S], scene: Any, proposal: Any, procedure: Procedure[S, Any]) -> tuple[Decision, Memory[S]]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Made(Generic[S]):
+    """What one decision was made from, for whoever asks why: references, from which it can be made again.
+
+    A copy that is pickled has nothing of it.
+    """
+
+    memory: Memory[S]
+    scene: Any
+    proposal: Any
+    procedure: Procedure[S, Any]
+    how: Explainer
+
+    def explain(self, at: Decision, record: Decision, frame: int) -> Explanation:
+        """See `shield.decision.Source`."""
+        return self.how(self, at, record, frame)
+
+    def __reduce__(self) -> Any:
+        return type(None), ()
+
+
+Explainer = Callable[[Made[Any], Decision, Decision, int], Explanation]
+"""Says why, see `shield.decision.Source`, of what a decision was made from."""
+
+
+def decide(
+    memory: Memory[S], scene: Any, proposal: Any, procedure: Procedure[S, Any], explain: Explainer | None = None
+) -> tuple[Decision, Memory[S]]:
     """One decision, and the memory for the next one; neither argument is changed.
 
     Parameters
     ----------
     memory : of the decisions so far. scene : a scene, or `Unreadable`.
-    proposal : what the procedure decides about.
+    proposal : what the procedure decides about. explain : how the decision can be explained; None if it need not be.
     """
     start, seen = perf_counter(), memory
+    source = None if explain is None else Made(memory, scene, proposal, procedure, explain)
     try:
         refused = scene.reason if isinstance(scene, Unreadable) else procedure.refuses(scene, proposal)
         if refused is None:
@@ -128,16 +157,18 @@ def decide(memory: Memory[S], scene: Any, proposal: Any, procedure: Procedure[S,
                     break
             else:
                 one = procedure.fall_back(view, proposal, tried)
-            return _decided(start, seen, proposal, one)
+            return _decided(start, seen, proposal, one, source)
     except Exception:
         # Fail closed: a stage that breaks must not let the proposal through.
         _log.exception("a stage of the shield raised; the last resort acts")
         refused = Reason.STAGE_FAILED
     tier, plan = procedure.last_resort(seen, scene, proposal)
-    return _decided(start, seen, proposal, Tried(tier, refused, plan))
+    return _decided(start, seen, proposal, Tried(tier, refused, plan), source)
 
 
-def _decided(start: float, memory: Memory[S], proposal: Any, one: Tried[S]) -> tuple[Decision, Memory[S]]:
+def _decided(
+    start: float, memory: Memory[S], proposal: Any, one: Tried[S], source: Made[S] | None
+) -> tuple[Decision, Memory[S]]:
     tier, plan = one.tier, one.plan
     stored = None if tier is Tier.LARGEST_MARGIN else plan.stored
     watch = memory.watch.forgiven() if tier.verified else memory.watch
@@ -145,7 +176,7 @@ def _decided(start: float, memory: Memory[S], proposal: Any, one: Tried[S]) -> t
     memory = Memory(memory.frame, stored, memory.survey, watch, predicted)
     latency, (clause, vehicle) = perf_counter() - start, (plan.binding.clause, plan.binding.vehicle)
     record = plan.margin, latency, plan.path, plan.occupancy, clause, vehicle
-    return Decision(proposal, plan.action, one.reason, tier, *record), memory
+    return Decision(proposal, plan.action, one.reason, tier, *record, source=source), memory
 
 
 class Reader(Protocol):
@@ -161,10 +192,11 @@ class Core(Generic[S]):
     Attributes
     ----------
     procedure : the one that decides unless another is named. memory : of the decisions so far.
+    explain : how its decisions can be explained; None where nothing is kept for that.
     """
 
-    def __init__(self, procedure: Procedure[S, Any]) -> None:
-        self.procedure = procedure
+    def __init__(self, procedure: Procedure[S, Any], explain: Explainer | None = None) -> None:
+        self.procedure, self.explain = procedure, explain
         self.reset()
 
     def reset(self) -> None:
@@ -183,7 +215,7 @@ class Core(Generic[S]):
 
     def decide(self, scene: Any, proposal: Any, procedure: Procedure[S, Any] | None = None) -> Decision:
         """The next decision; see `decide`."""
-        decision, self.memory = decide(self.memory, scene, proposal, procedure or self.procedure)
+        decision, self.memory = decide(self.memory, scene, proposal, procedure or self.procedure, self.explain)
         return decision
 
 

@@ -40,15 +40,19 @@ class MetaActions:
     Parameters
     ----------
     config : settings.
+
+    Attributes
+    ----------
+    screen : the rules that are run before anything is verified.
     """
 
     def __init__(self, config: ShieldConfig) -> None:
         self.config = config
-        self._screen, self._hold_back = Screen(config), HoldBack()
+        self.screen, self._hold_back = Screen(config), HoldBack()
 
     def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
         """A proposal that is no action, or a scene that is not finite."""
-        return self._screen.refuses(scene, proposal)
+        return self.screen.refuses(scene, proposal)
 
     def observe(self, memory: Memory[int], scene: Scene) -> tuple[Instant, Memory[int]]:
         """Take in a scene."""
@@ -60,13 +64,13 @@ class MetaActions:
         scene, action = now.scene, proposal.action
         target = scene.target_of(action)
         changes = _changes_lane(now, target)
-        if self._screen.buffer.objects(scene, target):
+        if self.screen.buffer.objects(scene, target):
             reason = Reason.BUFFER
         else:
             # A longitudinal proposal can be held back by the frames; a lane change should be able to end well.
             (plan,) = self._verify(now, [action], [target], forecast=changes)
             yield Tried(Tier.PASSED, Reason.NONE, plan)
-            reason = self._screen.why(scene, target)
+            reason = self.screen.why(scene, target)
         labels = scene.control.actions
         targets = [scene.target_of(a) for a in range(len(labels))]
         alternatives = self._alternatives(now, proposal, targets, changes)
@@ -108,12 +112,16 @@ class MetaActions:
             group = [
                 a
                 for a, target in enumerate(targets)
-                if _changes_lane(now, target) is forecast and not self._screen.buffer.objects(scene, target)
+                if _changes_lane(now, target) is forecast and not self.screen.buffer.objects(scene, target)
             ]
             if group:
                 plans = self._verify(now, group, [targets[a] for a in group], forecast)
                 mask[group] = [plan.verified for plan in plans]
         return mask
+
+    def lasts(self, now: Instant, action: int) -> bool:
+        """Whether an action has to be expected to last for the whole decision, beside verifying for a frame."""
+        return _changes_lane(now, now.scene.target_of(action))
 
     # -- pieces ------------------------------------------------------------------------------------------
 
@@ -170,7 +178,7 @@ class MetaActions:
         owner: list[int] = []
         tried: list[Target] = []
         for a in actions:
-            if self._screen.buffer.objects(now.scene, targets[a]):
+            if self.screen.buffer.objects(now.scene, targets[a]):
                 continue
             speeds = {targets[a].speed}
             if labels[a].startswith("LANE"):

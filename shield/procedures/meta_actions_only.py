@@ -39,11 +39,11 @@ class MetaActionsOnly:
 
     def __init__(self, config: ShieldConfig | None = None) -> None:
         self.config = config if config is not None else ShieldConfig.for_meta_actions()
-        self._screen = Screen(self.config)
+        self.screen = Screen(self.config)
 
     def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
         """A proposal that is no action, or a scene that is not finite."""
-        return self._screen.refuses(scene, proposal)
+        return self.screen.refuses(scene, proposal)
 
     def observe(self, memory: Memory[Sequel], scene: Scene) -> tuple[Instant, Memory[Sequel]]:
         """Take in a scene."""
@@ -62,11 +62,11 @@ class MetaActionsOnly:
         """The proposal, and then the others in order."""
         scene = now.scene
         target = scene.target_of(proposal.action)
-        if self._screen.buffer.objects(scene, target):
+        if self.screen.buffer.objects(scene, target):
             reason = Reason.BUFFER
         else:
             yield Tried(Tier.PASSED, Reason.NONE, self._judge(now, [proposal.action])[0])
-            reason = self._screen.why(scene, target)
+            reason = self.screen.why(scene, target)
         for plan in self._judge(now, self._others(scene, proposal)):
             yield Tried(Tier.ALTERNATIVE, reason, plan)
 
@@ -100,7 +100,7 @@ class MetaActionsOnly:
             for a in wanted
             if a != proposal.action
             and targets[a] != targets[proposal.action]
-            and not self._screen.buffer.objects(scene, targets[a])
+            and not self.screen.buffer.objects(scene, targets[a])
         ]
 
     def _judge(self, now: Instant, actions: Sequence[int]) -> list[Plan[Sequel]]:

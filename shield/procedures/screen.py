@@ -62,11 +62,15 @@ class RuleAlone:
     ----------
     config : its `mode` names the rule.
     rule : one of the user's own instead.
+
+    Attributes
+    ----------
+    rule : the one that decides.
     """
 
     def __init__(self, config: ShieldConfig, rule: Rule | None = None) -> None:
         self.config = config
-        self._screen, self._rule = Screen(config), rule if rule is not None else make_rule(config.mode, config)
+        self._screen, self.rule = Screen(config), rule if rule is not None else make_rule(config.mode, config)
 
     def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
         """A proposal that is no action, or a scene that is not finite."""
@@ -79,10 +83,10 @@ class RuleAlone:
     def plans(self, view: Scene, proposal: Wish) -> Iterator[Tried[Any]]:
         """The proposal, or slowing down."""
         executed = proposal.action
-        if self._rule.objects(view, view.target_of(proposal.action)):
+        if self.rule.objects(view, view.target_of(proposal.action)):
             executed = slower(proposal.labels)
         passed = executed == proposal.action
-        tier, reason = (Tier.PASSED, Reason.NONE) if passed else (Tier.ALTERNATIVE, self._rule.reason)
+        tier, reason = (Tier.PASSED, Reason.NONE) if passed else (Tier.ALTERNATIVE, self.rule.reason)
         yield Tried(tier, reason, Plan(executed, trusted=True))
 
     def fall_back(self, view: Scene, proposal: Wish, tried: list[Tried[Any]]) -> Tried[Any]:

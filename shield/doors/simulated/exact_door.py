@@ -18,7 +18,7 @@ from dynamics.state import FloatArray
 from shield.batch.arrays import Records, empty_records
 from shield.batch.vocabulary import REASONS, TIERS
 from shield.config import ShieldConfig
-from shield.decision import Decision, Reason
+from shield.decision import Decision, Reason, Source
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import check_configuration, refuse_lots
 from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, Room, simulate_network, why_unread
@@ -26,6 +26,7 @@ from shield.exact.deciding import Plans, boxed_in, empty_plans, last_resort, pas
 from shield.exact.effort import begin_anew
 from shield.exact.room import Search, Wish
 from shield.exact.search import enter, leap
+from shield.explaining.simulated import Simulated, copy_of
 from shield.procedures.screen import slower
 from shield.refusals import check
 from shield.repair.order import resolve
@@ -108,7 +109,9 @@ class ExactDoor(Foretells):
             slowest = slower(list(self._base.action_type.actions_indexes))
             last_resort(records, self._plans, 0, slowest, REASONS.index(reason))
             return as_decision(shown, records, start)
+        source = None
         if not passes(search, self._plans, records, simulator.worlds, 0, proposed):
+            source = self._kept(search, simulator, proposed)
             # The policy is asked for its order only where something takes the proposal's place.
             wanted = resolve(order) or []
             ranked = np.array([*(a for a in wanted if a != proposed), -1], np.intp)
@@ -118,7 +121,13 @@ class ExactDoor(Foretells):
         plan, areas = None, None
         if self.config.record:
             plan, areas = self._scene.shown(search, search.plan, int(self._plans.length[0]) + 1)
-        return as_decision(shown, records, start, plan, areas)
+        return as_decision(shown, records, start, plan, areas, source)
+
+    def _kept(self, search: Search, simulator: Any, proposed: int) -> Simulated:
+        """What a refusal is made from, for whoever asks why."""
+        return self._scene.kept(
+            search, copy_of(simulator.worlds), proposed, self._plans.actions[0], self._plans.length[0]
+        )
 
     def mask(self) -> np.ndarray[Any, Any]:
         """Which actions pass now; all True where none does. No decision, and no record, is another for being asked.
@@ -168,9 +177,9 @@ def as_decision(
     start: float,
     plan: FloatArray | None = None,
     areas: FloatArray | None = None,
+    source: Source | None = None,
 ) -> Decision:
     """What the records say of the first environment, as a decision that began at `start`."""
     reason, tier = REASONS[records.reason[0]], TIERS[records.tier[0]]
-    return Decision(
-        shown, int(records.executed[0]), reason, tier, float(records.margin[0]), perf_counter() - start, plan, areas
-    )
+    margin, latency = float(records.margin[0]), perf_counter() - start
+    return Decision(shown, int(records.executed[0]), reason, tier, margin, latency, plan, areas, source=source)

@@ -25,6 +25,7 @@ from shield.doors.input_frames import InputFrames
 from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, simulate_network, why_unread
 from shield.exact.inputs import Tail, decide_inputs, empty_tail, play
 from shield.exact.room import Search
+from shield.explaining.simulated import copy_of
 from shield.refusals import check
 
 __all__ = ["ExactInputDoor"]
@@ -113,7 +114,9 @@ class ExactInputDoor(Foretells, InputFrames):
         except Exception as error:
             reason, self.cause = why_unread(error)
             return self._last_resort(reason, start)
-        known, proposal = self._proposal is not None, np.zeros(2)
+        known, proposal, tail = self._proposal is not None, np.zeros(2), self._tail
+        # The present is advanced by the decision.
+        before, planned, length = copy_of(present.futures), tail.actions.copy(), int(tail.counts[0])
         if self._proposal is not None:
             proposal = self._cruise.proposal(self._proposal, float(self._base.vehicle.speed))
         code, margin = decide_inputs(search, present, self._tail, proposal, known, self._inputs)
@@ -131,8 +134,11 @@ class ExactInputDoor(Foretells, InputFrames):
         if self.config.record and self._tail.counts[1] == 0:
             search.futures.f[0], search.futures.g[0] = present.futures.f[0], present.futures.g[0]
             plan, areas = self._scene.shown(search, self._tail.actions, int(self._tail.counts[0]))
-        inputs = self._inputs.copy()
-        return inputs, Decision(inputs, inputs, reason, tier, margin, perf_counter() - start, plan, areas)
+        inputs, source = self._inputs.copy(), None
+        if tier is not Tier.PASSED and known:
+            source = self._scene.kept(search, before, proposal.copy(), planned, length)
+        latency = perf_counter() - start
+        return inputs, Decision(inputs, inputs, reason, tier, margin, latency, plan, areas, source=source)
 
     def _last_resort(self, reason: Reason, start: float) -> tuple[FloatArray, Decision]:
         """Nothing is known of the scene: what was planned, if anything was, or braking with the wheel straight."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.errors import ConfigError, SceneError
+from dynamics.networks.network import index_of
 from dynamics.networks.simulator import NetworkSimulator
 from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.simulator.layout import HEADING, SPEED, X, Y
@@ -19,6 +20,7 @@ from shield.config import ShieldConfig
 from shield.decision import Reason
 from shield.exact.room import Search, new_search
 from shield.exact.search import foretell
+from shield.explaining.simulated import Simulated
 from shield.roads.watch import Breach
 
 __all__ = ["STATE", "ExactScene", "Foretells", "Room", "simulate_network", "why_unread"]
@@ -153,6 +155,32 @@ class ExactScene:
         half = np.stack([others[..., 4] * cos + others[..., 5] * sin, others[..., 4] * sin + others[..., 5] * cos]) / 2
         x, y = others[..., 0], others[..., 1]
         return rows[:, ego, :4], np.stack([x - half[0], x + half[0], y - half[1], y + half[1]], axis=-1)
+
+    def kept(
+        self,
+        search: Search,
+        worlds: Any,
+        proposal: Any,
+        planned: IntArray,
+        length: int,
+        team: tuple[Any, ...] | None = None,
+    ) -> Simulated:
+        """What a refusal of a proposal is made from; arguments as of `Simulated`, `planned` with `length` actions."""
+        base = self._base
+        kind = getattr(base, "action_type", None)
+        kind = getattr(kind, "agents_action_types", [kind])[0]
+        labels = getattr(kind, "actions", None) or {}
+        lanes: list[Any] = [] if search.bounds.straight else list(index_of(base.road.network))
+        return Simulated(
+            search=search,
+            worlds=worlds,
+            who=list(self.bodies()),
+            lanes=lanes,
+            proposal=proposal,
+            labels=[labels[k] for k in sorted(labels)],
+            hint=planned[:length].copy(),
+            team=team,
+        )
 
     def _furnish(self, bodies: int, simulator: Simulator | NetworkSimulator) -> Room:
         """Room for so many bodies: where vehicles come and go, their number changes back and forth."""

@@ -26,6 +26,7 @@ from shield.errors import ConfigError
 from shield.exact.deciding import Plans, empty_plans, last_resort, passes, replace
 from shield.exact.room import Search, Wish
 from shield.exact.search import leap
+from shield.explaining.simulated import copy_of
 from shield.procedures.screen import slower
 from shield.refusals import check
 
@@ -156,9 +157,13 @@ class TeamDoor(Foretells):
 
     def _of_one(self, k: int, action: Any, simulator: Any, search: Search, start: float) -> Decision:
         proposed, records = action_index(action), empty_records(1, 1)
+        source = None
         if not passes(search, self._plans[k], records, simulator.worlds, 0, proposed):
+            team = search.team.columns.copy(), search.team.plans.copy(), int(search.team.since[0])
+            planned = self._plans[k].actions[0], self._plans[k].length[0]
+            source = self._scene.kept(search, copy_of(simulator.worlds), proposed, *planned, team)
             replace(search, self._plans[k], records, 0, proposed, np.array([-1], np.intp))
-        return as_decision(action if proposed < 0 else proposed, records, start)
+        return as_decision(action if proposed < 0 else proposed, records, start, source=source)
 
     def _columns(self) -> Any:
         bodies = self._scene.bodies()

@@ -1,0 +1,92 @@
+"""What `decision.explain()` takes when it is asked for, and what being able to answer costs a step otherwise.
+
+python -m benchmarks.explain
+"""
+
+from __future__ import annotations
+
+from time import perf_counter
+from typing import Any
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+
+from shield import ShieldConfig, ShieldedEnv
+from shield.doors.road_door import RoadDoor
+from shield.doors.simulated.exact_scene import ExactScene
+from shield.procedures.decide import Core
+
+INPUTS = {"action": {"type": "ContinuousAction"}}
+DOORS: dict[str, tuple[str, dict[str, Any], ShieldConfig]] = {
+    "highway, meta-actions": ("highway-fast-v0", {}, ShieldConfig()),
+    "highway, inputs": ("highway-fast-v0", INPUTS, ShieldConfig()),
+    "highway, simulated": ("highway-fast-v0", {}, ShieldConfig.exact()),
+    "highway, simulated inputs": ("highway-fast-v0", INPUTS, ShieldConfig.exact()),
+    "roundabout, worst case": ("roundabout-v1", {}, ShieldConfig.for_roads()),
+    "intersection, simulated": ("intersection-v2", {}, ShieldConfig.exact()),
+    "parking": ("parking-v0", {"vehicles_count": 10, "duration": 20}, ShieldConfig()),
+}
+STEPS = 120
+
+
+def drive(name: str, ask: bool) -> tuple[list[float], list[float]]:
+    """Seconds of the shield in each step, and of each explanation, over `STEPS` steps."""
+    env_id, settings, config = DOORS[name]
+    env = ShieldedEnv(gym.make(env_id, config=settings), config)
+    rng, shielding, asked, seed, done = np.random.default_rng(0), [], [], 0, True
+    space: Any = env.action_space
+    for _ in range(STEPS):
+        if done:
+            env.reset(seed=seed)
+            seed += 1
+        eager = rng.random() < 0.7
+        if isinstance(space, gym.spaces.Discrete):
+            action: Any = int(space.n) - 2 if eager else int(rng.integers(space.n))
+        else:
+            action = np.clip(rng.normal(0.7, 0.5, space.shape), -1, 1).astype(np.float32)
+        *_, terminated, truncated, _ = env.step(action)
+        shielding.append(env.latency)
+        record, done = env.last_decision, terminated or truncated
+        if ask and record is not None and record.overridden:
+            start = perf_counter()
+            record.explain()
+            asked.append(perf_counter() - start)
+    return shielding, asked
+
+
+def without_sources() -> Any:
+    """Have nothing kept for explanations, and return what undoes it."""
+    kept = Core.__init__, ExactScene.kept, RoadDoor._kept
+
+    def core(self: Any, procedure: Any, explain: Any = None) -> None:
+        kept[0](self, procedure, None)
+
+    Core.__init__, ExactScene.kept, RoadDoor._kept = core, lambda *_, **__: None, lambda *_: None  # type: ignore
+
+    def undo() -> None:
+        Core.__init__, ExactScene.kept, RoadDoor._kept = kept  # type: ignore[method-assign]
+
+    return undo
+
+
+def main() -> None:
+    """Print a row for each door."""
+    print("| door | explanations | ms p50 | ms p99 | shield ms a step, kept | not kept |")
+    print("|:--|--:|--:|--:|--:|--:|")
+    for name in DOORS:
+        drive(name, True)  # compiled kernels are read
+        _, asked = drive(name, True)
+        steps: dict[bool, list[float]] = {True: [], False: []}
+        for _ in range(3):
+            steps[True] += drive(name, False)[0]
+            undo = without_sources()
+            steps[False] += drive(name, False)[0]
+            undo()
+        p50, p99 = np.percentile(1e3 * np.array(asked), [50, 99]) if asked else (np.nan, np.nan)
+        kept, bare = (1e3 * np.median(steps[each]) for each in (True, False))
+        print(f"| {name} | {len(asked)} | {p50:.1f} | {p99:.1f} | {kept:.2f} | {bare:.2f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

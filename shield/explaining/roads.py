@@ -1,0 +1,98 @@
+"""Why a proposal was refused on a network of roads whose traffic may do whatever the assumptions permit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import nan
+from typing import Any
+
+import numpy as np
+
+from dynamics.networks.alone import Alone, Course
+from dynamics.networks.engine import new_work
+from dynamics.simulator.layout import HEADING, SPEED, X, Y
+from shield.decision import Decision, Reason, Tier
+from shield.explaining.words import action_name, done, nothing_judged, proof
+from shield.explaining.worlds import Described, describe, lane_of
+from shield.explanation import Explanation, Lost, number
+from shield.roads.choosing import Choice, choose
+from shield.roads.room import Others, Road, empty_trial
+from shield.roads.survey import Body
+
+__all__ = ["Roads", "on_roads"]
+
+_OFF = -500.0
+"""A margin below it stands for leaving the road [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Roads:
+    """What a decision on a network of roads was made from.
+
+    Attributes
+    ----------
+    alone, road, body : the ego and its road, and its body without the buffer.
+    others, who : where the others can be, and the simulator's objects.
+    tried : the courses, and the tier of each. lanes : highway-env's name of the lane that each of the others is on.
+    labels : of the actions.
+    size : the ego's length and width [m].
+    """
+
+    alone: Alone
+    road: Road
+    body: Body
+    others: Others
+    who: Sequence[Any]
+    tried: Sequence[tuple[Course, Tier]]
+    lanes: Sequence[tuple[str, str, int]]
+    labels: Sequence[str]
+    size: tuple[float, float]
+
+    def __reduce__(self) -> Any:
+        return type(None), ()
+
+    def explain(self, at: Decision, record: Decision, frame: int) -> Explanation:
+        """See `shield.decision.Source`."""
+        speed = float(self.alone.worlds.f[0, SPEED, 0])
+
+        def name(action: Any) -> str:
+            return action_name(self.labels, action)
+
+        proposal = name(record.proposed)
+        if at.reason not in (Reason.UNVERIFIED, Reason.NO_SAFE_PLAN):
+            return nothing_judged(at, record, name, speed, proposal, frame)
+        found = self._best()
+        lost = Lost.GUARANTEE if at.tier.fallback else Lost.NOTHING
+        tail = done(at, record, name, speed), proof(at, lost)
+        after, short, cause = found.clear * self.road.period, -found.margin, None
+        if found.margin < _OFF:
+            clause, short, why = "road", nan, f"the ego would leave the road after {number(after)} s"
+        else:
+            clause = "separation"
+            lacks = f"the buffer would be short after {number(after)} s, by up to {number(short)} m"
+            why = f"something that stands is in the way; {lacks}"
+            if found.vehicle >= 0:
+                ego = np.array([*self.alone.worlds.f[0, [X, Y, HEADING, SPEED], 0], *self.size])
+                who = Described(self.who[found.vehicle], lane_of(self.lanes[found.vehicle]))
+                cause = describe(ego, self.others.rows[found.vehicle], who)
+                broke = " (it has broken a rule)" if self.others.offends[found.vehicle] else ""
+                why = f"{cause.text}{broke} could be in the way; {lacks}"
+        return Explanation(proposal, at.reason, clause, cause, short, after, why, *tail, at.margin, frame, lost)
+
+    def _best(self) -> Choice:
+        """The best of what the proposal leads to, which does not verify."""
+        wished = [course for course, tier in self.tried if tier is Tier.PASSED]
+        frames, lanes, many = self.others.least.shape[1] - 3, len(self.road.circles), len(self.who)
+        trial, bodies = empty_trial(frames, lanes, many), empty_trial(frames, lanes, 0)
+        # What a judgement writes into the others is for the decision alone.
+        others = self.others._replace(waits=self.others.waits.copy(), shut=self.others.shut.copy())
+        courses = np.array(wished, float)
+        found: Choice = choose(self.alone, self.road, self.body, others, courses, trial, bodies)
+        return found
+
+
+def on_roads(alone: Alone, **made_from: Any) -> Roads:
+    """The same of the present: the ego moves on, and is copied as it is now."""
+    worlds = alone.worlds._replace(**{name: getattr(alone.worlds, name).copy() for name in alone.worlds._fields})
+    return Roads(alone._replace(worlds=worlds, work=new_work(1)), **made_from)

@@ -1,0 +1,264 @@
+"""Why a proposal was refused where the others may do whatever the assumptions permit, or a rule alone decides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import isfinite, nan
+from typing import Any
+
+import numpy as np
+
+from dynamics.scenes.scene import Scene, Target
+from dynamics.state import FloatArray, State, Vehicle
+from shield.certificate.manoeuvres import brake_candidates
+from shield.certificate.memory import Instant
+from shield.certificate.monitor import Watch
+from shield.certificate.verify import ROUNDING
+from shield.decision import Decision, Reason, Tier
+from shield.explaining.words import action_name, done, inputs_name, nothing_judged, proof
+from shield.explaining.worlds import Described, describe, place
+from shield.explanation import Cause, Explanation, Lost, number
+from shield.procedures.decide import Made, Unreadable
+from shield.procedures.frames import Frames, fail_lanes
+from shield.procedures.inputs import Inputs
+from shield.procedures.meta_actions import MetaActions
+from shield.procedures.parking_lot import ParkingLot
+from shield.procedures.screen import RuleAlone
+from shield.rules import Rule
+
+__all__ = ["cause_in", "explain_scene"]
+
+_NO_VEHICLE = -1
+_FAR, _HALVINGS = 500.0, 12
+"""How far away a vehicle is tried whom a rule objects to [m], and how often that is halved."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Refusal:
+    """What refused a proposal: the clause, the row of the vehicle, the least margin [m], after how long it becomes
+    negative [s], and whether that is only expected, and no bound."""
+
+    clause: str
+    vehicle: int
+    margin: float
+    after: float
+    expected: bool = False
+
+
+def explain_scene(made: Made[Any], at: Decision, record: Decision, frame: int) -> Explanation:
+    """See `shield.decision.Source`."""
+    scene, procedure = made.scene, made.procedure
+    labels = scene.control.actions if isinstance(scene, Scene) else getattr(made.proposal, "labels", ())
+    speed = nan if isinstance(scene, Unreadable) else float(scene.ego[State.SPEED])
+
+    def name(action: Any) -> str:
+        actuators = getattr(procedure, "actuators", None)
+        if actuators is None:
+            return action_name(labels, action)
+        read = actuators.read(action)
+        return str(action) if read is None else inputs_name(actuators.physical(read))
+
+    proposal = _proposal(made, record, frame, name)
+    if isinstance(scene, Unreadable) or procedure.refuses(scene, made.proposal) is not None:
+        return nothing_judged(at, record, name, speed, proposal, frame)
+    if at.reason is Reason.STAGE_FAILED:
+        return nothing_judged(at, record, name, speed, proposal, frame)
+    if at.reason is Reason.RESUME:
+        tail = done(at, record, name, speed), proof(at, Lost.NOTHING)
+        return Explanation(proposal, at.reason, "", None, nan, nan, at.reason.text, *tail, at.margin, frame)
+    found, view = _refusal(made, at)
+    lost = Lost.NOTHING if not at.tier.fallback else _lost(made, view, at)
+    cause = None if found.vehicle == _NO_VEHICLE else cause_in(view_scene(view, scene), found.vehicle)
+    short = -found.margin if isfinite(found.margin) and found.margin < 0 else nan
+    why = _why(found, cause, short) + _offence(view)
+    right = "a rule alone decides" if isinstance(procedure, RuleAlone) else proof(at, lost)
+    tail = done(at, record, name, speed), right
+    return Explanation(proposal, at.reason, found.clause, cause, short, found.after, why, *tail, at.margin, frame, lost)
+
+
+def view_scene(view: Any, scene: Any) -> Any:
+    """The scene that was judged: bounds on what is observed are nested in those of the scene before."""
+    return view.scene if isinstance(view, Instant) else scene
+
+
+def cause_in(scene: Any, row: int) -> Cause:
+    """One of the others in a scene or a lot.
+
+    Parameters
+    ----------
+    row : of its vehicle rows.
+    """
+    if not isinstance(scene, Scene):
+        return describe(scene.ego, scene.obstacles[row], Described(row if scene.bodies is None else scene.bodies[row]))
+    mine, other, ego, body = scene.ego_road, scene.others_road[row], scene.ego, scene.others[row]
+    length, width = (0.5 * float(ego[k] + body[k]) for k in (Vehicle.LENGTH, Vehicle.WIDTH))
+    where, distance = place(float(other[0] - mine[0]), float(other[1] - mine[1]), length, width)
+    seen = where, distance, f"lane {scene.road.lane_at(float(other[1]))}", float(body[Vehicle.SPEED])
+    if scene.bodies is not None:
+        return Cause(scene.bodies[row], type(scene.bodies[row]).__name__, *seen)
+    known = row if scene.ids is None else int(scene.ids[row])
+    return Cause(known, f"{'vehicle' if scene.ids is None else 'track'} {known}", *seen)
+
+
+def _proposal(made: Made[Any], record: Decision, frame: int, name: Any) -> str:
+    """What was refused: of a frame, what the action leads to then."""
+    if isinstance(made.proposal, Target):
+        return str(name(record.executed))
+    if isinstance(made.proposal, np.ndarray):
+        return inputs_name(made.proposal)
+    return str(name(record.proposed))
+
+
+# -- what refused it -------------------------------------------------------------------------------------------
+
+
+def _refusal(made: Made[Any], at: Decision) -> tuple[_Refusal, Any]:
+    """What refused the proposal, and the view that it was judged in."""
+    scene, procedure, proposal = made.scene, made.procedure, made.proposal
+    view, _ = procedure.observe(made.memory, scene)
+    if isinstance(procedure, RuleAlone):
+        return _by_rule(procedure.rule, scene, scene.target_of(proposal.action)), view
+    if isinstance(procedure, ParkingLot):
+        return _in_lot(procedure, view, proposal, scene), view
+    if at.reason is Reason.BUFFER:
+        screen: Any = procedure
+        return _by_rule(screen.screen.buffer, scene, scene.target_of(proposal.action)), view
+    if isinstance(procedure, MetaActions):
+        return _of_target(view, scene.target_of(proposal.action), procedure.lasts(view, proposal.action)), view
+    if isinstance(procedure, Frames):
+        return _of_target(view, proposal, False), view
+    plan = next(iter(procedure.plans(view, proposal))).plan
+    frames = plan.clear + 1
+    return _Refusal(plan.binding.clause, plan.binding.vehicle, plan.margin, frames * scene.dt), view
+
+
+def _of_target(now: Instant, target: Target, lasting: bool) -> _Refusal:
+    """Of a lane and a speed: the bound of one frame of it, then the forecast that it lasts for the decision."""
+    scene, braking = now.scene, now.config.braking
+    fails = fail_lanes(now, target.lane)
+    lanes, speeds = [target.lane] * len(fails), [target.speed] * len(fails)
+    found: _Refusal | None = None
+    for commit, hold in ((1, 0), (scene.frames_per_decision, scene.frames_per_decision)):
+        if commit > 1 and not lasting:
+            break
+        _, result = now.judge(brake_candidates(scene, lanes, speeds, fails, commit, braking), hold)
+        margins = np.nan_to_num(result.margin, nan=-np.inf)
+        i, binding = int(margins.argmax()), result.binding(int(margins.argmax()))
+        after = (int(result.clear[i]) + 1) * scene.dt
+        this = _Refusal(binding.clause, binding.vehicle, float(margins[i]), after, hold > 0)
+        if not this.margin >= 0:
+            return this
+        found = this
+    assert found is not None
+    return found
+
+
+def _in_lot(procedure: ParkingLot, view: Any, proposal: FloatArray, lot: Any) -> _Refusal:
+    moving = np.flatnonzero(lot.moving)
+    if view.memory.watch.violated and moving.size:
+        return _Refusal("moving", int(moving[0]), nan, 0.0)
+    judged = procedure.judge(lot, proposal[None])
+    parts, margin, after = judged.parts, float(judged.margin[0]), (int(judged.clear[0]) + 1) * lot.dt
+    if margin == -np.inf or parts is None or not parts.size:
+        return _Refusal("speed", _NO_VEHICLE, margin, nan)
+    return _Refusal("clearance", int(parts[0].argmin()), margin, after)
+
+
+def _by_rule(rule: Rule, scene: Scene, target: Target) -> _Refusal:
+    """Of a rule: the nearest of those that it refuses the target for when they are alone, and how much further away it
+    would have to be."""
+
+    def objects(row: int, further: float) -> bool:
+        """Whether it does to one of the others alone, were it so much further away [m]."""
+        body = scene.others[row : row + 1].copy()
+        away = further * np.sign(scene.others_road[row, 0] - scene.ego_road[0])
+        body[0, :2] += away * np.array([np.cos(body[0, 2]), np.sin(body[0, 2])])
+        return rule.objects(replace(scene, others=body, ids=None, likely=None, bodies=None), target)
+
+    delta = scene.others_road[:, :2] - scene.ego_road[:2]
+    for row in np.argsort(np.hypot(delta[:, 0], delta[:, 1])).tolist():
+        if not objects(row, 0.0):
+            continue
+        least, most = 0.0, _FAR
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (least + most)
+            least, most = (middle, most) if objects(row, middle) else (least, middle)
+        return _Refusal(f"rule: {rule.reason.value}", row, -most if most < _FAR else nan, nan)
+    return _Refusal(f"rule: {rule.reason.value}", _NO_VEHICLE, nan, nan)
+
+
+# -- words -----------------------------------------------------------------------------------------------------
+
+
+def _why(found: _Refusal, cause: Cause | None, short: float) -> str:
+    """What would happen, in words."""
+    by, when = number(short), f"{number(found.after)} s"
+    if found.clause.startswith("rule: "):
+        name = found.clause.removeprefix("rule: ")
+        if cause is None:
+            return f"the rule {name!r} objects"
+        lacking = f", {by} m less than it asks for" if isfinite(short) else ""
+        return f"the rule {name!r} objects to {cause.text}{lacking}"
+    if found.clause == "speed":
+        return "the ego would become faster than its frames can be verified"
+    if found.clause == "clearance" and cause is not None:
+        return f"{cause.text} stands in the way; the clearance would be short after {when}, by up to {by} m"
+    if found.clause == "moving":
+        return f"{cause.text if cause else 'something'} moves, and everything is assumed to stand"
+    if found.clause == "room":
+        return f"the plan would come to rest {by} m outside its lane after {when}"
+    if found.clause == "edge":
+        return (
+            f"the body would come {by} m beyond the road's edge after {when}"
+            if isfinite(short)
+            else (f"the body would enter lanes on both sides, or leave the road, after {when}")
+        )
+    if found.clause == "rollback":
+        return "the ego would roll backwards"
+    if found.clause == "gap of the map":
+        return f"the way leads where there is no lane after {when}"
+    lacks = f"the buffer would be short after {when}, by up to {by} m"
+    if cause is None:
+        return f"{lacks}, whatever is done then"
+    if found.expected:
+        return f"{cause.text} is expected to be in the way before the decision is over; {lacks}"
+    if found.clause == "slip-in":
+        return f"{cause.text} could cut in; {lacks}"
+    verb = {"ahead": "could brake", "behind": "could come up"}.get(cause.where, "could be in the way")
+    return f"{cause.text} {verb}; {lacks}"
+
+
+def _offence(view: Any) -> str:
+    """Who has broken which rule, where that is why nothing verifies."""
+    watch = view.memory.watch if hasattr(view, "memory") else None
+    if not isinstance(watch, Watch) or not watch.violated or not isinstance(view, Instant):
+        return ""
+    who = [cause_in(view.scene, int(row)).text for row in np.flatnonzero(watch.offenders)[:2]]
+    return "".join(f"; {each} has broken a rule" for each in who)
+
+
+def _lost(made: Made[Any], view: Any, at: Decision) -> Lost:
+    """What a fallback has lost; see `Lost`."""
+    if not isinstance(view, Instant) or view.memory.watch.violated:
+        kept = at.tier is Tier.STORED_PLAN and not view.memory.watch.violated
+        return Lost.NOTHING if kept and at.margin >= -1e-4 else Lost.GUARANTEE
+    if at.tier is Tier.STORED_PLAN and not isinstance(view.memory.stored, int | None):
+        return Lost.NOTHING  # a sequence of actions, verified for its horizon
+    if _fail_safe_margin(made, view) >= -ROUNDING and at.tier in (Tier.STORED_PLAN, Tier.EVADED):
+        return Lost.NOTHING
+    without = replace(view, survey=view.survey.without_cut_ins())
+    if any(each.plan.verified for each in made.procedure.plans(without, made.proposal)):
+        return Lost.PRECAUTION
+    if at.tier is Tier.STORED_PLAN and _fail_safe_margin(made, without) >= -ROUNDING:
+        return Lost.PRECAUTION
+    return Lost.GUARANTEE
+
+
+def _fail_safe_margin(made: Made[Any], now: Instant) -> float:
+    """How far the stored stop in a lane stays clear now [m]; -inf without one."""
+    if not isinstance(now.memory.stored, int):
+        return -np.inf
+    if isinstance(made.procedure, Inputs):
+        law = made.procedure.execution.law(now.scene, now.memory.stored)[None]
+        return float(made.procedure.judge(now, law, [now.memory.stored]).margin[0])
+    return now.fail_safe().margin

@@ -1,0 +1,149 @@
+"""Why a proposal was refused where the traffic is simulated: what would have happened."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import nan
+from typing import Any
+
+import numpy as np
+
+from dynamics.simulator.layout import LANE
+from dynamics.state import FloatArray, IntArray
+from dynamics.traffic.permits import Ego, gap_between
+from shield.decision import Decision, Reason, Tier
+from shield.exact.refused import foretell_refused
+from shield.exact.room import ANY, Search
+from shield.explaining.words import action_name, done, inputs_name, nothing_judged, proof
+from shield.explaining.worlds import Described, describe, lane_of
+from shield.explanation import Cause, Explanation, Lost, number
+from shield.procedures.warm_up import announced
+
+__all__ = ["Simulated", "copy_of"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulated:
+    """What a decision in simulated traffic was made from.
+
+    Attributes
+    ----------
+    search : the rules of the traffic, and room like which a search needs; see `shield.exact.room`.
+    worlds : the present, one environment (see `copy_of`). who : the bodies by column; numbers where there are no
+        objects. lanes : highway-env's name of each lane, by number; none on a straight highway.
+    proposal : an action, or acceleration [m/s^2] and wheel [rad], (2,). labels : of the actions, none of inputs.
+    hint : actions that were planned, tried first after the proposal.
+    team : columns, plans and frames of the other egos (`shield.exact.room.Team`); None without.
+    """
+
+    search: Search
+    worlds: Any
+    who: Sequence[Any]
+    lanes: Sequence[tuple[str, str, int]]
+    proposal: Any
+    labels: Sequence[str]
+    hint: IntArray
+    team: tuple[Any, ...] | None = None
+
+    def __reduce__(self) -> Any:
+        return type(None), ()
+
+    def explain(self, at: Decision, record: Decision, number_of_frame: int) -> Explanation:
+        """See `shield.decision.Source`."""
+        inputs = isinstance(self.proposal, np.ndarray)
+        proposal = inputs_name(self.proposal) if inputs else action_name(self.labels, record.proposed)
+
+        def name(action: Any) -> str:
+            if not inputs:
+                return action_name(self.labels, action)
+            return ", ".join(number(float(x), 2) for x in np.ravel(action))
+
+        rows, ego = np.zeros((0, 0, 7)), 0
+        if at.reason in (Reason.UNVERIFIED, Reason.NO_SAFE_PLAN):
+            rows, ego = self.foretold()
+        if not len(rows):
+            return nothing_judged(at, record, name, nan, proposal, number_of_frame)
+        lost = Lost.GUARANTEE if at.tier.fallback and at.tier is not Tier.STORED_PLAN else Lost.NOTHING
+        tail = done(at, record, name, float(rows[0, ego, 3])), proof(at, lost)
+        clause, cause, short, after, why = self._what(rows, ego)
+        return Explanation(
+            proposal, at.reason, clause, cause, short, after, why, *tail, at.margin, number_of_frame, lost
+        )
+
+    def _what(self, rows: FloatArray, ego: int) -> tuple[str, Cause | None, float, float, str]:
+        """The clause, the vehicle, by how much the buffer is short [m] and when [s], and that in words."""
+        gaps, dt = self._gaps(rows, ego), float(self.search.rules.times[0])
+        inside = np.flatnonzero((gaps < 0).any(axis=1))
+        hit = np.flatnonzero(rows[1:, ego, 6] > 0) + 1
+        nothing_else = "and no way on was found that keeps it"
+        if not inside.size and not hit.size:
+            after = (len(rows) - 1) * dt
+            why = (
+                f"as it is simulated no way on was found after {number(after)} s that keeps to the road and the buffer"
+            )
+            return "road", None, nan, after, why
+        first = int(min([*inside[:1], *hit[:1]]))
+        who, after = int(gaps[first].argmin()), first * dt
+        short, cause = -float(min(gaps[first:, who].min(), 0.0)), self._cause(rows[0], ego, who)
+        crash = f", with a crash after {number(hit[0] * dt)} s" if hit.size else ""
+        lacks = f"the buffer would be short after {number(after)} s, by up to {number(short)} m{crash}"
+        why = f"as it is simulated {cause.text} comes in the way; {lacks}, {nothing_else}"
+        return "crash" if hit.size else "simulated", cause, short, after, why
+
+    def _cause(self, bodies: FloatArray, ego: int, column: int) -> Cause:
+        number_of_lane = int(self.worlds.g[0, LANE, column])
+        several = len({(start, end) for start, end, _ in self.lanes}) > 1
+        lane = lane_of(self.lanes[number_of_lane]) if several else f"lane {number_of_lane}"
+        return describe(bodies[ego, :6], bodies[column, :6], Described(self.who[column], lane))
+
+    def _gaps(self, rows: FloatArray, ego: int) -> FloatArray:
+        """Clearance beyond the buffer from each body at each frame, (frames + 1, m) [m]; inf of the ego and nobody."""
+        bounds, out = self.search.bounds, np.full(rows.shape[:2], np.inf)
+        for k, bodies in enumerate(rows):
+            x, y, heading, speed, length, width, _ = bodies[ego]
+            along, across = 0.5 * length + bounds.longitudinal, 0.5 * width + bounds.lateral
+            own = Ego(x, y, heading, speed, along, across, 0.5 * length, 0.5 * width, False)
+            near = np.hypot(bodies[:, 0] - x, bodies[:, 1] - y) < 40.0
+            for i in np.flatnonzero(near & (bodies[:, 4] > 0)):
+                if i != ego:
+                    out[k, i] = gap_between(own, along, across, bodies, int(i), 0.0)
+        return out
+
+    def foretold(self) -> tuple[FloatArray, int]:
+        """The bodies now and at each frame, (frames + 1, m, 7), with the proposal and what keeps the buffer longest
+        after it; and the column of the ego."""
+        search = _apart(self.search)
+        if self.team is not None:
+            search.team.columns[:], search.team.plans[:], search.team.since[0] = self.team
+        frames = (search.bounds.depth + 2) * int(search.rules.numbers[0])
+        rows, inputs, action = np.zeros((2 + frames, search.futures.f.shape[2], 7)), np.full(2, np.nan), self.proposal
+        if isinstance(action, np.ndarray):
+            inputs[:], action = action, ANY
+        elif not 0 <= action < search.order.shape[0]:
+            return rows[:0], 0
+        with announced(20):
+            count, ego = foretell_refused(search, self.worlds, int(action), inputs, self.hint, rows)
+        return rows[:count], ego
+
+
+def _apart(search: Search) -> Search:
+    """The same with room of its own, as far as a search in depth needs it: the room of the decisions stays as it is."""
+
+    def own(part: Any) -> Any:
+        return part._replace(**{name: getattr(part, name).copy() for name in part._fields})
+
+    futures, few = search.futures, search.bounds.spare + 2
+    arrays = ("given", "row", "spent", "choices", "reached", "least", "plan", "hint", "sequence")
+    return search._replace(
+        futures=futures._replace(**{name: getattr(futures, name)[:few].copy() for name in futures._fields}),
+        **{name: getattr(search, name).copy() for name in arrays},
+        team=own(search.team),
+        dead=own(search.dead),
+        resting=own(search.resting),
+    )
+
+
+def copy_of(worlds: Any, e: int = 0) -> Any:
+    """One environment of some worlds, as it is now."""
+    return worlds._replace(**{name: getattr(worlds, name)[e : e + 1].copy() for name in worlds._fields})

@@ -1,0 +1,88 @@
+"""What was done, and why that is right, in the words that all explanations share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from shield.decision import Decision, Intervention, Reason, Tier
+from shield.explanation import Explanation, Lost, number
+
+__all__ = ["action_name", "done", "inputs_name", "nothing_judged", "proof"]
+
+_PROOFS = {
+    Tier.STORED_PLAN: "the fail-safe that was verified before",
+    Tier.EVADED: "which stays clear of those who have broken no rule, and of the others for as long as can be expected",
+    Tier.LARGEST_MARGIN: "of what does not verify what stays clear longest",
+    Tier.EMERGENCY: "the last resort, which nothing has verified",
+}
+_LOST = {
+    Lost.NOTHING: "nothing is lost: it still verifies",
+    Lost.PRECAUTION: "a precaution is lost and the guarantee is not: but for vehicles that may cut in it verifies",
+    Lost.GUARANTEE: "the guarantee is lost",
+}
+
+
+def action_name(labels: Sequence[str], action: Any) -> str:
+    """The name of a meta-action, or the action as it is."""
+    try:
+        index = int(action)
+    except (TypeError, ValueError, OverflowError):
+        return str(action)
+    return labels[index] if 0 <= index < len(labels) else str(action)
+
+
+def inputs_name(inputs: Any) -> str:
+    """Acceleration [m/s^2] and front wheel angle [rad], (2,), such as "+5.0 m/s², −1.2°"."""
+    acceleration, wheel = (float(x) for x in np.ravel(inputs))
+    return f"{acceleration:+.1f} m/s², {np.degrees(wheel):+.1f}°".replace("-", "−")
+
+
+def done(at: Decision, record: Decision, name: Any, speed: float) -> str:
+    """What was done instead of a proposal.
+
+    Parameters
+    ----------
+    at : the decision that refused it. record : the step's. name : names an action.
+    speed : of the ego at `at` [m/s].
+    """
+    if isinstance(at.executed, np.ndarray) and at.executed.shape == (2,) and at.executed is not record.executed:
+        return f"{inputs_name(at.executed)} instead"
+    command = at.executed
+    if _acceleration(command) is None:
+        if record.intervention is Intervention.OTHER_ACTION:
+            return f"{name(record.executed)} instead"
+        command = None if record.held is None else record.held.executed
+    acceleration = _acceleration(command)
+    frames = f" in {record.frames_overridden} of {record.frames} frames" if record.frames else ""
+    if acceleration is not None:
+        how = f"{acceleration:+.1f} m/s² from {speed:.1f} m/s" if isfinite(speed) else f"{acceleration:+.1f} m/s²"
+        return f"held at {how}{frames} instead".replace("-", "−")
+    if record.intervention is Intervention.NONE:
+        return f"{name(record.executed)} all the same"
+    return f"held back{frames} instead"
+
+
+def _acceleration(command: Any) -> float | None:
+    """Of a command for one frame [m/s^2]; None of an action."""
+    given = command.get("acceleration") if isinstance(command, dict) else getattr(command, "acceleration", None)
+    return None if given is None else float(given)
+
+
+def proof(at: Decision, lost: Lost) -> str:
+    """Why what was done is right."""
+    if at.tier in _PROOFS:
+        return f"{_PROOFS[at.tier]} ({_LOST[lost]})"
+    if at.reason is Reason.RESUME:
+        return "the speed that the shield has taken from it before"
+    return f"verified, {number(at.margin)} m beyond the buffer" if isfinite(at.margin) else "verified"
+
+
+def nothing_judged(at: Decision, record: Decision, name: Any, speed: float, proposal: str, frame: int) -> Explanation:
+    """A step in which nothing was judged: the action was none, or the scene or the policy failed."""
+    nothing, lost = float("nan"), Lost.NOTHING if at.tier in (Tier.STORED_PLAN, Tier.ALTERNATIVE) else Lost.GUARANTEE
+    tail = done(at, record, name, speed), proof(at, lost)
+    return Explanation(proposal, at.reason, "", None, nothing, nothing, at.reason.text, *tail, at.margin, frame, lost)

@@ -18,6 +18,7 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 from dynamics.roads.straight import StraightRoad
 from shield.errors import ConfigError
 from shield.perception.grid_spec import GridSpec, Spec, spec_from_config
+from shield.perception.legible import check_ranges
 from shield.perception.undoing import SAME, check_wrappers
 from shield.refusals import check_frequency, check_target_speeds, refuse_manual_control
 
@@ -100,6 +101,9 @@ class Known:
         if len(self.target_speeds) < 2 or not np.all(np.diff(self.target_speeds) > 0):
             raise ConfigError(f"target speeds ascend, and there are at least two, got {self.target_speeds}")
         check_target_speeds(self.target_speeds)
+        if self.noise is None:
+            centers = self.road.centers + self.road.origin[1]
+            check_ranges(self.spec, (self.speed, *self.target_speeds), centers.tolist())
 
     @classmethod
     def from_config(cls, config: Mapping[str, Any], stacked: int = 1) -> Known:

@@ -17,6 +17,7 @@ from shield.errors import ConfigError, SceneError
 from shield.perception.grid_perception import GridPerception
 from shield.perception.grid_spec import GridSpec, Spec, spec_of
 from shield.perception.learned import Learned
+from shield.perception.legible import check_ranges
 from shield.perception.perceiving import ObservationPerception, PerceptionConfig
 from shield.perception.spec import ObservationSpec
 from shield.perception.undoing import check_wrappers, latest, stacked_in
@@ -59,7 +60,13 @@ class ObservedScenes:
         return self._perception
 
     def check(self) -> None:
-        """Begin an episode: read the road map, and what observations mean."""
+        """Begin an episode: read the road map, and what observations mean.
+
+        Raises
+        ------
+        ConfigError
+            If observations cannot be read, or clipping hides what a scene is made of.
+        """
         self._inner.check()
         if self._inner.map.heading:
             raise SceneError("observations are read on roads along x only")
@@ -68,6 +75,8 @@ class ObservedScenes:
         frames = int(config["simulation_frequency"] // config["policy_frequency"])
         check_wrappers(self._env)
         spec = spec_of(base)
+        ego, road = base.vehicle, self._inner.map
+        speeds = [float(ego.speed), *map(float, getattr(ego, "target_speeds", ()))]
         without_data_frames(base.observation_type)  # it is asked at each frame
         settings, sensor = self._config, _sensor_of(self._env)
         if sensor is not None and isinstance(spec, ObservationSpec):
@@ -76,6 +85,7 @@ class ObservedScenes:
             settings = replace(settings, delay=settings.delay + sensor.sensor_delay)
             # What is noisy may be beyond the range that it was clipped to.
             spec = replace(spec, clip=False, sensor_range=float(getattr(sensor, "sensor_range", inf)))
+        check_ranges(spec, speeds, (road.centers + road.origin[1]).tolist())
         before = self._perception
         kept = before.learned if isinstance(before, ObservationPerception) and settings.carry else None
         self._perception = perception_of(spec, self._inner.map, (dt, frames), settings, kept)

@@ -35,7 +35,8 @@ class Sighting:
     heading : of the ego [rad], NaN where it is not a feature.
     places : row of each of the others, (m,).
     full : whether there is no empty row, so that more may be there than are shown.
-    cut : whether some row is at the edge of a range: somebody is there, and nobody knows where.
+    cut : whether some row is at the edge of a range: somebody is there, and nobody knows where. Rows beyond a range of
+        x that ends before the ego's sight are out of sight.
     """
 
     ego: FloatArray
@@ -70,7 +71,20 @@ def decode(spec: ObservationSpec, observation: object) -> Sighting:
         names = [name for k, name in enumerate(STATE) if k and lost & (1 << k)]
         raise SceneError(f"the ego's {', '.join(names)} is at the edge of its range: nobody knows what it is")
     ego, others = states[0], states[1:known]
-    return Sighting(ego, others, _heading(named, ego_row), places[1:known], shown == n, known < shown)
+    cut = known < shown and known + _out_of_sight(spec, rows, named[0], int(where[0])) < shown
+    return Sighting(ego, others, _heading(named, ego_row), places[1:known], shown == n, cut)
+
+
+def _out_of_sight(spec: ObservationSpec, rows: FloatArray, presence: int, column: int) -> int:
+    """How many rows are at an edge of x that is nearer than the ego sees: these are out of sight, and no more is asked
+    of them."""
+    if spec.absolute or "x" not in spec.ranges:  # type: ignore[operator]
+        return 0
+    low, high = spec.ranges["x"]  # type: ignore[index]
+    there = rows[:, presence] > 0.5 if presence >= 0 else np.abs(rows).max(axis=1) > _FULL
+    ahead = (rows[:, column] >= _EDGE) & (high < spec.distance)
+    behind = (rows[:, column] <= -_EDGE) & (-low < spec.distance)
+    return int((there & (ahead | behind))[1:].sum())
 
 
 @uncounted

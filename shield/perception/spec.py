@@ -20,6 +20,8 @@ _KNOWN = (
     *("presence", *STATE, "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off"),
     *("confidence", "intent"),  # what wrappers add
 )
+_THERE = 0.5
+"""Rows with no more presence are empty."""
 _ORDERS = ("sorted", "shuffled")
 
 
@@ -90,11 +92,27 @@ class ObservationSpec:
         for name, (low, high) in self.ranges.items():  # type: ignore[union-attr]
             if not -inf < low < high < inf:
                 raise ConfigError(f"the range of {name!r} has to ascend, got {low} to {high}")
+        low, high = self.ranges.get("presence", (-1.0, 1.0))  # type: ignore[union-attr]
+        if not 2.0 * (1.0 - low) / (high - low) - 1.0 > _THERE:
+            raise ConfigError(
+                f"a row's presence of 1 has to be shown above {_THERE}: leave 'presence' out of "
+                f"config['observation']['features_range'], which has [{low:g}, {high:g}]"
+            )
         if self.clip and self.absolute and "x" in self.ranges:  # type: ignore[operator]
             raise ConfigError(
                 "absolute x that is clipped says nothing once the ego has left its range: set 'absolute' or 'clip' "
                 "of config['observation'] to False"
             )
+
+    @property
+    def sight(self) -> tuple[float, float]:
+        """How far ahead and behind the ego sees [m]: x is shown relative to it, and may be clipped before that."""
+        far = min(self.distance, self.sensor_range)
+        back = far if self.see_behind else min(self.behind, far)
+        if self.clip and not self.absolute and "x" in self.ranges:  # type: ignore[operator]
+            low, high = self.ranges["x"]  # type: ignore[index]
+            return min(far, max(high, 0.0)), min(back, max(-low, 0.0))
+        return far, back
 
     @property
     def shape(self) -> tuple[int, int]:

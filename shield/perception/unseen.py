@@ -73,8 +73,7 @@ class Unseen:
 
 def edges(spec: ObservationSpec, sighting: Sighting) -> tuple[float, float]:
     """How far ahead and behind, from centre to centre, everybody is seen [m]."""
-    far = min(spec.distance, spec.sensor_range)
-    back = far if spec.see_behind else min(spec.behind, far)
+    far, back = spec.sight
     if sighting.full or sighting.cut:
         # Rows are sorted by how far each is along the road; who is left out is no nearer than the last.
         furthest = float(np.abs(sighting.others[:, 0]).max(initial=0.0))

@@ -1,0 +1,70 @@
+"""Whether what an observation shows stays within its clipped ranges while the ego drives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import pi
+
+from shield.errors import ConfigError
+from shield.perception.grid_spec import GridSpec, Spec
+from shield.perception.unseen import Unseen
+
+__all__ = ["check_ranges"]
+
+_ACROSS = 0.3
+"""Greatest speed across the road, as a share of the speed: 11.6 m/s at 40 m/s, with lane changes to and fro at 5 Hz."""
+_LANE = 2.0
+"""Half the width of a lane [m]."""
+_SAME = 1e-6
+"""A number so near to the edge of its range may stand for anything beyond it, as a share of the range."""
+
+
+def check_ranges(spec: Spec, speeds: Sequence[float], centers: Sequence[float]) -> None:
+    """Raise where clipping hides what has to be known: the ego's own speed and place, and the speeds of the others.
+
+    Parameters
+    ----------
+    spec : what the observations mean.
+    speeds : which the ego may have, its target speeds and the one that it has [m/s].
+    centers : y of the lanes' centers [m].
+
+    Raises
+    ------
+    ConfigError
+        That lists the ranges that are too narrow, and what each has to hold.
+    """
+    if not spec.clip:
+        return
+    narrow = [
+        f"{name} {list(spec.ranges[name])} has to reach beyond [{low:g}, {high:g}]"  # type: ignore[index]
+        for name, (low, high) in _needed(spec, max(speeds), centers).items()
+        if name in spec.features and not _holds(spec, name, low, high)
+    ]
+    if narrow:
+        raise ConfigError(
+            "clipping hides what a scene is made of: widen config['observation']['features_range'], or set 'clip' to "
+            f"False: {'; '.join(narrow)}"
+        )
+
+
+def _needed(spec: Spec, fastest: float, centers: Sequence[float]) -> dict[str, tuple[float, float]]:
+    """The least and the greatest value of each feature while the ego drives no faster."""
+    across, slower = _ACROSS * fastest, max(fastest - Unseen().slowest, 0.0)
+    if isinstance(spec, GridSpec):
+        return {"vx": (-slower, slower), "vy": (-across, across)}
+    first, last = min(centers) - _LANE, max(centers) + _LANE
+    apart = 0.0 if spec.absolute else max(centers) - min(centers)
+    return {
+        "vx": (0.0 if spec.absolute else -slower, fastest),
+        "vy": (-across, across),
+        "y": (min(first, -apart), max(last, apart)),
+        "heading": (-pi / 2, pi / 2),
+    }
+
+
+def _holds(spec: Spec, name: str, low: float, high: float) -> bool:
+    ends = spec.ranges.get(name)  # type: ignore[union-attr]
+    if ends is None:
+        return True
+    slack = _SAME * (ends[1] - ends[0])
+    return ends[0] + slack < low and high < ends[1] - slack

@@ -7,10 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from highway_env.envs.common.action import ContinuousAction
+
 from dynamics.networks.refusals import check_network, on_network
 from dynamics.networks.simulator import NetworkSimulator
 from dynamics.scenes.parking_lot import is_lot
+from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.simulator.own_methods import check_moves
+from dynamics.simulator.scenario import scenario_of_live
 from dynamics.traffic.assumptions import Assumptions
 from shield.config import SIMULATED, WORST_CASE, ShieldConfig
 from shield.decision import Verification
@@ -25,7 +29,7 @@ Given = ShieldConfig | str | None
 _log = logging.getLogger("shield")
 _CHOOSE = 'To choose, pass config="simulated", config="worst-case" or a ShieldConfig.'
 _FORGOTTEN = (
-    "These settings have the assumptions of a straight highway; without settings this traffic would be simulated: pass "
+    "These settings assume a highway with supervised frames; without settings this traffic would be simulated: pass "
     "ShieldConfig.exact().replace(...) instead"
 )
 _PROMISES = {
@@ -106,7 +110,8 @@ def choose_settings(given: Given, place: Place) -> Chosen:
     """The settings for an environment of one ego or several.
 
     Without settings, highway-env's own traffic is simulated on a network of roads, and wherever the worst case cannot
-    be verified (several egos, tyres that slip). Elsewhere, and where the traffic is unknown, the worst case is taken.
+    be verified to a standstill (several egos, tyres that slip, meta-actions without frames). Elsewhere, and where the
+    traffic is unknown, the worst case is taken.
     """
     worst = _worst_case(place)
     if isinstance(given, str):
@@ -134,11 +139,15 @@ def verification_of(config: ShieldConfig) -> Verification:
 
 def why_not_simulated(base: Any) -> str:
     """Why the traffic of an environment, unwrapped and reset, cannot be simulated, in words; "" where it can."""
+    if isinstance(base, CompiledHighwayEnv):
+        return ""
     try:
         if on_network(base):
             check_network(base)
         else:
             check_moves(base)
+            if not isinstance(base.action_type, ContinuousAction):
+                scenario_of_live(base, observes=False)
         NetworkSimulator(base)
     except (ConfigError, SceneError) as error:
         return str(error)
@@ -149,6 +158,8 @@ def _better_simulated(place: Place) -> bool:
     base = place.base
     if base is None or base.road is None or is_lot(base):
         return False
+    if not (place.inputs or place.frames):
+        return True
     slips = place.inputs and getattr(base.action_type, "dynamical", False)
     return has_crossings(base) or len(getattr(base, "controlled_vehicles", ())) > 1 or slips
 

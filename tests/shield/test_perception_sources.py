@@ -31,7 +31,7 @@ def test_observations_alone_decide_as_with_the_environment(actions, seed):
     env = make()
     one = driven(Shield(Actions(actions), env=env, **FRAMELESS), env, seed, 12)
     assert driven(Shield(Actions(actions), known=Known.from_config(configured()), **FRAMELESS), env, seed, 12) == one
-    state = driven(Shield(Actions(actions), env=env, frames=False), env, seed, 12)
+    state = driven(Shield(Actions(actions), env, "worst-case", frames=False), env, seed, 12)
     # Who breaks a rule is seen in exact states only, and with that which fallback it is where nothing verifies.
     for there, seen in zip(state, one, strict=False):
         assert (there[1].fallback, there[4]) == (seen[1].fallback, seen[4])

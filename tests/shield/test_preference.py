@@ -82,7 +82,7 @@ def test_an_override_is_the_first_in_order_that_verifies(scores):
     env, seen = make(duration=20), 0
     for seed in range(2):
         obs, _ = env.reset(seed=seed)
-        shielded = Shield(Always(3) if scores is None else Ranked(3, scores), env=env, frames=False)
+        shielded = Shield(Always(3) if scores is None else Ranked(3, scores), env, "worst-case", frames=False)
         done = False
         while not done:
             scene = Scene.from_env(env)

@@ -16,6 +16,7 @@ from slowly import later
 
 from evaluation.policies import load_reference
 from shield import Shield, ShieldConfig, ShieldedEnv
+from shield.config import WORST_CASE
 from shield.doors.meta_door import MetaDoor
 from shield.procedures.decide import Core, decide
 
@@ -45,7 +46,7 @@ def behind_env(kind, config=None, shield=None, policy=None):
 def behind_policy(kind, config=None):
     env = gym.make(kind, config=config or {})
     policy = Random(env.action_space)
-    return env, Shield(policy, env=env, frames=False), lambda: Shield(policy, env=env, frames=False)
+    return env, Shield(policy, env, WORST_CASE, frames=False), lambda: Shield(policy, env, WORST_CASE, frames=False)
 
 
 CASES = {

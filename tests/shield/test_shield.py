@@ -252,7 +252,7 @@ def test_two_environments_are_filtered_row_by_row_and_auto_reset_forgets():
     vec = DummyVecEnv([lambda: make(duration=3), lambda: make(duration=5)])
     vec.seed(0)
     obs = vec.reset()
-    shielded, fresh = Shield(Always(3), env=vec, frames=False), [None, None]
+    shielded, fresh = Shield(Always(3), vec, "worst-case", frames=False), [None, None]
     for _ in range(16):
         action, _ = shielded.predict(obs)
         assert action.shape == (2,)
@@ -263,7 +263,7 @@ def test_two_environments_are_filtered_row_by_row_and_auto_reset_forgets():
                 assert same(other.last_decisions[i], shielded.last_decisions[i])
         obs, _, dones, _ = vec.step(action)
         # From an episode's start on, the shield decides as one that has seen nothing before.
-        fresh = [Shield(Always(3), env=vec, frames=False) if dones[i] else fresh[i] for i in range(2)]
+        fresh = [Shield(Always(3), vec, "worst-case", frames=False) if dones[i] else fresh[i] for i in range(2)]
     assert None not in fresh
 
 

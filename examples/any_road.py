@@ -1,4 +1,7 @@
-"""Any road of highway-env: throttle and steering on a roundabout, and four egos at an intersection."""
+"""Any road of highway-env: throttle and steering on a roundabout, and four egos at an intersection.
+
+Takes 5 s on one core.
+"""
 
 import gymnasium as gym
 import highway_env  # noqa: F401

@@ -1,4 +1,7 @@
-"""Model predictive control on highway-env's bicycle drives by itself; the shield watches it like any other policy."""
+"""Model predictive control on highway-env's bicycle drives by itself; the shield watches it like any other policy.
+
+Takes 13 s on one core.
+"""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)

@@ -1,4 +1,7 @@
-"""Paired episodes with and without the shield, the summary with its intervals, and a plot of both returns."""
+"""Paired episodes with and without the shield, the summary with its intervals, and a plot of both returns.
+
+Takes 22 s on one core.
+"""
 
 import os
 from pathlib import Path

@@ -1,4 +1,7 @@
-"""MaskablePPO asks the shield for its masks: what does not verify is not tried in the first place."""
+"""MaskablePPO asks the shield for its masks: what does not verify is not tried in the first place.
+
+Takes 134 s on one core.
+"""
 
 import os
 

@@ -1,4 +1,7 @@
-"""A shield that sees only what the policy sees, through a sensor with half a metre of noise."""
+"""A shield that sees only what the policy sees, through a sensor with half a metre of noise.
+
+Takes 13 s on one core.
+"""
 
 import os
 

@@ -1,4 +1,7 @@
-"""A rule of your own in the place of the certificate: nobody ahead may be reached in less than three seconds."""
+"""A rule of your own in the place of the certificate: nobody ahead may be reached in less than three seconds.
+
+Takes 5 s on one core.
+"""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)

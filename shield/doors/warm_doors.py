@@ -7,13 +7,14 @@ from functools import cache
 import gymnasium as gym
 import numpy as np
 
+from shield.compiling import announced
 from shield.config import ShieldConfig
 from shield.doors.road_door import RoadDoor
 from shield.doors.simulated.exact_door import ExactDoor
 from shield.doors.simulated.exact_input_door import ExactInputDoor
 from shield.doors.simulated.team_door import TeamDoor
 from shield.doors.which import Door
-from shield.procedures.warm_up import announced, warm_up
+from shield.procedures.warm_up import warm_up
 
 __all__ = ["warm_up_door", "warm_up_exact", "warm_up_exact_inputs", "warm_up_roads"]
 
@@ -35,7 +36,7 @@ def warm_up_door(door: Door | TeamDoor) -> None:
 @cache
 def warm_up_exact(network: bool) -> None:
     """What `warm_up` does for the other doors, on a straight highway or on a network of roads."""
-    with announced(30):
+    with announced("simulated networks" if network else "simulated highways"):
         env = gym.make("u-turn-v1") if network else gym.make("highway-fast-v0", config={"vehicles_count": 3})
         env.reset(seed=0)
         ExactDoor(env.unwrapped, ShieldConfig.exact()).rehearse()
@@ -44,7 +45,7 @@ def warm_up_exact(network: bool) -> None:
 @cache
 def warm_up_exact_inputs() -> None:
     """What `warm_up` does for the other doors."""
-    with announced(40):
+    with announced("simulated throttle and steering"):
         env = gym.make("highway-fast-v0", config={"vehicles_count": 3, "action": {"type": "ContinuousAction"}})
         env.reset(seed=0)
         door = ExactInputDoor(env.unwrapped, ShieldConfig.exact())
@@ -55,7 +56,7 @@ def warm_up_exact_inputs() -> None:
 @cache
 def warm_up_roads() -> None:
     """What `warm_up` does for the other doors."""
-    with announced(60):
+    with announced("worst case on networks"):
         env = gym.make("roundabout-v1")
         env.reset(seed=0)
         door = RoadDoor(env.unwrapped, ShieldConfig.for_roads())

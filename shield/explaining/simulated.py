@@ -122,7 +122,7 @@ class Simulated:
             inputs[:], action = action, ANY
         elif not 0 <= action < search.order.shape[0]:
             return rows[:0], 0
-        with announced(20):
+        with announced("explanations in simulated traffic"):
             count, ego = foretell_refused(search, self.worlds, int(action), inputs, self.hint, rows)
         return rows[:count], ego
 

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
-from threading import Timer
 
 import numpy as np
-from numba.core.event import Event, Listener, install_listener
 
 from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import EgoControl, Scene, Target
 from shield.certificate.memory import Memory
+from shield.compiling import announced
 from shield.config import ShieldConfig
 from shield.procedures.decide import decide
 from shield.procedures.frames import Frames
@@ -22,47 +18,13 @@ from shield.procedures.meta_actions import MetaActions
 from shield.procedures.screen import Wish
 from shield.rules import RssRule, TtcRule
 
-__all__ = ["announced", "warm_up"]
-
-_log = logging.getLogger("shield")
-_PATIENCE = 1.0
-"""Time after which it is said what is waited for [s]."""
-
-
-@contextmanager
-def announced(seconds: int) -> Iterator[None]:
-    """Says what is waited for where something is compiled and that takes long; `seconds` is what it takes at most,
-    about. Reading what is compiled already is not announced, however busy the machine."""
-    waiting = _Compiling(seconds)
-    with install_listener("numba:compile", waiting):
-        try:
-            yield
-        finally:
-            waiting.said.cancel()
-
-
-class _Compiling(Listener):
-    """Starts to wait when numba begins to compile."""
-
-    def __init__(self, seconds: int) -> None:
-        self._begun = False
-        message = f"compiling the shield's kernels: once after installation, some {seconds} s"
-        self.said = Timer(_PATIENCE, _log.warning, [message])
-        self.said.daemon = True
-
-    def on_start(self, event: Event) -> None:
-        if not self._begun:
-            self._begun = True
-            self.said.start()
-
-    def on_end(self, event: Event) -> None:
-        pass
+__all__ = ["warm_up"]
 
 
 @cache
 def warm_up() -> None:
     """Make some decisions in a small scene; says what it waits for where that takes long."""
-    with announced(15):
+    with announced("worst case on highways"):
         config = ShieldConfig()
         frames, meta = Frames(config), MetaActions(config)
         inputs = Inputs(config, predictive=False)

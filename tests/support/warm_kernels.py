@@ -7,44 +7,13 @@ from __future__ import annotations
 
 from joblib import Parallel, delayed
 
-from dynamics.networks.episodes.simulator import RoadSimulator
-from shield.batch.highways import ShieldedHighways
-from shield.doors.warm_doors import warm_up_exact, warm_up_exact_inputs, warm_up_roads
-from shield.exact.highways import ExactHighways
-from shield.exact.roads import ExactRoads
+from shield.doors.warm_parts import PARTS
 
 
-def shielded() -> None:
-    highways = ShieldedHighways("highway-fast-v0", 1)
-    highways.reset([0])
-    highways.masks()
-    highways.step([3])
-
-
-def exact() -> None:
-    highways = ExactHighways("highway-fast-v0", 1)
-    highways.reset([0])
-    highways.masks()
-    highways.step([3])
-    warm_up_exact(False)
-
-
-def networks() -> None:
-    warm_up_exact(True)
-    warm_up_exact_inputs()
-    roads = ExactRoads("merge-v0", 1)
-    roads.reset([0])
-    roads.masks()
-    roads.step([1])
-
-
-def roads() -> None:
-    RoadSimulator("merge-v0", 1).step([1])
-
-
-def worst_case() -> None:
-    warm_up_roads()
+def compile_part(part: str) -> None:
+    """Compile one part, or read it from the disk."""
+    PARTS[part]()
 
 
 if __name__ == "__main__":
-    Parallel(n_jobs=-1)(delayed(each)() for each in (shielded, exact, networks, worst_case, roads))
+    Parallel(n_jobs=-1)(delayed(compile_part)(part) for part in PARTS)

@@ -1,0 +1,58 @@
+"""Everything that the shield compiles, in parts: `shield warm` compiles them all ahead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from types import MappingProxyType
+
+from dynamics.networks.episodes.simulator import RoadSimulator
+from shield.batch.highways import ShieldedHighways
+from shield.doors.warm_doors import warm_up_exact, warm_up_exact_inputs, warm_up_roads
+from shield.exact.highways import ExactHighways
+from shield.exact.roads import ExactRoads
+from shield.procedures.warm_up import warm_up
+
+__all__ = ["PARTS"]
+
+
+def _compiled_highway() -> None:
+    highways = ShieldedHighways("highway-fast-v0", 1)
+    highways.reset([0])
+    highways.masks()
+    highways.step([3])
+
+
+def _simulated_compiled_highway() -> None:
+    highways = ExactHighways("highway-fast-v0", 1)
+    highways.reset([0])
+    highways.masks()
+    highways.step([3])
+
+
+def _compiled_networks() -> None:
+    RoadSimulator("merge-v0", 1).step([1])
+
+
+def _simulated_compiled_networks() -> None:
+    roads = ExactRoads("merge-v0", 1)
+    roads.reset([0])
+    roads.masks()
+    roads.step([1])
+
+
+PARTS: Mapping[str, Callable[[], None]] = MappingProxyType(
+    {
+        "worst case on highways": warm_up,
+        "simulated highways": partial(warm_up_exact, False),
+        "simulated networks": partial(warm_up_exact, True),
+        "simulated throttle and steering": warm_up_exact_inputs,
+        "worst case on networks": warm_up_roads,
+        "compiled highway": _compiled_highway,
+        "compiled highway, simulated traffic": _simulated_compiled_highway,
+        "compiled networks": _compiled_networks,
+        "compiled networks, simulated traffic": _simulated_compiled_networks,
+    }
+)
+"""What compiles each part, or reads it from the disk. How long the first five take is known by the same names in
+`shield.compiling`; the others are for many environments at once."""

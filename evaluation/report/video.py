@@ -13,6 +13,9 @@ from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
+from highway_env.envs.exit_env import ExitEnv
+from highway_env.envs.highway_env import HighwayEnv
+from highway_env.envs.two_way_env import TwoWayEnv
 from PIL import Image
 
 from dynamics.state import RoadState
@@ -78,16 +81,19 @@ class Film:
 _ROAD = {"screen_width": 1100, "screen_height": 150, "scaling": 9.0, "centering_position": [0.2, 0.5]}
 _TRACK = {"screen_width": 1000, "screen_height": 500, "scaling": 9.0, "centering_position": [0.5, 0.5]}
 """Pictures: a strip along a straight road, and what is around the ego on any other."""
-_STRAIGHT = ("highway", "two-way")
+_STRAIGHT = (HighwayEnv, TwoWayEnv)
 
 
 def _filmed(setting: Setting, smooth: bool = True) -> Setting:
     """The setting as it is filmed: large pictures, and a high simulation frequency, which makes it another episode."""
     frequency = {"simulation_frequency": max(_FREQUENCY, setting.configured.get("simulation_frequency", 0))}
+    env = setting.make()
+    straight = isinstance(env.unwrapped, _STRAIGHT) and not isinstance(env.unwrapped, ExitEnv)
+    env.close()
     return setting.override(
         {
             **(frequency if smooth else {}),
-            **(_ROAD if any(name in setting.env_id for name in _STRAIGHT) else _TRACK),
+            **(_ROAD if straight else _TRACK),
             "offscreen_rendering": True,
         }
     )

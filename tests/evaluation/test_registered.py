@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from dynamics.scenes.registration import spec_of
 from evaluation.commands.cli import app
 from evaluation.rare.finds import Find, replay
+from evaluation.report.video import _filmed
 from evaluation.running.certify import Asked, certify
 from evaluation.running.episodes import run_episode
 from evaluation.running.records import Variant
@@ -101,6 +102,7 @@ def test_every_command_takes_an_environment_by_its_id(tmp_path):
     film = tmp_path / "film.gif"
     shield("film", str(film), "--policy", "faster")
     assert film.stat().st_size > 10_000
+    assert _filmed(setting_of("registered-own-v0")).config["screen_width"] == 1100, "a strip along a straight road"
     find = tmp_path / "find.json"
     shield("falsify", str(find), "--episodes", "500")
     found = Find.load(find)

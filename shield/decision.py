@@ -29,6 +29,7 @@ class Reason(StrEnum):
     TTC = "ttc"
     UNVERIFIED = "unverified"
     RESUME = "resume"
+    PRECAUTION = "precaution"
     NO_SAFE_PLAN = "no_safe_plan"
     BAD_ACTION = "bad_action"
     BAD_SCENE = "bad_scene"
@@ -49,6 +50,7 @@ _TEXT = {
     Reason.TTC: "the time to collision was below the threshold",
     Reason.UNVERIFIED: "some behaviour within the assumptions would bring a vehicle into the buffer",
     Reason.RESUME: "the policy has no throttle; the shield brings the ego back to the speed that it took from it",
+    Reason.PRECAUTION: "a precaution refused every plan; the stored plan, which still verifies, was played on",
     Reason.NO_SAFE_PLAN: "nothing verified; the fallback acted (stored plan, or the largest margin)",
     Reason.BAD_ACTION: "the policy's action was outside the action space or not finite",
     Reason.BAD_SCENE: "the scene could not be read or was not finite; the fallback acted",

@@ -32,6 +32,7 @@ __all__ = [
     "Room",
     "Scene",
     "Shields",
+    "bound_of",
     "empty_records",
     "empty_shields",
     "new_room",
@@ -183,6 +184,13 @@ def scene_of(shields: Shields, law: Law, e: int) -> Scene:
     slipping = shields.slipping[e, : shields.slips[e]]
     foot, settings = Footprint(*numbers_of(law.size, 8)), settings_from(law.settings)
     return Scene(shields.ego[e], shields.state[e], around, ground, slipping, foot, settings)
+
+
+@inlined
+def bound_of(scene: Scene) -> Scene:
+    """The same without precautions, see `shield.certificate.verify.Surveyor.without_cut_ins`."""
+    none = scene.slipping[:0]
+    return Scene(scene.ego, scene.state, scene.around, scene.ground, none, scene.foot, scene.settings)
 
 
 def empty_shields(e: int, m: int, law: Law) -> Shields:

@@ -15,10 +15,11 @@ from shield.batch.arrays import Bench, Records, Room, Scene, Shields, scene_of
 from shield.batch.law import NOBODY, Law
 from shield.batch.observing import observe
 from shield.batch.repairing import fail_lanes, hold_back
-from shield.batch.supervising import forgive
+from shield.batch.supervising import forgive, keep_stored, violated
 from shield.batch.verifying import frames_of, verify
 from shield.batch.vocabulary import REASONS, TIERS
 from shield.certificate.clauses.together import NOTHING_BINDS
+from shield.certificate.verify import ROUNDING
 from shield.decision import Reason, Tier
 from shield.procedures.meta_actions import CAPS
 from shield.repair.order import CLEAR, GAIN, IN_LANE, OUTLOOK
@@ -31,6 +32,7 @@ _PASSED, _GOVERNED, _ALTERNATIVE = TIERS.index(Tier.PASSED), TIERS.index(Tier.GO
 _STORED, _EMERGENCY = TIERS.index(Tier.STORED_PLAN), TIERS.index(Tier.EMERGENCY)
 _NONE, _BUFFER, _UNVERIFIED = (REASONS.index(x) for x in (Reason.NONE, Reason.BUFFER, Reason.UNVERIFIED))
 _RSS, _TTC, _NO_PLAN = (REASONS.index(x) for x in (Reason.RSS, Reason.TTC, Reason.NO_SAFE_PLAN))
+_PRECAUTION = REASONS.index(Reason.PRECAUTION)
 _BAD_SCENE, _BAD_ACTION = REASONS.index(Reason.BAD_SCENE), REASONS.index(Reason.BAD_ACTION)
 
 
@@ -203,6 +205,15 @@ def _keep(shields: Shields, records: Records, e: int, tier: int, reason: int, ex
 
 
 @inlined
+def _only_refused(bench: Bench, e: int) -> bool:
+    """Whether nothing but a precaution refuses every plan: the stored one still verifies, and nobody breaks a rule."""
+    shields = held(bench.shields)
+    if shields.stored[e] == NOBODY or violated(shields, e):
+        return False
+    return keep_stored(bench, e) >= -ROUNDING
+
+
+@inlined
 def _give_up(shields: Shields, law: Law, records: Records, e: int, reason: int) -> None:
     """Slow down, and leave it to the frames to play the stored plan on."""
     records.tier[e] = _EMERGENCY if shields.stored[e] == NOBODY else _STORED
@@ -315,4 +326,4 @@ def decide(bench: Bench, e: int, proposed: int, order: IntArray) -> None:
     if executed != NOBODY:
         _keep(shields, records, e, _ALTERNATIVE, reason, executed, found)
         return
-    _give_up(shields, law, records, e, _NO_PLAN)
+    _give_up(shields, law, records, e, _PRECAUTION if _only_refused(bench, e) else _NO_PLAN)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import inlined, numbers_of, uncounted
 from dynamics.lending import held, lent
 from dynamics.roads.straight import nearest
 from dynamics.simulator.engine import Worlds, write_row
@@ -12,12 +12,14 @@ from dynamics.simulator.layout import TARGET_SPEED
 from dynamics.state import FloatArray
 from dynamics.traffic.occupancy import look
 from dynamics.traffic.permits import Ego, Rule, judge_motions
+from dynamics.traffic.tables import bodies_of
 from dynamics.vehicle.controllers import KP_SPEED
 from shield.batch.arrays import Bench, Room, Shields, scene_of
 from shield.batch.law import NOBODY, Law
 from shield.batch.verifying import frames_of, verify
-from shield.certificate.clauses.duties import hold_lanes
-from shield.certificate.clauses.others import TOUCH
+from shield.certificate.clauses.duties import counted_on, hold_lanes
+from shield.certificate.clauses.footprint import Footprint
+from shield.certificate.clauses.others import TOUCH, others_from
 from shield.certificate.clauses.scene import seen
 from shield.certificate.monitor import stayed
 
@@ -82,9 +84,12 @@ def observe(bench: Bench, e: int) -> bool:
     )
     # What the ego holds of the lanes, and who could enter which.
     coming = shields.flags[e, old, 2 + lanes : 2 + lanes if first else 2 + 2 * lanes]
-    touch = TOUCH + 0.5 * ego[5] + 0.5 * ego[4] * abs(math.sin(state[2]))
+    half = 0.5 * (ego[4] * abs(math.sin(state[2])) + ego[5] * abs(math.cos(state[2])))
+    touch, leave = TOUCH + half, 0.5 * numbers.width + half
     visible, owned, stored = shields.visible[e], shields.owned[e], shields.stored[e]
-    hold_lanes(state[1], centers, 1, law.settings[0], touch, stored, first, visible, owned, coming)
+    hold_lanes(
+        state[1], centers, 1, law.settings[0], touch, leave, stored, first, visible, owned, shields.owing[e], coming
+    )
     look(
         rows,
         states,
@@ -120,7 +125,7 @@ def observe(bench: Bench, e: int) -> bool:
         law.settings,
         owned,
         visible,
-        stored,
+        (stored, NOBODY),
         shields.owing[e, :known],
         coming,
         shields.of_others[e],
@@ -172,7 +177,14 @@ def observe(bench: Bench, e: int) -> bool:
         broken,
         grown,
     )
-    some, more = stayed(shields.owing[e], flags[0], flags[1], broken, grown, owing)
+    counted, flags0 = room.flags[1], shields.flags[e, old]
+    for i in range(m):
+        counted[i] = False
+    if stored != NOBODY:
+        others = others_from(bodies_of(marks, tables, brakes, recent), shields.of_others[e], flags)
+        foot, plan, followers = Footprint(*numbers_of(law.size, 8)), (stored, NOBODY), (flags0[0], flags0[1])
+        counted_on(others, state, foot, centers, plan, owned, followers, counted)
+    some, more = stayed(shields.owing[e], counted, flags[0], flags[1], broken, grown, owing)
     if more:
         # Who takes more room than before has to leave it to the ego's fail-safe.
         frames = stop_in(shields, law, e, nearest(centers, state[1]) if stored == NOBODY else stored, room)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dynamics.compiled import inlined, uncounted
 from dynamics.lending import Lent, held, lent
 from dynamics.simulator.layout import TARGET, TARGET_SPEED
-from shield.batch.arrays import Bench, Records, Room, Scene, Shields, scene_of
+from shield.batch.arrays import Bench, Records, Room, Scene, Shields, bound_of, scene_of
 from shield.batch.law import NOBODY
 from shield.batch.observing import observe, stop_in
 from shield.batch.repairing import evade, fail_lanes, hold_back
@@ -15,7 +15,7 @@ from shield.certificate.clauses.together import NOTHING_BINDS
 from shield.certificate.verify import ROUNDING
 from shield.decision import Reason, Tier
 
-__all__ = ["forgive", "supervise", "violated"]
+__all__ = ["forgive", "keep_stored", "supervise", "violated"]
 
 _PASSED, _GOVERNED, _STORED = TIERS.index(Tier.PASSED), TIERS.index(Tier.GOVERNED), TIERS.index(Tier.STORED_PLAN)
 _EVADED, _LARGEST, _EMERGENCY = (
@@ -25,6 +25,7 @@ _EVADED, _LARGEST, _EMERGENCY = (
 )
 _NONE, _UNVERIFIED = REASONS.index(Reason.NONE), REASONS.index(Reason.UNVERIFIED)
 _NO_PLAN, _BAD_SCENE = REASONS.index(Reason.NO_SAFE_PLAN), REASONS.index(Reason.BAD_SCENE)
+_PRECAUTION = REASONS.index(Reason.PRECAUTION)
 
 
 @inlined
@@ -61,14 +62,24 @@ def _note(records: Records, e: int, k: int, room: Room, i: int) -> None:
 
 
 @uncounted
+def keep_stored(bench: Bench, e: int) -> float:
+    """Judge the stored plan from now on as candidate 0, without precautions and in view of who has broken no rule; its
+    margin [m]."""
+    shields, law, room = held(bench.shields), held(bench.law), held(bench.room)
+    frames, x = stop_in(shields, law, e, shields.stored[e], room), law.numbers
+    scene = lent(bound_of(scene_of(shields, law, e)))
+    verify(bench, scene, x.one, x.one, frames, x.none, shields.offenders[e], x.none)
+    return float(room.plans.margins[0])
+
+
+@uncounted
 def _fall_back(bench: Bench, scene: Lent[Scene], e: int, k: int, speed: float) -> None:
     """The stored plan is kept as long as it clears those who have broken no rule; among what clears them, what clears
     the others longest is taken."""
     shields, law, room, records = held(bench.shields), held(bench.law), held(bench.room), held(bench.records)
     offended, stored, plans, braking = violated(shields, e), shields.stored[e], room.plans, law.numbers.braking
     if stored != NOBODY:
-        frames, x = stop_in(shields, law, e, stored, room), law.numbers
-        verify(bench, scene, x.one, x.one, frames, x.none, shields.offenders[e], x.none)
+        keep_stored(bench, e)
         margin, clause, vehicle = plans.margins[0], plans.clauses[0], plans.vehicles[0]
         if margin >= -ROUNDING or not offended:
             if offended:
@@ -78,7 +89,8 @@ def _fall_back(bench: Bench, scene: Lent[Scene], e: int, k: int, speed: float) -
                     _note(records, e, k, room, found)
                     shields.stored[e] = plans.fails[found]
                     return
-            _keep(records, e, k, _STORED, _NO_PLAN, stored, -braking)
+            reason = _PRECAUTION if margin >= -ROUNDING and not offended else _NO_PLAN
+            _keep(records, e, k, _STORED, reason, stored, -braking)
             records.margins[e, k], records.clauses[e, k], records.vehicles[e, k] = margin, clause, vehicle
             return
     found = evade(bench, scene, e, speed, offended)

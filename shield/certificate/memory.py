@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from dynamics.scenes.scene import Scene
-from dynamics.state import FloatArray, IntArray, RoadState, State, Vehicle
+from dynamics.state import BoolArray, FloatArray, IntArray, RoadState, State, Vehicle
 from dynamics.traffic.occupancy import Before, Surroundings
 from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.rollouts import Rollouts
@@ -20,13 +20,13 @@ from shield.certificate.clauses.others import TOUCH
 from shield.certificate.manoeuvres import Manoeuvres, brake_candidates
 from shield.certificate.monitor import Stillness, Watch
 from shield.certificate.nesting import nested
-from shield.certificate.verify import Binding, Clearance, Surveyor
+from shield.certificate.verify import Binding, Clearance, Surveyor, footprint_of
 from shield.config import ShieldConfig
 
 __all__ = ["FailSafe", "Instant", "Memory", "observe"]
 
 S = TypeVar("S")
-_FIRST = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=bool), np.zeros((0, 0), dtype=bool)
+_FIRST = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=bool), np.zeros(0, dtype=bool), np.zeros((0, 0), dtype=bool)
 """What is known of the lanes before the first scene."""
 
 
@@ -38,7 +38,8 @@ class Memory(Generic[S]):
     ----------
     frame : index of the simulation frame that was seen last; None where it is not known.
     stored : what plays the fail-safe on that was verified last: the lane that it stops in, the wheel angle that it
-        holds [rad], or the actions that are left of it. None without one.
+        holds [rad], or the actions that are left of it. None without one. entered : the lane beside the ego's own and
+        the last that it enters on the way; None without one.
     survey : who judged plans in the scene that was seen last; it knows the lanes that the ego owns, for how long it has
         been visible in each, and who may enter which.
     watch : what has been seen of the others.
@@ -50,6 +51,7 @@ class Memory(Generic[S]):
     survey: Surveyor | None = None
     watch: Watch | Stillness = field(default_factory=Watch)
     plan: FloatArray | None = None
+    entered: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +94,18 @@ class Instant:
         assert isinstance(self.memory.watch, Watch)
         scene, last, watch, lane = self.scene.narrowed(share), self.survey, self.memory.watch, self.memory.stored
         stored = lane if isinstance(lane, int) else None
-        return Surveyor(scene, self.config, last.visible, last.owned, None, None, watch.owing, last.comes, stored)
+        return Surveyor(
+            scene,
+            self.config,
+            last.visible,
+            last.owned,
+            None,
+            None,
+            watch.owing,
+            last.comes,
+            stored,
+            self.memory.entered,
+        )
 
     @cached_property
     def here(self) -> int:
@@ -105,10 +118,10 @@ class Instant:
         return paths, self.survey.clearance(paths, candidates.lanes, candidates.fails, hold)
 
     def fail_safe(self, lawful: bool = False) -> FailSafe:
-        """The stored fail-safe from now on; without one, that of the ego's own lane."""
+        """The stored fail-safe from now on, judged without precautions; without one, that of the ego's own lane."""
         lane = self.here if self.memory.stored is None else int(self.memory.stored)
-        survey = self.lawful if lawful else self.survey
-        path, result = _brake(self.scene, lane, self.config.braking, self.rollouts, survey)
+        survey = (self.lawful if lawful else self.survey).without_cut_ins()
+        path, result = _brake(self.scene, lane, self.config.braking, self.rollouts, survey, self.memory.entered)
         return FailSafe(lane, path, float(result.margin[0]), result.binding(0))
 
 
@@ -142,21 +155,22 @@ def observe(
     # Over more than a frame it is not known what turning has taken of each vehicle's way.
     frame_before = before if frames == 1 else None
     around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, frame_before, ego)
-    visible, owned, coming = _lanes(last, scene, config, frames, lane, same)
     watch = watch.of(same, len(scene.others))
+    visible, owned, coming = _lanes(last, scene, config, frames, lane, watch.owing, same)
     followers = None if last is None else watch.owing
-    survey = Surveyor(scene, config, visible, owned, around, None, followers, coming, lane)
+    survey = Surveyor(scene, config, visible, owned, around, None, followers, coming, lane, memory.entered)
 
     def separations() -> FloatArray:
         if fail_safe is not None:
             return fail_safe(survey)
         stop = lane if lane is not None else scene.road.lane_at(float(scene.ego_road[RoadState.R]))
-        return survey.of_each(_brake(scene, stop, config.braking, rollouts, survey)[1])
+        return survey.of_each(_brake(scene, stop, config.braking, rollouts, survey, memory.entered)[1])
 
     if scene.observed:
         before = None
-    watch = watch.next(survey, before, None if same is None else same < 0, frames * scene.dt, separations)
-    memory = Memory(scene.frame, memory.stored, survey, watch, memory.plan)
+    new = None if same is None else same < 0
+    watch = watch.next(survey, before, new, survey.counted(_followers(last, same)), frames * scene.dt, separations)
+    memory = Memory(scene.frame, memory.stored, survey, watch, memory.plan, memory.entered)
     return Instant(scene, config, memory, rollouts, survey)
 
 
@@ -173,6 +187,15 @@ def _same(last: Scene, scene: Scene) -> IntArray | None:
         return np.full(len(scene.others), -1)
     same = (scene.ids[:, None] == last.ids) & (scene.ids[:, None] >= 0)
     return np.where(same.any(axis=1), same.argmax(axis=1), -1)
+
+
+def _followers(last: Surveyor | None, same: IntArray | None) -> tuple[BoolArray, BoolArray] | None:
+    """Who was behind the ego in the last scene, and in a lane that it owned, (m,) bool in the order of this one."""
+    if last is None or same is None:
+        return None if last is None else (last.behind, last.held)
+    flags, known = np.zeros((2, len(same)), dtype=bool), same >= 0
+    flags[0, known], flags[1, known] = last.behind[same[known]], last.held[same[known]]
+    return flags[0], flags[1]
 
 
 def _before(last: Surroundings, same: IntArray, scene: Scene, config: ShieldConfig, ego: float) -> Before:
@@ -196,28 +219,33 @@ def _lanes(
     config: ShieldConfig,
     frames: int,
     stored: int | None,
-    same: IntArray | None = None,
+    owing: BoolArray,
+    same: IntArray | None,
 ) -> Any:
     """Frames for which the ego has been visible in each lane, which it owns, and who could enter which before: any
     newcomer."""
-    before = _FIRST
+    before: Any = _FIRST
     if last is not None and last.visible is not None and last.visible.shape == scene.road.centers.shape:
         comes = last.comes
         if same is not None:
             comes = np.ones((len(last.visible), len(same)), dtype=bool)
             comes[:, same >= 0] = last.comes[:, same[same >= 0]]
-        before = last.visible, last.owned, comes
-    swing = 0.5 * float(scene.ego[Vehicle.LENGTH]) * abs(math.sin(scene.ego_road[RoadState.HEADING]))
-    touch, sight = TOUCH + 0.5 * float(scene.ego[Vehicle.WIDTH]) + swing, config.assumptions.visible_distance
-    r = float(scene.ego_road[RoadState.R])
-    return lanes_held(r, scene.road.centers, frames, sight, touch, -1 if stored is None else stored, *before)
+        before = last.visible, last.owned, owing, comes
+    r, psi, sight = scene.ego_road[RoadState.R], scene.ego_road[RoadState.HEADING], config.assumptions.visible_distance
+    length, width = float(scene.ego[Vehicle.LENGTH]), float(scene.ego[Vehicle.WIDTH])
+    half = 0.5 * (length * abs(math.sin(psi)) + width * abs(math.cos(psi)))
+    half += footprint_of(length, width, config.buffer, scene.road.bends)[0].bare_across
+    stop, near = -1 if stored is None else stored, (sight, TOUCH + half, 0.5 * float(scene.road.width) + half)
+    return lanes_held(float(r), scene.road.centers, frames, *near, stop, *before)
 
 
 def _brake(
-    scene: Scene, lane: int, braking: float, rollouts: Rollouts, survey: Surveyor
+    scene: Scene, lane: int, braking: float, rollouts: Rollouts, survey: Surveyor, entered: int | None
 ) -> tuple[FloatArray, Clearance]:
-    """Braking to a stop in a lane from now on: its path (K, 4), and what there is to say against it."""
+    """Braking to a stop in a lane from now on: its path (K, 4), and what there is to say against it. `entered`: the
+    lane that the plan entered on the way, None without one."""
     speed = float(scene.ego[State.SPEED]) - braking / KP_SPEED
     candidates = brake_candidates(scene, [lane], [speed], [lane], 1, braking)
     paths = candidates.paths(rollouts, scene.ego_road)
-    return paths[0], survey.clearance(paths, candidates.lanes, candidates.fails)
+    lanes = candidates.lanes if entered is None else survey.entered(paths, candidates.fails)[0]
+    return paths[0], survey.clearance(paths, lanes, candidates.fails)

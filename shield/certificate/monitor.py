@@ -34,13 +34,14 @@ Separations = Callable[[], FloatArray]
 
 
 @uncounted
-def stayed(owed: Any, behind: Any, held: Any, broken: Any, grown: Any, owing: Any) -> tuple[bool, bool]:
-    """Fill in who owes the ego its distance now, `owing`, and add to `grown` who has not stayed behind: who owed it,
-    and has come beside it in its own lane. Returns whether anybody has broken a rule, and taken more room."""
+def stayed(owed: Any, counted: Any, behind: Any, held: Any, broken: Any, grown: Any, owing: Any) -> tuple[bool, bool]:
+    """Fill in who owes the ego its distance now, `owing`, and add to `grown` who has not kept it: who owed it and has
+    come beside the ego in its own lane, and whom the stored plan has `counted` on to brake. Returns whether anybody has
+    broken a rule, and taken more room."""
     some, more = False, False
     for i in range(owed.shape[0]):
         owing[i] = behind[i] and held[i]
-        if owed[i] and held[i] and not behind[i]:
+        if (owed[i] and held[i] and not behind[i]) or counted[i]:
             grown[i] |= _DISTANCE
         some, more = some or broken[i] != 0, more or grown[i] != 0
     return some, more
@@ -109,6 +110,7 @@ class Watch:
         survey: Surveyor,
         before: Surroundings | Before | None,
         new: BoolArray | None,
+        counted: BoolArray,
         period: float,
         fail_safe: Separations,
     ) -> Watch:
@@ -119,7 +121,7 @@ class Watch:
         survey : the scene, and what is known of the others in it; its surroundings know those of the scene before.
         before : the others in the scene before; None in the first, and where their states are estimates.
         new : who was not there then, (m,) bool; None where everybody was.
-        period : time since the scene before [s].
+        counted : whom the stored plan has counted on to brake, (m,) bool. period : time since the scene before [s].
         fail_safe : asked where somebody has taken more room than before.
         """
         behind, held, ego = survey.behind, survey.held, survey.seen
@@ -133,7 +135,7 @@ class Watch:
         if new is not None:
             appeared(new, survey.scene.others, ego, broken, grown)
         owing = np.empty(len(broken), dtype=bool)
-        some, more = stayed(self.owing, behind, held, broken, grown, owing)
+        some, more = stayed(self.owing, counted, behind, held, broken, grown, owing)
         if more:
             # Who takes more room than before has to leave it to the ego's fail-safe.
             broken |= np.where(fail_safe() < 0, grown, 0)

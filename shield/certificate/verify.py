@@ -27,14 +27,15 @@ from typing import Any
 import numpy as np
 
 from dynamics.scenes.scene import Scene
-from dynamics.state import BoolArray, FloatArray, RoadState, Vehicle
+from dynamics.state import BoolArray, FloatArray, IntArray, RoadState, Vehicle
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.traffic.permits import Ego, footprint
 from dynamics.vehicle.rollout_kernels import table_of
 from shield.certificate.clauses.duties import in_reach
+from shield.certificate.clauses.edge import lanes_touched
 from shield.certificate.clauses.footprint import Footprint
 from shield.certificate.clauses.others import Others, empty_others, others_from
-from shield.certificate.clauses.scene import seen
+from shield.certificate.clauses.scene import counts, seen
 from shield.certificate.clauses.settings import settings_of
 from shield.certificate.clauses.together import (
     NOTHING_BINDS,
@@ -130,11 +131,12 @@ class Surveyor:
     ignored : whom to leave out, (m,) bool; nobody by default.
     followers : who owed the ego its distance in the scene before, (m,) bool; nobody by default.
     coming : who could enter which lane in the scene before, (lanes, m) bool; whoever may now by default.
-    stored : the lane in which the stored fail-safe stops; None without one.
+    stored, entered : the lane in which the stored plan stops, and the one that it enters on the way; None without one.
 
     Attributes
     ----------
     size : the ego's footprint. behind, held : see `Others`, (m,) bool. comes : who may enter which lane, (lanes, m).
+    plan : `stored` and `entered`, -1 for None.
     """
 
     def __init__(
@@ -148,8 +150,10 @@ class Surveyor:
         followers: Any = None,
         coming: Any = None,
         stored: int | None = None,
+        entered: int | None = None,
     ) -> None:
         self.ignored = _NOBODY if ignored is None else ignored
+        self.plan = -1 if stored is None else stored, -1 if entered is None else entered
         self.scene, self.config, self.visible = scene, config, visible
         road, state, a, lanes = scene.road, scene.ego_road, config.assumptions, scene.road.centers.size
         if owned is None:
@@ -184,7 +188,7 @@ class Surveyor:
             self._settings,
             self.owned,
             in_sight,
-            -1 if stored is None else stored,
+            self.plan,
             _NOBODY if followers is None else followers,
             _NO_LANES if coming is None else coming,
             numbers,
@@ -206,6 +210,22 @@ class Surveyor:
         others: Others = named.py_func(self.around.bodies, *self._of_others)
         return others
 
+    def counted(self, before: tuple[BoolArray, BoolArray] | None) -> BoolArray:
+        """Whom the stored plan counts on to brake, (m,) bool, see `counted_on`; `before`: who was `behind` and `held`
+        in the scene before."""
+        out = np.zeros(len(self.behind), dtype=bool)
+        if self.plan[0] >= 0 and before is not None:
+            scene = self.scene.ego_road, self._size, self.scene.road.centers
+            counts(*self.around.tables, *self._of_others, *scene, self.plan, self.owned, before, out)
+        return out
+
+    def entered(self, paths: FloatArray, fails: IntArray) -> tuple[IntArray, FloatArray, BoolArray, IntArray]:
+        """The lane that the body of each path (n, K, 4) enters beside those that the ego owns and the one that it stops
+        in, `fails` (n,); and the rest of `lanes_touched`."""
+        size, road = self.size, self.scene.road
+        body, side = (size.length, size.width, size.bare_across), 0.5 * road.width
+        return lanes_touched(self.scene.ego_road, paths, body, road.centers, side, self.owned, fails)
+
     def without(self, ignored: BoolArray) -> Surveyor:
         """The same for whom some vehicles are not there, (m,) bool."""
         other = copy(self)
@@ -213,7 +233,8 @@ class Surveyor:
         return other
 
     def without_cut_ins(self) -> Surveyor:
-        """The same for whom nobody alongside slips in: what is left is the guarantee, without that precaution."""
+        """The same without the precaution of cut-ins: plans are refused for it, and the certificate does not need it,
+        for a vehicle that cuts in without leaving the fail-safe its room breaks a rule."""
         other = copy(self)
         other._slipping = self._slipping[:0]
         return other

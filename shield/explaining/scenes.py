@@ -239,6 +239,8 @@ def _offence(view: Any) -> str:
 
 def _lost(made: Made[Any], view: Any, at: Decision) -> Lost:
     """What a fallback has lost; see `Lost`."""
+    if at.reason is Reason.PRECAUTION:
+        return Lost.PRECAUTION
     if not isinstance(view, Instant) or view.memory.watch.violated:
         kept = at.tier is Tier.STORED_PLAN and not view.memory.watch.violated
         return Lost.NOTHING if kept and at.margin >= -1e-4 else Lost.GUARANTEE

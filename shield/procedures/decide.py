@@ -48,6 +48,7 @@ class Plan(Generic[S]):
     occupancy : see `Decision.occupancy`.
     predicted : a plan of the predictive filter to start its next one from, (N, 2).
     trusted : whether it is taken without a certificate: a rule alone has let it pass.
+    entered : see `Memory.entered`.
     """
 
     action: Any
@@ -59,6 +60,7 @@ class Plan(Generic[S]):
     occupancy: FloatArray | None = None
     predicted: FloatArray | None = None
     trusted: bool = False
+    entered: int | None = None
 
     @property
     def verified(self) -> bool:
@@ -173,7 +175,7 @@ def _decided(
     stored = None if tier is Tier.LARGEST_MARGIN else plan.stored
     watch = memory.watch.forgiven() if tier.verified else memory.watch
     predicted = memory.plan if plan.predicted is None else plan.predicted
-    memory = Memory(memory.frame, stored, memory.survey, watch, predicted)
+    memory = Memory(memory.frame, stored, memory.survey, watch, predicted, plan.entered)
     latency, (clause, vehicle) = perf_counter() - start, (plan.binding.clause, plan.binding.vehicle)
     record = plan.margin, latency, plan.path, plan.occupancy, clause, vehicle
     return Decision(proposal, plan.action, one.reason, tier, *record, source=source), memory

@@ -126,8 +126,11 @@ class Frames:
                 plan, lawful = _evade(now, proposal)
                 if lawful >= 0:
                     return Tried(Tier.EVADED, reason, plan)
+            elif kept.margin >= -ROUNDING:
+                reason = Reason.PRECAUTION
             command = FrameCommand(kept.lane, -self.config.braking)
-            stored = Plan(command, kept.margin, kept.lane, kept.path, kept.binding)
+            entered = now.memory.entered
+            stored = Plan(command, kept.margin, kept.lane, kept.path, kept.binding, entered=entered)
             return Tried(Tier.STORED_PLAN, reason, stored)
         if now.scene.likely is not None:
             # Through noise it is the bounds that nothing clears, and not yet the others.
@@ -137,7 +140,8 @@ class Frames:
     def last_resort(self, memory: Memory[int], scene: Scene | Unreadable, proposal: Target) -> tuple[Tier, Plan[int]]:
         """Brake in the stored lane; without one, in the target's."""
         lane = proposal.lane if memory.stored is None else memory.stored
-        return Tier.EMERGENCY, Plan(FrameCommand(lane, -self.config.braking), stored=memory.stored)
+        command = FrameCommand(lane, -self.config.braking)
+        return Tier.EMERGENCY, Plan(command, stored=memory.stored, entered=memory.entered)
 
 
 def _evade(now: Instant, target: Target) -> tuple[Plan[int], float]:

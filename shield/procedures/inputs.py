@@ -11,16 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from dynamics.scenes.scene import Scene
-from dynamics.state import FloatArray, RoadState, State, Vehicle
+from dynamics.state import FloatArray, RoadState, State
 from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.bicycle import LENGTH
 from mpc.filter.program.road_step import StageModel
-from shield.certificate.clauses.edge import lanes_touched, verdicts
+from shield.certificate.clauses.edge import verdicts
 from shield.certificate.memory import Instant, Memory, observe
 from shield.certificate.verify import ROUNDING, Binding, Surveyor, least_bad_evasion
 from shield.config import ShieldConfig
@@ -139,12 +138,14 @@ class Inputs:
         violated, reason, lane = now.memory.watch.violated, Reason.NO_SAFE_PLAN, now.memory.stored
         if lane is not None:
             law = self.execution.law(now.scene, lane)[None]
-            stored = self.judge(now, law, [lane], survey=now.lawful)
+            stored = self.judge(now, law, [lane], survey=now.lawful.without_cut_ins())
             keeps = bool(stored.margin[0] >= -ROUNDING)
             if keeps and violated:
                 evading = self._evade(now)
                 if evading is not None:
                     return Tried(Tier.EVADED, reason, self.plan(now, evading))
+            if keeps and not violated:
+                reason = Reason.PRECAUTION
             if keeps or not violated:
                 return Tried(Tier.STORED_PLAN, reason, replace(self.plan(now, stored), action=law[0]))
         # The first of the repairs: the least bad that the search has found.
@@ -161,7 +162,7 @@ class Inputs:
         elif np.isfinite(scene.ego).all():
             here = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
             inputs = self.execution.law(scene, here if memory.stored is None else memory.stored)
-        return Tier.EMERGENCY, Plan(inputs, stored=memory.stored)
+        return Tier.EMERGENCY, Plan(inputs, stored=memory.stored, entered=memory.entered)
 
     # -- pieces ------------------------------------------------------------------------------------------
 
@@ -184,7 +185,7 @@ class Inputs:
         fails = np.array(stops * n)
         held = inputs[:, None] if frames == 1 else np.repeat(inputs[:, None], frames, axis=1)
         paths = self.execution.stops(scene, now.rollouts.run_inputs(scene.ego_road, held), fails)
-        entered, edges, allowed, on_road = self._entered(now, paths, fails)
+        entered, edges, allowed, on_road = now.survey.entered(paths, fails)
         survey = survey if survey is not None else now.survey
         result = survey.clearance(paths, entered, fails)
         margin = verdicts(result.margin, edges, allowed, paths, frames)
@@ -211,7 +212,10 @@ class Inputs:
         if self.config.record:
             occupancy = now.survey.around.occupancy(len(judged.paths[0])).rectangles()
         margin, clear = float(judged.margin[0]), int(judged.clear[0])
-        return Plan(judged.inputs[0], margin, int(judged.lanes[0]), path, judged.bind(0), clear, occupancy)
+        stop = int(judged.lanes[0])
+        entered = int(now.survey.entered(judged.paths[:1], judged.lanes[:1])[0][0])
+        plan = Plan(judged.inputs[0], margin, stop, path, judged.bind(0), clear, occupancy)
+        return plan if entered == stop else replace(plan, entered=entered)
 
     def stop_lanes(self, now: Instant) -> list[int]:
         """Lanes in which the fail-safe may stop, in order of preference."""
@@ -231,19 +235,10 @@ class Inputs:
         if not keeps.size:
             return None
         paths, fails = lawful.paths[keeps], lawful.lanes[keeps]
-        entered = self._entered(now, paths, fails)[0]
+        entered = now.survey.entered(paths, fails)[0]
         expected = now.survey.clearance(paths, entered, fails, hold=paths.shape[1])
         i = keeps[least_bad_evasion(expected, now.survey.clearance(paths, entered, fails))]
         return self.judge(now, inputs[i : i + 1], [int(lawful.lanes[i])])
-
-    def _entered(self, now: Instant, paths: FloatArray, fails: Any) -> tuple[Any, FloatArray, Any, Any]:
-        """The lane that the body of each path enters beside those that the ego owns, (n,); the room that it leaves to
-        the road's edges, (n, 2) [m]; whether it may go there, (n,): not into lanes on both sides at once; and the
-        frames for which it stays on the road, (n,).
-        """
-        ego, survey, road = now.scene.ego, now.survey, now.scene.road
-        length, width, side = float(ego[Vehicle.LENGTH]), float(ego[Vehicle.WIDTH]), 0.5 * road.width
-        return lanes_touched(paths, length, width, survey.size.bare_across, road.centers, side, survey.owned, fails)
 
     def _stop_lane(self, now: Instant) -> int:
         """The lane in which the fail-safe of the frame before would stop, however far; the ego's own without one."""

@@ -21,6 +21,7 @@ from dynamics.scenes.scene import Scene, Target
 from dynamics.state import FloatArray, State
 from shield.certificate.manoeuvres import brake_candidates
 from shield.certificate.memory import Instant, Memory, observe
+from shield.certificate.verify import ROUNDING
 from shield.config import ShieldConfig
 from shield.decision import Reason, Tier
 from shield.procedures.decide import Plan, Tried, Unreadable
@@ -93,12 +94,13 @@ class MetaActions:
     def fall_back(self, now: Instant, proposal: Wish, tried: list[Tried[int]]) -> Tried[int]:
         """Slow down, and leave it to the frames to play the stored plan on."""
         tier, plan = self.last_resort(now.memory, now.scene, proposal)
-        return Tried(tier, Reason.NO_SAFE_PLAN, plan)
+        held = tier is Tier.STORED_PLAN and not now.memory.watch.violated and now.fail_safe().margin >= -ROUNDING
+        return Tried(tier, Reason.PRECAUTION if held else Reason.NO_SAFE_PLAN, plan)
 
     def last_resort(self, memory: Memory[int], scene: Scene | Unreadable, proposal: Wish) -> tuple[Tier, Plan[int]]:
         """The same."""
         tier = Tier.STORED_PLAN if memory.stored is not None else Tier.EMERGENCY
-        return tier, Plan(slower(proposal.labels), stored=memory.stored)
+        return tier, Plan(slower(proposal.labels), stored=memory.stored, entered=memory.entered)
 
     def mask(self, memory: Memory[int], scene: Scene) -> Any:
         """Which actions verify as they are, (actions,) bool; all False only if none does."""

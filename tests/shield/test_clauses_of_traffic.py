@@ -143,7 +143,7 @@ def test_a_turned_body_reaches_along_the_road_by_its_diagonal():
 
 def beside(psi, at):
     """A path that points at the car beside in frame `at`, and nowhere else."""
-    path = np.array([[2.0 * k, 0.05, 0.0, 20.0] for k in range(1, 5)])
+    path = np.array([[4.0 * k, 0.05, 0.0, 20.0] for k in range(1, 5)])
     path[at, 2] = psi
     return path
 

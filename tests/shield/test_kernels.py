@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from highway_env.utils import are_polygons_intersecting
@@ -12,7 +14,7 @@ from hypothesis import strategies as st
 from dynamics.compiled import compiled
 from shield.certificate.clauses.duties import lanes_held
 from shield.certificate.clauses.edge import lanes_touched, verdicts
-from shield.certificate.clauses.entering import entrants, neighbours, sides_taken
+from shield.certificate.clauses.entering import entrants, joins, leaves_sight, neighbours, sides_taken
 from shield.certificate.clauses.footprint import Footprint
 from shield.certificate.clauses.others import Others
 from shield.certificate.clauses.room import margin_of
@@ -44,7 +46,6 @@ def traffic(rng, n, m, frames):
         "high": low + rng.uniform(2, 6, low.shape),
         "rear": rear,
         "lengths": np.full(m, 2.7),
-        "noses": np.stack([start + 6.0, start + 9.0]),
         "follows": rng.random(m) < 0.5,
         "centers": CENTERS[rng.integers(0, 3, low.shape)],
         "at_once": rng.integers(-1, 4, low.shape),
@@ -56,10 +57,10 @@ def traffic(rng, n, m, frames):
 def separation_of(path, size, other, rear, duty):
     """Of a path from one vehicle; NaN and 0 where the path is not finite."""
     frames = path.shape[0]
-    turned, bounds, front = np.empty((2, frames)), np.empty((8, frames)), np.empty(frames)
+    turned, bounds, front = np.empty((2, frames)), np.empty((4, frames)), np.empty(frames)
     turns(path, turned)
     ego = extents(path, turned, size, duty.dt, bounds)
-    return separation(path, ego, bounds, size, other, rear, duty, front) if ego.finite else (np.nan, 0)
+    return separation(path, turned, ego, bounds, size, other, rear, duty, front) if ego.finite else (np.nan, 0)
 
 
 def separations_of(paths, t):
@@ -70,7 +71,7 @@ def separations_of(paths, t):
         for j in range(m):
             sides = float(t["low"][at, j]), float(t["high"][at, j])
             duties = bool(t["follows"][j]), float(t["centers"][at, j]), int(t["at_once"][at, j])
-            other = Vehicle(*sides, t["lengths"][j], *t["noses"][:, j], *duties, *t["followers"][:, j])
+            other = Vehicle(*sides, *sides, paths.shape[1], t["lengths"][j], *duties, *t["followers"][:, j])
             out[i, j], first = separation_of(paths[i], SIZE, other, t["rear"][j], DUTY)
             reached[i] = min(reached[i], first)
     return out, reached
@@ -78,20 +79,21 @@ def separations_of(paths, t):
 
 def front_of(path, center, at_once, v0, start, stretch):
     seen, reaction, gain, loss, most = DUTY[:5]
-    frames = len(path)
+    frames, rests = len(path), path[-1, 3] < 0.5
     hidden = np.abs(path[:, 1] - center) > seen
     first = int(np.flatnonzero(hidden)[-1]) + 2 if hidden.any() else 1
     turn = at_once if first == 1 and at_once >= 0 else first + reaction
-    k = np.arange(frames)
-    top = np.full(frames, v0)
-    for i in range(1, frames):
+    # Long enough for it to come to rest as well.
+    k = np.arange(frames + turn + 400) if rests else np.arange(frames)
+    top = np.full(len(k), v0)
+    for i in range(1, len(k)):
         more = min(gain, DUTY.power / max(top[i - 1], 1e-3)) * DT if i <= turn else 0.0
         top[i] = min(top[i - 1] + more, max(v0, most))
     v = np.maximum(top - loss * DT * np.maximum(k - turn, 0), 0.0)
     way = np.cumsum(v) * DT
-    if path[-1, 3] < 0.5:
-        way[-1] += v[-1] ** 2 / (2 * loss) + 0.5 * v[-1] * DT
-    return start + way * stretch
+    if rests:
+        way[frames - 1] = way[-1]
+    return start + way[:frames] * stretch
 
 
 def expected(paths, t):
@@ -157,33 +159,42 @@ def test_a_vehicle_that_is_nowhere_has_no_separation(name):
 def test_lanes_touched_are_those_of_whole_arrays(seed, n, frames):
     rng = np.random.default_rng(seed)
     paths, fails, owned = drives(rng, n, frames), rng.integers(0, 3, n), rng.random(3) < 0.4
-    entered, edges, allowed, on_road = lanes_touched(paths, 5.0, 2.0, 0.1, CENTERS, 2.0, owned, fails)
+    state, body = paths[0, 0].copy(), (5.0, 2.0, 0.1)
+    state[1] += rng.uniform(-1, 1)
+    entered, edges, allowed, on_road = lanes_touched(state, paths, body, CENTERS, 2.0, owned, fails)
+    paths = np.concatenate([np.repeat(state[None, None], n, axis=0), paths], axis=1)
     half = 0.5 * (5 * np.abs(np.sin(paths[..., 2])) + 2 * np.abs(np.cos(paths[..., 2]))) + 0.1
     low, high = paths[..., 1] - half, paths[..., 1] + half
-    new = (high.max(1)[:, None] > CENTERS - 2) & (low.min(1)[:, None] < CENTERS + 2) & ~owned
+    touches, inside = ((low[..., None] < CENTERS + side) & (high[..., None] > CENTERS - side) for side in (2.0, 1.0))
+    comes, returns = (touches & ~(np.roll(touches, 1, 1) & owned))[:, 1:], (inside[:, 1:] & ~inside[:, :-1])
+    new = comes.any(1) | returns.any(1)
     new[np.arange(n), fails] = False
+    low, high = low[:, 1:], high[:, 1:]
     np.testing.assert_array_equal(entered, np.where(new.any(1), new.argmax(1), fails))
     np.testing.assert_allclose(edges, np.stack([low.min(1) + 2, 10 - high.max(1)], 1), atol=1e-12)
-    inside = (low[..., None] < CENTERS[owned] + 1) & (high[..., None] > CENTERS[owned] - 1)
-    returns = (inside[:, 1:] & ~inside[:, :-1]).any((1, 2))
-    np.testing.assert_array_equal(allowed, ~((new.sum(1) > 1) | returns))
+    np.testing.assert_array_equal(allowed, new.sum(1) <= 1)
     off = (low < -2) | (high > 10)
     np.testing.assert_array_equal(on_road, np.where(off.any(1), off.argmax(1), frames))
 
 
 def test_a_lane_is_owned_from_the_stored_plan_on_until_the_ego_has_left_it():
     nobody = np.zeros((0, 0), dtype=bool)
-    marks = np.zeros(3, dtype=np.intp), np.zeros(0, dtype=bool), nobody
-    visible, owned, _ = lanes_held(0.1, CENTERS, 1, 3.0, 2.1, -1, *marks)
+    none = np.zeros(0, dtype=bool)
+    marks = np.zeros(3, dtype=np.intp), none, none, nobody
+    near = 3.0, 2.1, 3.1
+    visible, owned, _ = lanes_held(0.1, CENTERS, 1, *near, -1, *marks)
     assert list(owned) == [True, False, False]
     assert list(visible) == [1, 0, 0]
-    _, owned, _ = lanes_held(1.5, CENTERS, 1, 3.0, 2.1, 1, visible, owned, nobody)
+    _, owned, _ = lanes_held(1.5, CENTERS, 1, *near, 1, visible, owned, none, nobody)
     assert list(owned) == [True, False, False]  # the stored plan stops in lane 1, which is not touched yet
-    visible, owned, _ = lanes_held(2.0, CENTERS, 2, 3.0, 2.1, 1, visible, owned, nobody)
+    visible, owned, _ = lanes_held(2.0, CENTERS, 2, *near, 1, visible, owned, none, nobody)
     assert list(owned) == [True, True, False]
     assert list(visible) == [3, 2, 0]
-    _, owned, _ = lanes_held(3.9, CENTERS, 1, 3.0, 2.1, 1, visible, owned, nobody)
-    assert list(owned) == [False, True, False]
+    _, owned, _ = lanes_held(3.0, CENTERS, 1, *near, 1, visible, owned, none, nobody)
+    assert list(owned) == [True, True, False]  # a corner of it is in lane 0 still
+    for stored in (0, 1):
+        _, last, _ = lanes_held(3.9, CENTERS, 1, *near, stored, visible, owned, none, nobody)
+        assert list(last) == [stored == 0, True, False]  # a plan to stop there keeps it
 
 
 def others_at(lanes, ahead, across=0.0, r=None, gains=True):
@@ -198,22 +209,27 @@ def others_at(lanes, ahead, across=0.0, r=None, gains=True):
     return entering(others, np.full((m, 2), gains))
 
 
-def entering(others, gains, before=None, visible=(0, 0, 0), stored=-1):
+def entering(others, gains, before=None, visible=(0, 0, 0), stored=-1, entered=-1):
     """The same with those filled in who may enter which lane, after those of the scene before."""
     before = np.zeros((0, 0), dtype=bool) if before is None else before
     beside, comes = np.zeros_like(others.beside), np.zeros_like(others.comes)
     others = others._replace(beside=beside, comes=comes)
     asked = np.empty_like(gains)
-    neighbours(others, CENTERS, 4.0, before, np.array(visible), stored, asked)
-    entrants(others, gains & asked, CENTERS, before, np.array(visible), stored, 3, 30)
+    plan = (stored, entered)
+    neighbours(others, CENTERS, 4.0, before, np.array(visible), plan, asked)
+    entrants(others, gains & asked, CENTERS, before, np.array(visible), plan, 3, 30)
     return others
 
 
 def sides(path, lane, fail, others, r=0.0):
     m = len(others.lane)
     low, high, home = np.empty(m), np.empty(m), np.empty(m, dtype=np.intp)
-    settings = np.array([r, 3.0, 4.0, 0.15])
-    sides_taken(path[0], lane, fail, np.arange(m), others, CENTERS, settings, low, high, home)
+    sides_taken(lane, fail, np.arange(m), others, np.full(m, 2.0), CENTERS, 0.25, low, high, home)
+    for entered in (lane, fail):
+        if leaves_sight(r, path[0], CENTERS[entered], 3.0) < path.shape[1]:
+            for j in range(m):
+                joined = joins(others.low[j], others.high[j], CENTERS[entered], 1.25, 4.0)
+                low[j], high[j] = min(low[j], joined[0]), max(high[j], joined[1])
     return low, high, home
 
 
@@ -223,10 +239,10 @@ def test_until_the_ego_is_in_sight_in_a_lane_those_beside_it_may_enter_it_too():
     others = others_at([2, 2, 0, 1], [20.0, -20.0, 20.0, 30.0])
     for fail in (0, 1):
         low, high, home = sides(path, 1, fail, others)
-        np.testing.assert_allclose(low[:3], [1.85, 1.85, -1.25])
-        np.testing.assert_allclose(high[:3], [9.25, 9.25, 6.15])
+        np.testing.assert_allclose(low[:3], [2.75, 2.75, -1.25])
+        np.testing.assert_allclose(high[:3], [9.25, 9.25, 5.25])
         assert list(home[:2]) == [1, 1]
-        np.testing.assert_allclose((low[3], high[3]), ((2.75, 5.25) if fail == 1 else (-2.15, 5.25)))
+        np.testing.assert_allclose((low[3], high[3]), ((2.75, 5.25) if fail == 1 else (-1.25, 5.25)))
     others = others_at([2, 2, 0, 1], [20.0, -20.0, 20.0, 30.0], gains=False)
     np.testing.assert_allclose(sides(path, 1, 1, others)[0], [6.75, 6.75, -1.25, 2.75])
 
@@ -245,7 +261,7 @@ def test_once_it_is_only_who_was_on_the_way_may_still_come(across, r, visible, c
     first, gains = others_at([2], [10.0], across, [r]), np.ones((1, 2), dtype=bool)
     seen = [0, visible, 0]
     low, _, _ = sides(path, 1, 1, entering(first, gains, first.comes, seen, 1), r=4.0)
-    assert (low[0] < 2.0) == comes
+    assert (low[0] < 3.0) == comes
     assert not entering(first, gains, np.zeros_like(first.comes), seen, 1).comes[1].any()
 
 
@@ -264,7 +280,8 @@ def test_what_stays_apart_in_the_coming_frame_does_so_in_the_simulator(seed):
     ends = corners[:, 0].min() - slack[0], corners[:, 0].min() - slack[0] + max(move[0] - slack[1], 0)
     ends += corners[:, 0].max() + slack[2], s.max() + slack[2] + slack[3]
     state = np.array([0.0, 0.0, ego.heading, ego.speed])
-    apart = coming_frame(state, size, ends, r.min(), r.max(), 0.5 * np.hypot(length, width), dt)
+    turned = math.sin(ego.heading), math.cos(ego.heading)
+    apart = coming_frame(state, turned, size, ends, r.min(), r.max(), 0.5 * np.hypot(length, width), dt)
     _, will, _ = are_polygons_intersecting(ego.polygon(), corners, ego.velocity * dt, move)
     assert apart == np.inf or apart < 0
     if apart == np.inf:

@@ -46,7 +46,7 @@ class Desk(NamedTuple):
         (2, m) [m], and `home` (m,): its lane. apart : separation from each, (m,) [m].
     rears : least s of each vehicle (by row), (2, m, K) [m], as a bound and as a forecast; `done` (2, m): of how many
         frames, 0 in a new scene. rear : of one of those in reach, (1, K).
-    turned : sine and cosine of the path's headings, (2, K). bounds : of the ego, (9, K). room : (1,) [m].
+    turned : sine and cosine of the path's headings, (2, K). bounds : of the ego, (5, K). room : (1,) [m].
     slipping, slips, ways, sweep, turns, away : of those that may slip in, (2 m,), (6, 2 m), (2, 2 m, K), (2 m, T, 2),
         (2 m, T, 4) and (2 m,). swept : for how many frames these are known, (1,); 0 in a new scene.
     """
@@ -85,7 +85,7 @@ def new_desk(m: int, frames: int, dt: float) -> Desk:
         np.zeros((2, m), np.intp),
         np.empty((1, frames)),
         np.empty((2, frames)),
-        np.empty((9, frames)),
+        np.empty((5, frames)),
         np.empty(1),
         np.empty(2 * m, np.intp),
         np.empty((6, 2 * m)),

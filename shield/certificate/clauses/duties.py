@@ -17,11 +17,13 @@ from shield.certificate.clauses.entering import entrants, neighbours
 from shield.certificate.clauses.footprint import Footprint, across_of, reach_across, reach_along
 from shield.certificate.clauses.others import TOUCH, Others
 
-__all__ = ["Sight", "Standing", "hold_lanes", "in_reach", "lanes_held", "others_of", "threats"]
+__all__ = ["Sight", "Standing", "counted_on", "hold_lanes", "in_reach", "lanes_held", "others_of", "threats"]
 
 _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
 _LONG = 10**6
 """Frames that stand for as long as one likes."""
+_BESIDE = 1.0
+"""How far a plan may come out of the way from where the ego is to where it stops, beside what its heading takes [m]."""
 _CORNER = 0.5
 """How far a corner of a vehicle behind may come beside a corner of the ego's buffer [m]."""
 
@@ -68,17 +70,20 @@ def in_reach(others: Others, limits: tuple[float, float], followers: bool, rows:
 
 
 @inlined
-def _comes_back(path: FloatArray, turned: FloatArray, size: Footprint, low: float, high: float) -> bool:
-    """Whether a path leaves the strip from `low` to `high` [m] with its buffer, and is in it again later: nobody keeps
-    a place free that the ego has left."""
+def _comes_back(
+    state: FloatArray, path: FloatArray, turned: FloatArray, size: Footprint, low: float, high: float
+) -> bool:
+    """Whether the ego has left the strip from `low` to `high` [m] with its buffer, now or on its path, and is in it
+    again later: nobody keeps a place free that the ego has left. `state` is where it is now (4,)."""
     lat, frames = size.across, path.shape[0]
-    least, most = np.inf, -np.inf
+    least, most = state[1], state[1]
     for k in range(frames):
         least, most = min(least, path[k, 1]), max(most, path[k, 1])
     # The ego reaches as far to either side as its own width at any heading that a path has.
     if most - lat < high and least + lat > low:
         return False
-    left = False
+    half = reach_across(size, state[2])
+    left = not (state[1] - half < high and state[1] + half > low)
     for k in range(frames):
         r, half = path[k, 1], across_of(size, turned[0, k], turned[1, k])
         inside = r - half < high and r + half > low
@@ -96,6 +101,7 @@ def threats(
     fail: int,
     owned: BoolArray,
     centers: FloatArray,
+    state: FloatArray,
     path: FloatArray,
     turned: FloatArray,
     size: Footprint,
@@ -111,7 +117,7 @@ def threats(
     ----------
     others, limits : as in `in_reach`.
     lane, fail : what the path commits to and stops in. owned : which lanes the ego owns, (lanes,) bool.
-    centers : of the lanes [m]. path, turned, size : as in `extents`.
+    centers : of the lanes [m]. state : of the ego now, (4,). path, turned, size : as in `extents`.
     """
     low, high, behind, held = others.low, others.high, others.behind, others.held
     reached, count = in_reach(others, limits, True, rows), 0
@@ -123,12 +129,42 @@ def threats(
                 if not owned[entered]:
                     touches = low[j] < centers[entered] + TOUCH and high[j] > centers[entered] - TOUCH
                     owes = owes and not (touches or others.comes[entered, j])
-        if owes and _comes_back(path, turned, size, low[j], high[j]):
+        if owes and _comes_back(state, path, turned, size, low[j], high[j]):
             owes = False
         if not owes:
             rows[count] = j
             count += 1
     return count
+
+
+@uncounted
+def counted_on(
+    others: Others,
+    state: FloatArray,
+    size: Footprint,
+    centers: FloatArray,
+    plan: tuple[int, int],
+    owned: BoolArray,
+    before: tuple[BoolArray, BoolArray],
+    counted: BoolArray,
+) -> None:
+    """Fill in which vehicles a stored plan counts on to brake, `counted` (v,): those that were behind the ego a frame
+    before and may be in its way, without those that it leaves out because they owe the ego their distance.
+
+    Parameters
+    ----------
+    others : the vehicles, (v,). state, size : of the ego: road state (4,) and footprint. centers : of the lanes [m].
+    plan : the lane in which the stored plan stops, and the one that it enters on the way, or -1. owned : which lanes
+        the ego owns, (lanes,) bool. before : who was behind the ego in the scene before, and in a lane that it owned,
+        (v,) bool.
+    """
+    keeps = owned[plan[0]] and (plan[1] < 0 or owned[plan[1]])
+    half = reach_across(size, state[2]) + _BESIDE
+    least, most = min(state[1], centers[plan[0]]) - half, max(state[1], centers[plan[0]]) + half
+    for j in range(counted.shape[0]):
+        comes = others.comes[plan[0], j] or (plan[1] >= 0 and others.comes[plan[1], j])
+        near = comes or (others.low[j] < most and others.high[j] > least)
+        counted[j] = before[0][j] and near and not (keeps and before[1][j] and others.held[j])
 
 
 @uncounted
@@ -138,10 +174,12 @@ def hold_lanes(
     frames: int,
     sight: float,
     touch: float,
+    leave: float,
     stored: int,
     first: bool,
     visible: IntArray,
     owned: BoolArray,
+    owing: BoolArray,
     coming: BoolArray,
 ) -> None:
     """The visibility clock, the lanes owned, and who could enter which before, one scene later, in their place.
@@ -149,24 +187,25 @@ def hold_lanes(
     Parameters
     ----------
     r : lateral position of the ego [m]. centers : of the lanes [m].
-    frames : since the scene before. sight, touch : how near to a lane's centre the ego is visible in it, and touches
-        it [m].
+    frames : since the scene before. sight, touch, leave : how near to a lane's centre the ego is visible in it, touches
+        it, and has not left it with all of its body [m].
     stored : the lane in which the stored fail-safe stops, or -1.
     first : whether this is the first scene; whoever is there when it all begins has seen the ego for long.
     visible : frames for which the ego has been visible in each lane, (lanes,).
-    owned : which it owns, (lanes,): from when it touches one with a verified plan to stop there, until it has left it.
-    coming : who could enter which lane, (lanes, m), or of no lanes. Anybody may come into a lane that the ego has got
-        out of sight in.
+    owned : which it owns, (lanes,): from when it touches one with a verified plan to stop there, until its body has
+        left it and no stored plan stops there any more.
+    owing : who owed the ego its distance, (m,). coming : who could enter which lane, (lanes, m), or of no lanes.
+        All but the former may come into a lane that the ego has got out of sight in.
     """
     here = nearest(centers, r)
     for j in range(centers.shape[0]):
         offset, last = abs(r - centers[j]), visible[j]
         visible[j] = (_LONG if first else last) + frames if offset <= sight else 0
         had = j == here if first else owned[j]
-        owned[j] = (had or j == stored) and offset < touch
+        owned[j] = (had and (offset < leave or j == stored)) or (j == stored and offset < touch)
         if not first and coming.shape[0] > 0 and last > 0 and visible[j] == 0:
             for i in range(coming.shape[1]):
-                coming[j, i] = True
+                coming[j, i] = coming[j, i] or not owing[i]
 
 
 @compiled
@@ -176,9 +215,11 @@ def lanes_held(
     frames: int,
     sight: float,
     touch: float,
+    leave: float,
     stored: int,
     visible: IntArray,
     owned: BoolArray,
+    owing: BoolArray,
     coming: BoolArray,
 ) -> tuple[IntArray, BoolArray, BoolArray]:
     """`hold_lanes` with new arrays; `visible` and `owned` of the scene before are empty in the first, and `coming` may
@@ -191,14 +232,15 @@ def lanes_held(
             own[:] = owned
         else:
             own[nearest(centers, r)] = True
-    hold_lanes(r, centers, frames, sight, touch, stored, first, seen, own, comes if comes.shape[0] == n else comes[:0])
+    coming = comes if comes.shape[0] == n else comes[:0]
+    hold_lanes(r, centers, frames, sight, touch, leave, stored, first, seen, own, owing, coming)
     return seen, own, comes
 
 
 class Standing(NamedTuple):
     """Where the ego stands: `state` on the road (4,); `size`; `seen`, the same in the world; `owned`, which lanes it
     owns, and `visible`, for how many frames it has been visible in each, (lanes,); `stored`: the lane in which its
-    stored fail-safe stops, or -1."""
+    stored plan stops, and `entered`: the one that it enters on the way, or -1."""
 
     state: FloatArray
     size: Footprint
@@ -206,6 +248,7 @@ class Standing(NamedTuple):
     owned: BoolArray
     visible: IntArray
     stored: int
+    entered: int
 
 
 @uncounted
@@ -260,7 +303,8 @@ def others_of(
                 others.beside[k, j] = others.comes[k, j] = False
         return
     asked, tempted = room[:, :2], room[:, 2:]
-    neighbours(others, centers, sight.width, before, ego.visible, ego.stored, asked)
+    plan = (ego.stored, ego.entered)
+    neighbours(others, centers, sight.width, before, ego.visible, plan, asked)
     strip = (bodies.lane, bodies.low, bodies.high)
     gains(states, across, *strip, centers, sight.distance, sight.slack, state, asked, tempted)
-    entrants(others, tempted, centers, before, ego.visible, ego.stored, sight.reaction, sight.settled)
+    entrants(others, tempted, centers, before, ego.visible, plan, sight.reaction, sight.settled)

@@ -15,10 +15,9 @@ __all__ = ["lanes_touched", "verdicts"]
 
 @compiled
 def lanes_touched(
+    state: FloatArray,
     paths: FloatArray,
-    length: float,
-    width: float,
-    bare: float,
+    body: tuple[float, float, float],
     centers: FloatArray,
     side: float,
     owned: BoolArray,
@@ -28,22 +27,28 @@ def lanes_touched(
 
     Parameters
     ----------
-    paths : (n, K, 4). length, width, bare : of the body, and its lateral growth on a bend [m].
+    state, paths : of the ego now (4,), and after each frame (n, K, 4). body : its length, its width, and its lateral
+        growth on a bend [m].
     centers, side : of the lanes, and half their width [m]. owned : which of them the ego owns, (lanes,) bool.
     fails : lane that each path stops in, (n,).
 
     Returns
     -------
-    The lane entered beside those owned and the last, (n,), which is the last without any; the room to the road's
-    edges, (n, 2) [m]; whether the path enters one lane at most and comes back to no owned one, (n,) bool; and the
-    frames before it leaves the road, (n,).
+    The lane entered beside those owned and the last, (n,), which is the last without any: an owned one counts where
+    the path comes back to it; the room to the road's edges, (n, 2) [m]; whether the path enters one lane at most, (n,)
+    bool; and the frames before it leaves the road, (n,).
     """
     n, frames, lanes = paths.shape[0], paths.shape[1], centers.shape[0]
     entered, allowed, on_road = fails.copy(), np.ones(n, np.bool_), np.full(n, frames)
     edges = np.empty((n, 2))
     first, last = centers[0] - side, centers[lanes - 1] + side
-    within = np.empty(lanes, np.bool_)
+    length, width, bare = body
+    within, beside, entering = np.empty(lanes, np.bool_), np.empty(lanes, np.bool_), np.empty(lanes, np.bool_)
     for i in range(n):
+        half = 0.5 * (length * abs(math.sin(state[2])) + width * abs(math.cos(state[2]))) + bare
+        for j in range(lanes):
+            offset = abs(state[1] - centers[j])
+            within[j], beside[j], entering[j] = offset < TOUCH + half, offset < side + half, False
         least, most = np.inf, -np.inf
         for k in range(frames):
             r, psi = paths[i, k, 1], paths[i, k, 2]
@@ -57,14 +62,15 @@ def lanes_touched(
                 on_road[i] = k
             for j in range(lanes):
                 inside = low < centers[j] + TOUCH and high > centers[j] - TOUCH
-                # Nobody keeps a place free in a lane that the ego has left: it does not come back to one.
-                if k > 0 and owned[j] and inside and not within[j]:
-                    allowed[i] = False
-                within[j] = inside
+                touches = low < centers[j] + side and high > centers[j] - side
+                # Nobody keeps a place free in a lane that the ego has left.
+                if (touches and not (owned[j] and beside[j])) or (inside and not within[j]):
+                    entering[j] = True
+                within[j], beside[j] = inside, touches
         edges[i, 0], edges[i, 1] = least - first, last - most
         count = 0
         for j in range(lanes - 1, -1, -1):
-            if not owned[j] and j != fails[i] and most > centers[j] - side and least < centers[j] + side:
+            if entering[j] and j != fails[i]:
                 entered[i] = j
                 count += 1
         if count > 1:

@@ -4,17 +4,34 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from dynamics.compiled import inlined, uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.vehicle.controllers import KP_HEADING, KP_LATERAL
 from shield.certificate.clauses.others import Others
 
-__all__ = ["entrants", "neighbours", "sides_taken"]
+__all__ = ["entrants", "is_beside", "joins", "leaves_sight", "neighbours", "sides_taken"]
 
 _TURNING = 0.25
 """Speed across the road, beyond that of one that settles in its lane, from which a vehicle counts as changing [m/s]."""
+
+
+@inlined
+def is_beside(low: float, high: float, goal: float, width: float) -> bool:
+    """Whether the strip from `low` to `high` ends less than a lane's `width` from a lane's centre, `goal` [m]."""
+    return 0 < max(low - goal, goal - high) < width
+
+
+@inlined
+def leaves_sight(r: float, path: FloatArray, goal: float, sight: float) -> int:
+    """The frame of a path (K, 4) of an ego at `r` across the road at which it gets out of sight again where it has been
+    within `sight` of a lane's centre, `goal` [m]; K without one. Anybody beside that lane may come from then on."""
+    seen = abs(r - goal) <= sight
+    for k in range(path.shape[0]):
+        if abs(path[k, 1] - goal) <= sight:
+            seen = True
+        elif seen:
+            return k
+    return path.shape[0]
 
 
 @uncounted
@@ -24,7 +41,7 @@ def neighbours(
     width: float,
     before: BoolArray,
     visible: IntArray,
-    stored: int,
+    plan: tuple[int, int],
     asked: BoolArray,
 ) -> None:
     """Fill in which lanes each vehicle's strip is beside, `others.beside`, and whether it matters if it gains by a
@@ -36,10 +53,9 @@ def neighbours(
         asked[j, 0] = asked[j, 1] = False
         for k in range(n):
             # Beside the lane: the next strip begins where this one ends.
-            apart = max(low[j] - centers[k], centers[k] - high[j])
-            beside = 0 < apart < width and abs(centers[lane[j]] - centers[k]) < 1.5 * width
+            beside = is_beside(low[j], high[j], centers[k], width) and abs(centers[lane[j]] - centers[k]) < 1.5 * width
             besides[k, j] = beside
-            if beside and not (known and (visible[k] > 0 or k == stored)):
+            if beside and not (known and (visible[k] > 0 or k == plan[0] or k == plan[1])):
                 asked[j, 1 if centers[k] > high[j] else 0] = True
 
 
@@ -50,14 +66,14 @@ def entrants(
     centers: FloatArray,
     before: BoolArray,
     visible: IntArray,
-    stored: int,
+    plan: tuple[int, int],
     sight: int,
     settled: int,
 ) -> None:
     """Fill in who may enter which lane, `others.comes`, of those whose strips are beside it, `others.beside`.
 
     Whoever gains by it may enter a lane, and who is on the way there: that is one who is faster across than one that
-    settles in the middle of its own lane, the lag of its heading included. Where the ego has a plan to stop there, or
+    settles in the middle of its own lane, the lag of its heading included. Where the ego has a plan to enter it, or
     is in sight there, whoever may enter when that begins may do so until `sight` frames after the ego has come into
     sight; those who were on their way by then, until it has been seen for `settled` frames. Nobody joins them.
 
@@ -67,7 +83,7 @@ def entrants(
     centers : of the lanes [m].
     before : `others.comes` of the scene before, (lanes, v); of another shape without one.
     visible : frames for which the ego has been visible in each lane, (lanes,).
-    stored : the lane in which the stored fail-safe stops, or -1.
+    plan : the lane in which the stored plan stops, and the one that it enters on the way, or -1.
     """
     high, lane, r, across = others.high, others.lane, others.r, others.across
     besides, comes, n, v = others.beside, others.comes, centers.shape[0], others.lane.shape[0]
@@ -86,54 +102,58 @@ def entrants(
                 may = False
             elif visible[k] > sight:
                 may = last and turning
-            elif visible[k] > 0 or k == stored:
+            elif visible[k] > 0 or k == plan[0] or k == plan[1]:
                 may = last and beside
             comes[k, j] = may
 
 
 @inlined
 def sides_taken(
-    path: FloatArray,
     lane: int,
     fail: int,
     rows: IntArray,
     others: Others,
+    widths: FloatArray,
     centers: FloatArray,
-    settings: tuple[float, float, float, float],
+    waver: float,
     low: FloatArray,
     high: FloatArray,
     home: IntArray,
 ) -> None:
-    """Where each vehicle can be across the road, for a path: `low`, `high` (m,) [m], and its lane `home` (m,).
+    """Where each vehicle can be across the road, for a path: `low`, `high` (m,) [m], and its lane `home` (m,); until
+    the path leaves the sight of a lane that it enters, see `joins`.
 
     Parameters
     ----------
-    path, lane, fail : (K, 4), and the lane that it commits to, and stops in.
-    rows : the vehicles, (m,). others : all of them, (v,).
+    lane, fail : that it commits to, and stops in.
+    rows : the vehicles, (m,). others : all of them, (v,), and the `widths` of their bodies [m].
     centers : of the lanes [m].
-    settings : the ego's lateral position now, the distance within which it is seen, the width of a lane, and how far a
-        body may lean over a marking, (4,) [m].
+    waver : how far a body wavers that keeps to the middle of its lane [m].
     """
-    lows, highs, lanes, comes, beside = others.low, others.high, others.lane, others.comes, others.beside
-    r, sight, width, lean = settings[0], settings[1], settings[2], settings[3]
-    least, most = np.inf, -np.inf
-    for k in range(path.shape[0]):
-        least, most = min(least, path[k, 1]), max(most, path[k, 1])
+    lows, highs, lanes, comes = others.low, others.high, others.lane, others.comes
     for j in range(rows.shape[0]):
         row = rows[j]
         low[j], high[j], home[j] = lows[row], highs[row], lanes[row]
     for step in range(2 if fail != lane else 1):
         entered = lane if step == 0 else fail
         goal = centers[entered]
-        # Once the ego is out of sight there, anybody may come.
-        leaves = abs(r - goal) <= sight < max(abs(least - goal), abs(most - goal))
         for j in range(rows.shape[0]):
             row = rows[j]
             if max(lows[row] - goal, goal - highs[row]) <= 0:
                 home[j] = entered  # it is there already, and sees the ego there
-            enters = comes[entered, row] or (leaves and beside[entered, row])
-            if not enters or not math.isfinite(low[j] + high[j]):
+            if not comes[entered, row] or not math.isfinite(low[j] + high[j]):
                 continue
-            low[j] = min(low[j], goal - 0.5 * width - lean)
-            high[j] = max(high[j], goal + 0.5 * width + lean)
+            # As far as the strip of one that is on its way to the middle of that lane.
+            core = 0.5 * widths[row] + waver
+            low[j], high[j] = min(low[j], goal - core), max(high[j], goal + core)
             home[j] = entered
+
+
+@inlined
+def joins(low: float, high: float, goal: float, core: float, width: float) -> tuple[float, float]:
+    """Where a vehicle with the strip from `low` to `high` can be once the ego has got out of sight in the lane with the
+    centre `goal` [m]: there too, as far as its `core` around the middle, if the strip is beside it. `width`: of a lane.
+    """
+    if is_beside(low, high, goal, width):
+        return min(low, goal - core), max(high, goal + core)
+    return low, high

@@ -6,13 +6,34 @@ from dynamics.compiled import inlined, numbers_of
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.permits import Ego
 from dynamics.traffic.tables import bodies_of
-from shield.certificate.clauses.duties import Standing, others_of
+from shield.certificate.clauses.duties import Standing, counted_on, others_of
 from shield.certificate.clauses.footprint import Footprint
 from shield.certificate.clauses.others import others_from
 from shield.certificate.clauses.settings import settings_from, sight_of
 from shield.certificate.clauses.slip_in import may_slip
 
-__all__ = ["seen"]
+__all__ = ["counts", "seen"]
+
+
+@inlined
+def counts(
+    marks: IntArray,
+    numbers: FloatArray,
+    brakes: FloatArray,
+    recent: FloatArray,
+    of_others: FloatArray,
+    flags: BoolArray,
+    state: FloatArray,
+    size: FloatArray,
+    centers: FloatArray,
+    plan: tuple[int, int],
+    owned: BoolArray,
+    before: tuple[BoolArray, BoolArray],
+    counted: BoolArray,
+) -> None:
+    """`counted_on`, of the arrays that `seen` fills in."""
+    others = others_from(bodies_of(marks, numbers, brakes, recent), of_others, flags)
+    counted_on(others, state, Footprint(*numbers_of(size, 8)), centers, plan, owned, before, counted)
 
 
 @inlined
@@ -30,7 +51,7 @@ def seen(
     settings: FloatArray,
     owned: BoolArray,
     visible: IntArray,
-    stored: int,
+    plan: tuple[int, int],
     followers: BoolArray,
     before: BoolArray,
     of_others: FloatArray,
@@ -45,7 +66,7 @@ def seen(
     rows, states : vehicle rows (m, 7), and road states (m, 4). marks, numbers, brakes, recent : their `Tables`.
     vehicle, state, size : of the ego: vehicle row (7,), road state (4,), numbers of its `Footprint` (8,).
     centers, settings : of the lanes [m]; numbers of `Settings`.
-    owned, visible, stored : see `Standing`.
+    owned, visible : see `Standing`; and its `stored` and `entered`, `plan`.
     followers, before : see `others_of`.
     of_others, flags : of `Others`, see `empty_others`; result.
     slipping : (2 m, 4), rows of those that `may_slip` finds; result.
@@ -63,7 +84,7 @@ def seen(
     body = 0.5 * foot.length, 0.5 * foot.width
     world = Ego(vehicle[0], vehicle[1], vehicle[2], vehicle[3], foot.along, foot.across, body[0], body[1], False)
     others = others_from(bodies, of_others, flags)
-    ego = Standing(state, foot, world, owned, visible, stored)
+    ego = Standing(state, foot, world, owned, visible, plan[0], plan[1])
     others_of(rows, states, bodies, ego, followers, before, sight_of(x), centers, others, tempted)
     if not x.slip_in > 0:
         return 0

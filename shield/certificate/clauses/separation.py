@@ -34,7 +34,7 @@ class Duty(NamedTuple):
 
 class Path(NamedTuple):
     """What a path comes to: whether it is `finite`; whether it is `turned`, so that where constant velocity leads to
-    counts; and how far it reaches across the road, from `lowest` to `highest` [m]."""
+    counts; and how far it reaches across the road, that included, from `lowest` to `highest` [m]."""
 
     finite: bool
     turned: bool
@@ -45,18 +45,18 @@ class Path(NamedTuple):
 class Vehicle(NamedTuple):
     """A vehicle that does not owe the ego its distance.
 
-    `left`, `right` [m]: where it can be across the road; `length` [m]: half of what it covers along it; `nose`,
-    `next_nose` [m]: how far its body gets in one frame and in two; `behind`: whether it is behind the ego. Such a one
-    has a `center` [m], of the lane that it would see the ego in, `at_once`, after how many frames it reacts if it sees
-    the ego all the time, or -1, its `speed` [m/s], its `front` [m], and greatest metres of s in a metre driven,
-    `stretch`.
+    `left`, `right` [m]: where it can be across the road, and `most_left`, `most_right` from frame `since` on; `length`
+    [m]: half of what it covers along it; `speed` [m/s], `front` [m], and greatest metres of s in a metre driven,
+    `stretch`; `behind`: whether it is behind the ego. Such a one has a `center` [m], of the lane that it would see the
+    ego in, and `at_once`, after how many frames it reacts if it sees the ego all the time, or -1.
     """
 
     left: float
     right: float
+    most_left: float
+    most_right: float
+    since: int
     length: float
-    nose: float
-    next_nose: float
     behind: bool
     center: float
     at_once: int
@@ -75,11 +75,11 @@ def turns(path: FloatArray, turned: FloatArray) -> None:
 @inlined
 def extents(path: FloatArray, turned: FloatArray, size: Footprint, dt: float, bounds: FloatArray) -> Path:
     """Where the ego's rectangle is in each frame of a path (K, 4): s and r from `bounds[0]`, `[2]` to `bounds[1]`,
-    `[3]` with the buffer; and, where the path is turned, its body one frame later at constant velocity, `bounds[4:8]`.
+    `[3]` with the buffer.
 
     Parameters
     ----------
-    turned : see `turns`. size : the ego's footprint. bounds : (8, K) [m], result.
+    turned : see `turns`. size : the ego's footprint. bounds : (4, K) [m], result.
     """
     lon, lat, length, width = size.along, size.across, size.length, size.width
     coming, lowest, highest = False, np.inf, -np.inf
@@ -97,17 +97,16 @@ def extents(path: FloatArray, turned: FloatArray, size: Footprint, dt: float, bo
         bounds[0, k], bounds[1, k], bounds[2, k], bounds[3, k] = s - half_s, s + half_s, r - half_r, r + half_r
         lowest, highest = min(lowest, bounds[2, k]), max(highest, bounds[3, k])
         if coming:
-            s, r = s + v * cos * dt, r + v * sin * dt
-            half_s = 0.5 * (length * abs(cos) + width * abs(sin)) + size.bare_along
+            r += v * sin * dt
             half_r = 0.5 * (length * abs(sin) + width * abs(cos)) + size.bare_across
-            bounds[4, k], bounds[5, k], bounds[6, k], bounds[7, k] = s - half_s, s + half_s, r - half_r, r + half_r
-            lowest, highest = min(lowest, bounds[6, k]), max(highest, bounds[7, k])
+            lowest, highest = min(lowest, r - half_r), max(highest, r + half_r)
     return Path(True, coming, lowest, highest)
 
 
 @uncounted
 def coming_frame(
     state: FloatArray,
+    turned: tuple[float, float],
     size: Footprint,
     ends: tuple[float, float, float, float],
     left: float,
@@ -120,16 +119,17 @@ def coming_frame(
 
     highway-env counts a collision where no side of either rectangle has a normal along which the two stay apart
     meanwhile (`RoadObject._is_colliding`). The other's heading is not known, so it has to be one of the ego's: ahead or
-    behind along the ego, or beside its flank, along which the ego itself does not move. `ends` are least s of the
-    other's body now and then, and greatest s of both [m]; `left`, `right` contain its own way sideways; `reach` is half
-    the length that it covers.
+    behind along the ego, or beside its flank, along which the ego itself does not move. `turned` are sine and cosine of
+    the ego's heading; `ends` are least s of the other's body now and then, and greatest s of both [m]; `left`, `right`
+    contain its own way sideways; `reach` is half the length that it covers.
     """
-    s, r, psi, v = state[0], state[1], state[2], state[3]
-    sin, cos = math.sin(psi), math.cos(psi)
+    s, r, v, sin, cos = state[0], state[1], state[3], turned[0], turned[1]
     low, high = left - r, right - r
     half, side = 0.5 * size.length + size.bare_along, 0.5 * size.width + size.bare_across
     ahead = (ends[0] - s) * cos + min(low * sin, high * sin) - half
     ahead -= max(v * dt - max(ends[1] - ends[0], 0.0) * cos, 0.0)
+    if ahead >= 0:
+        return np.inf
     behind = -np.inf
     if math.isfinite(ends[2]):
         behind = (s - ends[2]) * cos - max(low * sin, high * sin) - half
@@ -149,7 +149,7 @@ def coming_frame(
 
 @inlined
 def _front(path: FloatArray, frames: int, other: Vehicle, duty: Duty, front: FloatArray) -> None:
-    """Greatest s of a vehicle behind after each frame: it accelerates until it owes the ego its braking."""
+    """Greatest s of a vehicle after each frame: it accelerates, one behind until it owes the ego its braking."""
     v0, start, stretch, center, at_once = other.speed, other.front, other.stretch, other.center, other.at_once
     seen, reaction, gain, loss, most = duty.seen, duty.reaction, duty.acceleration, duty.braking, duty.max_speed
     hold, dt, power = duty.hold, duty.dt, duty.power
@@ -160,6 +160,8 @@ def _front(path: FloatArray, frames: int, other: Vehicle, duty: Duty, front: Flo
             first = k + 2
             break
     turn = at_once if first == 1 and at_once >= 0 else first + reaction
+    if not other.behind:
+        turn = frames
     way, speed, v, top = 0.0, v0, v0, max(v0, most)
     for k in range(frames):
         v = max(speed - loss * dt * max(k - turn, 0), 0.0)
@@ -168,13 +170,21 @@ def _front(path: FloatArray, frames: int, other: Vehicle, duty: Duty, front: Flo
         if hold <= k < turn:
             speed = min(speed + min(gain, power / max(speed, 1e-3)) * dt, top)
     # Where the ego has come to rest at the last frame, its follower may still be doing so.
-    if path[frames - 1, 3] < 0.5:
-        front[frames - 1] += (v * v / (2 * loss) + 0.5 * v * dt) * stretch
+    if other.behind and path[frames - 1, 3] < 0.5:
+        k, more = frames, 0.0
+        while k <= turn or v > 0:
+            v = max(speed - loss * dt * max(k - turn, 0), 0.0)
+            more += v
+            if k < turn:
+                speed = min(speed + min(gain, power / max(speed, 1e-3)) * dt, top)
+            k += 1
+        front[frames - 1] += more * dt * stretch
 
 
 @inlined
 def separation(
     path: FloatArray,
+    turned: FloatArray,
     ego: Path,
     bounds: FloatArray,
     size: Footprint,
@@ -188,36 +198,34 @@ def separation(
 
     Parameters
     ----------
-    ego, bounds : its `extents`. size : the ego's footprint. other : where the vehicle can be.
+    turned, ego, bounds : its `turns` and `extents`. size : the ego's footprint. other : where the vehicle can be.
     rear : least s of its body after each frame, (at least K,) [m]. duty : what a vehicle behind owes.
     front : room that is written over, (at least K,).
     """
     frames, left, right, behind, dt = path.shape[0], other.left, other.right, other.behind, duty.dt
+    since = other.since
     known = math.isfinite(left + right + rear[frames - 1])
-    if not known or (behind and not math.isfinite(other.speed + other.front + other.stretch)):
+    if not known or ((behind or ego.turned) and not math.isfinite(other.speed + other.front + other.stretch)):
         return np.nan, 0
     beside = max(left - ego.highest, ego.lowest - right)
+    if since < frames:
+        beside = max(other.most_left - ego.highest, ego.lowest - other.most_right)
     if beside >= 0:
         return beside, frames
-    if behind:
+    if behind or ego.turned:
         _front(path, frames, other, duty, front)
     least, first = np.inf, frames
     for k in range(frames):
+        if k == since:
+            left, right = other.most_left, other.most_right
         along = rear[k] - bounds[1, k]
         if behind:
             along = max(along, bounds[0, k] - front[k])
         apart = max(along, max(left - bounds[3, k], bounds[2, k] - right))
         # Nothing is said about the frame after the last: an ego that brakes stands by then.
-        if ego.turned and k == 0 and frames > 1:
-            ends = (rear[0], rear[1], other.nose, other.next_nose)
-            apart = min(apart, coming_frame(path[0], size, ends, left, right, other.length, dt))
-        elif ego.turned and k < frames - 1:
-            along = rear[k + 1] - bounds[5, k]
-            if behind:
-                along = max(along, bounds[4, k] - front[k + 1])
-            later = max(along, max(left - bounds[7, k], bounds[6, k] - right))
-            if later < 0:
-                apart = min(apart, later)
+        if ego.turned and k < frames - 1 and not abs(turned[0, k]) < _STRAIGHT:
+            ends, heading = (rear[k], rear[k + 1], front[k], front[k + 1]), (turned[0, k], turned[1, k])
+            apart = min(apart, coming_frame(path[k], heading, size, ends, left, right, other.length, dt))
         least = min(least, apart)
         if apart < 0:
             first = min(first, k)

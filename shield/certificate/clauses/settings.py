@@ -25,8 +25,8 @@ class Settings(NamedTuple):
     `seen`: distance from a lane's centre within which a vehicle is seen there [m]; `reaction`, `settled`: frames, see
     `Sight`; `acceleration`, `braking` [m/s^2], `max_speed` [m/s], `power` [m^2/s^3]: what one behind may do and owes,
     see `Duty`; `hardest`: braking of anybody [m/s^2]; `gains`: see `Sight.slack`; `blind`, `slip_in`: whether anybody
-    enters a lane blindly, and slips in; `width` of a lane, `lean`: how far a body may lean over a marking, `perception`
-    range [m]; `bent`: whether the road is; `dt`: duration of a frame [s].
+    enters a lane blindly, and slips in; `width` of a lane, `waver`: how far a body comes out of the middle of its
+    lane, `perception` range [m]; `bent`: whether the road is; `dt`: duration of a frame [s].
     """
 
     seen: float
@@ -41,7 +41,7 @@ class Settings(NamedTuple):
     blind: float
     slip_in: float
     width: float
-    lean: float
+    waver: float
     perception: float
     bent: float
     dt: float
@@ -64,7 +64,7 @@ def settings_of(a: Assumptions, width: float, perception: float, bent: bool, dt:
             a.blind_merge,
             a.slip_in,
             width,
-            a.lean,
+            a.waver,
             perception,
             bent,
             dt,

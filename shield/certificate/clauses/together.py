@@ -11,11 +11,12 @@ import numpy as np
 
 from dynamics.compiled import compiled, inlined, numbers_of, uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray
+from dynamics.state import Vehicle as Columns
 from dynamics.traffic.occupancy_kernels import front_of, rear_of
 from dynamics.traffic.tables import bodies_of, motion_of
 from shield.certificate.clauses.desk import Around, Desk, Ground, new_desk
 from shield.certificate.clauses.duties import threats
-from shield.certificate.clauses.entering import sides_taken
+from shield.certificate.clauses.entering import joins, leaves_sight, sides_taken
 from shield.certificate.clauses.footprint import Footprint
 from shield.certificate.clauses.others import others_from
 from shield.certificate.clauses.room import margin_of, room_of
@@ -41,6 +42,7 @@ NOTHING_BINDS, SEPARATION_BINDS, SLIP_IN_BINDS, ROOM_BINDS = 0, 1, 2, 3
 """What a margin comes from."""
 
 
+_WIDTH = int(Columns.WIDTH)
 _AHEAD = 3
 """Frames that are computed beyond those that are asked for: the next path may be a little longer."""
 
@@ -84,9 +86,10 @@ def _separations(
     ego is across the road. Returns the frames before the first that is negative."""
     frames, near, visible, home, found = path.shape[0], desk.near, ground.visible, desk.home, desk.apart
     others, centers, duty, low, high = around.others, ground.centers, duty_of(x, hold), desk.sides[0], desk.sides[1]
+    since = frames, frames
     if x.blind > 0 and hold == 0:
-        settings = (r, x.seen, x.width, x.lean)
-        sides_taken(path, lane, fail, near[:q], others, centers, settings, low, high, home)
+        sides_taken(lane, fail, near[:q], others, around.rows[:, _WIDTH], centers, x.waver, low, high, home)
+        since = leaves_sight(r, path, centers[lane], x.seen), leaves_sight(r, path, centers[fail], x.seen)
     else:
         for j in range(q):
             low[j], high[j], home[j] = others.low[near[j]], others.high[near[j]], others.lane[near[j]]
@@ -99,7 +102,15 @@ def _separations(
     for j in range(q):
         k, left, right = near[j], low[j], high[j]
         s, v, length = states[k, 0], states[k, 3], bodies.reach[k]
-        beside = max(left - ego.highest, ego.lowest - right)
+        most_left, most_right, later = left, right, frames
+        if min(since[0], since[1]) < frames:
+            later, core = min(since[0], since[1]), 0.5 * around.rows[k, _WIDTH] + x.waver
+            for step in range(2):
+                if since[step] < frames:
+                    goal = centers[lane if step == 0 else fail]
+                    low_most, high_most = joins(others.low[k], others.high[k], goal, core, x.width)
+                    most_left, most_right = min(most_left, low_most), max(most_right, high_most)
+        beside = max(most_left - ego.highest, ego.lowest - most_right)
         about = s + v + length + bodies.floor[k] + bodies.budget[k] + bodies.action[k]
         if beside >= 0 and math.isfinite(left + right + about):
             # Wherever it gets along the road makes no difference.
@@ -109,9 +120,13 @@ def _separations(
         goal, at_once, already = centers[home[j]], -1, visible[home[j]]
         if already > 0:
             at_once = max(duty.reaction + 1 - already, 0)
-        most, nose, later = stretch[1, k] if stretch.shape[1] > 0 else 1.0, bodies.noses[0, k], bodies.noses[1, k]
-        other = Vehicle(left, right, length, nose, later, others.behind[k], goal, at_once, v, s + length, most)
-        found[j], first = separation(path, ego, desk.bounds, foot, other, desk.rear[0], duty, desk.bounds[8])
+        most = stretch[1, k] if stretch.shape[1] > 0 else 1.0
+        other = Vehicle(
+            left, right, most_left, most_right, later, length, others.behind[k], goal, at_once, v, s + length, most
+        )
+        found[j], first = separation(
+            path, desk.turned, ego, desk.bounds, foot, other, desk.rear[0], duty, desk.bounds[4]
+        )
         reached = min(reached, first)
     return reached
 
@@ -202,7 +217,7 @@ def judge(
     way = path[frames - 1, 0] - state[0]
     # A way that is not a number drops nobody.
     reach = (way if way == way else np.inf, x.perception)
-    q = threats(others, reach, lane, fail, ground.owned, centers, path, desk.turned, foot, desk.near)
+    q = threats(others, reach, lane, fail, ground.owned, centers, state, path, desk.turned, foot, desk.near)
     if ignored.shape[0] > 0:
         kept = 0
         for j in range(q):

@@ -35,8 +35,8 @@ CLEARANCE = (
     off(
         "no way back to a lane left off",
         EDGE,
-        "if k > 0 and owned[j] and inside",
-        "if k < 0 and owned[j] and inside",
+        " or (inside and not within[j]):",
+        ":",
         "tests/shield/test_kernels.py",
     ),
     off("gaps of the map off", VERIFY, "        if gaps is not None:", "        if gaps is None and gaps:", "gap"),
@@ -96,7 +96,13 @@ CLEARANCE = (
         "    return np.inf",
         "coming[0]",
     ),
-    off("later coming frames off", SEPARATION, "if later < 0:", "if later < -1e9:", "coming[1]"),
+    off(
+        "later coming frames off",
+        SEPARATION,
+        "if ego.turned and k < frames - 1",
+        "if ego.turned and k < 1",
+        "coming[1]",
+    ),
     off(
         "buffer rule off",
         RULE_KERNELS,

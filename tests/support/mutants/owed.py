@@ -42,8 +42,8 @@ OWED = (
     off(
         "nobody comes where the ego is out of sight",
         ENTERING,
-        "leaves and beside",
-        "False and beside",
+        "        elif seen:",
+        "        elif False:",
         "joins",
     ),
     off(
@@ -98,7 +98,7 @@ OWED = (
     off(
         "nobody joins where the ego has got out of sight",
         DUTIES,
-        "                coming[j, i] = True",
+        "                coming[j, i] = coming[j, i] or not owing[i]",
         "                pass",
         "anybody",
     ),
@@ -119,8 +119,16 @@ OWED = (
         "tests/shield/test_found.py",
     ),
     off("who enters may impose anything", MOBIL, " and imposed <= IMPOSED + slack", "", TESTS_OF_MOBIL),
-    off("lane owned without a plan", DUTIES, "(had or j == stored) and offset < touch", "offset < touch", "owned"),
-    off("lane owned for ever", DUTIES, "(had or j == stored) and offset < touch", "had or j == stored", "owned"),
+    off("lane owned without a plan", DUTIES, "(j == stored and offset < touch)", "offset < touch", "owned"),
+    off("lane owned for ever", DUTIES, "had and (offset < leave or j == stored)", "had", "owned"),
+    off(
+        "lane lost before the body has left it",
+        DUTIES,
+        "had and (offset < leave or",
+        "had and (offset < touch or",
+        "owned",
+    ),
+    off("lane lost that the plan stops in", DUTIES, "(offset < leave or j == stored)", "(offset < leave)", "owned"),
     off(
         "reaction time off",
         SEPARATION,
@@ -147,7 +155,7 @@ OWED = (
     off(
         "follower that still brakes when the ego stands off",
         SEPARATION,
-        "    if path[frames - 1, 3] < 0.5:",
+        "    if other.behind and path[frames - 1, 3] < 0.5:",
         "    if path[frames - 1, 3] < -0.5:",
         "follower[rss-25-20-0.0]",
         "follower[idm-15-20-0.0]",
@@ -155,8 +163,8 @@ OWED = (
     off(
         "follower accelerates half as hard",
         SEPARATION,
-        "min(gain, power / max(speed, 1e-3)) * dt, top)",
-        "0.5 * min(gain, power / max(speed, 1e-3)) * dt, top)",
+        "        if hold <= k < turn:",
+        "        if hold <= k < 0.5 * turn:",
         "follower[idm-15-20-0.0]",
     ),
     off(

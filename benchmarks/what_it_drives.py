@@ -20,17 +20,21 @@ from gymnasium.envs.registration import load_env_creator
 
 import evaluation.scenarios
 import evaluation.wrappers  # noqa: F401  (registers the -continuous ones)
-from shield import Shield, ShieldConfig, ShieldedEnv
+from shield import Shield, ShieldedEnv
 from shield.decision import Reason
 from shield.errors import ShieldError
 
 ACTIONS = ("DiscreteMetaAction", "ContinuousAction", "DiscreteAction")
-DOORS: Mapping[str, Callable[[Any, Any, ShieldConfig | None], Any]] = {
+DOORS: Mapping[str, Callable[[Any, Any, str | None], Any]] = {
     "`ShieldedEnv`": lambda env, action, config: ShieldedEnv(env, config),
     "`Shield`": lambda env, action, config: Shield(lambda observation: action, env, config),
     "`Shield(frames=False)`": lambda env, action, config: Shield(lambda observation: action, env, config, frames=False),
 }
-CONFIGS: Mapping[str, Callable[[], ShieldConfig | None]] = {"default": lambda: None, "exact": ShieldConfig.exact}
+CONFIGS: Mapping[str, Callable[[], str | None]] = {
+    "default": lambda: None,
+    "worst case": lambda: "worst-case",
+    "simulated": lambda: "simulated",
+}
 """None is what a door takes by itself."""
 FAILED = (Reason.BAD_SCENE, Reason.BAD_ACTION, Reason.STAGE_FAILED, Reason.POLICY_FAILED)
 
@@ -81,7 +85,7 @@ def idle(env: Any) -> Any:
     return one(env.action_space)
 
 
-def refusal(env_id: str, config: dict[str, Any], door: str, settings: ShieldConfig | None) -> str:
+def refusal(env_id: str, config: dict[str, Any], door: str, settings: str | None) -> str:
     """Why a door does not serve an environment, "" where it has decided in it."""
     env = made(env_id, config)
     try:

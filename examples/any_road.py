@@ -8,9 +8,9 @@ import highway_env  # noqa: F401
 import numpy as np
 
 import evaluation.wrappers  # noqa: F401  (registers roundabout-continuous-v1)
-from shield import ShieldConfig, ShieldedEnv
+from shield import ShieldedEnv
 
-env = ShieldedEnv(gym.make("roundabout-continuous-v1"), ShieldConfig.exact())
+env = ShieldedEnv(gym.make("roundabout-continuous-v1"))
 env.reset(seed=0)
 over, total = False, 0.0
 while not over:
@@ -23,7 +23,7 @@ print(
 print(f"decisions overridden: {info['shield_episode']['overridden']} of {info['shield_episode']['decisions']}")
 
 egos = 4
-env = ShieldedEnv(gym.make("intersection-multi-agent-v0", config={"controlled_vehicles": egos}), ShieldConfig.exact())
+env = ShieldedEnv(gym.make("intersection-multi-agent-v0", config={"controlled_vehicles": egos}))
 env.reset(seed=1)
 over = False
 while not over:

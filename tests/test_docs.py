@@ -33,6 +33,7 @@ def test_the_readme_example_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     names: dict[str, object] = {}
     exec(compile(block, "README.md", "exec"), names)
     assert set(names["info"]["shield"]) >= {"overridden", "reason", "tier", "margin"}  # type: ignore[index]
+    assert f'"{names["env"].last_decision.explain()}"' in TEXT["README.md"]  # type: ignore[attr-defined]
 
 
 def test_a_policy_may_observe_lidar_and_images(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from shield.decision import Decision, Guarantee, Intervention, weakest
+from shield.explanation import Explanation
 
 __all__ = ["Offences", "Statistics", "report", "team_record", "team_report"]
 
@@ -104,11 +105,31 @@ def report(record: Decision, violations: int, rules: Mapping[str, int]) -> dict[
     }
 
 
+@dataclass(frozen=True, slots=True)
+class _OfOne:
+    """Explains the record of several egos by the first of them whose proposal was refused."""
+
+    decision: Decision
+
+    def explain(self, at: Decision, record: Decision, frame: int) -> Explanation:
+        """See `shield.decision.Source`."""
+        return self.decision.explain()
+
+
 def team_record(decisions: Sequence[Decision]) -> Decision:
     """The decisions about several egos as one record, with a tuple of their proposals and one of what was executed."""
     together = decisions[0].with_frames(decisions[1:])
     proposed, executed = (tuple(getattr(each, name) for each in decisions) for name in ("proposed", "executed"))
-    return replace(together, proposed=proposed, executed=executed, frames_overridden=0)
+    first = None if together.refusal is None else together.refusal[0]
+    return replace(
+        together,
+        proposed=proposed,
+        executed=executed,
+        frames=0,
+        frames_overridden=0,
+        held=None,
+        refusal=None if first is None else (replace(first, source=_OfOne(first)), 0),
+    )
 
 
 def team_report(

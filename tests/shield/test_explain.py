@@ -143,6 +143,9 @@ def test_each_of_several_egos_is_explained():
                 if each.overridden:
                     why, told = each.explain(), told + 1
                     assert why.clause == "road" or why.cause.vehicle in env.unwrapped.road.vehicles
+            if env.last_decision.overridden:
+                first = next(each for each in env.last_decisions if each.overridden)
+                assert env.last_decision.explain().text == first.explain().text
     assert told
 
 

@@ -20,6 +20,7 @@ from shield.perception.sighting import Sighting, decode
 from shield.perception.spec import ObservationSpec
 from shield.perception.tracking import Motions, Tracks, ahead_of, follow, sides
 from shield.perception.unseen import Behind, Unseen, ahead, edges
+from shield.perception.vanished import Vanished
 
 __all__ = ["ObservationPerception", "PerceptionConfig"]
 
@@ -50,7 +51,8 @@ class ObservationPerception:
     ----------
     tracks : who is followed. behind : who may be there unseen. edges : how far ahead and behind everybody is seen [m].
     learned : what is known of the sensor by now. It outlives `reset`, where `PerceptionConfig.carry` says so.
-    monitor : whether the sensor behaves as it is thought to.
+    monitor : whether the sensor behaves as it is thought to. vanished : who was seen, and is not shown any more where
+        everybody is seen.
     """
 
     def __init__(
@@ -78,6 +80,7 @@ class ObservationPerception:
     def reset(self) -> None:
         """Forget everything about the episode, and without `PerceptionConfig.carry` what was learned in it."""
         self.tracks, self.behind, self.monitor = Tracks(), Behind(), Monitor()
+        self.vanished, self._anybody = Vanished(), False
         if not self.config.carry:
             self.learned = self._before
         self.edges = self.spec.distance, self.spec.distance
@@ -95,13 +98,14 @@ class ObservationPerception:
             return Guarantee.NONE, 0.0
         if self.config.noise is not None or self.config.delay:
             return Guarantee.PROBABILISTIC, 0.5 * (1 + math.erf(self.config.bound / math.sqrt(2)))
-        everybody = min(self.edges) >= self.spec.distance
+        # An empty observation shows an empty road, or nothing of a full one.
+        everybody = min(self.edges) >= self.spec.distance and self._anybody
         return (Guarantee.FULL if everybody else Guarantee.ASSUMED), 1.0
 
     @property
     def alarmed(self) -> bool:
-        """Whether the sensor does not behave as it is thought to."""
-        return self.config.monitor and self.monitor.alarmed
+        """Whether the sensor does not behave as it is thought to, or has lost somebody within sight."""
+        return len(self.vanished) > 0 or (self.config.monitor and self.monitor.alarmed)
 
     @property
     def noise(self) -> FloatArray:
@@ -175,6 +179,11 @@ class ObservationPerception:
             lost = _around(last, ~np.isin(last.ids, self.tracks.ids), x, passed)
             new = _around(self.tracks, self.tracks.ids >= last.next_id, x)
         self.behind.go_on(self.config.unseen, self.edges[1], along, passed, lost, new)
+        self._anybody = self._anybody or len(self.tracks.ids) > 0
+        if self.config.noise is None and not self.config.delay:
+            # A noisy sensor is known to miss somebody now and then: see `PerceptionConfig.patience`.
+            gone = lost + np.array([x, 0.0, 0.0])
+            self.vanished.go_on(gone, self.tracks.mean[:, :2], x, self.edges, passed)
 
     def _learn(self) -> None:
         """Take in how what is shown differs from what was expected."""
@@ -200,6 +209,9 @@ class ObservationPerception:
             ghost_rows = unseen_bodies(road.to_world(ghosts), self.spec.body)
             rows, ids = np.concatenate([rows, ghost_rows]), np.concatenate([ids, np.full(len(ghosts), -1)])
             likely = None if likely is None else np.concatenate([likely, ghost_rows])
+        if len(self.vanished):
+            gone = bodies(self.vanished.states(float(ego[_X])), self.spec.body)
+            rows, ids = np.concatenate([rows, gone]), np.concatenate([ids, np.full(len(gone), -1)])
         if self.alarmed:
             # Nobody is taken to be who was there before: what was known of them narrows nothing.
             ids = np.full(len(rows), -1)

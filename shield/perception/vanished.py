@@ -1,0 +1,71 @@
+"""Those who were seen last well within sight, and are not shown any more: a sensor that works does not lose them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dynamics.state import FloatArray
+
+__all__ = ["Vanished"]
+
+_CHANGE = 6.0
+"""How hard anybody brakes or accelerates meanwhile [m/s^2]."""
+_MARGIN = 6.0
+"""Whoever was expected no further than this from an edge of sight may have left it [m]."""
+_SAME = 6.0, 4.5
+"""Whoever is shown no further than this from where one that has vanished may be, is that one: along and across [m]."""
+
+
+@dataclass(slots=True)
+class Vanished:
+    """Vehicles that have vanished within sight, and where they may be by now.
+
+    Attributes
+    ----------
+    ends : the least and the greatest x of each [m], (n, 2). speeds : the same of its speed along x [m/s], (n, 2).
+    across : its y [m], (n,).
+    """
+
+    ends: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    speeds: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    across: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def __len__(self) -> int:
+        return len(self.across)
+
+    def go_on(self, lost: FloatArray, shown: FloatArray, x: float, edges: tuple[float, float], passed: float) -> None:
+        """Take in another observation.
+
+        Parameters
+        ----------
+        lost : who was seen at the last observation and is not shown, where each is expected: x, y [m], vx
+            [m/s], (k, 3).
+        shown : who is shown, x and y, (m, 2). x : of the ego. edges : how far ahead and behind everybody is seen [m].
+        passed : time since the last observation [s].
+        """
+        change = _CHANGE * passed
+        slower = np.maximum(self.speeds[:, :1] - change, np.minimum(self.speeds[:, :1], 0.0))
+        speeds = np.concatenate([slower, self.speeds[:, 1:] + change], axis=1)
+        ends = self.ends + 0.5 * passed * (self.speeds + speeds)
+        stray = 0.5 * change * passed * np.array([-1.0, 1.0])
+        ends = np.concatenate([ends, lost[:, :1] + stray])
+        speeds = np.concatenate([speeds, lost[:, 2:] + change * np.array([-1.0, 1.0])])
+        across = np.concatenate([self.across, lost[:, 1]])
+        ahead, behind = x + edges[0] - _MARGIN, x - edges[1] + _MARGIN
+        within = (ends[:, 0] < ahead) & (ends[:, 1] > behind)
+        along = (shown[None, :, 0] > ends[:, :1] - _SAME[0]) & (shown[None, :, 0] < ends[:, 1:] + _SAME[0])
+        found = along & (np.abs(shown[None, :, 1] - across[:, None]) < _SAME[1])
+        kept = within & ~found.any(axis=1)
+        self.ends, self.speeds, self.across = ends[kept], speeds[kept], across[kept]
+
+    def states(self, x: float) -> FloatArray:
+        """Where each is assumed to be, x, y [m], vx and vy [m/s], (n, 4): ahead of the ego at x as near and slow as it
+        may be, behind it as near and fast."""
+        found = np.zeros((len(self), 4))
+        ahead = self.ends.mean(axis=1) >= x
+        found[:, 0] = np.where(ahead, self.ends[:, 0], self.ends[:, 1])
+        found[:, 1] = self.across
+        found[:, 2] = np.where(ahead, self.speeds[:, 0], self.speeds[:, 1])
+        return found

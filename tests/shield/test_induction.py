@@ -16,7 +16,7 @@ from shield import ShieldedEnv
 from shield.certificate.clauses.entering import leaves_sight
 from shield.decision import Reason, Tier
 
-FREQUENCIES = (3, 5, 10, 15, 30, 60)
+FREQUENCIES = (5, 8, 10, 15, 30, 60)
 SHORT = [
     ("meta", 5, "changing", "native"),
     ("meta", 15, "random", "riders"),

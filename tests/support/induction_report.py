@@ -56,7 +56,7 @@ def _inputs(name: str) -> Any:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--actions", nargs="*", default=["meta", "inputs"])
-    parser.add_argument("--hz", nargs="*", type=int, default=[3, 5, 10, 15, 30, 60])
+    parser.add_argument("--hz", nargs="*", type=int, default=[5, 8, 10, 15, 30, 60])
     parser.add_argument("--policies", nargs="*", default=None)
     parser.add_argument("--traffic", nargs="*", default=["native", "riders"])
     parser.add_argument("--episodes", type=int, default=2, help="of each cell")

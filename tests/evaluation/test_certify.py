@@ -113,6 +113,7 @@ def test_the_command_writes_the_table_and_the_page_and_replays(tmp_path):
     result = run.invoke(app, ["replay", "60", "--film", str(film)])
     assert result.exit_code == 0, result.output
     assert film.stat().st_size > 10_000
+    assert any("FASTER refused" in line and "the buffer would be short" in line for line in result.stdout.splitlines())
     assert run.invoke(app, ["replay", "--seed", "60"]).stdout.splitlines()[:5] == result.stdout.splitlines()[:5]
     assert isinstance(run.invoke(app, ["replay", "60", "--seed", "60"]).exception, ConfigError)
 

@@ -144,19 +144,18 @@ def _rate(brakes: FloatArray, i: int, k: int, motion: Motion) -> float:
 @uncounted
 def _braking_way(i: int, v: float, wrecked: bool, brakes: FloatArray, motion: Motion) -> tuple[float, float]:
     """The way that a vehicle counts on before it stands, braking from now on [m], and for how long it does [s]."""
-    way, time, wreck, least = 0.0, 0.0, 1.0, min(v, motion.min_speed)
+    way, time, least = 0.0, 0.0, min(v, 0.0 if wrecked else motion.min_speed)
     speed, k = v, 0
     while True:
         slow = max(speed, least)
-        if wrecked:
-            slow = min(slow, v * wreck)
-            wreck *= 1 - motion.dt
         if not slow >= motion.slow:
             return way, time
         if least >= motion.slow:
             return _ENDLESS, 0.0  # it never brakes below `min_speed`
-        way, time = way + slow * motion.dt, time + motion.dt
-        speed, k = speed - _rate(brakes, i, k, motion) * motion.dt, k + 1
+        way, time, rate = way + slow * motion.dt, time + motion.dt, _rate(brakes, i, k, motion)
+        if wrecked:
+            rate = max(rate, speed)  # highway-env: a crashed vehicle brakes at -1 * speed per second
+        speed, k = speed - rate * motion.dt, k + 1
 
 
 @uncounted
@@ -203,8 +202,8 @@ def rear_of(
     """
     dt, brakes, recent = motion.dt, bodies.brakes, bodies.recent
     budget, action, swing, reach = bodies.budget[j], bodies.action[j], bodies.swing[j], bodies.reach[j]
-    v, wrecked, wreck = states[j, 3], others[j, _CRASHED] > 0, 1.0
-    least_speed, start, floor = min(v, motion.min_speed), states[j, 0] - reach, bodies.floor[j]
+    v, wrecked = states[j, 3], others[j, _CRASHED] > 0
+    least_speed, start, floor = min(v, 0.0 if wrecked else motion.min_speed), states[j, 0] - reach, bodies.floor[j]
     way, time, back, lost = 0.0, 0.0, 0.0, 0.0
     burst, second, speed = 0.0, recent.shape[1], v
     for k in range(frames):
@@ -216,12 +215,10 @@ def rear_of(
         else:
             burst += recent[j, second - 1 - k % second]
         slow = max(speed, least_speed)
-        if k >= hold:
-            speed -= _rate(brakes, j, k - hold, motion) * dt
+        rate = _rate(brakes, j, k - hold, motion) if k >= hold else 0.0
         if wrecked:
-            # highway-env: a crashed vehicle brakes at -1 * speed per second.
-            slow = min(slow, v * wreck)
-            wreck *= 1 - dt
+            rate = max(rate, speed)  # highway-env: a crashed vehicle brakes at -1 * speed per second
+        speed -= rate * dt
         if hold > 0:
             way += max(slow, 0.0) * dt
             along = way

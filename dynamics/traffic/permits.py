@@ -17,12 +17,15 @@ may do, from one frame to the next:
 7. *braking*: harder than at `calm_braking` only as what is ahead asks for, or may come to ask for once it has moved in
    before it (`dynamics.traffic.reaction`); harder where that leaves the room for the ego's fail-safe;
 8. *appearing*: only where that leaves the room for the ego's fail-safe and its buffer. What a newcomer did before is
-   not known, so this is judged by the shield alone (`shield.certificate.monitor`).
+   not known, so this is judged by the shield alone (`shield.certificate.monitor`);
+9. *size*: its body grows only where that leaves the room for the ego's fail-safe.
 
-Rules 1 and 2 are judged here alone. Of rules 3, 4 and 7 this module finds who has taken more room; whether the
-fail-safe suffers from it, and whether one that has come beside the ego (rule 5) leaves it the room, is for the shield
-to say. The first two make what they permit a matter of one frame: a bound that holds for a frame holds for all that
-follow, and `tests/dynamics/test_permits.py` has arbitrary inputs try to break that.
+A wreck may brake at 1/s times its speed, as highway-env has it brake, where that is more than `braking`; otherwise the
+rules are the same for it, but for what pushes it off an ego with which it has crashed. Rules 1 and 2 are judged here
+alone. Of rules 3, 4, 7 and 9 this module finds who has taken more room; whether the fail-safe suffers from it, and
+whether one that has come beside the ego (rule 5) leaves it the room, is for the shield to say. The first two make what
+they permit a matter of one frame: a bound that holds for a frame holds for all that follow, and
+`tests/dynamics/test_permits.py` has arbitrary inputs try to break that.
 """
 
 from __future__ import annotations
@@ -43,7 +46,7 @@ from dynamics.traffic.tables import bodies_of
 __all__ = ["Ego", "Motions", "Rule", "footprint", "gap_between", "judge_motions", "limits_of", "permits"]
 
 _LENGTH, _WIDTH, _CRASHED = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
-_SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH, _BRAKING, _APPEARED = 1, 2, 4, 8, 16, 32, 64, 128
+_SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH, _BRAKING, _APPEARED, _SIZE = 1, 2, 4, 8, 16, 32, 64, 128, 256
 _TOUCHING = 2.0
 """Bodies nearer than this have crashed into one another: highway-env moves them apart in the frame of a crash [m]."""
 _ROUNDING = 1e-9
@@ -71,6 +74,7 @@ class Rule(IntFlag):
     CRASH = _CRASH
     BRAKING = _BRAKING
     APPEARED = _APPEARED
+    SIZE = _SIZE
 
     def __str__(self) -> str:
         """The name that one rule is reported by."""
@@ -83,7 +87,7 @@ class Motions(NamedTuple):
     Attributes
     ----------
     broken : rules 1, 2, 5 and 6 that each broke, (m,) of `Rule` bits.
-    grown : rules 3, 4 and 7 that each broke unless it leaves the room, (m,) of `Rule` bits.
+    grown : rules 3, 4, 7 and 9 that each broke unless it leaves the room, (m,) of `Rule` bits.
     """
 
     broken: IntArray
@@ -92,7 +96,7 @@ class Motions(NamedTuple):
 
 class Ego(NamedTuple):
     """The ego in the world frame: x, y [m], heading [rad], speed [m/s]; half extents of its footprint with the buffer
-    and of its body alone, along and across [m]; and whether it has crashed in this frame."""
+    and of its body alone, along and across [m]; whether it has crashed in this frame, and in this one or before."""
 
     x: float
     y: float
@@ -103,6 +107,7 @@ class Ego(NamedTuple):
     body_along: float
     body_across: float
     crashed: bool
+    wrecked: bool = False
 
 
 class _Limits(NamedTuple):
@@ -182,22 +187,27 @@ def judge_motions(
         most = stretch[1, i] if stretch.shape[1] > 0 else 1.0
         way, wrecked = v0 * limits.period, rows0[i, _CRASHED] > 0
         # Whoever the ego has run into has broken no rule by it.
-        struck = ego.crashed and gap_between(ego, ego.body_along, ego.body_across, rows, i, 0.0) < _TOUCHING
-        if rows[i, _CRASHED] > 0 and not wrecked and not struck:
+        pushed = ego.crashed or (ego.wrecked and wrecked)
+        pushed = pushed and gap_between(ego, ego.body_along, ego.body_across, rows, i, 0.0) < _TOUCHING
+        if rows[i, _CRASHED] > 0 and not wrecked and not (ego.crashed and pushed):
             bits |= _CRASH
-        if not wrecked:
-            rate = (v - v0) / limits.period
-            sped = not v <= max(v0, limits.fastest) + _ROUNDING or not v >= -limits.reversing
-            most_rate = min(limits.acceleration, limits.power / max(v0, 1e-3) + _ROUNDING)
-            if sped or not (-limits.braking <= rate <= most_rate):
-                bits |= _SPEED
-            if frames == 1:
-                back = not ds >= min(way, 0.0) * most - _ROUNDING
-                ahead = not ds <= max(way, 0.0) * most + _ROUNDING
-                if back or ahead or not abs(dr) <= abs(way) * _SIDEWAYS + _ROUNDING:
-                    bits |= _WAY
-                if not min(budget[i], action[i]) >= -_ROUNDING:
-                    bits |= _WAY
+        rate, hardest = (v - v0) / limits.period, limits.braking
+        if wrecked:
+            slowest, dt = v0, limits.period / limits.frames
+            for _ in range(frames):
+                slowest -= max(limits.braking, slowest) * dt
+            hardest = max((v0 - slowest) / limits.period + _ROUNDING, limits.braking)
+        sped = not v <= max(v0, limits.fastest) + _ROUNDING or not v >= -limits.reversing
+        most_rate = min(limits.acceleration, limits.power / max(v0, 1e-3) + _ROUNDING)
+        if sped or not (-hardest <= rate <= most_rate):
+            bits |= _SPEED
+        if frames == 1 and not (wrecked and pushed):
+            back = not ds >= min(way, 0.0) * most - _ROUNDING
+            ahead = not ds <= max(way, 0.0) * most + _ROUNDING
+            if back or ahead or not abs(dr) <= abs(way) * _SIDEWAYS + _ROUNDING:
+                bits |= _WAY
+            if not min(budget[i], action[i]) >= -_ROUNDING:
+                bits |= _WAY
         if behind[i]:
             touches = gap_between(ego, ego.along, ego.across, rows, i, 0.0) < 0
             # highway-env counts what constant velocities would bring in the coming frame.
@@ -205,6 +215,8 @@ def judge_motions(
                 bits |= _DISTANCE
         if not (low[i] >= low0[i] - _ROUNDING and high[i] <= high0[i] + _ROUNDING):
             more |= _LANES
+        if not (rows[i, _LENGTH] <= rows0[i, _LENGTH] + _ROUNDING and rows[i, _WIDTH] <= rows0[i, _WIDTH] + _ROUNDING):
+            more |= _SIZE
         harder = False
         if not wrecked:
             allowed = 0.0

@@ -25,7 +25,7 @@ from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.batch.arrays import Bench, Records, Room, Shields
 from shield.batch.deciding import decide, target_of
 from shield.batch.law import Law
-from shield.batch.observing import forget
+from shield.batch.observing import forget, observe
 from shield.batch.supervising import supervise
 from shield.batch.vocabulary import TIERS
 from shield.decision import Tier
@@ -114,6 +114,9 @@ def step_all_shielded(
             shields.clock[e] += 1
             off_road[e, k] = not look(worlds, rules, e, rows[e, k])
         finish(machine, worlds, rules, view, work, seen, e)
+        if not off and (seen.terminated[e] or seen.truncated[e]):
+            # The last frame of an episode: nothing is decided after it.
+            observe(bench, e)
         records.violations[e] = shields.offences[e] - before
         for k in range(by_rule.shape[0]):
             broken[k] += by_rule[k]

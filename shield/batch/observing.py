@@ -155,6 +155,7 @@ def observe(bench: Bench, e: int) -> bool:
         along,
         across,
         crashed and not shields.crashed[e],
+        crashed,
     )
     broken, grown, owing = room.marks[0, :m], room.marks[1, :m], room.flags[0]
     judge_motions(

@@ -129,8 +129,8 @@ class Watch:
         if before is None:
             nobody = np.zeros(len(behind), dtype=bool)
             return Watch(behind & held, crashed, nobody, nobody, self.count, self.by_rule)
-        if crashed and not self.crashed:
-            ego = ego._replace(crashed=True)
+        if crashed:
+            ego = ego._replace(crashed=not self.crashed, wrecked=True)
         broken, grown = permits(before, survey.around, period, self.owing, ego)
         if new is not None:
             appeared(new, survey.scene.others, ego, broken, grown)

@@ -153,6 +153,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._recording = False
         self._door: Door | TeamDoor = self._choose(kind)
         self._observation: Any = None
+        self._road: Any = None
         self._supervising = self.latency = 0.0
         self._episode, self._summed = Statistics(), False
         self._patience = Patience(self.config.patience)
@@ -180,6 +181,10 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
         `info["shield_episode"]` is of that episode, where a wrapper outside has ended it: no step could say so.
         """
+        if self._episode.decisions and not self._summed and self._base.road is self._road:
+            before = Offences(self._door)
+            self._door.look()
+            self._episode.add_offences(*before.since(self._door))
         obs, info = self.env.reset(seed=seed, options=options)
         if self._episode.decisions and not self._summed:
             info["shield_episode"] = self._episode.summary()
@@ -214,7 +219,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._patience.check(decisions[0], self._door.cause)
         self._action_warning.check(decisions, self._base)
         self.decisions, self.frame_decisions = decisions, []
-        self._supervising = 0.0
+        self._supervising, self._road = 0.0, self._base.road
         deciding, frames = perf_counter() - start, int(self._base.steps)
         if self._door.supervising:
             with Supervision(self._base, self._frame):
@@ -224,6 +229,10 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         check_step(self._base, frames, executed, info)
         self._observation = obs
         self.latency = deciding + self._supervising
+        # highway-env's wrapper for several egos rewards each, and says of each whether it is over for it.
+        ended = truncated or (self._base._is_terminated() if isinstance(terminated, tuple) else terminated)
+        if ended:
+            self._door.look()
         offences = before.since(self._door)
         record = self.last_decision
         assert record is not None
@@ -233,9 +242,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             info["shield"] = report(record, *offences)
         info["shield"]["verification"] = self.verification.value
         self._episode.add(info["shield"], self.latency)
-        # highway-env's wrapper for several egos rewards each, and says of each whether it is over for it.
-        each = isinstance(terminated, tuple)
-        if truncated or (self._base._is_terminated() if each else terminated):
+        if ended:
             info["shield_episode"] = self._episode.summary()
             self._summed = True
         paid: Any = reward if isinstance(reward, tuple) else float(reward)

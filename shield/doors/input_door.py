@@ -128,6 +128,11 @@ class InputDoor(InputFrames):
         """Whether `frame` has a say."""
         return not (self._off or self._agent)
 
+    def look(self) -> None:
+        """Judge the others in the last frame of an episode, after which nothing is decided."""
+        if not self._off:
+            self.core.look(read(self._reader))
+
     def _filter(self, begins: bool) -> tuple[FloatArray, Decision]:
         start, proposal = perf_counter(), self._proposal
         scene = read(self._reader, self._stopping())

@@ -159,6 +159,11 @@ class MetaDoor:
         decision = self._rated(self.core.decide(scene, target, self._frames), scene)
         return (None if decision.tier is Tier.PASSED else decision.executed), decision
 
+    def look(self) -> None:
+        """Judge the others in the last frame of an episode, after which nothing is decided."""
+        if self._scenes is None and self.config.mode != "none" and not self._alone:
+            self.core.look(read(self.reader), self._frames if self.supervising else None)
+
     def mask(self) -> np.ndarray[Any, Any]:
         """Which actions verify now; all True where none does."""
         mask: np.ndarray[Any, Any] = self._meta.mask(self.core.memory, self.reader.read())

@@ -148,6 +148,7 @@ class Shield(WrappedPolicy):
         else:
             self._doors = [self._choose(i) for i in range(n)]
         self._roads: list[Any] = [None] * n
+        self._decided = [0] * n
         self._patience = [Patience(self.config.patience) for _ in self._bases]
         self._action_warning = ActionWarning()
         self._alive = [Liveness(base) for base in self._bases if base is not None]
@@ -232,6 +233,12 @@ class Shield(WrappedPolicy):
         """
         if not self.decisions:
             raise ConfigError("report() is about the last decision; call predict() first")
+        base = self._bases[i]
+        if base is not None and base.road is self._roads[i]:
+            period = int(base.config["simulation_frequency"] // base.config["policy_frequency"])
+            if base.steps >= self._decided[i] + period:
+                # The decision has been driven, and none may come that judges the last frame of it.
+                self._doors[i].look()
         offences = self._counted[i].since(self._doors[i])
         told = report(self.decisions[i].with_frames(self.frame_decisions[i]), *offences)
         return {**told, "verification": self._chosen[i].verification.value}
@@ -338,6 +345,7 @@ class Shield(WrappedPolicy):
         if not self._inputs:
             proposed, many = action_index(proposal), self._actions(i)
             wanted = lambda: ranking.order(i, proposed, many)  # noqa: E731
+        self._decided[i] = 0 if base is None else int(base.steps)
         decision = door.decide(proposal, wanted)
         if reason is not None and decision.reason is Reason.BAD_ACTION:
             decision = replace(decision, reason=reason)

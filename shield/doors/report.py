@@ -68,6 +68,11 @@ class Statistics:
         self.latency += latency
         self.guarantee = weakest(self.guarantee, Guarantee(report["guarantee"]))
 
+    def add_offences(self, violations: int, rules: Mapping[str, int]) -> None:
+        """Count offences of the traffic that no report has."""
+        self.violations += violations
+        self.rules.update(rules)
+
     def summary(self) -> dict[str, Any]:
         """As `info["shield_episode"]` has it: the counts, the margin, the mean latency of a decision [ms], and the
         weakest guarantee: no better than `Guarantee.BROKEN` where the traffic has broken an assumption."""

@@ -84,7 +84,7 @@ class RoadDoor:
         self._dues = Dues()
         self._stored: Course | None = None
         self._wish: Wish | None = None
-        self._left = -1
+        self._left = self._judged = -1
         self.disturbed = False
         self.kept: dict[Any, tuple[float, float]] = {}
         self._then: dict[Any, float] = {}
@@ -210,6 +210,13 @@ class RoadDoor:
             inputs = {"acceleration": brake, "steering": 0.0}
             return inputs, Decision(-1, -1, reason, Tier.EMERGENCY, np.nan, perf_counter() - start)
 
+    def look(self) -> None:
+        """Judge the others in the last frame of an episode, after which nothing is decided."""
+        try:
+            self._read()
+        except Exception as error:
+            _, self.cause = why_unread(error)
+
     def mask(self) -> np.ndarray[Any, Any]:
         """Which actions verify now; all True where none does. No decision, and no record, is another for being asked.
 
@@ -267,8 +274,12 @@ class RoadDoor:
         self._trial: Trial = empty_trial(self._frames, len(self._names), 0)
 
     def _read(self) -> None:
-        """Take in the scene, and what has become of it since the one before."""
-        self._watch(self._see())
+        """Take in the scene, and once what has become of it since the one before."""
+        seen, frame = self._see(), int(self._base.steps)
+        if frame != self._judged:
+            self._watch(seen)
+            self._judged = frame
+        self._others.offends[:] = [body in self.watch.offenders for body in seen.who]
 
     def _see(self) -> Seen:
         """Look at the scene."""
@@ -302,7 +313,6 @@ class RoadDoor:
             self.kept = {b: (self._then[b], float(margins[i])) for i, b in enumerate(seen.who) if b in self._then}
         self.watch.next(seen, set(self._then), margins, self._road, late)
         self.disturbed = self.disturbed or bool(self.watch.offenders)
-        self._others.offends[:] = [body in self.watch.offenders for body in seen.who]
 
     def _try(self, course: Course) -> None:
         """Have the trial hold what comes of a course; whoever owes the ego its distance keeps it."""

@@ -99,7 +99,7 @@ def clearance(futures: Any, k: int, ego: int, bounds: Bounds, row: FloatArray) -
     f, g, p = futures.f[k], futures.g[k], futures.p[k]
     x, y, half_length, half_width = f[X, ego], f[Y, ego], 0.5 * p[LENGTH, ego], 0.5 * p[WIDTH, ego]
     along, across = half_length + bounds.longitudinal, half_width + bounds.lateral
-    own = Ego(x, y, f[HEADING, ego], f[SPEED, ego], along, across, half_length, half_width, False)
+    own = Ego(x, y, f[HEADING, ego], f[SPEED, ego], along, across, half_length, half_width, False, False)
     least, reach = np.inf, math.hypot(along, across)
     for i in range(f.shape[1]):
         if i == ego or not p[LENGTH, i] > 0:

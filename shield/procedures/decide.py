@@ -204,6 +204,7 @@ class Core(Generic[S]):
     def reset(self) -> None:
         """Forget everything about the episode."""
         self.memory: Memory[S] = Memory()
+        self._looked: tuple[Any, Memory[S]] | None = None
 
     @property
     def violations(self) -> int:
@@ -217,8 +218,30 @@ class Core(Generic[S]):
 
     def decide(self, scene: Any, proposal: Any, procedure: Procedure[S, Any] | None = None) -> Decision:
         """The next decision; see `decide`."""
+        looked, self._looked = self._looked, None
+        if looked is not None and not _alike(looked[0], scene):
+            # The world has been changed since, by hand: it is taken in anew.
+            self.memory = looked[1]
         decision, self.memory = decide(self.memory, scene, proposal, procedure or self.procedure, self.explain)
         return decision
+
+    def look(self, scene: Any, procedure: Procedure[S, Any] | None = None) -> None:
+        """Take in a scene before anything is decided about it, such as the last of an episode: the others may have
+        broken a rule on the way there. A decision about the same scene does not judge them again."""
+        if isinstance(scene, Unreadable) or not scene.finite:
+            return
+        before = self.memory if self._looked is None else self._looked[1]
+        try:
+            _, self.memory = (procedure or self.procedure).observe(before, scene)
+            self._looked = scene, before
+        except Exception:
+            _log.exception("the last scene of an episode could not be judged")
+
+
+def _alike(a: Any, b: Any) -> bool:
+    """Whether two scenes show the same."""
+    names = [name for name in ("ego", "others", "obstacles") if hasattr(a, name)]
+    return type(a) is type(b) and all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
 
 
 def read(reader: Reader, stopping: float = np.nan) -> Any:

@@ -150,7 +150,7 @@ def judge(
     margins[:] = np.inf
     for j in range(others.things.shape[0]):
         for k in range(count):
-            ego = Ego(path[k, 0], path[k, 1], path[k, 2], path[k, 3], body.along, body.across, 0.0, 0.0, False)
+            ego = Ego(path[k, 0], path[k, 1], path[k, 2], path[k, 3], body.along, body.across, 0.0, 0.0, False, False)
             gap = gap_between(ego, body.along, body.across, others.things, j, 0.0)
             gap = min(gap, gap_between(ego, body.length, body.width, others.things, j, dt))
             if gap < 0:

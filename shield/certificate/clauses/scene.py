@@ -82,7 +82,7 @@ def seen(
         Footprint(*numbers_of(size, 8)),
     )
     body = 0.5 * foot.length, 0.5 * foot.width
-    world = Ego(vehicle[0], vehicle[1], vehicle[2], vehicle[3], foot.along, foot.across, body[0], body[1], False)
+    world = Ego(vehicle[0], vehicle[1], vehicle[2], vehicle[3], foot.along, foot.across, body[0], body[1], False, False)
     others = others_from(bodies, of_others, flags)
     ego = Standing(state, foot, world, owned, visible, plan[0], plan[1])
     others_of(rows, states, bodies, ego, followers, before, sight_of(x), centers, others, tempted)

@@ -35,7 +35,7 @@ _UNFORESEEN = Breach.UNFORESEEN.value
 _SAME = 1e-6
 """A vehicle has done what was foretold of it within this [m, rad, m/s]; where numpy's own sums cannot be had they
 differ by some 1e-12."""
-_ELSEWHERE = 10.0
+_ELSEWHERE = 100.0
 """No vehicle strays so far from what was foretold of a decision [m]."""
 
 
@@ -92,6 +92,7 @@ class ExactScene:
     def expect_nothing(self) -> None:
         """Foretell nothing of what comes next."""
         self.surprised = False
+        self._counted: set[Any] = set()
         self._foretold: FloatArray = np.zeros((len(STATE), 0))
         self._foretold_of: dict[Any, int] = {}
 
@@ -102,7 +103,7 @@ class ExactScene:
 
     def expect(self, states: FloatArray) -> None:
         """Foretell the next scene: `states` has the rows x, y [m], heading [rad] and speed [m/s] of its bodies."""
-        self._foretold, self._foretold_of = states.copy(), self.bodies()
+        self._foretold, self._foretold_of, self._counted = states.copy(), self.bodies(), set()
 
     def read(self, counting: bool = True) -> Room:
         """The scene as it is; `counting` those who have done something else than what was foretold.
@@ -125,8 +126,26 @@ class ExactScene:
                 room = known
         others = self._compare(room[0].worlds.f[0][STATE])
         if counting:
-            self.violations += others
+            self._count(others)
         return room
+
+    def look(self) -> None:
+        """Count those who have done something else than what was foretold by the end of an episode, after which nothing
+        is read."""
+        if not self.foretells:
+            return
+        base, surprised = self._base, self.surprised
+        if isinstance(base, CompiledHighwayEnv):
+            states = base.simulator.worlds.f[0][STATE]
+        else:
+            states = np.array([[*body.position, body.heading, body.speed] for body in self.bodies()], float).T
+        self._count(self._compare(states))
+        self.surprised = surprised
+
+    def _count(self, others: set[Any]) -> None:
+        """Count each once for what was foretold."""
+        self.violations += len(others - self._counted)
+        self._counted |= others
 
     def as_foretold(self) -> bool:
         """Whether everybody is where it was foretold, and nobody else has come; nothing is read but where they are."""
@@ -198,23 +217,32 @@ class ExactScene:
         """The column of the ego among `bodies`."""
         return 0 if isinstance(self._base, CompiledHighwayEnv) else bodies[self._base.vehicle]
 
-    def _compare(self, states: FloatArray) -> int:
-        """How many vehicles have done something else than was foretold, 0 where the ego has: of those who were there
-        then and are there now. Who is somewhere else altogether has been put there: another newcomer."""
+    def _compare(self, states: FloatArray) -> set[Any]:
+        """The vehicles that have done something else than was foretold, of those who were there then and are there now.
+        Where the ego has too, it may be the cause: then there is none, but for those with which it has crashed. Who is
+        somewhere else altogether has been put there: another newcomer."""
         bodies, before = self.bodies(), self._foretold_of
-        columns = np.array([(k, before[body]) for body, k in bodies.items() if body in before], np.intp).reshape(-1, 2)
+        known = [(body, k, before[body]) for body, k in bodies.items() if body in before]
+        columns = np.array([each[1:] for each in known], np.intp).reshape(-1, 2)
         now, foretold = states[:, columns[:, 0]], self._foretold[:, columns[:, 1]]
         there = np.hypot(*(now - foretold)[:2]) <= _ELSEWHERE
         other = there & ~(np.abs(now - foretold) <= _SAME).all(axis=0)
         self.surprised = bool(other.any())
-        ego = self.ego(bodies)
-        return 0 if other[columns[:, 0] == ego].any() else int(other.sum())
+        found, ego = {known[k][0] for k in np.flatnonzero(other)}, self.ego(bodies)
+        if any(bodies[body] == ego for body in found):
+            crashed = getattr(getattr(self._base, "vehicle", None), "crashed", False)
+            found = {b for b in found if crashed and bodies[b] != ego and getattr(b, "crashed", False)}
+        return found
 
 
 class Foretells:
     """A door that foretells a scene: what offends is what comes about otherwise."""
 
     _scene: ExactScene
+
+    def look(self) -> None:
+        """Judge the others in the last step of an episode, after which nothing is decided."""
+        self._scene.look()
 
     @property
     def violations(self) -> int:

@@ -230,7 +230,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._observation = obs
         self.latency = deciding + self._supervising
         # highway-env's wrapper for several egos rewards each, and says of each whether it is over for it.
-        ended = truncated or (self._base._is_terminated() if isinstance(terminated, tuple) else terminated)
+        each: Any = terminated
+        ended = truncated or (self._base._is_terminated() if isinstance(each, tuple) else terminated)
         if ended:
             self._door.look()
         offences = before.since(self._door)

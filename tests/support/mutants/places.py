@@ -52,12 +52,12 @@ PLACES = (
         "        if last and hold > 0:",
         "queue",
     ),
-    off("others brake less hard", BODIES, "speed -= _rate(", "speed -= 0.8 * _rate(", "brakes"),
+    off("others brake less hard", BODIES, "speed -= rate * dt", "speed -= 0.8 * rate * dt", "brakes"),
     off(
         "others stop less soon",
         BODIES,
-        "speed - _rate(",
-        "speed - 0.8 * _rate(",
+        "speed - rate * motion.dt",
+        "speed - 0.8 * rate * motion.dt",
         "brakes",
     ),
     off(

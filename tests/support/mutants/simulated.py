@@ -170,15 +170,15 @@ SIMULATED = (
     off(
         "nothing is foretold",
         "shield/doors/simulated/exact_scene.py",
-        "return 0 if other[columns[:, 0] == ego].any() else",
-        "return 0 if True else",
+        "if any(bodies[body] == ego for body in found):",
+        "if True:",
         _TESTS,
     ),
     off(
         "the ego is foretold too",
         "shield/doors/simulated/exact_scene.py",
-        "return 0 if other[columns[:, 0] == ego].any() else",
-        "return 0 if False else",
+        "if any(bodies[body] == ego for body in found):",
+        "if False:",
         _TESTS,
     ),
     off(

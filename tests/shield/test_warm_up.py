@@ -90,8 +90,9 @@ def test_nothing_is_compiled_once_the_door_is_there(drive):
 
 
 @pytest.fixture
-def slow_machine(monkeypatch):
-    """One on which the part takes 40 s, and its kernels are not on the disk."""
+def slow_machine(monkeypatch, tmp_path):
+    """One on which the part takes 40 s, its kernels are not on the disk, and no other process compiles."""
+    monkeypatch.setattr(compiling.tempfile, "gettempdir", lambda: str(tmp_path))
     monkeypatch.setattr(compiling, "compile_units", lambda: {"a part": {}})
     monkeypatch.setattr(compiling, "estimated_units", lambda part: 20.0)
     monkeypatch.setattr(compiling, "reference_seconds", lambda: 2.0)

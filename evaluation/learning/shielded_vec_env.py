@@ -16,6 +16,7 @@ from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 from shield.batch.vocabulary import CERTIFIED, FALLBACKS, OVERRIDES, REASONS, TIERS, rules_in
 from shield.config import ShieldConfig
 from shield.decision import Guarantee, Intervention, Reason, Tier
+from shield.doors.defaults import verification_of
 from shield.doors.report import Statistics
 from shield.exact.batches import highways_for
 
@@ -152,6 +153,7 @@ class ShieldedVecEnv(FastHighwayVecEnv):
             records.violations,
             certified,
         )
+        verification = verification_of(self._shield).value
         return [
             {
                 "overridden": overridden,
@@ -163,6 +165,7 @@ class ShieldedVecEnv(FastHighwayVecEnv):
                 "violations": violations,
                 "rules": rules_in(broken) if violations else {},
                 "guarantee": (Guarantee.FULL if full else Guarantee.NONE).value,
+                "verification": verification,
             }
             for overridden, done, reason, tier, margin, frames, violations, full, broken in zip(
                 *(column.tolist() for column in columns), records.broken, strict=True

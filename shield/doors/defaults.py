@@ -158,8 +158,9 @@ def _better_simulated(place: Place) -> bool:
     base = place.base
     if base is None or base.road is None or is_lot(base):
         return False
-    if not (place.inputs or place.frames):
-        return True
+    if not place.frames:
+        # Throttle and steering are simulated frame by frame.
+        return not place.inputs
     slips = place.inputs and getattr(base.action_type, "dynamical", False)
     return has_crossings(base) or len(getattr(base, "controlled_vehicles", ())) > 1 or slips
 

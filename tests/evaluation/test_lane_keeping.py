@@ -53,7 +53,7 @@ def test_it_can_be_drawn():
 
 def test_bounds_on_others_are_refused_where_tyres_slip():
     with pytest.raises(ConfigError, match="dynamical"):
-        ShieldedEnv(gym.make("lane-keeping-v0"))
+        ShieldedEnv(gym.make("lane-keeping-v0"), "worst-case")
 
 
 def test_it_is_the_same_with_its_frames_compiled():

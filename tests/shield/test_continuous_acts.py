@@ -116,7 +116,7 @@ def test_through_the_actions_alone_it_stays_on_a_curved_road(kind: str) -> None:
 @pytest.mark.parametrize("policy", ["throttle", "random", "weave"])
 def test_what_was_verified_is_what_happens(kind: str, config: dict, policy: str) -> None:
     """At every frame the ego is where the verified plan of the frame before has it, whatever was overridden between."""
-    env = ShieldedEnv(gym.make(kind, config=config))
+    env = ShieldedEnv(gym.make(kind, config=config), "worst-case")
     rng, size = np.random.default_rng(0), env.action_space.shape[0]
     seen: list[tuple[np.ndarray, np.ndarray | None]] = []
     core = env.core

@@ -114,9 +114,12 @@ def test_out_of_the_box_is_refused_where_the_environment_does_not_cut_it_down():
     assert max(a for a, _ in actions.seen) <= 0
 
 
-def test_a_dynamical_bicycle_is_refused():
+def test_a_dynamical_bicycle_is_refused_in_the_worst_case():
     with pytest.raises(ConfigError, match="dynamical"):
-        make(action={"type": "ContinuousAction", "dynamical": True})
+        ShieldedEnv(
+            gym.make("highway-fast-v0", config={"action": {"type": "ContinuousAction", "dynamical": True}}),
+            "worst-case",
+        )
 
 
 # -- scenes that cannot be ----------------------------------------------------------------------------------------

@@ -141,7 +141,7 @@ def test_a_stage_that_computes_nan_verifies_nothing(seed, spy):
 @pytest.mark.usefixtures("nan_stage")
 @pytest.mark.parametrize(("frames", "tier"), [(True, Tier.EMERGENCY), (False, Tier.LARGEST_MARGIN)])
 def test_a_stage_that_computes_nan_verifies_nothing_for_predict(seed, spy, frames, tier):
-    shield = Shield(Policy(3), env=spy, frames=frames)
+    shield = Shield(Policy(3), spy, "worst-case", frames)
     obs, _ = spy.reset(seed=seed)
     with np.errstate(all="ignore"):
         shield.predict(obs)

@@ -23,6 +23,7 @@ KEYS = {
     "violations": int,
     "rules": dict,
     "guarantee": str,
+    "verification": str,
 }
 
 

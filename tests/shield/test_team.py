@@ -159,7 +159,7 @@ def test_what_is_no_action_and_what_cannot_be_read():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: ShieldedEnv(make(2)), "ShieldConfig.exact"),
+        (lambda: ShieldedEnv(make(2), ShieldConfig()), "ShieldConfig.exact"),
         (lambda: Shield(lambda obs: (1, 1), make(2), EXACT), "those of several"),
         (
             lambda: ShieldedEnv(

@@ -393,11 +393,11 @@ class Shield(WrappedPolicy):
         """Whether an observation is of several environments, or one in a row of its own."""
         space, seen = getattr(self._env, "observation_space", None), observation
         if space is None:
-            return len(self._doors) > 1 or np.ndim(seen) > len(self._known[0].shape)
+            return len(self._doors) > 1 or _dimensions(seen) > len(self._known[0].shape)
         if isinstance(seen, dict) and seen:
             key = next(iter(seen))
             space, seen = space[key], seen[key]
-        return np.ndim(seen) > len(space.shape or ()) or hasattr(self._env, "single_action_space")
+        return _dimensions(seen) > len(space.shape or ()) or hasattr(self._env, "single_action_space")
 
     def _frame(self, i: int) -> Command:
         door = self._doors[i]
@@ -405,6 +405,14 @@ class Shield(WrappedPolicy):
         command, decision = door.frame()
         self.frame_decisions[i].append(decision)
         return command
+
+
+def _dimensions(observation: Any) -> int:
+    """How many dimensions an observation has, 0 where its rows differ in length and it is no array."""
+    try:
+        return np.ndim(observation)
+    except (TypeError, ValueError):
+        return 0
 
 
 def _has_nan(actions: Any) -> bool:

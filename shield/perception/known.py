@@ -41,6 +41,8 @@ _PASSIVE = (
 _LONG = 1e5
 """An episode of more decisions than this is taken to last for ever."""
 _SENSOR, _DELAY = "sensor_noise", "sensor_delay"
+_ASKED = ("get_attr", "has_attr", "env_method", "env_is_wrapped")
+"""Methods of a VecEnv that its environments are asked with."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,12 +157,18 @@ class Known:
         Raises
         ------
         ConfigError
-            If one is not `highway-v0` or `highway-fast-v0`, is shielded already, or has a wrapper that changes what is
-            observed and cannot be undone.
+            If it has not the methods of a VecEnv to ask with, or if one is not `highway-v0` or `highway-fast-v0`, is
+            shielded already, or has a wrapper that changes what is observed and cannot be undone.
         """
         check_wrappers(env, ())
         if isinstance(env, VecEnvWrapper):
             return cls.of(env.venv)
+        lacking = [name for name in _ASKED if not hasattr(env, name)]
+        if lacking:
+            raise ConfigError(
+                f"{type(env).__name__} cannot be asked for its configuration, it lacks {', '.join(lacking)}: have a "
+                "VecEnv of stable-baselines3, or pass Shield(..., known=Known(...)) with its road map"
+            )
         layers, configs = _layers(env), env.get_attr("config")
         sensor = any(name not in _PASSIVE + SAME for each in layers for name in each[:-1]) and env.has_attr(_SENSOR)
         found = []

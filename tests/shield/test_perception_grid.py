@@ -169,7 +169,7 @@ def test_a_fine_grid_decides_as_the_simulator_s_state(observation):
     """And in another process, where the ego's own state is what it was told."""
     known = Known.from_config({**HighwayEnvFast.default_config(), "observation": observation})
     found = []
-    for kwargs in ({"perception": "simulator"}, {}, {"env": None, "known": known}):
+    for kwargs in ({"perception": "simulator", "config": "worst-case"}, {}, {"env": None, "known": known}):
         env = make(observation)
         obs, _ = env.reset(seed=0)
         shielded = Shield(lambda obs: 3, **{"env": env, **FRAMELESS, **kwargs})

@@ -84,16 +84,18 @@ def test_nobody_asks_another_process_for_its_state(layers, told, monkeypatch):
         def forbidden(*args, **kwargs):
             raise AssertionError("another process was asked for something")
 
-        for name in ("get_attr", "set_attr", "has_attr", "env_method", "env_is_wrapped", "get_images"):
-            monkeypatch.setattr(remote, name, forbidden)
-        found = [driven_in_parallel(s, e, 11, 10, told) for s, e in zip(shields, (near, far), strict=True)]
+        with monkeypatch.context() as deciding:
+            for name in ("get_attr", "set_attr", "has_attr", "env_method", "env_is_wrapped", "get_images"):
+                deciding.setattr(remote, name, forbidden)
+            found = [driven_in_parallel(s, e, 11, 10, told) for s, e in zip(shields, (near, far), strict=True)]
         assert found[0] == found[1]
         assert all(each[4].value != "none" or each[1] is not Tier.EMERGENCY for row in found[1] for each in row)
-        # With states to read, the same shield would ask.
+        # With states to read, the same shield is refused, and the configuration says which remedies there are.
         with pytest.raises(ConfigError, match="other processes"):
             Shield(Actions([3]), env=far)
         with pytest.raises(ConfigError, match="frames=False, or put the shield inside"):
             Shield(Actions([3]), env=far, perception="observation")
+        assert set(asked) == {"config"}
     finally:
         remote.close()
 

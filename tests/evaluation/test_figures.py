@@ -61,14 +61,19 @@ def test_whoever_owes_the_ego_its_distance_does_not_count_and_all_others_do():
 
 
 def test_the_drawn_separations_are_those_of_the_clause():
+    """The precaution of cut-ins refuses a plan in the scene drawn; without it the stored plan still verifies."""
     found = slip_in(0.5)
     centred, off = found.separations[:, found.at]
     assert centred >= 0 > off
     now = observe(Memory(), passing(float(found.ahead[found.at]), found.offsets[1]), CONFIG)
     assert np.array_equal(now.scene.ego, found.shown.ego)
     fail_safe = now.fail_safe()
-    assert fail_safe.binding.clause == "slip-in"
-    assert fail_safe.margin == pytest.approx(off, abs=0.1)
+    assert fail_safe.binding.clause != "slip-in"
+    assert fail_safe.margin >= 0
+    lanes = np.array([fail_safe.lane])
+    refused = now.survey.clearance(fail_safe.path[None], lanes, lanes)
+    assert refused.binding(0).clause == "slip-in"
+    assert float(refused.margin[0]) == pytest.approx(off, abs=0.1)
 
 
 def test_the_drawn_answer_verifies_and_nothing_on_the_grid_is_much_nearer():

@@ -49,9 +49,9 @@ OBSERVED = (
     ),
     off(
         "a sensor sees as far as highway-env shows",
-        _UNSEEN,
-        "far = min(spec.distance, spec.sensor_range)",
-        "far = spec.distance",
+        "shield/perception/spec.py",
+        "far = min(self.distance, self.sensor_range)",
+        "far = self.distance",
         "tests/evaluation/test_sensor_models.py::test_what_is_beyond_the_range_may_be_there",
     ),
     off(

@@ -225,9 +225,9 @@ ROADS = (
     ),
     off(
         "a wrapper changes what was verified",
-        "shield/doors/env.py",
-        "int(given) != executed:",
-        "False:",
+        "shield/doors/environments.py",
+        "if not _same(given, executed):",
+        "if False:",
         _AROUND,
     ),
 )

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import pandas as pd
-from what_it_drives import config_of, env_ids, made
+from what_it_drives import config_of, env_ids
 
 from evaluation.measuring.statistics import wilson
 from evaluation.running.episodes import run_paired
@@ -52,13 +52,14 @@ def rows(env_ids: Sequence[str], seeds: range, jobs: int) -> Iterator[Row]:
         config = config_of(env_id, "DiscreteMetaAction")
         if config is None:
             continue
+        setting = Setting(env_id, env_id, config)
         try:
-            shield = ShieldedEnv(made(env_id, config))
+            # As the runner makes it: highway-env's intersections change the traffic of the process.
+            shield = ShieldedEnv(setting.make())
         except (ShieldError, TypeError, ValueError, KeyError):
             continue
         if shield.verification not in (Verification.SIMULATED, Verification.WORST_CASE) or "multi-agent" in env_id:
             continue
-        setting = Setting(env_id, env_id, config)
         for policy in POLICIES:
             bare = run_paired(setting, policy, [Variant()], seeds, simulator="auto", jobs=jobs)
             behind = shielded_episodes(setting, policy, config_on(setting), seeds, jobs)

@@ -293,7 +293,8 @@ class Shield(WrappedPolicy):
         Raises
         ------
         ConfigError
-            If a batch has not one row per environment.
+            If there are several environments, and the policy returns another number of actions. The wrong shape for a
+            single environment is no action: the fallback acts, and the record says `bad_action`.
         SceneError
             If the observation has changed, and the environment that the shield reads has not moved; or its road is not
             supported; or if it could not be read in more than `ShieldConfig.patience` decisions in a row.

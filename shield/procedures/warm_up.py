@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -40,6 +41,8 @@ def warm_up() -> None:
             survey = inputs.observe(memory, scene)[0].survey
             survey.around.occupancy(2)
             survey.relevant(50.0)
+            # The next scene asks whom a stored stop counts on, whatever was decided here.
+            memory = replace(memory, stored=1)
 
 
 def _scene(frame: int) -> Scene:

@@ -6,7 +6,7 @@ from faults import INF, NAN, SLOWER, Policy, kind, spied
 
 from shield import Shield, ShieldedEnv
 from shield.decision import Reason, Tier
-from shield.errors import ConfigError, PolicyError
+from shield.errors import PolicyError
 
 # -- actions that are none -----------------------------------------------------------------------------------
 
@@ -39,7 +39,7 @@ def test_shielded_env_takes_no_bad_action(action, spy, shielded):
     assert shielded.last_decision.tier.fallback
 
 
-@pytest.mark.parametrize("action", NO_ACTIONS.values(), ids=NO_ACTIONS)
+@pytest.mark.parametrize("action", [*NO_ACTIONS.values(), *SHAPES.values()], ids=[*NO_ACTIONS, *SHAPES])
 def test_shield_returns_no_bad_action(action, spy):
     obs, _ = spy.reset(seed=0)
     shield = Shield(Policy(action), env=spy)
@@ -50,13 +50,6 @@ def test_shield_returns_no_bad_action(action, spy):
     assert decision.reason in (Reason.BAD_ACTION, Reason.POLICY_FAILED)
     assert decision.tier == Tier.EMERGENCY
     assert decision.overridden
-
-
-@pytest.mark.parametrize("action", SHAPES.values(), ids=SHAPES)
-def test_a_batch_of_the_wrong_size_is_refused(action, spy):
-    obs, _ = spy.reset(seed=0)
-    with pytest.raises(ConfigError, match="actions for 1 environments"):
-        Shield(Policy(action), env=spy).predict(obs)
 
 
 @pytest.mark.parametrize("action", [NAN, 99])

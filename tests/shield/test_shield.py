@@ -5,14 +5,14 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
 from highway_env.envs.exit_env import ExitEnv
-from policies import KINDS, Always, Ranked, make, model_of
+from policies import KINDS, Always, Playback, Ranked, make, model_of
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from shield import Shield, ShieldConfig, ShieldedEnv
-from shield.decision import Verification
+from shield.decision import Reason, Verification
 from shield.errors import ConfigError, PolicyError, SceneError, ShieldError
 
 BY_SIMULATION = {
@@ -209,7 +209,9 @@ def test_what_is_no_highway_is_refused(door):
 
 def test_attributes_of_the_model_are_reached_through_the_shield(models):
     shielded = Shield(models["PPO"])
-    assert shielded.n_steps == 8
+    assert shielded.policy.n_steps == 8
+    with pytest.raises(AttributeError, match=r"the wrapped policy has it: \.policy\.n_steps"):
+        _ = shielded.n_steps
     assert shielded.observation_space == models["PPO"].observation_space
     with pytest.raises(AttributeError):
         _ = shielded.no_such_attribute
@@ -284,10 +286,21 @@ def test_wrapped_vector_environments():
     assert action.shape == (1,)
 
 
-def test_a_batch_needs_one_row_per_environment(env):
+@pytest.mark.parametrize("count", [1, 3])
+def test_several_environments_need_one_action_each(count):
+    """Which action is whose would be a guess: the error is the programmer's."""
+    envs = DummyVecEnv([lambda: gym.make("highway-fast-v0")] * 2)
+    obs = envs.reset()
+    with pytest.raises(ConfigError, match=f"{count} actions for 2 environments"):
+        Shield(Playback([np.full(count, 3)]), env=envs).predict(obs)
+
+
+def test_two_actions_for_one_environment_are_no_action(env):
     obs, _ = env.reset(seed=0)
-    with pytest.raises(ConfigError, match="2 actions for 1 environments"):
-        Shield(Always(3), env=env).predict(np.stack([obs, obs]))
+    shield = Shield(Always(3), env=env)
+    shield.predict(np.stack([obs, obs]))
+    assert shield.last_decision.reason is Reason.BAD_ACTION
+    assert shield.last_decision.tier.fallback
 
 
 def test_environments_in_other_processes_are_told_where_to_put_the_shield():

@@ -18,7 +18,7 @@ from what_it_drives import config_of, env_ids
 from evaluation.measuring.statistics import wilson
 from evaluation.running.episodes import run_paired
 from evaluation.running.many import Many
-from evaluation.running.records import Variant, config_on
+from evaluation.running.records import Variant
 from evaluation.settings import Setting
 from shield.config import ShieldConfig
 from shield.decision import Verification
@@ -62,7 +62,7 @@ def rows(env_ids: Sequence[str], seeds: range, jobs: int) -> Iterator[Row]:
             continue
         for policy in POLICIES:
             bare = run_paired(setting, policy, [Variant()], seeds, simulator="auto", jobs=jobs)
-            behind = shielded_episodes(setting, policy, config_on(setting), seeds, jobs)
+            behind = shielded_episodes(setting, policy, shield.config, seeds, jobs)
             yield Row(env_id, shield.verification, policy, bare, behind)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from shield.decision import Decision, Reason, Tier
 
-__all__ = ["Cause", "Explanation", "Lost", "as_proposed", "number"]
+__all__ = ["Explanation", "Lost", "Obstruction", "as_proposed", "number"]
 
 
 class Lost(StrEnum):
@@ -26,7 +26,7 @@ class Lost(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Cause:
+class Obstruction:
     """The vehicle, or obstacle, that a proposal was refused for, as it was then.
 
     Attributes
@@ -75,7 +75,7 @@ class Explanation:
     refused: str
     reason: Reason
     clause: str
-    cause: Cause | None
+    cause: Obstruction | None
     short: float
     after: float
     why: str

@@ -128,15 +128,11 @@ COMPARISON: tuple[Column, ...] = (
 
 
 def _cells(frame: pd.DataFrame, columns: Sequence[Column]) -> tuple[list[str], list[list[str]]]:
-    """Headings and rows of cells, without the columns in which no row has a figure."""
+    """Headings and rows of cells, without the columns in which no row has more than dashes."""
     rows: list[_Row] = frame.to_dict("records")
     cells = [[column.cell(row) for column in columns] for row in rows]
-    figures = [
-        any(map(str.isdigit, "".join(row[i] for row in cells)))
-        or (columns[i].cell is _verification and any(row[i] != "–" for row in cells))
-        for i in range(len(columns))
-    ]
-    kept = [i for i in range(len(columns)) if i < len(_NAMES) or figures[i]]
+    said = [any(map(str.isalnum, "".join(row[i] for row in cells))) for i in range(len(columns))]
+    kept = [i for i in range(len(columns)) if i < len(_NAMES) or said[i]]
     return [columns[i].heading for i in kept], [[row[i] for i in kept] for row in cells]
 
 

@@ -14,13 +14,11 @@ from evaluation.running.identity import of_environment, of_policy
 from evaluation.running.named_policies import is_model, make_policy
 from evaluation.running.records import Variant
 from evaluation.running.simulators import environment
-from evaluation.running.store import Store
+from evaluation.running.store import KEY, Store
 from evaluation.settings import Setting
 from shield.errors import ConfigError
 
 __all__ = ["Comparison"]
-
-_KEY = ["setting", "policy", "door", "mode", "seed"]
 
 
 @dataclass(frozen=True)
@@ -100,8 +98,8 @@ class Comparison:
             for policy in self.policies
         ]
         driven = pd.concat(parts, ignore_index=True)
-        asked = set(driven[_KEY].itertuples(index=False, name=None))
-        others = [row for row in store.rows if tuple(row[key] for key in _KEY) not in asked]
+        asked = set(driven[list(KEY)].itertuples(index=False, name=None))
+        others = [row for row in store.rows if tuple(row[key] for key in KEY) not in asked]
         return pd.concat([pd.DataFrame(others), driven], ignore_index=True) if others else driven
 
     def _policies(self) -> Mapping[str, Any]:

@@ -15,7 +15,7 @@ import pandas as pd
 from dynamics.errors import ConfigError, DataError
 from evaluation.running.identity import differences, versions
 
-__all__ = ["SECTIONS", "Store", "provenance"]
+__all__ = ["KEY", "SECTIONS", "Store", "provenance"]
 
 SECTIONS = {"settings": "setting", "policies": "policy", "shields": "shield"}
 """What is asked for by name: a run that goes on may have others, and those of the same name have to be the same."""
@@ -23,7 +23,8 @@ _FREE = ("episodes", *SECTIONS)
 """What a run that goes on may have more of."""
 _SHOWN = 6
 """So many differences are listed."""
-_KEY = ("setting", "policy", "door", "mode", "seed")
+KEY = ("setting", "policy", "door", "mode", "seed")
+"""Columns that tell one episode from every other of a comparison."""
 _AGAIN = "--force begins again, another --output keeps both"
 
 
@@ -132,7 +133,7 @@ class Store:
         self.made = {**self.made, "asked": whole, "earlier": list(commands)}
         seen: set[Any] = set()
         for row in rows:
-            key = tuple(row[name] for name in _KEY)
+            key = tuple(row[name] for name in KEY)
             if key not in seen:
                 seen.add(key)
                 self._rows.append(row)

@@ -10,7 +10,7 @@ import numpy as np
 
 from shield.errors import ConfigError
 
-__all__ = ["ActionRows"]
+__all__ = ["ActionRows", "as_numbers"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class ActionRows:
         ConfigError
             If there are several environments, and not as many actions.
         """
-        array, entries = _array(actions), 1 if size is None else size
+        array, entries = as_numbers(actions), 1 if size is None else size
         kind: Any = np.dtype(np.int64) if size is None else np.dtype(np.float32)
         if array is not None and array.size == count * entries:
             flat = array.reshape(-1)
@@ -66,7 +66,7 @@ class ActionRows:
         return np.stack([np.asarray(each, dtype=self.kind).reshape(-1) for each in executed]).reshape(self.shape)
 
 
-def _array(actions: Any) -> np.ndarray[Any, Any] | None:
+def as_numbers(actions: Any) -> np.ndarray[Any, Any] | None:
     """The actions as an array of numbers, None where they are none."""
     try:
         array = np.asarray(actions)

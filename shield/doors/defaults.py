@@ -7,21 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from highway_env.envs.common.action import ContinuousAction
-
-from dynamics.networks.refusals import check_network, on_network
 from dynamics.networks.simulator import NetworkSimulator
 from dynamics.scenes.parking_lot import is_lot
 from dynamics.simulator.env import CompiledHighwayEnv
-from dynamics.simulator.own_methods import check_moves
-from dynamics.simulator.scenario import scenario_of_live
 from dynamics.traffic.assumptions import Assumptions
 from shield.config import SIMULATED, WORST_CASE, ShieldConfig
 from shield.decision import Verification
+from shield.doors.simulated.exact_scene import check_traffic
 from shield.errors import ConfigError, SceneError
 from shield.roads.reading import default_on, has_crossings
 
-__all__ = ["Chosen", "Given", "Place", "as_settings", "choose_settings", "verification_of", "why_not_simulated"]
+__all__ = ["ChosenSettings", "Given", "Place", "as_settings", "choose_settings", "verification_of", "why_not_simulated"]
 
 Given = ShieldConfig | str | None
 """Settings, "simulated" or "worst-case", or None for the default."""
@@ -67,7 +63,7 @@ class Place(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
+class ChosenSettings:
     """Settings, and what they promise in an environment.
 
     Attributes
@@ -106,7 +102,7 @@ def as_settings(given: ShieldConfig | str | Path | None) -> Given:
     return ShieldConfig.of(given)
 
 
-def choose_settings(given: Given, place: Place) -> Chosen:
+def choose_settings(given: Given, place: Place) -> ChosenSettings:
     """The settings for an environment of one ego or several.
 
     Without settings, highway-env's own traffic is simulated on a network of roads, and wherever the worst case cannot
@@ -142,12 +138,7 @@ def why_not_simulated(base: Any) -> str:
     if isinstance(base, CompiledHighwayEnv):
         return ""
     try:
-        if on_network(base):
-            check_network(base)
-        else:
-            check_moves(base)
-            if not isinstance(base.action_type, ContinuousAction):
-                scenario_of_live(base, observes=False)
+        check_traffic(base)
         NetworkSimulator(base)
     except (ConfigError, SceneError) as error:
         return str(error)
@@ -173,11 +164,11 @@ def _worst_case(place: Place) -> ShieldConfig:
     return ShieldConfig() if place.rule or place.base is None else default_on(place.base)
 
 
-def _described(place: Place, config: ShieldConfig, by_default: bool = False, caution: str = "") -> Chosen:
+def _described(place: Place, config: ShieldConfig, by_default: bool = False, caution: str = "") -> ChosenSettings:
     kind = verification_of(config)
     if config.mode == "full" and place.rule:
         kind = Verification.RULE
     elif kind is Verification.WORST_CASE and place.base is not None and is_lot(place.base):
         kind = Verification.STANDING
     name = "observations" if place.base is None else type(place.base).__name__
-    return Chosen(config, kind, f"{name}: {_PROMISES[kind]}", by_default, caution)
+    return ChosenSettings(config, kind, f"{name}: {_PROMISES[kind]}", by_default, caution)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["action_index"]
+__all__ = ["action_index", "action_labels"]
 
 _LARGEST = 2.0**53
 """Beyond it a float is no exact integer, and soon none that a kernel takes."""
@@ -27,3 +27,16 @@ def action_index(action: Any) -> int:
     if array.size != 1 or not np.isfinite(array[0]) or array[0] != np.rint(array[0]) or abs(array[0]) > _LARGEST:
         return -1
     return int(array[0])
+
+
+def action_labels(base: Any) -> dict[int, str]:
+    """The names of meta-actions by index, of one ego or of each of several; none of other actions.
+
+    Parameters
+    ----------
+    base : the environment, unwrapped, or what is known of it (`shield.Known`).
+    """
+    kind = getattr(base, "action_type", None)
+    kind = getattr(kind, "agents_action_types", [kind])[0]
+    actions = base.actions if kind is None else getattr(kind, "actions", None)
+    return dict(actions if isinstance(actions, dict) else enumerate(actions or ()))

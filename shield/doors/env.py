@@ -13,9 +13,9 @@ import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
 from shield.config import ShieldConfig
-from shield.decision import Decision
+from shield.decision import Decision, Verification
 from shield.doors.adapters import as_policy, refuse_misfits
-from shield.doors.defaults import Chosen, Place, as_settings, choose_settings
+from shield.doors.defaults import ChosenSettings, Place, as_settings, choose_settings
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import base_environments, check_step, the_action_type
 from shield.doors.input_door import InputDoor
@@ -104,11 +104,6 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     episode that a wrapper outside ends (`TimeLimit`), `statistics` has it, and the info of
     the next `reset`.
 
-    Attributes
-    ----------
-    config, verification, promise : the settings, what actions are verified against with them, and what that promises in
-        a sentence.
-
     Examples
     --------
     >>> import gymnasium as gym, highway_env
@@ -144,14 +139,15 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._base: Any = bases[0]
         self.policy = None if policy is None else as_policy(policy, env)
         refuse_misfits(self.policy, env)
-        kind = "MultiAgentAction" if is_team(self._base) else the_action_type(bases, "ShieldedEnv")
+        kind = self._kind()
         if rule is not None and kind == "ContinuousAction":
             raise ConfigError("a rule judges meta-actions; this environment has ContinuousAction")
         if model is not None and kind != "ContinuousAction":
             raise ConfigError("a model is for ContinuousAction; with meta-actions leave it out")
         self._given, self._rule, self._model, self._perception = as_settings(config), rule, model, perception
         self._recording = False
-        self._door: Door | TeamDoor = self._choose(kind)
+        self._chosen = self._settings(kind)
+        self._door: Door | TeamDoor = self._made(kind)
         self._observation: Any = None
         self._road: Any = None
         self._supervising = self.latency = 0.0
@@ -188,14 +184,16 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         obs, info = self.env.reset(seed=seed, options=options)
         if self._episode.decisions and not self._summed:
             info["shield_episode"] = self._episode.summary()
-        team = is_team(self._base)
-        kind = "MultiAgentAction" if team else the_action_type([self._base], "ShieldedEnv")
-        inputs = kind == "ContinuousAction"
+        kind = self._kind()
+        inputs, team = kind == "ContinuousAction", kind == "MultiAgentAction"
         same = inputs is isinstance(self._door, InputDoor | ExactInputDoor) and team is isinstance(self._door, TeamDoor)
         if not same:
             raise ConfigError("the reset has changed the environment's action type; make a new ShieldedEnv around it")
-        if self._settings(kind).config != self.config:
-            self._door = self._choose(kind)
+        if not isinstance(self._given, ShieldConfig):
+            chosen = self._settings(kind)
+            if chosen.config != self._chosen.config:
+                self._chosen = chosen
+                self._door = self._made(kind)
         self._door.reset()
         self._episode, self._summed = Statistics(), False
         self._observation = obs
@@ -249,7 +247,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         paid: Any = reward if isinstance(reward, tuple) else float(reward)
         return obs, paid, terminated, truncated, info
 
-    def _settings(self, kind: str) -> Chosen:
+    def _settings(self, kind: str) -> ChosenSettings:
         """What was handed in, or what is taken without: that may change with the traffic, at a reset."""
         observes = self._perception != "simulator"
         return choose_settings(
@@ -262,10 +260,28 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             ),
         )
 
-    def _choose(self, kind: str) -> Door | TeamDoor:
-        """Take the settings, and make what filters by them."""
-        chosen = self._settings(kind)
-        self.config = config = chosen.config
+    def _kind(self) -> str:
+        """What the policy decides about."""
+        return "MultiAgentAction" if is_team(self._base) else the_action_type([self._base], "ShieldedEnv")
+
+    @property
+    def config(self) -> ShieldConfig:
+        """The settings."""
+        return self._chosen.config
+
+    @property
+    def verification(self) -> Verification:
+        """What actions are verified against."""
+        return self._chosen.verification
+
+    @property
+    def promise(self) -> str:
+        """What that promises, in a sentence."""
+        return self._chosen.promise
+
+    def _made(self, kind: str) -> Door | TeamDoor:
+        """What filters, by the settings chosen."""
+        config = self.config
         door: Door | TeamDoor
         if is_team(self._base):
             door = TeamDoor(self._base, config)
@@ -287,8 +303,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         warm_up_door(door)
         if self._recording:
             door.record()
-        chosen.announce()
-        self.verification, self.promise = chosen.verification, chosen.promise
+        self._chosen.announce()
         return door
 
     def action_masks(self) -> np.ndarray[Any, Any]:

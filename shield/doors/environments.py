@@ -21,6 +21,7 @@ __all__ = [
     "check_configuration",
     "check_gone_on",
     "check_step",
+    "frames_of",
     "is_known",
     "refuse_lots",
     "the_action_type",
@@ -126,7 +127,7 @@ def check_step(base: Any, before: int, executed: Any, info: Mapping[str, Any]) -
             f"the environment was given action {given} and not {executed}, which was verified: a wrapper inside "
             "changes it; put that around the ShieldedEnv"
         )
-    frames, went = _frames_of(base), int(base.steps) - before
+    frames, went = frames_of(base), int(base.steps) - before
     _refuse_late_actions(before, frames)
     if not 0 < went <= frames:
         raise ConfigError(
@@ -148,7 +149,7 @@ def check_gone_on(base: Any, before: int) -> None:
         If there were more frames than a decision has, or the actions do not reach the ego.
     """
     refuse_manual_control(base.config)
-    frames, went = _frames_of(base), int(base.steps) - before
+    frames, went = frames_of(base), int(base.steps) - before
     _refuse_late_actions(before, frames)
     if went > frames:
         raise ConfigError(
@@ -167,7 +168,7 @@ def _refuse_late_actions(before: int, frames: int) -> None:
         )
 
 
-def _frames_of(base: Any) -> int:
+def frames_of(base: Any) -> int:
     """Simulation frames of one decision."""
     return int(base.config["simulation_frequency"] // base.config["policy_frequency"])
 

@@ -13,7 +13,7 @@ from dynamics.vehicle.actuators import Actuators
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.cruise import Cruise
-from shield.doors.environments import check_configuration
+from shield.doors.environments import check_configuration, frames_of
 
 __all__ = ["InputFrames"]
 
@@ -49,7 +49,7 @@ class InputFrames(ABC):
         base = self._base
         check_configuration(base, self.config)
         self.actuators = Actuators.of(base.action_type)
-        self._period = int(base.config["simulation_frequency"] // base.config["policy_frequency"])
+        self._period = frames_of(base)
         self._cruise = Cruise(self.actuators)
         self._untouched = True
         self._proposal: FloatArray | None = None

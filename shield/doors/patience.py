@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from shield.decision import Decision, Reason
+from shield.doors.discrete_action import action_labels
 from shield.errors import PolicyError, SceneError
 
 __all__ = ["ActionWarning", "Patience"]
@@ -85,17 +86,9 @@ class ActionWarning:
                 )
 
 
-def _labels(base: Any) -> dict[int, str]:
-    """The names of meta-actions by index, of one ego or of each of several; none of other actions."""
-    kind = getattr(base, "action_type", None)
-    kind = getattr(kind, "agents_action_types", [kind])[0]
-    actions = base.actions if kind is None else getattr(kind, "actions", None)
-    return dict(actions if isinstance(actions, dict) else enumerate(actions or ()))
-
-
 def _valid(base: Any, proposed: Any) -> tuple[str, str]:
     """The valid actions, and what one that is a name stands for."""
-    labels = _labels(base)
+    labels = action_labels(base)
     if not labels:
         return f"finite numbers of {base.action_space}", ""
     indexes = {label: index for index, label in labels.items()}
@@ -104,5 +97,5 @@ def _valid(base: Any, proposed: Any) -> tuple[str, str]:
 
 
 def _name(base: Any, executed: Any) -> str:
-    labels = _labels(base)
+    labels = action_labels(base)
     return labels.get(int(executed), str(executed)) if labels else str(executed)

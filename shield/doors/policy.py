@@ -13,11 +13,11 @@ import numpy as np
 
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Verification
-from shield.doors.action_rows import ActionRows
+from shield.doors.action_rows import ActionRows, as_numbers
 from shield.doors.adapters import as_policy, refuse_misfits
-from shield.doors.defaults import Chosen, Place, as_settings, choose_settings
+from shield.doors.defaults import ChosenSettings, Place, as_settings, choose_settings
 from shield.doors.discrete_action import action_index
-from shield.doors.environments import base_environments, the_action_type
+from shield.doors.environments import base_environments, frames_of, the_action_type
 from shield.doors.input_door import InputDoor
 from shield.doors.known_environments import known_beforehand
 from shield.doors.liveness import Liveness
@@ -146,7 +146,7 @@ class Shield(WrappedPolicy):
             self._doors = [MetaDoor(None, self.config, frames=False, scenes=each) for each in scenes]
             warm_up_door(self._doors[0])
         else:
-            self._doors = [self._choose(i) for i in range(n)]
+            self._doors = [self._made(i) for i in range(n)]
         self._roads: list[Any] = [None] * n
         self._decided = [0] * n
         self._patience = [Patience(self.config.patience) for _ in self._bases]
@@ -158,15 +158,14 @@ class Shield(WrappedPolicy):
         self.decisions: list[Decision] = []
         self.frame_decisions: list[list[Decision]] = [[] for _ in range(n)]
 
-    def _settings(self, i: int) -> Chosen:
+    def _settings(self, i: int) -> ChosenSettings:
         """What was handed in, or what environment `i` is given without."""
         observes = bool(self._known) or self._perception != "simulator"
         return choose_settings(self._given, Place(self._bases[i], self._inputs, self._frames, observes))
 
-    def _choose(self, i: int) -> Door:
-        """What filters in environment `i`, by its settings; `config` becomes those of the first."""
-        chosen, base = self._settings(i), self._bases[i]
-        self._chosen[i] = chosen
+    def _made(self, i: int) -> Door:
+        """What filters in environment `i`, by the settings chosen for it."""
+        chosen, base = self._chosen[i], self._bases[i]
         door = door_for(
             getattr(self._env, "envs", [self._env])[i],
             chosen.config,
@@ -234,11 +233,10 @@ class Shield(WrappedPolicy):
         if not self.decisions:
             raise ConfigError("report() is about the last decision; call predict() first")
         base = self._bases[i]
-        if base is not None and base.road is self._roads[i]:
-            period = int(base.config["simulation_frequency"] // base.config["policy_frequency"])
-            if base.steps >= self._decided[i] + period:
-                # The decision has been driven, and none may come that judges the last frame of it.
-                self._doors[i].look()
+        same = base is not None and base.road is self._roads[i]
+        if same and base.steps >= self._decided[i] + frames_of(base):
+            # The decision has been driven, and none may come that judges the last frame of it.
+            self._doors[i].look()
         offences = self._counted[i].since(self._doors[i])
         told = report(self.decisions[i].with_frames(self.frame_decisions[i]), *offences)
         return {**told, "verification": self._chosen[i].verification.value}
@@ -337,7 +335,8 @@ class Shield(WrappedPolicy):
             shape = (len(self._doors),) if self._batched(observation) else ()
             nothing = np.full((*shape, self._form[0]) if self._inputs else shape, np.nan, np.float32)
             return _Proposed(nothing, state, Reason.POLICY_FAILED, f"{type(error).__name__}: {error}")
-        broken = not self._inputs and _has_nan(actions)
+        numbers = None if self._inputs else as_numbers(actions)
+        broken = numbers is not None and numbers.dtype.kind == "f" and not np.isfinite(numbers).all()
         return _Proposed(actions, state, Reason.POLICY_FAILED if broken else None)
 
     def _decide(self, i: int, proposal: Any, ranking: Ranking, reason: Reason | None) -> Decision:
@@ -365,9 +364,11 @@ class Shield(WrappedPolicy):
                 door.reset()
         elif base.road is not self._roads[i]:
             self._roads[i] = base.road
-            if self._settings(i).config != door.config:
+            chosen = self._chosen[i] if isinstance(self._given, ShieldConfig) else self._settings(i)
+            if chosen.config != self._chosen[i].config:
                 self._unsupervise(i)
-                self._doors[i] = door = self._choose(i)
+                self._chosen[i] = chosen
+                self._doors[i] = door = self._made(i)
             door.reset()
         self._counted[i], self.frame_decisions[i] = Offences(door), []
 
@@ -414,15 +415,6 @@ def _dimensions(observation: Any) -> int:
         return np.ndim(observation)
     except (TypeError, ValueError):
         return 0
-
-
-def _has_nan(actions: Any) -> bool:
-    """Whether what a policy has returned are numbers, and not all finite."""
-    try:
-        numbers = np.asarray(actions)
-    except (TypeError, ValueError):
-        return False
-    return numbers.dtype.kind == "f" and not bool(np.isfinite(numbers).all())
 
 
 def _row(observation: Any, i: int, n: int) -> Any:

@@ -18,7 +18,7 @@ from dynamics.networks.network import index_of
 from dynamics.simulator.layout import CRASHED, IMPACTED, LANE, SPEED, TARGET, TARGET_SPEED
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Source, Tier
-from shield.doors.discrete_action import action_index
+from shield.doors.discrete_action import action_index, action_labels
 from shield.doors.environments import check_configuration, refuse_lots
 from shield.doors.simulated.exact_scene import why_unread
 from shield.doors.supervision import Command, limited_braking
@@ -348,7 +348,7 @@ class RoadDoor:
 
     def _kept(self, tried: list[tuple[Course, Tier]]) -> Source:
         """What a decision is made from, for whoever asks why."""
-        ego, labels = self._base.vehicle, self._base.action_type.actions
+        ego, labels = self._base.vehicle, action_labels(self._base)
         return on_roads(
             self._alone,
             road=self._road,

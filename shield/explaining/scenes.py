@@ -17,7 +17,7 @@ from shield.certificate.verify import ROUNDING
 from shield.decision import Decision, Reason, Tier
 from shield.explaining.words import action_name, done, inputs_name, nothing_judged, proof
 from shield.explaining.worlds import Described, describe, place
-from shield.explanation import Cause, Explanation, Lost, number
+from shield.explanation import Explanation, Lost, Obstruction, number
 from shield.procedures.decide import Made, Unreadable
 from shield.procedures.frames import Frames, fail_lanes
 from shield.procedures.inputs import Inputs
@@ -81,7 +81,7 @@ def view_scene(view: Any, scene: Any) -> Any:
     return view.scene if isinstance(view, Instant) else scene
 
 
-def cause_in(scene: Any, row: int) -> Cause:
+def cause_in(scene: Any, row: int) -> Obstruction:
     """One of the others in a scene or a lot.
 
     Parameters
@@ -95,9 +95,9 @@ def cause_in(scene: Any, row: int) -> Cause:
     where, distance = place(float(other[0] - mine[0]), float(other[1] - mine[1]), length, width)
     seen = where, distance, f"lane {scene.road.lane_at(float(other[1]))}", float(body[Vehicle.SPEED])
     if scene.bodies is not None:
-        return Cause(scene.bodies[row], type(scene.bodies[row]).__name__, *seen)
+        return Obstruction(scene.bodies[row], type(scene.bodies[row]).__name__, *seen)
     known = row if scene.ids is None else int(scene.ids[row])
-    return Cause(known, f"{'vehicle' if scene.ids is None else 'track'} {known}", *seen)
+    return Obstruction(known, f"{'vehicle' if scene.ids is None else 'track'} {known}", *seen)
 
 
 def _proposal(made: Made[Any], record: Decision, frame: int, name: Any) -> str:
@@ -190,7 +190,7 @@ def _by_rule(rule: Rule, scene: Scene, target: Target) -> _Refusal:
 # -- words -----------------------------------------------------------------------------------------------------
 
 
-def _why(found: _Refusal, cause: Cause | None, short: float) -> str:
+def _why(found: _Refusal, cause: Obstruction | None, short: float) -> str:
     """What would happen, in words."""
     by, when = number(short), f"{number(found.after)} s"
     if found.clause.startswith("rule: "):

@@ -17,7 +17,7 @@ from shield.exact.refused import foretell_refused
 from shield.exact.room import ANY, Search
 from shield.explaining.words import action_name, done, inputs_name, nothing_judged, proof
 from shield.explaining.worlds import Described, describe, lane_of
-from shield.explanation import Cause, Explanation, Lost, number
+from shield.explanation import Explanation, Lost, Obstruction, number
 from shield.procedures.warm_up import announced
 
 __all__ = ["Simulated", "copy_of"]
@@ -71,7 +71,7 @@ class Simulated:
             proposal, at.reason, clause, cause, short, after, why, *tail, at.margin, number_of_frame, lost
         )
 
-    def _what(self, rows: FloatArray, ego: int) -> tuple[str, Cause | None, float, float, str]:
+    def _what(self, rows: FloatArray, ego: int) -> tuple[str, Obstruction | None, float, float, str]:
         """The clause, the vehicle, by how much the buffer is short [m] and when [s], and that in words."""
         gaps, dt = self._gaps(rows, ego), float(self.search.rules.times[0])
         inside = np.flatnonzero((gaps < 0).any(axis=1))
@@ -91,7 +91,7 @@ class Simulated:
         why = f"as it is simulated {cause.text} comes in the way; {lacks}, {nothing_else}"
         return "crash" if hit.size else "simulated", cause, short, after, why
 
-    def _cause(self, bodies: FloatArray, ego: int, column: int) -> Cause:
+    def _cause(self, bodies: FloatArray, ego: int, column: int) -> Obstruction:
         number_of_lane = int(self.worlds.g[0, LANE, column])
         several = len({(start, end) for start, end, _ in self.lanes}) > 1
         lane = lane_of(self.lanes[number_of_lane]) if several else f"lane {number_of_lane}"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.state import FloatArray
-from shield.explanation import Cause
+from shield.explanation import Obstruction
 
 __all__ = ["Described", "describe", "lane_of", "place"]
 
@@ -21,7 +21,7 @@ class Described:
     lane: str = ""
 
 
-def describe(ego: FloatArray, row: FloatArray, who: Described) -> Cause:
+def describe(ego: FloatArray, row: FloatArray, who: Described) -> Obstruction:
     """One of the others.
 
     Parameters
@@ -35,7 +35,7 @@ def describe(ego: FloatArray, row: FloatArray, who: Described) -> Cause:
     where, distance = place(along, across, length, width)
     named = not isinstance(who.vehicle, int)
     kind = type(who.vehicle).__name__ if named else f"vehicle {who.vehicle}"
-    return Cause(who.vehicle, kind, where, distance, who.lane, float(row[3]))
+    return Obstruction(who.vehicle, kind, where, distance, who.lane, float(row[3]))
 
 
 def place(along: float, across: float, length: float, width: float) -> tuple[str, float]:

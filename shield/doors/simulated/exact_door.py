@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.networks.refusals import check_network, on_network
+from dynamics.networks.refusals import on_network
 from dynamics.networks.simulator import NetworkSimulator
 from dynamics.simulator.env import CompiledHighwayEnv
-from dynamics.simulator.scenario import scenario_of_live
 from dynamics.simulator.simulator import Simulator
 from dynamics.state import FloatArray
 from shield.batch.arrays import Records, empty_records
@@ -21,7 +20,15 @@ from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Source
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import check_configuration, refuse_lots
-from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, Room, simulate_network, why_unread
+from shield.doors.simulated.exact_scene import (
+    STATE,
+    ExactScene,
+    Foretells,
+    Room,
+    check_traffic,
+    simulate_network,
+    why_unread,
+)
 from shield.exact.deciding import Plans, boxed_in, empty_plans, last_resort, passes, replace, verify
 from shield.exact.effort import begin_anew
 from shield.exact.room import Search, Wish
@@ -69,10 +76,6 @@ class ExactDoor(Foretells):
         self._plans: Plans = empty_plans(1, 1)
         self._search: Search | None = None
 
-    def record(self) -> None:
-        """Keep in each decision what is drawn, as with `ShieldConfig.record`."""
-        self.config = self.config.replace(record=True)
-
     def reset(self) -> None:
         """Forget everything about the episode.
 
@@ -89,10 +92,7 @@ class ExactDoor(Foretells):
     def _check(self) -> None:
         """Raise where the environment, as it is configured now, is none that can be simulated."""
         check_configuration(self._base, self.config)
-        if self.on_network:
-            check_network(self._base)
-        elif not isinstance(self._base, CompiledHighwayEnv):
-            scenario_of_live(self._base, observes=False)
+        check_traffic(self._base)
 
     def decide(self, action: Any, order: Callable[[], list[int] | None] | None = None) -> Decision:
         """Filter one meta-action; `order` gives the policy's order of preference over the others."""

@@ -11,18 +11,16 @@ import numpy as np
 
 from dynamics.errors import ConfigError
 from dynamics.networks.layout import LAW
-from dynamics.networks.refusals import check_network, on_network
 from dynamics.networks.simulator import NetworkSimulator
 from dynamics.scenes.parking_lot import is_lot
 from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.simulator.layout import CONTINUOUS, KIND, TARGET, TARGET_SPEED
-from dynamics.simulator.own_methods import check_moves
 from dynamics.state import FloatArray
 from shield.batch.vocabulary import TIERS
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.input_frames import InputFrames
-from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, simulate_network, why_unread
+from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, check_traffic, simulate_network, why_unread
 from shield.exact.inputs import Tail, decide_inputs, empty_tail, play
 from shield.exact.room import Search
 from shield.explaining.simulated import copy_of
@@ -77,10 +75,6 @@ class ExactInputDoor(Foretells, InputFrames):
         law = self.config.braking, self.actuators.acceleration[1], _HOLD
         return simulate_network(base, like, law=law)
 
-    def record(self) -> None:
-        """Keep in each decision what is drawn, as with `ShieldConfig.record`."""
-        self.config = self.config.replace(record=True)
-
     def reset(self) -> None:
         """Forget everything about the episode.
 
@@ -89,10 +83,7 @@ class ExactInputDoor(Foretells, InputFrames):
         ConfigError
             If the environment is now configured as the shield does not support.
         """
-        if on_network(self._base):
-            check_network(self._base)
-        else:
-            check_moves(self._base)
+        check_traffic(self._base)
         self._begin()
         self._scene.forget()
         self._search: Search | None = None

@@ -3,27 +3,32 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
+from highway_env.envs.common.action import ContinuousAction
 
 from dynamics.errors import ConfigError, SceneError
 from dynamics.networks.network import index_of
+from dynamics.networks.refusals import check_network, on_network
 from dynamics.networks.simulator import NetworkSimulator
 from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.simulator.layout import HEADING, SPEED, X, Y
+from dynamics.simulator.own_methods import check_moves
+from dynamics.simulator.scenario import scenario_of_live
 from dynamics.simulator.simulator import Simulator
 from dynamics.state import FloatArray, IntArray
 from shield.config import ShieldConfig
 from shield.decision import Reason
+from shield.doors.discrete_action import action_labels
 from shield.exact.room import Search, new_search
 from shield.exact.search import foretell
 from shield.explaining.simulated import Simulated
 from shield.roads.watch import Breach
 
-__all__ = ["STATE", "ExactScene", "Foretells", "Room", "simulate_network", "why_unread"]
+__all__ = ["STATE", "ExactScene", "Foretells", "Room", "check_traffic", "simulate_network", "why_unread"]
 
 _log = logging.getLogger(__name__)
 
@@ -45,6 +50,24 @@ def why_unread(error: Exception) -> tuple[Reason, str]:
         return Reason.BAD_SCENE, str(error)
     _log.error("the scene could not be read; the last resort acts", exc_info=error)
     return Reason.STAGE_FAILED, f"{type(error).__name__}: {error}"
+
+
+def check_traffic(base: Any) -> None:
+    """Raise where the traffic of an environment, unwrapped, cannot be simulated.
+
+    Raises
+    ------
+    ConfigError
+        That says what moves it in another way.
+    """
+    if isinstance(base, CompiledHighwayEnv):
+        return
+    if on_network(base):
+        check_network(base)
+    elif isinstance(base.action_type, ContinuousAction):
+        check_moves(base)
+    else:
+        scenario_of_live(base, observes=False)
 
 
 def simulate_network(base: Any, like: Any, **options: Any) -> NetworkSimulator:
@@ -135,10 +158,7 @@ class ExactScene:
         if not self.foretells:
             return
         base, surprised = self._base, self.surprised
-        if isinstance(base, CompiledHighwayEnv):
-            states = base.simulator.worlds.f[0][STATE]
-        else:
-            states = np.array([[*body.position, body.heading, body.speed] for body in self.bodies()], float).T
+        states = base.simulator.worlds.f[0][STATE] if isinstance(base, CompiledHighwayEnv) else _states(self.bodies())
         self._count(self._compare(states))
         self.surprised = surprised
 
@@ -152,8 +172,7 @@ class ExactScene:
         bodies = self.bodies()
         if bodies.keys() != self._foretold_of.keys():
             return False
-        now = np.array([[*body.position, body.heading, body.speed] for body in bodies], float).T
-        return bool((np.abs(now - self._foretold) <= _SAME).all())
+        return bool((np.abs(_states(bodies) - self._foretold) <= _SAME).all())
 
     def bodies(self) -> dict[Any, int]:
         """The columns of the scene, by what they stand for."""
@@ -185,10 +204,7 @@ class ExactScene:
         team: tuple[Any, ...] | None = None,
     ) -> Simulated:
         """What a refusal of a proposal is made from; arguments as of `Simulated`, `planned` with `length` actions."""
-        base = self._base
-        kind = getattr(base, "action_type", None)
-        kind = getattr(kind, "agents_action_types", [kind])[0]
-        labels = getattr(kind, "actions", None) or {}
+        base, labels = self._base, action_labels(self._base)
         lanes: list[Any] = [] if search.bounds.straight else list(index_of(base.road.network))
         return Simulated(
             search=search,
@@ -235,10 +251,20 @@ class ExactScene:
         return found
 
 
+def _states(bodies: Iterable[Any]) -> FloatArray:
+    """Where highway-env's bodies are now: rows x, y [m], heading [rad], speed [m/s]."""
+    return np.array([[*body.position, body.heading, body.speed] for body in bodies], float).T
+
+
 class Foretells:
     """A door that foretells a scene: what offends is what comes about otherwise."""
 
     _scene: ExactScene
+    config: ShieldConfig
+
+    def record(self) -> None:
+        """Keep in each decision what is drawn, as with `ShieldConfig.record`."""
+        self.config = self.config.replace(record=True)
 
     def look(self) -> None:
         """Judge the others in the last step of an episode, after which nothing is decided."""

@@ -90,10 +90,6 @@ class TeamDoor(Foretells):
         """How many egos there are."""
         return len(self._base.controlled_vehicles)
 
-    def record(self) -> None:
-        """Keep in each decision what is drawn, as with `ShieldConfig.record`."""
-        self.config = self.config.replace(record=True)
-
     def reset(self) -> None:
         """Forget everything about the episode.
 

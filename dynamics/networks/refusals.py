@@ -26,12 +26,14 @@ from dynamics.simulator.kinds import kind_of
 from dynamics.simulator.layout import LINEAR
 from dynamics.simulator.own_methods import check_moves
 
-__all__ = ["check_network", "customs_of", "exits_of", "on_network"]
+__all__ = ["check_network", "customs_of", "exits_of", "may_have_spawned", "on_network"]
 
 _KNOWN = (ExitEnv, IntersectionEnv, LaneKeepingEnv, MergeEnv, RacetrackEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv)
 """Nothing of their traffic is drawn after the reset, but for who comes to an intersection."""
 _AT_CROSSINGS = ("_clear_vehicles", "_spawn_vehicle")
 """What `IntersectionEnv` changes between two decisions: vehicles leave near their exits, and others come."""
+_SPAWNED_WITHIN = 15.0
+"""How far along its entrance `IntersectionEnv` puts a vehicle at the most [m]: 5 m, and a normal deviation of 1 m."""
 
 
 def on_network(base: Any) -> bool:
@@ -67,6 +69,16 @@ def exits_of(base: Any) -> Callable[[tuple[str, str, int]], bool] | None:
     if not isinstance(base, IntersectionEnv):
         return None
     return lambda key: "il" in key[0] and "o" in key[1]
+
+
+def may_have_spawned(base: Any, body: Any) -> bool:
+    """Whether highway-env itself may have put a body where it is now, between two decisions: at an entrance of an
+    intersection."""
+    if not isinstance(base, IntersectionEnv) or body not in base.road.vehicles or body.lane_index is None:
+        return False
+    start, end, _ = body.lane_index
+    along = float(body.lane.local_coordinates(body.position)[0])
+    return start.startswith("o") and end.startswith("ir") and along < _SPAWNED_WITHIN
 
 
 def customs_of(base: Any) -> Customs:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from copy import deepcopy
 from time import perf_counter
 from typing import Any
 
@@ -71,7 +72,7 @@ class ExactDoor(Foretells):
         self.config, self._base = config, base
         self.on_network = not isinstance(base, CompiledHighwayEnv) and on_network(base)
         self._check()
-        self._scene = ExactScene(base, config, _simulate)
+        self._scene = ExactScene(base, config, _simulate, self._verifies)
         self.cause = ""
         self._plans: Plans = empty_plans(1, 1)
         self._search: Search | None = None
@@ -128,6 +129,17 @@ class ExactDoor(Foretells):
         return self._scene.kept(
             search, copy_of(simulator.worlds), proposed, self._plans.actions[0], self._plans.length[0]
         )
+
+    def _verifies(self, base: Any, room: Room) -> bool:
+        """Whether any sequence of actions verifies in a scene; changes nothing that is remembered."""
+        simulator, search = room
+        plans, records = empty_plans(1, search.bounds.depth), empty_records(1, 1)
+        if len(self._plans.actions[0]) == search.bounds.depth and self._plans.verified[0]:
+            plans = deepcopy(self._plans)
+        slowest = int(search.order[0])
+        if not passes(search, plans, records, simulator.worlds, 0, slowest):
+            replace(search, plans, records, 0, slowest, np.full(1, -1, np.intp))
+        return TIERS[records.tier[0]].verified
 
     def mask(self) -> np.ndarray[Any, Any]:
         """Which actions pass now; all True where none does. No decision, and no record, is another for being asked.

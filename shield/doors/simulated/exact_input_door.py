@@ -20,7 +20,15 @@ from shield.batch.vocabulary import TIERS
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.input_frames import InputFrames
-from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, check_traffic, simulate_network, why_unread
+from shield.doors.simulated.exact_scene import (
+    STATE,
+    ExactScene,
+    Foretells,
+    Room,
+    check_traffic,
+    simulate_network,
+    why_unread,
+)
 from shield.exact.inputs import Tail, decide_inputs, empty_tail, play
 from shield.exact.room import Search
 from shield.explaining.simulated import copy_of
@@ -65,7 +73,7 @@ class ExactInputDoor(Foretells, InputFrames):
                 "ShieldedEnv(env) and Shield(policy, env) filter ContinuousAction there"
             )
         super().__init__(base, config)
-        self._scene = ExactScene(base, config, self._simulate)
+        self._scene = ExactScene(base, config, self._simulate, self._verifies)
         self._inputs = np.zeros(2)
         self.reset()
         if base.road is not None:
@@ -145,6 +153,15 @@ class ExactInputDoor(Foretells, InputFrames):
         self._scene.expect_nothing()
         inputs = self._inputs.copy()
         return inputs, Decision(inputs, inputs, reason, tier, np.nan, perf_counter() - start)
+
+    def _verifies(self, base: Any, room: Room) -> bool:
+        """Whether the law verifies in a scene; changes nothing that is remembered."""
+        simulator, search = room
+        present = search._replace(futures=copy_of(simulator.worlds))
+        search.futures.p[:], search.futures.routes[:] = present.futures.p, present.futures.routes
+        tail = empty_tail(search.bounds.depth)
+        code, _ = decide_inputs(search, present, tail, np.zeros(2), False, np.zeros(2))
+        return TIERS[code].verified
 
     def _law(self) -> tuple[int, int, float] | None:
         """Whether the law has been at work in the last frame, and its lane and speed [m/s]; what it does next may go on

@@ -15,7 +15,7 @@ from dynamics.networks.network import index_of
 from dynamics.networks.refusals import check_network, on_network
 from dynamics.networks.simulator import NetworkSimulator
 from dynamics.simulator.env import CompiledHighwayEnv
-from dynamics.simulator.layout import HEADING, SPEED, X, Y
+from dynamics.simulator.layout import HEADING, LENGTH, SPEED, WIDTH, X, Y
 from dynamics.simulator.own_methods import check_moves
 from dynamics.simulator.scenario import scenario_of_live
 from dynamics.simulator.simulator import Simulator
@@ -23,6 +23,7 @@ from dynamics.state import FloatArray, IntArray
 from shield.config import ShieldConfig
 from shield.decision import Reason
 from shield.doors.discrete_action import action_labels
+from shield.doors.simulated.newcomers import blocking, unannounced
 from shield.exact.room import Search, new_search
 from shield.exact.search import foretell
 from shield.explaining.simulated import Simulated
@@ -36,7 +37,7 @@ Room = tuple[Simulator | NetworkSimulator, Search]
 """A simulator of the scene as it is, and room for searches in it."""
 STATE = [X, Y, HEADING, SPEED]
 """Rows of the arrays that are foretold."""
-_UNFORESEEN = Breach.UNFORESEEN.value
+_SIZE = [LENGTH, WIDTH]
 _SAME = 1e-6
 """A vehicle has done what was foretold of it within this [m, rad, m/s]; where numpy's own sums cannot be had they
 differ by some 1e-12."""
@@ -84,25 +85,33 @@ class ExactScene:
     config : settings with `Assumptions.exact()`.
     simulate : makes a simulator of the environment as it is; it is handed one that it has made of the same road, or
         None.
+    verifies : whether any sequence of actions verifies in a scene, of its environment and its room.
 
     Attributes
     ----------
-    violations : vehicles that have done something else than what was foretold, counted whenever the scene is read.
+    by_rule : offences by the rule that was broken, counted whenever the scene is read: "unforeseen" by a body that has
+        done something else than what was foretold or has another size; "appeared" by one that was not there, and with
+        which no sequence of actions verifies or an ego has crashed.
     surprised : whether the scene is another than was foretold.
     """
 
     def __init__(
-        self, base: Any, config: ShieldConfig, simulate: Callable[[Any, Any], Simulator | NetworkSimulator]
+        self,
+        base: Any,
+        config: ShieldConfig,
+        simulate: Callable[[Any, Any], Simulator | NetworkSimulator],
+        verifies: Callable[[Any, Room], bool],
     ) -> None:
-        self._base, self._config, self._simulate = base, config, simulate
-        self.violations = 0
+        self._base, self._config, self._simulate, self._verifies = base, config, simulate, verifies
+        self.by_rule: dict[str, int] = {}
+        self._sizes: FloatArray = np.zeros((len(_SIZE), 0))
         self._rooms: dict[int, Room] = {}
         self.expect_nothing()
 
     @property
-    def by_rule(self) -> dict[str, int]:
-        """`violations` by the rule that was broken, of which there is one."""
-        return {_UNFORESEEN: self.violations} if self.violations else {}
+    def violations(self) -> int:
+        """How many offences there have been."""
+        return sum(self.by_rule.values())
 
     def forget(self) -> None:
         """Forget everything about the episode, and make room for the next. A scene that cannot be read is refused where
@@ -116,7 +125,7 @@ class ExactScene:
         """Foretell nothing of what comes next."""
         self.surprised = False
         self._counted: set[Any] = set()
-        self._foretold: FloatArray = np.zeros((len(STATE), 0))
+        self._foretold: FloatArray = np.zeros((len(STATE) + len(_SIZE), 0))
         self._foretold_of: dict[Any, int] = {}
 
     @property
@@ -125,8 +134,10 @@ class ExactScene:
         return bool(self._foretold_of)
 
     def expect(self, states: FloatArray) -> None:
-        """Foretell the next scene: `states` has the rows x, y [m], heading [rad] and speed [m/s] of its bodies."""
-        self._foretold, self._foretold_of, self._counted = states.copy(), self.bodies(), set()
+        """Foretell the next scene: `states` has the rows x, y [m], heading [rad] and speed [m/s] of its bodies. They
+        keep the sizes that they had when the scene was read."""
+        self._foretold, self._foretold_of = np.concatenate([states, self._sizes]), self.bodies()
+        self._counted = set()
 
     def read(self, counting: bool = True) -> Room:
         """The scene as it is; `counting` those who have done something else than what was foretold.
@@ -136,21 +147,32 @@ class ExactScene:
         SceneError, ConfigError
             If it cannot be simulated.
         """
+        try:
+            room = self._load()
+        except (SceneError, ConfigError):
+            if counting and self._base.road is not None:
+                self._count(self._blocking(self._newcomers()), Breach.APPEARED)
+            raise
+        worlds = room[0].worlds
+        self._sizes = worlds.p[0][_SIZE]
+        others = self._compare(np.concatenate([worlds.f[0][STATE], self._sizes]))
+        newcomers = self._newcomers()
+        if counting:
+            self._count(others, Breach.UNFORESEEN)
+            self._count(self._blocking(newcomers), Breach.APPEARED)
+        self.surprised = self.surprised or bool(newcomers)
+        return room
+
+    def _load(self) -> Room:
         base = self._base
         if isinstance(base, CompiledHighwayEnv):
-            room = self._rooms.get(0) or self._furnish(0, base.simulator)
-        else:
-            bodies = 0 if base.road is None else len(base.road.vehicles) + len(base.road.objects)
-            known = self._rooms.get(bodies)
-            if known is None or not known[0].fits(base):
-                room = self._furnish(bodies, self._simulate(base, self._of_this_road()))
-            else:
-                known[0].load(base)
-                room = known
-        others = self._compare(room[0].worlds.f[0][STATE])
-        if counting:
-            self._count(others)
-        return room
+            return self._rooms.get(0) or self._furnish(0, base.simulator)
+        bodies = 0 if base.road is None else len(base.road.vehicles) + len(base.road.objects)
+        known = self._rooms.get(bodies)
+        if known is None or not known[0].fits(base):
+            return self._furnish(bodies, self._simulate(base, self._of_this_road()))
+        known[0].load(base)
+        return known
 
     def look(self) -> None:
         """Count those who have done something else than what was foretold by the end of an episode, after which nothing
@@ -158,14 +180,42 @@ class ExactScene:
         if not self.foretells:
             return
         base, surprised = self._base, self.surprised
-        states = base.simulator.worlds.f[0][STATE] if isinstance(base, CompiledHighwayEnv) else _states(self.bodies())
-        self._count(self._compare(states))
+        if isinstance(base, CompiledHighwayEnv):
+            worlds = base.simulator.worlds
+            states = np.concatenate([worlds.f[0][STATE], worlds.p[0][_SIZE]])
+        else:
+            states = _states(self.bodies())
+        self._count(self._compare(states), Breach.UNFORESEEN)
+        self._count(self._blocking(self._newcomers()), Breach.APPEARED)
         self.surprised = surprised
 
-    def _count(self, others: set[Any]) -> None:
+    def _count(self, others: set[Any], rule: Breach) -> None:
         """Count each once for what was foretold."""
-        self.violations += len(others - self._counted)
-        self._counted |= others
+        new = others - self._counted
+        if new:
+            self.by_rule[rule.value] = self.by_rule.get(rule.value, 0) + len(new)
+            self._counted |= new
+
+    def _newcomers(self) -> set[Any]:
+        """The bodies that were not foretold, and those that are somewhere else altogether: they have been put there."""
+        if not self.foretells or isinstance(self._base, CompiledHighwayEnv):
+            return set()
+        known = [(body, self._foretold_of[body]) for body in self.bodies() if body in self._foretold_of]
+        foretold = self._foretold[:2, [column for _, column in known]]
+        far = np.hypot(*(np.array([body.position for body, _ in known]).T.reshape(2, -1) - foretold)) > _ELSEWHERE
+        return unannounced(self._base, {body for (body, _), moved in zip(known, far, strict=True) if not moved})
+
+    def _blocking(self, newcomers: set[Any]) -> set[Any]:
+        """Those of them that leave the egos nothing that verifies, or have crashed with one."""
+        return blocking(self._base, newcomers, self._verified_in)
+
+    def _verified_in(self, base: Any) -> bool:
+        """Whether any sequence of actions verifies in an environment, unwrapped; False where it is not simulated."""
+        try:
+            simulator = self._simulate(base, self._of_this_road())
+        except (SceneError, ConfigError):
+            return False
+        return self._verifies(base, (simulator, new_search(simulator, self._config, self._allies())))
 
     def as_foretold(self) -> bool:
         """Whether everybody is where it was foretold, and nobody else has come; nothing is read but where they are."""
@@ -219,10 +269,13 @@ class ExactScene:
 
     def _furnish(self, bodies: int, simulator: Simulator | NetworkSimulator) -> Room:
         """Room for so many bodies: where vehicles come and go, their number changes back and forth."""
-        allies = 0 if isinstance(self._base, CompiledHighwayEnv) else len(self._base.controlled_vehicles) - 1
         old = self._rooms[bodies][1] if bodies in self._rooms else None
-        self._rooms[bodies] = simulator, new_search(simulator, self._config, allies, old)
+        self._rooms[bodies] = simulator, new_search(simulator, self._config, self._allies(), old)
         return self._rooms[bodies]
+
+    def _allies(self) -> int:
+        """How many egos there are beside the first."""
+        return 0 if isinstance(self._base, CompiledHighwayEnv) else len(self._base.controlled_vehicles) - 1
 
     def _of_this_road(self) -> Simulator | NetworkSimulator | None:
         """A simulator of the road as it is in this episode."""
@@ -235,13 +288,12 @@ class ExactScene:
 
     def _compare(self, states: FloatArray) -> set[Any]:
         """The vehicles that have done something else than was foretold, of those who were there then and are there now.
-        Where the ego has too, it may be the cause: then there is none, but for those with which it has crashed. Who is
-        somewhere else altogether has been put there: another newcomer."""
+        Where the ego has too, it may be the cause: then there is none, but for those with which it has crashed."""
         bodies, before = self.bodies(), self._foretold_of
         known = [(body, k, before[body]) for body, k in bodies.items() if body in before]
         columns = np.array([each[1:] for each in known], np.intp).reshape(-1, 2)
         now, foretold = states[:, columns[:, 0]], self._foretold[:, columns[:, 1]]
-        there = np.hypot(*(now - foretold)[:2]) <= _ELSEWHERE
+        there = np.hypot(*(now - foretold)[:2]) <= _ELSEWHERE  # the others are newcomers
         other = there & ~(np.abs(now - foretold) <= _SAME).all(axis=0)
         self.surprised = bool(other.any())
         found, ego = {known[k][0] for k in np.flatnonzero(other)}, self.ego(bodies)
@@ -252,8 +304,9 @@ class ExactScene:
 
 
 def _states(bodies: Iterable[Any]) -> FloatArray:
-    """Where highway-env's bodies are now: rows x, y [m], heading [rad], speed [m/s]."""
-    return np.array([[*body.position, body.heading, body.speed] for body in bodies], float).T
+    """Of highway-env's bodies now: rows x, y [m], heading [rad], speed [m/s], length and width [m]."""
+    rows = [[*body.position, body.heading, body.speed, body.LENGTH, body.WIDTH] for body in bodies]
+    return np.array(rows, float).T
 
 
 class Foretells:
@@ -272,10 +325,10 @@ class Foretells:
 
     @property
     def violations(self) -> int:
-        """Vehicles that have done something else than what was foretold, counted whenever the scene is read."""
+        """Offences of the others, counted whenever the scene is read."""
         return self._scene.violations
 
     @property
     def by_rule(self) -> dict[str, int]:
-        """The same by the rule that was broken: to do what is foretold is the only one."""
-        return self._scene.by_rule
+        """The same by the rule that was broken; see `ExactScene`."""
+        return dict(self._scene.by_rule)

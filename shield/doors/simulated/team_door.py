@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import deepcopy
 from time import perf_counter
 from typing import Any
 
@@ -21,10 +22,10 @@ from shield.decision import Decision, Reason
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import check_configuration
 from shield.doors.simulated.exact_door import as_decision
-from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, simulate_network, why_unread
+from shield.doors.simulated.exact_scene import STATE, ExactScene, Foretells, Room, simulate_network, why_unread
 from shield.errors import ConfigError
 from shield.exact.deciding import Plans, empty_plans, last_resort, passes, replace
-from shield.exact.room import Search, Wish
+from shield.exact.room import Wish
 from shield.exact.search import leap
 from shield.explaining.simulated import copy_of
 from shield.procedures.screen import slower
@@ -81,7 +82,7 @@ class TeamDoor(Foretells):
             raise ConfigError("several egos are verified by simulation: ShieldedEnv(env, ShieldConfig.exact())")
         check(config)
         self.config, self._base = config, base
-        self._scene = ExactScene(base, config, simulate_network)
+        self._scene = ExactScene(base, config, simulate_network, self._verifies)
         self.cause = ""
         self.reset()
 
@@ -125,16 +126,26 @@ class TeamDoor(Foretells):
         except Exception as error:
             reason, self.cause = why_unread(error)
             return self._last_resort(actions, reason, start)
-        depth, slowest = search.bounds.depth, int(search.order[0])
         for k, plans in enumerate(self._plans):
-            if len(plans.actions[0]) != depth:
-                self._plans[k] = empty_plans(1, depth)
+            if len(plans.actions[0]) != search.bounds.depth:
+                self._plans[k] = empty_plans(1, search.bounds.depth)
             elif self._scene.surprised:
                 plans.length[0] = 0
+        decisions = self._one_by_one(actions, self._base, (simulator, search), self._plans, start)
+        leap(search, 0, 1, int(decisions[-1].executed), Wish(0.0, 0.0, 0.0), -math.inf)
+        self._scene.expect(search.futures.f[1][STATE])
+        return decisions
+
+    def _one_by_one(
+        self, actions: Sequence[Any], base: Any, room: Room, remembered: list[Plans], start: float
+    ) -> list[Decision]:
+        """Decide for one ego after the other in the scene of an environment; `remembered` is theirs, and written."""
+        simulator, search = room
+        depth, slowest = search.bounds.depth, int(search.order[0])
         wanted = np.full((self.agents, depth + 1), slowest, np.intp)
-        for k, plans in enumerate(self._plans):
+        for k, plans in enumerate(remembered):
             wanted[k, : plans.length[0]] = plans.actions[0, : plans.length[0]]
-        columns = self._columns()
+        columns = np.array([base.road.vehicles.index(vehicle) for vehicle in base.controlled_vehicles], np.intp)
         g, decisions = simulator.worlds.g[0], []
         search.team.since[0] = g[FRAMES, 0]
         for k, action in enumerate(actions):
@@ -142,28 +153,30 @@ class TeamDoor(Foretells):
             search.team.columns[:], search.team.plans[:] = columns[others], wanted[others]
             g[KIND, columns] = ALLY
             g[KIND, columns[k]] = EGO
-            decisions.append(self._of_one(k, action, simulator, search, start))
-            plans, start = self._plans[k], perf_counter()
+            decisions.append(self._of_one(action, room, remembered[k], start))
+            plans, start = remembered[k], perf_counter()
             wanted[k] = slowest
             wanted[k, 0] = decisions[-1].executed
             wanted[k, 1 : 1 + plans.length[0]] = plans.actions[0, : plans.length[0]]
-        leap(search, 0, 1, int(decisions[-1].executed), Wish(0.0, 0.0, 0.0), -math.inf)
-        self._scene.expect(search.futures.f[1][STATE])
         return decisions
 
-    def _of_one(self, k: int, action: Any, simulator: Any, search: Search, start: float) -> Decision:
+    def _of_one(self, action: Any, room: Room, plans: Plans, start: float) -> Decision:
         proposed, records = action_index(action), empty_records(1, 1)
-        source = None
-        if not passes(search, self._plans[k], records, simulator.worlds, 0, proposed):
+        (simulator, search), source = room, None
+        if not passes(search, plans, records, simulator.worlds, 0, proposed):
             team = search.team.columns.copy(), search.team.plans.copy(), int(search.team.since[0])
-            planned = self._plans[k].actions[0], self._plans[k].length[0]
+            planned = plans.actions[0], plans.length[0]
             source = self._scene.kept(search, copy_of(simulator.worlds), proposed, *planned, team)
-            replace(search, self._plans[k], records, 0, proposed, np.array([-1], np.intp))
+            replace(search, plans, records, 0, proposed, np.array([-1], np.intp))
         return as_decision(action if proposed < 0 else proposed, records, start, source=source)
 
-    def _columns(self) -> Any:
-        bodies = self._scene.bodies()
-        return np.array([bodies[vehicle] for vehicle in self._base.controlled_vehicles], np.intp)
+    def _verifies(self, base: Any, room: Room) -> bool:
+        """Whether some sequences of actions of all egos verify in a scene; changes nothing that is remembered."""
+        depth, slowest = room[1].bounds.depth, int(room[1].order[0])
+        alike = all(len(plans.actions[0]) == depth and plans.verified[0] for plans in self._plans)
+        plans = deepcopy(self._plans) if alike else [empty_plans(1, depth) for _ in self._plans]
+        decisions = self._one_by_one([slowest] * self.agents, base, room, plans, perf_counter())
+        return all(decision.tier.verified for decision in decisions)
 
     def _last_resort(self, actions: Sequence[Any], reason: Reason, start: float) -> list[Decision]:
         self._scene.expect_nothing()

@@ -1,0 +1,194 @@
+"""Simulated traffic: a body that appears is named where it leaves the ego nothing that verifies, and only there."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Obstacle
+
+from shield import Shield, ShieldConfig, ShieldedEnv
+from shield.decision import Reason
+
+EXACT = ShieldConfig.exact()
+INPUTS = {"action": {"type": "ContinuousAction"}}
+CASES = {
+    "highway": ("highway-fast-v0", {"vehicles_count": 5}),
+    "highway inputs": ("highway-fast-v0", {"vehicles_count": 5, **INPUTS}),
+    "merge": ("merge-v0", {}),
+    "roundabout": ("roundabout-v1", {}),
+    "intersection inputs": ("intersection-v1", {}),
+}
+
+
+def standing(base, at, kind):
+    """A body at rest, of the given kind, at a position."""
+    if kind is Obstacle:
+        return Obstacle(base.road, at)
+    body = kind(base.road, at, base.vehicle.heading, 0.0)
+    body.target_speed = 0.0
+    if hasattr(base.vehicle, "route"):
+        body.route = base.vehicle.route
+    return body
+
+
+def put(base, ahead, kind):
+    """Put a row of bodies across the road, so far ahead of the ego [m]."""
+    ego = base.vehicle
+    across = np.array([-ego.direction[1], ego.direction[0]])
+    for k in range(-4, 5):
+        body = standing(base, ego.position + ahead * ego.direction + 4.0 * k * across, kind)
+        (base.road.objects if kind is Obstacle else base.road.vehicles).append(body)
+
+
+class Runs:
+    """An environment behind a shield of either kind, one decision after the other."""
+
+    def __init__(self, case, door, seed=0):
+        env_id, config = CASES[case]
+        env = gym.make(env_id, config=config, disable_env_checker=True)
+        self.base = env.unwrapped
+        inputs = config.get("action") or type(self.base.action_type).__name__ == "ContinuousAction"
+        self.action = np.zeros(2, np.float32) if inputs else 1
+        self.env = ShieldedEnv(env, EXACT) if door == "env" else env
+        self.obs, _ = self.env.reset(seed=seed)
+        self.shield = None if door == "env" else Shield(lambda _: self.action, env=env, config=EXACT)
+
+    @property
+    def rules(self):
+        """The offences of the episode so far."""
+        return (self.env._door if self.shield is None else self.shield._doors[0]).by_rule
+
+    def step(self):
+        """What is reported of the next decision."""
+        action = self.action if self.shield is None else self.shield.predict(self.obs)[0]
+        self.obs, _, self.over, _, info = self.env.step(action)
+        return info["shield"] if self.shield is None else self.shield.report()
+
+
+@pytest.mark.parametrize("kind", [IDMVehicle, Obstacle])
+@pytest.mark.parametrize("door", ["env", "policy"])
+@pytest.mark.parametrize("case", CASES)
+def test_one_that_appears_in_the_way_is_named(case, door, kind):
+    """A wall close ahead of the ego between two decisions: what kept the buffer before does not any more."""
+    run = Runs(case, door)
+    assert run.step()["violations"] == 0
+    put(run.base, 6.5, kind)
+    run.step()
+    assert run.rules.get("appeared", 0) > 0
+
+
+@pytest.mark.parametrize("door", ["env", "policy"])
+@pytest.mark.parametrize("case", ["highway", "merge", "roundabout"])
+def test_one_that_appears_amid_a_decision_and_is_hit_is_named(case, door):
+    """Nothing is decided between its appearance and the crash that ends the episode."""
+    run = Runs(case, door)
+    own, frames = run.base.road.step, []
+    assert run.step()["violations"] == 0
+
+    def step(dt):
+        frames.append(dt)
+        if len(frames) == 2:
+            put(run.base, 6.0, Obstacle)
+        own(dt)
+
+    run.base.road.step = step
+    told = run.step()
+    assert run.base.vehicle.crashed
+    assert told["rules"].get("appeared", 0) > 0
+
+
+@pytest.mark.parametrize("door", ["env", "policy"])
+@pytest.mark.parametrize("case", CASES)
+def test_one_that_appears_elsewhere_is_not_named(case, door):
+    """Behind the ego nobody takes anything away."""
+    run = Runs(case, door)
+    run.step()
+    ego = run.base.vehicle
+    run.base.road.objects.append(Obstacle(run.base.road, ego.position - 30.0 * ego.direction))
+    for _ in range(2):
+        run.step()
+        assert "appeared" not in run.rules
+    assert not ego.crashed
+
+
+@pytest.mark.parametrize("door", ["env", "policy"])
+def test_only_the_newcomer_in_the_way_is_named(door):
+    """Of two that appear at once, one wall of bodies in the way, and one behind."""
+    run = Runs("highway", door)
+    run.step()
+    ego = run.base.vehicle
+    run.base.road.objects.append(Obstacle(run.base.road, ego.position - 60.0 * ego.direction))
+    wide = Obstacle(run.base.road, ego.position + 12.0 * ego.direction)
+    wide.LENGTH, wide.WIDTH = 2.0, 40.0
+    run.base.road.objects.append(wide)
+    run.step()
+    assert run.rules["appeared"] == 1
+
+
+@pytest.mark.parametrize("door", ["env", "policy"])
+def test_one_that_cannot_be_simulated_is_named(door):
+    """A vehicle of an unknown class makes the scene unreadable; without it the scene would be simulated."""
+
+    class Stranger(Vehicle):
+        """Drives in a way of its own."""
+
+    run = Runs("highway", door)
+    run.step()
+    ego = run.base.vehicle
+    run.base.road.vehicles.append(Stranger(run.base.road, ego.position - 60.0 * ego.direction, 0.0, 20.0))
+    told = run.step()
+    assert told["reason"] == Reason.BAD_SCENE
+    assert run.rules == {"appeared": 1}
+
+
+@pytest.mark.parametrize("door", ["env", "policy"])
+@pytest.mark.parametrize("case", ["highway", "merge", "roundabout"])
+def test_one_that_grows_or_moves_is_named(case, door):
+    """A vehicle grows, and then an obstacle that stood is moved: both were foretold otherwise."""
+    run = Runs(case, door)
+    ego = run.base.vehicle
+    stone = Obstacle(run.base.road, ego.position - 60.0 * ego.direction)
+    run.base.road.objects.append(stone)
+    run.step()
+    assert run.step()["violations"] == 0
+    grown = max(run.base.road.vehicles, key=lambda v: np.hypot(*(v.position - ego.position)))
+    grown.LENGTH = 7.0
+    run.step()
+    assert run.rules["unforeseen"] == 1
+    stone.position = stone.position + 1.0
+    run.step()
+    assert run.rules["unforeseen"] >= 2
+
+
+def test_what_highway_env_spawns_itself_is_not_named():
+    """Intersections draw newcomers between two decisions, which no simulation knows."""
+    env = ShieldedEnv(gym.make("intersection-v0", config={"spawn_probability": 1.0, "duration": 15}), EXACT)
+    for seed in range(2):
+        env.reset(seed=seed)
+        done = False
+        while not done:
+            *_, terminated, truncated, info = env.step(1)
+            assert not info["shield"]["rules"]
+            done = terminated or truncated
+
+
+def test_one_that_appears_before_one_of_several_egos_is_named():
+    """The shield of a team asks for all plans together."""
+    env = ShieldedEnv(gym.make("intersection-multi-agent-v2", config={"controlled_vehicles": 2}), EXACT)
+    env.reset(seed=0)
+    base = env.unwrapped
+    *_, info = env.step((1, 1))
+    assert info["shield"]["violations"] == 0
+    ego = base.controlled_vehicles[1]
+    ego.speed = 9.0
+    env._door.reset()
+    env._door.decide((1, 1))
+    base.road.objects.append(Obstacle(base.road, ego.position + 5.5 * ego.direction))
+    before = env._door.by_rule
+    env._door.decide((1, 1))
+    assert not before
+    assert env._door.by_rule == {"appeared": 1}

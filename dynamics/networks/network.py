@@ -44,7 +44,7 @@ from dynamics.networks.layout import (
 from dynamics.simulator.layout import LANE_LENGTH, LANE_LIMIT, LANE_WIDTH
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["Network", "index_of", "network_of"]
+__all__ = ["Network", "has_crossing_ways", "index_of", "network_of"]
 
 Leaves = Callable[[tuple[str, str, int]], bool]
 _SHAPES = {StraightLane: STRAIGHT, SineLane: SINE, CircularLane: CIRCULAR}
@@ -109,11 +109,24 @@ def network_of(network: Any, connected: bool = False, leaves: Leaves | None = No
             ids[n, [ROAD, ID, COUNT, FIRST, TO]] = edge, k, len(graph[a][b]), numbers[a, b, 0], nodes[b]
             ids[n, [SHAPE, FORBIDDEN, PRIORITY]] = _SHAPES[type(lane)], bool(lane.forbidden), lane.priority
             ids[n, LEAVES] = leaves is not None and leaves((a, b, k))
-            ids[n, CROSSES] = len(graph[a]) > 1 and sum(b in outs for outs in graph.values()) > 1
+            ids[n, CROSSES] = _crosses(graph, a, b)
             ids[n, ENDS] = all(_leads_back(lane, each) for each in graph.get(b, {}).values())
     outs = [[edges[name, to] for to in graph.get(name, {})] for name in nodes]
     linked = [_linked(graph, numbers, key) if connected else [] for key in numbers]
     return Network(lanes, ids, roads, _table(outs), _pairs(linked), _near(lanes))
+
+
+def has_crossing_ways(network: Any) -> bool:
+    """Whether some lane of a `RoadNetwork` leads from where roads part to where roads join, so that ways cross there.
+
+    Intersections and roundabouts have such lanes; merges, exits, two-way roads and u-turns have none.
+    """
+    return any(_crosses(network.graph, a, b) for a, outs in network.graph.items() for b in outs)
+
+
+def _crosses(graph: Any, a: str, b: str) -> bool:
+    """Whether the road from node a to node b leads from where roads part to where roads join."""
+    return len(graph[a]) > 1 and sum(b in outs for outs in graph.values()) > 1
 
 
 def _leads_back(lane: Any, road: list[Any]) -> bool:

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from highway_env.envs.common.action import DiscreteMetaAction, MultiAgentAction
+
+from dynamics.networks.network import has_crossing_ways
 from dynamics.networks.simulator import NetworkSimulator
 from dynamics.scenes.parking_lot import is_lot
 from dynamics.simulator.env import CompiledHighwayEnv
@@ -17,7 +20,16 @@ from shield.doors.simulated.exact_scene import check_traffic
 from shield.errors import ConfigError, SceneError
 from shield.roads.reading import default_on, has_crossings
 
-__all__ = ["ChosenSettings", "Given", "Place", "as_settings", "choose_settings", "verification_of", "why_not_simulated"]
+__all__ = [
+    "ChosenSettings",
+    "Given",
+    "Place",
+    "as_settings",
+    "choose_settings",
+    "verification_of",
+    "why_it_cannot_stop",
+    "why_not_simulated",
+]
 
 Given = ShieldConfig | str | None
 """Settings, "simulated" or "worst-case", or None for the default."""
@@ -73,6 +85,7 @@ class ChosenSettings:
     promise : what that promises, in a sentence.
     by_default : whether nobody asked for these settings.
     caution : why the traffic is not simulated where that would be better, in a sentence; "" elsewhere.
+    too_fast : that the ego cannot stop before a crossing, what was measured, and the remedy, in words; "" elsewhere.
     """
 
     config: ShieldConfig
@@ -80,9 +93,13 @@ class ChosenSettings:
     promise: str
     by_default: bool = False
     caution: str = ""
+    too_fast: str = ""
 
     def announce(self) -> None:
-        """Log the promise: as a warning with a caution, as information where nobody asked for the settings."""
+        """Log the promise: as a warning with a caution, as information where nobody asked for the settings. An ego that
+        cannot stop before a crossing is a warning of its own."""
+        if self.too_fast:
+            _log.warning("%s", self.too_fast)
         if self.caution:
             _log.warning("%s. %s. %s", self.promise, self.caution, _CHOOSE)
         elif self.by_default:
@@ -133,6 +150,30 @@ def verification_of(config: ShieldConfig) -> Verification:
     return Verification.SIMULATED if config.simulates else Verification.WORST_CASE
 
 
+def why_it_cannot_stop(base: Any) -> str:
+    """That meta-actions cannot stop the ego before a crossing, what was measured, and the remedy, in words; "" where
+    they can, where no ways cross, and for other actions.
+
+    Parameters
+    ----------
+    base : highway-env's environment, unwrapped.
+    """
+    if base.road is None or is_lot(base) or not has_crossing_ways(base.road.network):
+        return ""
+    each = getattr(base.action_type, "agents_action_types", [base.action_type])
+    slowest = max((float(kind.target_speeds[0]) for kind in each if type(kind) is DiscreteMetaAction), default=0.0)
+    if slowest <= 0:
+        return ""
+    action = '{"type": "DiscreteMetaAction", "target_speeds": [0, 4.5, 9]}'
+    if isinstance(base.action_type, MultiAgentAction):
+        action = f'{{"type": "MultiAgentAction", "action_config": {action}}}'
+    return (
+        f"{type(base).__name__}: the slowest target speed is {slowest:g} m/s, so the ego cannot stop before a "
+        "crossing, and the shield cannot keep it from every crash: with 20, 25 and 30 m/s, 40 % of 200 shielded episodes of "
+        f'intersection-v1 crashed. Pass config={{"action": {action}}} to gym.make'
+    )
+
+
 def why_not_simulated(base: Any) -> str:
     """Why the traffic of an environment, unwrapped and reset, cannot be simulated, in words; "" where it can."""
     if isinstance(base, CompiledHighwayEnv):
@@ -171,4 +212,5 @@ def _described(place: Place, config: ShieldConfig, by_default: bool = False, cau
     elif kind is Verification.WORST_CASE and place.base is not None and is_lot(place.base):
         kind = Verification.STANDING
     name = "observations" if place.base is None else type(place.base).__name__
-    return ChosenSettings(config, kind, f"{name}: {_PROMISES[kind]}", by_default, caution)
+    too_fast = "" if kind is Verification.OFF or place.base is None else why_it_cannot_stop(place.base)
+    return ChosenSettings(config, kind, f"{name}: {_PROMISES[kind]}", by_default, caution, too_fast)

@@ -1,0 +1,81 @@
+"""An ego whose meta-actions cannot stop it before a crossing is told at construction, with a remedy that works."""
+
+from __future__ import annotations
+
+import ast
+import logging
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import pytest
+from policies import Always
+
+from shield import Shield, ShieldConfig, ShieldedEnv
+
+META = {"action": {"type": "DiscreteMetaAction"}}
+FAST = {"action": {"type": "DiscreteMetaAction", "target_speeds": [20, 25, 30]}}
+TEAM = {
+    "controlled_vehicles": 2,
+    "action": {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction", "lateral": False}},
+}
+CROSSING = {
+    "intersection-v1": META,
+    "intersection-v2": FAST,
+    "roundabout-v1": FAST,
+    "intersection-multi-agent-v2": TEAM,
+}
+
+
+def warnings(caplog, env_id, config, door, settings=None):
+    """What is said of an ego that cannot stop, and the environment."""
+    env = gym.make(env_id, config=config)
+    caplog.clear()
+    with caplog.at_level(logging.INFO, "shield"):
+        wrapped = ShieldedEnv(env, settings) if door == "env" else Shield(Always(1), env, settings)
+    messages = [each.getMessage() for each in caplog.records if each.levelno == logging.WARNING]
+    return [message for message in messages if "cannot stop" in message], wrapped
+
+
+@pytest.mark.parametrize(
+    ("env_id", "door"),
+    [(each, door) for each in CROSSING for door in ("env", "policy") if door == "env" or "multi" not in each],
+)
+def test_it_is_told_once_and_the_remedy_helps(env_id, door, caplog):
+    """The configuration that the warning names is built from its text; with it nothing is said and nobody crashes."""
+    (said,), _ = warnings(caplog, env_id, CROSSING[env_id], door)
+    assert "slowest target speed is 20 m/s" in said
+    remedy = ast.literal_eval(said.split("config=")[1].removesuffix(" to gym.make"))
+    quiet, _ = warnings(caplog, env_id, {**CROSSING[env_id], **remedy}, door)
+    assert not quiet
+    env = ShieldedEnv(gym.make(env_id, config={**CROSSING[env_id], **remedy}))
+    for seed in range(3):
+        env.reset(seed=seed)
+        base, over = env.unwrapped, False
+        faster = base.action_type.agents_action_types[0] if "multi" in env_id else base.action_type
+        action = faster.actions_indexes["FASTER"]
+        for _ in range(15):
+            *_, terminated, truncated, _ = env.step((action, action) if "multi" in env_id else action)
+            over = truncated or base._is_terminated() or terminated is True
+            if over:
+                break
+        assert not any(ego.crashed for ego in base.controlled_vehicles)
+
+
+@pytest.mark.parametrize("door", ["env", "policy"])
+@pytest.mark.parametrize(
+    ("env_id", "config", "settings"),
+    [
+        ("highway-fast-v0", {}, None),
+        ("merge-v1", {}, None),
+        ("two-way-v0", {}, None),
+        ("u-turn-v1", {}, None),
+        ("exit-v1", {**META}, None),
+        ("roundabout-v1", {}, None),
+        ("intersection-v1", {}, None),
+        ("intersection-v1", META, ShieldConfig(mode="none")),
+    ],
+)
+def test_it_is_told_only_where_it_matters(env_id, config, settings, door, caplog):
+    """No ways cross there, or the ego can stop, or nothing is verified."""
+    said, _ = warnings(caplog, env_id, config, door, settings)
+    assert not said

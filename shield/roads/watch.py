@@ -13,14 +13,15 @@ all time):
 6. *right of way*: where that is assumed, whoever has been counted on to wait for the ego, and has had the time to
    react, brakes for it where the fail-safe suffers otherwise.
 
-Rules 1, 4 and 5 are judged alone, the others where the ego's fail-safe suffers; so is who has *appeared*, but for a
-wreck or an object, which never may. `UNFORESEEN`
-is for the sake of honesty: the fail-safe has come to suffer from one who has broken no rule. That is a hole in the
+Rules 1, 4 and 5 are judged alone, the others where the ego's fail-safe suffers; so are bodies that have *appeared* or
+*grown*. A wreck or an object never may appear, nor *move*: it stays inside the rectangle that it was taken to fill a
+frame before, which for a wreck is all of the way that it slides. `UNFORESEEN` is for the sake of honesty: the fail-safe has come to suffer from one who has broken no rule. That is a hole in the
 certificate, and a test fails.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -34,7 +35,8 @@ from shield.roads.room import Others, Road
 
 __all__ = ["Breach", "Seen", "Watch"]
 
-_SLACK, _PLACE = 1e-6, 1e-6
+_SLACK, _PLACE, _SAME = 1e-6, 1e-6, 1e-9
+_CORNERS = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 
 
 class Breach(StrEnum):
@@ -44,6 +46,8 @@ class Breach(StrEnum):
     WAYS = "ways"
     CRASH = "crash"
     APPEARED = "appeared"
+    MOVED = "moved"
+    GROWN = "grown"
     REVERSING = "reversing"
     DISTANCE = "distance"
     RIGHT_OF_WAY = "right of way"
@@ -100,10 +104,9 @@ class Watch:
         for body in last.who:
             if body not in there and getattr(body, "crashed", False):
                 self._name(body, {Breach.CRASH})
-        known = {*last.who, *last.stand}
-        for body in now.stand:
-            if body not in known:
-                self._name(body, {Breach.APPEARED})
+        for body, broken in _of_standing(last, now):
+            breaking[body] = broken
+            self._name(body, broken - self.breaking.get(body, set()))
         for i, body in enumerate(now.who):
             suffers = margins is not None and bool(margins[i] < CLEAR)
             j = before.get(body)
@@ -152,6 +155,8 @@ class Watch:
             broken.add(Breach.SPEED)
         if suffers and v < 0:
             broken.add(Breach.REVERSING)
+        if suffers and (new.rows[i, 4:6] > old.rows[j, 4:6] + _SAME).any():
+            broken.add(Breach.GROWN)
         if suffers and not _inside(old, j, new, i):
             broken.add(Breach.WAYS)
         if v > max(v0 - road.duty.braking * dt, 0.0) + _SLACK:
@@ -160,6 +165,28 @@ class Watch:
             if suffers and new.gives[i].max(initial=0) > road.duty.reaction:
                 broken.add(Breach.RIGHT_OF_WAY)
         return broken
+
+
+def _of_standing(last: Seen, now: Seen) -> Iterator[tuple[Any, set[Breach]]]:
+    """Wrecks and objects that have appeared, or moved or grown out of the rectangles that they filled."""
+    before, known = {body: i for i, body in enumerate(last.stand)}, {*last.who, *last.stand}
+    for i, body in enumerate(now.stand):
+        if body not in known:
+            yield body, {Breach.APPEARED}
+        elif body in before and _leaves(last.others.things[before[body]], now.others.things[i]):
+            yield body, {Breach.MOVED}
+
+
+def _leaves(old: FloatArray, new: FloatArray) -> bool:
+    """Whether one rectangle reaches out of another; both are vehicle rows (7,)."""
+    corners = new[4:6] * _CORNERS @ _axes(new[2]) + new[:2] - old[:2]
+    return bool((np.abs(corners @ _axes(old[2]).T) > 0.5 * old[4:6] + _SAME).any())
+
+
+def _axes(heading: float) -> FloatArray:
+    """Unit vectors along and across a heading [rad], (2, 2)."""
+    cos, sin = np.cos(heading), np.sin(heading)
+    return np.array([[cos, sin], [-sin, cos]])
 
 
 def _inside(old: Others, j: int, new: Others, i: int) -> bool:

@@ -100,3 +100,79 @@ def test_whatever_appears_is_named(kind):
         road.vehicles.append(body)
     env.step(IDLE)
     assert env.door.by_rule["appeared"] == 1
+
+
+def alone_with(body_of, steps=3):
+    """The rules that a body breaks which `body_of(road, ego)` puts on a merge; also whether the ego crashed."""
+    env = ShieldedEnv(gym.make("merge-v0"), "worst-case")
+    env.reset(seed=1)
+    base = env.unwrapped
+    ego, road = base.vehicle, base.road
+    road.vehicles, road.objects = [ego], []
+    body = body_of(road, ego)
+    (road.objects if isinstance(body, Obstacle) else road.vehicles).append(body)
+    env.door.reset()
+    for _ in range(steps):
+        env.step(IDLE)
+    return env.door.by_rule
+
+
+def creeping(road, at, way, growth):
+    """An object that comes towards the ego, or grows, a little in each frame [m/s]."""
+    body, step = Obstacle(road, at), road.step
+
+    def creep(dt):
+        step(dt)
+        body.position = body.position - np.array([way * dt, 0.0])
+        body.LENGTH += growth * dt
+
+    road.step = creep
+    return body
+
+
+class Sliding(Vehicle):
+    """A wreck; as highway-env has it, or one that drives on."""
+
+    brakes = True
+
+    def clip_actions(self):
+        if self.brakes:
+            super().clip_actions()
+
+
+@pytest.mark.parametrize(("way", "growth"), [(0.0, 0.0), (0.05, 0.0), (5.0, 0.0), (0.0, 0.05)])
+def test_an_object_that_moves_or_grows_is_named(way, growth):
+    """However little it moves: what is granted in each frame would add up."""
+    rules = alone_with(lambda road, ego: creeping(road, ego.position + np.array([90.0, 0.0]), way, growth))
+    assert rules == ({"moved": 1} if way or growth else {})
+
+
+@pytest.mark.parametrize("speed", [0.0, 4.0, 12.0])
+@pytest.mark.parametrize("brakes", [True, False])
+def test_a_wreck_slides_as_highway_env_has_it_or_is_named(speed, brakes):
+    def wreck(road, ego):
+        body = Sliding(road, ego.position + np.array([90.0, 0.0]), 0.0, speed)
+        body.route, body.crashed, body.brakes = None, True, brakes
+        return body
+
+    assert alone_with(wreck) == ({} if brakes or not speed else {"moved": 1})
+
+
+class Growing(Vehicle):
+    """A vehicle that stands, and grows towards the ego; nobody else moves it."""
+
+    growth = 0.0
+
+    def step(self, dt):
+        self.LENGTH += self.growth * dt
+        super().step(dt)
+
+
+@pytest.mark.parametrize("growth", [0.0, 1.0, 40.0])
+def test_a_body_that_grows_into_the_way_of_the_fail_safe_is_named(growth):
+    def standing(road, ego):
+        body = Growing(road, ego.position + np.array([75.0, 0.0]), 0.0, 0.0)
+        body.route, body.growth = None, growth
+        return body
+
+    assert alone_with(standing, 6).get("grown", 0) == (1 if growth else 0)

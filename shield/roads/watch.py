@@ -15,8 +15,8 @@ all time):
 
 Rules 1, 4 and 5 are judged alone, the others where the ego's fail-safe suffers; so are bodies that have *appeared* or
 *grown*. A wreck or an object never may appear, nor *move*: it stays inside the rectangle that it was taken to fill a
-frame before, which for a wreck is all of the way that it slides. `UNFORESEEN` is for the sake of honesty: the fail-safe has come to suffer from one who has broken no rule. That is a hole in the
-certificate, and a test fails.
+frame before, which for a wreck is all of the way that it slides. `UNFORESEEN` is for the sake of honesty: the
+fail-safe has come to suffer from one who has broken no rule. That is a hole in the certificate, and a test fails.
 """
 
 from __future__ import annotations

@@ -10,9 +10,11 @@ from evaluation.wrappers.performance_logger import PerformanceLogger
 from evaluation.wrappers.sensor_model import SENSORS, SensorModel
 from evaluation.wrappers.sensor_noise import SensorNoise
 from evaluation.wrappers.signed_lane import LaneOffset, SignedLaneObservation
+from evaluation.wrappers.skills import REPORT_SKILLS, Skills, nearer_than, overridden
 from evaluation.wrappers.throttle_and_steering import ThrottleAndSteering
 
 __all__ = [
+    "REPORT_SKILLS",
     "SENSORS",
     "Confidence",
     "HanoiWeights",
@@ -26,7 +28,10 @@ __all__ = [
     "SensorModel",
     "SensorNoise",
     "SignedLaneObservation",
+    "Skills",
     "ThrottleAndSteering",
     "TrackedConfidence",
+    "nearer_than",
+    "overridden",
     "seen_through",
 ]

@@ -212,8 +212,22 @@ ROADS = (
     off(
         "wrecks appear unnamed",
         "shield/roads/watch.py",
-        "            if body not in known:\n",
-        "            if False:\n",
+        "        if body not in known:\n",
+        "        if False:\n",
+        _FOUND,
+    ),
+    off(
+        "objects and wrecks may move",
+        "shield/roads/watch.py",
+        "            yield body, {Breach.MOVED}\n",
+        "            pass\n",
+        _FOUND,
+    ),
+    off(
+        "bodies may grow into the way",
+        "shield/roads/watch.py",
+        "            broken.add(Breach.GROWN)\n",
+        "            pass\n",
         _FOUND,
     ),
     off(

@@ -66,8 +66,7 @@ def measured(part: str) -> dict[str, object]:
 def main() -> None:
     write, path = "--write" in sys.argv, Path(str(files("shield") / UNITS_FILE))
     stored = json.loads(path.read_text(encoding="utf-8"))
-    announced = [name for name in PARTS if not name.startswith("compiled")]
-    for part in [each for each in sys.argv[1:] if each != "--write"] or announced:
+    for part in [each for each in sys.argv[1:] if each != "--write"] or PARTS:
         found = measured(part)
         whole, reference, each = found["whole"], found["reference"], dict(found["each"])
         print(
@@ -80,7 +79,7 @@ def main() -> None:
         slowest = sorted(each.items(), key=lambda item: -item[1])
         stored[part] = {name: round(share * taken / reference, 1) for name, taken in slowest if taken > 0.05}
         if write:
-            kept = {name: stored[name] for name in announced if name in stored}
+            kept = {name: stored[name] for name in PARTS if name in stored}
             path.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
 
 

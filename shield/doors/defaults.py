@@ -169,8 +169,8 @@ def why_it_cannot_stop(base: Any) -> str:
         action = f'{{"type": "MultiAgentAction", "action_config": {action}}}'
     return (
         f"{type(base).__name__}: the slowest target speed is {slowest:g} m/s, so the ego cannot stop before a "
-        "crossing, and the shield cannot keep it from every crash: with 20, 25 and 30 m/s, 40 % of 200 shielded episodes of "
-        f'intersection-v1 crashed. Pass config={{"action": {action}}} to gym.make'
+        "crossing, and the shield cannot keep it from every crash: with 20, 25 and 30 m/s, 40 % of 200 shielded "
+        f'episodes of intersection-v1 crashed. Pass config={{"action": {action}}} to gym.make'
     )
 
 

@@ -7,7 +7,7 @@ from functools import cache
 import gymnasium as gym
 import numpy as np
 
-from shield.compiling import announced
+from shield.compiling import announced, estimated_units
 from shield.config import ShieldConfig
 from shield.doors.road_door import RoadDoor
 from shield.doors.simulated.exact_door import ExactDoor
@@ -16,7 +16,10 @@ from shield.doors.simulated.team_door import TeamDoor
 from shield.doors.which import Door
 from shield.procedures.warm_up import warm_up
 
-__all__ = ["warm_up_door", "warm_up_exact", "warm_up_exact_inputs", "warm_up_roads"]
+__all__ = ["warm_up_door", "warm_up_exact", "warm_up_exact_inputs", "warm_up_explanations", "warm_up_roads"]
+
+_EXPLANATIONS = {True: "simulated explanations on networks", False: "simulated explanations on highways"}
+"""Parts, by whether the traffic is simulated as a network of roads."""
 
 
 def warm_up_door(door: Door | TeamDoor) -> None:
@@ -40,6 +43,7 @@ def warm_up_exact(network: bool) -> None:
         env = gym.make("u-turn-v1") if network else gym.make("highway-fast-v0", config={"vehicles_count": 3})
         env.reset(seed=0)
         ExactDoor(env.unwrapped, ShieldConfig.exact()).rehearse()
+    _load_explanations(network)
 
 
 @cache
@@ -51,6 +55,24 @@ def warm_up_exact_inputs() -> None:
         door = ExactInputDoor(env.unwrapped, ShieldConfig.exact())
         for action in ([0.0, 0.0], [1.0, 1.0], [np.nan, 0.0]):
             door.decide(action)
+    # Throttle and steering are simulated as on a network, on a straight highway too.
+    _load_explanations(True)
+
+
+@cache
+def warm_up_explanations(network: bool) -> None:
+    """Compile what `Decision.explain` calls in simulated traffic, or read it from the disk."""
+    with announced(_EXPLANATIONS[network]):
+        env = gym.make("u-turn-v1") if network else gym.make("highway-fast-v0", config={"vehicles_count": 3})
+        env.reset(seed=0)
+        ExactDoor(env.unwrapped, ShieldConfig.exact()).source(1).rehearse()
+
+
+def _load_explanations(network: bool) -> None:
+    """Read the kernels of explanations where they are compiled already; the first explanation compiles them elsewhere,
+    and no decision waits for that."""
+    if not estimated_units(_EXPLANATIONS[network]):
+        warm_up_explanations(network)
 
 
 @cache

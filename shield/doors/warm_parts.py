@@ -8,7 +8,8 @@ from types import MappingProxyType
 
 from dynamics.networks.episodes.simulator import RoadSimulator
 from shield.batch.highways import ShieldedHighways
-from shield.doors.warm_doors import warm_up_exact, warm_up_exact_inputs, warm_up_roads
+from shield.compiling import announced
+from shield.doors.warm_doors import warm_up_exact, warm_up_exact_inputs, warm_up_explanations, warm_up_roads
 from shield.exact.highways import ExactHighways
 from shield.exact.roads import ExactRoads
 from shield.procedures.warm_up import warm_up
@@ -17,28 +18,32 @@ __all__ = ["PARTS"]
 
 
 def _compiled_highway() -> None:
-    highways = ShieldedHighways("highway-fast-v0", 1)
-    highways.reset([0])
-    highways.masks()
-    highways.step([3])
+    with announced("compiled highway"):
+        highways = ShieldedHighways("highway-fast-v0", 1)
+        highways.reset([0])
+        highways.masks()
+        highways.step([3])
 
 
 def _simulated_compiled_highway() -> None:
-    highways = ExactHighways("highway-fast-v0", 1)
-    highways.reset([0])
-    highways.masks()
-    highways.step([3])
+    with announced("compiled highway, simulated traffic"):
+        highways = ExactHighways("highway-fast-v0", 1)
+        highways.reset([0])
+        highways.masks()
+        highways.step([3])
 
 
 def _compiled_networks() -> None:
-    RoadSimulator("merge-v0", 1).step([1])
+    with announced("compiled networks"):
+        RoadSimulator("merge-v0", 1).step([1])
 
 
 def _simulated_compiled_networks() -> None:
-    roads = ExactRoads("merge-v0", 1)
-    roads.reset([0])
-    roads.masks()
-    roads.step([1])
+    with announced("compiled networks, simulated traffic"):
+        roads = ExactRoads("merge-v0", 1)
+        roads.reset([0])
+        roads.masks()
+        roads.step([1])
 
 
 PARTS: Mapping[str, Callable[[], None]] = MappingProxyType(
@@ -48,11 +53,13 @@ PARTS: Mapping[str, Callable[[], None]] = MappingProxyType(
         "simulated networks": partial(warm_up_exact, True),
         "simulated throttle and steering": warm_up_exact_inputs,
         "worst case on networks": warm_up_roads,
+        "simulated explanations on highways": partial(warm_up_explanations, False),
+        "simulated explanations on networks": partial(warm_up_explanations, True),
         "compiled highway": _compiled_highway,
         "compiled highway, simulated traffic": _simulated_compiled_highway,
         "compiled networks": _compiled_networks,
         "compiled networks, simulated traffic": _simulated_compiled_networks,
     }
 )
-"""What compiles each part, or reads it from the disk. How long the first five take is known by the same names in
-`shield.compiling`; the others are for many environments at once."""
+"""What compiles each part, or reads it from the disk. How long each takes is known by the same names in
+`shield.compiling`. Those that begin with "compiled" are for many environments at once."""

@@ -110,6 +110,11 @@ class Simulated:
                     out[k, i] = gap_between(own, along, across, bodies, int(i), 0.0)
         return out
 
+    def rehearse(self) -> None:
+        """Call every kernel of an explanation, so that it is compiled."""
+        rows, ego = self.foretold()
+        self._gaps(np.repeat(rows[:1, [ego]], 2, axis=1), 0)
+
     def foretold(self) -> tuple[FloatArray, int]:
         """The bodies now and at each frame, (frames + 1, m, 7), with the proposal and what keeps the buffer longest
         after it; and the column of the ego."""
@@ -122,7 +127,8 @@ class Simulated:
             inputs[:], action = action, ANY
         elif not 0 <= action < search.order.shape[0]:
             return rows[:0], 0
-        with announced("explanations in simulated traffic"):
+        where = "highways" if search.bounds.straight else "networks"
+        with announced(f"simulated explanations on {where}"):
             count, ego = foretell_refused(search, self.worlds, int(action), inputs, self.hint, rows)
         return rows[:count], ego
 

@@ -160,6 +160,17 @@ class ExactDoor(Foretells):
             mask[k] = verify(search, k, stored, length, twice) >= 0
         return mask if mask.any() else np.ones_like(mask)
 
+    def source(self, proposed: int) -> Simulated:
+        """What an explanation is made from if a proposal is refused now.
+
+        Raises
+        ------
+        SceneError, ConfigError
+            If the traffic cannot be simulated.
+        """
+        simulator, search = self._read(counting=False)
+        return self._kept(search, simulator, proposed)
+
     def rehearse(self) -> None:
         """Decide, and call what acts where nothing passes: so that it is compiled."""
         self.decide(1)

@@ -21,7 +21,7 @@ from shield.certificate.clauses.duties import counted_on, hold_lanes
 from shield.certificate.clauses.footprint import Footprint
 from shield.certificate.clauses.others import TOUCH, others_from
 from shield.certificate.clauses.scene import seen
-from shield.certificate.monitor import stayed
+from shield.certificate.monitor import in_the_way_now, stayed
 
 __all__ = ["forget", "observe", "stop_in"]
 
@@ -188,6 +188,7 @@ def observe(bench: Bench, e: int) -> bool:
     some, more = stayed(shields.owing[e], counted, flags[0], flags[1], broken, grown, owing)
     if more:
         # Who takes more room than before has to leave it to the ego's fail-safe.
+        some = in_the_way_now(world, rows, numbers.dt, grown, broken) or some
         frames = stop_in(shields, law, e, nearest(centers, state[1]) if stored == NOBODY else stored, room)
         scene, one, none = lent(scene_of(shields, law, e)), numbers.one, numbers.none
         verify(bench, scene, one, one, frames, none, room.nobody, none)

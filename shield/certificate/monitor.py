@@ -19,7 +19,7 @@ from dynamics.traffic.permits import Ego, Rule, gap_between, permits
 if TYPE_CHECKING:
     from shield.certificate.verify import Surveyor
 
-__all__ = ["Stillness", "Watch", "stayed"]
+__all__ = ["Stillness", "Watch", "in_the_way_now", "stayed"]
 
 
 _DISTANCE, _APPEARED = int(Rule.DISTANCE), int(Rule.APPEARED)
@@ -45,6 +45,21 @@ def stayed(owed: Any, counted: Any, behind: Any, held: Any, broken: Any, grown: 
             grown[i] |= _DISTANCE
         some, more = some or broken[i] != 0, more or grown[i] != 0
     return some, more
+
+
+@uncounted
+def in_the_way_now(ego: Ego, rows: FloatArray, period: float, grown: IntArray, broken: IntArray) -> bool:
+    """Add to `broken` what is `grown` of those that touch the ego's buffer now, or its body in the coming frame, which
+    lasts `period` [s]: the fail-safe is judged from the next frame on. Whether there is anybody."""
+    some = False
+    for i in range(grown.shape[0]):
+        if grown[i] == 0:
+            continue
+        touches = gap_between(ego, ego.along, ego.across, rows, i, 0.0) < 0
+        if touches or gap_between(ego, ego.body_along, ego.body_across, rows, i, period) <= 0:
+            broken[i] |= grown[i]
+            some = True
+    return some
 
 
 def appeared(new: BoolArray, rows: FloatArray, ego: Ego, broken: IntArray, grown: IntArray) -> None:
@@ -138,6 +153,7 @@ class Watch:
         some, more = stayed(self.owing, counted, behind, held, broken, grown, owing)
         if more:
             # Who takes more room than before has to leave it to the ego's fail-safe.
+            in_the_way_now(ego, survey.scene.others, survey.scene.dt, grown, broken)
             broken |= np.where(fail_safe() < 0, grown, 0)
             some = bool(broken.any())
         breaking = broken != 0

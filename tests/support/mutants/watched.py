@@ -143,6 +143,13 @@ WATCHED = (
         "tests/shield/test_identity.py",
     ),
     off(
+        "what is in the way now is not looked at",
+        MONITOR,
+        "            in_the_way_now(ego, survey.scene.others, survey.scene.dt, grown, broken)\n",
+        "",
+        "tests/shield/test_darts.py",
+    ),
+    off(
         "a wreck brakes as hard as it likes",
         PERMITS,
         "hardest = max((v0 - slowest) / limits.period + _ROUNDING, limits.braking)",

@@ -46,10 +46,12 @@ def warm_up() -> None:
 
 
 def _scene(frame: int) -> Scene:
-    """A leader, one alongside that the ego passes, held up by another, and one behind."""
+    """A leader, one alongside that the ego passes, held up by another, and one behind, which takes more room than a frame
+    before."""
     dt = 1 / 15
     x, y, v = np.array([[24.0, 4.0, 15.0], [-1.0, 8.0, 13.0], [14.0, 8.0, 10.0], [-30.0, 4.0, 28.0]]).T
     others = np.zeros((4, 7))
     others[:, 0], others[:, 1], others[:, 3], others[:, 4], others[:, 5] = x + v * dt * frame, y, v, 5.0, 2.0
+    others[3, 4] += frame
     ego = np.array([25.0 * dt * frame, 4.3, 0.02, 25.0, 5.0, 2.0, 0.0])
     return Scene(ego, others, StraightRoad.from_lanes(3), EgoControl(Target(1, 25.0)), dt, 15, frame)

@@ -46,7 +46,7 @@ def warm_up() -> None:
 
 
 def _scene(frame: int) -> Scene:
-    """A leader, one alongside that the ego passes, held up by another, and one behind whose body grows by a metre in each
+    """A leader, one alongside that the ego passes, held up by another, and one behind whose body grows by a metre each
     frame."""
     dt = 1 / 15
     x, y, v = np.array([[24.0, 4.0, 15.0], [-1.0, 8.0, 13.0], [14.0, 8.0, 10.0], [-30.0, 4.0, 28.0]]).T

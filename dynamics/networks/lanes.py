@@ -54,6 +54,7 @@ __all__ = [
     "place",
     "reachable",
     "straight",
+    "unrolled",
 ]
 
 _ARCTAN, _COS, _SIN, _ARCTAN2 = 1, 3, 4, 7
@@ -109,6 +110,16 @@ def local(lanes: Lanes, lane: int, x: float, y: float) -> tuple[float, float]:
     if lanes.ids[lane, SHAPE] == SINE:
         r -= row[AMPLITUDE] * at(lanes.loops[_SIN, 0], lanes.loops[_SIN, 1], row[PULSATION] * s + row[PHASE])
     return s, r
+
+
+@inlined
+def unrolled(lanes: Lanes, lane: int, s: float) -> float:
+    """The same place on a lane as s, no further from the middle of an arc than half of its circle [m]: highway-env's s
+    leaps back by the circle half of it after the start, where the lane of a u-turn ends."""
+    if lanes.ids[lane, SHAPE] != CIRCULAR:
+        return s
+    half = math.pi * lanes.rows[lane, RADIUS]
+    return s + 2 * half if s < 0.5 * lanes.rows[lane, LANE_LENGTH] - half else s
 
 
 @uncounted

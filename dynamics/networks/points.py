@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from dynamics.compiled import uncounted
 from dynamics.networks.lanes import Lanes, closest, heading_at, local, place
 from dynamics.networks.layout import (
@@ -20,9 +22,26 @@ from dynamics.networks.layout import (
     SHAPE,
     SINE,
 )
+from dynamics.simulator.layout import LANE_LENGTH
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["closest_all", "curvature_all", "heading_all", "position_all", "project_all"]
+__all__ = ["circles_of", "closest_all", "curvature_all", "heading_all", "position_all", "project_all"]
+
+_SAMPLES = 9
+"""Points of a lane from which the circle around it is made."""
+
+
+@uncounted
+def circles_of(lanes: Lanes, circles: FloatArray) -> None:
+    """A circle around the centre line of each lane: x, y and radius [m], (n, 3), written."""
+    for lane in range(circles.shape[0]):
+        length, low_x, low_y, high_x, high_y = lanes.rows[lane, LANE_LENGTH], np.inf, np.inf, -np.inf, -np.inf
+        for k in range(_SAMPLES):
+            x, y = place(lanes, lane, length * k / (_SAMPLES - 1))
+            low_x, low_y, high_x, high_y = min(low_x, x), min(low_y, y), max(high_x, x), max(high_y, y)
+        circles[lane, 0], circles[lane, 1] = 0.5 * (low_x + high_x), 0.5 * (low_y + high_y)
+        # No point of the lane is further from a sample than half of the way between two of them.
+        circles[lane, 2] = 0.5 * math.hypot(high_x - low_x, high_y - low_y) + 0.6 * length / (_SAMPLES - 1)
 
 
 @uncounted

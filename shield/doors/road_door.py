@@ -25,9 +25,10 @@ from shield.doors.supervision import Command, limited_braking
 from shield.errors import SceneError
 from shield.explaining.roads import on_roads
 from shield.refusals import refuse_simulated
-from shield.roads.choosing import CLEAR, Choice, choose, try_course
+from shield.roads.choosing import Choice, choose, try_course
 from shield.roads.courses import Wish, courses_of, frames_of, gone_on_with, stopping
 from shield.roads.dues import Dues
+from shield.roads.judging import CLEAR
 from shield.roads.late import Braking
 from shield.roads.outlook import Outlook, road_of
 from shield.roads.room import Foreseen, Trial, empty_trial, foreseen
@@ -320,8 +321,7 @@ class RoadDoor:
 
     def _keep_distance(self, who: list[Any], verified: bool) -> None:
         """Who owes the ego its distance from now on, where it goes on with what the trial holds."""
-        buffer = self.config.buffer.longitudinal
-        self._dues.keep_distance(who, self._others, self._trial, self._road, buffer, verified)
+        self._dues.keep_distance(who, self._others, self._trial, self._road, verified)
 
     def _choose(self) -> tuple[Course, Decision]:
         """What is gone on with, and the record of it."""

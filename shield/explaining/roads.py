@@ -17,8 +17,7 @@ from shield.explaining.words import action_name, done, nothing_judged, proof
 from shield.explaining.worlds import Described, describe, lane_of
 from shield.explanation import Explanation, Lost, number
 from shield.roads.choosing import Choice, choose
-from shield.roads.room import Others, Road, empty_trial
-from shield.roads.survey import Body
+from shield.roads.room import Body, Others, Road, empty_trial
 
 __all__ = ["Roads", "on_roads"]
 

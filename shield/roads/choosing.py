@@ -9,15 +9,13 @@ import numpy as np
 from dynamics.compiled import inlined, uncounted
 from dynamics.networks.alone import Alone, Course, drive
 from dynamics.state import FloatArray
-from shield.roads.judging import ASKED, BELIEVED, STRICT, judge
-from shield.roads.room import Others, Road, Trial
-from shield.roads.survey import Body, survey
+from shield.roads.judging import ASKED, BELIEVED, CLEAR, STRICT, judge
+from shield.roads.room import Body, Others, Road, Trial
+from shield.roads.survey import survey
 
-__all__ = ["CLEAR", "Choice", "ask", "choose", "try_course"]
+__all__ = ["Choice", "ask", "choose", "try_course"]
 
 _OFF, _SAME = 1e3, 1e-6
-CLEAR = -1e-6
-"""The least margin of a path that is clear [m]; less is more than rounding."""
 
 
 class Choice(NamedTuple):
@@ -43,8 +41,7 @@ def _follow(alone: Alone, road: Road, others: Others, row: FloatArray, trial: Tr
     """Drive a course, a row of `Course`, and survey its path; what `drive` returns."""
     course = Course(int(row[0]), row[1], row[2], int(row[3]), int(row[4]), row[5])
     found = drive(alone, course, road.ways.over, trial.path, trial.first, trial.bound, trial.own)
-    count, room = abs(found), (trial.points, trial.boxes, trial.seen, trial.met)
-    survey(road.lanes, road.circles, others.lanes, trial.path, count, road.body, road.period, *room)
+    survey(road, road.body, others, trial.path, abs(found), trial)
     return found
 
 
@@ -64,8 +61,7 @@ def _weigh(road: Road, others: Others, found: int, trust: int, trial: Trial, bod
 @uncounted
 def _ask(road: Road, body: Body, others: Others, found: int, trial: Trial, bodies: Trial) -> Choice:
     """The same, where those who owe the ego their distance brake at once: they have to stay behind its body."""
-    room = bodies.points, bodies.boxes, bodies.seen, bodies.met
-    survey(road.lanes, road.circles, others.lanes, trial.path, abs(found), body, road.period, *room)
+    survey(road, body, others, trial.path, abs(found), bodies)
     return _weigh(road, others, found, ASKED, trial, bodies)
 
 

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.networks.reachable.strips import HALF, NEAR, SEVERAL, Ways
-from dynamics.state import BoolArray, FloatArray, IntArray
+from dynamics.networks.reachable.strips import FRONT, NEAR, SEVERAL, Ways
+from dynamics.state import BoolArray, IntArray
+from shield.roads.judging import CLEAR
 from shield.roads.room import Others, Road, Trial
 
 __all__ = ["Dues", "behind"]
@@ -22,16 +23,20 @@ def _comes_over(others: Others, ways: Ways) -> BoolArray:
     return np.where(before == SEVERAL, several.any(axis=1), (before >= 0) & (over[before] == lanes))
 
 
-def behind(others: Others, boxes: FloatArray, seen: BoolArray, road: Road, buffer: float) -> BoolArray:
-    """Who is behind the ego in a lane where it is seen, (m, n): see `survey`, of the first frame. Whoever owes it its
-    distance may come into the buffer of so many metres, and owes it still. Who has yet to come over is not behind."""
-    (vehicles, lanes, _), numbers = others.marks.T, others.numbers
-    rear = boxes[lanes, 0, 0] + np.where(others.owes[vehicles, lanes], buffer, 0.0)
-    there = seen[lanes, 0] & (numbers[:, HALF] - numbers[:, NEAR] <= rear) & ~_comes_over(others, road.ways)
-    if not road.duty.ahead:
-        there &= numbers[:, NEAR] <= 0
+def behind(others: Others, trial: Trial, road: Road) -> BoolArray:
+    """Who is behind the ego in a lane where it is seen, (m, n), at the start of a path. Whoever owes it its distance
+    may come into the buffer, and owes it still, in the lane that its own leads to as well. Who has yet to come over is
+    not behind."""
+    (vehicles, lanes, before), numbers = others.marks.T, others.numbers
+    owes = others.owes[vehicles, lanes] | ((before >= 0) & others.owes[vehicles, lanes[before]])
+    rear = np.where(owes, trial.rears[lanes, 0] - CLEAR, trial.boxes[lanes, 0, 0])
+    there = trial.seen[lanes, 0] & (numbers[:, FRONT] - numbers[:, NEAR] <= rear) & ~_comes_over(others, road.ways)
     out = np.zeros(others.owes.shape, dtype=bool)
-    out[vehicles[there], lanes[there]] = True
+    comes = there & (numbers[:, NEAR] > 0) & (not road.duty.ahead)
+    there &= ~comes
+    while there.any():
+        out[vehicles[there], lanes[there]] = True
+        there = comes & (before >= 0) & out[vehicles, lanes[before]] & ~out[vehicles, lanes]
     return out
 
 
@@ -65,12 +70,10 @@ class Dues:
         """Whether a vehicle owes the ego its distance."""
         return bool(self.distance.get(body))
 
-    def keep_distance(
-        self, who: list[Any], others: Others, trial: Trial, road: Road, buffer: float, verified: bool
-    ) -> None:
+    def keep_distance(self, who: list[Any], others: Others, trial: Trial, road: Road, verified: bool) -> None:
         """Who owes the ego its distance from now on: whoever did, and is still behind it in a lane where it is seen;
         where its path is `verified`, all who are. `trial` begins where the ego is; `Others.owes` is written."""
-        there = behind(others, trial.boxes, trial.seen, road, buffer)
+        there = behind(others, trial, road)
         if not verified:
             there &= others.owes
         others.owes[:] = there

@@ -22,19 +22,21 @@ import math
 import numpy as np
 
 from dynamics.compiled import inlined, uncounted
-from dynamics.networks.reachable.strips import ALWAYS, BACK, FAR, HALF, HIGH, KEEP, LOW, NEAR, START
+from dynamics.networks.reachable.strips import ALWAYS, BACK, FAR, FRONT, HALF, HIGH, KEEP, LOW, NEAR, START
 from dynamics.simulator.layout import LANE_LENGTH
 from dynamics.state import FloatArray
 from dynamics.traffic.permits import Ego, gap_between
 from shield.roads.room import Others, Road, Trial
 from shield.roads.survey import FAR_OFF
 
-__all__ = ["ASKED", "BELIEVED", "STRICT", "judge"]
+__all__ = ["ASKED", "BELIEVED", "CLEAR", "STRICT", "judge"]
 
 STRICT, BELIEVED, ASKED = 0, 1, 2
 """What those who owe the ego their distance are trusted with: to answer to its buffer, with time to react, as anybody
 behind it; to keep their distance; to brake at once, where that keeps them behind its body."""
 
+CLEAR = -1e-6
+"""The least margin of a path that is clear [m]; less is more than rounding."""
 _ENDLESS = 100_000
 """Frames: whoever has not come to rest by then is not counted on to."""
 
@@ -92,8 +94,8 @@ def _followed(
         if k >= first and box[0] < FAR_OFF and ahead >= row[START]:
             if not rear < FAR_OFF:
                 rear = box[0]
-            least = min(least, max(rear - row[HALF] - ahead, _beside(box, row)))
-            if least < 0:
+            least = min(least, max(rear - row[FRONT] - ahead, _beside(box, row)))
+            if least < CLEAR:
                 return least
         there = anywhere or x >= row[NEAR]
         if there and not anywhere and not within:
@@ -109,6 +111,25 @@ def _followed(
 
 
 @uncounted
+def _is_owed(others: Others, road: Road, trial: Trial, j: int, contact: int) -> bool:
+    """Whether the vehicle of strip j owes the ego its distance there, up to frame `contact`. Before it is in the lane
+    of the strip it does because it owes it in the lane before, where the ego stays visible."""
+    i, row, lane, before = others.marks[j, 0], others.numbers[j], others.marks[j, 1], others.marks[j, 2]
+    # It was behind a frame ago. On a ring one that is ahead of the ego comes up behind it as well.
+    came = row[FRONT] - row[NEAR] - max(others.rows[i, 3], 0.0) * road.period
+    if not (others.owes[i, lane] and came + CLEAR <= trial.rears[lane, 0] < FAR_OFF):
+        return False
+    if row[NEAR] <= 0 or road.duty.ahead:
+        return True
+    if before < 0 or not others.owes[i, others.marks[before, 1]]:
+        return False
+    k = 0
+    while k <= contact and trial.seen[others.marks[before, 1], k]:
+        k += 1
+    return k > contact
+
+
+@uncounted
 def _waits(
     others: Others, road: Road, trial: Trial, j: int, contact: int, bad: int, there: bool, lenient: bool
 ) -> float:
@@ -118,7 +139,7 @@ def _waits(
     since = contact + 1
     while since > 0 and road.rights[trial.own[since - 1]] > others.ranks[j]:
         since -= 1
-    if since > bad or row[HALF] - row[NEAR] > trial.boxes[lane, bad, 0]:
+    if since > bad or row[FRONT] - row[NEAR] > trial.boxes[lane, bad, 0]:
         return -1.0
     delay, given = road.duty.reaction, others.gives[i, lane]
     if lenient and given > 0 and since == 0:
@@ -195,24 +216,24 @@ def judge(
             # Who is behind, and sees the ego from some frame on.
             box = boxes[lane, bad]
             if since <= contact:
-                start, rear = -row[NEAR] + row[HALF] <= box[0], boxes[lane, 0, 0] + body.along - body.length
-                # It was behind a frame ago. On a ring one that is ahead of the ego comes up behind it as well.
-                came = row[HALF] - row[NEAR] - max(others.rows[i, 3], 0.0) * dt
-                owed = others.owes[i, lane] and since == 0 and came <= rear < FAR_OFF
+                start = -row[NEAR] + row[FRONT] <= box[0]
+                owed = trust != STRICT and since == 0 and _is_owed(others, road, trial, j, contact)
                 asked = owed and trust == ASKED
+                # One that may come into the buffer stands before the body.
+                closed = there and trial.rears[lane, 1] - row[FRONT] <= end if owed else closes
                 if owed and trust == BELIEVED:
-                    others.shut[j] = closes and contact == count - 1
+                    others.shut[j] = closed and contact == count - 1
                     least, bad = np.inf, count
                 elif start or asked:
                     delay = 0 if asked else road.duty.reaction
-                    rears = bodies if asked else boxes
-                    stays = _followed(others, road, trial, rears, j, since, delay, road.duty.ahead, there)
-                    if stays >= 0:
-                        others.shut[j] = closes and contact == count - 1
+                    rears, anywhere = bodies if asked else boxes, asked or road.duty.ahead
+                    stays = _followed(others, road, trial, rears, j, since, delay, anywhere, there)
+                    if stays >= CLEAR:
+                        others.shut[j] = closed and contact == count - 1
                         least, bad = stays, count
             if least < 0 and road.duty.gives_way:
                 stays = _waits(others, road, trial, j, contact, bad, there, trust != STRICT)
-                if stays >= 0:
+                if stays >= CLEAR:
                     others.shut[j], others.waits[j] = closes and contact == count - 1, True
                     least, bad = stays, count
         margins[i] = min(margins[i], least)

@@ -9,10 +9,10 @@ import numpy as np
 
 from dynamics.networks.alone import Alone, Course
 from dynamics.state import FloatArray
-from shield.roads.choosing import CLEAR, ask, try_course
-from shield.roads.room import Others, Road, Trial, empty_trial
+from shield.roads.choosing import ask, try_course
+from shield.roads.judging import CLEAR
+from shield.roads.room import Body, Others, Road, Trial, empty_trial
 from shield.roads.saving import bare
-from shield.roads.survey import Body
 from shield.roads.watch import Seen
 
 __all__ = ["Braking"]

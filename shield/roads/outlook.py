@@ -11,15 +11,16 @@ from dynamics.networks.alone import Alone
 from dynamics.networks.lanes import Lanes
 from dynamics.networks.layout import PRIORITY
 from dynamics.networks.network import index_of
+from dynamics.networks.points import circles_of
 from dynamics.networks.reachable.continuations import continuations_of, leads_over
 from dynamics.networks.reachable.prediction import reach, spread
 from dynamics.networks.reachable.rights import ranks_of, rights_of
-from dynamics.networks.reachable.strips import Conduct, Ways, empty_strips
+from dynamics.networks.reachable.strips import HALF, HIGH, LOW, Conduct, Ways, empty_strips
+from dynamics.state import FloatArray, IntArray
 from shield.config import ShieldConfig
 from shield.roads.dues import Dues
 from shield.roads.reading import read_traffic
-from shield.roads.room import Duty, Others, Road
-from shield.roads.survey import Body, circles_of
+from shield.roads.room import Body, Duty, Others, Road
 from shield.roads.watch import Seen
 
 __all__ = ["Outlook", "road_of"]
@@ -47,6 +48,13 @@ def road_of(base: Any, alone: Alone, config: ShieldConfig) -> Road:
         body=Body(length, width, length + buffer.longitudinal, width + buffer.lateral, a.visible_distance),
         period=1 / frequency,
     )
+
+
+def _rooms(marks: IntArray, numbers: FloatArray, lanes: int) -> FloatArray:
+    """`Others.rooms` of strips."""
+    rooms = np.zeros(lanes)
+    np.maximum.at(rooms, marks[:, 1], np.max([numbers[:, HALF], numbers[:, HIGH], -numbers[:, LOW]], axis=0))
+    return rooms
 
 
 class Outlook:
@@ -96,5 +104,6 @@ class Outlook:
             waits=np.zeros(count, dtype=bool),
             shut=np.zeros(count, dtype=bool),
             lanes=np.unique(marks[:, 1]),
+            rooms=_rooms(marks, numbers, len(road.circles)),
         )
         return Seen(seen.who, others, seen.stand)

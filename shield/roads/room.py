@@ -9,12 +9,22 @@ import numpy as np
 from dynamics.networks.lanes import Lanes
 from dynamics.networks.reachable.strips import FAR, HALF, HIGH, LOW, NEAR, Conduct, Ways
 from dynamics.state import BoolArray, FloatArray, IntArray
-from shield.roads.survey import Body
 
-__all__ = ["Duty", "Foreseen", "Others", "Road", "Trial", "empty_trial", "foreseen"]
+__all__ = ["Body", "Duty", "Foreseen", "Others", "Road", "Trial", "empty_trial", "foreseen"]
 
 _STANDS = 1e-6
 """Slower is standing [m/s]."""
+
+
+class Body(NamedTuple):
+    """Half length and half width of the ego, and the same with its buffer; how near to a lane's centre it is visible in
+    it [m]."""
+
+    length: float
+    width: float
+    along: float
+    across: float
+    visible: float
 
 
 class Duty(NamedTuple):
@@ -42,7 +52,8 @@ class Others(NamedTuple):
     ranks : the right of way on the way to each strip, (count,). waits : whether a path counts on its vehicle to wait
         before it, (count,), written by `judge`.
     shut : room for whether the ego stands in the way to what comes after a strip, (count,).
-    lanes : that have strips.
+    lanes : that have strips. rooms : how far from the centre line of each lane its strips reach, and beyond its ends,
+        at most, (n,) [m].
     """
 
     rows: FloatArray
@@ -60,6 +71,7 @@ class Others(NamedTuple):
     waits: BoolArray
     shut: BoolArray
     lanes: IntArray
+    rooms: FloatArray
 
 
 class Foreseen(NamedTuple):
@@ -100,16 +112,24 @@ class Road(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """Room for what comes of a course, for K frames, n lanes and m vehicles: see `drive`, `survey` and `judge`."""
+    """Room for what comes of a course, for K frames, n lanes and m vehicles: see `drive`, `survey` and `judge`.
+
+    Attributes
+    ----------
+    boxes : of the ego with its buffer on each lane, (n, K, 4) [m]. seen : whether it drives in the lane, in its
+        direction, where others in it see it, (n, K). met : the first and the last frame in which it is near, (n, 2);
+        the last before the first for never. rears : the least s of the body without its buffer at the first and at the
+        last place, (n, 2) [m].
+    """
 
     path: FloatArray
     first: FloatArray
     bound: IntArray
     own: IntArray
-    points: FloatArray
     boxes: FloatArray
     seen: BoolArray
     met: IntArray
+    rears: FloatArray
     margins: FloatArray
 
 
@@ -120,10 +140,10 @@ def empty_trial(frames: int, lanes: int, vehicles: int) -> Trial:
         np.zeros(2),
         np.zeros(frames + 1, np.int64),
         np.zeros(frames + 1, np.int64),
-        np.zeros((12, 2)),
         np.zeros((lanes, frames + 1, 4)),
         np.zeros((lanes, frames + 1), np.bool_),
         np.zeros((lanes, 2), np.int64),
+        np.zeros((lanes, 2)),
         np.zeros(vehicles),
     )
 

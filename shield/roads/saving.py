@@ -6,8 +6,9 @@ import numpy as np
 
 from dynamics.networks.alone import Alone
 from dynamics.state import FloatArray
-from shield.roads.choosing import CLEAR, Choice, choose, try_course
+from shield.roads.choosing import Choice, choose, try_course
 from shield.roads.courses import COMMITTED
+from shield.roads.judging import CLEAR
 from shield.roads.room import Others, Road, Trial
 
 __all__ = ["bare", "save"]

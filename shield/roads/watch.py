@@ -28,9 +28,9 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.networks.reachable.strips import BACK, FAR, HALF, HIGH, KEEP, LOW, NEAR
+from dynamics.networks.reachable.strips import BACK, FAR, FRONT, HALF, HIGH, KEEP, LOW, NEAR
 from dynamics.state import FloatArray
-from shield.roads.choosing import CLEAR
+from shield.roads.judging import CLEAR
 from shield.roads.room import Others, Road
 
 __all__ = ["Breach", "Seen", "Watch"]
@@ -203,6 +203,7 @@ def _inside(old: Others, j: int, new: Others, i: int) -> bool:
         settles = (max(row[HIGH], -row[LOW]) <= row[KEEP]) | (
             row[BACK] - row[NEAR] <= rows[:, BACK] - rows[:, NEAR] + _PLACE
         )
-        if not (along & across & settles & (row[HALF] <= rows[:, HALF] + _PLACE)).any():
+        fits = (row[HALF] <= rows[:, HALF] + _PLACE) & (row[FRONT] <= rows[:, FRONT] + _PLACE)
+        if not (along & across & settles & fits).any():
             return False
     return True

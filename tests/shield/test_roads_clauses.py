@@ -15,7 +15,8 @@ from dynamics.networks.reachable.prediction import reach
 from dynamics.networks.reachable.strips import LOW, Conduct
 from shield import ShieldConfig
 from shield.doors.road_door import RoadDoor
-from shield.roads.choosing import CLEAR, choose, try_course
+from shield.roads.choosing import choose, try_course
+from shield.roads.judging import CLEAR
 from shield.roads.watch import Breach, Watch
 
 HARD = 9.8

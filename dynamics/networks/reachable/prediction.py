@@ -12,13 +12,14 @@ import math
 
 from dynamics.compiled import uncounted
 from dynamics.networks.lanes import Lanes, local, place
-from dynamics.networks.layout import AMPLITUDE, PULSATION, ROAD, SHAPE, SINE
+from dynamics.networks.layout import ROAD
 from dynamics.networks.reachable.continuations import SETTLED
 from dynamics.networks.reachable.standing import ALIGNED, Subject, stand
 from dynamics.networks.reachable.strips import (
     BACK,
     BEFORE,
     FAR,
+    FRONT,
     HALF,
     HIGH,
     KEEP,
@@ -31,7 +32,9 @@ from dynamics.networks.reachable.strips import (
     Ways,
     add,
     curvature,
+    half_of,
     keep_of,
+    steepness,
 )
 from dynamics.simulator.layout import LANE_LENGTH, LANE_LIMIT
 from dynamics.state import FloatArray, IntArray, Vehicle
@@ -74,6 +77,13 @@ def _chain(ways: Ways, strips: Strips, first: int, count: int) -> None:
 
 
 @uncounted
+def _half_on(lanes: Lanes, conduct: Conduct, row: FloatArray, strips: Strips, j: int, lane: int) -> float:
+    """Half of a body along a lane that it comes to from strip j [m]: one that is askew now may be so there."""
+    askew = strips.numbers[j, HALF] - half_of(lanes, strips.marks[j, 1], row, conduct)
+    return half_of(lanes, lane, row, conduct) + max(askew, 0.0)
+
+
+@uncounted
 def _comes_over(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, strips: Strips, j: int) -> Strip:
     """The strip of the lane beside one that ends, into which one may come from it anywhere; the strip of that which
     ends is given the room for it."""
@@ -86,7 +96,8 @@ def _comes_over(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, str
     numbers[BACK] = numbers[FAR] + lanes.rows[lane, LANE_LENGTH] + SETTLED
     low, high = min(-keep, numbers[LOW] + r), max(keep, numbers[HIGH] + r)
     near, far, start = numbers[NEAR] - s, numbers[FAR] - s, numbers[START] + s
-    return Strip(strips.marks[j, 0], beside, j, near, far, low, high, numbers[HALF], start, numbers[BACK], keep)
+    half = _half_on(lanes, conduct, row, strips, j, beside)
+    return Strip(strips.marks[j, 0], beside, j, near, far, low, high, half, start, numbers[BACK], keep, numbers[FRONT])
 
 
 @uncounted
@@ -99,12 +110,17 @@ def _goes_on(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, strips
     keep = keep_of(lanes, after, row, conduct)
     low, high = -keep, keep
     if numbers[FAR] + long < back and ways.over[lane] < 0:
-        low, high = min(low, numbers[LOW]), max(high, numbers[HIGH])
+        # Who is beside the middle of its lane is as far beside that of the next; its body is what it is now.
+        less = numbers[KEEP] - keep
+        if strips.marks[j, 2] == -1:
+            less = min(less, 0.0)
+        low, high = min(low, numbers[LOW] + less), max(high, numbers[HIGH] - less)
     if slack > 0:
         # Who has to come over from beside a lane does so in the course of it.
         low, high = low + min(r, 0.0) - slack, high + max(r, 0.0) + slack
         back = numbers[FAR] + long + SETTLED
-    return Strip(strips.marks[j, 0], after, j, near, far, low, high, numbers[HALF], s - BEFORE, back, keep)
+    half = _half_on(lanes, conduct, row, strips, j, after)
+    return Strip(strips.marks[j, 0], after, j, near, far, low, high, half, s - BEFORE, back, keep, numbers[FRONT])
 
 
 @uncounted
@@ -113,9 +129,8 @@ def _pace(lanes: Lanes, conduct: Conduct, lane: int, off: float, drive: FloatArr
     limit, share = lanes.rows[lane, LANE_LIMIT], min(curvature(lanes, lane) * off, 0.5)
     drive[0] = max(drive[0], limit if limit < math.inf else conduct.top)
     drive[1], drive[2] = min(drive[1], _STRAIGHT / (1 + share)), max(drive[2], 1 / (1 - share))
-    if lanes.ids[lane, SHAPE] == SINE:
-        slope = abs(lanes.rows[lane, AMPLITUDE] * lanes.rows[lane, PULSATION])
-        drive[1] = min(drive[1], _STRAIGHT / math.sqrt(1 + slope * slope))
+    slope = steepness(lanes, lane)
+    drive[1] = min(drive[1], _STRAIGHT / math.sqrt(1 + slope * slope))
 
 
 @uncounted

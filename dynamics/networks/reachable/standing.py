@@ -6,10 +6,11 @@ import math
 from typing import NamedTuple
 
 from dynamics.compiled import inlined, uncounted
-from dynamics.networks.lanes import Lanes, heading_at, local
+from dynamics.networks.footprints import Place, Rectangle, extent_of
+from dynamics.networks.lanes import Lanes, heading_at, local, unrolled
 from dynamics.networks.layout import ROAD
 from dynamics.networks.reachable.continuations import SETTLED
-from dynamics.networks.reachable.strips import BEFORE, Conduct, Strip, Strips, Ways, add, bulge, keep_of
+from dynamics.networks.reachable.strips import BEFORE, Conduct, Strip, Strips, Ways, add, front_of, half_of, keep_of
 from dynamics.simulator.arithmetic import wrap_to_pi
 from dynamics.simulator.layout import LANE_LENGTH, LANE_WIDTH
 from dynamics.state import FloatArray, IntArray, Vehicle
@@ -17,8 +18,6 @@ from dynamics.state import FloatArray, IntArray, Vehicle
 __all__ = ["ALIGNED", "Subject", "stand"]
 
 _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
-_ASKEW = 0.2
-"""How far the heading of a body in its lane is off, at most, when it is reckoned with later [rad]."""
 ALIGNED, _TURNING, _OVERLAY = 0.5, 0.9, 2.0
 """A vehicle may follow a lane of another road if its heading is off by less than this [rad], or while it comes over to
 it by less than that, and it is this near to the middle [m]: where roads part, that is true of several."""
@@ -38,13 +37,17 @@ class Subject(NamedTuple):
 
 
 class _Pose(NamedTuple):
-    """A body on a lane: s and r [m], the angle between them [rad], how far it reaches to either side and how far once
-    it keeps to the middle [m], and whether it is where one may be in that lane, or about to come into it."""
+    """A body on a lane: s and r of its middle [m], its angle to the lane [rad], the least and the greatest r of it,
+    half of what it takes of the lane's length, how far its front is ahead, and how far it reaches to either side once
+    it keeps to the middle [m]; and whether it is where one may be in that lane, or about to come into it."""
 
     s: float
     r: float
     angle: float
-    across: float
+    low: float
+    high: float
+    half: float
+    front: float
     keep: float
     within: bool
 
@@ -52,11 +55,14 @@ class _Pose(NamedTuple):
 @uncounted
 def _pose(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, lane: int) -> _Pose:
     s, r = local(lanes, lane, row[0], row[1])
+    s = unrolled(lanes, lane, s)
     long, keep = lanes.rows[lane, LANE_LENGTH], keep_of(lanes, lane, row, conduct)
     angle = wrap_to_pi(row[2] - heading_at(lanes, lane, min(max(s, 0.0), long)))
-    across = 0.5 * (row[_LENGTH] * abs(math.sin(angle)) + row[_WIDTH] * abs(math.cos(angle)))
-    across += bulge(lanes, lane, row)
-    return _Pose(s, r, angle, across, keep, ways.entries[lane, 0] - BEFORE <= s <= long)
+    body = Rectangle(0.0, math.cos(row[2]), math.sin(row[2]), 0.5 * row[_LENGTH], 0.5 * row[_WIDTH])
+    extent = extent_of(lanes, lane, Place(row[0], row[1], s, r), body)
+    half = max(extent.last - s, s - extent.first, half_of(lanes, lane, row, conduct))
+    front, within = max(extent.last - s, front_of(row)), ways.entries[lane, 0] - BEFORE <= s <= long
+    return _Pose(s, r, angle, extent.low, extent.high, half, front, keep, within)
 
 
 @inlined
@@ -67,10 +73,7 @@ def _off_route(lanes: Lanes, subject: Subject, lane: int) -> bool:
 @uncounted
 def _strip_of(subject: Subject, lane: int, at: _Pose, low: float, high: float, back: float) -> Strip:
     """The strip of a lane that a vehicle is on."""
-    row = subject.row
-    cos, sin = abs(math.cos(at.angle)), abs(math.sin(at.angle))
-    half = max(0.5 * (row[_LENGTH] * cos + row[_WIDTH] * sin), 0.5 * (row[_LENGTH] + row[_WIDTH] * _ASKEW))
-    return Strip(subject.number, lane, -1, -at.s, -at.s, low, high, half, min(at.s, 0.0), back, at.keep)
+    return Strip(subject.number, lane, -1, -at.s, -at.s, low, high, at.half, min(at.s, 0.0), back, at.keep, at.front)
 
 
 @uncounted
@@ -82,7 +85,7 @@ def _kept(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: 
         if _off_route(lanes, subject, lane):
             continue
         at = _pose(lanes, ways, conduct, subject.row, lane)
-        if at.within and abs(at.angle) <= ALIGNED and abs(at.r) + at.across <= at.keep:
+        if at.within and abs(at.angle) <= ALIGNED and max(at.high, -at.low) <= at.keep:
             count = add(strips, first, count, _strip_of(subject, lane, at, -at.keep, at.keep, 0.0))
             some = some or at.s >= 0.0
     return count if some else first
@@ -96,7 +99,7 @@ def _entered(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strip
         if _off_route(lanes, subject, lane):
             continue
         at = _pose(lanes, ways, conduct, subject.row, lane)
-        low, high = at.r - at.across, at.r + at.across
+        low, high = at.low, at.high
         if lane == subject.own:
             low, high = min(low, -at.keep), max(high, at.keep)
             count = add(strips, first, count, _strip_of(subject, lane, at, low, high, SETTLED))
@@ -124,11 +127,11 @@ def _touched(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strip
         at = _pose(lanes, ways, conduct, subject.row, lane)
         if lane != subject.own:
             if lanes.ids[lane, ROAD] == lanes.ids[subject.own, ROAD]:
-                if abs(at.r) - at.across >= lanes.rows[lane, LANE_WIDTH] / 2 - conduct.lean:
+                if max(at.low, -at.high) >= lanes.rows[lane, LANE_WIDTH] / 2 - conduct.lean:
                     continue
             elif not (abs(at.r) <= _OVERLAY and at.within and abs(at.angle) <= ALIGNED):
                 continue
-        low, high = min(at.r - at.across, -at.keep), max(at.r + at.across, at.keep)
+        low, high = min(at.low, -at.keep), max(at.high, at.keep)
         count = add(strips, first, count, _strip_of(subject, lane, at, low, high, SETTLED))
     return count
 

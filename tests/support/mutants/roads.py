@@ -8,6 +8,7 @@ __all__ = ["ROADS"]
 
 _TESTS, _CLAUSES = "tests/shield/test_roads.py", "tests/shield/test_roads_clauses.py"
 _FOUND, _AROUND = "tests/shield/test_found_on_roads.py", "tests/shield/test_around_and_inside.py"
+_BANDS, _JOINTS = "tests/shield/test_bands_on_roads.py", "tests/shield/test_followers_at_joints.py"
 _JUDGING, _PREDICTION = "shield/roads/judging.py", "dynamics/networks/reachable/prediction.py"
 
 ROADS = (
@@ -63,8 +64,8 @@ ROADS = (
     off(
         "who is ahead on a ring is behind",
         _JUDGING,
-        "came <= rear < FAR_OFF",
-        "rear < FAR_OFF",
+        "came + CLEAR <= trial.rears[lane, 0] < FAR_OFF",
+        "trial.rears[lane, 0] < FAR_OFF",
         _CLAUSES,
     ),
     off(
@@ -133,8 +134,8 @@ ROADS = (
     off(
         "no buffer on the lanes",
         "shield/roads/survey.py",
-        "ds, dr = abs(along) * body.along + abs(aside) * body.across,",
-        "ds, dr = abs(along) * body.length + abs(aside) * body.width,",
+        "Rectangle(0.0, cos, sin, body.along, body.across)",
+        "Rectangle(0.0, cos, sin, body.length, body.width)",
         _CLAUSES,
     ),
     off(
@@ -229,6 +230,48 @@ ROADS = (
         "            broken.add(Breach.GROWN)\n",
         "            pass\n",
         _FOUND,
+    ),
+    off(
+        "a side of a body reaches no further across a sine than its ends",
+        "dynamics/networks/footprints.py",
+        "    if abs(dq) < abs(swing * rate * ds):\n",
+        "    if False:\n",
+        _BANDS,
+    ),
+    off(
+        "towards the centre of an arc a body takes no more of its length",
+        "dynamics/networks/reachable/standing.py",
+        "half = max(extent.last - s, s - extent.first, half_of(lanes, lane, row, conduct))",
+        "half = half_of(lanes, lane, row, conduct)",
+        _BANDS,
+    ),
+    off(
+        "past the end of half a circle the ego is before its start",
+        "shield/roads/survey.py",
+        "Place(x, y, unrolled(lanes, lane, s), r)",
+        "Place(x, y, s, r)",
+        _BANDS,
+    ),
+    off(
+        "a body that is far from its lane is not looked at",
+        "shield/roads/survey.py",
+        "max(others.rooms[lane], _NEAR)",
+        "_NEAR",
+        _BANDS,
+    ),
+    off(
+        "a duty ends where the lane does",
+        "shield/roads/dues.py",
+        "        there = comes & (before >= 0) & out[vehicles, lanes[before]] & ~out[vehicles, lanes]\n",
+        "        there = there & False\n",
+        _JOINTS,
+    ),
+    off(
+        "the rear of an inclined ego is where its buffer's is",
+        _JUDGING,
+        "came + CLEAR <= trial.rears[lane, 0] < FAR_OFF",
+        "came + CLEAR <= trial.boxes[lane, 0, 0] + road.body.along - road.body.length < FAR_OFF",
+        _JOINTS,
     ),
     off(
         "frames that are supervised are compiled",

@@ -1,0 +1,54 @@
+"""Whoever owes the ego its distance owes it as long as it is behind its body, across the joints of lanes."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+import pytest
+from highway_env.vehicle.kinematics import Vehicle
+
+from shield import ShieldConfig
+from shield.doors.road_door import RoadDoor
+
+BEFORE, LANE = ("ser", "ses", 0), ("ses", "se", 0)
+IDLE = 1
+
+
+def creep_up(length, width, step, until):
+    """A follower comes up to a standing ego that is inclined against its lane, until so near its body [m]; each frame
+    yields the decision, the door and how near it is."""
+    env = gym.make("roundabout-v0")
+    env.reset(seed=0)
+    base = env.unwrapped
+    road, ego = base.road, base.vehicle
+    ego.position, ego.heading, ego.speed = np.array([2.48, 37.87]), -1.426, 0.0
+    ego.lane_index = ego.target_lane_index = LANE
+    ego.lane, ego.route, ego.speed_index, ego.target_speed = road.network.get_lane(LANE), None, 0, 0.0
+    lane = road.network.get_lane(BEFORE)
+    rear = min(lane.local_coordinates(corner)[0] for corner in ego.polygon()[:4])
+    start = lane.position(rear - 2.3 - 0.5 * length, 0.0)
+    body = Vehicle(road, start, lane.heading, step * base.config["simulation_frequency"])
+    body.LENGTH, body.WIDTH, body.route = length, width, None
+    road.vehicles, road.objects = [ego, body], []
+    door = RoadDoor(base, ShieldConfig.for_roads())
+    door.reset()
+    while (left := rear - lane.local_coordinates(body.position)[0] - 0.5 * length) > until:
+        door.decide(IDLE)
+        yield door.frame()[1], door, left
+        body.position = body.position + step * np.array([np.cos(body.heading), np.sin(body.heading)])
+        body.on_state_update()
+        base.steps += 1
+
+
+@pytest.mark.parametrize(("length", "width"), [(5.0, 2.0), (1.0, 2.0), (0.6, 0.5)])
+def test_a_follower_that_creeps_up_to_the_body_keeps_its_duty(length, width):
+    """Across the joint or not, the ego at an angle: in each frame a path verifies, and nobody has broken a rule. It
+    comes as near as it may be where it is at most so much askew, and can still brake."""
+    step, nearest = 0.005, np.inf
+    until = 0.1 * width + 2 * step
+    for decision, door, nearest in creep_up(length, width, step, until):
+        assert decision.tier.verified, nearest
+        assert door.violations == 0
+        assert door.is_owed_by(door._base.road.vehicles[1])
+    assert nearest < until + step

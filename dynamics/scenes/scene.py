@@ -17,7 +17,7 @@ from dynamics.compiled import uncounted
 from dynamics.errors import ActionError, SceneError
 from dynamics.roads.network import read_network
 from dynamics.roads.straight import Road, StraightRoad
-from dynamics.state import FloatArray, IntArray, State, Vehicle
+from dynamics.state import BoolArray, FloatArray, IntArray, State, Vehicle
 from dynamics.vehicle.controllers import speed_to_index
 
 __all__ = ["EgoControl", "Scene", "SceneReader", "Target", "has_road_and_vehicles"]
@@ -119,6 +119,19 @@ class Scene:
     def finite(self) -> bool:
         """Whether every number in the scene is finite."""
         return math.isfinite(self.control.target.speed) and bool(_finite(self.ego, self.others))
+
+    @property
+    def unreadable(self) -> BoolArray:
+        """Which of the others have a number that is not finite, (n,)."""
+        return np.logical_not(np.isfinite(self.others).all(axis=1))
+
+    def without(self, left_out: BoolArray) -> Scene:
+        """The same without some of the others, (n,)."""
+        kept = ~left_out
+        ids = None if self.ids is None else self.ids[kept]
+        likely = None if self.likely is None else self.likely[kept]
+        bodies = None if self.bodies is None else [body for body, keep in zip(self.bodies, kept, strict=True) if keep]
+        return replace(self, others=self.others[kept], ids=ids, likely=likely, bodies=bodies)
 
     @classmethod
     def from_env(cls, env: Any, curved: bool = False) -> Scene:

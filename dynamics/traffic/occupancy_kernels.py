@@ -14,7 +14,7 @@ from dynamics.compiled import inlined, uncounted
 from dynamics.state import FloatArray, IntArray, Vehicle
 from dynamics.traffic.tables import Bodies, Motion
 
-__all__ = ["Lanes", "apart", "floors", "front_of", "fronts", "rear_of", "rears", "spend", "strips"]
+__all__ = ["Lanes", "apart", "coming_place", "floors", "front_of", "fronts", "rear_of", "rears", "spend", "strips"]
 
 _SPEED, _LENGTH, _WIDTH, _CRASHED = int(Vehicle.SPEED), int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
 _ENDLESS = 1e6
@@ -238,6 +238,24 @@ def rear_of(
         if hold == 0 and rear > floor - reach:
             rear = max(rear - back, floor - reach)
         out[k] = rear
+
+
+@inlined
+def coming_place(j: int, states: FloatArray, stretch: FloatArray, motion: Motion, bodies: Bodies) -> float:
+    """Least s of the centre of vehicle `j` after one frame [m], as `rear_of` bounds its body."""
+    v, floor, recent, along, back = states[j, 3], bodies.floor[j], bodies.recent, 0.0, 0.0
+    if v >= motion.slow:
+        burst = bodies.swing[j] * motion.burst
+        for i in range(recent.shape[1] - 1):
+            burst -= recent[j, i]
+        lost = min(_lost(bodies.budget[j], bodies.action[j], v, motion.dt, motion), max(burst, 0.0) / v)
+        along = max(v * motion.dt - lost, 0.0)
+    else:
+        back = max(motion.reversing, -v) * motion.dt
+    if stretch.shape[1] > 0:
+        along = min(along * stretch[0, j], along * stretch[1, j])
+    place = states[j, 0] + along
+    return max(place - back, floor) if place > floor else place
 
 
 @uncounted

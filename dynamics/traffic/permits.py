@@ -6,7 +6,8 @@ may do, from one frame to the next:
 1. *speed*: change by no more than `braking` and `acceleration` allow, rise no further than to `max_speed`, and reverse
    no faster than `reversing_speed`;
 2. *way*: get on along the road as its speed says, but for what turning takes from it (`turning_loss` and
-   `turning_action`, which comes back at `turning_rate`), and sideways no further than its speed says;
+   `turning_action`, which comes back at `turning_rate`), and sideways no further than its speed says. Its heading may
+   take more of the coming frame's way than that where it leaves the room for the ego's fail-safe;
 3. *lanes*: stay in the lanes that its body touches. It may touch another one where that leaves the room for the ego's
    fail-safe;
 4. *reversing*: only from what is ahead in its lanes, and as far as `queue_distance` from it; further where that leaves
@@ -22,9 +23,9 @@ may do, from one frame to the next:
 
 A wreck may brake at 1/s times its speed, as highway-env has it brake, where that is more than `braking`; otherwise the
 rules are the same for it, but for what pushes it off an ego with which it has crashed. Rules 1 and 2 are judged here
-alone. Of rules 3, 4, 7 and 9 this module finds who has taken more room; whether the fail-safe suffers from it, and
-whether one that has come beside the ego (rule 5) leaves it the room, is for the shield to say. The first two make what
-they permit a matter of one frame: a bound that holds for a frame holds for all that follow, and
+alone. Of rules 3, 4, 7 and 9, and of headings, this module finds who has taken more room; whether the fail-safe suffers
+from it, and whether one that has come beside the ego (rule 5) leaves it the room, is for the shield to say. The first
+two make what they permit a matter of one frame: a bound that holds for a frame holds for all that follow, and
 `tests/dynamics/test_permits.py` has arbitrary inputs try to break that.
 """
 
@@ -41,7 +42,8 @@ from dynamics.compiled import inlined, numbers_of, uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Before, Surroundings
-from dynamics.traffic.tables import bodies_of
+from dynamics.traffic.occupancy_kernels import coming_place
+from dynamics.traffic.tables import bodies_of, motion_of
 
 __all__ = ["Ego", "Motions", "Rule", "footprint", "gap_between", "judge_motions", "limits_of", "permits"]
 
@@ -53,6 +55,8 @@ _ROUNDING = 1e-9
 """What rounding may add to an acceleration, a speed or a way [m/s^2, m/s, m]. Real growth of a bound is no smaller in
 highway-env's own traffic, and none is granted: whatever is granted in each frame adds up. So the fail-safe is asked
 however little a bound has grown."""
+_STRAIGHT = 1e-6
+"""Share of the coming frame's way that a heading may always take."""
 _SIDEWAYS = 1.0001
 """Ways across the road may exceed what the speed says by this factor, for bends; no bound rests on it (rule 3 does)."""
 
@@ -87,7 +91,7 @@ class Motions(NamedTuple):
     Attributes
     ----------
     broken : rules 1, 2, 5 and 6 that each broke, (m,) of `Rule` bits.
-    grown : rules 3, 4, 7 and 9 that each broke unless it leaves the room, (m,) of `Rule` bits.
+    grown : rules 2, 3, 4, 7 and 9 that each broke unless it leaves the room, (m,) of `Rule` bits.
     """
 
     broken: IntArray
@@ -156,6 +160,7 @@ def judge_motions(
     brakes: FloatArray,
     recent: FloatArray,
     stretch: FloatArray,
+    settings: FloatArray,
     behind: BoolArray,
     ego: Ego,
     row: FloatArray,
@@ -163,8 +168,8 @@ def judge_motions(
     grown: IntArray,
 ) -> None:
     """`permits`, filled in: vehicle rows, road states and `Tables` of the scene before and of this one, the numbers of
-    the limits, `row`, and the result, `broken` and `grown` (m,)."""
-    limits = _Limits(*numbers_of(row, 9))
+    the limits, `row`, and the result, `broken` and `grown` (m,). `settings` are the numbers of `Motion`."""
+    limits, motion = _Limits(*numbers_of(row, 9)), motion_of(settings)
     bodies0, bodies = bodies_of(marks0, numbers0, brakes0, recent0), bodies_of(marks, numbers, brakes, recent)
     frames = int(limits.frames)
     low0, high0, floor0, low, high, floor = (
@@ -213,6 +218,15 @@ def judge_motions(
             # highway-env counts what constant velocities would bring in the coming frame.
             if touches or gap_between(ego, ego.body_along, ego.body_across, rows, i, limits.period) <= 0:
                 bits |= _DISTANCE
+        # highway-env counts what constant velocity along the heading would bring in the coming frame.
+        coming = v * math.cos(states[i, 2]) * motion.dt
+        if not (1 - _STRAIGHT) * v * motion.dt <= coming <= max(v, 0.0) * motion.dt:
+            forth = coming <= max(v, 0.0) * motion.dt + _ROUNDING
+            if stretch.shape[1] > 0:
+                coming = min(coming * stretch[0, i], coming * stretch[1, i])
+            least = coming_place(i, states, stretch, motion, bodies) - _ROUNDING
+            if not (forth and states[i, 0] + coming >= least):
+                more |= _WAY
         if not (low[i] >= low0[i] - _ROUNDING and high[i] <= high0[i] + _ROUNDING):
             more |= _LANES
         if not (rows[i, _LENGTH] <= rows0[i, _LENGTH] + _ROUNDING and rows[i, _WIDTH] <= rows0[i, _WIDTH] + _ROUNDING):
@@ -285,5 +299,5 @@ def permits(before: Surroundings | Before, after: Surroundings, period: float, b
     m = len(after.states)
     found = Motions(np.zeros(m, np.intp), np.zeros(m, np.intp))
     old, new = (before.others, before.states, *before.tables), (after.others, after.states, *after.tables)
-    judge_motions(*old, *new, after.stretch, behind, ego, limits, *found)
+    judge_motions(*old, *new, after.stretch, after.settings, behind, ego, limits, *found)
     return found

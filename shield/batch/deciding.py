@@ -14,14 +14,14 @@ from dynamics.state import FloatArray, IntArray
 from shield.batch.arrays import Bench, Records, Room, Scene, Shields, scene_of
 from shield.batch.law import NOBODY, Law
 from shield.batch.observing import observe
-from shield.batch.repairing import fail_lanes, hold_back
+from shield.batch.repairing import fail_lanes, held_back, hold_back
 from shield.batch.supervising import forgive, keep_stored, violated
 from shield.batch.verifying import frames_of, verify
 from shield.batch.vocabulary import REASONS, TIERS
 from shield.certificate.clauses.together import NOTHING_BINDS
 from shield.certificate.verify import ROUNDING
 from shield.decision import Reason, Tier
-from shield.procedures.meta_actions import CAPS
+from shield.procedures.frames import CAPS
 from shield.repair.order import CLEAR, GAIN, IN_LANE, OUTLOOK
 from shield.rule_kernels import alongside, breaks_rss, time_is_short
 
@@ -144,12 +144,14 @@ def verifies(
 
 
 @uncounted
-def _speeds(law: Law, v: float, label: int, speed: float, out: FloatArray) -> int:
-    """The speeds at which a target is tried, ascending: of a lane change, also held back by the frames."""
-    out[0], n = speed, 1
+def _speeds(law: Law, v: float, label: int, speed: float, room: Room) -> int:
+    """The speeds at which a target is tried, ascending, in `room.grid[1]`: of a lane change, also held back by the
+    frames."""
+    out, n = room.grid[1], 1
+    out[0] = speed
     if label in (_LEFT, _RIGHT):
         for cap in CAPS:
-            one, place = min(speed, v + cap), 0
+            one, place = held_back(law, v, speed, cap, room), 0
             while place < n and out[place] < one:
                 place += 1
             if place < n and out[place] == one:
@@ -172,7 +174,7 @@ def _first_action(
         a = actions[k]
         if objects(shields, law, e, room.marks[5, a]):
             continue
-        n = _speeds(law, v, law.labels[a], wanted[a], tried)
+        n = _speeds(law, v, law.labels[a], wanted[a], room)
         most = max(most, tried[n - 1])
     if most == -math.inf:
         return NOBODY
@@ -184,7 +186,7 @@ def _first_action(
         lane, best = room.marks[5, a], False
         if objects(shields, law, e, lane):
             continue
-        n = _speeds(law, v, law.labels[a], wanted[a], tried)
+        n = _speeds(law, v, law.labels[a], wanted[a], room)
         for i in range(n):
             if verifies(bench, scene, e, lane, tried[i], frames, lasting, one) and (not best or one[0] > found[0]):
                 best = True

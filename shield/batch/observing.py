@@ -172,6 +172,7 @@ def observe(bench: Bench, e: int) -> bool:
         brakes,
         recent,
         law.stretch,
+        law.motion,
         shields.owing[e],
         world,
         law.limits,

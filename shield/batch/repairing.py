@@ -14,7 +14,7 @@ from shield.batch.law import NOBODY, Law
 from shield.batch.verifying import frames_of, verify
 from shield.procedures.frames import ACCELERATIONS, GREATEST, LANE_PENALTY
 
-__all__ = ["evade", "fail_lanes", "hold_back"]
+__all__ = ["evade", "fail_lanes", "held_back", "hold_back"]
 
 
 @inlined
@@ -26,6 +26,17 @@ def _grid(law: Law, v: float, speed: float, room: Room) -> None:
     for i in range(ACCELERATIONS):
         room.grid[0, i] = i * step + low if step != 0 else i / (ACCELERATIONS - 1) * (high - low) + low
     room.grid[0, ACCELERATIONS - 1] = high
+
+
+@inlined
+def held_back(law: Law, v: float, speed: float, change: float, room: Room) -> float:
+    """The speed to which a target is held back for one of `CAPS` [m/s]; see `held_back_speeds`."""
+    _grid(law, v, speed, room)
+    place, wish = 0, KP_SPEED * change
+    for i in range(ACCELERATIONS):
+        if room.grid[0, i] <= wish:
+            place = i
+    return v + room.grid[0, place] / KP_SPEED
 
 
 @inlined

@@ -70,6 +70,13 @@ def appeared(new: BoolArray, rows: FloatArray, ego: Ego, broken: IntArray, grown
         broken[i], grown[i] = (_APPEARED, 0) if touches else (0, _APPEARED)
 
 
+def _rule_of(column: Vehicle) -> Rule:
+    """The rule that a vehicle breaks with a number that is not finite."""
+    if column is Vehicle.SPEED:
+        return Rule.SPEED
+    return Rule.SIZE if column in (Vehicle.LENGTH, Vehicle.WIDTH) else Rule.WAY
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Watch:
     """What has been seen of the others up to one scene.
@@ -82,6 +89,7 @@ class Watch:
     offenders : who has broken a rule and may still be in the way of the ego's fail-safe, (m,) bool.
     count : violations so far; a vehicle that breaks rules frame after frame counts once until it keeps to them again.
     by_rule : the same by the rule that was broken.
+    unreadable : ids of those whose numbers were not all finite; they are in none of the arrays.
     """
 
     owing: BoolArray = field(default_factory=_nobody)
@@ -90,6 +98,7 @@ class Watch:
     offenders: BoolArray = field(default_factory=_nobody)
     count: int = 0
     by_rule: Mapping[Rule, int] = field(default_factory=dict)
+    unreadable: frozenset[int] = frozenset()
 
     @property
     def violated(self) -> bool:
@@ -104,6 +113,23 @@ class Watch:
     def forgiven(self) -> Watch:
         """The same once a plan clears everybody again."""
         return replace(self, offenders=np.zeros(self.offenders.shape, dtype=bool)) if self.violated else self
+
+    def with_unreadable(self, ids: IntArray, finite: BoolArray, known: frozenset[int]) -> Watch:
+        """The same with vehicles whose numbers are not all finite: each breaks the rules that these are judged by.
+
+        Parameters
+        ----------
+        ids : of those vehicles, (n,). finite : which of their numbers are finite, (n, 7). known : the ids of those that
+            were unreadable in the scene before, which have been counted.
+        """
+        count, by_rule = self.count, dict(self.by_rule)
+        for i, row in zip(ids.tolist(), finite, strict=True):
+            if i in known:
+                continue
+            count += 1
+            for rule in {_rule_of(Vehicle(column)) for column in np.flatnonzero(~row).tolist()}:
+                by_rule[rule] = by_rule.get(rule, 0) + 1
+        return replace(self, count=count, by_rule=by_rule, unreadable=frozenset(ids.tolist()))
 
     def of(self, same: IntArray | None, m: int) -> Watch:
         """The same of the m others of the next scene, in their order.

@@ -33,7 +33,7 @@ from shield.roads.late import Braking
 from shield.roads.outlook import Outlook, road_of
 from shield.roads.room import Foreseen, Trial, empty_trial, foreseen
 from shield.roads.saving import bare, save
-from shield.roads.watch import Breach, Seen, Watch
+from shield.roads.watch import Breach, Seen, Watch, check_readable
 
 __all__ = ["RoadDoor"]
 
@@ -228,7 +228,7 @@ class RoadDoor:
         """
         kept = self._wish
         mask = np.zeros(len(self._base.action_type.actions), dtype=bool)
-        self._see()
+        check_readable(self._see())
         for action in range(len(mask)):
             load_ego(self._base, self._alone.rules, self._index, self._alone.worlds)
             self._intend(action)
@@ -280,6 +280,7 @@ class RoadDoor:
         if frame != self._judged:
             self._watch(seen)
             self._judged = frame
+        check_readable(seen)
         self._others.offends[:] = [body in self.watch.offenders for body in seen.who]
 
     def _see(self) -> Seen:

@@ -10,15 +10,17 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from dynamics.errors import SceneError
+from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray
 from shield.certificate.memory import Memory
+from shield.certificate.monitor import Watch
 from shield.certificate.verify import NOTHING, Binding
 from shield.decision import Decision, Reason, Tier
 from shield.explanation import Explanation
@@ -160,12 +162,29 @@ def decide(
             else:
                 one = procedure.fall_back(view, proposal, tried)
             return _decided(start, seen, proposal, one, source)
+        if refused is Reason.BAD_SCENE:
+            seen = _observe_readable(memory, scene, procedure)
     except Exception:
         # Fail closed: a stage that breaks must not let the proposal through.
         _log.exception("a stage of the shield raised; the last resort acts")
         refused = Reason.STAGE_FAILED
     tier, plan = procedure.last_resort(seen, scene, proposal)
     return _decided(start, seen, proposal, Tried(tier, refused, plan), source)
+
+
+def _observe_readable(memory: Memory[S], scene: Any, procedure: Procedure[S, Any]) -> Memory[S]:
+    """Take in a scene some of whose others are not finite: they break a rule by it, and the rest are judged as ever."""
+    if not isinstance(scene, Scene) or scene.observed or not np.isfinite(scene.ego).all():
+        return memory
+    strange, before = scene.unreadable, memory.watch
+    if not strange.any() or not isinstance(before, Watch):
+        return memory
+    ids = np.flatnonzero(strange) if scene.ids is None else scene.ids[strange]
+    _, seen = procedure.observe(memory, scene.without(strange))
+    if not isinstance(seen.watch, Watch) or (seen.frame is not None and seen.frame == memory.frame):
+        return memory
+    finite = np.isfinite(scene.others[strange])
+    return replace(seen, watch=seen.watch.with_unreadable(ids, finite, before.unreadable))
 
 
 def _decided(
@@ -228,12 +247,15 @@ class Core(Generic[S]):
     def look(self, scene: Any, procedure: Procedure[S, Any] | None = None) -> None:
         """Take in a scene before anything is decided about it, such as the last of an episode: the others may have
         broken a rule on the way there. A decision about the same scene does not judge them again."""
-        if isinstance(scene, Unreadable) or not scene.finite:
+        if isinstance(scene, Unreadable):
             return
-        before = self.memory if self._looked is None else self._looked[1]
+        before, procedure = self.memory if self._looked is None else self._looked[1], procedure or self.procedure
         try:
-            _, self.memory = (procedure or self.procedure).observe(before, scene)
-            self._looked = scene, before
+            if scene.finite:
+                _, self.memory = procedure.observe(before, scene)
+                self._looked = scene, before
+            else:
+                self.memory = _observe_readable(before, scene, procedure)
         except Exception:
             _log.exception("the last scene of an episode could not be judged")
 

@@ -23,6 +23,7 @@ from shield.procedures.decide import Plan, Tried, Unreadable
 
 __all__ = [
     "ACCELERATIONS",
+    "CAPS",
     "GREATEST",
     "LANE_PENALTY",
     "FrameCommand",
@@ -31,6 +32,7 @@ __all__ = [
     "Repair",
     "fail_lanes",
     "first_verified",
+    "held_back_speeds",
 ]
 
 
@@ -40,6 +42,8 @@ LANE_PENALTY = 2.0
 """What it costs to leave the committed lane, in acceleration [m/s^2]."""
 GREATEST = 5.0
 """Greatest acceleration that is tried when a frame is held back [m/s^2]."""
+CAPS = (-4.0, -2.0, 0.0, 5.0)
+"""Changes of speed to which a lane change may be held back, rounded down to the grid [m/s]."""
 _SHARES = (0.75, 0.5, 0.25, 0.0)
 """How wide bounds on the others are taken to be where nothing clears them, as shares of their width."""
 
@@ -214,6 +218,14 @@ def _evasions(now: Instant, target: Target) -> tuple[Brakes, FloatArray]:
 def _accelerations(now: Instant, target: Target) -> FloatArray:
     wish, braking = KP_SPEED * (target.speed - float(now.scene.ego[State.SPEED])), now.config.braking
     return np.linspace(-braking, max(min(wish, GREATEST), -braking), ACCELERATIONS)
+
+
+def held_back_speeds(now: Instant, target: Target) -> set[float]:
+    """Speeds to which `HoldBack` may hold a target back, one for each of `CAPS` [m/s]: what verifies with one of them
+    verifies at the first frame too."""
+    grid = _accelerations(now, target)
+    places = np.searchsorted(grid, KP_SPEED * np.array(CAPS), side="right") - 1
+    return {float(now.scene.ego[State.SPEED]) + a / KP_SPEED for a in grid[np.maximum(places, 0)].tolist()}
 
 
 def fail_lanes(now: Instant, lane: int) -> list[int]:

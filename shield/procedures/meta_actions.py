@@ -18,21 +18,18 @@ from typing import Any
 import numpy as np
 
 from dynamics.scenes.scene import Scene, Target
-from dynamics.state import FloatArray, State
+from dynamics.state import FloatArray
 from shield.certificate.manoeuvres import brake_candidates
 from shield.certificate.memory import Instant, Memory, observe
 from shield.certificate.verify import ROUNDING
 from shield.config import ShieldConfig
 from shield.decision import Reason, Tier
 from shield.procedures.decide import Plan, Tried, Unreadable
-from shield.procedures.frames import HoldBack, fail_lanes, first_verified
+from shield.procedures.frames import HoldBack, fail_lanes, first_verified, held_back_speeds
 from shield.procedures.screen import Screen, Wish, slower
 from shield.repair.order import default_order, resolve
 
-__all__ = ["CAPS", "MetaActions"]
-
-CAPS = (-4.0, -2.0, 0.0, 5.0)
-"""Speed changes at which a lane change is tried when it does not verify as it is [m/s]."""
+__all__ = ["MetaActions"]
 
 
 class MetaActions:
@@ -176,7 +173,7 @@ class MetaActions:
         self, now: Instant, actions: Sequence[int], targets: list[Target], forecast: bool = True
     ) -> list[Plan[int]]:
         """Verify alternatives in one batch; a lane change also with its speed held back by the frames."""
-        labels, v = now.scene.control.actions, float(now.scene.ego[State.SPEED])
+        labels = now.scene.control.actions
         owner: list[int] = []
         tried: list[Target] = []
         for a in actions:
@@ -184,7 +181,7 @@ class MetaActions:
                 continue
             speeds = {targets[a].speed}
             if labels[a].startswith("LANE"):
-                speeds |= {min(targets[a].speed, v + cap) for cap in CAPS}
+                speeds |= held_back_speeds(now, targets[a])
             owner += [a] * len(speeds)
             tried += [Target(targets[a].lane, speed) for speed in sorted(speeds)]
         if not tried:

@@ -106,4 +106,4 @@ class Outlook:
             lanes=np.unique(marks[:, 1]),
             rooms=_rooms(marks, numbers, len(road.circles)),
         )
-        return Seen(seen.who, others, seen.stand)
+        return Seen(seen.who, others, seen.stand, seen.unreadable)

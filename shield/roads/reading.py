@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynamics.errors import SceneError
 from dynamics.networks.layout import ROAD
 from dynamics.networks.network import Network
 from dynamics.state import FloatArray, IntArray, Vehicle
@@ -27,6 +26,7 @@ class Traffic(NamedTuple):
     who : what they are, to know them again. rows : vehicle rows, (m, 7). own : the lane that each is on, (m,).
     routes : see `dynamics.networks.reachable.prediction.spread`, (m, roads). stand : what stands and the wrecks, to
         know them again. things : rows of these, of wrecks with all of the way that they slide, (b, 7).
+    unreadable : bodies left out of all this, with the columns of `Vehicle` that are not finite.
     """
 
     who: list[Any]
@@ -35,6 +35,7 @@ class Traffic(NamedTuple):
     own: IntArray
     routes: IntArray
     things: FloatArray
+    unreadable: dict[Any, frozenset[Vehicle]]
 
 
 def has_crossings(base: Any) -> bool:
@@ -72,21 +73,21 @@ def _sliding(body: Any) -> list[float]:
 
 
 def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int], int]) -> Traffic:
-    """Read the simulator's state of an environment, unwrapped.
-
-    Raises
-    ------
-    SceneError
-        If something about a vehicle is not finite.
-    """
-    others = [body for body in base.road.vehicles if body is not base.vehicle]
+    """Read the simulator's state of an environment, unwrapped."""
+    bodies = [body for body in (*base.road.vehicles, *base.road.objects) if body is not base.vehicle]
+    finite = np.isfinite(np.array([_row(body) for body in bodies], float).reshape(-1, len(Vehicle)))
+    unreadable = {
+        body: frozenset(map(Vehicle, np.flatnonzero(~row).tolist()))
+        for body, row in zip(bodies, finite, strict=True)
+        if not row.all()
+    }
+    others = [body for body in base.road.vehicles if body is not base.vehicle and body not in unreadable]
     who = [body for body in others if not body.crashed]
     rows = np.array([_row(body) for body in who], float).reshape(-1, len(Vehicle))
-    objects, wrecks = base.road.objects, [body for body in others if body.crashed]
+    objects = [body for body in base.road.objects if body not in unreadable]
+    wrecks = [body for body in others if body.crashed]
     standing = [*map(_row, objects), *map(_sliding, wrecks)]
     things = np.array(standing, float).reshape(-1, len(Vehicle))
-    if not (np.isfinite(rows).all() and np.isfinite(things).all()):
-        raise SceneError("a position, heading, speed or size of a vehicle is not finite")
     own, routes = np.zeros(len(who), np.int64), np.zeros((len(who), len(network.roads)), np.int64)
     for i, body in enumerate(who):
         start, end, lane = body.lane_index
@@ -97,4 +98,4 @@ def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int
         if route and route[0][0] == end:
             # highway-env forgets the road that a vehicle is on a little before its end.
             routes[i, network.ids[own[i], ROAD]] = 1
-    return Traffic(who, (*objects, *wrecks), rows, own, routes, things)
+    return Traffic(who, (*objects, *wrecks), rows, own, routes, things, unreadable)

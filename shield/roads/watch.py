@@ -13,6 +13,7 @@ all time):
 6. *right of way*: where that is assumed, whoever has been counted on to wait for the ego, and has had the time to
    react, brakes for it where the fail-safe suffers otherwise.
 
+A body with a number that is not finite breaks the rule that the number is judged by.
 Rules 1, 4 and 5 are judged alone, the others where the ego's fail-safe suffers; so are bodies that have *appeared* or
 *grown*. A wreck or an object never may appear, nor *move*: it stays inside the rectangle that it was taken to fill a
 frame before, which for a wreck is all of the way that it slides. `UNFORESEEN` is for the sake of honesty: the
@@ -21,19 +22,20 @@ fail-safe has come to suffer from one who has broken no rule. That is a hole in 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
+from dynamics.errors import SceneError
 from dynamics.networks.reachable.strips import BACK, FAR, FRONT, HALF, HIGH, KEEP, LOW, NEAR
-from dynamics.state import FloatArray
+from dynamics.state import FloatArray, Vehicle
 from shield.roads.judging import CLEAR
 from shield.roads.room import Others, Road
 
-__all__ = ["Breach", "Seen", "Watch"]
+__all__ = ["Breach", "Seen", "Watch", "check_readable"]
 
 _SLACK, _PLACE, _SAME = 1e-6, 1e-6, 1e-9
 _CORNERS = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
@@ -56,11 +58,26 @@ class Breach(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A scene: who was there, where they could be, and what stood there, wrecks included."""
+    """A scene: who was there, where they could be, what stood there, wrecks included; and which bodies could not be
+    read, with the columns of `Vehicle` that are not finite."""
 
     who: list[Any]
     others: Others
     stand: tuple[Any, ...] = ()
+    unreadable: Mapping[Any, frozenset[Vehicle]] = field(default_factory=dict)
+
+
+def check_readable(seen: Seen) -> None:
+    """Raise where some body could not be read.
+
+    Raises
+    ------
+    SceneError
+        That says what is not finite, and of which body.
+    """
+    for body, columns in seen.unreadable.items():
+        names = ", ".join(column.name.lower() for column in sorted(columns))
+        raise SceneError(f"{names} of a {type(body).__name__} is not finite")
 
 
 @dataclass(slots=True, eq=False)
@@ -95,9 +112,12 @@ class Watch:
         margins : how far it stays from each now, (m,) [m]; None without one.
         late : who could have kept its distance by braking in the scene before, and no longer can.
         """
-        last, breaking = self.last, {}
+        last, breaking = self.last, {body: set(map(_of_column, columns)) for body, columns in now.unreadable.items()}
         self.last = now
+        for body, broken in breaking.items():
+            self._name(body, broken - self.breaking.get(body, set()))
         if last is None:
+            self.breaking = breaking
             return
         before = {body: i for i, body in enumerate(last.who)}
         there = set(now.who)
@@ -165,6 +185,13 @@ class Watch:
             if suffers and new.gives[i].max(initial=0) > road.duty.reaction:
                 broken.add(Breach.RIGHT_OF_WAY)
         return broken
+
+
+def _of_column(column: Vehicle) -> Breach:
+    """The rule that a body breaks with a number that is not finite."""
+    if column is Vehicle.SPEED:
+        return Breach.SPEED
+    return Breach.GROWN if column in (Vehicle.LENGTH, Vehicle.WIDTH) else Breach.WAYS
 
 
 def _of_standing(last: Seen, now: Seen) -> Iterator[tuple[Any, set[Breach]]]:

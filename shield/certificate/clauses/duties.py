@@ -111,7 +111,7 @@ def threats(
 
     Whoever is behind the ego with its buffer, in a lane that it owns, owes it the distance, but for a path that enters
     a lane that the ego does not own and that this vehicle touches or may enter too, and for one that leaves its strip
-    and comes back.
+    and comes back, unless that strip reaches to where the ego stops in a lane that it owns.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def threats(
     centers : of the lanes [m]. state : of the ego now, (4,). path, turned, size : as in `extents`.
     """
     low, high, behind, held = others.low, others.high, others.behind, others.held
-    reached, count = in_reach(others, limits, True, rows), 0
+    reached, count, stand = in_reach(others, limits, True, rows), 0, size.across + _BESIDE
     for place in range(reached):
         j = rows[place]
         owes = behind[j] and held[j]
@@ -129,7 +129,9 @@ def threats(
                 if not owned[entered]:
                     touches = low[j] < centers[entered] + TOUCH and high[j] > centers[entered] - TOUCH
                     owes = owes and not (touches or others.comes[entered, j])
-        if owes and _comes_back(state, path, turned, size, low[j], high[j]):
+        # The place where the ego stops, in a lane that it owns, is kept free wherever its path leads until then.
+        kept = owned[fail] and low[j] < centers[fail] + stand and high[j] > centers[fail] - stand
+        if owes and not kept and _comes_back(state, path, turned, size, low[j], high[j]):
             owes = False
         if not owes:
             rows[count] = j

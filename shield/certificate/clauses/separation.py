@@ -148,8 +148,9 @@ def coming_frame(
 
 
 @inlined
-def _front(path: FloatArray, frames: int, other: Vehicle, duty: Duty, front: FloatArray) -> None:
-    """Greatest s of a vehicle after each frame: it accelerates, one behind until it owes the ego its braking."""
+def _front(path: FloatArray, frames: int, other: Vehicle, duty: Duty, front: FloatArray) -> float:
+    """Greatest s of a vehicle after each frame: it accelerates, one behind until it owes the ego its braking. Returns
+    how much further such a one may come after the last [m]."""
     v0, start, stretch, center, at_once = other.speed, other.front, other.stretch, other.center, other.at_once
     seen, reaction, gain, loss, most = duty.seen, duty.reaction, duty.acceleration, duty.braking, duty.max_speed
     hold, dt, power = duty.hold, duty.dt, duty.power
@@ -170,15 +171,16 @@ def _front(path: FloatArray, frames: int, other: Vehicle, duty: Duty, front: Flo
         if hold <= k < turn:
             speed = min(speed + min(gain, power / max(speed, 1e-3)) * dt, top)
     # Where the ego has come to rest at the last frame, its follower may still be doing so.
+    more = 0.0
     if other.behind and path[frames - 1, 3] < 0.5:
-        k, more = frames, 0.0
+        k = frames
         while k <= turn or v > 0:
             v = max(speed - loss * dt * max(k - turn, 0), 0.0)
             more += v
             if k < turn:
                 speed = min(speed + min(gain, power / max(speed, 1e-3)) * dt, top)
             k += 1
-        front[frames - 1] += more * dt * stretch
+    return more * dt * stretch
 
 
 @inlined
@@ -212,15 +214,16 @@ def separation(
         beside = max(other.most_left - ego.highest, ego.lowest - other.most_right)
     if beside >= 0:
         return beside, frames
+    more = 0.0
     if behind or ego.turned:
-        _front(path, frames, other, duty, front)
+        more = _front(path, frames, other, duty, front)
     least, first = np.inf, frames
     for k in range(frames):
         if k == since:
             left, right = other.most_left, other.most_right
         along = rear[k] - bounds[1, k]
         if behind:
-            along = max(along, bounds[0, k] - front[k])
+            along = max(along, bounds[0, k] - front[k] - (more if k == frames - 1 else 0.0))
         apart = max(along, max(left - bounds[3, k], bounds[2, k] - right))
         # Nothing is said about the frame after the last: an ego that brakes stands by then.
         if ego.turned and k < frames - 1 and not abs(turned[0, k]) < _STRAIGHT:

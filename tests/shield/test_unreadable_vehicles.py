@@ -1,0 +1,98 @@
+"""A vehicle with a number that is not finite: it breaks a rule by that, and the others are judged as ever."""
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+import pytest
+from highway_env.vehicle.kinematics import Vehicle
+
+from shield import ShieldedEnv
+
+HIGHWAY = {"lanes_count": 3, "vehicles_count": 1, "simulation_frequency": 15, "policy_frequency": 5}
+INPUTS = {"action": {"type": "ContinuousAction"}}
+
+
+class Parked(Vehicle):
+    """Stands, or drives straight on at constant speed, whatever its other numbers are."""
+
+    def act(self, action=None):
+        pass
+
+    def step(self, dt):
+        if np.isfinite(self.speed):
+            self.position = self.position + np.array([self.speed * dt, 0.0])
+
+
+def spoil(body, column):
+    if column in ("LENGTH", "heading", "speed"):
+        setattr(body, column, np.nan)
+    else:
+        body.position = np.array([np.inf, 0.0])
+
+
+def on_highway(inputs):
+    """An ego, a leader 18 m ahead at its speed, and a vehicle that is far away."""
+    env = ShieldedEnv(gym.make("highway-v0", config={**HIGHWAY, **(INPUTS if inputs else {})}), "worst-case")
+    env.reset(seed=0)
+    base = env.unwrapped
+    ego, road = base.vehicle, base.road
+    ego.position, ego.heading, ego.speed = np.array([300.0, 4.0]), 0.0, 25.0
+    if not inputs:
+        ego.target_lane_index, ego.speed_index, ego.target_speed = ("0", "1", 1), 1, 25.0
+    ego.on_state_update()
+    road.vehicles = [ego, Parked(road, [318.0, 4.0], 0.0, 25.0), Parked(road, [900.0, 0.0], 0.0, 25.0)]
+    env.door.reset()
+    return env, road.vehicles[1], road.vehicles[2], np.zeros(2, np.float32) if inputs else 1
+
+
+@pytest.mark.parametrize("inputs", [False, True], ids=["meta-actions", "inputs"])
+@pytest.mark.parametrize(
+    ("column", "rule"), [("position", "way"), ("heading", "way"), ("speed", "speed"), ("LENGTH", "size")]
+)
+def test_on_highways_it_is_named_once_and_the_others_are_judged(inputs, column, rule):
+    env, leader, far, idle = on_highway(inputs)
+    env.step(idle)
+    assert not env.door.by_rule
+    spoil(far, column)
+    assert env.step(idle)[-1]["shield"]["reason"] == "bad_scene"
+    assert env.door.by_rule == {rule: 1}
+    env.step(idle)
+    assert env.door.by_rule == {rule: 1}
+    leader.speed = 0.0
+    env.step(idle)
+    assert env.door.violations == 2
+    assert env.door.by_rule["speed"] == (2 if rule == "speed" else 1)
+
+
+def test_on_highways_it_is_named_where_it_ends_the_episode():
+    env, _, far, idle = on_highway(False)
+    env.unwrapped.config["duration"] = 0.5
+    env.step(idle)
+    env.step(idle)
+    far.step = lambda dt: spoil(far, "speed")
+    *_, truncated, info = env.step(idle)
+    assert truncated
+    assert info["shield"]["rules"] == {"speed": 1}
+
+
+@pytest.mark.parametrize("env_id", ["roundabout-v0", "merge-v0"])
+@pytest.mark.parametrize(("column", "rule"), [("heading", "ways"), ("speed", "speed"), ("LENGTH", "grown")])
+def test_on_networks_it_is_named_once_and_the_others_are_judged(env_id, column, rule):
+    env = ShieldedEnv(gym.make(env_id, config={"policy_frequency": 5}), "worst-case")
+    env.reset(seed=3)
+    road, ego = env.unwrapped.road, env.unwrapped.vehicle
+    lanes = [(a, b, i) for a, to in road.network.graph.items() for b in to for i in range(len(to[b]))]
+    lane = road.network.get_lane(
+        max(lanes, key=lambda key: np.linalg.norm(road.network.get_lane(key).position(5, 0) - ego.position))
+    )
+    far, other = (Parked(road, lane.position(s, 0), lane.heading_at(s), 0.0) for s in (5.0, 15.0))
+    road.vehicles = [ego, far, other]
+    env.door.reset()
+    env.step(1)
+    assert not env.door.by_rule
+    spoil(far, column)
+    assert env.step(1)[-1]["shield"]["reason"] == "bad_scene"
+    assert env.door.by_rule == {rule: 1}
+    other.speed = 20.0
+    env.step(1)
+    assert env.door.by_rule == ({"speed": 2} if rule == "speed" else {rule: 1, "speed": 1})

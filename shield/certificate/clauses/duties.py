@@ -111,7 +111,7 @@ def threats(
 
     Whoever is behind the ego with its buffer, in a lane that it owns, owes it the distance, but for a path that enters
     a lane that the ego does not own and that this vehicle touches or may enter too, and for one that leaves its strip
-    and comes back, unless that strip reaches to where the ego stops in a lane that it owns.
+    and comes back. A strip that reaches to where the ego stops, in a lane that it owns, includes that place.
 
     Parameters
     ----------
@@ -129,9 +129,11 @@ def threats(
                 if not owned[entered]:
                     touches = low[j] < centers[entered] + TOUCH and high[j] > centers[entered] - TOUCH
                     owes = owes and not (touches or others.comes[entered, j])
-        # The place where the ego stops, in a lane that it owns, is kept free wherever its path leads until then.
-        kept = owned[fail] and low[j] < centers[fail] + stand and high[j] > centers[fail] - stand
-        if owes and not kept and _comes_back(state, path, turned, size, low[j], high[j]):
+        # Where the ego is about to stop, in a lane that it owns, is no place that it has left.
+        least, most = low[j], high[j]
+        if owned[fail] and least < centers[fail] + stand and most > centers[fail] - stand:
+            least, most = min(least, centers[fail] - stand), max(most, centers[fail] + stand)
+        if owes and _comes_back(state, path, turned, size, least, most):
             owes = False
         if not owes:
             rows[count] = j

@@ -104,8 +104,8 @@ def spend(
             ds = states[i, 0] - states0[i, 0]
             if lap > 0:
                 ds -= lap * np.rint(ds / lap)
-            least = stretch[0, i] if stretch.shape[1] > 0 else 1.0
-            lost = max(v * motion.dt * least - ds, 0.0)
+            # In metres driven, as the bounds take it: `stretch` makes metres of s of it.
+            lost = max(v * motion.dt - (ds / stretch[0, i] if stretch.shape[1] > 0 else ds), 0.0)
         budget, action = motion.loss_back * motion.dt, motion.action_back * motion.dt
         budgets[i] = min(max(left[i], 0.0) + budget, swing * motion.loss) - lost
         actions[i] = min(max(left_action[i], 0.0) + action, swing * motion.action) - v * lost

@@ -11,10 +11,7 @@ D = 1 - k Y, that is exactly
     r'   = (2 Y - k (Y^2 + dx^2)) / (1 + sqrt(D^2 + k^2 dx^2))
     psi' = psi + v sin(beta) / (L/2) dt - k (s' - s)
 
-A step that ends beyond a joint of the path is projected again, on the arc behind the joint: exact too, as long as it
-crosses one joint (a step shorter than every piece does). If it crosses another, the piece behind that is taken for a
-continuation: the heading is then wrong by |dk| c and the position by |dk| c^2 / 2, to first order, with c the distance
-driven beyond the second joint and dk the change of curvature there.
+A step that ends beyond a joint of the path is projected again, on the arc behind the joint, and so on: exact too.
 
 Source: geometry (`dynamics.roads.arcs`) and `dynamics.vehicle.bicycle`; the law is `dynamics.vehicle.controllers` with
 the slip angle that

@@ -111,21 +111,27 @@ def roll_frame(
     if table.shape[1] == 0:
         return s + dx, y, heading, speed
     i, within = _piece(table, s)
-    k, joint, next_k = table[2, i], 0.0, table[2, i]
-    first, _ = _project(dx, y, k)
+    k, joints, turned, way = table[2, i], 0.0, 0.0, 0
+    along, across = _project(dx, y, k)
     # A start that rounding puts just outside its piece makes no difference: then the joint is where it stands.
-    if first > table[5, i] - within:
-        joint, next_k = table[5, i] - within, table[3, i]
-    elif first < table[4, i] - within:
-        joint, next_k = table[4, i] - within, table[1, i]
-    turn = k * joint
-    sin, cos = math.sin(turn), math.cos(turn)
-    if abs(k) >= STRAIGHT:
-        dx, y = dx - sin / k, y - 2 * math.sin(turn / 2) ** 2 / k
-    else:
-        dx = dx - joint
-    along, across = _project(cos * dx + sin * y, cos * y - sin * dx, next_k)
-    return s + joint + along, across, heading - turn - next_k * along, speed
+    for _ in range(table.shape[1]):
+        if way >= 0 and along > table[5, i] - within:
+            joint, way = table[5, i] - within, 1
+        elif way <= 0 and along < table[4, i] - within:
+            joint, way = table[4, i] - within, -1
+        else:
+            break
+        turn = k * joint
+        sin, cos = math.sin(turn), math.cos(turn)
+        if abs(k) >= STRAIGHT:
+            dx, y = dx - sin / k, y - 2 * math.sin(turn / 2) ** 2 / k
+        else:
+            dx = dx - joint
+        dx, y = cos * dx + sin * y, cos * y - sin * dx
+        joints, turned, i = joints + joint, turned + turn, (i + way) % table.shape[1]
+        k, within = table[2, i], table[4, i] if way > 0 else table[5, i]
+        along, across = _project(dx, y, k)
+    return s + joints + along, across, heading - turned - k * along, speed
 
 
 @inlined

@@ -220,7 +220,7 @@ def _inside(old: Others, j: int, new: Others, i: int) -> bool:
     """Whether each strip of vehicle i now begins inside one that it had before as vehicle j."""
     count0, count = int(old.found[0]), int(new.found[0])
     mine, its = np.flatnonzero(old.marks[:count0, 0] == j), np.flatnonzero(new.marks[:count, 0] == i)
-    least, most = old.least[j, 1], old.most[j, 1]
+    least, most, owes = old.least[j, 1], old.most[j, 1], old.owes[j].any()
     for k in its:
         row = new.numbers[k]
         rows = old.numbers[mine[old.marks[mine, 1] == new.marks[k, 1]]]
@@ -230,7 +230,8 @@ def _inside(old: Others, j: int, new: Others, i: int) -> bool:
         settles = (max(row[HIGH], -row[LOW]) <= row[KEEP]) | (
             row[BACK] - row[NEAR] <= rows[:, BACK] - rows[:, NEAR] + _PLACE
         )
-        fits = (row[HALF] <= rows[:, HALF] + _PLACE) & (row[FRONT] <= rows[:, FRONT] + _PLACE)
+        # The front counts of who has to stay behind the ego.
+        fits = (row[HALF] <= rows[:, HALF] + _PLACE) & (~owes | (row[FRONT] <= rows[:, FRONT] + _PLACE))
         if not (along & across & settles & fits).any():
             return False
     return True

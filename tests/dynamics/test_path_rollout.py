@@ -128,22 +128,22 @@ def test_raw_inputs_on_a_curved_road_drive_as_the_simulator_does(roads, name, dt
     assert crossed >= 10
 
 
-def test_a_step_across_two_joints_is_wrong_by_no_more_than_its_bound(roads):
-    road, rng, dt = roads["lane-keeping-v0"], np.random.default_rng(6), 0.2
-    change = np.abs(np.diff(road.pieces.curvatures))
-    rollouts, worst = Rollouts(dt, road), 0.0
-    for _ in range(300):
-        state = np.array([rng.uniform(120, 400), rng.uniform(-2, 2), rng.uniform(-0.1, 0.1), rng.uniform(15, 38)])
+@pytest.mark.parametrize("name", ["racetrack-v0", "lane-keeping-v0"])
+def test_a_step_across_several_joints_is_exact(roads, name):
+    """At 5 Hz a fast ego crosses two joints of the racetrack's blends in one frame: a plan that was verified across
+    them was lost to the edge of the map a frame later."""
+    road, rng, dt, several = roads[name], np.random.default_rng(6), 0.2, 0
+    rollouts, breaks = Rollouts(dt, road), np.array(road.profile.breaks)
+    for _ in range(600):
+        speed, forwards = rng.uniform(15, 40), rng.random() < 0.7
+        state = np.array([rng.uniform(120, road.length - 20), rng.uniform(-1, 1), rng.uniform(-0.1, 0.1), speed])
+        state[3] *= 1 if forwards else -1
         inputs = np.array([[0.0, rng.uniform(-0.1, 0.1)]])
         path, wanted = rollouts.run_inputs(state, inputs[None])[0], drive(road.to_world(state), inputs, dt)
-        within = np.array(road.profile.breaks[1:-1])
-        passed = np.flatnonzero((within > state[0]) & (within < path[0, 0]))
-        bound = sum(change[j] * (path[0, 0] - within[j]) for j in passed[1:])
-        got = road.to_world(path)
-        assert np.abs(wrap_to_pi(got[0, 2] - wanted[0, 2])) <= 1.2 * bound + TOLERANCE
-        assert np.hypot(*(got[0] - wanted[0])[:2]) <= 1.2 * bound * (state[3] * dt) / 2 + TOLERANCE
-        worst = max(worst, bound)
-    assert worst > 0.005
+        assert world_distance(road, path, wanted) < TOLERANCE
+        low, high = sorted((state[0], path[0, 0]))
+        several += ((breaks > low) & (breaks < high)).sum() > 1
+    assert several > 5
 
 
 def test_on_a_straight_path_the_curved_functions_are_the_straight_ones():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import pairwise
 
 import gymnasium as gym
@@ -13,6 +14,8 @@ from highway_env.vehicle.kinematics import Vehicle as Simulated
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dynamics.roads.network import read_network
+from dynamics.roads.path import PathRoad
 from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import Scene, SceneReader
 from dynamics.traffic.assumptions import Assumptions
@@ -97,6 +100,37 @@ def test_what_is_permitted_stays_inside_the_bound_and_the_bound_inside_itself(se
             assert old.low[i] <= new.low[i] + 1e-6
             assert new.high[i] <= old.high[i] + 1e-6
         old = new
+
+
+@LIMITS
+@given(st.integers(0, 2**32 - 1), st.sampled_from(RATES), st.floats(0.0, 0.3))
+def test_what_turning_takes_on_a_bend_stays_inside_the_bound(seed: int, dt: float, lag: float) -> None:
+    """On the racetrack, where a metre driven is 0.7 to 1.5 of the path: what a vehicle may lose of its way is counted
+    in the metres in which it is foreseen."""
+    road, rng = racetrack(), np.random.default_rng(seed)
+    state = np.array([[rng.uniform(0, road.length), rng.choice(road.centers), 0.0, rng.uniform(3, 15)]])
+
+    def seen(before: Surroundings | None) -> Surroundings:
+        rows = np.concatenate([road.to_world(state), [[5.0, 2.0, 0.0]]], axis=1)
+        return Surroundings(rows, state.copy(), road, Assumptions.idm(), dt, before)
+
+    old = seen(None)
+    for _ in range(FRAMES):
+        s, r, _, v = state[0]
+        state[0, 0] += v * dt / (1 - float(road.curvature(s)) * r) * (1 - lag * rng.random())
+        state[0, 3] = min(max(v + rng.uniform(-6, 6) * dt, 0.0), 20.0)
+        new = seen(old)
+        found = permits(old, new, dt, np.zeros(1, dtype=bool), FAR)
+        if found.broken[0] == 0 and found.grown[0] == 0:
+            assert (new.rear(HORIZON) >= old.rear(HORIZON + 1)[:, 1:] - 1e-6).all()
+        old = new
+
+
+@cache
+def racetrack() -> PathRoad:
+    env = gym.make("racetrack-v0")
+    env.reset(seed=0)
+    return read_network(env.unwrapped.road.network)
 
 
 def drive_traffic(rng: np.random.Generator, kind: type, rate: int, dense: float) -> list[Scene]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.networks.alone import Alone, Course, alone_on
-from dynamics.networks.engine import command
+from dynamics.networks.engine import command, on_way
 from dynamics.networks.layout import COUNT, ROAD
 from dynamics.networks.live import load_ego, longest_route
 from dynamics.networks.network import index_of
@@ -307,7 +307,8 @@ class RoadDoor:
         """Who has broken a rule since the scene before."""
         margins, late, self.kept, ego = None, set[Any](), {}, self._base.vehicle
         # Who has been hit does not do what it is told; who is about to be has done it so far, and is judged unpushed.
-        if self._stored is not None and not ego.crashed:
+        # A plan ends where the road does: nothing is promised of what highway-env has the ego do then.
+        if self._stored is not None and not ego.crashed and not self._at_end():
             flags = self._alone.worlds.g[0, IMPACTED]
             pushed, flags[:] = flags.copy(), 0
             margins, late = self._braking.now(self._stored, seen)
@@ -315,6 +316,11 @@ class RoadDoor:
             self.kept = {b: (self._then[b], float(margins[i])) for i, b in enumerate(seen.who) if b in self._then}
         self.watch.next(seen, set(self._then), margins, self._road, late)
         self.disturbed = self.disturbed or bool(self.watch.offenders)
+
+    def _at_end(self) -> bool:
+        """Whether the ego has come to the end of its road."""
+        worlds = self._alone.worlds
+        return bool(on_way(self._alone.rules, worlds.f[0], worlds.g[0])[1])
 
     def _try(self, course: Course) -> None:
         """Have the trial hold what comes of a course; whoever owes the ego its distance keeps it."""

@@ -176,3 +176,24 @@ def test_a_body_that_grows_into_the_way_of_the_fail_safe_is_named(growth):
         return body
 
     assert alone_with(standing, 6).get("grown", 0) == (1 if growth else 0)
+
+
+def test_nothing_is_promised_beyond_the_end_of_the_road():
+    """highway-env sends an ego that has come to the end of a two-way road back on the other side: one that stands there
+    has not broken a rule, and the certificate has not failed."""
+    env = ShieldedEnv(gym.make("two-way-v0", config={"policy_frequency": 15}), "worst-case")
+    env.reset(seed=0)
+    base = env.unwrapped
+    road, ego, lane = base.road, base.vehicle, ("a", "b", 1)
+    ego.position, ego.speed = road.network.get_lane(lane).position(776.0, 0.0), 24.0
+    ego.lane_index = ego.target_lane_index = lane
+    ego.lane = road.network.get_lane(lane)
+    other = Vehicle.make_on_lane(road, ("b", "a", 0), 6.6, 0.0)
+    road.vehicles = [ego, other]
+    env.door.reset()
+    for _ in range(20):
+        _, _, terminated, truncated, _ = env.step(3)
+        if terminated or truncated:
+            break
+    assert ego.position[0] > 797.0
+    assert "unforeseen" not in env.door.by_rule

@@ -111,22 +111,23 @@ def _followed(
 
 
 @uncounted
-def _is_owed(others: Others, road: Road, trial: Trial, j: int, contact: int) -> bool:
-    """Whether the vehicle of strip j owes the ego its distance there, up to frame `contact`. Before it is in the lane
-    of the strip it does because it owes it in the lane before, where the ego stays visible."""
-    i, row, lane, before = others.marks[j, 0], others.numbers[j], others.marks[j, 1], others.marks[j, 2]
+def _is_owed(others: Others, road: Road, trial: Trial, j: int, since: int, contact: int) -> bool:
+    """Whether the vehicle of strip j owes the ego its distance there up to frame `contact`, with the ego visible in its
+    lane from frame `since` on. Before it has come into that lane it does as long as it owes it in the one before, and
+    the ego stays visible there."""
+    i, row, before = others.marks[j, 0], others.numbers[j], others.marks[j, 2]
+    if row[NEAR] <= 0 or road.duty.ahead:
+        lane, k = others.marks[j, 1], since
+    elif before >= 0 and others.numbers[before, NEAR] <= 0:
+        row, lane, k = others.numbers[before], others.marks[before, 1], 0
+        while k <= contact and trial.seen[lane, k]:
+            k += 1
+        k = 0 if k > contact else 1
+    else:
+        return False
     # It was behind a frame ago. On a ring one that is ahead of the ego comes up behind it as well.
     came = row[FRONT] - row[NEAR] - max(others.rows[i, 3], 0.0) * road.period
-    if not (others.owes[i, lane] and came + CLEAR <= trial.rears[lane, 0] < FAR_OFF):
-        return False
-    if row[NEAR] <= 0 or road.duty.ahead:
-        return True
-    if before < 0 or not others.owes[i, others.marks[before, 1]]:
-        return False
-    k = 0
-    while k <= contact and trial.seen[others.marks[before, 1], k]:
-        k += 1
-    return k > contact
+    return k == 0 and others.owes[i, lane] and came + CLEAR <= trial.rears[lane, 0] < FAR_OFF
 
 
 @uncounted
@@ -217,7 +218,7 @@ def judge(
             box = boxes[lane, bad]
             if since <= contact:
                 start = -row[NEAR] + row[FRONT] <= box[0]
-                owed = trust != STRICT and since == 0 and _is_owed(others, road, trial, j, contact)
+                owed = trust != STRICT and _is_owed(others, road, trial, j, since, contact)
                 asked = owed and trust == ASKED
                 # One that may come into the buffer stands before the body.
                 closed = there and trial.rears[lane, 1] - row[FRONT] <= end if owed else closes
@@ -226,7 +227,7 @@ def judge(
                     least, bad = np.inf, count
                 elif start or asked:
                     delay = 0 if asked else road.duty.reaction
-                    rears, anywhere = bodies if asked else boxes, asked or road.duty.ahead
+                    rears, anywhere, since = bodies if asked else boxes, asked or road.duty.ahead, 0 if asked else since
                     stays = _followed(others, road, trial, rears, j, since, delay, anywhere, there)
                     if stays >= CLEAR:
                         others.shut[j] = closed and contact == count - 1

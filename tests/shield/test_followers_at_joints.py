@@ -52,3 +52,27 @@ def test_a_follower_that_creeps_up_to_the_body_keeps_its_duty(length, width):
         assert door.violations == 0
         assert door.is_owed_by(door._base.road.vehicles[1])
     assert nearest < until + step
+
+
+@pytest.mark.parametrize(("length", "width"), [(1.4, 0.3), (5.0, 2.0)])
+def test_a_follower_far_behind_an_ego_that_will_stand_beyond_the_joint_can_keep_its_distance(length, width):
+    """It brakes for the ego in its own lane, where it sees it, before it comes into the next."""
+    env = gym.make("roundabout-v0")
+    env.reset(seed=0)
+    base = env.unwrapped
+    road, ego = base.road, base.vehicle
+    lane = road.network.get_lane(BEFORE)
+    body = Vehicle(road, lane.position(22.0, 0.0), lane.heading, 0.4)
+    body.LENGTH, body.WIDTH, body.route = length, width, None
+    road.vehicles, road.objects, verified = [ego, body], [], 0
+    for s in np.arange(100.0, 122.0, 0.5):
+        ego.position, ego.heading, ego.speed = lane.position(s, 0.0), lane.heading, 15.6
+        ego.lane_index = ego.target_lane_index = BEFORE
+        ego.lane, ego.route, ego.speed_index, ego.target_speed = lane, None, 2, 16.0
+        door = RoadDoor(base, ShieldConfig.for_roads())
+        door.reset()
+        door.decide(IDLE)
+        if door.frame()[1].tier.verified:
+            verified += 1
+            assert door._braking.stays[body] > 50.0, s
+    assert verified > 20

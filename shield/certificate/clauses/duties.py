@@ -24,6 +24,8 @@ _LONG = 10**6
 """Frames that stand for as long as one likes."""
 _BESIDE = 1.0
 """How far a plan may come out of the way from where the ego is to where it stops, beside what its heading takes [m]."""
+_LEFT = 0.5
+"""How far beside a strip the ego's buffer is before the ego has left it: a buffer that turns sways [m]."""
 _CORNER = 0.5
 """How far a corner of a vehicle behind may come beside a corner of the ego's buffer [m]."""
 
@@ -73,8 +75,8 @@ def in_reach(others: Others, limits: tuple[float, float], followers: bool, rows:
 def _comes_back(
     state: FloatArray, path: FloatArray, turned: FloatArray, size: Footprint, low: float, high: float
 ) -> bool:
-    """Whether the ego has left the strip from `low` to `high` [m] with its buffer, now or on its path, and is in it
-    again later: nobody keeps a place free that the ego has left. `state` is where it is now (4,)."""
+    """Whether the ego has left the strip from `low` to `high` [m] with its buffer by more than `_LEFT`, now or on its
+    path, and is in it again later: nobody keeps a place free that the ego has left. `state` is where it is now (4,)."""
     lat, frames = size.across, path.shape[0]
     least, most = state[1], state[1]
     for k in range(frames):
@@ -83,13 +85,13 @@ def _comes_back(
     if most - lat < high and least + lat > low:
         return False
     half = reach_across(size, state[2])
-    left = not (state[1] - half < high and state[1] + half > low)
+    left = not (state[1] - half < high + _LEFT and state[1] + half > low - _LEFT)
     for k in range(frames):
         r, half = path[k, 1], across_of(size, turned[0, k], turned[1, k])
         inside = r - half < high and r + half > low
         if inside and left:
             return True
-        left = left or not inside
+        left = left or not (r - half < high + _LEFT and r + half > low - _LEFT)
     return False
 
 
@@ -111,7 +113,7 @@ def threats(
 
     Whoever is behind the ego with its buffer, in a lane that it owns, owes it the distance, but for a path that enters
     a lane that the ego does not own and that this vehicle touches or may enter too, and for one that leaves its strip
-    and comes back. A strip that reaches to where the ego stops, in a lane that it owns, includes that place.
+    and comes back; in its place counts where the ego stops, for a strip that reaches there, in a lane that it owns.
 
     Parameters
     ----------
@@ -120,7 +122,7 @@ def threats(
     centers : of the lanes [m]. state : of the ego now, (4,). path, turned, size : as in `extents`.
     """
     low, high, behind, held = others.low, others.high, others.behind, others.held
-    reached, count, stand = in_reach(others, limits, True, rows), 0, size.across + _BESIDE
+    reached, count, stand = in_reach(others, limits, True, rows), 0, size.across + _LEFT
     for place in range(reached):
         j = rows[place]
         owes = behind[j] and held[j]
@@ -129,10 +131,10 @@ def threats(
                 if not owned[entered]:
                     touches = low[j] < centers[entered] + TOUCH and high[j] > centers[entered] - TOUCH
                     owes = owes and not (touches or others.comes[entered, j])
-        # Where the ego is about to stop, in a lane that it owns, is no place that it has left.
+        # A strip may shrink while the plan lasts, as far as to the place in the ego's own lane where it stops.
         least, most = low[j], high[j]
         if owned[fail] and least < centers[fail] + stand and most > centers[fail] - stand:
-            least, most = min(least, centers[fail] - stand), max(most, centers[fail] + stand)
+            least, most = centers[fail] - stand, centers[fail] + stand
         if owes and _comes_back(state, path, turned, size, least, most):
             owes = False
         if not owes:

@@ -22,12 +22,14 @@ except ImportError as error:
 refuse_hidden("dynamics", "mpc", "shield")
 
 if TYPE_CHECKING:
+    from evaluation.experiments.experiment import Experiment, compare, evaluate
+    from evaluation.experiments.result import Result, merge
     from evaluation.learning.algorithms import load_model
     from evaluation.learning.fast_road_vec_env import FastRoadVecEnv
     from evaluation.learning.fast_vec_env import FastHighwayVecEnv
     from evaluation.learning.shielded_vec_env import ShieldedVecEnv
     from evaluation.learning.training import train
-    from evaluation.measuring.metrics import compare, summarise
+    from evaluation.measuring.metrics import summarise
     from evaluation.policies import list_references, load_reference
     from evaluation.report.overlay import ShieldOverlay
     from evaluation.report.plots import plot_episodes
@@ -40,13 +42,16 @@ if TYPE_CHECKING:
     from evaluation.settings import Setting, get_setting, setting_of
 
 __all__ = [
+    "Experiment",
     "FastHighwayVecEnv",
     "FastRoadVecEnv",
     "Many",
+    "Result",
     "Setting",
     "ShieldOverlay",
     "ShieldedVecEnv",
     "compare",
+    "evaluate",
     "film_override",
     "get_setting",
     "list_references",
@@ -54,6 +59,7 @@ __all__ = [
     "load_reference",
     "make_policy",
     "make_variants",
+    "merge",
     "plot_episodes",
     "read_episodes",
     "run_episode",
@@ -66,12 +72,14 @@ __all__ = [
 __getattr__, _, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
+        "experiments.experiment": ["Experiment", "compare", "evaluate"],
+        "experiments.result": ["Result", "merge"],
         "learning.algorithms": ["load_model"],
         "learning.fast_road_vec_env": ["FastRoadVecEnv"],
         "learning.fast_vec_env": ["FastHighwayVecEnv"],
         "learning.shielded_vec_env": ["ShieldedVecEnv"],
         "learning.training": ["train"],
-        "measuring.metrics": ["compare", "summarise"],
+        "measuring.metrics": ["summarise"],
         "policies": ["list_references", "load_reference"],
         "report.overlay": ["ShieldOverlay"],
         "report.plots": ["plot_episodes"],

@@ -28,6 +28,7 @@ __all__ = [
     "ask_settings",
     "check_jobs",
     "check_modes",
+    "shard_of",
     "split",
 ]
 
@@ -113,6 +114,27 @@ def check_modes(modes: Sequence[str], perceptions: Sequence[str] = ()) -> None:
     for what, names, valid in (("shield mode", modes, MODES), ("perception", perceptions, PERCEPTIONS)):
         for name in names:
             check_name(what, name, valid)
+
+
+def shard_of(text: str | None) -> tuple[int, int] | None:
+    """The numbers of "i/n"; None for None.
+
+    Raises
+    ------
+    ConfigError
+        If the text is no such pair.
+
+    Examples
+    --------
+    >>> shard_of("2/8")
+    (2, 8)
+    """
+    if text is None:
+        return None
+    number, _, count = text.partition("/")
+    if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        raise ConfigError(f"--shard must be i/n with 1 <= i <= n, such as 2/8, not {text!r}")
+    return int(number), int(count)
 
 
 def split(values: Sequence[str]) -> list[str]:

@@ -10,7 +10,16 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from evaluation.commands.asking import EnvConfig, EnvId, ask_policies, ask_settings, check_jobs, check_modes, split
+from evaluation.commands.asking import (
+    EnvConfig,
+    EnvId,
+    ask_policies,
+    ask_settings,
+    check_jobs,
+    check_modes,
+    shard_of,
+    split,
+)
 from evaluation.commands.certifying import add_certifying
 from evaluation.commands.dynamics import dynamics_app
 from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING
@@ -210,6 +219,12 @@ def evaluate(
             " episodes, policies, settings, shield modes.",
         ),
     ] = False,
+    shard: Annotated[
+        str | None,
+        typer.Option(
+            help="i/n: drive every n-th episode only, from the i-th on; `shield merge` puts n such files together."
+        ),
+    ] = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
     latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX tables, for the package booktabs.")] = False,
     simulator: Annotated[
@@ -246,47 +261,57 @@ def evaluate(
     shield_config = None if config is None else ShieldConfig.named(config)
     settings = ask_settings(setting, env_id, env_config)
 
+    from evaluation.experiments import Experiment
+    from evaluation.experiments.experiment import Stopped
     from evaluation.learning.normalised_model import statistics_beside
-    from evaluation.report.table import finished
-    from evaluation.running.comparing import Comparison
-    from evaluation.running.records import make_variants
-    from evaluation.running.store import Store
 
     for name in policies:
         if name.endswith(".zip") and (statistics := statistics_beside(Path(name))):
             _err.print(f"{name}: observations are normalised by {statistics.name} beside it")
-    compared = tuple(
-        (
-            each,
-            tuple(
-                make_variants(
-                    modes or (["none", "full"] if each.road else ["none"]), doors, shield_config, perceptions, each
-                )
-            ),
-        )
-        for each in settings
+    asked = Experiment(
+        policies,
+        settings,
+        modes,
+        doors,
+        perceptions,
+        sensors,
+        episodes,
+        seed,
+        shield_config,
+        algorithm,
+        model,
+        simulator,
+        jobs,
+        output,
+        resume,
+        shard_of(shard),
     )
-    asked = Comparison(
-        compared,
-        tuple(policies),
-        range(seed, seed + episodes),
-        tuple(sensors),
-        algorithm=algorithm,
-        model=model,
-        simulator=simulator,
-    )
-    store = Store(output, asked.asked(), resume, finished(output) if resume and output is not None else None)
     try:
-        driven = asked.drive(store, jobs)
-    except KeyboardInterrupt:
-        stopped = store.table()
-        if len(stopped):
-            report(stopped, None, form)
+        result = asked.run()
+    except Stopped as stopped:
+        if len(stopped.result.episodes):
+            report(stopped.result.episodes, form=form)
         kept = "" if output is None else "; --resume goes on from there"
-        _err.print(f"stopped after {len(stopped)} episodes{kept}")
+        _err.print(f"{stopped}{kept}")
         raise typer.Exit(130) from None
-    report(driven, output, form, store.made)
-    store.finish()
+    report(result.episodes, output, form, dict(result.made))
+
+
+@app.command("merge")
+def merge_command(
+    output: Annotated[Path, typer.Argument(help="The .csv or .parquet to write.")],
+    parts: Annotated[list[Path], typer.Argument(help="What `shield evaluate --shard i/n --output PART` wrote.")],
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
+    latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX tables, for the package booktabs.")] = False,
+) -> None:
+    """Put the shards of one experiment together, and print its tables; refuse what does not fit together."""
+    form = Form.of(markdown, latex)
+    check_output(output, force)
+    from evaluation.experiments import Result, merge
+
+    whole = merge([Result.read(part) for part in parts])
+    report(whole.episodes, output, form, dict(whole.made))
 
 
 add_certifying(app)

@@ -77,7 +77,7 @@ class Comparison:
             "simulator": self.simulator,
         }
 
-    def drive(self, store: Store, jobs: int) -> pd.DataFrame:
+    def drive(self, store: Store, jobs: int, progress: bool = True) -> pd.DataFrame:
         """Drive what is not in the store; all rows, those of earlier runs that were not asked for again first."""
         parts = [
             run_paired(
@@ -90,7 +90,7 @@ class Comparison:
                 model=self.model,
                 simulator=self.simulator,
                 sensor=sensor,
-                progress=True,
+                progress=progress,
                 store=store,
             )
             for setting, variants in self.settings

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import platform
+import subprocess
 import sys
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +18,7 @@ import pandas as pd
 from dynamics.errors import ConfigError, DataError
 from evaluation.running.identity import differences, versions
 
-__all__ = ["KEY", "SECTIONS", "Store", "provenance"]
+__all__ = ["KEY", "SECTIONS", "Store", "commit", "provenance"]
 
 SECTIONS = {"settings": "setting", "policies": "policy", "shields": "shield"}
 """What is asked for by name: a run that goes on may have others, and those of the same name have to be the same."""
@@ -29,8 +32,8 @@ _AGAIN = "--force begins again, another --output keeps both"
 
 
 def provenance(asked: Mapping[str, Any], earlier: Iterable[str] = ()) -> dict[str, Any]:
-    """What made a file: what was asked for, the command line and those before it, the date, and the versions of what
-    took part."""
+    """What made a file: what was asked for, the command line and those before it, the date, the versions of what took
+    part, the commit of the library's source, and the machine."""
     return {
         "asked": dict(asked),
         "command": " ".join(["shield", *sys.argv[1:]]),
@@ -38,7 +41,23 @@ def provenance(asked: Mapping[str, Any], earlier: Iterable[str] = ()) -> dict[st
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "python": sys.version.split()[0],
         "versions": versions(),
+        "commit": commit(),
+        "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
     }
+
+
+@lru_cache(maxsize=1)
+def commit() -> str:
+    """The commit that the library's source is at, with "+" where files have been changed since; "" without git."""
+    folder = Path(__file__).parent
+    told = []
+    for command in (("rev-parse", "HEAD"), ("status", "--porcelain", "--untracked-files=no")):
+        try:
+            done = subprocess.run(["git", *command], cwd=folder, capture_output=True, text=True, timeout=10, check=True)
+        except (OSError, subprocess.SubprocessError):
+            return ""
+        told.append(done.stdout.strip())
+    return told[0] + ("+" if told[1] else "")
 
 
 class Store:

@@ -1,0 +1,363 @@
+"""An experiment: policies in environments, behind variants of the shield, all on the same seeds."""
+
+from __future__ import annotations
+
+import tempfile
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import pandas as pd
+
+from evaluation.experiments.result import Result
+from evaluation.measuring import metrics
+from evaluation.names import SIMULATORS, check_name, check_sensor
+from evaluation.report.table import finished
+from evaluation.running.comparing import Comparison
+from evaluation.running.episodes import run_paired
+from evaluation.running.records import DOORS, Variant, make_variants
+from evaluation.running.store import Store
+from evaluation.settings import SETTINGS, Setting, setting_of
+from shield.config import MODES, PERCEPTIONS, ShieldConfig
+from shield.doors.adapters import as_policy
+from shield.errors import ConfigError
+
+__all__ = ["Experiment", "Stopped", "compare", "evaluate"]
+
+_KEPT = ("OrderEnforcing", "PassiveEnvChecker", "TimeLimit")
+"""Wrappers that `gym.make` puts around an environment again."""
+
+
+class Stopped(KeyboardInterrupt):
+    """An experiment that was interrupted; `result` has the episodes so far."""
+
+    def __init__(self, result: Result) -> None:
+        super().__init__(f"stopped after {len(result.episodes)} episodes")
+        self.result = result
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is driven: one field for each option of `shield evaluate`, and one key each in a TOML file.
+
+    Attributes
+    ----------
+    policy : what proposes actions: names, paths of SB3 zip files, SB3 models, functions of the observation or objects
+        with `predict`; one, several, or several by the names that they are reported under.
+    env : environments: names of settings, Gymnasium ids, `Setting` objects, or environments made by `gym.make`.
+    shield : modes of the shield; None for none and full.
+    door : where it stands, one or more of "env", "policy", "actions". perception : what it reads scenes from. sensor :
+        through which the policy sees.
+    episodes : of each row. seed : of the first episode.
+    config : settings of the shield: an object, "simulated", "worst-case" or the path of a TOML file; None for those
+        that the shield takes by itself in each environment.
+    algorithm, model, simulator : as of `evaluation.running.episodes.run_episode`.
+    jobs : processes; -1 for one per core.
+    output : where the episodes go as they finish, .parquet or .csv; None keeps them in memory. resume : whether to go
+        on with what is there.
+    shard : (i, n) to drive every n-th episode only, from the i-th on, 1 to n, on one of n machines; see `merge`.
+
+    Raises
+    ------
+    ConfigError
+        If a name or number is not valid.
+
+    Examples
+    --------
+    >>> Experiment(policy="faster", episodes=2).names
+    ('faster',)
+    """
+
+    policy: Any = "random"
+    env: Any = "highway-fast"
+    shield: str | Sequence[str] | None = None
+    door: str | Sequence[str] = "env"
+    perception: str | Sequence[str] = PERCEPTIONS[0]
+    sensor: str | Sequence[str] = "exact"
+    episodes: int = 100
+    seed: int = 100_000
+    config: ShieldConfig | str | Path | None = None
+    algorithm: str | None = None
+    model: str = "bicycle"
+    simulator: str = SIMULATORS[0]
+    jobs: int = 1
+    output: str | Path | None = None
+    resume: bool = False
+    shard: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        for name, valid in (("shield", MODES), ("door", DOORS[1:]), ("perception", PERCEPTIONS)):
+            for each in _several(getattr(self, name) or ()):
+                check_name(name, each, valid)
+        for each in _several(self.sensor):
+            check_sensor(each)
+        check_name("simulator", self.simulator, SIMULATORS)
+        if self.episodes < 1 or self.seed < 0:
+            raise ConfigError(f"episodes must be 1 or more, and seed 0 or more; got {self.episodes} and {self.seed}")
+        if self.resume and self.output is None:
+            raise ConfigError("resume goes with output")
+        if self.shard is not None:
+            number, count = self.shard
+            if not 1 <= number <= count:
+                raise ConfigError(f"shard must be (i, n) with 1 <= i <= n, not ({number}, {count})")
+            if count > self.episodes:
+                raise ConfigError(f"{self.episodes} episodes make no {count} shards")
+        self.policies  # noqa: B018  (raises on two of one name)
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Experiment:
+        """The experiment that a TOML file describes, a key for each attribute.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such file, it is no TOML, or has another key.
+        """
+        try:
+            keys = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise ConfigError(f"{path} cannot be read as TOML: {error}") from None
+        valid = [field.name for field in fields(cls)]
+        for key in keys:
+            check_name("key", key, valid)
+        if "shard" in keys:
+            keys["shard"] = tuple(keys["shard"])
+        return cls(**keys)
+
+    @property
+    def policies(self) -> Mapping[str, Any]:
+        """The policies by the names that they are reported under."""
+        if isinstance(self.policy, Mapping):
+            return dict(self.policy)
+        named: dict[str, Any] = {}
+        for each in self.policy if isinstance(self.policy, list | tuple) else [self.policy]:
+            name = _name_of(each)
+            if name in named:
+                raise ConfigError(
+                    f"{named[name]} and {each} would both be reported as {name!r}; copy one to another name, or give a "
+                    "mapping of names to policies"
+                )
+            named[name] = each
+        if not named:
+            raise ConfigError("no policy is given")
+        return named
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the policies."""
+        return tuple(self.policies)
+
+    @property
+    def settings(self) -> tuple[Setting, ...]:
+        """The environments as settings."""
+        several = self.env if isinstance(self.env, list | tuple) else [self.env]
+        return tuple(_setting(each) for each in several)
+
+    @property
+    def seeds(self) -> range:
+        """Seeds of the episodes of each row; with a shard, those of it."""
+        whole = range(self.seed, self.seed + self.episodes)
+        return whole if self.shard is None else whole[self.shard[0] - 1 :: self.shard[1]]
+
+    def run(self, progress: bool = True) -> Result:
+        """Drive what has not been driven yet.
+
+        Parameters
+        ----------
+        progress : whether to show how far it is.
+
+        Raises
+        ------
+        ConfigError, PolicyError
+            If an environment cannot be made, a policy cannot drive it, or `output` holds another experiment.
+        """
+        with tempfile.TemporaryDirectory(prefix="policies-") as folder:
+            files = {name: _as_file(name, each, Path(folder)) for name, each in self.policies.items()}
+            functions = {name: each for name, each in files.items() if not isinstance(each, str)}
+            named = [each for each in files.values() if isinstance(each, str)]
+            objects = [name for name, each in self.policies.items() if not isinstance(each, str | Path)]
+            if objects and self.resume:
+                raise ConfigError(
+                    f"resume cannot tell whether {', '.join(objects)} is the same as before: save the model, and give "
+                    "the path of its zip file"
+                )
+            compared = tuple((setting, tuple(self._variants(setting))) for setting in self.settings)
+            asked = self._comparison(compared, tuple(named))
+            store = self._store(asked, functions)
+            try:
+                parts = [asked.drive(store, self.jobs, progress)] if named else []
+                for setting, variants in compared:
+                    parts += [self._drive(setting, variants, name, each) for name, each in functions.items()]
+            except KeyboardInterrupt:
+                raise Stopped(Result(store.table(), store.made)) from None
+        result = Result(pd.concat(parts, ignore_index=True), store.made)
+        if self.output is not None:
+            result.write(self.output)
+            store.finish()
+        return result
+
+    def with_options(self, **options: Any) -> Experiment:
+        """The same with other values of some attributes.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such attribute, or a value is not valid.
+        """
+        for key in options:
+            check_name("option", key, [field.name for field in fields(self)])
+        return replace(self, **options)
+
+    def _variants(self, setting: Setting) -> list[Variant]:
+        modes = _several(self.shield) if self.shield else ["none", "full"] if setting.road else ["none"]
+        config = self.config
+        if isinstance(config, str | Path) and config not in ("simulated", "worst-case"):
+            config = ShieldConfig.named(Path(config))
+        return make_variants(modes, _several(self.door), config, _several(self.perception), setting)  # type: ignore[arg-type]
+
+    def _comparison(
+        self, compared: tuple[tuple[Setting, tuple[Variant, ...]], ...], named: tuple[str, ...]
+    ) -> Comparison:
+        return Comparison(
+            compared,
+            named,
+            self.seeds,
+            tuple(_several(self.sensor)),
+            algorithm=self.algorithm,
+            model=self.model,
+            simulator=self.simulator,
+        )
+
+    def _store(self, asked: Comparison, functions: Mapping[str, Any]) -> Store:
+        """Where the episodes go, with what determines them."""
+        what = {**asked.asked(), "seed": self.seed, "episodes": self.episodes}
+        if self.shard is not None:
+            what["shard"] = list(self.shard)
+        if functions:
+            what["policies"] = {**what["policies"], **{name: {"function": _origin(f)} for name, f in functions.items()}}
+        output = None if self.output is None else Path(self.output)
+        return Store(output, what, self.resume, finished(output) if self.resume and output is not None else None)
+
+    def _drive(self, setting: Setting, variants: tuple[Variant, ...], name: str, policy: Any) -> pd.DataFrame:
+        """The episodes of a policy that is an object."""
+        parts = []
+        for sensor in _several(self.sensor):
+            seen = setting if sensor == "exact" else setting.override({}, name=f"{setting.name}, {sensor}")
+            env = setting.make()
+            try:
+                adapted = as_policy(policy, env)
+            finally:
+                env.close()
+            driven = run_paired(
+                seen,
+                adapted,
+                variants,
+                self.seeds,
+                jobs=self.jobs,
+                algorithm=self.algorithm,
+                simulator=self.simulator,
+                sensor=sensor,
+            )
+            parts.append(driven)
+        return pd.concat(parts, ignore_index=True).assign(policy=name)
+
+
+def evaluate(policy: Any, env: Any = "highway-fast", **options: Any) -> Result:
+    """Drive a policy, or several, with and without the shield on the same seeds.
+
+    Parameters
+    ----------
+    policy, env : as of `Experiment`. options : its other attributes.
+
+    Returns
+    -------
+    The episodes, with tables and pictures of them.
+
+    Raises
+    ------
+    ConfigError, PolicyError
+        As of `Experiment` and its `run`.
+
+    Examples
+    --------
+    >>> result = evaluate("faster", "highway-fast", episodes=2, config="worst-case")  # doctest: +SKIP
+    >>> result.summary[["mode", "crash_rate"]]  # doctest: +SKIP
+    """
+    progress = bool(options.pop("progress", False))
+    return Experiment(policy, env).with_options(**options).run(progress)
+
+
+def compare(*results: Result | pd.DataFrame) -> pd.DataFrame:
+    """Each shielded row of some results against the unshielded one, paired by seed.
+
+    Parameters
+    ----------
+    results : of `evaluate`, or tables of episodes.
+
+    Returns
+    -------
+    The table of `evaluation.measuring.metrics.compare`.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, or an episode is in two of them.
+    """
+    if not results:
+        raise ConfigError("nothing to compare: no results")
+    frames = [each.episodes if isinstance(each, Result) else each for each in results]
+    return metrics.compare(pd.concat(frames, ignore_index=True))
+
+
+def _several(value: str | Sequence[str]) -> list[str]:
+    return [value] if isinstance(value, str) else list(value)
+
+
+def _name_of(policy: Any) -> str:
+    """What a policy is reported under unless it is given a name."""
+    if isinstance(policy, str | Path):
+        return Path(policy).stem if str(policy).endswith(".zip") else str(policy)
+    return str(getattr(policy, "__name__", type(policy).__name__)).strip("<>")
+
+
+def _origin(policy: Any) -> str:
+    named = policy if hasattr(policy, "__qualname__") else type(policy)
+    return f"{named.__module__}.{named.__qualname__}"
+
+
+def _as_file(name: str, policy: Any, folder: Path) -> Any:
+    """A policy by name or file; an SB3 model is saved, with its statistics, so that every process has the same."""
+    if isinstance(policy, str | Path):
+        return str(policy)
+    if not (hasattr(policy, "save") and hasattr(policy, "get_vec_normalize_env")):
+        return policy
+    path = folder / f"{name}.zip"
+    policy.save(path)
+    statistics = policy.get_vec_normalize_env()
+    if statistics is not None:
+        statistics.save(str(folder / f"{name}_vecnormalize.pkl"))
+    return str(path)
+
+
+def _setting(env: Any) -> Setting:
+    """A setting by name, an environment by its id, or one that has been made."""
+    if isinstance(env, Setting):
+        return env
+    if isinstance(env, str):
+        return SETTINGS[env] if env in SETTINGS else setting_of(env)
+    if not isinstance(env, gym.Env):
+        raise ConfigError(f"{type(env).__name__} is no environment; valid are names of settings, ids, and gym.Env")
+    layer: Any = env
+    while isinstance(layer, gym.Wrapper):
+        if type(layer).__name__ not in _KEPT:
+            raise ConfigError(
+                f"{type(layer).__name__} around the environment would be lost, since each process makes its own: "
+                "register the environment with it (additional_wrappers=) and give the id"
+            )
+        layer = layer.env
+    if layer.spec is None:
+        raise ConfigError(f"{type(layer).__name__} was not made by gym.make: register it, and give the id")
+    return Setting(layer.spec.id, layer.spec.id, layer.config)

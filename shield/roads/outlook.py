@@ -15,7 +15,8 @@ from dynamics.networks.points import circles_of
 from dynamics.networks.reachable.continuations import continuations_of, leads_over
 from dynamics.networks.reachable.prediction import reach, spread
 from dynamics.networks.reachable.rights import ranks_of, rights_of
-from dynamics.networks.reachable.strips import HALF, HIGH, LOW, Conduct, Ways, empty_strips
+from dynamics.networks.reachable.strips import HALF, HIGH, LOW, NEAR, START, Conduct, Ways, empty_strips
+from dynamics.simulator.layout import LANE_LENGTH
 from dynamics.state import FloatArray, IntArray
 from shield.config import ShieldConfig
 from shield.roads.dues import Dues
@@ -27,6 +28,8 @@ __all__ = ["Outlook", "road_of"]
 
 _STRIPS = 1024
 """Room for so many at first."""
+_BENT = 1.0
+"""How much further the ego may reach in s and r than in metres, on a lane that bends [m]."""
 
 
 def road_of(base: Any, alone: Alone, config: ShieldConfig) -> Road:
@@ -50,10 +53,13 @@ def road_of(base: Any, alone: Alone, config: ShieldConfig) -> Road:
     )
 
 
-def _rooms(marks: IntArray, numbers: FloatArray, lanes: int) -> FloatArray:
-    """`Others.rooms` of strips."""
-    rooms = np.zeros(lanes)
-    np.maximum.at(rooms, marks[:, 1], np.max([numbers[:, HALF], numbers[:, HIGH], -numbers[:, LOW]], axis=0))
+def _rooms(marks: IntArray, numbers: FloatArray, lengths: FloatArray) -> FloatArray:
+    """`Others.rooms` of strips, on lanes of so many metres: all that may be overlapped, so that what is judged of one
+    vehicle does not depend on who else is there."""
+    lanes, rooms = marks[:, 1], np.zeros(len(lengths))
+    beyond = np.maximum(-numbers[:, START], -numbers[:, NEAR] - lengths[lanes])
+    along = numbers[:, HALF] + np.maximum(beyond, 0.0)
+    np.maximum.at(rooms, lanes, np.max([along, numbers[:, HIGH], -numbers[:, LOW]], axis=0) + _BENT)
     return rooms
 
 
@@ -104,6 +110,6 @@ class Outlook:
             waits=np.zeros(count, dtype=bool),
             shut=np.zeros(count, dtype=bool),
             lanes=np.unique(marks[:, 1]),
-            rooms=_rooms(marks, numbers, len(road.circles)),
+            rooms=_rooms(marks, numbers, road.lanes.rows[:, LANE_LENGTH]),
         )
         return Seen(seen.who, others, seen.stand, seen.unreadable)

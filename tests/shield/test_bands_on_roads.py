@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from dynamics.networks.reachable.strips import FAR, HALF, HIGH, LOW, NEAR, half_of, keep_of
 from shield import ShieldConfig, ShieldedEnv
 from shield.doors.road_door import RoadDoor
+from shield.roads.courses import stopping
 
 TOLERANCE, SMALL = 1e-6, 0.03
 
@@ -188,3 +189,29 @@ def test_a_body_of_any_size_is_in_the_way(length, clear):
     """One that stands across merge's ramp, 14 m beside the ego's lane, reaches into that if it is long."""
     ego, other = (("a", "b", 0), 60.0, 0.0, 0.0, 5.0), (("j", "k", 0), 62.0, 0.0, np.pi / 2, length)
     assert decided("merge-v0", ego, other).tier.verified == clear
+
+
+def test_what_is_judged_of_one_does_not_depend_on_another():
+    """A long body that turns across the lane that another leads to has the ego looked at there from further away: what
+    is found of the other was to be found before."""
+    margins = []
+    for angle in (0.0, -1.7):
+        env = gym.make("u-turn-v0")
+        env.reset(seed=1)
+        base = env.unwrapped
+        road, ego, lane = base.road, base.vehicle, ("a", "b", 0)
+        ego.position, ego.heading, ego.speed = road.network.get_lane(lane).position(90.2, 0.0), 0.0, 23.0
+        ego.lane_index = ego.target_lane_index = lane
+        ego.lane, ego.route = road.network.get_lane(lane), None
+        road.vehicles, road.objects = [ego], []
+        for index, s, turned, length in ((("a", "b", 1), 78.5, 0.0, 10.0), (("b", "c", 0), 2.7, angle, 8.5)):
+            at = road.network.get_lane(index)
+            body = Vehicle(road, at.position(s, 0.0), at.heading_at(s) + turned, 0.8)
+            body.LENGTH, body.WIDTH, body.route = length, 0.5, None
+            road.vehicles.append(body)
+        door = RoadDoor(base, ShieldConfig.for_roads())
+        door.reset()
+        door._read()
+        door._try(stopping(door._bound, 9.8))
+        margins.append(door._trial.margins[0])
+    assert margins[0] == margins[1]

@@ -24,6 +24,7 @@ from evaluation.commands.certifying import add_certifying
 from evaluation.commands.dynamics import dynamics_app
 from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING
 from evaluation.commands.reporting import Form, check_output, check_writable, report
+from evaluation.commands.reproducing import add_reproducing
 from evaluation.commands.showing import add_showing
 from evaluation.commands.warming import add_warming
 from evaluation.learning.algorithms import ALGORITHMS, algorithm_named
@@ -315,6 +316,7 @@ def merge_command(
 
 
 add_certifying(app)
+add_reproducing(app)
 
 
 @app.command()

@@ -1,0 +1,107 @@
+"""Training of a variant's policy, with a manifest beside the model."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Mapping
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from evaluation.learning.algorithms import get_algorithm
+from evaluation.learning.training import manifest_path
+from evaluation.reproduction.env import ReportEnv
+from evaluation.reproduction.presets import Preset
+from evaluation.reproduction.variants import Variant
+from evaluation.running.identity import versions
+from evaluation.threads import one_thread
+
+__all__ = ["file_hash", "hyperparameters", "is_trained", "train_variant"]
+
+_CRASHES = "crashes_in_training"
+
+
+def hyperparameters(preset: Preset, variant: Variant) -> dict[str, Any]:
+    """Keyword arguments of a variant's algorithm: the preset's of PPO, which MaskablePPO takes too; of DQN and TRPO
+    Stable-Baselines3's own with the preset's learning rate, discount and size of the networks."""
+    given: Mapping[str, Any] = preset.hyperparameters
+    if variant.learner in ("ppo", "maskableppo"):
+        return deepcopy(dict(given))
+    if variant.learner == "trpo":
+        return {"gamma": preset.gamma, "n_steps": given["n_steps"], "policy_kwargs": {"net_arch": [256, 256]}}
+    return {
+        "learning_rate": given["learning_rate"],
+        "gamma": preset.gamma,
+        "learning_starts": 200,
+        "target_update_interval": 50,
+        "policy_kwargs": {"net_arch": [256, 256]},
+    }
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def is_trained(path: Path) -> bool:
+    """Whether a model is there and is the one that its manifest, which is written after it, tells of."""
+    manifest = manifest_path(path)
+    if not (path.is_file() and manifest.is_file()):
+        return False
+    told = json.loads(manifest.read_text(encoding="utf-8"))
+    return bool(told.get("sha256") == file_hash(path))
+
+
+def train_variant(preset: Preset, variant: Variant, seed: int, steps: int, path: Path) -> dict[str, Any]:
+    """Train one model, and write it and its manifest.
+
+    Parameters
+    ----------
+    preset, variant : what is trained. seed : of training. steps : decisions, of skills each a skill.
+    path : the zip file.
+
+    Returns
+    -------
+    The manifest.
+    """
+    parameters = hyperparameters(preset, variant)
+    envs = 1 if variant.learner == "dqn" else preset.envs
+    began, counted = time.perf_counter(), {_CRASHES: 0, "episodes": 0, "overrides": 0}
+
+    def count(local: Mapping[str, Any], _: Mapping[str, Any]) -> bool:
+        for info, done in zip(local["infos"], local["dones"], strict=True):
+            counted["episodes"] += bool(done)
+            counted[_CRASHES] += bool(info["crashed"])
+            counted["overrides"] += bool(info["shield"]["overridden"])
+        return True
+
+    world = DummyVecEnv([lambda: Monitor(ReportEnv(preset, variant)) for _ in range(envs)])
+    with one_thread():
+        arguments = {"policy": "MlpPolicy", **deepcopy(parameters)}
+        model = get_algorithm(variant.learner)(**arguments, env=world, seed=seed, device="cpu")
+        model.learn(steps, callback=count)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    model.save(path)
+    manifest = {
+        "preset": preset.name,
+        "variant": variant.told(),
+        "algorithm": variant.learner,
+        "seed": seed,
+        "steps": steps,
+        "steps_taken": int(model.num_timesteps),
+        "environments": envs,
+        "hyperparameters": parameters,
+        **counted,
+        "training_seconds": round(time.perf_counter() - began, 1),
+        "sha256": file_hash(path),
+        "versions": versions(),
+    }
+    partial = manifest_path(path).with_suffix(".partial")
+    partial.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+    partial.replace(manifest_path(path))
+    return manifest

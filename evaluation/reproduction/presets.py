@@ -1,0 +1,164 @@
+"""The two readings of the report, as data: what its text says, and what its published script does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+from typing import Any
+
+from evaluation.names import check_name
+from evaluation.settings import Setting
+from evaluation.wrappers.skills import REPORT_SKILLS
+
+__all__ = ["PRESETS", "PUBLISHED", "Preset", "Published", "get_preset"]
+
+
+@dataclass(frozen=True)
+class Published:
+    """A row of the report's table: mean and standard deviation of the return, the crash rate of 10 episodes, and what
+    is logged as the confidence."""
+
+    label: str
+    mean: float
+    deviation: float
+    crash_rate: float
+    confidence: float | None = None
+    episodes: int = 10
+
+
+@dataclass(frozen=True)
+class Preset:
+    """One reading of the report.
+
+    Attributes
+    ----------
+    name, description : in a word, and in a line.
+    setting : the environment. envs : how many of them PPO trains in side by side.
+    steps : decisions of training. hyperparameters : of PPO. gamma : of the other learners too.
+    sigma : of the noise, in normalised units.
+    noise : "all rows", the ego's and absent ones too, or "others".
+    confidence : "features", across the four of a row, or "time".
+    intent : "normalised", the threshold on the normalised speed, or "metres".
+    override : "score" (`script.overriding_action`), or "lane changes" (`text.override_lane_changes`).
+    distance : of that rule, and of skills that are interrupted [m]; the report names none, and this is a choice.
+    skills : names and primitive actions.
+    interrupted : whether a skill ends as soon as anybody is nearer than `distance`; else it is gated when it begins.
+    """
+
+    name: str
+    description: str
+    setting: Setting
+    envs: int
+    hyperparameters: Mapping[str, Any] = field(hash=False)
+    sigma: float
+    noise: str
+    confidence: str
+    intent: str
+    override: str
+    skills: Mapping[str, tuple[int, ...]] = field(hash=False)
+    interrupted: bool
+    steps: int = 10_000
+    distance: float = 20.0
+
+    @property
+    def gamma(self) -> float:
+        """The discount of a decision."""
+        return float(self.hyperparameters["gamma"])
+
+    def told(self) -> dict[str, Any]:
+        """What determines episodes, as plain values."""
+        plain = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "description"}
+        setting = {"id": self.setting.env_id, "configuration": dict(self.setting.config)}
+        return {**plain, "setting": setting, "hyperparameters": dict(self.hyperparameters), "skills": dict(self.skills)}
+
+
+_PPO: dict[str, Any] = {"learning_rate": 5e-4, "batch_size": 64, "n_steps": 1024, "n_epochs": 10}
+
+PRESETS: Mapping[str, Preset] = MappingProxyType(
+    {
+        preset.name: preset
+        for preset in (
+            Preset(
+                name="as-coded",
+                description="what the published script does, its mistakes included",
+                setting=Setting("highway-fast", "highway-fast-v0", {}),
+                envs=1,
+                hyperparameters={
+                    **_PPO,
+                    "gamma": 0.8,
+                    "policy_kwargs": {"net_arch": {"pi": [256] * 2, "vf": [256] * 2}},
+                },
+                sigma=0.5,
+                noise="all rows",
+                confidence="features",
+                intent="normalised",
+                override="score",
+                skills=REPORT_SKILLS,
+                interrupted=False,
+            ),
+            Preset(
+                name="as-written",
+                description="what the text says",
+                setting=Setting(
+                    "highway-hard",
+                    "highway-v0",
+                    {
+                        "lanes_count": 4,
+                        "vehicles_count": 50,
+                        "vehicles_density": 1,
+                        "duration": 40,
+                        "policy_frequency": 10,
+                        "simulation_frequency": 30,
+                        "other_vehicles_type": "highway_env.vehicle.behavior.AggressiveVehicle",
+                        "collision_reward": -10,
+                        "lane_change_reward": -0.2,
+                        "right_lane_reward": 0.3,
+                        "high_speed_reward": 1.0,
+                        "reward_speed_range": [25, 35],
+                        "normalize_reward": False,
+                    },
+                ),
+                envs=4,
+                hyperparameters={**_PPO, "gamma": 0.99, "policy_kwargs": {"net_arch": [256, 256]}},
+                sigma=0.2,
+                noise="others",
+                confidence="time",
+                intent="metres",
+                override="lane changes",
+                skills={
+                    "FOLLOW": (1, 1, 1, 1),
+                    "OVERTAKE_LEFT": (0, 3, 3, 2),
+                    "OVERTAKE_RIGHT": (2, 3, 3, 0),
+                    "SLOW_DOWN": (4, 4, 4, 4),
+                    "KEEP_RIGHT": (2, 2, 1, 1),
+                },
+                interrupted=True,
+            ),
+        )
+    }
+)
+"""By name."""
+
+PUBLISHED: Mapping[str, Published] = MappingProxyType(
+    {
+        "ppo": Published("PPO", 21.54, 0.72, 0.00),
+        "noise": Published("noise", 16.97, 7.68, 0.30, 0.736),
+        "noise-intent": Published("noise + intent", 20.79, 2.79, 0.20),
+        "noise-override": Published("+ safety", 8.78, 6.39, 0.90, 0.737),
+        "noise-override-skills": Published("+ safety + skills", 21.28, 0.90, 0.00, 0.731),
+    }
+)
+"""Rows of the report's table of the highway, by variant (see `evaluation.reproduction.variants`)."""
+
+
+def get_preset(name: str) -> Preset:
+    """The preset of that name.
+
+    Raises
+    ------
+    ConfigError
+        That lists those that there are.
+    """
+    check_name("preset", name, PRESETS)
+    return PRESETS[name]

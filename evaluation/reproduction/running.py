@@ -1,0 +1,260 @@
+"""The whole experiment: trained and driven part by part, each kept as it finishes.
+
+A part is a variant and a training seed. In the folder there are `models/VARIANT-SEED.zip` with a manifest beside each,
+`episodes/VARIANT-SEED.parquet` with a record beside each of what made it, and `manifest.json`.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import subprocess
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import joblib
+import pandas as pd
+
+from evaluation.learning.algorithms import get_algorithm, load_model
+from evaluation.reproduction.batch import ReportBatch
+from evaluation.reproduction.driving import drive_many
+from evaluation.reproduction.learning import file_hash, hyperparameters, is_trained, train_variant
+from evaluation.reproduction.live import drive_one_by_one
+from evaluation.reproduction.presets import Preset
+from evaluation.reproduction.variants import Variant
+from evaluation.running.highway_planner import highway_policy
+from evaluation.running.identity import differences, versions
+from evaluation.running.processes import in_processes
+from evaluation.running.store import provenance
+from shield.errors import ConfigError
+
+__all__ = ["FIRST_SEED", "Experiment", "revision", "run", "why_not"]
+
+FIRST_SEED = 970_000
+"""Seed of the first episode of the first training seed."""
+_STRIDE = 10_000
+"""Training seed k has the episodes from FIRST_SEED + k * _STRIDE on."""
+_SHOWN = 6
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is trained and driven.
+
+    Attributes
+    ----------
+    preset, variants : see there. seeds : training seeds, from 0 on.
+    episodes : of each variant and training seed; pooled : of those that are driven one by one.
+    steps : of training.
+    """
+
+    preset: Preset
+    variants: tuple[Variant, ...]
+    seeds: int = 10
+    episodes: int = 1_000
+    pooled: int = 30
+    steps: int = 10_000
+
+    def __post_init__(self) -> None:
+        for name in ("seeds", "episodes", "pooled", "steps"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{name} must be at least 1, not {getattr(self, name)}")
+        if self.episodes > _STRIDE:
+            raise ConfigError(f"episodes are at most {_STRIDE:,} for each training seed, not {self.episodes:,}")
+
+    def scenes(self, variant: Variant, seed: int) -> range:
+        """Seeds of the episodes of a training seed; the same for all variants."""
+        first = FIRST_SEED + _STRIDE * seed
+        return range(first, first + (self.pooled if variant.pooled else self.episodes))
+
+    def told(self, variant: Variant) -> dict[str, Any]:
+        """What determines the rows of a variant, as plain values."""
+        told: dict[str, Any] = {"preset": self.preset.told(), "variant": variant.told()}
+        if variant.learner and variant.learner != "cem":
+            told |= {"training steps": self.steps, "hyperparameters": hyperparameters(self.preset, variant)}
+        plain: dict[str, Any] = json.loads(json.dumps(told))
+        return plain
+
+
+def why_not(preset: Preset, variant: Variant) -> str:
+    """Why a variant cannot be had here; "" where it can."""
+    try:
+        if variant.learner == "cem":
+            highway_policy(preset.setting.make())
+        elif variant.learner:
+            get_algorithm(variant.learner)
+        if not variant.pooled:
+            ReportBatch(preset, variant, 1)
+    except ConfigError as error:
+        return str(error)
+    return ""
+
+
+@lru_cache(maxsize=1)
+def revision() -> str:
+    """The commit of this source when it was first asked, with + where files differ from it; "unknown" outside of a
+    repository."""
+    here = Path(__file__).parent
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True).stdout.strip()
+
+    try:
+        return git("rev-parse", "HEAD") + ("+" if git("status", "--porcelain", "--untracked-files=no") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def run(experiment: Experiment, folder: Path, jobs: int = 1, tell: Callable[[str], None] | None = None) -> pd.DataFrame:
+    """Train and drive whatever is not in the folder yet, and return all rows.
+
+    Parameters
+    ----------
+    experiment : what is asked for. folder : where it is kept.
+    jobs : processes; -1 for one per core. tell : called with a line after each part; with one process only.
+
+    Returns
+    -------
+    A row for each episode: preset, variant, training_seed, and `evaluation.reproduction.driving.COLUMNS`.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds parts of another experiment, or cannot be written.
+    """
+    for name in ("models", "episodes"):
+        try:
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{folder} cannot be written: {error.strerror}") from None
+    revision()  # that of the source which has been read
+    left_out = {each.name: reason for each in experiment.variants if (reason := why_not(experiment.preset, each))}
+    variants = [each for each in experiment.variants if each.name not in left_out and each.model not in left_out]
+    for variant in variants:
+        for seed in range(experiment.seeds):
+            _check(experiment, variant, seed, folder)
+    began = time.perf_counter()
+    workers = joblib.effective_n_jobs(jobs)
+    calls = [(experiment, variants, seed, folder, tell if workers == 1 else None) for seed in range(experiment.seeds)]
+    frames = [frame for parts in in_processes(_seed, calls, workers) for frame in parts]
+    whole = pd.concat(frames, ignore_index=True)
+    order = {each.name: k for k, each in enumerate(variants)}
+    whole = whole.sort_values(
+        ["variant", "training_seed", "seed"],
+        key=lambda column: column.map(order) if column.name == "variant" else column,
+    ).reset_index(drop=True)
+    _write_manifest(experiment, variants, left_out, folder, time.perf_counter() - began)
+    return whole
+
+
+def _seed(
+    experiment: Experiment,
+    variants: Sequence[Variant],
+    seed: int,
+    folder: Path,
+    tell: Callable[[str], None] | None,
+) -> list[pd.DataFrame]:
+    """All parts of one training seed; a model is trained before whoever shares it is driven."""
+    return [_part(experiment, variant, seed, folder, tell) for variant in variants]
+
+
+def _paths(variant: Variant, seed: int, folder: Path) -> tuple[Path, Path]:
+    """The model that drives, and the rows."""
+    return folder / "models" / f"{variant.model or variant.name}-{seed}.zip", folder / "episodes" / (
+        f"{variant.name}-{seed}.parquet"
+    )
+
+
+def _check(experiment: Experiment, variant: Variant, seed: int, folder: Path) -> None:
+    """Raise where the rows that are there were made otherwise."""
+    _, rows = _paths(variant, seed, folder)
+    record = rows.with_suffix(".json")
+    if not (rows.is_file() and record.is_file()):
+        return
+    before = json.loads(record.read_text(encoding="utf-8"))
+    differ = differences(before["asked"], experiment.told(variant))
+    differ += differences({"version of": before["versions"]}, {"version of": versions()})
+    if differ:
+        raise ConfigError(
+            f"{folder} holds episodes of another experiment: of {variant.name}, {', '.join(differ[:_SHOWN])} differ; "
+            "take another --out"
+        )
+
+
+def _part(
+    experiment: Experiment, variant: Variant, seed: int, folder: Path, tell: Callable[[str], None] | None
+) -> pd.DataFrame:
+    """The rows of one part, made or read; what is there is not made again."""
+    path, kept = _paths(variant, seed, folder)
+    scenes, preset, record = experiment.scenes(variant, seed), experiment.preset, kept.with_suffix(".json")
+    before = pd.read_parquet(kept) if kept.is_file() and record.is_file() else pd.DataFrame({"seed": []})
+    left = [each for each in scenes if each not in set(before["seed"])]
+    if not left:
+        return before[before["seed"].isin(scenes)]
+    began, model = time.perf_counter(), None
+    if variant.trains and not is_trained(path):
+        train_variant(preset, variant, seed, experiment.steps, path)
+    trained = time.perf_counter()
+    if variant.learner and variant.learner != "cem":
+        model = load_model(path)
+    driven = (
+        drive_one_by_one(preset, variant, model, left) if variant.pooled else drive_many(preset, variant, model, left)
+    )
+    driven.insert(0, "preset", preset.name)
+    driven.insert(1, "variant", variant.name)
+    driven.insert(2, "training_seed", seed)
+    frame = pd.concat([before, driven], ignore_index=True) if len(before) else driven
+    told = {
+        "asked": experiment.told(variant),
+        "model": None if model is None else {"file": path.name, "sha256": file_hash(path)},
+        "training_seed": seed,
+        "seeds": [int(frame["seed"].min()), int(frame["seed"].max())],
+        "revision": revision(),
+        "seconds": {"training": round(trained - began, 1), "driving": round(time.perf_counter() - trained, 1)},
+        "versions": versions(),
+    }
+    written = kept.with_suffix(".partial")
+    frame.to_parquet(written, index=False)
+    record.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+    written.replace(kept)
+    if tell is not None:
+        crashes = int(driven["crashed"].sum())
+        tell(
+            f"seed {seed}, {variant.name}: {crashes} of {len(driven)} crashed, return {driven['return'].mean():.2f}"
+            f" ({time.perf_counter() - began:.0f} s)"
+        )
+    return frame[frame["seed"].isin(scenes)]
+
+
+def _write_manifest(
+    experiment: Experiment, variants: Sequence[Variant], left_out: dict[str, str], folder: Path, seconds: float
+) -> None:
+    """What made the whole, with the hash of each model file."""
+    records = [
+        json.loads(_paths(variant, seed, folder)[1].with_suffix(".json").read_text(encoding="utf-8"))
+        for variant in variants
+        for seed in range(experiment.seeds)
+    ]
+    asked = {
+        "preset": experiment.preset.name,
+        "variants": {each.name: experiment.told(each)["variant"] for each in variants},
+        **{name: getattr(experiment, name) for name in ("seeds", "episodes", "pooled", "steps")},
+        "first seed": FIRST_SEED,
+    }
+    models = {each["model"]["file"]: each["model"]["sha256"] for each in records if each["model"]}
+    spent = {key: round(sum(each["seconds"][key] for each in records), 1) for key in ("training", "driving")}
+    manifest = {
+        **provenance(asked),
+        "revision": revision(),
+        "revisions of parts": sorted({each["revision"] for each in records}),
+        "machine": {"platform": platform.platform(), "cores": joblib.cpu_count()},
+        "seconds of this call": round(seconds, 1),
+        "seconds of parts": spent,
+        "left out": left_out,
+        "models": models,
+    }
+    (folder / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")

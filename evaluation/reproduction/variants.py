@@ -1,0 +1,140 @@
+"""What is compared in the report's experiment on the highway: its own rows, baselines, and this project's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from types import MappingProxyType
+from typing import Any
+
+from evaluation.names import check_name
+
+__all__ = ["VARIANTS", "Variant", "get_variants"]
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One row of the table.
+
+    Attributes
+    ----------
+    name, label : in a word, and as the table has it.
+    action : of a baseline, the index of its only meta-action; None for a learner.
+    learner : the algorithm, as of `evaluation.learning.algorithms`; "" for a baseline, "cem" for a planner.
+    model : the variant whose model drives, where it is another's.
+    noise, confidence, intent : whether the observation has it.
+    override : which rule of the report's replaces actions: "preset", the one of the preset, "distance", that of the
+        text; or "".
+    skills : whether the policy chooses skills.
+    report_skills : whether they end or are gated as the report has it; else the shield's override ends them.
+    shield : "", "env" for `ShieldedEnv` or "actions" for `Shield` with `frames=False`.
+    observed : whether the shield reads observations alone.
+    penalty : what an overridden decision costs in training.
+    masks : whether the policy chooses among actions that verify.
+    stops : whether the lowest target speed is 0.
+    """
+
+    name: str
+    label: str
+    action: int | None = None
+    learner: str = ""
+    model: str = ""
+    noise: bool = False
+    confidence: bool = False
+    intent: bool = False
+    override: str = ""
+    skills: bool = False
+    report_skills: bool = False
+    shield: str = ""
+    observed: bool = False
+    penalty: float = 0.0
+    masks: bool = False
+    stops: bool = False
+
+    @property
+    def trains(self) -> bool:
+        """Whether it has a model of its own."""
+        return bool(self.learner) and self.learner != "cem" and not self.model
+
+    @property
+    def pooled(self) -> bool:
+        """Whether its episodes are driven one by one, and so are fewer."""
+        return self.observed or self.learner == "cem"
+
+    def told(self) -> dict[str, Any]:
+        """As plain values."""
+        return asdict(self)
+
+
+_SEEN: dict[str, Any] = {"learner": "ppo", "noise": True, "confidence": True}
+_INSIDE: dict[str, Any] = {**_SEEN, "shield": "env"}
+PENALTY = 0.2
+"""Of an override; a decision brings at most 1."""
+
+VARIANTS: Mapping[str, Variant] = MappingProxyType(
+    {
+        each.name: each
+        for each in (
+            Variant("slower", "always SLOWER", action=4),
+            Variant("idle", "always IDLE", action=1),
+            Variant("faster", "always FASTER", action=3),
+            Variant("stopped", "a car that stops", action=4, stops=True),
+            Variant("cem", "learned dynamics + CEM", learner="cem"),
+            Variant("ppo", "PPO", learner="ppo"),
+            Variant("noise", "noise", **_SEEN),
+            Variant("noise-intent", "noise + intent", **_SEEN, intent=True),
+            Variant("noise-distance", "noise + distance override", **_SEEN, override="distance"),
+            Variant("noise-override", "noise + confidence-gated override", **_SEEN, override="preset"),
+            Variant("noise-override-skills", "noise + override + skills", **_SEEN, skills=True, report_skills=True),
+            Variant("dqn", "DQN", learner="dqn"),
+            Variant("trpo", "TRPO", learner="trpo"),
+            Variant("shielded-env", "noise + `ShieldedEnv`", **_INSIDE, model="noise"),
+            Variant("shield-actions", "noise + `Shield`, actions alone", **_SEEN, shield="actions", model="noise"),
+            Variant("trained-inside", "trained inside `ShieldedEnv`", **_INSIDE),
+            Variant("trained-inside-penalty", "trained inside, override penalty", **_INSIDE, penalty=PENALTY),
+            Variant(
+                "trained-inside-masks", "trained inside, masks", **{**_INSIDE, "learner": "maskableppo"}, masks=True
+            ),
+            Variant("skills-inside", "skills inside the shield, interrupted by it", **_INSIDE, skills=True),
+            Variant(
+                "shielded-env-observed",
+                "noise + `ShieldedEnv`, observations alone",
+                **_INSIDE,
+                model="noise",
+                observed=True,
+            ),
+            Variant(
+                "shield-observed",
+                "noise + `Shield`, actions and observations alone",
+                **_SEEN,
+                shield="actions",
+                model="noise",
+                observed=True,
+            ),
+            Variant(
+                "skills-inside-observed",
+                "skills inside the shield, observations alone",
+                **_INSIDE,
+                skills=True,
+                model="skills-inside",
+                observed=True,
+            ),
+        )
+    }
+)
+"""By name, in the order of the table."""
+
+
+def get_variants(names: Iterable[str] = ()) -> list[Variant]:
+    """Variants by name, in the order of the table; all of them by default, and with one those whose model drives it.
+
+    Raises
+    ------
+    ConfigError
+        That lists those that there are.
+    """
+    asked = list(names) or list(VARIANTS)
+    for name in asked:
+        check_name("variant", name, VARIANTS)
+    wanted = {*asked, *(VARIANTS[name].model for name in asked)}
+    return [each for each in VARIANTS.values() if each.name in wanted]

@@ -1,0 +1,2 @@
+def write(found, asked, folder):
+    return found.groupby("variant")[["crashed", "return", "confidence"]].mean().to_string()

@@ -6,7 +6,7 @@ Resampling uses a fixed seed, so the same episodes give the same table.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,9 @@ __all__ = [
     "McNemar",
     "bootstrap_mean",
     "clopper_pearson",
+    "interquartile_mean",
     "mcnemar",
+    "nested_bootstrap",
     "paired_difference",
     "paired_rate_difference",
     "quantiles",
@@ -34,6 +36,7 @@ CONFIDENCE = 0.95
 _RESAMPLES = 9999
 _SEED = 0
 _BATCH_CELLS = 4_000_000
+_NESTED_RESAMPLES = 999
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +131,49 @@ def bootstrap_mean(values: ArrayLike, confidence: float = CONFIDENCE) -> Interva
     )
     bounds = result.confidence_interval
     return Interval(mean, float(bounds.low), float(bounds.high), n)
+
+
+def interquartile_mean(values: ArrayLike) -> float:
+    """Mean of the middle half of the samples.
+
+    Examples
+    --------
+    >>> interquartile_mean([0.0, 1.0, 3.0, 100.0])
+    2.0
+    """
+    return float(stats.trim_mean(_samples(values), 0.25))
+
+
+def nested_bootstrap(
+    groups: Sequence[ArrayLike], statistic: Callable[[ArrayLike], float] = np.mean, confidence: float = CONFIDENCE
+) -> Interval:
+    """A statistic of all samples, with a percentile bootstrap interval over groups and over the samples in each.
+
+    Groups are training seeds and samples their episodes: each resample draws groups, and samples within each, with
+    replacement. Episodes of the same model are alike, and an interval over pooled episodes is too narrow for models
+    that are not those of this training.
+
+    Parameters
+    ----------
+    groups : samples of each, not empty. statistic : of a vector of samples.
+
+    Examples
+    --------
+    >>> nested_bootstrap([[1.0, 1.0], [3.0, 3.0]])
+    Interval(estimate=2.0, low=1.0, high=3.0, n=4)
+    """
+    if not len(groups):
+        raise ConfigError("a nested bootstrap needs at least one group of samples")
+    samples = [_samples(each) for each in groups]
+    whole = np.concatenate(samples)
+    if np.ptp(whole) == 0.0:
+        return Interval(float(statistic(whole)), float(whole[0]), float(whole[0]), int(whole.size))
+    rng, found = np.random.default_rng(_SEED), np.empty(_NESTED_RESAMPLES)
+    for k in range(_NESTED_RESAMPLES):
+        drawn = [samples[g] for g in rng.integers(len(samples), size=len(samples))]
+        found[k] = statistic(np.concatenate([each[rng.integers(each.size, size=each.size)] for each in drawn]))
+    low, high = np.quantile(found, [(1 - confidence) / 2, (1 + confidence) / 2])
+    return Interval(float(statistic(whole)), float(low), float(high), int(whole.size))
 
 
 def paired_difference(first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE) -> Interval:

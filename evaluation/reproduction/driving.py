@@ -27,10 +27,10 @@ COLUMNS = (
     *("overridden", "frames", "frames_overridden", "fallbacks", "violations", "confidence", "script_lane_changes"),
     "simulator",
 )
-"""Of the rows: `steps` primitive steps, `decisions` of the policy (skills), `slow` how many of these were SLOWER or
-SLOW_DOWN as the policy asked for them, `replaced` primitive steps or skills that the report's rule replaced,
-`overridden` primitive steps that the shield did; `confidence` the mean of the last column of the ego's row, NaN where no
-column is added; `script_lane_changes` what the script counts as such."""
+"""Of the rows: `steps` primitive steps; `decisions` of the policy (skills), `slow` how many of these were SLOWER or
+SLOW_DOWN as the policy asked for them; `replaced` steps or skills that the report's rule replaced, `overridden` steps
+that the shield did; `confidence` the mean of the last column of the ego's row, NaN where none is added;
+`script_lane_changes` what the script counts as such. What is not known of episodes driven one at a time is NaN."""
 
 
 class _Policy(Protocol):
@@ -89,7 +89,7 @@ class _Driver:
             skills.step()
         sums.add("decisions", asks)
         sums.add("slow", slow)
-        sums.add("script_lane_changes", counts_as_lane_change(batch.shown[..., :1, :])[..., 0])
+        sums.add("script_lane_changes", counts_as_lane_change(batch.shown))
         sums.confidence += before[:, -1]
 
     def _proposed(self) -> IntArray:

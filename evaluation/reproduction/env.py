@@ -18,8 +18,8 @@ __all__ = ["ReportEnv"]
 
 
 class ReportEnv(gym.Env[Any, Any]):
-    """What a variant's policy is trained in. Episodes have seeds below `FIRST_EVALUATION_SEED`, drawn by the seed of the
-    first reset.
+    """What a variant's policy is trained in. Episodes have seeds below `FIRST_EVALUATION_SEED`, drawn by the seed of
+    the first reset.
 
     The reward of a skill of the report is the sum of those of its primitive steps. Of a skill that the shield may
     interrupt it is semi-Markov: with K primitive steps planned, k carried out, the learner's discount G and g =

@@ -27,8 +27,8 @@ _CRASHES = "crashes_in_training"
 
 
 def hyperparameters(preset: Preset, variant: Variant) -> dict[str, Any]:
-    """Keyword arguments of a variant's algorithm: the preset's of PPO, which MaskablePPO takes too; of DQN and TRPO
-    Stable-Baselines3's own with the preset's learning rate, discount and size of the networks."""
+    """Keyword arguments of a variant's algorithm: the preset's of PPO, which MaskablePPO takes too; of DQN those of
+    highway-env's own example, and of TRPO those of sb3-contrib, with the preset's discount and size of the networks."""
     given: Mapping[str, Any] = preset.hyperparameters
     if variant.learner in ("ppo", "maskableppo"):
         return deepcopy(dict(given))
@@ -37,7 +37,11 @@ def hyperparameters(preset: Preset, variant: Variant) -> dict[str, Any]:
     return {
         "learning_rate": given["learning_rate"],
         "gamma": preset.gamma,
+        "buffer_size": 15_000,
         "learning_starts": 200,
+        "batch_size": 32,
+        "train_freq": 1,
+        "gradient_steps": 1,
         "target_update_interval": 50,
         "policy_kwargs": {"net_arch": [256, 256]},
     }

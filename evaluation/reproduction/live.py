@@ -83,8 +83,8 @@ def drive_one_by_one(preset: Preset, variant: Variant, model: Any, seeds: Sequen
 def _planned(preset: Preset, seeds: Sequence[int]) -> pd.DataFrame:
     """The planner on learned dynamics."""
     found = run_paired(preset.setting, "cem", [Driven()], seeds)
-    none = ["slow", "replaced", "fallbacks", "script_lane_changes"]
-    return found.assign(decisions=found["steps"], confidence=np.nan, violations=0, **dict.fromkeys(none, 0))
+    unknown = ["slow", "replaced", "fallbacks", "script_lane_changes", "confidence", "violations"]
+    return found.assign(decisions=found["steps"], **dict.fromkeys(unknown, np.nan))
 
 
 def _observed(preset: Preset, variant: Variant, model: Any, seeds: Sequence[int]) -> pd.DataFrame:
@@ -136,7 +136,7 @@ def _observed(preset: Preset, variant: Variant, model: Any, seeds: Sequence[int]
                 "frames": len(base.frames) - 1,
                 "frames_overridden": frames,
                 "fallbacks": fallbacks,
-                "violations": 0,
+                "violations": float("nan"),
                 "confidence": float(seen[:, -1].mean()),
                 "script_lane_changes": int(counts_as_lane_change(seen[:, None, :]).sum()),
                 "simulator": "compiled",

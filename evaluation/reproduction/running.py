@@ -171,13 +171,15 @@ def _paths(variant: Variant, seed: int, folder: Path) -> tuple[Path, Path]:
 
 def _check(experiment: Experiment, variant: Variant, seed: int, folder: Path) -> None:
     """Raise where the rows that are there were made otherwise."""
-    _, rows = _paths(variant, seed, folder)
+    model, rows = _paths(variant, seed, folder)
     record = rows.with_suffix(".json")
     if not (rows.is_file() and record.is_file()):
         return
     before = json.loads(record.read_text(encoding="utf-8"))
     differ = differences(before["asked"], experiment.told(variant))
     differ += differences({"version of": before["versions"]}, {"version of": versions()})
+    if before["model"] and model.is_file() and file_hash(model) != before["model"]["sha256"]:
+        differ.append(f"the model {model.name}")
     if differ:
         raise ConfigError(
             f"{folder} holds episodes of another experiment: of {variant.name}, {', '.join(differ[:_SHOWN])} differ; "

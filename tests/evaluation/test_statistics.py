@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from evaluation.measuring.statistics import (
     Interval,
     bootstrap_mean,
+    interquartile_mean,
     mcnemar,
+    nested_bootstrap,
     paired_difference,
     paired_rate_difference,
     quantiles,
@@ -120,3 +122,27 @@ def test_unequal_pairs_and_impossible_counts_are_refused():
         paired_difference([1.0], [1.0, 2.0])
     with pytest.raises(ConfigError, match="5 of 3"):
         wilson(5, 3)
+
+
+def test_a_nested_bootstrap_knows_that_groups_differ():
+    """Two groups of which all or nobody crashed say little of a third: pooled, the interval is far too narrow."""
+    groups = [np.zeros(500), np.ones(500)]
+    nested, pooled = nested_bootstrap(groups), bootstrap_mean(np.concatenate(groups))
+    assert (nested.low, nested.high) == (0.0, 1.0)
+    assert pooled.high - pooled.low < 0.1
+    assert nested.estimate == pooled.estimate == 0.5
+    assert nested == nested_bootstrap(groups)
+
+
+def test_a_nested_bootstrap_of_one_group_is_the_bootstrap():
+    samples = np.random.default_rng(1).normal(size=400)
+    one, other = nested_bootstrap([samples]), bootstrap_mean(samples)
+    assert one.estimate == pytest.approx(other.estimate)
+    assert (one.low, one.high) == pytest.approx((other.low, other.high), abs=0.02)
+
+
+def test_a_nested_bootstrap_takes_another_statistic():
+    groups = [np.array([0.0, 1.0, 3.0, 100.0])] * 3
+    assert nested_bootstrap(groups, interquartile_mean).estimate == pytest.approx(2.0)
+    with pytest.raises(ConfigError, match="at least one group"):
+        nested_bootstrap([])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -145,7 +146,9 @@ def interquartile_mean(values: ArrayLike) -> float:
 
 
 def nested_bootstrap(
-    groups: Sequence[ArrayLike], statistic: Callable[[ArrayLike], float] = np.mean, confidence: float = CONFIDENCE
+    groups: Sequence[ArrayLike],
+    statistic: Callable[[NDArray[np.float64]], Any] = np.mean,
+    confidence: float = CONFIDENCE,
 ) -> Interval:
     """A statistic of all samples, with a percentile bootstrap interval over groups and over the samples in each.
 

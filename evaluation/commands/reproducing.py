@@ -59,9 +59,9 @@ def reproduce_command(
     folder = out or Path("runs", "reproduce", f"{table.value}-{preset}" + ("-quick" if quick else ""))
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"{folder} is a file; --out is a folder")
-    from evaluation.reproduction.running import Experiment, run
+    from evaluation.reproduction.running import Reproduction, run
 
-    asked = Experiment(chosen, tuple(rows), seeds, episodes, pooled, chosen.steps if steps is None else steps)
+    asked = Reproduction(chosen, tuple(rows), seeds, episodes, pooled, chosen.steps if steps is None else steps)
     found = run(asked, folder, jobs, lambda line: _err.print(line, soft_wrap=True))
     from evaluation.reproduction.writing import write
 

@@ -7,12 +7,9 @@ A part is a variant and a training seed. In the folder there are `models/VARIANT
 from __future__ import annotations
 
 import json
-import platform
-import subprocess
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +26,10 @@ from evaluation.reproduction.variants import Variant
 from evaluation.running.highway_planner import highway_policy
 from evaluation.running.identity import differences, versions
 from evaluation.running.processes import in_processes
-from evaluation.running.store import provenance
+from evaluation.running.store import commit, provenance
 from shield.errors import ConfigError
 
-__all__ = ["FIRST_SEED", "Experiment", "revision", "run", "why_not"]
+__all__ = ["FIRST_SEED", "Reproduction", "run", "why_not"]
 
 FIRST_SEED = 970_000
 """Seed of the first episode of the first training seed."""
@@ -42,7 +39,7 @@ _SHOWN = 6
 
 
 @dataclass(frozen=True)
-class Experiment:
+class Reproduction:
     """What is trained and driven.
 
     Attributes
@@ -94,22 +91,9 @@ def why_not(preset: Preset, variant: Variant) -> str:
     return ""
 
 
-@lru_cache(maxsize=1)
-def revision() -> str:
-    """The commit of this source when it was first asked, with + where files differ from it; "unknown" outside of a
-    repository."""
-    here = Path(__file__).parent
-
-    def git(*words: str) -> str:
-        return subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True).stdout.strip()
-
-    try:
-        return git("rev-parse", "HEAD") + ("+" if git("status", "--porcelain", "--untracked-files=no") else "")
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-
-
-def run(experiment: Experiment, folder: Path, jobs: int = 1, tell: Callable[[str], None] | None = None) -> pd.DataFrame:
+def run(
+    experiment: Reproduction, folder: Path, jobs: int = 1, tell: Callable[[str], None] | None = None
+) -> pd.DataFrame:
     """Train and drive whatever is not in the folder yet, and return all rows.
 
     Parameters
@@ -131,7 +115,7 @@ def run(experiment: Experiment, folder: Path, jobs: int = 1, tell: Callable[[str
             (folder / name).mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ConfigError(f"{folder} cannot be written: {error.strerror}") from None
-    revision()  # that of the source which has been read
+    commit()  # that of the source which has been read
     left_out = {each.name: reason for each in experiment.variants if (reason := why_not(experiment.preset, each))}
     variants = [each for each in experiment.variants if each.name not in left_out and each.model not in left_out]
     for variant in variants:
@@ -152,7 +136,7 @@ def run(experiment: Experiment, folder: Path, jobs: int = 1, tell: Callable[[str
 
 
 def _seed(
-    experiment: Experiment,
+    experiment: Reproduction,
     variants: Sequence[Variant],
     seed: int,
     folder: Path,
@@ -169,7 +153,7 @@ def _paths(variant: Variant, seed: int, folder: Path) -> tuple[Path, Path]:
     )
 
 
-def _check(experiment: Experiment, variant: Variant, seed: int, folder: Path) -> None:
+def _check(experiment: Reproduction, variant: Variant, seed: int, folder: Path) -> None:
     """Raise where the rows that are there were made otherwise."""
     model, rows = _paths(variant, seed, folder)
     record = rows.with_suffix(".json")
@@ -188,7 +172,7 @@ def _check(experiment: Experiment, variant: Variant, seed: int, folder: Path) ->
 
 
 def _part(
-    experiment: Experiment, variant: Variant, seed: int, folder: Path, tell: Callable[[str], None] | None
+    experiment: Reproduction, variant: Variant, seed: int, folder: Path, tell: Callable[[str], None] | None
 ) -> pd.DataFrame:
     """The rows of one part, made or read; what is there is not made again."""
     path, kept = _paths(variant, seed, folder)
@@ -215,7 +199,7 @@ def _part(
         "model": None if model is None else {"file": path.name, "sha256": file_hash(path)},
         "training_seed": seed,
         "seeds": [int(frame["seed"].min()), int(frame["seed"].max())],
-        "revision": revision(),
+        "revision": commit(),
         "seconds": {"training": round(trained - began, 1), "driving": round(time.perf_counter() - trained, 1)},
         "versions": versions(),
     }
@@ -233,7 +217,7 @@ def _part(
 
 
 def _write_manifest(
-    experiment: Experiment, variants: Sequence[Variant], left_out: dict[str, str], folder: Path, seconds: float
+    experiment: Reproduction, variants: Sequence[Variant], left_out: dict[str, str], folder: Path, seconds: float
 ) -> None:
     """What made the whole, with the hash of each model file."""
     records = [
@@ -251,9 +235,7 @@ def _write_manifest(
     spent = {key: round(sum(each["seconds"][key] for each in records), 1) for key in ("training", "driving")}
     manifest = {
         **provenance(asked),
-        "revision": revision(),
-        "revisions of parts": sorted({each["revision"] for each in records}),
-        "machine": {"platform": platform.platform(), "cores": joblib.cpu_count()},
+        "commits of parts": sorted({each["revision"] for each in records}),
         "seconds of this call": round(seconds, 1),
         "seconds of parts": spent,
         "left out": left_out,

@@ -8,14 +8,15 @@ from pathlib import Path
 import pandas as pd
 
 from evaluation.report.table import write_table
-from evaluation.reproduction.running import FIRST_SEED, Experiment, revision
+from evaluation.reproduction.running import FIRST_SEED, Reproduction
 from evaluation.reproduction.table import summary, table
 from evaluation.reproduction.verdict import judge, told
+from evaluation.running.store import commit
 
 __all__ = ["write"]
 
 
-def write(episodes: pd.DataFrame, experiment: Experiment, folder: Path) -> str:
+def write(episodes: pd.DataFrame, experiment: Reproduction, folder: Path) -> str:
     """Write episodes.parquet and .csv, summary.json, table.md and verdict.json, and return the text of table.md."""
     for ending in ("parquet", "csv"):
         write_table(episodes, folder / f"episodes.{ending}")
@@ -28,9 +29,9 @@ def write(episodes: pd.DataFrame, experiment: Experiment, folder: Path) -> str:
         f"# The report's highway, {experiment.preset.name}: {experiment.preset.description}",
         f"{experiment.seeds} training seeds of {experiment.steps:,} steps, {experiment.episodes:,} episodes each "
         f"({experiment.pooled:,} of rows that are driven one at a time), seeds from {FIRST_SEED:,}, revision "
-        f"{revision()[:12]}. Crash rates with Wilson 95 % intervals; over seeds, and returns: bootstrap over training "
-        "seeds and episodes. *Rule*: steps that the report's rule replaced; *shield*: that the shield overrode. "
-        "Confidence: the mean of the last column of the ego's row (published).",
+        f"{commit()[:12] or 'unknown'}. Crash rates with Wilson 95 % intervals; over seeds, and returns: bootstrap "
+        "over training seeds and episodes. *Rule*: steps that the report's rule replaced; *shield*: that the shield "
+        "overrode. Confidence: the mean of the last column of the ego's row (published).",
         table(found),
         *(f"`{name}` is left out: {reason}." for name, reason in left_out.items()),
         "## Claims",

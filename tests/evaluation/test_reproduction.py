@@ -13,7 +13,7 @@ from evaluation.reproduction import running
 from evaluation.reproduction.driving import COLUMNS
 from evaluation.reproduction.learning import file_hash
 from evaluation.reproduction.presets import PRESETS, PUBLISHED, get_preset
-from evaluation.reproduction.running import FIRST_SEED, Experiment, run, why_not
+from evaluation.reproduction.running import FIRST_SEED, Reproduction, run, why_not
 from evaluation.reproduction.table import summary, table
 from evaluation.reproduction.variants import VARIANTS, get_variants
 from evaluation.reproduction.verdict import judge
@@ -50,7 +50,7 @@ def test_it_writes_the_table_the_episodes_and_what_made_them(driven):
     models = {path.name: file_hash(path) for path in (folder / "models").glob("*.zip")}
     assert manifest["models"] == models
     assert set(models) == {"noise-0.zip", "noise-1.zip"}
-    assert {"revision", "versions", "asked", "command", "machine"} <= set(manifest)
+    assert {"commit", "versions", "asked", "command", "machine"} <= set(manifest)
     claims = json.loads((folder / "verdict.json").read_text(encoding="utf-8"))["claims"]
     assert {"noise-confidence", "shielded-env-crashes"} <= {each["name"] for each in claims}
     assert all(isinstance(each["holds"], bool) and each["sentence"] for each in claims)
@@ -60,7 +60,7 @@ def test_what_is_finished_is_not_done_again_and_more_is_added(driven, monkeypatc
     """The same command drives and trains nothing; one with more episodes drives those alone, of the same models."""
     folder, _ = driven
     variants = tuple(get_variants(ROWS.split(",")))
-    asked = Experiment(get_preset("as-coded"), variants, 2, 4, 1, 64)
+    asked = Reproduction(get_preset("as-coded"), variants, 2, 4, 1, 64)
     before, asked_for = pd.read_parquet(folder / "episodes.parquet"), []
     drive = running.drive_many
 
@@ -72,7 +72,7 @@ def test_what_is_finished_is_not_done_again_and_more_is_added(driven, monkeypatc
     monkeypatch.setattr(running, "train_variant", None)
     pd.testing.assert_frame_equal(run(asked, folder), before)
     assert not asked_for
-    longer = run(Experiment(asked.preset, variants, 2, 5, 1, 64), folder)
+    longer = run(Reproduction(asked.preset, variants, 2, 5, 1, 64), folder)
     assert set(asked_for) == {FIRST_SEED + 4, FIRST_SEED + 10_004}
     assert len(longer) == len(before) + 2 * 4
     pd.testing.assert_frame_equal(run(asked, folder), before)
@@ -80,17 +80,17 @@ def test_what_is_finished_is_not_done_again_and_more_is_added(driven, monkeypatc
 
 def test_parts_of_another_experiment_are_refused(driven):
     folder, _ = driven
-    asked = Experiment(get_preset("as-coded"), tuple(get_variants(["noise"])), 2, 4, 1, 128)
+    asked = Reproduction(get_preset("as-coded"), tuple(get_variants(["noise"])), 2, 4, 1, 128)
     with pytest.raises(ConfigError, match="of noise, training steps"):
         run(asked, folder)
     (folder / "models" / "noise-1.zip").write_bytes((folder / "models" / "noise-0.zip").read_bytes())
     with pytest.raises(ConfigError, match=r"noise-1\.zip"):
-        run(Experiment(get_preset("as-coded"), tuple(get_variants(["noise"])), 2, 4, 1, 64), folder)
+        run(Reproduction(get_preset("as-coded"), tuple(get_variants(["noise"])), 2, 4, 1, 64), folder)
 
 
 def test_a_run_that_is_stopped_goes_on_with_the_next_part(tmp_path, monkeypatch):
     """The rows are those of a run that was not stopped; a file that was cut off is not taken for a part."""
-    asked = Experiment(get_preset("as-coded"), tuple(get_variants(["slower", "idle", "faster"])), 2, 3)
+    asked = Reproduction(get_preset("as-coded"), tuple(get_variants(["slower", "idle", "faster"])), 2, 3)
     whole = run(asked, tmp_path / "whole")
     drive, calls = running.drive_many, []
 
@@ -109,7 +109,7 @@ def test_a_run_that_is_stopped_goes_on_with_the_next_part(tmp_path, monkeypatch)
 
 
 def test_training_again_gives_the_same_model(tmp_path):
-    asked = Experiment(get_preset("as-coded"), tuple(get_variants(["skills-inside"])), 1, 2, 1, 64)
+    asked = Reproduction(get_preset("as-coded"), tuple(get_variants(["skills-inside"])), 1, 2, 1, 64)
     for name in ("one", "two"):
         run(asked, tmp_path / name)
     models = [PPO.load(tmp_path / name / "models" / "skills-inside-0.zip", device="cpu") for name in ("one", "two")]

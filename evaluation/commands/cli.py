@@ -298,6 +298,23 @@ def evaluate(
     report(result.episodes, output, form, dict(result.made))
 
 
+@app.command("episodes")
+def episodes_command(
+    rate: Annotated[float, typer.Option(help="Crash rate that is to be shown, such as 1e-3.")],
+    versus: Annotated[
+        float | None, typer.Option(help="Crash rate of another policy, from which it is to be told apart.")
+    ] = None,
+) -> None:
+    """Say how many episodes a statement about a crash rate needs."""
+    from evaluation.measuring.sample_size import POWER, episodes_to_tell_apart, episodes_without_a_crash
+
+    needed = episodes_without_a_crash(rate)
+    _out.print(f"{needed:,} episodes without a crash show a rate of at most {rate:g} (95 %, Clopper-Pearson)")
+    if versus is not None:
+        each = episodes_to_tell_apart(rate, versus)
+        _out.print(f"{each:,} episodes each tell {rate:g} and {versus:g} apart (95 %, with a power of {POWER:.0%})")
+
+
 @app.command("merge")
 def merge_command(
     output: Annotated[Path, typer.Argument(help="The .csv or .parquet to write.")],

@@ -22,7 +22,7 @@ from shield import ShieldedEnv
 from shield.certificate.memory import observe
 from shield.procedures.inputs import Inputs
 
-__all__ = ["EdgeRider", "ride"]
+__all__ = ["EdgeRider", "Skidder", "Stage", "ride"]
 
 _HELD = 0.1, 1.2
 """For how long a driver wants the same [s]."""
@@ -76,7 +76,40 @@ class EdgeRider(Vehicle):  # type: ignore[misc]
             self.place = LANE * float(np.clip(round(self.position[1] / LANE), 0, self.lanes - 1))
 
 
-class _Stage:
+class Skidder(EdgeRider):
+    """Slides along the road, and is turned anyhow meanwhile."""
+
+    def act(self, action: Any = None) -> None:
+        """Say what it wants: acceleration and heading, (2,)."""
+        if self.left <= 0:
+            self._choose()
+            self.turned = float(self.rng.choice([0.0, 0.0, 0.5, 1.0, 0.5 * np.pi]) * self.rng.choice([-1, 1]))
+        self.left -= self.dt
+        self.wanted = np.array([max(self.push, -max(self.speed, 0.0) / self.dt), self.turned])
+        self.calm = np.zeros(2)
+        self.do(self.wanted)
+
+    def do(self, inputs: FloatArray) -> None:
+        """Be moved so in the coming frame."""
+        self.planned = inputs
+        self.action = {"acceleration": float(inputs[0]), "steering": 0.0}
+
+    def after(self) -> FloatArray:
+        """Where it is a frame later: x, y, heading and speed."""
+        along = self.speed * self.dt
+        aside = float(np.clip(self.haste * (self.place - self.position[1]), -abs(along), abs(along)))
+        aside = float(np.clip(aside, -0.3, 0.3)) if self.planned[1] else 0.0
+        change = np.array([along, aside, self.planned[1] - self.heading, self.planned[0] * self.dt])
+        return np.array([*self.position, self.heading, self.speed]) + change
+
+    def step(self, dt: float) -> None:
+        """Move as planned."""
+        x, y, self.heading, self.speed = self.after().tolist()
+        self.position = np.array([x, y])
+        self.on_state_update()
+
+
+class Stage:
     """Has every frame of the riders tried on the monitor before it is driven."""
 
     def __init__(self, env: ShieldedEnv, riders: list[EdgeRider]) -> None:
@@ -110,6 +143,9 @@ class _Stage:
         ego, others = self._base.vehicle, [v for v in self._road.vehicles if v is not self._base.vehicle]
         rows = np.vstack([scene.ego[None], scene.others])
         for row, body in zip(rows, [ego, *others], strict=False):
+            if isinstance(body, Skidder):
+                row[:4] = body.after()
+                continue
             a, wheel = float(body.action["acceleration"]), float(body.action["steering"])
             if body.crashed:
                 a, wheel = -body.speed, 0.0
@@ -125,9 +161,9 @@ class _Stage:
         return replace(scene, ego=rows[0], others=rows[1:], frame=(scene.frame or 0) + 1)
 
 
-def ride(env: ShieldedEnv, seed: int, vehicles: int = 8) -> None:
+def ride(env: ShieldedEnv, seed: int, vehicles: int = 8, kind: type[EdgeRider] = EdgeRider) -> None:
     """Put so many vehicles around the ego in the place of whoever is there: edge riders, and every fourth highway-env's
-    own."""
+    own. Skidders start anywhere across their lanes."""
     base: Any = env.unwrapped
     ego, road, rng = base.vehicle, base.road, np.random.default_rng([seed, 7])
     lanes, dt = base.config["lanes_count"], 1 / base.config["simulation_frequency"]
@@ -143,7 +179,9 @@ def ride(env: ShieldedEnv, seed: int, vehicles: int = 8) -> None:
         if len(placed) % 4 == 0:
             body = (IDMVehicle, AggressiveVehicle)[k % 2](road, place, 0.0, speed, target_speed=speed)
         else:
-            body = EdgeRider(road, place, 0.0, speed)
+            if kind is Skidder:
+                place[1] += float(rng.uniform(-1.9, 1.9))
+            body = kind(road, place, 0.0, max(speed, 0.0) if kind is Skidder else speed)
             body.take(np.random.default_rng([seed, k]), ego, dt, lanes)
             riders.append(body)
         body.check_collisions = False
@@ -151,4 +189,4 @@ def ride(env: ShieldedEnv, seed: int, vehicles: int = 8) -> None:
         placed.append((lane, off, speed))
         if len(placed) > vehicles:
             break
-    _Stage(env, riders)
+    Stage(env, riders)

@@ -10,7 +10,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from edge_riders import ride
+from edge_riders import EdgeRider, Skidder, ride
 from induction import Tally, drive, make
 
 __all__ = ["POLICIES", "policy_for"]
@@ -45,6 +45,10 @@ def _inputs(name: str) -> Any:
             if rng.random() < 0.3:
                 held[:] = rng.choice([1.0, 1.0, 0.0, -0.5]), rng.normal(0, 0.1)
             return held.astype(np.float32)
+        if name == "wild":
+            if rng.random() < 0.15:
+                held[:] = rng.uniform(-0.5, 1.0), 0.5 * rng.choice([0.0, 1.0, -1.0, rng.uniform(-1, 1)])
+            return held.astype(np.float32)
         if name == "weaving":
             t = env.unwrapped.time
             return np.array([1.0, 0.1 * np.sin(2 * np.pi * t / 4)], dtype=np.float32)
@@ -58,7 +62,7 @@ def main() -> None:
     parser.add_argument("--actions", nargs="*", default=["meta", "inputs"])
     parser.add_argument("--hz", nargs="*", type=int, default=[5, 8, 10, 15, 30, 60])
     parser.add_argument("--policies", nargs="*", default=None)
-    parser.add_argument("--traffic", nargs="*", default=["native", "riders"])
+    parser.add_argument("--traffic", nargs="*", default=["native", "riders", "skidders"])
     parser.add_argument("--episodes", type=int, default=2, help="of each cell")
     parser.add_argument("--frames", type=int, default=600, help="of an episode at most")
     parser.add_argument("--seed", type=int, default=0)
@@ -70,7 +74,8 @@ def main() -> None:
                 continue
             tally, start = Tally(), time.perf_counter()
             for seed in range(options.seed, options.seed + options.episodes):
-                prepare = partial(ride, seed=seed) if traffic == "riders" else None
+                kind = {"riders": EdgeRider, "skidders": Skidder}.get(traffic)
+                prepare = None if kind is None else partial(ride, seed=seed, kind=kind)
                 one = drive(make(action, hz), policy_for(action, name), seed, options.frames, prepare)
                 for lost in one.lost:
                     print(f"    seed {seed} {lost}", flush=True)

@@ -88,10 +88,19 @@ def _on_arc(row: FloatArray, at: Place, body: Rectangle) -> Extent:
     w = u - body.ahead
     near = math.hypot(max(abs(w) - body.length, 0.0), max(abs(v) - body.width, 0.0))
     far = math.hypot(abs(w) + body.length, abs(v) + body.width)
-    low, high = math.inf, -math.inf
+    low, high, wide = math.inf, -math.inf, False
     if abs(v) <= body.width and abs(u) <= body.length + abs(body.ahead):
         low, high = -math.pi, math.pi
     else:
+        for k in range(4):
+            a, b = (body.length if k < 2 else -body.length) - w, (body.width if k % 2 == 0 else -body.width) - v
+            off, cosine = v * a - u * b, -u * a - v * b
+            wide = wide or not cosine > 0.0
+            # As it grows with the angle, up to a right one, but without one.
+            low, high = min(low, off / cosine), max(high, off / cosine)
+        low, high = math.atan(low), math.atan(high)
+    if wide:
+        low, high = math.inf, -math.inf
         for k in range(4):
             a, b = (body.length if k < 2 else -body.length) - w, (body.width if k % 2 == 0 else -body.width) - v
             angle = math.atan2(v * a - u * b, -u * a - v * b)
@@ -102,40 +111,40 @@ def _on_arc(row: FloatArray, at: Place, body: Rectangle) -> Extent:
 
 
 @uncounted
-def _side(row: FloatArray, s: float, q: float, ds: float, dq: float) -> tuple[float, float]:
-    """The least and the greatest r of a segment that begins at s and, across the line that a sine winds around, q, and
-    leads so much further [m]: at one of its ends, or where it is as steep as the sine."""
-    swing, rate, phase = row[AMPLITUDE], row[PULSATION], row[PHASE]
-    start, end = q - swing * math.sin(rate * s + phase), q + dq - swing * math.sin(rate * (s + ds) + phase)
-    low, high = min(start, end), max(start, end)
+def _bulges(row: FloatArray, s: float, q: float, ds: float, dq: float) -> tuple[float, float]:
+    """The least and the greatest r where a segment is as steep as a sine: it begins at s and, across the line that the
+    sine winds around, q, and leads so much further [m]. Infinite where it is so nowhere."""
+    swing, rate, phase, low, high = row[AMPLITUDE], row[PULSATION], row[PHASE], math.inf, -math.inf
     if abs(dq) < abs(swing * rate * ds):
-        steep = math.acos(dq / (swing * rate * ds))
+        cosine = dq / (swing * rate * ds)
+        steep, sine = math.acos(cosine), math.sqrt(1 - cosine * cosine)
         one, other = rate * s + phase, rate * (s + ds) + phase
         for sign in (-1.0, 1.0):
             turn = math.ceil((min(one, other) - sign * steep) / (2 * math.pi))
             while sign * steep + 2 * math.pi * turn <= max(one, other):
                 share = (sign * steep + 2 * math.pi * turn - one) / (other - one)
-                r = q + share * dq - swing * math.sin(sign * steep)
+                r = q + share * dq - swing * sign * sine
                 low, high, turn = min(low, r), max(high, r), turn + 1
     return low, high
 
 
 @uncounted
 def _on_sine(row: FloatArray, at: Place, body: Rectangle) -> Extent:
+    """r is extreme at a corner, or where a side is as steep as the sine."""
     along, across = _direction(row, body)
+    swing, rate, phase = row[AMPLITUDE], row[PULSATION], row[PHASE]
     s = at.s + along * body.ahead
-    q = at.r + row[AMPLITUDE] * math.sin(row[PULSATION] * at.s + row[PHASE]) + across * body.ahead
+    q = at.r + swing * math.sin(rate * at.s + phase) + across * body.ahead
     long_s, long_q, wide_s, wide_q = along * body.length, across * body.length, -across * body.width, along * body.width
     low, high = math.inf, -math.inf
-    for k in range(2):
-        sign = 1.0 - 2.0 * k
-        for j in range(2):
-            if j == 0:
-                start_s, start_q, ds, dq = sign * wide_s - long_s, sign * wide_q - long_q, 2 * long_s, 2 * long_q
-            else:
-                start_s, start_q, ds, dq = sign * long_s - wide_s, sign * long_q - wide_q, 2 * wide_s, 2 * wide_q
-            least, most = _side(row, s + start_s, q + start_q, ds, dq)
-            low, high = min(low, least), max(high, most)
+    for k in range(4):
+        a, b = (1.0 if k < 2 else -1.0), (1.0 if k % 3 == 0 else -1.0)
+        corner_s, corner_q = s + a * long_s + b * wide_s, q + a * long_q + b * wide_q
+        r = corner_q - swing * math.sin(rate * corner_s + phase)
+        # From corner to corner, around the rectangle: across it and along it in turn.
+        ds, dq = (-2 * b * wide_s, -2 * b * wide_q) if k % 2 == 0 else (-2 * a * long_s, -2 * a * long_q)
+        least, most = _bulges(row, corner_s, corner_q, ds, dq)
+        low, high = min(low, min(r, least)), max(high, max(r, most))
     reach = abs(long_s) + abs(wide_s)
     return Extent(s - reach, s + reach, low, high)
 

@@ -93,7 +93,7 @@ class _Stage:
         self.base: Any = env.unwrapped
         self.road, self.door = self.base.road, env.door
         self.dt = 1 / self.base.config["simulation_frequency"]
-        self.start, self.wants, self.pending = self._count(), {}, (0, False)
+        self.start, self.wants, self.pending = self._count(), {}, (0, False, np.inf)
         self._step, self.road.step = self.road.step, self.frame
 
     def riders(self) -> list[RoadRider]:
@@ -109,7 +109,8 @@ class _Stage:
         if tally.verified and not tally.named:
             tally.clean += self.pending[0]
             tally.crashed = tally.crashed or self.pending[1]
-        self.pending = (0, False)
+            tally.nearest = min(tally.nearest, self.pending[2])
+        self.pending = (0, False, np.inf)
 
     def frame(self, dt: float) -> None:
         """One frame of the road."""
@@ -124,7 +125,7 @@ class _Stage:
         self._measure()
 
     def _measure(self) -> None:
-        ego, touched = self.base.vehicle, 0
+        ego, touched, nearest = self.base.vehicle, 0, np.inf
         buffer = self.door.config.buffer
         half, wide = 0.5 * ego.LENGTH, 0.5 * ego.WIDTH
         it = Ego(*ego.position.tolist(), ego.heading, ego.speed, half, wide, half, wide, False)
@@ -137,9 +138,8 @@ class _Stage:
             self.tally.owed += owes and wanted < 0
             gap = gap_between(it, half, wide, row, 0, 0.0) if owes else wanted
             touched += gap < -1e-6
-            if not self.tally.named:
-                self.tally.nearest = min(self.tally.nearest, gap)
-        self.pending = (touched, bool(ego.crashed))
+            nearest = min(nearest, gap)
+        self.pending = (touched, bool(ego.crashed), nearest)
 
     # -- what they do -----------------------------------------------------------------------------------------
 

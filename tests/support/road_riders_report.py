@@ -33,7 +33,9 @@ def main() -> None:
             if tally.clean or tally.lost or tally.unforeseen:
                 print(env_id, rate, "Hz, seed", seed, tally, flush=True)
         seed += 1
-    print(dict(found), f"nearest {near:.4f} m, {time.monotonic() - start:.0f} s, seeds to {seed - 1}")
+        if found["frames"] >= options.frames or found["episodes"] % 50 == 0:
+            took = time.monotonic() - start
+            print(dict(found), f"nearest {near:.4f} m, {took:.0f} s, seeds to {seed - 1}", flush=True)
 
 
 if __name__ == "__main__":

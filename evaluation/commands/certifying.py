@@ -1,4 +1,4 @@
-"""The commands about what hardly ever happens: certify, replay, falsify, rare, attack."""
+"""The commands about what hardly ever happens: certify, falsify, rare, attack."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ from evaluation.commands.names import DEMO_SETTING
 from evaluation.names import ANY, SIMULATORS, check_name, check_policy, check_sensor
 from evaluation.settings import get_setting
 from shield.config import ShieldConfig
-from shield.decision import Decision
-from shield.errors import ConfigError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -70,78 +68,6 @@ def certify_command(
     text = page(found)
     (output / "certificate.md").write_text(text, encoding="utf-8")
     typer.echo(text)
-
-
-def replay_command(
-    seed: Annotated[int | None, typer.Argument(min=0, help="Seed of the episode.")] = None,
-    number: Annotated[int | None, typer.Option("--seed", min=0, help="The same.")] = None,
-    setting: NamedSetting = None,
-    env_id: EnvId = None,
-    env_config: EnvConfig = None,
-    policy: Annotated[str, typer.Option(help="A policy by name, or an SB3 .zip.")] = "faster",
-    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
-    film: Annotated[Path | None, typer.Option(help="Write a .gif of how it ends.")] = None,
-    find: Annotated[Path | None, typer.Option(help="A find of `shield falsify`, in a seed's place.")] = None,
-) -> None:
-    """Drive one shielded episode in highway-env itself, and say what happens: a line for each
-    override, with what it was for."""
-    if sum(each is not None for each in (seed, number, find)) != 1:
-        raise ConfigError("have either the seed of an episode, or --find with the file of one")
-    if find is not None:
-        _replay_find(find)
-        return
-    seed = number if seed is None else seed
-    assert seed is not None
-    check_policy(policy)
-    loaded = None if config is None else ShieldConfig.named(config)
-    where = ask_setting(setting, env_id, env_config)
-    from evaluation.report.video import film_end, film_path
-    from evaluation.running.episodes import run_episode
-    from evaluation.running.records import config_on, variant_for
-
-    film = None if film is None else film_path(film)
-    shield_config = config_on(where, loaded)
-
-    def tell(time: float, step: Decision) -> None:
-        if step.overridden or step.tier.fallback:
-            _out.print(f"{time:5.1f} s  {step.explain()}", highlight=False, markup=False, soft_wrap=True)
-
-    record = run_episode(where, policy, variant_for(shield_config), seed, simulator="highway-env", after=tell)
-    table = Table("", f"seed {seed}", show_header=True)
-    for name in (
-        "crashed",
-        "attribution",
-        "return_",
-        "steps",
-        "overridden",
-        "held_back",
-        "violations",
-        "min_margin",
-        "min_gap",
-    ):
-        table.add_row(name.rstrip("_").replace("_", " "), str(getattr(record, name)))
-    fallbacks = {tier: count for tier, count in record.tiers.items() if count}
-    table.add_row("decisions by tier", ", ".join(f"{tier} {count}" for tier, count in fallbacks.items()))
-    _out.print(table)
-    if film is not None:
-        made = film_end(film, where, policy, seed, shield_config)
-        _out.print(f"wrote {made.path} ({made.frames} frames)")
-
-
-def _replay_find(path: Path) -> None:
-    if not path.is_file():
-        raise ConfigError(f"there is no file {path}")
-    from evaluation.rare.finds import Find, changed, replay
-
-    found = Find.load(path)
-    if others := changed(found):
-        _err.print(f"found with other versions: {', '.join(others)}", style="yellow", markup=False, soft_wrap=True)
-    if not found.made:
-        _err.print(f"{path.name} does not say what it was found with, so that nothing can be compared", style="yellow")
-    again = replay(found)
-    table = Table("", "searched", "highway-env")
-    table.add_row("smallest clearance \\[m]", f"{found.clearance:.3f}", f"{again.clearance:.3f}")
-    _out.print(table)
 
 
 def rare_command(
@@ -252,7 +178,6 @@ def attack_command(
 def add_certifying(app: typer.Typer) -> None:
     """Give the application these commands."""
     app.command("certify")(certify_command)
-    app.command("replay")(replay_command)
     app.command("falsify")(falsify_command)
     app.command("rare")(rare_command)
     app.command("attack")(attack_command)

@@ -23,6 +23,7 @@ from evaluation.commands.asking import (
 from evaluation.commands.certifying import add_certifying
 from evaluation.commands.dynamics import dynamics_app
 from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING
+from evaluation.commands.replaying import add_replaying
 from evaluation.commands.reporting import Form, check_output, check_writable, report
 from evaluation.commands.reproducing import add_reproducing
 from evaluation.commands.showing import add_showing
@@ -334,6 +335,7 @@ def merge_command(
 
 add_certifying(app)
 add_reproducing(app)
+add_replaying(app)
 
 
 @app.command()

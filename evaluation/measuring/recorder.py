@@ -152,6 +152,7 @@ class Recorder:
             # It keeps its frames itself.
             self._rows: list[Any] = base.frames
             self._off_road: list[bool] = base.off_road
+            self._column: dict[Any, int] = {}
             return
         road = base.road
         self._column = {base.vehicle: 0}
@@ -191,14 +192,24 @@ class Recorder:
         self._rows.append(row)
         self._off_road.append(off_road)
 
-    def history(self) -> History:
-        """All frames so far; the first is the scene after reset."""
+    @property
+    def columns(self) -> dict[Any, int]:
+        """The column of each body that has been there, by the simulator's object; of a compiled environment none."""
+        return dict(self._column)
+
+    def world(self) -> FloatArray:
+        """The states of all frames so far in the world frame, (frames, bodies, 8), columns `Track`."""
         most = len(self._rows[-1])
         # Who has come since was far away before.
         late = [most - len(row) for row in self._rows]
         rows = np.array([[*r, *[_AWAY] * n] if n else r for r, n in zip(self._rows, late, strict=True)], float)
         world = np.concatenate([rows, np.zeros((*rows.shape[:2], 1))], axis=-1)
         world[:, 0, Track.OFF_ROAD] = self._off_road
+        return world
+
+    def history(self) -> History:
+        """All frames so far; the first is the scene after reset."""
+        world = self.world()
         if self._map is None:
             return History(world, None, self._dt, world=world)
         states = world.copy()

@@ -23,7 +23,21 @@ from dynamics.roads.straight import Road
 from dynamics.state import FloatArray, RoadState, State
 from shield.decision import Decision, Intervention, Reason
 
-__all__ = ["AHEAD", "AREA", "GREEN", "ORANGE", "PROPOSAL", "RED", "Shot", "World", "draw", "font", "without_decision"]
+__all__ = [
+    "AHEAD",
+    "AREA",
+    "GREEN",
+    "ORANGE",
+    "PROPOSAL",
+    "RED",
+    "Shot",
+    "World",
+    "acting_decision",
+    "draw",
+    "font",
+    "status_of",
+    "without_decision",
+]
 
 GREEN, ORANGE, RED = (46, 160, 67), (240, 136, 30), (215, 45, 45)
 AREA, PROPOSAL = (150, 75, 235), (255, 214, 10)
@@ -96,34 +110,50 @@ class Shot:
 
     @property
     def acting(self) -> Decision:
-        """The decision that this frame is driven by.
-
-        It is that about the action where another action was taken, else that about the frame.
-        """
-        if self.frame is None or (self._other_action and not self.frame.overridden):
-            return self.decision
-        return self.frame
+        """The decision that this frame is driven by, see `acting_decision`."""
+        return acting_decision(self.decision, self.frame, bool(self.actions))
 
     @property
     def status(self) -> str:
-        """What is done in this frame: "PASSED"; "HELD BACK", where the action is the proposed one and the frame got
-        other inputs than it leads to; "OVERRIDE", where the action is another one; or "FALLBACK"."""
-        if self.acting.tier.fallback if self.frame is None else self.frame.tier.fallback:
-            return "FALLBACK"
-        if self._other_action:
-            return "OVERRIDE"
-        return "HELD BACK" if self.acting.overridden else "PASSED"
+        """What is done in this frame, see `status_of`."""
+        return status_of(self.decision, self.frame, bool(self.actions))
 
     @property
     def color(self) -> tuple[int, int, int]:
         """Green, orange or red: passed, overridden or held back, fallback."""
         return {"PASSED": GREEN, "FALLBACK": RED}.get(self.status, ORANGE)
 
-    @property
-    def _other_action(self) -> bool:
-        """Whether another action lasts for the whole step; throttle and steering are decided about frame by frame."""
-        other = self.decision.intervention is Intervention.OTHER_ACTION
-        return other and (bool(self.actions) or self.frame is None)
+
+def acting_decision(decision: Decision, frame: Decision | None, meta: bool) -> Decision:
+    """The decision that a frame is driven by.
+
+    It is that about the action where another action was taken, else that about the frame.
+
+    Parameters
+    ----------
+    decision : the record of the step. frame : the decision about the frame, None in modes without. meta : whether
+        actions are meta-actions.
+    """
+    if frame is None or (_other_action(decision, frame, meta) and not frame.overridden):
+        return decision
+    return frame
+
+
+def status_of(decision: Decision, frame: Decision | None, meta: bool) -> str:
+    """What is done in a frame: "PASSED"; "HELD BACK", where the action is the proposed one and the frame got other
+    inputs than it leads to; "OVERRIDE", where the action is another one; or "FALLBACK". Parameters as of
+    `acting_decision`."""
+    acting = acting_decision(decision, frame, meta)
+    if (acting if frame is None else frame).tier.fallback:
+        return "FALLBACK"
+    if _other_action(decision, frame, meta):
+        return "OVERRIDE"
+    return "HELD BACK" if acting.overridden else "PASSED"
+
+
+def _other_action(decision: Decision, frame: Decision | None, meta: bool) -> bool:
+    """Whether another action lasts for the whole step; throttle and steering are decided about frame by frame."""
+    return decision.intervention is Intervention.OTHER_ACTION and (meta or frame is None)
 
 
 def draw(shot: Shot) -> Image.Image:

@@ -91,16 +91,22 @@ class Driver:
         assert isinstance(shielded, ShieldedEnv | Shield)
         return shielded.verification
 
-    def run(self, seed: int, after: Callable[[float, Decision], None] | None = None) -> EpisodeRecord:
+    def run(
+        self,
+        seed: int,
+        after: Callable[[float, Decision], None] | None = None,
+        before: Callable[[int], None] | None = None,
+    ) -> EpisodeRecord:
         """Drive the episode with this seed to its end.
 
         Parameters
         ----------
         after : called after each step with the time at which it began [s] and the shield's record of it.
+        before : see `decisions`.
         """
         tally, total, steps, info = Tally(), 0.0, 0, dict[str, Any]()
         period = 1.0 / float(cast(Any, self.env.unwrapped).config["policy_frequency"])
-        for reward, info in self.decisions(seed):
+        for reward, info in self.decisions(seed, before):
             tally.add(self._shield_info(info))
             shielded = self.env if self.shield is None else self.shield
             if after is not None and isinstance(shielded, ShieldedEnv | Shield) and shielded.last_decision is not None:

@@ -1,0 +1,171 @@
+"""The command `replay`: one shielded episode again, in words, as a film, or as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from evaluation.commands.asking import EnvConfig, EnvId, NamedSetting, ask_setting
+from evaluation.names import check_policy
+from shield.config import ShieldConfig
+from shield.decision import Decision
+from shield.errors import ConfigError
+
+if TYPE_CHECKING:
+    from evaluation.replay.collect import Asked
+    from evaluation.running.records import EpisodeRecord
+
+__all__ = ["add_replaying"]
+
+_out, _err = Console(), Console(stderr=True, highlight=False)
+_POLICY = "faster"
+"""What drives a seed unless something else is asked for."""
+
+
+def replay_command(
+    what: Annotated[
+        str | None,
+        typer.Argument(metavar="[SEED|RUN]", help="Seed of an episode, or what `shield evaluate --output` wrote."),
+    ] = None,
+    number: Annotated[int | None, typer.Option("--seed", min=0, help="Seed of the episode.")] = None,
+    episode: Annotated[int | None, typer.Option(min=0, help="Of a run: the row of its table, from 0 on.")] = None,
+    setting: NamedSetting = None,
+    env_id: EnvId = None,
+    env_config: EnvConfig = None,
+    policy: Annotated[
+        str | None, typer.Option(help=f"A policy by name, or an SB3 .zip [{_POLICY}; that of the run].")
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
+    page: Annotated[
+        Path | None,
+        typer.Option("--html", help="Write a page to click through the episode; of a run, beside it unless named."),
+    ] = None,
+    film: Annotated[Path | None, typer.Option(help="Write a .gif of how it ends.")] = None,
+    find: Annotated[Path | None, typer.Option(help="A find of `shield falsify`, in a seed's place.")] = None,
+) -> None:
+    """Drive one shielded episode in highway-env itself, and say what happens: a line for each
+    override, with what it was for.
+
+    With --html, or of a run, writes one HTML file that opens without a network: the episode
+    frame by frame, and what would have happened if a refused proposal had passed.
+    """
+    if sum(each is not None for each in (what, number, find)) != 1:
+        raise ConfigError("have either the seed of an episode, or a run with --episode, or --find with the file of one")
+    if find is not None:
+        _replay_find(find)
+        return
+    seed = number if what is None else int(what) if what.isdecimal() else None
+    if seed is None:
+        assert what is not None
+        if any(each is not None for each in (setting, env_id, env_config, config, film)):
+            raise ConfigError("a run says itself what was driven; leave --setting, --env-id, --config and --film out")
+        _replay_run(what, episode, policy, page)
+        return
+    if episode is not None:
+        raise ConfigError("--episode goes with a run, which is a file; the seed says the episode")
+    policy = policy or _POLICY
+    check_policy(policy)
+    loaded = None if config is None else ShieldConfig.named(config)
+    where = ask_setting(setting, env_id, env_config)
+    from evaluation.replay.collect import Asked
+    from evaluation.replay.html import page_path
+    from evaluation.report.video import film_end, film_path
+    from evaluation.running.records import config_on, variant_for
+
+    film = None if film is None else film_path(film)
+    page = None if page is None else page_path(page)
+    shield_config = config_on(where, loaded)
+    _drive(Asked(where, policy, variant_for(shield_config), seed), page)
+    if film is not None:
+        made = film_end(film, where, policy, seed, shield_config)
+        _out.print(f"wrote {made.path} ({made.frames} frames)")
+
+
+def _drive(asked: Asked, page: Path | None) -> EpisodeRecord:
+    """Drive an episode, say what happens, and write its page where one is wanted."""
+    from evaluation.running.episodes import run_episode
+
+    def tell(time: float, step: Decision) -> None:
+        if step.overridden or step.tier.fallback:
+            _out.print(f"{time:5.1f} s  {step.explain()}", highlight=False, markup=False, soft_wrap=True)
+
+    if page is None:
+        record = run_episode(
+            asked.setting, asked.policy, asked.variant, asked.seed, simulator="highway-env", after=tell
+        )
+        _summary(record)
+        return record
+    from evaluation.replay.collect import collect
+    from evaluation.replay.html import write_page
+
+    replayed, record = collect(asked, told=tell)
+    _summary(record)
+    path = write_page(replayed, page)
+    _out.print(
+        f"wrote {path} ({len(replayed.overrides)} overrides, {path.stat().st_size / 1e6:.2f} MB)", soft_wrap=True
+    )
+    return record
+
+
+def _summary(record: EpisodeRecord) -> None:
+    table = Table("", f"seed {record.seed}", show_header=True)
+    for name in (
+        "crashed",
+        "attribution",
+        "return_",
+        "steps",
+        "overridden",
+        "held_back",
+        "violations",
+        "min_margin",
+        "min_gap",
+    ):
+        table.add_row(name.rstrip("_").replace("_", " "), str(getattr(record, name)))
+    fallbacks: Mapping[str, Any] = {tier: count for tier, count in record.tiers.items() if count}
+    table.add_row("decisions by tier", ", ".join(f"{tier} {count}" for tier, count in fallbacks.items()))
+    _out.print(table)
+
+
+def _replay_run(run: str, episode: int | None, policy: str | None, page: Path | None) -> None:
+    """Drive an episode of a run again, and write its page."""
+    if episode is None:
+        raise ConfigError(f"have --episode with the row of {run} that is to be replayed, from 0 on")
+    from evaluation.replay.html import page_path
+    from evaluation.replay.run_file import check_same, episode_of, run_file
+
+    path = run_file(run)
+    page = page_path(path.with_name(f"{path.stem}-episode-{episode}.html") if page is None else page)
+    recorded = episode_of(path, episode, policy)
+    if recorded.changed:
+        _err.print(f"driven with other versions then: {', '.join(recorded.changed)}", style="yellow", soft_wrap=True)
+    if differ := check_same(recorded, _drive(recorded.asked, page)):
+        _err.print(
+            f"this is not the episode of the run: {', '.join(differ)}", style="red", markup=False, soft_wrap=True
+        )
+        raise typer.Exit(1)
+
+
+def _replay_find(path: Path) -> None:
+    if not path.is_file():
+        raise ConfigError(f"there is no file {path}")
+    from evaluation.rare.finds import Find, changed, replay
+
+    found = Find.load(path)
+    if others := changed(found):
+        _err.print(f"found with other versions: {', '.join(others)}", style="yellow", markup=False, soft_wrap=True)
+    if not found.made:
+        _err.print(f"{path.name} does not say what it was found with, so that nothing can be compared", style="yellow")
+    again = replay(found)
+    table = Table("", "searched", "highway-env")
+    table.add_row("smallest clearance \\[m]", f"{found.clearance:.3f}", f"{again.clearance:.3f}")
+    _out.print(table)
+
+
+def add_replaying(app: typer.Typer) -> None:
+    """Give the application the command."""
+    app.command("replay")(replay_command)

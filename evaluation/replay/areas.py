@@ -1,0 +1,106 @@
+"""Where the others can be at the frame at which a refused proposal would come too near: outlines in the world.
+
+Each certificate is asked again from what its decision was made from: reachable rectangles on a straight or curved road,
+strips of lanes on a network, and the bodies themselves where the traffic is simulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import shapely
+
+from dynamics.networks.geometry import RoadGeometry
+from dynamics.roads.straight import StraightRoad
+from dynamics.state import RoadState, State, Vehicle
+from evaluation.measuring.rectangles import polygons
+from evaluation.replay.record import Area, rounded
+from evaluation.report.reachable_areas import strip_outline
+from shield.certificate.memory import Instant
+from shield.decision import Decision
+from shield.explaining.roads import Roads
+from shield.explaining.simulated import Simulated
+from shield.procedures.decide import Made
+from shield.roads.room import Foreseen
+
+__all__ = ["areas_at"]
+
+Columns = Mapping[Any, int]
+"""The number of each body, by the simulator's object."""
+_ASSUMED = 1.0
+"""When places are shown of a refusal that names no time [s]."""
+_SAMPLE = 2.0
+"""Between two points of an outline along a curved road [m]."""
+_FAR = 200.0
+"""Areas farther from the ego are left out [m]."""
+
+
+def areas_at(
+    refused: Decision,
+    after: float,
+    dt: float,
+    column: Columns,
+    foreseen: tuple[RoadGeometry, Foreseen] | None,
+) -> list[Area]:
+    """Where the others can be.
+
+    Parameters
+    ----------
+    refused : the decision that the explanation is about. after : time from its frame on [s]; NaN takes 1 s.
+    dt : of a frame [s]. column : the number of each body, by the simulator's object.
+    foreseen : on a network of roads, its geometry and what was foreseen in that frame.
+    """
+    frames = max(1, round((after if np.isfinite(after) else _ASSUMED) / dt))
+    if foreseen is not None and isinstance(refused.source, Roads):
+        return _strips(*foreseen, frames, refused.source.who, column)
+    if isinstance(refused.source, Made):
+        return _rectangles(refused.source, frames, column)
+    if isinstance(refused.source, Simulated):
+        return _bodies(refused.source, frames, column)
+    return []
+
+
+def _rectangles(made: Made[Any], frames: int, column: Columns) -> list[Area]:
+    view, _ = made.procedure.observe(made.memory, made.scene)
+    if not isinstance(view, Instant):
+        return []
+    scene, found = view.scene, []
+    ego = scene.ego[: State.Y + 1]
+    bodies = scene.bodies or [None] * len(scene.others)
+    rows = view.survey.around.occupancy(frames).rectangles()[-1]
+    for body, (s_min, s_max, r_min, r_max) in zip(bodies, rows, strict=True):
+        if not (s_max > s_min and r_max > r_min):
+            continue
+        n = 2 if isinstance(scene.road, StraightRoad) else max(2, int((s_max - s_min) / _SAMPLE) + 2)
+        s = np.linspace(s_min, s_max, n)
+        states = np.zeros((2 * n, 4))
+        states[:, RoadState.S] = np.concatenate([s, s[::-1]])
+        states[:, RoadState.R] = np.repeat([r_min, r_max], n)
+        outline = np.asarray(scene.road.to_world(states))[:, : State.Y + 1]
+        if np.hypot(*(outline - ego).T).min() < _FAR:
+            found.append(Area(column.get(body, -1), rounded(outline)))
+    return found
+
+
+def _strips(geometry: RoadGeometry, foreseen: Foreseen, frames: int, who: Sequence[Any], column: Columns) -> list[Area]:
+    frame = min(frames, foreseen.most.shape[1] - 1)
+    outlines = [strip_outline(geometry, foreseen, j, frame, frame) for j in range(len(foreseen.lanes))]
+    return [
+        Area(column.get(who[int(vehicle)], -1), rounded(outline))
+        for vehicle, outline in zip(foreseen.vehicles, outlines, strict=True)
+        if outline is not None
+    ]
+
+
+def _bodies(source: Simulated, frames: int, column: Columns) -> list[Area]:
+    rows, ego = source.foretold()
+    if not len(rows):
+        return []
+    row = rows[min(frames, len(rows) - 1)]
+    there = [k for k in range(len(row)) if k != ego and row[k, Vehicle.LENGTH] > 0]
+    return [
+        Area(column.get(source.who[k], -1), rounded(shapely.get_coordinates(polygons(row[k]))[:-1]))
+        for k in there
+    ]

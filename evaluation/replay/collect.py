@@ -1,0 +1,291 @@
+"""Drives one shielded episode in highway-env itself, and keeps what its replay shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from highway_env.envs.common.action import ContinuousAction
+
+from dynamics.networks.geometry import RoadGeometry
+from dynamics.roads.straight import StraightRoad
+from dynamics.vehicle.actuators import Actuators
+from evaluation.measuring.recorder import read_road
+from evaluation.replay.areas import areas_at
+from evaluation.replay.frames import frames_of
+from evaluation.replay.record import Body, LaneDrawn, Override, Replay, Step, WhatIf, rounded
+from evaluation.replay.what_if import copy_unwatched, what_if
+from evaluation.report.draw import World
+from evaluation.report.proposal import action_labels
+from evaluation.running.episodes import Driver
+from evaluation.running.identity import versions
+from evaluation.running.records import EpisodeRecord, Variant
+from evaluation.settings import Setting
+from evaluation.threads import one_thread
+from shield import Shield, ShieldedEnv
+from shield.decision import Decision
+from shield.doors.road_door import RoadDoor
+from shield.explaining.words import action_name, inputs_name
+from shield.explanation import Explanation
+from shield.roads.room import Foreseen
+
+__all__ = ["Asked", "StepSeen", "collect"]
+
+_SAMPLE = 2.0
+"""Between two points of the edge of a lane that bends [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What is driven, as of `evaluation.running.episodes.run_episode`."""
+
+    setting: Setting
+    policy: str
+    variant: Variant
+    seed: int
+    algorithm: str | None = None
+    model: str | None = None
+    sensor: str = "exact"
+
+
+@dataclass(slots=True)
+class StepSeen:
+    """One step: the shield's record and its decisions about frames, the first frame, the inputs (2,) of each frame, and
+    on a network of roads what was foreseen in each."""
+
+    first: int
+    record: Decision
+    frames: list[Decision]
+    inputs: list[tuple[float, float]]
+    foreseen: list[Foreseen]
+    explanation: Explanation
+    what_if: WhatIf | None = None
+
+
+class _Watch:
+    """Watches an episode as it is driven; see `Driver.run` for when it is called."""
+
+    def __init__(self, driver: Driver, asked: Asked, follows: bool) -> None:
+        self.driver, self.asked, self.follows = driver, asked, follows
+        shielded = driver.env if driver.shield is None else driver.shield
+        assert isinstance(shielded, Shield | ShieldedEnv)
+        self.shielded = shielded
+        shielded.record()
+        self.base: Any = driver.env.unwrapped
+        self.steps: list[StepSeen] = []
+        self._frames = self._first = 0
+        self._inputs: list[tuple[float, float]] = []
+        self._foreseen: list[Foreseen] = []
+        self._copied: Any = None
+        self._column: dict[Any, int] = {}
+
+    @property
+    def door(self) -> Any:
+        """What filters the actions."""
+        return self.shielded.door if isinstance(self.shielded, ShieldedEnv) else self.shielded.doors[0]
+
+    def before(self, number: int) -> None:
+        """A decision of the policy is about to be carried out."""
+        if number == 1:
+            self._watch_frames()
+        self._first, self._inputs, self._foreseen = self._frames, [], []
+        self._copied = None
+        if self.follows and not (self._inputs_only and self.steps and self.steps[-1].record.overridden):
+            inner = self.driver.env.env if isinstance(self.driver.env, ShieldedEnv) else self.driver.env
+            self._copied = copy_unwatched(inner)
+            columns, copied = self.driver.recorder.columns, self._copied.unwrapped.road
+            there = self.base.road
+            pairs = [
+                *zip(there.vehicles, copied.vehicles, strict=True),
+                *zip(there.objects, copied.objects, strict=True),
+            ]
+            self._column = {copy: columns[body] for body, copy in pairs if body in columns}
+
+    def after(self, record: Decision) -> None:
+        """It has been carried out."""
+        shielded = self.shielded
+        frames = shielded.frame_decisions if isinstance(shielded, ShieldedEnv) else shielded.frame_decisions[0]
+        seen = StepSeen(self._first, record, list(frames), self._inputs, self._foreseen, record.explain())
+        if self._copied is not None and record.overridden:
+            asked, buffer = self.asked, self.shielded.config.buffer
+            room = buffer.longitudinal, buffer.lateral
+            seen.what_if = what_if(self._copied, record.proposed, asked.policy, asked.seed, room, self._column)
+        self._copied = None
+        self.steps.append(seen)
+
+    @property
+    def _inputs_only(self) -> bool:
+        return isinstance(self.base.action_type, ContinuousAction)
+
+    def _watch_frames(self) -> None:
+        inner = self.base.road.step
+
+        def step(dt: float) -> None:
+            action = self.base.vehicle.action
+            self._inputs.append((float(action["acceleration"]), float(action["steering"])))
+            if isinstance(self.door, RoadDoor) and not self.door.cause:
+                self._foreseen.append(self.door.foreseen)
+            self._frames += 1
+            inner(dt)
+
+        self.base.road.step = step
+
+
+def collect(
+    asked: Asked, follows: bool = True, told: Callable[[float, Decision], None] | None = None
+) -> tuple[Replay, EpisodeRecord]:
+    """Drive an episode; what its replay shows, and its record.
+
+    Parameters
+    ----------
+    told : called after each step, as of `evaluation.running.episodes.Driver.run`.
+    follows : whether refused proposals are followed in the simulator, too (with throttle and steering the first of each
+        row of overridden decisions).
+    """
+    driver = Driver(
+        asked.setting, asked.policy, asked.variant, asked.algorithm, asked.model, "highway-env", asked.sensor
+    )
+    try:
+        with one_thread():
+            watch = _Watch(driver, asked, follows)
+
+            def after(time: float, step: Decision) -> None:
+                watch.after(step)
+                if told is not None:
+                    told(time, step)
+
+            record = driver.run(asked.seed, after, watch.before)
+            return _replay(watch, record), record
+    finally:
+        driver.env.close()
+
+
+def _replay(watch: _Watch, record: EpisodeRecord) -> Replay:
+    base, config = watch.base, watch.shielded.config
+    world, columns = watch.driver.recorder.world(), watch.driver.recorder.columns
+    dt, straight = 1.0 / base.config["simulation_frequency"], read_road(base.road.network)
+    in_world = config.simulates or isinstance(watch.door, RoadDoor)
+    road = World() if in_world or straight is None else straight
+    name, meta = _namer(base)
+    geometry = RoadGeometry.of(base) if isinstance(watch.door, RoadDoor) else None
+    return Replay(
+        about=_about(watch, record),
+        buffer=(config.buffer.longitudinal, config.buffer.lateral),
+        dt=dt,
+        straight=isinstance(straight, StraightRoad),
+        lanes=_lanes(base.road.network),
+        bodies=_bodies(world, columns),
+        frames=frames_of(watch.steps, world, columns, road, meta, dt),
+        steps=[_step(seen, name) for seen in watch.steps],
+        overrides=[
+            _override(number, seen, columns, dt, geometry)
+            for number, seen in enumerate(watch.steps)
+            if seen.record.overridden or seen.record.tier.fallback
+        ],
+    )
+
+
+def _about(watch: _Watch, record: EpisodeRecord) -> dict[str, Any]:
+    asked = watch.asked
+    return {
+        "setting": record.setting,
+        "environment": asked.setting.env_id,
+        "policy": record.policy,
+        "seed": record.seed,
+        "shield": asked.variant.place,
+        "mode": record.mode,
+        "sensor": asked.sensor,
+        "verification": record.verification,
+        "crashed": record.crashed,
+        "off_road": record.off_road,
+        "attribution": record.attribution,
+        "return": record.return_,
+        "steps": record.steps,
+        "overridden": record.overridden,
+        "held_back": record.held_back,
+        "frames_overridden": record.frames_overridden,
+        "violations": record.violations,
+        "min_margin": record.min_margin,
+        "min_gap": record.min_gap,
+        "mean_speed": record.mean_speed,
+        "duration": record.duration,
+        "versions": versions(),
+    }
+
+
+def _namer(base: Any) -> tuple[Callable[[Any], str], bool]:
+    """Names an action of the environment, and whether it has meta-actions."""
+    labels = action_labels(base.action_type)
+    if not isinstance(base.action_type, ContinuousAction):
+        return (lambda action: action_name(labels, action)), True
+    actuators = Actuators.of(base.action_type)
+
+    def name(action: Any) -> str:
+        read = actuators.read(action)
+        return str(action) if read is None else inputs_name(actuators.physical(read))
+
+    return name, False
+
+
+def _lanes(network: Any) -> list[LaneDrawn]:
+    return [_lane(lane) for lane in network.lanes_list()]
+
+
+def _lane(lane: Any) -> LaneDrawn:
+    bends = type(lane).__name__ != "StraightLane"
+    ways = np.linspace(0.0, lane.length, max(2, int(lane.length / _SAMPLE) + 2) if bends else 2)
+    left, right = (rounded([lane.position(s, side * lane.width_at(s) / 2) for s in ways]) for side in (-1, 1))
+    lines = tuple(int(line) for line in lane.line_types)
+    return LaneDrawn(left, right, (lines[0], lines[1]))
+
+
+def _bodies(world: Any, columns: dict[Any, int]) -> list[Body]:
+    sizes = world[:, :, 4:6].max(axis=0)
+    return [Body(type(body).__name__, *map(float, sizes[k])) for body, k in columns.items()]
+
+
+def _step(seen: StepSeen, name: Callable[[Any], str]) -> Step:
+    record = seen.record
+    return Step(
+        first=seen.first,
+        proposed=name(record.proposed),
+        executed=name(record.executed),
+        tier=record.tier.value,
+        reason=record.reason.value,
+        intervention=record.intervention.value,
+        guarantee=record.guarantee.value,
+        overridden=record.overridden,
+        fallback=record.tier.fallback,
+        frames_overridden=record.frames_overridden,
+        margin=float(record.margin),
+        latency=record.latency,
+        text=seen.explanation.text,
+    )
+
+
+def _override(
+    number: int, seen: StepSeen, columns: dict[Any, int], dt: float, geometry: RoadGeometry | None
+) -> Override:
+    why = seen.explanation
+    cause = -1 if why.cause is None else columns.get(why.cause.vehicle, -1)
+    refused = seen.record if seen.record.refusal is None else seen.record.refusal[0]
+    foreseen = None
+    if geometry is not None and why.frame < len(seen.foreseen):
+        foreseen = geometry, seen.foreseen[why.frame]
+    return Override(
+        step=number,
+        frame=seen.first + why.frame,
+        refused=why.refused,
+        clause=why.clause,
+        why=why.why,
+        done=why.done,
+        proof=why.proof,
+        text=why.text,
+        short=why.short,
+        binding=why.after,
+        cause=cause,
+        areas=areas_at(refused, why.after, dt, columns, foreseen),
+        what_if=seen.what_if,
+    )

@@ -1,0 +1,127 @@
+"""The frames of a replay, from the recorded states and the decisions about them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import nan
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dynamics.roads.straight import Road
+from dynamics.scenes.scene import Scene
+from dynamics.state import FloatArray, State
+from evaluation.measuring.recorder import Track
+from evaluation.replay.record import STEP, TURN, Frame, rounded
+from evaluation.report.draw import World, acting_decision, status_of
+from shield.decision import Decision, Tier
+from shield.explaining.roads import Roads
+from shield.procedures.decide import Made
+
+if TYPE_CHECKING:
+    from evaluation.replay.collect import StepSeen
+
+__all__ = ["frames_of"]
+
+_VIEW = 120.0
+"""Bodies farther from the ego are left out of a frame [m]."""
+_POINTS = 24
+"""Places on a plan, at most."""
+
+
+def frames_of(
+    steps: Sequence[StepSeen],
+    world: FloatArray,
+    columns: Mapping[Any, int],
+    road: Road | World,
+    meta: bool,
+    dt: float,
+) -> list[Frame]:
+    """One for each recorded state.
+
+    Parameters
+    ----------
+    steps : of the episode. world : the recorded states, (frames + 1, bodies, 8), columns `Track`.
+    columns : of each body in it. road : that plans refer to. meta : whether actions are meta-actions.
+    """
+    frames = []
+    for number, seen in enumerate(steps):
+        for age, inputs in enumerate(seen.inputs):
+            at = seen.first + age
+            about = seen.frames[age] if age < len(seen.frames) else None
+            frames.append(_decided(number, seen, age, inputs, about, (world[at], columns, road, meta, dt * at)))
+    for at in range(len(frames), len(world)):
+        frames.append(_bare(world[at], dt * at))
+    return frames
+
+
+def _decided(
+    number: int, seen: StepSeen, age: int, inputs: tuple[float, float], about: Decision | None, where: tuple[Any, ...]
+) -> Frame:
+    rows, columns, road, meta, time = where
+    record = seen.record
+    told = record if about is None else about
+    acting = acting_decision(record, about, meta)
+    plan, first = (acting.plan, 0) if acting is about else (None, 0)
+    if plan is None:
+        plan, first = record.plan, age
+    points, every = _points(plan, first, road)
+    ego = rows[0]
+    return Frame(
+        time=time,
+        x=float(ego[Track.S]),
+        y=float(ego[Track.R]),
+        heading=float(ego[Track.HEADING]),
+        speed=float(ego[Track.SPEED]),
+        step=number,
+        status="OFF" if record.tier is Tier.OFF else status_of(record, about, meta),
+        acceleration=inputs[0],
+        wheel=inputs[1],
+        tier=told.tier.value,
+        reason=told.reason.value,
+        margin=float(told.margin),
+        clause=told.clause,
+        binding=_binding(told, columns),
+        others=_others(rows),
+        plan=points,
+        every=every,
+        until=max(1, len(seen.inputs) - age),
+    )
+
+
+def _bare(rows: FloatArray, time: float) -> Frame:
+    x, y, heading, speed = (float(value) for value in rows[0, : Track.LENGTH])
+    return Frame(time, x, y, heading, speed, -1, "", nan, nan, "", "", nan, "", -1, _others(rows), [], 1, 0)
+
+
+def _others(rows: FloatArray) -> list[int]:
+    """See `Frame.others`."""
+    near = np.hypot(*(rows[:, : State.Y + 1] - rows[0, : State.Y + 1]).T) < _VIEW
+    near[0] = False
+    there = np.flatnonzero(near & (rows[:, Track.LENGTH] > 0))
+    states = rows[there, : Track.LENGTH] / (STEP, STEP, TURN, STEP)
+    return rounded(np.column_stack([there, states]), 1.0)
+
+
+def _points(plan: FloatArray | None, first: int, road: Road | World) -> tuple[list[int], int]:
+    """Places on a plan from a frame on, and one in how many frames they are."""
+    if plan is None or len(plan) <= first + 1:
+        return [], 1
+    left = len(plan) - first
+    every = max(1, -(-left // _POINTS))
+    at = [*range(first, len(plan) - 1, every), len(plan) - 1]
+    return rounded(np.asarray(road.to_world(plan[at]))[:, : State.Y + 1]), every
+
+
+def _binding(decision: Decision, columns: Mapping[Any, int]) -> int:
+    """The body that the margin of a decision is about."""
+    source, row = decision.source, decision.vehicle
+    if row < 0:
+        return -1
+    if isinstance(source, Made) and isinstance(source.scene, Scene) and source.scene.bodies is not None:
+        who: Sequence[Any] = source.scene.bodies
+    elif isinstance(source, Roads):
+        who = source.who
+    else:
+        return -1
+    return columns.get(who[row], -1) if row < len(who) else -1

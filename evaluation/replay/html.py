@@ -1,0 +1,61 @@
+"""Writes the replay of an episode as one HTML file that needs nothing beside it: no network, no library, no package."""
+
+from __future__ import annotations
+
+import html
+from importlib.resources import files
+from pathlib import Path
+
+from evaluation.replay.record import Replay
+from shield.errors import ConfigError
+
+__all__ = ["page_path", "to_html", "write_page"]
+
+_SCRIPTS = ("data.js", "scene.js", "timeline.js", "controls.js")
+"""In the order in which they are run."""
+
+
+def to_html(replay: Replay) -> str:
+    """The page. Its data is the JSON of `Replay.to_json` in a script element of type application/json."""
+    folder = files("evaluation.replay").joinpath("page")
+
+    def part(name: str) -> str:
+        return folder.joinpath(name).read_text(encoding="utf-8")
+
+    about = replay.about
+    title = f"{about['setting']}, {about['policy']}, seed {about['seed']}: replay"
+    filled = {
+        "@TITLE@": html.escape(title),
+        "@STYLE@": part("replay.css"),
+        # In a script element nothing but its end tag is read as markup: no "<" stands in the data.
+        "@DATA@": replay.to_json().replace("<", "\\u003c"),
+        "@SCRIPT@": "\n".join(part(name) for name in _SCRIPTS),
+    }
+    # One mark after another, so that nothing in what is filled in is taken for a mark.
+    parts: list[str] = []
+    left = part("replay.html")
+    for mark, text in filled.items():
+        before, _, left = left.partition(mark)
+        parts += [before, text]
+    return "".join([*parts, left])
+
+
+def page_path(path: Path) -> Path:
+    """Where a page is written.
+
+    Raises
+    ------
+    ConfigError
+        If it is no .html.
+    """
+    if path.suffix not in (".html", ".htm"):
+        raise ConfigError(f"a replay page is written as .html, not {path.suffix or 'without an ending'!r}")
+    return path
+
+
+def write_page(replay: Replay, path: Path) -> Path:
+    """Write the page; its folder is made."""
+    path = page_path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(to_html(replay), encoding="utf-8")
+    return path

@@ -1,0 +1,130 @@
+"""One episode of a run that was written down, to be driven again: what `shield evaluate` and `shield certify` wrote."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from evaluation.names import BASELINES, check_policy
+from evaluation.policies import list_references
+from evaluation.replay.collect import Asked
+from evaluation.report.table import read_episodes
+from evaluation.running.episodes import policy_name
+from evaluation.running.identity import differences, of_environment, policy_files, versions
+from evaluation.running.records import DOORS, EpisodeRecord, Variant
+from evaluation.settings import SETTINGS, Setting
+from shield.config import ShieldConfig
+from shield.errors import ConfigError
+
+__all__ = ["Recorded", "check_same", "episode_of", "run_file"]
+
+_COMPARED = ("crashed", "off_road", "return", "steps", "overridden", "held_back", "frames", "frames_overridden")
+"""What the episode has to have again."""
+_SHOWN = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """An episode of a run: what to drive, its row, and what differs between the libraries then and now, in words."""
+
+    asked: Asked
+    row: Mapping[str, Any]
+    changed: tuple[str, ...]
+
+
+def run_file(run: str | Path) -> Path:
+    """The table of a run: the file itself, or episodes.parquet in its folder.
+
+    Raises
+    ------
+    ConfigError
+        If there is none.
+    """
+    path = Path(run)
+    path = path / "episodes.parquet" if path.is_dir() else path
+    if not path.is_file():
+        raise ConfigError(f"there is no run {path}; have a table that `shield evaluate --output` wrote, or a seed")
+    return path
+
+
+def episode_of(run: str | Path, number: int, policy: str | None = None) -> Recorded:
+    """An episode of a run of `shield evaluate`.
+
+    Parameters
+    ----------
+    run : see `run_file`. number : of its row, from 0 on. policy : where the row's is a model of the user's, its file.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such row, it was driven without a shield, it is not said how it was made, or it was made in
+        another environment.
+    """
+    path = run_file(run)
+    table, beside = read_episodes(path), path.with_suffix(".json")
+    made, rows = table.attrs.get("made") or {}, table.to_dict("records")
+    if path.suffix == ".csv" and beside.is_file():
+        made = json.loads(beside.read_text(encoding="utf-8"))
+    if not 0 <= number < len(rows):
+        raise ConfigError(f"{path.name} has the episodes 0 to {len(rows) - 1}, not {number}")
+    row, asked = rows[number], made.get("asked")
+    if row.get("door") == "none":
+        raise ConfigError(f"episode {number} of {path.name} was driven without a shield; {_shielded(rows)}")
+    if not isinstance(asked, Mapping) or "shields" not in asked:
+        raise ConfigError(f"{path.name} does not say how it was made; replay the seed {row['seed']} instead")
+    door, _, perception = row["door"].partition(", ")
+    name, _, sensor = row["setting"].partition(", ")
+    setting = _setting(name, asked["settings"])
+    shield = asked["shields"][f"{name}, {row['door']}, {row['mode']}"]
+    assert door in DOORS
+    variant = Variant(door, ShieldConfig.from_toml(tomli_w.dumps(shield)), perception or "simulator")
+    chosen = _policy(row["policy"], policy, asked["policies"])
+    changed = differences({"version of": made.get("versions", {})}, {"version of": versions()})
+    return Recorded(
+        Asked(setting, chosen, variant, int(row["seed"]), sensor=sensor or "exact"), row, tuple(changed[:_SHOWN])
+    )
+
+
+def check_same(recorded: Recorded, record: EpisodeRecord) -> list[str]:
+    """What differs between an episode as it was recorded and as it is driven again, in words."""
+    again = record.row()
+    return differences(
+        *({key: each[key] for key in _COMPARED if key in recorded.row} for each in (recorded.row, again))
+    )
+
+
+def _shielded(rows: list[dict[str, Any]]) -> str:
+    """Which rows can be replayed."""
+    numbers = [k for k, row in enumerate(rows) if row.get("door") != "none"]
+    return f"with one were {numbers[0]} to {numbers[-1]}" if numbers else "none has one"
+
+
+def _setting(name: str, settings: Mapping[str, Any]) -> Setting:
+    """The setting of that name, which has to be what it was."""
+    was = settings[name]
+    setting = SETTINGS[name] if name in SETTINGS else Setting(name, was["id"], was["configuration"])
+    if differ := differences(was, json.loads(json.dumps(of_environment(setting)))):
+        raise ConfigError(f"the environment {name} is another than that of the run: {', '.join(differ[:_SHOWN])}")
+    return setting
+
+
+def _policy(label: str, given: str | None, policies: Mapping[str, Any]) -> str:
+    """The policy of a row: its name, or the file that was handed in for it, which has to be the one that drove."""
+    if given is None:
+        if label not in (*BASELINES, *list_references()):
+            raise ConfigError(
+                f"the episode was driven by {label}, which is a model: hand in its file, --policy FILE.zip"
+            )
+        given = label
+    check_policy(given)
+    if policy_name(given, None) != label:
+        raise ConfigError(f"the episode was driven by {label}, not by {policy_name(given, None)}")
+    was, now = ({"file": each.get("file")} for each in (policies.get(label, {}), policy_files(given)))
+    if differ := differences(was, now):
+        raise ConfigError(f"{given} is another file than the one that drove: {', '.join(differ)}")
+    return given

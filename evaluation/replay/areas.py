@@ -100,7 +100,4 @@ def _bodies(source: Simulated, frames: int, column: Columns) -> list[Area]:
         return []
     row = rows[min(frames, len(rows) - 1)]
     there = [k for k in range(len(row)) if k != ego and row[k, Vehicle.LENGTH] > 0]
-    return [
-        Area(column.get(source.who[k], -1), rounded(shapely.get_coordinates(polygons(row[k]))[:-1]))
-        for k in there
-    ]
+    return [Area(column.get(source.who[k], -1), rounded(shapely.get_coordinates(polygons(row[k]))[:-1])) for k in there]

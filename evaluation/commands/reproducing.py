@@ -16,16 +16,20 @@ __all__ = ["add_reproducing"]
 
 _err = Console(stderr=True, highlight=False)
 _QUICK = {"seeds": 2, "episodes": 60, "pooled": 3, "steps": 2_048}
+_QUICK_SHIELDS = 5
 
 
 class Table(StrEnum):
     """Which table."""
 
     HIGHWAY = "highway"
+    SHIELDS = "shields"
 
 
 def reproduce_command(
-    table: Annotated[Table, typer.Argument(help="Which table of the report.")] = Table.HIGHWAY,
+    table: Annotated[
+        Table, typer.Argument(help="highway: the report's variants; shields: shields side by side on several roads.")
+    ] = Table.HIGHWAY,
     preset: Annotated[
         str,
         typer.Option(help="as-coded: what the published script does, its mistakes included; as-written: the text."),
@@ -37,32 +41,57 @@ def reproduce_command(
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each row and training seed.")] = 1_000,
     pooled: Annotated[int, typer.Option(min=1, help="The same of rows that are driven one episode at a time.")] = 30,
     steps: Annotated[int | None, typer.Option(min=1, help="Training steps; by default the preset's.")] = None,
+    road: Annotated[
+        list[str] | None, typer.Option(help="Of shields: only these roads (repeatable, or a comma list).")
+    ] = None,
+    shield: Annotated[
+        list[str] | None, typer.Option(help="Of shields: only these shields (repeatable, or a comma list).")
+    ] = None,
     quick: Annotated[
         bool,
-        typer.Option("--quick", help="2 training seeds, 60 episodes and 2,048 steps, whatever else is asked for."),
+        typer.Option(
+            "--quick",
+            help="2 training seeds, 60 episodes and 2,048 steps, or 5 episodes of each shield, whatever else is asked"
+            " for.",
+        ),
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Folder; what is finished there is not done again.")] = None,
     jobs: Annotated[int, typer.Option(help="Processes, one training seed each; -1 for one per core.")] = -1,
 ) -> None:
-    """Train and drive the report's variants and this project's, and print their table beside what was published.
+    """Train and drive the report's variants and this project's, or shields side by side, beside what was published.
 
     Writes to --out the models, every episode (episodes.parquet and .csv), table.md, verdict.json
     and manifest.json. The same command goes on where it was stopped.
     """
     check_jobs(jobs)
+    named = f"{table.value}-{preset}" if table is Table.HIGHWAY else table.value
+    folder = out or Path("runs", "reproduce", named + ("-quick" if quick else ""))
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"{folder} is a file; --out is a folder")
+
+    def tell(line: str) -> None:
+        _err.print(line, soft_wrap=True)
+
+    if table is Table.SHIELDS:
+        if variant:
+            raise ConfigError("--variant goes with the table highway; of shields have --road and --shield")
+        from evaluation.reproduction.shields import compare_shields
+
+        count = _QUICK_SHIELDS if quick else episodes
+        typer.echo(compare_shields(folder, count, split(road or []), split(shield or []), jobs, tell))
+        return
+    if road or shield:
+        raise ConfigError("--road and --shield go with the table shields; of highway have --variant")
     from evaluation.reproduction.presets import get_preset
     from evaluation.reproduction.variants import get_variants
 
     chosen, rows = get_preset(preset), get_variants(split(variant or []))
     if quick:
         seeds, episodes, pooled, steps = _QUICK["seeds"], _QUICK["episodes"], _QUICK["pooled"], _QUICK["steps"]
-    folder = out or Path("runs", "reproduce", f"{table.value}-{preset}" + ("-quick" if quick else ""))
-    if folder.exists() and not folder.is_dir():
-        raise ConfigError(f"{folder} is a file; --out is a folder")
     from evaluation.reproduction.running import Reproduction, run
 
     asked = Reproduction(chosen, tuple(rows), seeds, episodes, pooled, chosen.steps if steps is None else steps)
-    found = run(asked, folder, jobs, lambda line: _err.print(line, soft_wrap=True))
+    found = run(asked, folder, jobs, tell)
     from evaluation.reproduction.writing import write
 
     typer.echo(write(found, asked, folder))

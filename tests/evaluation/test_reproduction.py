@@ -9,7 +9,7 @@ from stable_baselines3 import PPO
 from typer.testing import CliRunner
 
 from evaluation.commands.cli import app
-from evaluation.reproduction import running
+from evaluation.reproduction import running, shields
 from evaluation.reproduction.driving import COLUMNS
 from evaluation.reproduction.learning import file_hash
 from evaluation.reproduction.presets import PRESETS, PUBLISHED, get_preset
@@ -17,6 +17,7 @@ from evaluation.reproduction.running import FIRST_SEED, Reproduction, run, why_n
 from evaluation.reproduction.table import summary, table
 from evaluation.reproduction.variants import VARIANTS, get_variants
 from evaluation.reproduction.verdict import judge
+from evaluation.running import episodes as episodes_module
 from shield.errors import ConfigError
 
 SMALL = ["--seeds", "2", "--episodes", "4", "--pooled", "1", "--steps", "64", "--jobs", "1"]
@@ -126,6 +127,7 @@ def test_training_again_gives_the_same_model(tmp_path):
         (["--preset", "as-code"], "as-coded, as-written"),
         (["--variant", "noize"], "noise, noise-intent"),
         (["--jobs", "0"], "--jobs must be at least 1"),
+        (["--road", "merge"], "go with the table shields"),
     ],
 )
 def test_a_wrong_name_lists_what_there_is(options, said, tmp_path):
@@ -192,3 +194,32 @@ def test_the_table_shows_each_training_seed_and_what_was_published():
     assert "25.0 25.0" in text
     published = PUBLISHED["noise"]
     assert f"{published.mean} ± {published.deviation}" in text
+
+
+def test_shields_side_by_side_drive_the_same_seeds_and_go_on(tmp_path, monkeypatch):
+    """A part that is finished is not driven again; what a road refuses is said and left out."""
+    command = ["reproduce", "shields", "--road", "highway-fast,racetrack", "--shield", "none,distance", "--jobs", "1"]
+    command += ["--out", str(tmp_path / "out"), "--episodes"]
+    ended = CliRunner().invoke(app, [*command, "2"], catch_exceptions=False)
+    assert "racetrack, distance" in ended.stdout.split("## Refused")[1]
+    assert "CARPSS" in ended.stdout
+    parts = {path.stem: pd.read_parquet(path) for path in (tmp_path / "out" / "episodes").glob("*")}
+    assert set(parts) == {"highway-fast-none", "highway-fast-distance", "racetrack-none"}
+    assert {tuple(rows["seed"]) for rows in parts.values()} == {(shields.FIRST_SEED, shields.FIRST_SEED + 1)}
+    chunk, driven = episodes_module._run_chunk, []
+
+    def watched(asked, seeds):
+        driven.append((asked.setting.name, asked.variant.mode))
+        return chunk(asked, seeds)
+
+    monkeypatch.setattr(episodes_module, "_run_chunk", watched)
+    again = CliRunner().invoke(app, [*command, "2"], catch_exceptions=False)
+    assert again.stdout == ended.stdout
+    assert set(driven) == {("racetrack", "distance")}  # refused again
+
+
+@pytest.mark.parametrize(("option", "said"), [("--road", "merge, roundabout"), ("--shield", "worst-case, simulated")])
+def test_an_unknown_road_or_shield_lists_what_there_is(option, said, tmp_path):
+    ended = CliRunner().invoke(app, ["reproduce", "shields", option, "nothing", "--out", str(tmp_path)])
+    assert isinstance(ended.exception, ConfigError)
+    assert said in str(ended.exception)

@@ -176,7 +176,7 @@ def compare_shields(
 def _page(rows: list[pd.DataFrame], refused: Mapping[str, str], episodes: int) -> str:
     lines = [
         "# Shields side by side",
-        f"At most {episodes:,} episodes each, the same seeds from {FIRST_SEED:,} in all rows of a road, 95 % intervals.",
+        f"At most {episodes:,} episodes each, the same seeds from {FIRST_SEED:,} in a road's rows, 95 % intervals.",
         "\n".join(f"- *{name}*: {what}" for name, what in SHIELDS.items()),
     ]
     if rows:

@@ -198,24 +198,34 @@ def test_the_table_shows_each_training_seed_and_what_was_published():
 
 def test_shields_side_by_side_drive_the_same_seeds_and_go_on(tmp_path, monkeypatch):
     """A part that is finished is not driven again; what a road refuses is said and left out."""
-    command = ["reproduce", "shields", "--road", "highway-fast,racetrack", "--shield", "none,distance", "--jobs", "1"]
+    made = shields.variant_on
+
+    def some(road, shield):
+        if shield == "rss":
+            raise ConfigError("not on this road")
+        return made(road, shield)
+
+    monkeypatch.setattr(shields, "variant_on", some)
+    command = ["reproduce", "shields", "--road", "highway-fast", "--shield", "none,distance,rss", "--jobs", "1"]
     command += ["--out", str(tmp_path / "out"), "--episodes"]
     ended = CliRunner().invoke(app, [*command, "2"], catch_exceptions=False)
-    assert "racetrack, distance" in ended.stdout.split("## Refused")[1]
+    assert "highway-fast, rss: not on this road" in ended.stdout.split("## Refused")[1]
     assert "CARPSS" in ended.stdout
     parts = {path.stem: pd.read_parquet(path) for path in (tmp_path / "out" / "episodes").glob("*")}
-    assert set(parts) == {"highway-fast-none", "highway-fast-distance", "racetrack-none"}
+    assert set(parts) == {"highway-fast-none", "highway-fast-distance"}
     assert {tuple(rows["seed"]) for rows in parts.values()} == {(shields.FIRST_SEED, shields.FIRST_SEED + 1)}
     chunk, driven = episodes_module._run_chunk, []
 
     def watched(asked, seeds):
-        driven.append((asked.setting.name, asked.variant.mode))
+        driven.extend(seeds)
         return chunk(asked, seeds)
 
     monkeypatch.setattr(episodes_module, "_run_chunk", watched)
     again = CliRunner().invoke(app, [*command, "2"], catch_exceptions=False)
     assert again.stdout == ended.stdout
-    assert set(driven) == {("racetrack", "distance")}  # refused again
+    assert not driven
+    CliRunner().invoke(app, [*command, "3"], catch_exceptions=False)
+    assert driven == [shields.FIRST_SEED + 2] * 2
 
 
 @pytest.mark.parametrize(("option", "said"), [("--road", "merge, roundabout"), ("--shield", "worst-case, simulated")])

@@ -86,6 +86,22 @@ def plot_command(
     _out.print(f"wrote {plot(read_episodes(episodes), path)}")
 
 
+def report_command(
+    runs: Annotated[list[Path], typer.Argument(help="What `shield evaluate --output` wrote, .csv or .parquet.")],
+    output: Annotated[
+        Path | None, typer.Option(help="The .html to write; by default beside the first run, under its name.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
+) -> None:
+    """Write one offline page: tables, charts, and the worst episodes of some runs."""
+    path = output or runs[0].with_suffix(".html")
+    if path.exists() and not force:
+        raise ConfigError(f"{path} exists already; --force overwrites it")
+    from evaluation.report.html_report import write_report
+
+    _out.print(f"wrote {write_report(runs, path)}")
+
+
 def table_command(
     episodes: Annotated[Path, typer.Argument(help="What `shield evaluate --output` wrote, .csv or .parquet.")],
     markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown.")] = False,
@@ -168,6 +184,7 @@ def add_showing(app: typer.Typer) -> None:
     app.command("picture")(picture_command)
     app.command("plot")(plot_command)
     app.command("table")(table_command)
+    app.command("report")(report_command)
     app.command("figures")(figures_command)
     app.command("course")(course_command)
     app.command("gallery")(gallery_command)

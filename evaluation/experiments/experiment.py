@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -13,6 +14,7 @@ import gymnasium as gym
 import pandas as pd
 
 from evaluation.experiments.result import Result
+from evaluation.learning.normalised_model import statistics_beside
 from evaluation.measuring import metrics
 from evaluation.names import SIMULATORS, check_name, check_sensor
 from evaluation.report.table import finished
@@ -329,9 +331,10 @@ def _origin(policy: Any) -> str:
 
 
 def _as_file(name: str, policy: Any, folder: Path) -> Any:
-    """A policy by name or file; an SB3 model is saved, with its statistics, so that every process has the same."""
+    """A policy by name or file, which is copied where it has another name; an SB3 model is saved, with its statistics,
+    so that every process has the same."""
     if isinstance(policy, str | Path):
-        return str(policy)
+        return str(policy) if _name_of(policy) == name else _copied(name, str(policy), folder)
     if not (hasattr(policy, "save") and hasattr(policy, "get_vec_normalize_env")):
         return policy
     path = folder / f"{name}.zip"
@@ -339,6 +342,18 @@ def _as_file(name: str, policy: Any, folder: Path) -> Any:
     statistics = policy.get_vec_normalize_env()
     if statistics is not None:
         statistics.save(str(folder / f"{name}_vecnormalize.pkl"))
+    return str(path)
+
+
+def _copied(name: str, policy: str, folder: Path) -> str:
+    """A zip file and its statistics under another name."""
+    if not policy.endswith(".zip"):
+        raise ConfigError(f"the policy {policy!r} is reported as {policy!r}, and under no other name such as {name!r}")
+    path = folder / f"{name}.zip"
+    shutil.copyfile(policy, path)
+    statistics = statistics_beside(Path(policy))
+    if statistics is not None:
+        shutil.copyfile(statistics, folder / f"{name}_vecnormalize.pkl")
     return str(path)
 
 

@@ -40,7 +40,7 @@ def test_the_rows_are_those_of_paired_episodes():
     same(result.episodes[:3], bare)
 
 
-def test_a_model_a_function_and_an_object_drive_under_their_names():
+def test_a_model_a_file_and_a_function_drive_under_their_names(tmp_path):
     env = gym.make("short-highway-v0")
     model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu")
 
@@ -55,6 +55,9 @@ def test_a_model_a_function_and_an_object_drive_under_their_names():
     ]
     slower = evaluate("slower", env, episodes=2, config="worst-case").episodes
     same(result.episodes[result.episodes["policy"] == "slow"].reset_index(drop=True), slower.assign(policy="slow"))
+    model.save(tmp_path / "saved.zip")
+    named = evaluate({"other": tmp_path / "saved.zip"}, env, episodes=2, config="worst-case").episodes
+    same(named, result.episodes[result.episodes["policy"] == "mine"].assign(policy="other").reset_index(drop=True))
     assert evaluate(always_slower, env, episodes=1).episodes["policy"].unique() == ["always_slower"]
     env.close()
 
@@ -140,6 +143,8 @@ def test_mistakes_are_told_where_they_are_made(tmp_path):
         evaluate("faster", wrapped)
     with pytest.raises(ConfigError, match="save the model"):
         evaluate(lambda obs: 1, "short-highway-v0", output=tmp_path / "out.csv", resume=True)
+    with pytest.raises(ConfigError, match="reported as 'slower'"):
+        evaluate({"brake": "slower"}, "short-highway-v0", episodes=1)
     with pytest.raises(PolicyError, match="no predict"):
         evaluate({"none": 3.5}, "short-highway-v0", episodes=1)
 

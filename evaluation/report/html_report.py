@@ -1,0 +1,154 @@
+"""One offline HTML page of one or several runs: a table to read at a glance, charts, and the worst episodes."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jinja2 import Environment, StrictUndefined
+
+from evaluation.measuring.metrics import GROUP, compare, summarise
+from evaluation.report.charts import Mark, crosses, ranges
+from evaluation.report.table import COMPARISON, SUMMARY, Column, finished
+from shield.errors import ConfigError
+
+__all__ = ["write_report"]
+
+_GLANCE = ("episodes", "crashes %", "off road %", "return", "speed m/s", "overridden %", "latency p99 ms")
+"""Columns of the first table."""
+_WORST = 12
+"""So many episodes are listed of each run."""
+_TIMES = (0.5, 0.01, 0.99)
+
+
+def write_report(runs: Sequence[str | Path], output: str | Path) -> Path:
+    """Write the page of some runs.
+
+    Parameters
+    ----------
+    runs : files of episodes, .parquet or .csv. Rows of several are told apart by the names of the files.
+    output : the .html file.
+
+    Raises
+    ------
+    ConfigError
+        If there are no runs, one cannot be read, or two have the same name.
+    """
+    output = Path(output)
+    if output.suffix != ".html":
+        raise ConfigError(f"a report is an .html file, not {output.name!r}")
+    if not runs:
+        raise ConfigError("a report needs at least one run")
+    read = {}
+    for path in map(Path, runs):
+        found = finished(path)
+        if found is None:
+            raise ConfigError(f"there is no file {path}")
+        if path.stem in read:
+            raise ConfigError(f"two runs are called {path.stem!r}; rename one of the files")
+        read[path.stem] = (found[0], pd.DataFrame(found[1]), path)
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    source = files("evaluation.report").joinpath("report.html.jinja").read_text(encoding="utf-8")
+    page = environment.from_string(source).render(
+        title=" and ".join(read),
+        runs=[_run(name, *each) for name, each in read.items()],
+        charts=_charts({name: frame for name, (_, frame, _) in read.items()}),
+    )
+    output.parent.mkdir(parents=True, exist_ok=True)
+    output.write_text(page, encoding="utf-8")
+    return output
+
+
+def _run(name: str, made: Mapping[str, Any], episodes: pd.DataFrame, path: Path) -> dict[str, Any]:
+    """What the page says of one run."""
+    summary, comparison = summarise(episodes), compare(episodes)
+    glance = [column for column in SUMMARY[:3] if column.heading != "setting"]
+    glance += [column for heading in _GLANCE for column in SUMMARY if column.heading == heading]
+    return {
+        "name": name,
+        "made": {
+            key: made[key] for key in ("command", "date", "commit", "python", "machine", "versions") if key in made
+        },
+        "settings": [
+            {"name": setting, "glance": _table(part, glance), "full": _table(part, SUMMARY)}
+            for setting, part in summary.groupby("setting", sort=False)
+        ],
+        "comparison": _table(comparison, COMPARISON) if len(comparison) else None,
+        "worst": _worst(episodes, made),
+        "file": path.name,
+    }
+
+
+def _table(frame: pd.DataFrame, columns: Sequence[Column]) -> dict[str, Any]:
+    """Headings and rows of cells."""
+    rows = [[column.cell(row) for column in columns] for row in frame.to_dict("records")]  # type: ignore[arg-type]
+    said = [any(map(str.isalnum, "".join(row[i] for row in rows))) for i in range(len(columns))]
+    return {
+        "headings": [column.heading for column, kept in zip(columns, said, strict=True) if kept],
+        "rows": [[cell for cell, kept in zip(row, said, strict=True) if kept] for row in rows],
+        "shielded": [door != "none" for door in frame["door"]],
+    }
+
+
+def _worst(episodes: pd.DataFrame, made: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The episodes with a crash, and then those with the smallest gap, with the command that replays each."""
+    asked = made.get("asked", {})
+    order = episodes.sort_values(["crashed", "min_gap"], ascending=[False, True], kind="stable")
+    found = []
+    for row in order.head(_WORST).to_dict("records"):
+        environment = asked.get("settings", {}).get(row["setting"].partition(",")[0], {})
+        found.append(
+            {
+                "name": ", ".join(str(row[key]) for key in GROUP),
+                "seed": row["seed"],
+                "crashed": bool(row["crashed"]),
+                "cause": row["attribution"],
+                "gap": f"{row['min_gap']:.2f}",
+                "return": f"{row['return']:.1f}",
+                "overridden": row["overridden"],
+                "replay": "" if row["door"] == "none" else _command(row, environment),
+            }
+        )
+    return found
+
+
+def _command(row: Mapping[Any, Any], environment: Mapping[str, Any]) -> str:
+    """The command that drives a shielded episode again, with the shield's own settings."""
+    setting = str(row["setting"]).partition(",")[0]
+    place = ["--env-id", str(environment["id"])] if environment.get("id") == setting else ["--setting", setting]
+    return shlex.join(["shield", "replay", str(row["seed"]), *place, "--policy", str(row["policy"])])
+
+
+def _charts(runs: Mapping[str, pd.DataFrame]) -> list[dict[str, str]]:
+    """The charts of each setting, over all runs."""
+    several, found = len(runs) > 1, []
+    together = pd.concat([frame.assign(run=name) for name, frame in runs.items()], ignore_index=True)
+    for setting, part in together.groupby("setting", sort=False):
+        marks, gaps, times = [], [], []
+        for kind, (key, group) in enumerate(part.groupby(["run", "policy", "door", "mode"], sort=False)):
+            run, policy, door, mode = key
+            label = f"{policy}, {'no shield' if door == 'none' else f'{mode} ({door})'}" + (f", {run}" * several)
+            row = summarise(group).iloc[0]
+            crash = tuple(100 * float(row[f"crash_rate{end}"]) for end in ("", "_low", "_high"))
+            returns = tuple(float(row[f"return{end}"]) for end in ("", "_low", "_high"))
+            marks.append(Mark(label, kind, crash, returns))  # type: ignore[arg-type]
+            gaps.append(Mark(label, kind, tuple(np.quantile(group["min_gap"], _TIMES).tolist())))
+            latencies = np.concatenate([np.asarray(each, float) for each in group["latencies_ms"]])
+            if latencies.size:
+                times.append(Mark(label, kind, tuple(np.quantile(latencies, _TIMES).tolist())))
+        found.append(
+            {
+                "setting": str(setting),
+                "labels": json.dumps([mark.label for mark in marks]),
+                "risk": crosses(marks, "crashed [% of episodes]", "return"),
+                "gaps": ranges(gaps, "smallest gap of an episode [m]: 1 %, median, 99 %"),
+                "latencies": ranges(times, "latency of a decision [ms]: 1 %, median, 99 %") if times else "",
+            }
+        )
+    return found

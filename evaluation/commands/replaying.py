@@ -80,7 +80,7 @@ def replay_command(
     film = None if film is None else film_path(film)
     page = None if page is None else page_path(page)
     shield_config = config_on(where, loaded)
-    _drive(Asked(where, policy, variant_for(shield_config), seed), page)
+    _drive(Asked(where, policy, variant_for(shield_config, where), seed), page)
     if film is not None:
         made = film_end(film, where, policy, seed, shield_config)
         _out.print(f"wrote {made.path} ({made.frames} frames)")

@@ -35,6 +35,8 @@ __all__ = ["Asked", "StepSeen", "collect"]
 
 _SAMPLE = 2.0
 """Between two points of the edge of a lane that bends [m]."""
+_APART = 1.0
+"""Throttle and steering are followed so long after the ones before at the soonest [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +77,7 @@ class _Watch:
         shielded.record()
         self.base: Any = driver.env.unwrapped
         self.steps: list[StepSeen] = []
-        self._frames = self._first = 0
+        self._frames = self._first = self._next = 0
         self._inputs: list[tuple[float, float]] = []
         self._foreseen: list[Foreseen] = []
         self._copied: Any = None
@@ -92,7 +94,7 @@ class _Watch:
             self._watch_frames()
         self._first, self._inputs, self._foreseen = self._frames, [], []
         self._copied = None
-        if self.follows and not (self._inputs_only and self.steps and self.steps[-1].record.overridden):
+        if self.follows and not (self._inputs_only and self._frames < self._next):
             inner = self.driver.env.env if isinstance(self.driver.env, ShieldedEnv) else self.driver.env
             self._copied = copy_unwatched(inner)
             columns, copied = self.driver.recorder.columns, self._copied.unwrapped.road
@@ -112,6 +114,7 @@ class _Watch:
             asked, buffer = self.asked, self.shielded.config.buffer
             room = buffer.longitudinal, buffer.lateral
             seen.what_if = what_if(self._copied, record.proposed, asked.policy, asked.seed, room, self._column)
+            self._next = self._first + round(_APART * self.base.config["simulation_frequency"])
         self._copied = None
         self.steps.append(seen)
 
@@ -141,8 +144,8 @@ def collect(
     Parameters
     ----------
     told : called after each step, as of `evaluation.running.episodes.Driver.run`.
-    follows : whether refused proposals are followed in the simulator, too (with throttle and steering the first of each
-        row of overridden decisions).
+    follows : whether refused proposals are followed in the simulator, too (with throttle and steering at most one a
+        second).
     """
     driver = Driver(
         asked.setting, asked.policy, asked.variant, asked.algorithm, asked.model, "highway-env", asked.sensor
@@ -171,7 +174,7 @@ def _replay(watch: _Watch, record: EpisodeRecord) -> Replay:
     name, meta = _namer(base)
     geometry = RoadGeometry.of(base) if isinstance(watch.door, RoadDoor) else None
     return Replay(
-        about=_about(watch, record),
+        about={**_about(watch, record), "actions": "meta-actions" if meta else "inputs"},
         buffer=(config.buffer.longitudinal, config.buffer.lateral),
         dt=dt,
         straight=isinstance(straight, StraightRoad),

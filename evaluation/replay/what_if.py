@@ -70,8 +70,8 @@ def follow(copied: Any, action: Any, policy: str, seed: int) -> tuple[_Watched, 
     then = "IDLE" if meta else f"{policy}, unshielded"
     driver: Any = None
     while True:
-        obs, _, terminated, truncated, _ = copied.step(action)
-        if terminated or truncated or watched.crash is not None or len(watched.frames) > frames:
+        obs, *_ = copied.step(action)  # beyond the end of the episode, too
+        if watched.crash is not None or len(watched.frames) > frames:
             return watched, then
         if meta:
             action = base.action_type.actions_indexes["IDLE"]

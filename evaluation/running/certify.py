@@ -196,7 +196,9 @@ def _drive(asked: Asked, folder: Path, files: str, first: int, count: int) -> pd
     if many is not None:
         frame = many.run(seeds)
     else:
-        table = run_paired(asked.setting, asked.policy, [variant_for(asked.config)], seeds, simulator=asked.simulator)
+        table = run_paired(
+            asked.setting, asked.policy, [variant_for(asked.config, asked.setting)], seeds, simulator=asked.simulator
+        )
         frame = table[list(COLUMNS)].assign(fallbacks=table[FALLBACKS].sum(axis=1))
     check_files(asked.policy, None, files)
     path = _path(folder, first, count)

@@ -52,10 +52,28 @@ class Variant:
         return "none" if self.door == "none" else self.config.mode
 
 
-def variant_for(config: ShieldConfig) -> Variant:
+def variant_for(config: ShieldConfig, setting: Setting | None = None) -> Variant:
     """The shield that a configuration is made for: `ShieldedEnv`, or `Shield` with actions alone where the traffic is
-    simulated."""
-    return Variant("actions" if config.assumptions.simulated else "env", config)
+    simulated and the policy decides about meta-actions.
+
+    Parameters
+    ----------
+    setting : what is driven; meta-actions without.
+    """
+    alone = config.assumptions.simulated and not (setting is not None and _decides_inputs(setting))
+    return Variant("actions" if alone else "env", config)
+
+
+def _decides_inputs(setting: Setting) -> bool:
+    """Whether the policy decides about throttle and steering."""
+    env = setting.make()
+    try:
+        base: Any = env.unwrapped
+        if base.road is None:
+            env.reset(seed=0)
+        return isinstance(base.action_type, ContinuousAction)
+    finally:
+        env.close()
 
 
 def config_on(setting: Setting, given: Given = None, door: str = "env", observes: bool = False) -> ShieldConfig:

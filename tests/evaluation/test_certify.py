@@ -134,3 +134,12 @@ def test_an_episode_on_a_network_of_roads_is_replayed_with_the_settings_of_its_t
         assert str(found) in shown
     assert config_on(setting) == ShieldConfig.exact()
     assert config_on(setting, "worst-case").assumptions.acceleration == 6.0
+
+
+def test_steering_behind_simulated_traffic_is_certified_at_every_frame(tmp_path):
+    """Where inputs are verified by simulation the shield stands around the environment: with actions alone it would
+    not see their frames."""
+    options = ["--setting", "racetrack-minute", "--policy", "idle", "--episodes", "1", "--jobs", "1", "--seed", "60"]
+    result = CliRunner().invoke(app, ["certify", str(tmp_path), *options])
+    assert result.exit_code == 0, result.exception
+    assert not pd.read_parquet(tmp_path / "episodes.parquet")["crashed"].any()

@@ -28,7 +28,7 @@ class Records:
 def asked_for(setting, policy, seed, **changes):
     """An episode of a named setting, with the shield that it is given by itself."""
     where = get_setting(setting).override(changes) if changes else get_setting(setting)
-    return Asked(where, policy, variant_for(config_on(where)), seed)
+    return Asked(where, policy, variant_for(config_on(where), where), seed)
 
 
 def records_of(asked):

@@ -138,14 +138,15 @@ function heading() {
     outcome.append(i ? " · " : "", bold);
   });
   outcome.append(` · shield ${about.mode} at ${about.shield}, ${readable(about.verification)}`);
+  if (about.verification === "simulated_traffic") put("areas", "where the others would be at the binding frame, as simulated");
   put("made", `${about.environment}. Driven with ${Object.entries(about.versions).map(([name, v]) => `${name} ${v}`).join(", ")}. ` +
     `Speeds, margins and inputs are those of the record, bit for bit; what is drawn is rounded to ${unit} m.`);
 }
 
 function listOverrides() {
   const list = at("overrides");
-  if (!overrides.length) list.append("Nothing was overridden.");
-  for (const override of overrides) {
+  if (!listed.length) list.append("Nothing was overridden.");
+  for (const override of listed) {
     const item = document.createElement("li"), button = document.createElement("button");
     for (const [name, text] of [["time", show(frames[override.frame].time, 1, " s")], ["text", override.text]]) {
       const part = document.createElement("span");

@@ -4,8 +4,11 @@ const replay = JSON.parse(document.getElementById("data").textContent);
 const value = (x) => (typeof x === "string" ? Number(x) : x);
 const { unit, turn, frames, steps, overrides, bodies, lanes } = replay;
 const ofStep = new Map(overrides.map((o) => [o.step, o]));
-const jumps = overrides.map((o) => o.frame);
 const kindOf = { PASSED: "passed", "HELD BACK": "changed", OVERRIDE: "changed", FALLBACK: "fallback" };
+// Throttle and steering are decided about many times a second: one entry for each row of overrides.
+const goesOn = (k) => k > 0 && kindOf[frames[k - 1].status] !== "passed";
+const listed = overrides.filter((o) => replay.about.actions !== "inputs" || !goesOn(o.frame));
+const jumps = listed.map((o) => o.frame);
 
 /** The override of the step that a frame belongs to, or undefined. */
 const overrideAt = (k) => ofStep.get(frames[k].step);

@@ -138,9 +138,9 @@ function drawPlan(frame, ego, share, color) {
   points[0] = [ego.x, ego.y];
   drawPath(points.slice(split), color, 2, [1, 6]);
   drawPath(points.slice(0, split + 1), color, 3, []);
-  const end = points[points.length - 1], before = points[points.length - 2];
-  const [dx, dy] = [end[0] - before[0], end[1] - before[1]];
-  const heading = Math.hypot(dx, dy) > 0.05 ? Math.atan2(dy, dx) : ego.heading;
+  const end = points[points.length - 1], apart = (p) => Math.hypot(end[0] - p[0], end[1] - p[1]) > 0.5;
+  const before = points.findLast(apart);
+  const heading = before ? Math.atan2(end[1] - before[1], end[0] - before[0]) : ego.heading;
   drawBody({ x: end[0], y: end[1], heading }, bodies[0], { edge: color, dash: [3, 3] });
 }
 
@@ -164,6 +164,27 @@ function drawGhost(found, at) {
     pen.stroke();
     label("crash", x + 14, y - 8, colors.fallback);
   }
+}
+
+/** The name of the binding vehicle; where it is out of view, a mark at the edge in its direction. */
+function markBinding(pose, body) {
+  const x = toX(pose.x), y = toY(pose.y), text = body.kind, wide = 8 * text.length;
+  const inside = x > 0 && x < view.width && y > 0 && y < view.height;
+  if (!inside) {
+    const [px, py] = [Math.min(view.width - 12, Math.max(12, x)), Math.min(view.height - 12, Math.max(12, y))];
+    pen.save();
+    pen.translate(px, py);
+    pen.rotate(Math.atan2(y - py, x - px));
+    pen.fillStyle = colors.bind;
+    pen.beginPath();
+    pen.moveTo(10, 0);
+    pen.lineTo(-8, -8);
+    pen.lineTo(-8, 8);
+    pen.fill();
+    pen.restore();
+  }
+  const left = Math.min(view.width - wide - 6, Math.max(6, x - wide / 2));
+  label(text, left, Math.min(view.height - 26, Math.max(46, y - body.width * view.scale * 0.5 - 8)), colors.bind);
 }
 
 function aim(ego) {
@@ -194,7 +215,7 @@ function drawScene(k, share, ghost) {
   for (const [number, pose] of now) {
     const moved = later.has(number) ? between(pose, later.get(number), share) : pose, binds = number === cause;
     drawBody(moved, bodies[number], { fill: colors.body, edge: binds ? colors.bind : colors["body-edge"], width: binds ? 4 : 1.2 });
-    if (binds) label(bodies[number].kind, toX(moved.x) - 20, toY(moved.y) - bodies[number].width * view.scale * 0.5 - 8, colors.bind);
+    if (binds) markBinding(moved, bodies[number]);
   }
   const kind = kindOf[frame.status], color = kind ? colors[kind] : colors.pale;
   drawPlan(frame, ego, share, color);

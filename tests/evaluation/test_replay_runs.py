@@ -1,0 +1,72 @@
+"""Episodes of a run are found by their row, driven again as they were, and refused where they cannot be."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from evaluation.commands.cli import app
+from evaluation.report.table import read_episodes
+from shield.errors import ConfigError
+
+RUN = CliRunner()
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Two episodes without a shield, and the same two with one."""
+    path = tmp_path_factory.mktemp("run") / "mine.parquet"
+    options = ["--setting", "highway-fast", "--policy", "faster", "--episodes", "2", "--jobs", "1"]
+    assert RUN.invoke(app, ["evaluate", *options, "--output", str(path)]).exit_code == 0
+    return path
+
+
+def test_a_row_of_a_table_becomes_a_page(run):
+    """The page beside the table has the episode of that row: its seed, and what came of it, to the bit."""
+    result = RUN.invoke(app, ["replay", str(run), "--episode", "3"])
+    assert result.exit_code == 0, result.output
+    page = (run.parent / "mine-episode-3.html").read_text(encoding="utf-8")
+    about = json.loads(page.split('type="application/json">')[1].split("</script>")[0])["about"]
+    row = read_episodes(run).to_dict("records")[3]
+    for name in ("seed", "return", "steps", "overridden", "crashed", "min_margin", "min_gap"):
+        assert about[name] == row[name]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--episode", "0"], "driven without a shield; with one were 2 to 3"),
+        (["--episode", "4"], "has the episodes 0 to 3, not 4"),
+        ([], "have --episode"),
+        (["--episode", "2", "--setting", "merge"], "a run says itself"),
+        (["--episode", "2", "--policy", "idle"], "was driven by faster, not by idle"),
+        (["--episode", "2", "--html", "page.pdf"], "written as .html"),
+    ],
+)
+def test_what_cannot_be_replayed_is_said_at_once(run, options, said):
+    """Each mistake has a message that says what would have been right."""
+    error = RUN.invoke(app, ["replay", str(run), *options]).exception
+    assert isinstance(error, ConfigError)
+    assert said in str(error)
+
+
+def test_a_seed_has_no_row_and_no_file_no_run():
+    """`--episode` without a run, and a run that is not there."""
+    error = RUN.invoke(app, ["replay", "5", "--episode", "1"]).exception
+    assert isinstance(error, ConfigError)
+    assert "--episode goes with a run" in str(error)
+    error = RUN.invoke(app, ["replay", "missing.parquet", "--episode", "1"]).exception
+    assert isinstance(error, ConfigError)
+    assert "there is no run missing.parquet" in str(error)
+
+
+def test_an_episode_that_is_another_is_told(run, tmp_path, monkeypatch):
+    """Where the episode driven again differs from its row, the command says so and ends with 1."""
+    from evaluation.running.records import EpisodeRecord
+
+    row = EpisodeRecord.row
+    monkeypatch.setattr(EpisodeRecord, "row", lambda self: {**row(self), "return": 0.0})
+    result = RUN.invoke(app, ["replay", str(run), "--episode", "2", "--html", str(tmp_path / "page.html")])
+    assert result.exit_code == 1

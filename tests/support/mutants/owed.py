@@ -8,6 +8,21 @@ __all__ = ["OWED"]
 
 OWED = (
     off(
+        "a strip does not shrink to where the ego stops",
+        DUTIES,
+        "            least, most = centers[fail] - stand, centers[fail] + stand",
+        "            pass",
+        "tests/shield/test_plans_that_last.py",
+        "tests/shield/test_induction.py::test_no_follower_takes_a_plan_away_by_taking_less_room",
+    ),
+    off(
+        "all the way that is left is one coming frame",
+        SEPARATION,
+        "    return more * dt * stretch",
+        "    front[frames - 1] += more * dt * stretch\n    return 0.0",
+        "tests/shield/test_plans_that_last.py",
+    ),
+    off(
         "blind merge off",
         TOGETHER,
         "x.blind > 0 and hold == 0",

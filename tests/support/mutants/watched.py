@@ -68,6 +68,20 @@ WATCHED = (
         TESTS_OF_PERMITS,
     ),
     off(
+        "a heading against the way off",
+        PERMITS,
+        "            if not (forth and states[i, 0] + coming >= least):\n                more |= _WAY",
+        "            if not (forth and states[i, 0] + coming >= least):\n                more |= 0",
+        "tests/shield/test_turned_round.py",
+    ),
+    off(
+        "a vehicle that cannot be read breaks no rule",
+        DECIDE,
+        "        if refused is Reason.BAD_SCENE:",
+        "        if False:",
+        "tests/shield/test_unreadable_vehicles.py",
+    ),
+    off(
         "what turning may cost off",
         PERMITS,
         "if not min(budget[i], action[i]) >= -_ROUNDING:",

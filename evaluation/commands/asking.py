@@ -3,9 +3,10 @@ found before anything slow is imported."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -23,6 +24,7 @@ __all__ = [
     "EnvConfig",
     "EnvId",
     "NamedSetting",
+    "ask_hyperparameters",
     "ask_policies",
     "ask_setting",
     "ask_settings",
@@ -89,6 +91,43 @@ def ask_policies(names: Sequence[str]) -> list[str]:
     for name in policies:
         check_policy(name)
     return policies
+
+
+def ask_hyperparameters(file: Path | None, settings: Sequence[str]) -> dict[str, Any]:
+    """Keyword arguments of an algorithm from a TOML file, and over them single ones such as "n_steps=1024".
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file, or something is no TOML.
+
+    Examples
+    --------
+    >>> ask_hyperparameters(None, ["n_steps=64", "policy_kwargs.net_arch=[8, 8]", "policy=MlpPolicy"])
+    {'n_steps': 64, 'policy_kwargs': {'net_arch': [8, 8]}, 'policy': 'MlpPolicy'}
+    """
+    found: dict[str, Any] = {}
+    if file is not None:
+        try:
+            found = tomllib.loads(file.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise ConfigError(f"{file} cannot be read as TOML: {error}") from None
+    for text in settings:
+        key, equals, value = text.partition("=")
+        if not (key.strip() and equals and value.strip()):
+            raise ConfigError(f"--set is KEY=VALUE, such as n_steps=1024, not {text!r}")
+        try:
+            plain = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            plain = value.strip()
+        *above, last = key.strip().split(".")
+        place = found
+        for name in above:
+            place = place.setdefault(name, {})
+            if not isinstance(place, dict):
+                raise ConfigError(f"--set {text!r}: {name} is a value, and has no keys")
+        place[last] = plain
+    return found
 
 
 def check_jobs(jobs: int) -> None:

@@ -13,6 +13,7 @@ from rich.console import Console
 from evaluation.commands.asking import (
     EnvConfig,
     EnvId,
+    ask_hyperparameters,
     ask_policies,
     ask_settings,
     check_jobs,
@@ -48,6 +49,8 @@ from shield.errors import ConfigError, ShieldError
 
 __all__ = ["app", "main"]
 
+_TRAINING_ENVS = 4
+"""Environments side by side in training, unless another number is asked for."""
 EVALUATION_SEED = 100_000
 """Seed of the first evaluation episode, unless another is asked for."""
 
@@ -110,12 +113,29 @@ def train_command(
     sensor: Annotated[
         str, typer.Option(help="Through which sensor the policy sees, such as normalised-0.5+intent; as of evaluate.")
     ] = "exact",
+    envs: Annotated[
+        int | None, typer.Option(min=1, help="Environments side by side [4; a recipe has one].", show_default=False)
+    ] = None,
+    hyperparameters: Annotated[
+        Path | None, typer.Option(help="TOML file of the algorithm's keyword arguments.", show_default=False)
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="One of them, such as n_steps=1024 or policy_kwargs.net_arch=[64,64] (repeatable)."),
+    ] = None,
+    tensorboard: Annotated[
+        Path | None,
+        typer.Option(help="Folder to log to for TensorBoard (the extra `tensorboard`).", show_default=False),
+    ] = None,
 ) -> None:
     """Train a policy on one core and save it with a manifest that says how."""
     if (recipe is None) == (setting is None):
         raise ConfigError("give either --recipe or --setting")
     if recipe is not None and shield != "none":
         raise ConfigError("a recipe says itself whether it trains inside the shield; give --setting with --shield")
+    if recipe is not None and (envs or hyperparameters or set_ or tensorboard):
+        raise ConfigError("a recipe has its own hyperparameters; give --setting with --envs, --set and the like")
+    parameters = ask_hyperparameters(hyperparameters, set_ or [])
     check_name("algorithm", algorithm.lower(), TRAINABLE)
     check_name("simulator", simulator, SIMULATORS)
     check_sensor(sensor)
@@ -135,7 +155,17 @@ def train_command(
         path = output or Path("runs", "policies", f"{algorithm}-{setting}{seen}.zip")
         decisions = 10_000 if steps is None else steps
         trained = train(
-            setting, algorithm, decisions, seed, output=path, simulator=simulator, shield=shield, sensor=sensor
+            setting,
+            algorithm,
+            decisions,
+            seed,
+            output=path,
+            hyperparameters=parameters,
+            simulator=simulator,
+            shield=shield,
+            sensor=sensor,
+            envs=envs or _TRAINING_ENVS,
+            tensorboard=tensorboard,
         )
     told = f"{trained.manifest['training_seconds']} s in {trained.manifest['simulator']}"
     _out.print(f"wrote {trained.path} ({told})")

@@ -11,18 +11,19 @@ import json
 import platform
 import shlex
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from dynamics.networks.refusals import on_network
 from dynamics.simulator.env import CompiledHighwayEnv
@@ -89,6 +90,8 @@ def train(
     simulator: str = "auto",
     shield: str = "none",
     sensor: str = "exact",
+    envs: int = 1,
+    tensorboard: str | Path | None = None,
     progress: bool = True,
     command: str | None = None,
 ) -> TrainedPolicy:
@@ -116,6 +119,8 @@ def train(
         `ShieldedEnv` around highway-env itself.
     sensor : through what the policy sees, as in `evaluation.wrappers.channels.split_sensor`; in highway-env itself on
         networks of roads, and inside a shield.
+    envs : environments side by side, as many seeds from `seed` on.
+    tensorboard : a folder to log to for TensorBoard, which the extra `tensorboard` installs.
     progress : whether to show a progress bar.
     command : the shell command that repeats this; by default one that calls this function.
 
@@ -135,7 +140,14 @@ def train(
             f"{algorithm} cannot normalise {', '.join(normalise)}; {' and '.join(_ON_POLICY)} can normalise"
             f" {' and '.join(NORMALISABLE)}"
         )
-    driven_in, env = _world(setting, simulator, fast, shield, sensor)
+    if envs < 1:
+        raise ConfigError(f"envs must be 1 or more, not {envs}")
+    if tensorboard is not None:
+        _check_tensorboard()
+        parameters_of_run: dict[str, Any] = {"tensorboard_log": str(tensorboard)}
+    else:
+        parameters_of_run = {}
+    driven_in, env = _world(setting, simulator, fast, shield, sensor, envs)
     try:
         accepted = _ACTION_SPACES[algorithm]
         if not isinstance(env.action_space, accepted):
@@ -148,7 +160,10 @@ def train(
             # A copy: Stable-Baselines3 writes its own entries into `policy_kwargs`.
             arguments = {"policy": "MlpPolicy", **deepcopy(parameters)}
             world = normalised(env, normalise, parameters.get("gamma", 0.99)) if normalise else env
-            model = algorithm_class(**arguments, env=world, seed=seed, device="cpu")
+            try:
+                model = algorithm_class(**arguments, **parameters_of_run, env=world, seed=seed, device="cpu")
+            except TypeError as error:
+                raise ConfigError(f"{algorithm} takes no such hyperparameters: {error}") from None
             if exploration:
                 _explore(model, exploration)
             model.learn(steps, progress_bar=progress)
@@ -162,6 +177,8 @@ def train(
 
     options: dict[str, Any] = {"normalise": list(normalise), "exploration": list(exploration), "fast": fast}
     options = {name: value for name, value in options.items() if value}
+    if envs != 1:
+        options["envs"] = envs
     if simulator != "auto":
         options["simulator"] = simulator
     if shield != "none":
@@ -233,11 +250,19 @@ def train_recipe(
     )
 
 
+def _check_tensorboard() -> None:
+    """Raise where TensorBoard's writer is missing."""
+    if find_spec("tensorboard") is None:
+        raise ConfigError(
+            "logging to TensorBoard needs the package tensorboard: pip install 'highway-shield[tensorboard]'"
+        )
+
+
 def _world(
-    setting: Setting, simulator: str, fast: bool, shield: str, sensor: str
+    setting: Setting, simulator: str, fast: bool, shield: str, sensor: str, envs: int
 ) -> tuple[str, gym.Env[Any, Any] | VecEnv]:
-    """The environment to train in, inside a shield of that profile or "none" and seen through a sensor, and the name of
-    what simulates it."""
+    """The name of what simulates the environments to train in, and these, inside a shield of that profile or "none" and
+    seen through a sensor."""
 
     def made() -> gym.Env[Any, Any]:
         env = setting.make()
@@ -249,45 +274,61 @@ def _world(
         from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 
         if settings is not None:
-            return _shielded(setting, settings, sensor)
+            return _shielded(setting, settings, sensor, envs)
         env = setting.make() if sensor != "exact" else made()
         if on_network(env.unwrapped):
             if sensor != "exact":
                 raise ConfigError(f"the sensor {sensor!r} observes highway-env itself on this road")
-            whole = _whole_episodes(setting)
+            whole = _whole_episodes(setting, envs)
             if whole is not None:
                 return whole
             frames = with_compiled_frames(env)
-            return Monitor(frames), frames.exact
+            return _several(lambda: with_compiled_frames(setting.make()), envs, frames), frames.exact
         if sensor != "exact":
-            alone = CompiledHighwayEnv(setting.env_id, setting.configured)
-            return Monitor(seen_through(alone, sensor)), alone.simulator.exact
-        world = FastHighwayVecEnv(1, setting.env_id, setting.configured)
+
+            def alone() -> gym.Env[Any, Any]:
+                return seen_through(CompiledHighwayEnv(setting.env_id, setting.configured), sensor)
+
+            first = alone()
+            return _several(alone, envs, first), cast(Any, first.unwrapped).simulator.exact
+        world = FastHighwayVecEnv(envs, setting.env_id, setting.configured)
         return world, world.simulator.exact
 
     world = compiled_where_it_serves(simulator, compiled)
     if world is not None:
         return "compiled", world
-    return "highway-env", Monitor(made() if settings is None else ShieldedEnv(made(), settings))
+    return "highway-env", _several(lambda: made() if settings is None else ShieldedEnv(made(), settings), envs)
 
 
-def _shielded(setting: Setting, settings: ShieldConfig, sensor: str) -> tuple[VecEnv, bool]:
-    """A compiled highway inside its shield, and whether that is exact."""
+def _several(
+    make: Callable[[], gym.Env[Any, Any]], envs: int, first: gym.Env[Any, Any] | None = None
+) -> gym.Env[Any, Any] | VecEnv:
+    """One environment, or several side by side, `first` among them if it is given."""
+    ready = [] if first is None else [first]
+
+    def one() -> gym.Env[Any, Any]:
+        return Monitor(ready.pop() if ready else make())
+
+    return one() if envs == 1 else DummyVecEnv([one] * envs)
+
+
+def _shielded(setting: Setting, settings: ShieldConfig, sensor: str, envs: int) -> tuple[VecEnv, bool]:
+    """Compiled highways inside their shields, and whether these are exact."""
     from evaluation.learning.shielded_vec_env import ShieldedVecEnv
 
     if sensor != "exact":
         raise ConfigError(f"inside the shield the sensor {sensor!r} observes highway-env itself")
-    world = ShieldedVecEnv(1, setting.env_id, setting.configured, settings)
+    world = ShieldedVecEnv(envs, setting.env_id, setting.configured, settings)
     return world, world.simulator.exact
 
 
-def _whole_episodes(setting: Setting) -> tuple[VecEnv, bool] | None:
-    """An environment on a road network compiled altogether, and whether that is exact; None where only its frames are
+def _whole_episodes(setting: Setting, envs: int) -> tuple[VecEnv, bool] | None:
+    """Environments on a road network compiled altogether, and whether these are exact; None where only their frames are
     compiled."""
     from evaluation.learning.fast_road_vec_env import FastRoadVecEnv
 
     try:
-        world = FastRoadVecEnv(1, setting.env_id, setting.configured)
+        world = FastRoadVecEnv(envs, setting.env_id, setting.configured)
     except ConfigError:
         return None
     return world, world.simulator.exact

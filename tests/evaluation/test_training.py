@@ -10,7 +10,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from stable_baselines3 import DQN, PPO
+from typer.testing import CliRunner
 
+from evaluation.commands.cli import app
 from evaluation.learning.normalisation import fold, normalised
 from evaluation.learning.recipes import RECIPES
 from evaluation.learning.training import (
@@ -321,3 +323,51 @@ def test_fewer_steps_than_the_recipes_are_those_that_are_trained(tmp_path, monke
     train_recipe("ppo-highway-fast", tmp_path / "x.zip", steps=77)
     assert asked["args"][2] == 77
     assert asked["command"].endswith("--steps 77")
+
+
+def test_several_environments_teach_the_same_in_either_simulator(tmp_path):
+    """Two side by side have the seeds of two in a row, compiled or not."""
+    models = []
+    for simulator in ("compiled", "highway-env"):
+        trained = train(
+            "highway-fast",
+            "ppo",
+            64,
+            3,
+            output=tmp_path / simulator,
+            hyperparameters={"n_steps": 32, "batch_size": 32},
+            simulator=simulator,
+            envs=2,
+            progress=False,
+        )
+        assert trained.manifest["envs"] == 2
+        assert trained.manifest["steps_taken"] == 64
+        models.append(PPO.load(trained.path, device="cpu").policy.state_dict())
+    assert all(torch.equal(models[0][key], models[1][key]) for key in models[0])
+
+
+def test_hyperparameters_come_from_a_file_and_single_settings(tmp_path):
+    file = tmp_path / "ppo.toml"
+    file.write_text("n_steps = 16\nbatch_size = 16\n[policy_kwargs]\nnet_arch = [8]\n")
+    output = tmp_path / "policy.zip"
+    args = f"train --setting highway-fast --steps 32 --envs 2 --hyperparameters {file} --output {output}"
+    done = CliRunner().invoke(app, [*args.split(), "--set", "n_steps=8", "--set", "gamma=0.8"])
+    assert done.exit_code == 0, done.output
+    model = PPO.load(output, device="cpu")
+    assert (model.n_steps, model.batch_size, model.gamma, model.n_envs) == (8, 16, 0.8, 2)
+    assert model.policy_kwargs["net_arch"] == [8]
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["--set", "n_step=8"], "takes no such hyperparameters"),
+        (["--set", "n_steps"], "KEY=VALUE"),
+        (["--hyperparameters", "nowhere.toml"], "cannot be read as TOML"),
+        (["--recipe", "ppo-merge", "--envs", "2"], "a recipe has its own"),
+    ],
+)
+def test_hyperparameters_that_are_none_are_refused(tmp_path, args, message):
+    setting = [] if "--recipe" in args else ["--setting", "highway-fast"]
+    done = CliRunner().invoke(app, ["train", *setting, "--steps", "8", "--output", str(tmp_path / "x.zip"), *args])
+    assert message in str(done.exception)

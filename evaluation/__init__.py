@@ -1,6 +1,6 @@
 """Everything that measures: settings, training, episodes, statistics and the command line.
 
-Nothing is imported before it is used.
+Nothing but Gymnasium is imported before it is used; the environments of `evaluation.scenarios` are registered with it.
 """
 
 from __future__ import annotations
@@ -8,6 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import lazy_loader
+
+from evaluation.registration import register_environments
 
 try:
     from dynamics import __version__ as __version__
@@ -20,6 +22,7 @@ except ImportError as error:
     ) from error
 
 refuse_hidden("dynamics", "mpc", "shield")
+register_environments()
 
 if TYPE_CHECKING:
     from evaluation.experiments.experiment import Experiment, compare, evaluate

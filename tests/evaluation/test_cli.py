@@ -203,7 +203,7 @@ def test_the_command_says_its_version_its_settings_and_its_help():
 def test_help_needs_nothing_that_is_slow_to_import():
     code = (
         "import sys; from evaluation.commands.cli import app; app(['--help'], standalone_mode=False);"
-        "import shield, mpc; print([m for m in ('torch', 'numba', 'highway_env', 'gymnasium', 'pandas', 'casadi')"
+        "import shield, mpc; print([m for m in ('torch', 'numba', 'highway_env', 'pandas', 'casadi')"
         " if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -313,7 +313,7 @@ def test_a_plot_of_something_else_is_refused(tmp_path, arguments, message, monke
 )
 def test_a_simple_mistake_is_told_before_anything_slow_is_imported(arguments, message, tmp_path):
     """In a process of its own: the libraries that take seconds to import are not there yet."""
-    slow = ("torch", "stable_baselines3", "gymnasium", "highway_env", "pandas", "numba", "casadi", "matplotlib")
+    slow = ("torch", "stable_baselines3", "highway_env", "pandas", "numba", "casadi", "matplotlib")
     code = (
         "import sys; from evaluation.commands.cli import main\n"
         "try: main()\n"

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from evaluation.report.plots import plot_episodes
     from evaluation.report.table import read_episodes
     from evaluation.report.video import film_override
+    from evaluation.reproduction.api import reproduce
     from evaluation.running.episodes import run_episode, run_paired
     from evaluation.running.many import Many
     from evaluation.running.named_policies import make_policy
@@ -65,6 +66,7 @@ __all__ = [
     "merge",
     "plot_episodes",
     "read_episodes",
+    "reproduce",
     "run_episode",
     "run_paired",
     "setting_of",
@@ -88,6 +90,7 @@ __getattr__, _, _ = lazy_loader.attach(
         "report.plots": ["plot_episodes"],
         "report.table": ["read_episodes"],
         "report.video": ["film_override"],
+        "reproduction.api": ["reproduce"],
         "running.episodes": ["run_episode", "run_paired"],
         "running.many": ["Many"],
         "running.named_policies": ["make_policy"],

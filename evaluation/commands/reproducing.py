@@ -15,7 +15,6 @@ from shield.errors import ConfigError
 __all__ = ["add_reproducing"]
 
 _err = Console(stderr=True, highlight=False)
-_QUICK = {"seeds": 2, "episodes": 60, "pooled": 3, "steps": 2_048}
 _QUICK_SHIELDS = 5
 
 
@@ -85,16 +84,16 @@ def reproduce_command(
     from evaluation.reproduction.presets import get_preset
     from evaluation.reproduction.variants import get_variants
 
-    chosen, rows = get_preset(preset), get_variants(split(variant or []))
+    get_preset(preset)
+    get_variants(split(variant or []))  # mistakes in names are told before more is imported
+    from evaluation.reproduction.api import QUICK, reproduce
+
+    counts = {"seeds": seeds, "episodes": episodes, "pooled": pooled}
     if quick:
-        seeds, episodes, pooled, steps = _QUICK["seeds"], _QUICK["episodes"], _QUICK["pooled"], _QUICK["steps"]
-    from evaluation.reproduction.running import Reproduction, run
-
-    asked = Reproduction(chosen, tuple(rows), seeds, episodes, pooled, chosen.steps if steps is None else steps)
-    found = run(asked, folder, jobs, tell)
-    from evaluation.reproduction.writing import write
-
-    typer.echo(write(found, asked, folder))
+        counts = QUICK
+    elif steps is not None:
+        counts["steps"] = steps
+    typer.echo(reproduce(preset, split(variant or []), folder, jobs, tell, **counts))
 
 
 def add_reproducing(app: typer.Typer) -> None:

@@ -80,7 +80,7 @@ def _run(name: str, made: Mapping[str, Any], episodes: pd.DataFrame, path: Path)
             for setting, part in summary.groupby("setting", sort=False)
         ],
         "comparison": _table(comparison, COMPARISON) if len(comparison) else None,
-        "worst": _worst(episodes, made),
+        "worst": _worst(episodes, path),
         "file": path.name,
     }
 
@@ -96,13 +96,12 @@ def _table(frame: pd.DataFrame, columns: Sequence[Column]) -> dict[str, Any]:
     }
 
 
-def _worst(episodes: pd.DataFrame, made: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The episodes with a crash, and then those with the smallest gap, with the command that replays each."""
-    asked = made.get("asked", {})
+def _worst(episodes: pd.DataFrame, path: Path) -> list[dict[str, Any]]:
+    """The episodes with a crash, then those with the smallest gap, and the command that replays each shielded one."""
     order = episodes.sort_values(["crashed", "min_gap"], ascending=[False, True], kind="stable")
     found = []
-    for row in order.head(_WORST).to_dict("records"):
-        environment = asked.get("settings", {}).get(row["setting"].partition(",")[0], {})
+    for number, row in order.head(_WORST).iterrows():
+        replay = ["shield", "replay", str(path), "--episode", str(number)]
         found.append(
             {
                 "name": ", ".join(str(row[key]) for key in GROUP),
@@ -112,17 +111,10 @@ def _worst(episodes: pd.DataFrame, made: Mapping[str, Any]) -> list[dict[str, An
                 "gap": f"{row['min_gap']:.2f}",
                 "return": f"{row['return']:.1f}",
                 "overridden": row["overridden"],
-                "replay": "" if row["door"] == "none" else _command(row, environment),
+                "replay": "" if row["door"] == "none" else shlex.join(replay),
             }
         )
     return found
-
-
-def _command(row: Mapping[Any, Any], environment: Mapping[str, Any]) -> str:
-    """The command that drives a shielded episode again, with the shield's own settings."""
-    setting = str(row["setting"]).partition(",")[0]
-    place = ["--env-id", str(environment["id"])] if environment.get("id") == setting else ["--setting", setting]
-    return shlex.join(["shield", "replay", str(row["seed"]), *place, "--policy", str(row["policy"])])
 
 
 def _charts(runs: Mapping[str, pd.DataFrame]) -> list[dict[str, str]]:

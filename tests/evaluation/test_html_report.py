@@ -57,8 +57,11 @@ def test_the_worst_come_first_and_only_shielded_ones_are_replayed(runs, tmp_path
     crashed = [' class="crashed"' in row for row in rows]
     assert any(crashed)
     assert crashed == sorted(crashed, reverse=True)
+    episodes = Result.read(runs[0]).episodes
     for row in rows:
         assert ("shield replay" in row) == ("none, none" not in row)
+        for number in re.findall(r"--episode (\d+)</code>", row):
+            assert f"<td>{episodes['seed'][int(number)]}</td>" in row
 
 
 def test_mistakes_are_told(runs, tmp_path):

@@ -1,0 +1,73 @@
+"""`reproduce`: the report's highway table from Python, as `shield reproduce highway` makes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from evaluation.reproduction.presets import get_preset
+from evaluation.reproduction.running import Reproduction, run
+from evaluation.reproduction.table import summary
+from evaluation.reproduction.variants import get_variants
+from evaluation.reproduction.verdict import Verdict, judge
+from evaluation.reproduction.writing import write
+
+__all__ = ["QUICK", "Reproduced", "reproduce"]
+
+QUICK = {"seeds": 2, "episodes": 60, "pooled": 3, "steps": 2_048}
+"""Counts that take about a minute."""
+
+
+@dataclass(frozen=True)
+class Reproduced:
+    """What came of the report's experiments.
+
+    Attributes
+    ----------
+    episodes : a row for each. summary : a row for each variant, with intervals. claims : the report's, each with
+        whether it holds. text : the table and the claims in Markdown. folder : where all of it lies, with the models.
+    """
+
+    episodes: pd.DataFrame
+    summary: pd.DataFrame
+    claims: Sequence[Verdict]
+    text: str
+    folder: Path
+
+    def __str__(self) -> str:
+        """The table and the claims in Markdown."""
+        return self.text
+
+
+def reproduce(
+    preset: str = "as-coded",
+    variants: Sequence[str] = (),
+    out: str | Path | None = None,
+    jobs: int = 1,
+    tell: Callable[[str], None] | None = None,
+    **counts: int,
+) -> Reproduced:
+    """Train and drive the report's variants and this project's, beside what was published; what is finished in `out` is
+    not done again.
+
+    Parameters
+    ----------
+    preset : "as-coded" or "as-written". variants : of the table; all by default.
+    out : a folder, runs/reproduce/highway-PRESET by default. jobs : processes, one training seed each.
+    tell : called with a line after each part.
+    counts : of `seeds`, `episodes`, `pooled` and `steps` those that are not to be `Reproduction`'s; `**QUICK` for a
+        table in about a minute.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such preset or variant, or a count is not valid.
+    """
+    chosen = get_preset(preset)
+    asked = Reproduction(chosen, tuple(get_variants(list(variants))), **{"steps": chosen.steps, **counts})
+    folder = Path("runs", "reproduce", f"highway-{preset}") if out is None else Path(out)
+    episodes = run(asked, folder, jobs, tell)
+    return Reproduced(episodes, summary(episodes), judge(episodes), write(episodes, asked, folder), folder)

@@ -30,7 +30,10 @@ _POLICY = "faster"
 def replay_command(
     what: Annotated[
         str | None,
-        typer.Argument(metavar="[SEED|RUN]", help="Seed of an episode, or what `shield evaluate --output` wrote."),
+        typer.Argument(
+            metavar="[SEED|RUN]",
+            help="Seed of an episode, or what `shield evaluate --output`, or `shield certify`, wrote.",
+        ),
     ] = None,
     number: Annotated[int | None, typer.Option("--seed", min=0, help="Seed of the episode.")] = None,
     episode: Annotated[int | None, typer.Option(min=0, help="Of a run: the row of its table, from 0 on.")] = None,
@@ -133,12 +136,12 @@ def _summary(record: EpisodeRecord) -> None:
 
 def _replay_run(run: str, episode: int | None, policy: str | None, page: Path | None) -> None:
     """Drive an episode of a run again, and write its page."""
-    if episode is None:
-        raise ConfigError(f"have --episode with the row of {run} that is to be replayed, from 0 on")
     from evaluation.replay.html import page_path
     from evaluation.replay.run_file import check_same, episode_of, run_file
 
     path = run_file(run)
+    if episode is None:
+        raise ConfigError(f"have --episode with the row of {run} that is to be replayed, from 0 on")
     page = page_path(path.with_name(f"{path.stem}-episode-{episode}.html") if page is None else page)
     recorded = episode_of(path, episode, policy)
     if recorded.changed:

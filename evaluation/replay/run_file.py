@@ -16,7 +16,7 @@ from evaluation.replay.collect import Asked
 from evaluation.report.table import read_episodes
 from evaluation.running.episodes import policy_name
 from evaluation.running.identity import differences, of_environment, policy_files, versions
-from evaluation.running.records import DOORS, EpisodeRecord, Variant
+from evaluation.running.records import EpisodeRecord, Variant, variant_for
 from evaluation.settings import SETTINGS, Setting
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
@@ -26,6 +26,8 @@ __all__ = ["Recorded", "check_same", "episode_of", "run_file"]
 _COMPARED = ("crashed", "off_road", "return", "steps", "overridden", "held_back", "frames", "frames_overridden")
 """What the episode has to have again."""
 _SHOWN = 4
+_CERTIFIED = "asked.json"
+"""What says how a run of `shield certify` was made, beside its table."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +50,14 @@ def run_file(run: str | Path) -> Path:
     path = Path(run)
     path = path / "episodes.parquet" if path.is_dir() else path
     if not path.is_file():
-        raise ConfigError(f"there is no run {path}; have a table that `shield evaluate --output` wrote, or a seed")
+        raise ConfigError(
+            f"there is no run {path}; have what `shield evaluate --output` or `shield certify` wrote, or a seed"
+        )
     return path
 
 
 def episode_of(run: str | Path, number: int, policy: str | None = None) -> Recorded:
-    """An episode of a run of `shield evaluate`.
+    """An episode of a run of `shield evaluate` or `shield certify`.
 
     Parameters
     ----------
@@ -70,6 +74,8 @@ def episode_of(run: str | Path, number: int, policy: str | None = None) -> Recor
     made, rows = table.attrs.get("made") or {}, table.to_dict("records")
     if path.suffix == ".csv" and beside.is_file():
         made = json.loads(beside.read_text(encoding="utf-8"))
+    elif (certified := path.with_name(_CERTIFIED)).is_file() and path.name == "episodes.parquet":
+        made = _as_compared(json.loads(certified.read_text(encoding="utf-8")), rows)
     if not 0 <= number < len(rows):
         raise ConfigError(f"{path.name} has the episodes 0 to {len(rows) - 1}, not {number}")
     row, asked = rows[number], made.get("asked")
@@ -77,12 +83,14 @@ def episode_of(run: str | Path, number: int, policy: str | None = None) -> Recor
         raise ConfigError(f"episode {number} of {path.name} was driven without a shield; {_shielded(rows)}")
     if not isinstance(asked, Mapping) or "shields" not in asked:
         raise ConfigError(f"{path.name} does not say how it was made; replay the seed {row['seed']} instead")
-    door, _, perception = row["door"].partition(", ")
     name, _, sensor = row["setting"].partition(", ")
     setting = _setting(name, asked["settings"])
-    shield = asked["shields"][f"{name}, {row['door']}, {row['mode']}"]
-    assert door in DOORS
-    variant = Variant(door, ShieldConfig.from_toml(tomli_w.dumps(shield)), perception or "simulator")
+    if "door" in row:
+        door, _, perception = row["door"].partition(", ")
+        config = _config(asked["shields"][f"{name}, {row['door']}, {row['mode']}"])
+        variant = Variant(door, config, perception or "simulator")
+    else:
+        variant = variant_for(_config(asked["shields"]), setting)
     chosen = _policy(row["policy"], policy, asked["policies"])
     changed = differences({"version of": made.get("versions", {})}, {"version of": versions()})
     return Recorded(
@@ -96,6 +104,17 @@ def check_same(recorded: Recorded, record: EpisodeRecord) -> list[str]:
     return differences(
         *({key: each[key] for key in _COMPARED if key in recorded.row} for each in (recorded.row, again))
     )
+
+
+def _as_compared(made: Mapping[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """How a run of `shield certify` was made, as it is written of one of `shield evaluate`: one setting, one policy."""
+    was, row = made["asked"], rows[0]
+    named = {"settings": {row["setting"]: was["setting"]}, "policies": {row["policy"]: was["policy"]}}
+    return {"asked": {**named, "shields": was["shield"]}, "versions": was["version of"]}
+
+
+def _config(shield: Mapping[str, Any]) -> ShieldConfig:
+    return ShieldConfig.from_toml(tomli_w.dumps(shield))
 
 
 def _shielded(rows: list[dict[str, Any]]) -> str:

@@ -70,3 +70,13 @@ def test_an_episode_that_is_another_is_told(run, tmp_path, monkeypatch):
     monkeypatch.setattr(EpisodeRecord, "row", lambda self: {**row(self), "return": 0.0})
     result = RUN.invoke(app, ["replay", str(run), "--episode", "2", "--html", str(tmp_path / "page.html")])
     assert result.exit_code == 1
+
+
+def test_an_episode_of_a_certificate_is_found_in_its_folder(tmp_path):
+    """A folder of `shield certify` says what was driven; the episode is the one of its table."""
+    options = ["--setting", "highway-fast", "--policy", "faster", "--episodes", "2", "--jobs", "1", "--seed", "60"]
+    assert RUN.invoke(app, ["certify", str(tmp_path), *options]).exit_code == 0
+    result = RUN.invoke(app, ["replay", str(tmp_path), "--episode", "1"])
+    assert result.exit_code == 0, result.output
+    page = (tmp_path / "episodes-episode-1.html").read_text(encoding="utf-8")
+    assert '"seed":61,' in page

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
 from evaluation.measuring.metrics import GROUP, compare, summarise
+from evaluation.policies import list_references
 from evaluation.report.charts import Mark, crosses, ranges
 from evaluation.report.table import COMPARISON, SUMMARY, Column, finished
 from shield.errors import ConfigError
@@ -80,7 +81,7 @@ def _run(name: str, made: Mapping[str, Any], episodes: pd.DataFrame, path: Path)
             for setting, part in summary.groupby("setting", sort=False)
         ],
         "comparison": _table(comparison, COMPARISON) if len(comparison) else None,
-        "worst": _worst(episodes, path),
+        "worst": _worst(episodes, path, _files(made)),
         "file": path.name,
     }
 
@@ -96,12 +97,20 @@ def _table(frame: pd.DataFrame, columns: Sequence[Column]) -> dict[str, Any]:
     }
 
 
-def _worst(episodes: pd.DataFrame, path: Path) -> list[dict[str, Any]]:
+def _files(made: Mapping[str, Any]) -> set[str]:
+    """The policies that are files of the user's, by their names."""
+    asked: Mapping[str, Any] = made.get("asked", {}).get("policies", {})
+    return {name for name, read in asked.items() if "file" in read and name not in list_references()}
+
+
+def _worst(episodes: pd.DataFrame, path: Path, files: Collection[str]) -> list[dict[str, Any]]:
     """The episodes with a crash, then those with the smallest gap, and the command that replays each shielded one."""
     order = episodes.sort_values(["crashed", "min_gap"], ascending=[False, True], kind="stable")
     found = []
     for number, row in order.head(_WORST).iterrows():
         replay = ["shield", "replay", str(path), "--episode", str(number)]
+        if row["policy"] in files:
+            replay += ["--policy", f"{row['policy']}.zip"]
         found.append(
             {
                 "name": ", ".join(str(row[key]) for key in GROUP),

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from edge_riders import EdgeRider, Skidder, ride
 from induction import Tally, drive, make
+from spoiling_followers import spoil
 
 __all__ = ["POLICIES", "policy_for"]
 
 LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
-POLICIES = {"meta": ("faster", "random", "changing"), "inputs": ("throttle", "swerving", "weaving", "random")}
+POLICIES = {"meta": ("faster", "random", "changing"), "inputs": ("throttle", "swerving", "weaving", "random", "wild")}
 
 
 def policy_for(action: str, name: str) -> Any:
@@ -76,7 +77,11 @@ def main() -> None:
             for seed in range(options.seed, options.seed + options.episodes):
                 kind = {"riders": EdgeRider, "skidders": Skidder}.get(traffic)
                 prepare = None if kind is None else partial(ride, seed=seed, kind=kind)
-                one = drive(make(action, hz), policy_for(action, name), seed, options.frames, prepare)
+                more: dict[str, Any] = {}
+                if traffic == "spoilers":
+                    prepare = partial(spoil, seed=seed)
+                    more = {"lanes_count": 3, **({"policy_frequency": hz} if action == "inputs" else {})}
+                one = drive(make(action, hz, **more), policy_for(action, name), seed, options.frames, prepare)
                 for lost in one.lost:
                     print(f"    seed {seed} {lost}", flush=True)
                 tally.add(one)

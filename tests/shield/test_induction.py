@@ -25,7 +25,7 @@ SHORT = [
     ("inputs", 5, "swerving", "native"),
     ("inputs", 15, "random", "riders"),
     ("inputs", 30, "random", "riders"),
-    ("inputs", 10, "swerving", "skidders"),
+    ("inputs", 30, "swerving", "skidders"),
     ("inputs", 15, "swerving", "skidders"),
     ("meta", 15, "changing", "skidders"),
 ]

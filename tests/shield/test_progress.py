@@ -124,7 +124,7 @@ def goes(env, node, most, release=-1):
     ("env_id", "seed", "decisions"),
     [
         ("merge-v1", 0, 20),
-        ("roundabout-v1", 0, 20),
+        ("roundabout-v1", 6, 20),
         ("exit-v1", 0, 30),
         ("two-way-v0", 0, 42),
         # In most others the traffic crashes in the ego's way.

@@ -23,7 +23,9 @@ from dynamics.roads.straight import Road, StraightRoad
 from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.state import BoolArray, FloatArray, wrap_to_pi
 from evaluation.measuring.jerk import jerk
+from evaluation.measuring.nearness import headways, times_to_collision
 from evaluation.measuring.rectangles import separation
+from evaluation.measuring.tally import HORIZON
 
 __all__ = ["History", "Recorder", "Track", "is_off_road", "read_road"]
 
@@ -114,6 +116,21 @@ class History:
     def _clearance(self, frames: Any) -> FloatArray:
         world = self._world()[frames]
         return separation(*(world[..., part, : Track.CRASHED] for part in (slice(1), slice(1, None))))
+
+    def min_time_to_collision(self) -> float:
+        """Least time to a collision at constant velocities, see `times_to_collision`; 0 in a crash [s]."""
+        if self.crash_frame is not None:
+            return 0.0
+        world = self._world()[..., : Track.CRASHED]
+        return float(times_to_collision(world[:, :1], world[:, 1:]).min(initial=HORIZON))
+
+    def min_headway(self) -> float:
+        """Least time headway to anybody ahead up to a crash, see `headways` [s]; NaN on a network that is no single
+        road, inf with nobody ahead."""
+        if self.road is None:
+            return float("nan")
+        states = self.states[: self.crash_frame, :, : Track.CRASHED]
+        return float(headways(states[:, :1], states[:, 1:]).min(initial=np.inf))
 
     def mean_jerk(self) -> float:
         """Mean size of the jerk along the way, frame by frame up to a crash [m/s^3]; NaN in less than three frames."""

@@ -137,6 +137,8 @@ class Driver:
             violations=tally.violations,
             min_margin=tally.min_margin,
             min_gap=history.min_gap(),
+            min_time_to_collision=history.min_time_to_collision(),
+            min_headway=history.min_headway(),
             latencies=tuple(tally.latencies) if self.variant.door != "none" else (),
             simulator=self.simulator,
             rules=dict(tally.rules),

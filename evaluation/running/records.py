@@ -171,6 +171,8 @@ class EpisodeRecord:
     rules : how often each of them was broken (column "rules", see `told`).
     min_margin : smallest margin of what was executed [m]; NaN where none was computed.
     min_gap : smallest clearance to anybody [m]; 0 in a crash.
+    min_time_to_collision, min_headway : least time to a collision at constant velocities, 0 in a crash, and to the rear
+        of anybody ahead; NaN where it is not defined (see `evaluation.measuring.recorder.History`) [s].
     latencies : time that the shield took at each decision [ms] (column "latencies_ms").
     success : whether the goal was reached; None where there is none.
     arrival_speed : the ego's speed then [m/s]; NaN where it was not.
@@ -210,6 +212,8 @@ class EpisodeRecord:
     rules: Mapping[str, int] = field(default_factory=dict)
     held_back: int = 0
     verification: str = Verification.OFF.value
+    min_time_to_collision: float = float("nan")
+    min_headway: float = float("nan")
 
     def row(self) -> dict[str, Any]:
         """The record as flat columns of a table."""

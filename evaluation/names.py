@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from dynamics.errors import ConfigError, perhaps
 
@@ -24,6 +26,7 @@ __all__ = [
     "check_sensor",
     "list_references",
     "policy_label",
+    "read_toml",
 ]
 
 FIRST_EVALUATION_SEED = 10_000
@@ -145,3 +148,17 @@ def check_policy(name: str) -> None:
 def policy_label(name: str) -> str:
     """The name that results are reported under: of a zip file, its stem."""
     return Path(name).stem if name.endswith(".zip") else name
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """The keys of a TOML file.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file, or it is no TOML.
+    """
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"{path} cannot be read as TOML: {error}") from None

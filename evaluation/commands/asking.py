@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from evaluation.commands.names import DEMO_SETTING
-from evaluation.names import check_name, check_policy
+from evaluation.names import check_name, check_policy, read_toml
 from evaluation.settings import get_setting, setting_of
 from shield.config import MODES, PERCEPTIONS
 from shield.errors import ConfigError
@@ -106,12 +106,7 @@ def ask_hyperparameters(file: Path | None, settings: Sequence[str]) -> dict[str,
     >>> ask_hyperparameters(None, ["n_steps=64", "policy_kwargs.net_arch=[8, 8]", "policy=MlpPolicy"])
     {'n_steps': 64, 'policy_kwargs': {'net_arch': [8, 8]}, 'policy': 'MlpPolicy'}
     """
-    found: dict[str, Any] = {}
-    if file is not None:
-        try:
-            found = tomllib.loads(file.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ConfigError(f"{file} cannot be read as TOML: {error}") from None
+    found = {} if file is None else read_toml(file)
     for text in settings:
         key, equals, value = text.partition("=")
         if not (key.strip() and equals and value.strip()):

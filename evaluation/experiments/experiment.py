@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -16,7 +15,7 @@ import pandas as pd
 from evaluation.experiments.result import Result
 from evaluation.learning.normalised_model import statistics_beside
 from evaluation.measuring import metrics
-from evaluation.names import SIMULATORS, check_name, check_sensor
+from evaluation.names import SIMULATORS, check_name, check_sensor, read_toml
 from evaluation.report.table import finished
 from evaluation.running.comparing import Comparison
 from evaluation.running.episodes import run_paired
@@ -118,10 +117,7 @@ class Experiment:
         ConfigError
             If there is no such file, it is no TOML, or has another key.
         """
-        try:
-            keys = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ConfigError(f"{path} cannot be read as TOML: {error}") from None
+        keys = read_toml(path)
         valid = [field.name for field in fields(cls)]
         for key in keys:
             check_name("key", key, valid)

@@ -16,7 +16,7 @@ from jinja2 import Environment, StrictUndefined
 from evaluation.measuring.metrics import GROUP, compare, summarise
 from evaluation.policies import list_references
 from evaluation.report.charts import Mark, crosses, ranges
-from evaluation.report.table import COMPARISON, SUMMARY, Column, finished
+from evaluation.report.table import COMPARISON, SUMMARY, Column, cells_of, finished
 from shield.errors import ConfigError
 
 __all__ = ["write_report"]
@@ -88,11 +88,10 @@ def _run(name: str, made: Mapping[str, Any], episodes: pd.DataFrame, path: Path)
 
 def _table(frame: pd.DataFrame, columns: Sequence[Column]) -> dict[str, Any]:
     """Headings and rows of cells."""
-    rows = [[column.cell(row) for column in columns] for row in frame.to_dict("records")]  # type: ignore[arg-type]
-    said = [any(map(str.isalnum, "".join(row[i] for row in rows))) for i in range(len(columns))]
+    headings, rows = cells_of(frame, columns)
     return {
-        "headings": [column.heading for column, kept in zip(columns, said, strict=True) if kept],
-        "rows": [[cell for cell, kept in zip(row, said, strict=True) if kept] for row in rows],
+        "headings": headings,
+        "rows": rows,
         "shielded": [door != "none" for door in frame["door"]],
     }
 

@@ -25,6 +25,7 @@ __all__ = [
     "COMPARISON",
     "SUMMARY",
     "Column",
+    "cells_of",
     "finished",
     "latex",
     "markdown",
@@ -127,7 +128,7 @@ COMPARISON: tuple[Column, ...] = (
 """Columns of a comparison with driving unshielded on the same seeds."""
 
 
-def _cells(frame: pd.DataFrame, columns: Sequence[Column]) -> tuple[list[str], list[list[str]]]:
+def cells_of(frame: pd.DataFrame, columns: Sequence[Column]) -> tuple[list[str], list[list[str]]]:
     """Headings and rows of cells, without the columns in which no row has more than dashes."""
     rows: list[_Row] = frame.to_dict("records")
     cells = [[column.cell(row) for column in columns] for row in rows]
@@ -141,7 +142,7 @@ def rich_table(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> Tabl
 
     A setting or policy that is the same throughout stands in the title.
     """
-    headings, cells = _cells(frame, columns)
+    headings, cells = cells_of(frame, columns)
     names = [i for i in range(2) if len({row[i] for row in cells}) > 1]
     title = ", ".join(cells[0][i] for i in range(2) if i not in names) if cells else None
     table = Table(title=title, title_justify="left")
@@ -156,7 +157,7 @@ def rich_table(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> Tabl
 
 def markdown(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> str:
     """The table in Markdown."""
-    headings, cells = _cells(frame, columns)
+    headings, cells = cells_of(frame, columns)
     aligned = ["left" if i < len(_NAMES) else "right" for i in range(len(headings))]
     table = pd.DataFrame(cells, columns=headings)
     return table.to_markdown(index=False, disable_numparse=True, colalign=aligned)
@@ -177,7 +178,7 @@ _LATEX = {
 
 def latex(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> str:
     """The table in LaTeX, with the rules of the package booktabs."""
-    headings, cells = _cells(frame, columns)
+    headings, cells = cells_of(frame, columns)
     aligned = "".join("l" if i < len(_NAMES) else "r" for i in range(len(headings)))
     lines = [" & ".join("".join(_LATEX.get(x, x) for x in cell) for cell in row) + r" \\" for row in (headings, *cells)]
     body = [rf"\begin{{tabular}}{{{aligned}}}", r"\toprule", lines[0], r"\midrule", *lines[1:], r"\bottomrule"]

@@ -13,7 +13,7 @@ import tomli_w
 from evaluation.names import BASELINES, check_policy
 from evaluation.policies import list_references
 from evaluation.replay.collect import Asked
-from evaluation.report.table import read_episodes
+from evaluation.report.table import made_of, read_episodes
 from evaluation.running.episodes import policy_name
 from evaluation.running.identity import differences, of_environment, policy_files, versions
 from evaluation.running.records import EpisodeRecord, Variant, variant_for
@@ -70,11 +70,9 @@ def episode_of(run: str | Path, number: int, policy: str | None = None) -> Recor
         another environment.
     """
     path = run_file(run)
-    table, beside = read_episodes(path), path.with_suffix(".json")
-    made, rows = table.attrs.get("made") or {}, table.to_dict("records")
-    if path.suffix == ".csv" and beside.is_file():
-        made = json.loads(beside.read_text(encoding="utf-8"))
-    elif (certified := path.with_name(_CERTIFIED)).is_file() and path.name == "episodes.parquet":
+    table = read_episodes(path)
+    made, rows = made_of(table, path), table.to_dict("records")
+    if (certified := path.with_name(_CERTIFIED)).is_file() and path.name == "episodes.parquet":
         made = _as_compared(json.loads(certified.read_text(encoding="utf-8")), rows)
     if not 0 <= number < len(rows):
         raise ConfigError(f"{path.name} has the episodes 0 to {len(rows) - 1}, not {number}")

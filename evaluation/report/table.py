@@ -28,6 +28,7 @@ __all__ = [
     "cells_of",
     "finished",
     "latex",
+    "made_of",
     "markdown",
     "read_episodes",
     "rich_table",
@@ -223,6 +224,15 @@ def read_episodes(path: str | Path) -> pd.DataFrame:
         raise ConfigError(f"{path} is not a table of episodes: {error}") from None
 
 
+def made_of(frame: pd.DataFrame, path: Path) -> dict[str, Any]:
+    """How a table that was read from a file was made, see `write_table`; empty where it does not say."""
+    beside = path.with_suffix(".json")
+    if path.suffix == ".csv" and beside.is_file():
+        told: dict[str, Any] = json.loads(beside.read_text(encoding="utf-8"))
+        return told
+    return frame.attrs.get("made") or {}
+
+
 def finished(path: str | Path) -> tuple[dict[str, Any], list[dict[str, Any]]] | None:
     """Of a table of episodes: how it was made (see `evaluation.running.store.provenance`), and its rows, as
     `EpisodeRecord.row` made them; None if there is no such file.
@@ -235,11 +245,8 @@ def finished(path: str | Path) -> tuple[dict[str, Any], list[dict[str, Any]]] | 
     path = Path(path)
     if not path.is_file():
         return None
-    frame, beside = read_episodes(path), path.with_suffix(".json")
-    made = frame.attrs.get("made") or {}
-    if path.suffix == ".csv" and beside.is_file():
-        made = json.loads(beside.read_text(encoding="utf-8"))
-    empty = {"violations": None, "success": None, "rules": ""}
+    frame = read_episodes(path)
+    made, empty = made_of(frame, path), {"violations": None, "success": None, "rules": ""}
     rows = []
     for row in frame.to_dict("records"):
         row["latencies_ms"] = [float(each) for each in row["latencies_ms"]]

@@ -36,6 +36,7 @@ FIRST_SEED = 970_000
 _STRIDE = 10_000
 """Training seed k has the episodes from FIRST_SEED + k * _STRIDE on."""
 _SHOWN = 6
+_PHASES = ("training", "driving")
 
 
 @dataclass(frozen=True)
@@ -153,6 +154,22 @@ def _paths(variant: Variant, seed: int, folder: Path) -> tuple[Path, Path]:
     )
 
 
+@dataclass(frozen=True)
+class _Clock:
+    """Elapsed time and processor time of this process [s]."""
+
+    wall: float
+    cpu: float
+
+    @classmethod
+    def now(cls) -> _Clock:
+        return cls(time.perf_counter(), time.process_time())
+
+
+def _by_phase(began: float, trained: float, driven: float) -> dict[str, float]:
+    return dict(zip(_PHASES, (round(trained - began, 2), round(driven - trained, 2)), strict=True))
+
+
 def _check(experiment: Reproduction, variant: Variant, seed: int, folder: Path) -> None:
     """Raise where the rows that are there were made otherwise."""
     model, rows = _paths(variant, seed, folder)
@@ -181,15 +198,16 @@ def _part(
     left = [each for each in scenes if each not in set(before["seed"])]
     if not left:
         return before[before["seed"].isin(scenes)]
-    began, model = time.perf_counter(), None
+    began, model = _Clock.now(), None
     if variant.trains and not is_trained(path):
         train_variant(preset, variant, seed, experiment.steps, path)
-    trained = time.perf_counter()
+    trained = _Clock.now()
     if variant.learner and variant.learner != "cem":
         model = load_model(path)
     driven = (
         drive_one_by_one(preset, variant, model, left) if variant.pooled else drive_many(preset, variant, model, left)
     )
+    driven_at = _Clock.now()
     driven.insert(0, "preset", preset.name)
     driven.insert(1, "variant", variant.name)
     driven.insert(2, "training_seed", seed)
@@ -200,7 +218,8 @@ def _part(
         "training_seed": seed,
         "seeds": [int(frame["seed"].min()), int(frame["seed"].max())],
         "revision": commit(),
-        "seconds": {"training": round(trained - began, 1), "driving": round(time.perf_counter() - trained, 1)},
+        "seconds": _by_phase(*(each.wall for each in (began, trained, driven_at))),
+        "cpu_seconds": _by_phase(*(each.cpu for each in (began, trained, driven_at))),
         "versions": versions(),
     }
     written = kept.with_suffix(".partial")
@@ -211,9 +230,22 @@ def _part(
         crashes = int(driven["crashed"].sum())
         tell(
             f"seed {seed}, {variant.name}: {crashes} of {len(driven)} crashed, return {driven['return'].mean():.2f}"
-            f" ({time.perf_counter() - began:.0f} s)"
+            f" ({driven_at.wall - began.wall:.0f} s, {driven_at.cpu - began.cpu:.0f} CPU seconds)"
         )
     return frame[frame["seed"].isin(scenes)]
+
+
+def _processor_time(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """CPU seconds by variant, over the training seeds whose records have them, and their sum."""
+    found: dict[str, dict[str, float]] = {}
+    for each in records:
+        if "cpu_seconds" in each:
+            row = found.setdefault(each["asked"]["variant"]["name"], {**dict.fromkeys(_PHASES, 0.0), "parts": 0})
+            for phase in _PHASES:
+                row[phase] = round(row[phase] + each["cpu_seconds"][phase], 1)
+            row["parts"] += 1
+    total = sum(row[phase] for row in found.values() for phase in _PHASES)
+    return {"total": round(total, 1), "parts without": sum("cpu_seconds" not in each for each in records), **found}
 
 
 def _write_manifest(
@@ -232,12 +264,13 @@ def _write_manifest(
         "first seed": FIRST_SEED,
     }
     models = {each["model"]["file"]: each["model"]["sha256"] for each in records if each["model"]}
-    spent = {key: round(sum(each["seconds"][key] for each in records), 1) for key in ("training", "driving")}
+    spent = {key: round(sum(each["seconds"][key] for each in records), 1) for key in _PHASES}
     manifest = {
         **provenance(asked),
         "commits of parts": sorted({each["revision"] for each in records}),
         "seconds of this call": round(seconds, 1),
         "seconds of parts": spent,
+        "CPU seconds of parts": _processor_time(records),
         "left out": left_out,
         "models": models,
     }

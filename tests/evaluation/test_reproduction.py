@@ -52,6 +52,11 @@ def test_it_writes_the_table_the_episodes_and_what_made_them(driven):
     assert manifest["models"] == models
     assert set(models) == {"noise-0.zip", "noise-1.zip"}
     assert {"commit", "versions", "asked", "command", "machine"} <= set(manifest)
+    spent = manifest["CPU seconds of parts"]
+    parts = [json.loads(path.read_text())["cpu_seconds"] for path in (folder / "episodes").glob("*.json")]
+    assert spent["total"] == pytest.approx(sum(sum(each.values()) for each in parts), abs=1.0)
+    assert spent["noise"]["training"] > 0.0
+    assert spent["slower"]["training"] == pytest.approx(0.0, abs=0.05)
     claims = json.loads((folder / "verdict.json").read_text(encoding="utf-8"))["claims"]
     assert {"noise-confidence", "shielded-env-crashes"} <= {each["name"] for each in claims}
     assert all(isinstance(each["holds"], bool) and each["sentence"] for each in claims)

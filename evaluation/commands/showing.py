@@ -91,15 +91,27 @@ def report_command(
     output: Annotated[
         Path | None, typer.Option(help="The .html to write; by default beside the first run, under its name.")
     ] = None,
+    replays: Annotated[
+        int,
+        typer.Option(min=0, help="So many of each run's worst shielded episodes are driven again, for pages to link."),
+    ] = 3,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
 ) -> None:
-    """Write one offline page: tables, charts, and the worst episodes of some runs."""
+    """Write one offline page: tables, charts, and the worst episodes of some runs with their replays."""
     path = output or runs[0].with_suffix(".html")
     if path.exists() and not force:
         raise ConfigError(f"{path} exists already; --force overwrites it")
+    from evaluation.replay.run_file import write_replay
     from evaluation.report.html_report import write_report
 
-    _out.print(f"wrote {write_report(runs, path)}")
+    with _err.status("writing the report") as status:
+
+        def write(run: Path, number: int, policy: str, page: Path) -> str:
+            status.update(f"driving episode {number} of {run.name} again, for its replay")
+            return write_replay(run, number, policy, page)
+
+        written = write_report(runs, path, replays, write)
+    _out.print(f"wrote {written}")
 
 
 def table_command(

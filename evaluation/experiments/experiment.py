@@ -22,7 +22,7 @@ from evaluation.running.episodes import run_paired
 from evaluation.running.records import DOORS, Variant, make_variants
 from evaluation.running.store import Store
 from evaluation.settings import SETTINGS, Setting, setting_of
-from shield.config import MODES, PERCEPTIONS, ShieldConfig
+from shield.config import MODES, PERCEPTIONS, Buffer, ShieldConfig
 from shield.doors.adapters import as_policy
 from shield.errors import ConfigError
 
@@ -60,6 +60,7 @@ class Experiment:
     output : where the episodes go as they finish, .parquet or .csv; None keeps them in memory. resume : whether to go
         on with what is there.
     shard : (i, n) to drive every n-th episode only, from the i-th on, 1 to n, on one of n machines; see `merge`.
+    buffer : buffers along the road [m], a row for each in place of the one of `config`.
 
     Raises
     ------
@@ -88,6 +89,7 @@ class Experiment:
     output: str | Path | None = None
     resume: bool = False
     shard: tuple[int, int] | None = None
+    buffer: float | Sequence[float] = ()
 
     def __post_init__(self) -> None:
         for name, valid in (("shield", MODES), ("door", DOORS[1:]), ("perception", PERCEPTIONS)):
@@ -96,6 +98,8 @@ class Experiment:
         for each in _several(self.sensor):
             check_sensor(each)
         check_name("simulator", self.simulator, SIMULATORS)
+        for length in self._buffers:
+            Buffer(length)
         if self.episodes < 1 or self.seed < 0:
             raise ConfigError(f"episodes must be 1 or more, and seed 0 or more; got {self.episodes} and {self.seed}")
         if self.resume and self.output is None:
@@ -214,7 +218,12 @@ class Experiment:
         config = self.config
         if isinstance(config, str | Path) and config not in ("simulated", "worst-case"):
             config = ShieldConfig.named(Path(config))
-        return make_variants(modes, _several(self.door), config, _several(self.perception), setting)  # type: ignore[arg-type]
+        made = make_variants(modes, _several(self.door), config, _several(self.perception), setting)  # type: ignore[arg-type]
+        return [each for variant in made for each in variant.with_buffers(self._buffers)]
+
+    @property
+    def _buffers(self) -> tuple[float, ...]:
+        return (self.buffer,) if isinstance(self.buffer, int | float) else tuple(self.buffer)
 
     def _comparison(
         self, compared: tuple[tuple[Setting, tuple[Variant, ...]], ...], named: tuple[str, ...]

@@ -12,16 +12,17 @@ import tomli_w
 
 from evaluation.names import BASELINES, check_policy
 from evaluation.policies import list_references
-from evaluation.replay.collect import Asked
+from evaluation.replay.collect import Asked, collect
+from evaluation.replay.html import write_page
 from evaluation.report.table import made_of, read_episodes
 from evaluation.running.episodes import policy_name
 from evaluation.running.identity import differences, of_environment, policy_files, versions
 from evaluation.running.records import EpisodeRecord, Variant, variant_for
 from evaluation.settings import SETTINGS, Setting
 from shield.config import ShieldConfig
-from shield.errors import ConfigError
+from shield.errors import ConfigError, ShieldError
 
-__all__ = ["Recorded", "check_same", "episode_of", "run_file"]
+__all__ = ["Recorded", "check_same", "episode_of", "run_file", "write_replay"]
 
 _COMPARED = ("crashed", "off_road", "return", "steps", "overridden", "held_back", "frames", "frames_overridden")
 """What the episode has to have again."""
@@ -86,7 +87,7 @@ def episode_of(run: str | Path, number: int, policy: str | None = None) -> Recor
     if "door" in row:
         door, _, perception = row["door"].partition(", ")
         config = _config(asked["shields"][f"{name}, {row['door']}, {row['mode']}"])
-        variant = Variant(door, config, perception or "simulator")
+        variant = Variant(door, config, perception or "simulator", row["mode"].partition(", ")[2])
     else:
         variant = variant_for(_config(asked["shields"]), setting)
     chosen = _policy(row["policy"], policy, asked["policies"])
@@ -102,6 +103,27 @@ def check_same(recorded: Recorded, record: EpisodeRecord) -> list[str]:
     return differences(
         *({key: each[key] for key in _COMPARED if key in recorded.row} for each in (recorded.row, again))
     )
+
+
+def write_replay(run: Path, number: int, policy: str, page: Path) -> str:
+    """Drive an episode again and write its page.
+
+    Parameters
+    ----------
+    run, number : as of `episode_of`. policy : the file of the user's model that drives, or "". page : the .html file.
+
+    Returns
+    -------
+    In words why there is no page, or how the episode differs from the recorded one; "" where it is the same.
+    """
+    try:
+        recorded = episode_of(run, number, policy or None)
+        replay, record = collect(recorded.asked)
+    except ShieldError as error:
+        return f"no replay: {error}"
+    write_page(replay, page)
+    differ = check_same(recorded, record)
+    return f"another episode than the run's: {', '.join(differ)}" if differ else ""
 
 
 def _as_compared(made: Mapping[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:

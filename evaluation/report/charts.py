@@ -14,8 +14,10 @@ __all__ = ["Mark", "crosses", "ranges"]
 _WIDTH, _HEIGHT = 560, 300
 _LEFT, _RIGHT, _TOP, _BOTTOM = 58, 14, 12, 42
 _ROW = 26
-_KINDS = 6
-"""Classes of marks, `kind-0` to `kind-5`; more share them."""
+_KINDS = 10
+"""Classes of marks, `kind-0` to `kind-9`; more share them."""
+_LETTER = 6.4
+"""Width of a letter of a label."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +102,13 @@ def crosses(marks: Sequence[Mark], across: str, upward: str) -> str:
     return _picture(_HEIGHT, f"{upward} against {across}", parts)
 
 
+def _shortened(label: str, width: float) -> str:
+    """A label that fits; its middle is left out where it does not."""
+    most = int((width - 16.0) / _LETTER)
+    half = (most - 1) // 2
+    return label if len(label) <= most else f"{label[:half]}…{label[-half:]}"
+
+
 def ranges(marks: Sequence[Mark], across: str) -> str:
     """A row for each mark: a line from its lower to its upper end, and its middle.
 
@@ -107,15 +116,16 @@ def ranges(marks: Sequence[Mark], across: str) -> str:
     ----------
     marks : rows, with (middle, low, high) as `x`. across : what the axis shows, with its unit.
     """
-    left, height = 210, _TOP + _ROW * len(marks) + _BOTTOM
+    left = min(16.0 + _LETTER * max(len(mark.label) for mark in marks), 0.6 * _WIDTH)
+    height = _TOP + _ROW * len(marks) + _BOTTOM
     bottom = height - _BOTTOM
     xs, k, x0 = _scale([v for mark in marks for v in mark.x] + [0.0], left, _WIDTH - _RIGHT)
     parts = [_line(k * x + x0, _TOP, k * x + x0, bottom, "grid") for x in xs]
     parts += [_text(k * x + x0, bottom + 16, f"{x:g}") for x in xs]
-    parts.append(_text((left + _WIDTH) / 2, height - 8, across, name="axis"))
+    parts.append(_text(_WIDTH - _RIGHT, height - 8, across, "end", "axis"))
     for i, mark in enumerate(marks):
         y, kind = _TOP + _ROW * (i + 0.5), f"kind-{mark.kind % _KINDS}"
-        parts.append(_text(left - 8, y + 4, mark.label, "end"))
+        parts.append(_text(left - 8, y + 4, _shortened(mark.label, left), "end"))
         if np.isfinite(mark.x).all():
             parts.append(_line(k * mark.x[1] + x0, y, k * mark.x[2] + x0, y, f"bar {kind}"))
             parts.append(f'<circle cx="{k * mark.x[0] + x0:.1f}" cy="{y:.1f}" r="4.5" class="dot {kind}"/>')

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-import shlex
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,8 @@ import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
 from evaluation.measuring.metrics import GROUP, compare, summarise
-from evaluation.policies import list_references
 from evaluation.report.charts import Mark, crosses, ranges
+from evaluation.report.replay_links import ReplayLink, WritesReplay, link_replays, worst_first
 from evaluation.report.table import COMPARISON, SUMMARY, Column, cells_of, finished
 from shield.errors import ConfigError
 
@@ -23,18 +23,25 @@ __all__ = ["write_report"]
 
 _GLANCE = ("episodes", "crashes %", "off road %", "return", "speed m/s", "overridden %", "latency p99 ms")
 """Columns of the first table."""
-_WORST = 12
-"""So many episodes are listed of each run."""
+_WORST, _WORST_BARE = 9, 3
+"""So many episodes are listed of each run, with the shield and without."""
 _TIMES = (0.5, 0.01, 0.99)
+_TIME_LEFT = "least time to collision [s]: 1 %, median, 99 %"
 
 
-def write_report(runs: Sequence[str | Path], output: str | Path) -> Path:
+def write_report(
+    runs: Sequence[str | Path],
+    output: str | Path,
+    replays: int = 0,
+    write: WritesReplay | None = None,
+) -> Path:
     """Write the page of some runs.
 
     Parameters
     ----------
     runs : files of episodes, .parquet or .csv. Rows of several are told apart by the names of the files.
     output : the .html file.
+    replays, write : of so many of each run's worst shielded episodes a replay is written by `write`, and linked.
 
     Raises
     ------
@@ -58,7 +65,10 @@ def write_report(runs: Sequence[str | Path], output: str | Path) -> Path:
     source = files("evaluation.report").joinpath("report.html.jinja").read_text(encoding="utf-8")
     page = environment.from_string(source).render(
         title=" and ".join(read),
-        runs=[_run(name, *each) for name, each in read.items()],
+        runs=[
+            _run(name, *each, link_replays(each[2], each[1], each[0], output, replays, write))
+            for name, each in read.items()
+        ],
         charts=_charts({name: frame for name, (_, frame, _) in read.items()}),
     )
     output.parent.mkdir(parents=True, exist_ok=True)
@@ -66,7 +76,9 @@ def write_report(runs: Sequence[str | Path], output: str | Path) -> Path:
     return output
 
 
-def _run(name: str, made: Mapping[str, Any], episodes: pd.DataFrame, path: Path) -> dict[str, Any]:
+def _run(
+    name: str, made: Mapping[str, Any], episodes: pd.DataFrame, path: Path, links: Mapping[int, ReplayLink]
+) -> dict[str, Any]:
     """What the page says of one run."""
     summary, comparison = summarise(episodes), compare(episodes)
     glance = [column for column in SUMMARY[:3] if column.heading != "setting"]
@@ -81,7 +93,7 @@ def _run(name: str, made: Mapping[str, Any], episodes: pd.DataFrame, path: Path)
             for setting, part in summary.groupby("setting", sort=False)
         ],
         "comparison": _table(comparison, COMPARISON) if len(comparison) else None,
-        "worst": _worst(episodes, path, _files(made)),
+        "worst": _worst(path, episodes, links),
         "file": path.name,
     }
 
@@ -96,20 +108,12 @@ def _table(frame: pd.DataFrame, columns: Sequence[Column]) -> dict[str, Any]:
     }
 
 
-def _files(made: Mapping[str, Any]) -> set[str]:
-    """The policies that are files of the user's, by their names."""
-    asked: Mapping[str, Any] = made.get("asked", {}).get("policies", {})
-    return {name for name, read in asked.items() if "file" in read and name not in list_references()}
-
-
-def _worst(episodes: pd.DataFrame, path: Path, files: Collection[str]) -> list[dict[str, Any]]:
-    """The episodes with a crash, then those with the smallest gap, and the command that replays each shielded one."""
-    order = episodes.sort_values(["crashed", "min_gap"], ascending=[False, True], kind="stable")
-    found = []
-    for number, row in order.head(_WORST).iterrows():
-        replay = ["shield", "replay", str(path), "--episode", str(number)]
-        if row["policy"] in files:
-            replay += ["--policy", f"{row['policy']}.zip"]
+def _worst(path: Path, episodes: pd.DataFrame, links: Mapping[int, ReplayLink]) -> list[dict[str, Any]]:
+    """The episodes with a crash, then those with the smallest gap: first those with the shield, then others."""
+    found, ordered = [], worst_first(episodes)
+    bare = ordered["door"] == "none"
+    for number, row in pd.concat([ordered[~bare].head(_WORST), ordered[bare].head(_WORST_BARE)]).iterrows():
+        link = links.get(int(str(number)), ReplayLink())
         found.append(
             {
                 "name": ", ".join(str(row[key]) for key in GROUP),
@@ -119,7 +123,9 @@ def _worst(episodes: pd.DataFrame, path: Path, files: Collection[str]) -> list[d
                 "gap": f"{row['min_gap']:.2f}",
                 "return": f"{row['return']:.1f}",
                 "overridden": row["overridden"],
-                "replay": "" if row["door"] == "none" else shlex.join(replay),
+                "page": link.page,
+                "note": link.note,
+                "command": link.command,
             }
         )
     return found
@@ -127,10 +133,10 @@ def _worst(episodes: pd.DataFrame, path: Path, files: Collection[str]) -> list[d
 
 def _charts(runs: Mapping[str, pd.DataFrame]) -> list[dict[str, str]]:
     """The charts of each setting, over all runs."""
-    several, found = len(runs) > 1, []
+    several, found, nothing = len(runs) > 1, [], pd.Series(dtype=float)
     together = pd.concat([frame.assign(run=name) for name, frame in runs.items()], ignore_index=True)
     for setting, part in together.groupby("setting", sort=False):
-        marks, gaps, times = [], [], []
+        marks, gaps, times, margins, costs = [], [], [], [], []
         for kind, (key, group) in enumerate(part.groupby(["run", "policy", "door", "mode"], sort=False)):
             run, policy, door, mode = key
             label = f"{policy}, {'no shield' if door == 'none' else f'{mode} ({door})'}" + (f", {run}" * several)
@@ -139,6 +145,11 @@ def _charts(runs: Mapping[str, pd.DataFrame]) -> list[dict[str, str]]:
             returns = tuple(float(row[f"return{end}"]) for end in ("", "_low", "_high"))
             marks.append(Mark(label, kind, crash, returns))  # type: ignore[arg-type]
             gaps.append(Mark(label, kind, tuple(np.quantile(group["min_gap"], _TIMES).tolist())))
+            if door != "none" and group.get("min_time_to_collision", nothing).notna().any():
+                times_left = tuple(np.nanquantile(group["min_time_to_collision"].astype(float), _TIMES).tolist())
+                costs.append(Mark(label, kind, (100 * float(row["override_rate"]), nan, nan), times_left))
+            if group["min_margin"].notna().any():
+                margins.append(Mark(label, kind, tuple(np.nanquantile(group["min_margin"], _TIMES).tolist())))
             latencies = np.concatenate([np.asarray(each, float) for each in group["latencies_ms"]])
             if latencies.size:
                 times.append(Mark(label, kind, tuple(np.quantile(latencies, _TIMES).tolist())))
@@ -148,6 +159,8 @@ def _charts(runs: Mapping[str, pd.DataFrame]) -> list[dict[str, str]]:
                 "labels": json.dumps([mark.label for mark in marks]),
                 "risk": crosses(marks, "crashed [% of episodes]", "return"),
                 "gaps": ranges(gaps, "smallest gap of an episode [m]: 1 %, median, 99 %"),
+                "overrides": crosses(costs, "decisions overridden [%]", _TIME_LEFT) if costs else "",
+                "margins": ranges(margins, "smallest margin of an episode [m]: 1 %, median, 99 %") if margins else "",
                 "latencies": ranges(times, "latency of a decision [ms]: 1 %, median, 99 %") if times else "",
             }
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from highway_env.envs.common.action import ContinuousAction
@@ -29,11 +29,13 @@ class Variant:
     door : one of `DOORS`.
     config : the shield's settings; not looked at without a shield.
     perception : one of `shield.config.PERCEPTIONS`, what it reads scenes from.
+    note : what tells it from another variant of the same mode, such as "buffer 4 m".
     """
 
     door: str = "none"
     config: ShieldConfig = field(default_factory=ShieldConfig)
     perception: str = "simulator"
+    note: str = ""
 
     def __post_init__(self) -> None:
         if self.door not in DOORS:
@@ -48,8 +50,26 @@ class Variant:
 
     @property
     def mode(self) -> str:
-        """The shield's mode, "none" without a shield."""
-        return "none" if self.door == "none" else self.config.mode
+        """The shield's mode and the note, "none" without a shield."""
+        if self.door == "none":
+            return "none"
+        return f"{self.config.mode}, {self.note}" if self.note else self.config.mode
+
+    def with_buffers(self, lengths: Sequence[float]) -> list[Variant]:
+        """The same with each of these buffers along the road [m]; without a shield, or without lengths, itself alone.
+
+        Examples
+        --------
+        >>> [each.mode for each in Variant("env").with_buffers([1, 2.5])]
+        ['full, buffer 1 m', 'full, buffer 2.5 m']
+        """
+        if self.door == "none" or not lengths:
+            return [self]
+        notes = [", ".join(filter(None, (self.note, f"buffer {length:g} m"))) for length in lengths]
+        configs = [
+            self.config.replace(buffer=replace(self.config.buffer, longitudinal=float(length))) for length in lengths
+        ]
+        return [replace(self, config=config, note=note) for config, note in zip(configs, notes, strict=True)]
 
 
 def variant_for(config: ShieldConfig, setting: Setting | None = None) -> Variant:

@@ -1,6 +1,7 @@
 """The page of a report: it needs nothing but itself, and says what the tables say."""
 
 import math
+import os
 import re
 from xml.etree import ElementTree
 
@@ -14,9 +15,11 @@ from typer.testing import CliRunner
 from evaluation import Result, evaluate
 from evaluation.commands.cli import app
 from evaluation.measuring.metrics import summarise
+from evaluation.replay.run_file import episode_of, write_replay
 from evaluation.report.charts import Mark, _ticks, crosses, ranges
 from evaluation.report.html_report import write_report
 from evaluation.report.table import SUMMARY
+from shield.config import Buffer
 from shield.errors import ConfigError
 
 
@@ -35,7 +38,7 @@ def test_a_page_says_what_the_tables_say_and_needs_nothing_else(runs, tmp_path):
             for cell in (column.cell(row) for column in SUMMARY[:-1]):
                 assert cell in page or not any(map(str.isalnum, cell))
     assert not re.search(r"https?://|src=|@import|url\(", page)
-    assert page.count("<svg") == 3
+    assert page.count("<svg") == 5
     for picture in re.findall(r"<svg.*?</svg>", page, re.DOTALL):
         ElementTree.fromstring(picture)
     assert "shield replay" in page
@@ -50,18 +53,66 @@ def test_names_are_no_markup(tmp_path):
     assert "&lt;b&gt;mine" in page
 
 
-def test_the_worst_come_first_and_only_shielded_ones_are_replayed(runs, tmp_path):
+def test_the_shielded_and_the_worst_come_first_and_only_shielded_ones_are_replayed(runs, tmp_path):
     page = write_report(runs[:1], tmp_path / "page.html").read_text(encoding="utf-8")
     worst = page.split('<table class="worst">')[1].split("</table>")[0]
     rows = re.findall(r"<tr.*?</tr>", worst, re.DOTALL)[1:]
     crashed = [' class="crashed"' in row for row in rows]
+    shielded = ["none, none" not in row for row in rows]
     assert any(crashed)
-    assert crashed == sorted(crashed, reverse=True)
+    assert shielded == sorted(shielded, reverse=True)
+    for part in (True, False):
+        of_part = [each for each, with_shield in zip(crashed, shielded, strict=True) if with_shield == part]
+        assert of_part == sorted(of_part, reverse=True)
     episodes = Result.read(runs[0]).episodes
     for row in rows:
         assert ("shield replay" in row) == ("none, none" not in row)
         for number in re.findall(r"--episode (\d+)</code>", row):
             assert f"<td>{episodes['seed'][int(number)]}</td>" in row
+
+
+def test_replays_are_written_linked_and_kept_while_they_are_of_the_run(runs, tmp_path):
+    """The page links to replays that lie there; one older than the run is written anew, a younger one is kept."""
+    run = tmp_path / "one.parquet"
+    run.write_bytes(runs[0].read_bytes())
+    page = write_report([run], tmp_path / "sub" / "page.html", replays=1, write=write_replay).read_text(
+        encoding="utf-8"
+    )
+    links = re.findall(r'href="([^"]+)"', page)
+    assert len(links) == 1
+    replay = (tmp_path / "sub" / links[0]).resolve()
+    assert replay.parent == tmp_path.resolve()
+    assert 'type="application/json"' in replay.read_text(encoding="utf-8")
+    os.utime(replay, (2e9, 2e9))
+    write_report([run], tmp_path / "page.html", replays=1, write=write_replay)
+    assert replay.stat().st_mtime == 2e9
+    os.utime(replay, (1e9, 1e9))
+    assert "href=" not in write_report([run], tmp_path / "page.html").read_text(encoding="utf-8")
+    write_report([run], tmp_path / "page.html", replays=1, write=write_replay)
+    assert replay.stat().st_mtime > 1e9
+
+
+def test_a_replay_that_cannot_be_written_says_why(tmp_path):
+    """A policy that was handed in as an object has no file to drive again."""
+    result = evaluate({"mine": lambda observation: 4}, "highway-fast", shield="full", episodes=1)
+    page = write_report(
+        [result.write(tmp_path / "x.parquet")], tmp_path / "x.html", replays=1, write=write_replay
+    ).read_text()
+    assert "no replay: " in page
+    assert "href=" not in page
+
+
+def test_buffers_are_rows_of_their_own(tmp_path):
+    """A sweep of buffers keeps its rows apart, gives each its buffer, and is replayed with it."""
+    result = evaluate("faster", "highway-fast", episodes=2, buffer=[1, 6], output=tmp_path / "x.parquet")
+    assert list(result.summary["mode"]) == ["none", "full, buffer 1 m", "full, buffer 6 m"]
+    driven = result.episodes.groupby("mode", sort=False)["overridden"].sum()
+    assert driven["full, buffer 1 m"] < driven["full, buffer 6 m"]
+    recorded = episode_of(tmp_path / "x.parquet", 5)
+    assert recorded.asked.variant.config.buffer == Buffer(6.0)
+    assert recorded.asked.variant.mode == "full, buffer 6 m"
+    with pytest.raises(ConfigError, match="longitudinal"):
+        evaluate("faster", "highway-fast", buffer=-1)
 
 
 def test_mistakes_are_told(runs, tmp_path):

@@ -7,8 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["Slices"]
+__all__ = ["Slices", "consecutive"]
 
 
 class Slices:
@@ -24,9 +25,40 @@ class Slices:
         self.bounds: list[tuple[int, int]] = list(pairwise(ends))
         self._pool = ThreadPoolExecutor(len(self.bounds)) if len(self.bounds) > 1 else None
 
-    def run(self, part: Callable[[int, int, int], None]) -> None:
-        """Call `part` with the number of each slice and its bounds, all at once."""
+    def run(self, part: Callable[[int, int, int], None], which: NDArray[np.int64] | None = None) -> None:
+        """Call `part` with the number of each slice and its bounds, all slices at once.
+
+        Parameters
+        ----------
+        which : of environments, in increasing order; `part` is called with each range of consecutive ones in a slice.
+        """
+        ranges = None if which is None else consecutive(which)
+
+        def run_slice(k: int) -> None:
+            start, end = self.bounds[k]
+            if ranges is None:
+                part(k, start, end)
+                return
+            for first, last in ranges:
+                if max(first, start) < min(last, end):
+                    part(k, max(first, start), min(last, end))
+
         if self._pool is None:
-            part(0, *self.bounds[0])
+            run_slice(0)
         else:
-            list(self._pool.map(lambda k: part(k, *self.bounds[k]), range(len(self.bounds))))
+            list(self._pool.map(run_slice, range(len(self.bounds))))
+
+
+def consecutive(which: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """Ranges (first, last + 1) of consecutive numbers in an increasing sequence.
+
+    Examples
+    --------
+    >>> consecutive(np.array([0, 1, 4]))
+    [(0, 2), (4, 5)]
+    """
+    if not len(which):
+        return []
+    breaks = np.flatnonzero(np.diff(which) != 1)
+    firsts, lasts = [which[0], *which[breaks + 1]], [*which[breaks], which[-1]]
+    return [(int(first), int(last) + 1) for first, last in zip(firsts, lasts, strict=True)]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dynamics.errors import ActionError, ConfigError
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["actions_given", "resets_asked"]
+__all__ = ["actions_given", "resets_asked", "steps_asked"]
 
 
 def resets_asked(
@@ -33,6 +33,23 @@ def resets_asked(
     if len(given) != len(chosen) or not all(isinstance(s, int | np.integer) and 0 <= s < 2**63 for s in given):
         raise ConfigError(f"have a seed from 0 to 2^63 - 1 for each of {len(chosen)} environments, not {seeds!r}")
     return chosen, np.array(given, dtype=np.int64)
+
+
+def steps_asked(num_envs: int, which: Sequence[int] | NDArray[Any] | None) -> IntArray | None:
+    """The environments to step, in increasing order; None for all.
+
+    Raises
+    ------
+    ConfigError
+        If they are not in increasing order, or there is no such environment.
+    """
+    if which is None:
+        return None
+    chosen = np.asarray(which, np.int64)
+    inside = chosen.ndim == 1 and ((chosen >= 0) & (chosen < num_envs)).all()
+    if not (inside and (np.diff(chosen) > 0).all()):
+        raise ConfigError(f"have environments from 0 to {num_envs - 1} in increasing order, not {which!r}")
+    return chosen
 
 
 def actions_given(actions: Any, num_envs: int, labels: int, inputs: Any) -> FloatArray:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dynamics.errors import ConfigError
 from dynamics.simulator.arithmetic import Sums, sums_of_numpy
-from dynamics.simulator.asked import actions_given, resets_asked
+from dynamics.simulator.asked import actions_given, resets_asked, steps_asked
 from dynamics.simulator.engine import (
     Machine,
     Rules,
@@ -245,7 +245,7 @@ class Simulator:
         return self.seen.observations
 
     def step(
-        self, actions: Any, again: bool = False
+        self, actions: Any, again: bool = False, which: Sequence[int] | NDArray[Any] | None = None
     ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """One decision in each environment.
 
@@ -254,6 +254,8 @@ class Simulator:
         actions : (e,) meta-actions, or (e, size) throttle and steering.
         again : whether episodes that end are followed by new ones at once; `seen.terminal` has their last
             observations then.
+        which : the environments that make one, in increasing order; all by default. The arrays keep what they had of
+            the others.
 
         Returns
         -------
@@ -264,6 +266,8 @@ class Simulator:
         ------
         ActionError
             If there is not an action for each environment, or one is none of the action space.
+        ConfigError
+            If `which` is not in increasing order, or there is no such environment.
         """
         scenario, seen = self.scenario, self.seen
         given = self._given(actions)
@@ -276,7 +280,7 @@ class Simulator:
                 self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, given, first, last, again
             )
 
-        self._slices.run(part)
+        self._slices.run(part, steps_asked(self.num_envs, which))
         return seen.observations, seen.reward, seen.terminated, seen.truncated
 
     def step_first(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -14,6 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from dynamics.scenes.registration import spec_of
 from dynamics.simulator.scenario import REWARDS
 from dynamics.simulator.simulator import Simulator
+from dynamics.state import IntArray
 from shield.errors import ConfigError, MissingAttributeError
 
 __all__ = ["FastHighwayVecEnv"]
@@ -70,9 +71,9 @@ class FastHighwayVecEnv(VecEnv):
         """Start all episodes; the observations."""
         return self.simulator.reset(seeds)
 
-    def _stepped(self) -> Any:
-        """One step of all, in which those that are over are reset: observations, rewards, terminated, truncated."""
-        return self.simulator.step(self._actions, again=True)
+    def _stepped(self, which: IntArray) -> Any:
+        """One step of these, in which those that are over are reset: observations, rewards, terminated, truncated."""
+        return self.simulator.step(self._actions, again=True, which=which)
 
     def reset(self) -> Any:
         """Start all episodes, with the seeds of `seed()` the first time."""
@@ -92,15 +93,37 @@ class FastHighwayVecEnv(VecEnv):
 
     def step_wait(self) -> Any:
         """Step all environments; those that are over are reset."""
-        observations, reward, terminated, truncated = self._stepped()
-        done = terminated | truncated
-        self._returns += reward
-        self._lengths += 1
-        infos = self._infos(terminated, done)
+        return self._step_some(np.arange(self.num_envs))
+
+    def step_some(self, actions: Any, which: Sequence[int] | IntArray) -> Any:
+        """Step some of the environments; those of them that are over are reset.
+
+        Parameters
+        ----------
+        actions : of all environments; those of the others are not looked at, but have to be valid.
+        which : their indices, in increasing order.
+
+        Returns
+        -------
+        As of `step`, of all environments: of those that made no step the observation, the reward and the info of their
+        last one, and False for whether it is over.
+        """
+        self._actions = np.asarray(actions)
+        return self._step_some(np.asarray(which, np.int64))
+
+    def _step_some(self, which: IntArray) -> Any:
+        observations, reward, terminated, truncated = self._stepped(which)
+        stepped = np.zeros(self.num_envs, np.bool_)
+        stepped[which] = True
+        done = (terminated | truncated) & stepped
+        self._returns[which] += reward[which]
+        self._lengths[which] += 1
+        infos = self._infos(terminated & done, done, stepped)
         self._returns[done], self._lengths[done] = 0.0, 0
         return observations.copy(), reward.astype(np.float32), done, infos
 
-    def _infos(self, terminated: Any, done: Any) -> list[dict[str, Any]]:
+    def _infos(self, terminated: Any, done: Any, stepped: Any) -> list[dict[str, Any]]:
+        """Of each environment; `stepped` says which have made the last step."""
         seen, infos = self.simulator.seen, self._told()
         elapsed = round(time.time() - self._start, _DIGITS)
         for info, over, crashed in zip(infos, done, terminated, strict=True):

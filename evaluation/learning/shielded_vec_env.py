@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.simulator.simulator import Simulator
-from dynamics.state import BoolArray
+from dynamics.state import BoolArray, IntArray
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 from shield.batch.vocabulary import CERTIFIED, FALLBACKS, OVERRIDES, REASONS, TIERS, rules_in
 from shield.config import ShieldConfig
@@ -46,8 +46,8 @@ class ShieldedVecEnv(FastHighwayVecEnv):
     Attributes
     ----------
     highways : the environments and their shields.
-    latency : the time of the last step by the number of environments [s]. The traffic is in it, which is not driven
-        apart from the shield: it is no less than what `ShieldedEnv.latency` is of.
+    latency : the time of the last step by the number of environments that made it [s]. The traffic is in it, which is
+        not driven apart from the shield: it is no less than what `ShieldedEnv.latency` is of.
 
     Notes
     -----
@@ -87,10 +87,10 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         self._episodes = [Statistics() for _ in range(self.num_envs)]
         return self.highways.reset(seeds)
 
-    def _stepped(self) -> Any:
+    def _stepped(self, which: IntArray) -> Any:
         start = perf_counter()
-        stepped = self.highways.step(self._actions, again=True)
-        self.latency = (perf_counter() - start) / self.num_envs
+        stepped = self.highways.step(self._actions, again=True, which=which)
+        self.latency = (perf_counter() - start) / max(len(which), 1)
         return stepped
 
     def action_masks(self) -> BoolArray:
@@ -116,12 +116,13 @@ class ShieldedVecEnv(FastHighwayVecEnv):
     def _mask_of(self, i: int) -> BoolArray:
         return self.action_masks()[i]
 
-    def _infos(self, terminated: Any, done: Any) -> list[dict[str, Any]]:
-        infos, executed = super()._infos(terminated, done), self.highways.records.executed.tolist()
-        for info, action, report, episode in zip(infos, executed, self._reports(), self._episodes, strict=True):
-            info["action"], info["shield"] = action, report
-            episode.add(report, self.latency)
-        for i in np.flatnonzero(done):
+    def _infos(self, terminated: Any, done: Any, stepped: Any) -> list[dict[str, Any]]:
+        infos, executed = super()._infos(terminated, done, stepped), self.highways.records.executed.tolist()
+        for i, (info, report) in enumerate(zip(infos, self._reports(), strict=True)):
+            info["action"], info["shield"] = executed[i], report
+            if stepped[i]:
+                self._episodes[i].add(report, self.latency)
+        for i in np.flatnonzero(done).tolist():
             infos[i]["shield_episode"] = self._episodes[i].summary()
             self._episodes[i] = Statistics()
         return infos

@@ -16,11 +16,26 @@ import gymnasium as gym
 import numpy as np
 
 from dynamics.errors import perhaps
+from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.state import BoolArray, FloatArray
 from evaluation.wrappers.checks import check_highway_env, check_number
 from shield.doors.discrete_action import action_index, action_labels
 from shield.errors import ConfigError
 
-__all__ = ["REPORT_SKILLS", "Interrupt", "Skills", "nearer_than", "overridden"]
+__all__ = [
+    "REPORT_SKILLS",
+    "Interrupt",
+    "NearerThan",
+    "Skill",
+    "Skills",
+    "checked_discount",
+    "chosen_skill",
+    "masks_of_skills",
+    "nearer_than",
+    "overridden",
+    "parse_skills",
+    "skill_summary",
+]
 
 Interrupt = Callable[[gym.Env[Any, Any], Mapping[str, Any]], bool]
 """Whether a skill ends now: asked with the environment and the info of the primitive step that has just ended."""
@@ -39,7 +54,9 @@ LANE_RIGHT, OVERTAKE_RIGHT and KEEP_RIGHT with LANE_LEFT."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Skill:
+class Skill:
+    """A named sequence of primitive actions, as indices."""
+
     name: str
     actions: tuple[int, ...]
 
@@ -88,15 +105,10 @@ class Skills(gym.Wrapper[Any, Any, Any, Any]):
         check_highway_env(env, "Skills")
         if not isinstance(env.action_space, gym.spaces.Discrete):
             raise ConfigError(f"skills are sequences of discrete actions; this environment has {env.action_space}")
-        check_number("discount", discount, above=0.0)
-        if discount > 1.0:
-            raise ConfigError(f"discount is at most 1, not {discount!r}")
+        self.interrupt, self.discount = interrupt, checked_discount(discount)
         if interrupt is not None and not callable(interrupt):
             raise ConfigError(f"interrupt is a function of the environment and the info, or None, not {interrupt!r}")
-        self.skills = tuple(self._skill(name, actions) for name, actions in dict(skills).items())
-        if not self.skills:
-            raise ConfigError("have at least one skill, such as {'FOLLOW': ['IDLE'] * 4}")
-        self.interrupt, self.discount = interrupt, float(discount)
+        self.skills = parse_skills(skills, int(env.action_space.n), action_labels(env.unwrapped))
         self.action_space = gym.spaces.Discrete(len(self.skills))
 
     @property
@@ -112,11 +124,7 @@ class Skills(gym.Wrapper[Any, Any, Any, Any]):
         ConfigError
             If `action` is no index of a skill.
         """
-        k = action_index(action)
-        if not 0 <= k < len(self.skills):
-            skills = ", ".join(f"{i} {name}" for i, name in enumerate(self.names))
-            raise ConfigError(f"{action!r} is no skill; have {skills}")
-        skill, rewards, overrides = self.skills[k], [], 0
+        skill, rewards, overrides = chosen_skill(self.skills, action), list[float](), 0
         interrupted = False
         for primitive in skill.actions:
             obs, reward, terminated, truncated, info = self.env.step(primitive)
@@ -127,39 +135,141 @@ class Skills(gym.Wrapper[Any, Any, Any, Any]):
             if len(rewards) < len(skill.actions) and self.interrupt is not None and self.interrupt(self.env, info):
                 interrupted = True
                 break
-        steps = len(rewards)
-        total = float(np.dot(self.discount ** np.arange(steps), rewards))
-        about = {
-            "name": skill.name,
-            "actions": list(skill.actions[:steps]),
-            "planned": len(skill.actions),
-            "steps": steps,
-            "interrupted": interrupted,
-            "rewards": rewards,
-            "discount": self.discount**steps,
-        }
-        if "shield" in info:
-            about["overridden"] = overrides
+        told = overrides if "shield" in info else None
+        total, about = skill_summary(skill, rewards, self.discount, interrupted, told)
         return obs, total, terminated, truncated, {**info, "skill": about}
 
-    def _skill(self, name: str, actions: Sequence[int | str]) -> _Skill:
-        space = self.env.action_space
-        assert isinstance(space, gym.spaces.Discrete)
-        labels = {label: k for k, label in action_labels(self.env.unwrapped).items()}
+    def action_masks(self) -> BoolArray:
+        """Which skills begin with an action that verifies now, for sb3-contrib's MaskablePPO, (skills,); all True where
+        none does.
+
+        Raises
+        ------
+        ConfigError
+            If no wrapper inside has `action_masks`.
+        """
+        try:
+            of_actions = self.env.get_wrapper_attr("action_masks")
+        except AttributeError:
+            raise ConfigError("no shield inside says which actions verify; have Skills(ShieldedEnv(env))") from None
+        return masks_of_skills(self.skills, np.asarray(of_actions())[None])[0]
+
+
+def checked_discount(discount: float) -> float:
+    """The discount of a primitive step.
+
+    Raises
+    ------
+    ConfigError
+        If it is not above 0 and at most 1.
+    """
+    check_number("discount", discount, above=0.0)
+    if discount > 1.0:
+        raise ConfigError(f"discount is at most 1, not {discount!r}")
+    return float(discount)
+
+
+def parse_skills(skills: Mapping[str, Sequence[int | str]], count: int, labels: Mapping[int, str]) -> tuple[Skill, ...]:
+    """Skills with their actions as indices.
+
+    Parameters
+    ----------
+    skills : as of `Skills`. count : how many primitive actions there are. labels : the names of those that have one.
+
+    Raises
+    ------
+    ConfigError
+        If there is no skill, or one is empty or names no action.
+    """
+    indices = {label: k for k, label in labels.items()}
+    parsed = []
+    for name, actions in dict(skills).items():
         if isinstance(actions, str) or not len(actions):
             raise ConfigError(f"skill {name!r} is a sequence of actions with at least one, not {actions!r}")
         found = []
         for each in actions:
-            k = labels.get(each, -1) if isinstance(each, str) else action_index(each)
-            if not 0 <= k < int(space.n):
-                valid = ", ".join(labels) if labels else f"0 to {int(space.n) - 1}"
-                near = perhaps(each, list(labels)) if isinstance(each, str) else ""
+            k = indices.get(each, -1) if isinstance(each, str) else action_index(each)
+            if not 0 <= k < count:
+                valid = ", ".join(indices) if indices else f"0 to {count - 1}"
+                near = perhaps(each, list(indices)) if isinstance(each, str) else ""
                 raise ConfigError(f"skill {name!r} has {each!r}, which is no action{near}; have {valid}")
             found.append(k)
-        return _Skill(str(name), tuple(found))
+        parsed.append(Skill(str(name), tuple(found)))
+    if not parsed:
+        raise ConfigError("have at least one skill, such as {'FOLLOW': ['IDLE'] * 4}")
+    return tuple(parsed)
 
 
-def nearer_than(distance: float) -> Interrupt:
+def chosen_skill(skills: Sequence[Skill], action: Any) -> Skill:
+    """The skill of that index.
+
+    Raises
+    ------
+    ConfigError
+        If there is none.
+    """
+    k = action_index(action)
+    if not 0 <= k < len(skills):
+        valid = ", ".join(f"{i} {skill.name}" for i, skill in enumerate(skills))
+        raise ConfigError(f"{action!r} is no skill; have {valid}")
+    return skills[k]
+
+
+def skill_summary(
+    skill: Skill, rewards: list[float], discount: float, interrupted: bool, overridden: int | None
+) -> tuple[float, dict[str, Any]]:
+    """The semi-Markov reward of a skill and `info["skill"]`.
+
+    Parameters
+    ----------
+    rewards : of the primitive steps that were carried out. discount : of a primitive step.
+    interrupted : whether the predicate ended it. overridden : how many of the steps a shield overrode; None without.
+    """
+    steps = len(rewards)
+    total = float(np.dot(discount ** np.arange(steps), rewards))
+    about: dict[str, Any] = {
+        "name": skill.name,
+        "actions": list(skill.actions[:steps]),
+        "planned": len(skill.actions),
+        "steps": steps,
+        "interrupted": interrupted,
+        "rewards": rewards,
+        "discount": discount**steps,
+    }
+    if overridden is not None:
+        about["overridden"] = overridden
+    return total, about
+
+
+def masks_of_skills(skills: Sequence[Skill], masks: BoolArray) -> BoolArray:
+    """Which skills begin with an action that verifies, (e, skills), of masks of actions, (e, actions); all True in a
+    row where none does."""
+    first = masks[:, [skill.actions[0] for skill in skills]]
+    first[~first.any(axis=1)] = True
+    return first
+
+
+@dataclass(frozen=True, slots=True)
+class NearerThan:
+    """A predicate that reads the simulator's state; see `nearer_than`."""
+
+    distance: float
+
+    def __call__(self, env: gym.Env[Any, Any], info: Mapping[str, Any]) -> bool:
+        """Whether anything is nearer now."""
+        base: Any = env.unwrapped
+        if isinstance(base, CompiledHighwayEnv):
+            centres = base.frames[-1][:, :2]
+            return self.of(centres[1:], centres[0])
+        others = [body.position for body in (*base.road.vehicles, *base.road.objects) if body is not base.vehicle]
+        return self.of(np.array(others), base.vehicle.position) if others else False
+
+    def of(self, others: FloatArray, ego: FloatArray) -> bool:
+        """The same of centres [m], (n, 2), and that of the ego, (2,)."""
+        return bool((np.linalg.norm(others - ego, axis=1) < self.distance).any())
+
+
+def nearer_than(distance: float) -> NearerThan:
     """A predicate: whether the centre of any vehicle or object is nearer to the ego's than a distance [m]. It reads the
     simulator's state.
 
@@ -169,15 +279,7 @@ def nearer_than(distance: float) -> Interrupt:
         If the distance is no positive number.
     """
     check_number("distance", distance, above=0.0)
-
-    def interrupt(env: gym.Env[Any, Any], info: Mapping[str, Any]) -> bool:
-        base: Any = env.unwrapped
-        others = [body.position for body in (*base.road.vehicles, *base.road.objects) if body is not base.vehicle]
-        if not others:
-            return False
-        return bool((np.linalg.norm(np.array(others) - base.vehicle.position, axis=1) < distance).any())
-
-    return interrupt
+    return NearerThan(float(distance))
 
 
 def overridden(env: gym.Env[Any, Any], info: Mapping[str, Any]) -> bool:

@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.simulator.asked import steps_asked
 from dynamics.simulator.engine import Worlds, look
 from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.simulator.simulator import Simulator
@@ -151,10 +152,14 @@ class FilteredHighways(ABC):
         self, actions: Any, count: int
     ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """`step` of the first `count` environments only; what it returns of the others is what was there before."""
-        return self._step(actions, None, False, count)
+        return self._step(actions, None, False, range(count))
 
     def step(
-        self, actions: Any, orders: IntArray | None = None, again: bool = False
+        self,
+        actions: Any,
+        orders: IntArray | None = None,
+        again: bool = False,
+        which: Sequence[int] | NDArray[Any] | None = None,
     ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """One shielded decision in each environment.
 
@@ -163,16 +168,16 @@ class FilteredHighways(ABC):
         actions : meta-actions, (e,). What is none of them is replaced by the fallback, as of a policy that fails.
         orders : the policy's order of preference over the others in each, (e, k), which ends with the first negative
             one; where there is none, or the first is negative, the documented order.
-        again : as of `Simulator.step`.
+        again, which : as of `Simulator.step`.
 
         Returns
         -------
         As of `Simulator.step`; `records` have what was decided.
         """
-        return self._step(actions, orders, again, self.num_envs)
+        return self._step(actions, orders, again, which)
 
     def _step(
-        self, actions: Any, orders: IntArray | None, again: bool, count: int
+        self, actions: Any, orders: IntArray | None, again: bool, which: Sequence[int] | NDArray[Any] | None
     ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         proposed = np.asarray(actions)
         if proposed.shape != (self.num_envs,) or proposed.dtype.kind not in "iu":
@@ -185,8 +190,8 @@ class FilteredHighways(ABC):
             raise ConfigError(f"have orders of shape ({self.num_envs}, k) of the actions, not {ranked.shape}")
 
         def part(k: int, first: int, last: int) -> None:
-            self._decide(k, min(first, count), min(last, count), given, ranked, again)
+            self._decide(k, first, last, given, ranked, again)
 
-        self._slices.run(part)
+        self._slices.run(part, steps_asked(self.num_envs, which))
         shown = self.simulator.seen
         return shown.observations, shown.reward, shown.terminated, shown.truncated

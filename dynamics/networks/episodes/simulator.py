@@ -16,7 +16,7 @@ from dynamics.networks.episodes.scenario import RoadScenario, road_scenario_of
 from dynamics.networks.layout import COUNT
 from dynamics.networks.live import load
 from dynamics.simulator.arithmetic import Sums, sums_of_numpy
-from dynamics.simulator.asked import actions_given, resets_asked
+from dynamics.simulator.asked import actions_given, resets_asked, steps_asked
 from dynamics.simulator.engine import Machine
 from dynamics.simulator.loops import addresses
 from dynamics.simulator.random import WORDS, from_generator
@@ -144,7 +144,7 @@ class RoadSimulator:
         return self.seen.observations
 
     def step(
-        self, actions: Any, again: bool = False
+        self, actions: Any, again: bool = False, which: Sequence[int] | NDArray[Any] | None = None
     ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """One decision in each environment.
 
@@ -153,6 +153,8 @@ class RoadSimulator:
         actions : (e,) meta-actions, or (e, size) throttle and steering.
         again : whether episodes that end are followed by new ones at once; `seen.terminal` has their last
             observations then.
+        which : the environments that make one, in increasing order; all by default. The arrays keep what they had of
+            the others.
 
         Returns
         -------
@@ -163,6 +165,8 @@ class RoadSimulator:
         ------
         ActionError
             If there is not an action for each environment, or one is none of the action space.
+        ConfigError
+            If `which` is not in increasing order, or there is no such environment.
         SceneError
             If more vehicles came to an intersection than there is room for.
         """
@@ -172,7 +176,7 @@ class RoadSimulator:
             rules, work = self.scenario.rules, self._works[k]
             step_all(self.machine, self.episodes, rules, work, self.flat, given, first, last, again)
 
-        self._slices.run(part)
+        self._slices.run(part, steps_asked(self.num_envs, which))
         self.check_room()
         return seen.observations, seen.reward, seen.terminated, seen.truncated
 

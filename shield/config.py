@@ -14,9 +14,11 @@ from dynamics.errors import perhaps
 from dynamics.traffic.assumptions import Assumptions
 from shield.errors import ConfigError
 
-__all__ = ["MODES", "PERCEPTIONS", "PROFILES", "SIMULATED", "WORST_CASE", "Buffer", "ShieldConfig"]
+__all__ = ["MODES", "PERCEPTIONS", "PROFILES", "RULES_ALONE", "SIMULATED", "WORST_CASE", "Buffer", "ShieldConfig"]
 
-MODES = ("none", "distance", "rss", "ttc", "full")
+RULES_ALONE = ("distance", "rss", "ttc", "ttc-ranking")
+"""Modes in which one rule decides alone."""
+MODES = ("none", *RULES_ALONE, "full")
 """Valid `ShieldConfig.mode`: no shield, one rule alone, or the whole procedure."""
 PROFILES = ("default", "meta-actions", "roads", "exact")
 """Names of `ShieldConfig.profile`."""
@@ -55,7 +57,9 @@ class ShieldConfig:
 
     Attributes
     ----------
-    mode : one of `MODES`.
+    mode : one of `MODES`. "distance", "rss" and "ttc" replace an action that the rule refuses by SLOWER; "ttc-ranking"
+        by the first action in the policy's order of preference that the rule accepts, and by SLOWER where there is
+        none, or the policy has no such order.
     buffer : the distance that no verified action may violate.
     assumptions : what the others are assumed to keep to.
     braking : deceleration of the ego's fail-safe manoeuvre [m/s^2]: 1 g, the limit of a dry road; highway-env's own

@@ -13,7 +13,7 @@ import numpy as np
 
 from dynamics.scenes.scene import Scene, Target
 from dynamics.state import FloatArray
-from shield.config import ShieldConfig
+from shield.config import RULES_ALONE, ShieldConfig
 from shield.decision import Reason
 from shield.errors import ConfigError
 from shield.rule_kernels import alongside, breaks_rss, lateral_gap, longitudinal_gap, time_is_short
@@ -165,7 +165,7 @@ class TtcRule:
 
 
 def make_rule(name: str, config: ShieldConfig) -> Rule:
-    """The rule called "distance", "rss" or "ttc".
+    """The rule of a mode in `RULES_ALONE`.
 
     Raises
     ------
@@ -176,6 +176,6 @@ def make_rule(name: str, config: ShieldConfig) -> Rule:
         return DistanceRule(config.distance)
     if name == "rss":
         return RssRule(config)
-    if name == "ttc":
+    if name in ("ttc", "ttc-ranking"):
         return TtcRule(config.time_to_collision)
-    raise ConfigError(f"unknown rule {name!r}; valid are 'distance', 'rss', 'ttc'")
+    raise ConfigError(f"unknown rule {name!r}; valid are {', '.join(map(repr, RULES_ALONE))}")

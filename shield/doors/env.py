@@ -67,8 +67,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         last observation).
     model : what the predictive filter plans with for `ContinuousAction`, such as
         `dynamics.learned.models.casadi_steps.LearnedSteps`; the bicycle by default. All is verified on the bicycle.
-    rule : a rule of one's own (`shield.rules.Rule`), which decides alone, as the modes "distance", "rss" and "ttc" do:
-        nothing is verified then, and no frame supervised. `shield.testing.check_rule` tries it.
+    rule : a rule of one's own (`shield.rules.Rule`), which decides alone, as the modes of `shield.config.RULES_ALONE`
+        do: nothing is verified then, and no frame supervised. `shield.testing.check_rule` tries it.
 
     perception : what scenes are read from: "simulator", its true state, or "observation", nothing of the traffic but
         what the policy observes (Kinematics, grids; meta-actions, a highway), sensed anew at each frame; or a

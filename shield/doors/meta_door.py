@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.scenes.scene import Scene, SceneReader, Target
-from shield.config import ShieldConfig
+from shield.config import RULES_ALONE, ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.doors.discrete_action import action_index
 from shield.doors.environments import check_configuration, refuse_lots
@@ -40,7 +40,7 @@ class MetaDoor:
     config : settings.
     frames : whether the frames between two decisions are supervised, with `frame`. Without, a meta-action has to last
         until the next decision, and the shield's look-ahead ends with its horizon.
-    rule : what decides alone, as the modes "distance", "rss" and "ttc" do.
+    rule : what decides alone, as the modes of `RULES_ALONE` do.
     scenes : what reads scenes; the simulator's true state by default.
 
     Raises
@@ -71,7 +71,7 @@ class MetaDoor:
         self.reader: SceneReader | ObservedScenes | BlindScenes = SceneReader(base) if scenes is None else scenes
         self._meta: Any = MetaActions(config) if frames else MetaActionsOnly(config)
         self._frames = Frames(config, NearestInputs(config) if config.repair == "filter" else None)
-        self._alone = rule is not None or config.mode in ("distance", "rss", "ttc")
+        self._alone = rule is not None or config.mode in RULES_ALONE
         self.core: Core[Any] = Core(RuleAlone(config, rule) if self._alone else self._meta, explain_scene)
         self._passed: tuple[Decision, Target] | None = None
         self.cause = ""

@@ -11,7 +11,7 @@ from shield.certificate.memory import Memory
 from shield.config import ShieldConfig
 from shield.decision import Reason, Tier
 from shield.procedures.decide import Plan, Tried, Unreadable
-from shield.repair.order import Order
+from shield.repair.order import Order, resolve
 from shield.rules import BufferRule, RssRule, Rule, TtcRule, make_rule
 
 __all__ = ["RuleAlone", "Screen", "Wish", "slower"]
@@ -56,7 +56,8 @@ class Screen:
 
 
 class RuleAlone:
-    """One rule and nothing else: what it objects to is replaced by slowing down.
+    """One rule and nothing else: an action that it refuses is replaced by slowing down or, in the mode "ttc-ranking",
+    by the first action in the policy's order of preference that it accepts.
 
     Parameters
     ----------
@@ -81,13 +82,20 @@ class RuleAlone:
         return scene, memory
 
     def plans(self, view: Scene, proposal: Wish) -> Iterator[Tried[Any]]:
-        """The proposal, or slowing down."""
-        executed = proposal.action
-        if self.rule.objects(view, view.target_of(proposal.action)):
-            executed = slower(proposal.labels)
+        """The proposal, or the action that replaces it."""
+        executed = next((a for a in self._candidates(proposal) if not self._refuses(view, a)), slower(proposal.labels))
         passed = executed == proposal.action
         tier, reason = (Tier.PASSED, Reason.NONE) if passed else (Tier.ALTERNATIVE, self.rule.reason)
         yield Tried(tier, reason, Plan(executed, trusted=True))
+
+    def _candidates(self, proposal: Wish) -> Iterator[int]:
+        """The proposal and, where the mode has it, the policy's other actions by falling preference."""
+        yield proposal.action
+        if self.config.mode == "ttc-ranking":
+            yield from (a for a in resolve(proposal.order) or () if 0 <= a < len(proposal.labels))
+
+    def _refuses(self, view: Scene, action: int) -> bool:
+        return self.rule.objects(view, view.target_of(action))
 
     def fall_back(self, view: Scene, proposal: Wish, tried: list[Tried[Any]]) -> Tried[Any]:
         """Never asked: the rule has a word on everything."""

@@ -59,7 +59,7 @@ def test_evaluate_prints_markdown_and_writes_three_tables(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["evaluate", "--shield", "fulll"], "have none, distance, rss, ttc, full"),
+        (["evaluate", "--shield", "fulll"], "have none, distance, rss, ttc, ttc-ranking, full"),
         (["evaluate", "--policy", "fastest", "--jobs", "1"], "have faster, idle, slower, throttle, random"),
         (["evaluate", "--setting", "motorway"], "highway-fast"),
         (["evaluate", "--output", "x.xlsx"], ".csv or .parquet"),

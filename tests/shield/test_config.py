@@ -97,7 +97,7 @@ def test_assumptions_can_be_a_profile(name):
         ("buffer = 2.0", "buffer must be a table"),
         ("assumptions = 2.0", "assumptions must be a table"),
         ('assumptions = "reckless"', "valid are 'idm', 'roads', 'moderate', 'rss'"),
-        ('mode = "off"', "valid are none, distance, rss, ttc, full"),
+        ('mode = "off"', "valid are none, distance, rss, ttc, ttc-ranking, full"),
         ('braking = "hard"', "ShieldConfig.braking must be a finite number above 0"),
         ("braking = 0", "above 0"),
         ("braking = nan", "finite"),

@@ -1,5 +1,7 @@
 """The distance rules: the formulas by hand and by simulation, and each rule on scenes built by hand."""
 
+from collections import Counter
+
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
@@ -8,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.roads.straight import StraightRoad
-from dynamics.scenes.scene import EgoControl, Scene, Target
+from dynamics.scenes.scene import EgoControl, Scene, SceneReader, Target
 from dynamics.traffic.assumptions import Assumptions
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.decision import Reason, Tier
@@ -177,7 +179,8 @@ def test_rules_by_name():
     assert make_rule("distance", config) == DistanceRule(12.0)
     assert make_rule("rss", config) == RssRule(config)
     assert make_rule("ttc", config) == TtcRule(3.0)
-    with pytest.raises(ConfigError, match="valid are 'distance', 'rss', 'ttc'"):
+    assert make_rule("ttc-ranking", config) == TtcRule(3.0)
+    with pytest.raises(ConfigError, match="valid are 'distance', 'rss', 'ttc', 'ttc-ranking'"):
         make_rule("full", config)
 
 
@@ -243,3 +246,63 @@ def test_both_doors_agree_where_only_a_rule_decides(mode):
     (rewards, obs), (others, other_obs) = drive("env"), drive("predict")
     assert rewards == others
     np.testing.assert_array_equal(obs, other_obs)
+
+
+class Preferring:
+    """Always proposes its first preference, and scores actions by its order."""
+
+    def __init__(self, order):
+        self.order = order
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return self.order[0], state
+
+    def action_scores(self, observation):
+        return np.array([-self.order.index(a) for a in range(5)], float)
+
+
+@pytest.mark.parametrize("wrapped", ["env", "policy"])
+@pytest.mark.parametrize("order", [[3, 2, 0, 1, 4], [3, 1, 4, 2, 0], [3, 4, 1, 2, 0]])
+def test_the_ranking_is_walked_down_to_the_first_action_that_the_rule_accepts(order, wrapped):
+    """Whatever is executed, the rule refuses every action that the policy prefers to it, or SLOWER is executed."""
+    config = ShieldConfig(mode="ttc-ranking", time_to_collision=4.0)
+    env, policy, rule = gym.make("highway-fast-v0"), Preferring(order), make_rule("ttc", config)
+    if wrapped == "env":
+        env = ShieldedEnv(env, config, policy=policy)
+        acts = lambda obs: policy.predict(obs)[0]  # noqa: E731
+    else:
+        shield = Shield(policy, env, config)
+        acts = lambda obs: int(shield.predict(obs)[0])  # noqa: E731
+    executed = Counter()
+    for seed in range(4):
+        obs, _ = env.reset(seed=seed)
+        done = False
+        while not done:
+            scene = SceneReader(env.unwrapped).read()
+            refused = [rule.objects(scene, scene.target_of(a)) for a in order]
+            expected = order[refused.index(False)] if False in refused else SLOWER_ACTION
+            action = acts(obs)
+            obs, _, terminated, truncated, _ = env.step(action)
+            done = terminated or truncated
+            decision = env.last_decision if wrapped == "env" else shield.last_decision
+            assert decision.executed == expected
+            assert (decision.tier is Tier.PASSED) == (expected == order[0])
+            executed[expected] += 1
+    assert executed[order[0]] > 0
+    assert executed[order[1]] > 0
+    env.close()
+
+
+def test_without_a_ranking_slower_replaces_what_the_rule_refuses():
+    plain = ShieldedEnv(gym.make("highway-fast-v0"), ShieldConfig(mode="ttc"))
+    ranked = ShieldedEnv(gym.make("highway-fast-v0"), ShieldConfig(mode="ttc-ranking"))
+    for env in (plain, ranked):
+        env.reset(seed=1)
+    overridden, done = 0, False
+    while not done:
+        (obs, *one), (other, *two) = plain.step(3), ranked.step(3)
+        assert np.array_equal(obs, other)
+        assert one[:3] == two[:3]
+        overridden += one[3]["shield"]["overridden"]
+        done = one[1] or one[2]
+    assert overridden > 0

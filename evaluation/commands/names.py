@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
-__all__ = ["DEMO_POLICY", "DEMO_SETTING"]
+__all__ = ["DEMO_POLICY", "DEMO_SETTING", "EVALUATION_SEED"]
 
 DEMO_SETTING, DEMO_POLICY = "highway-fast", "ppo-highway-fast"
+EVALUATION_SEED = 100_000
+"""Seed of the first evaluation episode, unless another is asked for."""

@@ -1,0 +1,244 @@
+"""The commands that drive and compare: evaluate, episodes and merge."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from evaluation.commands.asking import (
+    EnvConfig,
+    EnvId,
+    ask_policies,
+    ask_settings,
+    check_jobs,
+    check_modes,
+    shard_of,
+    split,
+)
+from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING, EVALUATION_SEED
+from evaluation.commands.reporting import Form, check_output, report
+from evaluation.learning.algorithms import ALGORITHMS, algorithm_named
+from evaluation.names import (
+    BASELINES,
+    CHANNEL_NAMES,
+    MODELS,
+    SENSOR_NAMES,
+    SIMULATORS,
+    check_name,
+    check_sensor,
+)
+from shield.config import MODES, PERCEPTIONS, ShieldConfig
+from shield.errors import ConfigError
+
+__all__ = ["add_evaluating"]
+
+_out, _err = Console(), Console(stderr=True, highlight=False)
+
+
+class Door(StrEnum):
+    """Where the shield stands."""
+
+    ENV = "env"
+    POLICY = "policy"
+    ACTIONS = "actions"
+    ALL = "all"
+
+
+def evaluate_command(
+    setting: Annotated[
+        list[str] | None,
+        typer.Option(help=f"Named environment (repeatable, or a comma list; see `shield settings`) [{DEMO_SETTING}]."),
+    ] = None,
+    env_id: EnvId = None,
+    env_config: EnvConfig = None,
+    policy: Annotated[
+        list[str] | None,
+        typer.Option(
+            help=f"{', '.join(BASELINES)}, a reference policy, or an SB3 .zip (repeatable, or a comma list)"
+            f" [{DEMO_POLICY}; random with --env-id]."
+        ),
+    ] = None,
+    shield: Annotated[
+        list[str] | None,
+        typer.Option(
+            help=f"Shield modes: {', '.join(MODES)} (repeatable, or a comma list)."
+            " By default none and full; none alone where they cannot read the road."
+        ),
+    ] = None,
+    door: Annotated[
+        Door,
+        typer.Option(
+            help="env: ShieldedEnv, around the environment; policy: Shield, around the policy;"
+            " actions: the same, which chooses among actions and leaves the frames between alone; all: one after the"
+            " other."
+        ),
+    ] = Door.ENV,
+    perception: Annotated[
+        str,
+        typer.Option(
+            help=f"What the shield reads scenes from, of {', '.join(PERCEPTIONS)} (or both): the simulator's true"
+            " state, or nothing of the traffic but what the policy observes."
+        ),
+    ] = PERCEPTIONS[0],
+    sensor: Annotated[
+        str,
+        typer.Option(
+            help="Through which sensors the policy sees, and a shield that reads observations: one or more of"
+            f" {', '.join(SENSOR_NAMES)}, metric-S and normalised-S with any standard deviation S; with what is added"
+            " to the observation, if anything, such as"
+            f" normalised-0.5+confidence+intent, of {', '.join(CHANNEL_NAMES)}."
+        ),
+    ] = "exact",
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes for each row.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; the others follow.")] = EVALUATION_SEED,
+    jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
+    algorithm: Annotated[
+        str | None,
+        typer.Option(help=f"Algorithm of a .zip, where the file does not tell: {', '.join(sorted(ALGORITHMS))}."),
+    ] = None,
+    model: Annotated[
+        str,
+        typer.Option(
+            help=f"What mpc, and the predictive filter of the shield at door env, plans with: {', '.join(MODELS)}, or"
+            " a folder from `shield dynamics fit --setting`. The shield verifies on the bicycle in any case."
+        ),
+    ] = MODELS[0],
+    config: Annotated[
+        Path | None,
+        typer.Option(help="Shield settings: a TOML file (see `shield config`), simulated, or worst-case."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the episodes here (.csv or .parquet), and beside it the summary"
+            " and the comparison, as NAME-summary and NAME-comparison."
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")] = False,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            help="Go on where a run with this --output was stopped, or extend one that is finished: more"
+            " episodes, policies, settings, shield modes.",
+        ),
+    ] = False,
+    shard: Annotated[
+        str | None,
+        typer.Option(
+            help="i/n: drive every n-th episode only, from the i-th on; `shield merge` puts n such files together."
+        ),
+    ] = None,
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
+    latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX tables, for the package booktabs.")] = False,
+    simulator: Annotated[
+        str,
+        typer.Option(
+            help=f"One of {', '.join(SIMULATORS)}. The compiled highway is the same, bit for bit;"
+            " auto takes it where it serves."
+        ),
+    ] = SIMULATORS[0],
+) -> None:
+    """Drive episodes and print crash rates, returns, speeds, overrides and latencies.
+
+    All rows drive the same seeds. Rates in percent with 95 % intervals, speeds in m/s,
+    distances and margins in m, latencies in ms per decision.
+    """
+    form = Form.of(markdown, latex)
+    doors = [each.value for each in Door if each is not Door.ALL] if door is Door.ALL else [door.value]
+    # The demo's policy was trained on the demo's observations: another environment's it may not be able to read.
+    policies = ask_policies(policy or [DEMO_POLICY if env_id is None else "random"])
+    sensors, perceptions, modes = split([sensor]), split([perception]), None if shield is None else split(shield)
+    check_modes(modes or [], perceptions)
+    for each in sensors:
+        check_sensor(each)
+    check_name("simulator", simulator, SIMULATORS)
+    if algorithm is not None:
+        algorithm_named(algorithm)
+    if not Path(model).is_dir():
+        check_name("model", model, MODELS, ", or the folder of learned models")
+    check_jobs(jobs)
+    if resume and output is None:
+        raise ConfigError("--resume goes with --output")
+    if output is not None:
+        check_output(output, force, resume)
+    shield_config = None if config is None else ShieldConfig.named(config)
+    settings = ask_settings(setting, env_id, env_config)
+
+    from evaluation.experiments import Experiment
+    from evaluation.experiments.experiment import Stopped
+    from evaluation.learning.normalised_model import statistics_beside
+
+    for name in policies:
+        if name.endswith(".zip") and (statistics := statistics_beside(Path(name))):
+            _err.print(f"{name}: observations are normalised by {statistics.name} beside it")
+    asked = Experiment(
+        policies,
+        settings,
+        modes,
+        doors,
+        perceptions,
+        sensors,
+        episodes,
+        seed,
+        shield_config,
+        algorithm,
+        model,
+        simulator,
+        jobs,
+        output,
+        resume,
+        shard_of(shard),
+    )
+    try:
+        result = asked.run()
+    except Stopped as stopped:
+        if len(stopped.result.episodes):
+            report(stopped.result.episodes, form=form)
+        kept = "" if output is None else "; --resume goes on from there"
+        _err.print(f"{stopped}{kept}")
+        raise typer.Exit(130) from None
+    report(result.episodes, output, form, dict(result.made))
+
+
+def episodes_command(
+    rate: Annotated[float, typer.Option(help="Crash rate that is to be shown, such as 1e-3.")],
+    versus: Annotated[
+        float | None, typer.Option(help="Crash rate of another policy, from which it is to be told apart.")
+    ] = None,
+) -> None:
+    """Say how many episodes a statement about a crash rate needs."""
+    from evaluation.measuring.sample_size import POWER, episodes_to_tell_apart, episodes_without_a_crash
+
+    needed = episodes_without_a_crash(rate)
+    _out.print(f"{needed:,} episodes without a crash show a rate of at most {rate:g} (95 %, Clopper-Pearson)")
+    if versus is not None:
+        each = episodes_to_tell_apart(rate, versus)
+        _out.print(f"{each:,} episodes each tell {rate:g} and {versus:g} apart (95 %, with a power of {POWER:.0%})")
+
+
+def merge_command(
+    output: Annotated[Path, typer.Argument(help="The .csv or .parquet to write.")],
+    parts: Annotated[list[Path], typer.Argument(help="What `shield evaluate --shard i/n --output PART` wrote.")],
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
+    latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX tables, for the package booktabs.")] = False,
+) -> None:
+    """Put the shards of one experiment together, and print its tables; refuse what does not fit together."""
+    form = Form.of(markdown, latex)
+    check_output(output, force)
+    from evaluation.experiments import Result, merge
+
+    whole = merge([Result.read(part) for part in parts])
+    report(whole.episodes, output, form, dict(whole.made))
+
+
+def add_evaluating(app: typer.Typer) -> None:
+    """Give the application these commands."""
+    app.command("evaluate")(evaluate_command)
+    app.command("episodes")(episodes_command)
+    app.command("merge")(merge_command)

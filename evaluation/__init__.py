@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from evaluation.learning.fast_road_vec_env import FastRoadVecEnv
     from evaluation.learning.fast_vec_env import FastHighwayVecEnv
     from evaluation.learning.shielded_vec_env import ShieldedVecEnv
-    from evaluation.learning.training import train
     from evaluation.measuring.metrics import summarise
     from evaluation.policies import list_references, load_reference
     from evaluation.report.overlay import ShieldOverlay
@@ -44,6 +43,7 @@ if TYPE_CHECKING:
     from evaluation.running.named_policies import make_policy
     from evaluation.running.records import make_variants
     from evaluation.settings import Setting, get_setting, setting_of
+    from evaluation.training.train import train
 
 __all__ = [
     "Experiment",
@@ -83,7 +83,6 @@ __getattr__, _, _ = lazy_loader.attach(
         "learning.fast_road_vec_env": ["FastRoadVecEnv"],
         "learning.fast_vec_env": ["FastHighwayVecEnv"],
         "learning.shielded_vec_env": ["ShieldedVecEnv"],
-        "learning.training": ["train"],
         "measuring.metrics": ["summarise"],
         "policies": ["list_references", "load_reference"],
         "report.overlay": ["ShieldOverlay"],
@@ -95,6 +94,7 @@ __getattr__, _, _ = lazy_loader.attach(
         "running.many": ["Many"],
         "running.named_policies": ["make_policy"],
         "running.records": ["make_variants"],
+        "training.train": ["train"],
         "settings": ["Setting", "get_setting", "setting_of"],
     },
 )

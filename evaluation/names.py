@@ -31,7 +31,7 @@ __all__ = [
 
 FIRST_EVALUATION_SEED = 10_000
 """Seeds below it are for training and choosing, from it on for evaluation."""
-TRAINABLE = ("a2c", "dqn", "ppo", "sac", "td3", "trpo")
+TRAINABLE = ("a2c", "dqn", "maskableppo", "ppo", "sac", "td3", "trpo")
 """The algorithms that `shield train` knows."""
 SIMULATORS = ("auto", "compiled", "highway-env")
 """What episodes are driven in: highway-env's own code, its compiled copy, or that one where it serves."""

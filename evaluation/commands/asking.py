@@ -4,7 +4,8 @@ found before anything slow is imported."""
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -93,8 +94,10 @@ def ask_policies(names: Sequence[str]) -> list[str]:
     return policies
 
 
-def ask_hyperparameters(file: Path | None, settings: Sequence[str]) -> dict[str, Any]:
-    """Keyword arguments of an algorithm from a TOML file, and over them single ones such as "n_steps=1024".
+def ask_hyperparameters(
+    file: Path | None, settings: Sequence[str], base: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Keyword arguments of an algorithm from a TOML file or `base`, and over them single ones such as "n_steps=1024".
 
     Raises
     ------
@@ -106,7 +109,7 @@ def ask_hyperparameters(file: Path | None, settings: Sequence[str]) -> dict[str,
     >>> ask_hyperparameters(None, ["n_steps=64", "policy_kwargs.net_arch=[8, 8]", "policy=MlpPolicy"])
     {'n_steps': 64, 'policy_kwargs': {'net_arch': [8, 8]}, 'policy': 'MlpPolicy'}
     """
-    found = {} if file is None else read_toml(file)
+    found = deepcopy(dict(base or {})) if file is None else read_toml(file)
     for text in settings:
         key, equals, value = text.partition("=")
         if not (key.strip() and equals and value.strip()):

@@ -2,109 +2,114 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 
 from evaluation.commands.asking import ask_hyperparameters
+from evaluation.commands.options_command import options_of, with_options
 from evaluation.commands.reporting import check_writable
 from evaluation.learning.recipes import RECIPES, get_recipe
-from evaluation.names import FIRST_EVALUATION_SEED, SIMULATORS, TRAINABLE, check_name, check_sensor
-from evaluation.settings import get_setting
+from evaluation.names import FIRST_EVALUATION_SEED, SIMULATORS, TRAINABLE
+from evaluation.training.options import LEARN_FROM, NORMALISABLE, ON_POLICY, TrainingOptions
 from shield.config import PROFILES
 from shield.errors import ConfigError
 
 __all__ = ["add_training"]
 
-_TRAINING_ENVS = 4
-"""Environments side by side in training, unless another number is asked for."""
+_WITH_RECIPE = ("steps", "simulator", "sensor", "output")
+"""Options that go with a recipe."""
+
+_HELP: Mapping[str, str] = {
+    "setting": "Environment setting to train in (see `shield settings`).",
+    "env_id": "Any environment by its Gymnasium id instead, such as highway-v0 or module:id.",
+    "env_config": "TOML file of what differs from the configuration of --env-id.",
+    "algorithm": f"One of {', '.join(TRAINABLE)}.",
+    "steps": "Training steps (decisions).",
+    "seed": f"Training seed, below {FIRST_EVALUATION_SEED}.",
+    "output": "The zip file to write; a manifest goes beside it.",
+    "envs": "Environments side by side; a recipe has one.",
+    "hyperparameters": "TOML file of the algorithm's keyword arguments.",
+    "normalise": f"{' or '.join(NORMALISABLE)}, by running statistics ({', '.join(ON_POLICY)}; repeatable).",
+    "exploration": "Standard deviation of each continuous action at the start.",
+    "fast": "Compute highway-env's observations at once; they are the same.",
+    "simulator": f"One of {', '.join(SIMULATORS)}; the compiled highway teaches the same, bit for bit.",
+    "shield": f"Train inside the shield: {', '.join(PROFILES)}; or none. Compiled on straight highways with"
+    " meta-actions.",
+    "sensor": "Through which sensor the policy sees, such as normalised-0.5+intent; as of evaluate.",
+    "override_penalty": "What each step that the shield overrode costs, in units of the reward.",
+    "masks": "PPO chooses among the actions that verify (MaskablePPO, the extra `contrib`).",
+    "learn_from": f"Store transitions with the action that was {' or '.join(LEARN_FROM)}.",
+    "tensorboard": "Folder to log to for TensorBoard (the extra `tensorboard`).",
+    "checkpoint_every": "Steps between two checkpoints, which --resume goes on from.",
+    "resume": "Go on from the last checkpoint in OUTPUT-checkpoints, if there is one.",
+    "evaluate_every": "Steps between two evaluations while it learns; the best model is kept.",
+    "evaluation_episodes": "Episodes of each of these evaluations.",
+    "videos": "Film one episode of each evaluation.",
+}
+"""What is said of each field of `TrainingOptions`."""
 
 _out = Console()
 
 
 def train_command(
     recipe: Annotated[str | None, typer.Option(help=f"Train a reference policy: {', '.join(RECIPES)}.")] = None,
-    setting: Annotated[str | None, typer.Option(help="Environment setting to train in, without --recipe.")] = None,
-    algorithm: Annotated[str, typer.Option(help=f"One of {', '.join(TRAINABLE)}.")] = "ppo",
-    steps: Annotated[
-        int | None, typer.Option(help="Training steps (decisions); by default the recipe's, or 10,000.")
-    ] = None,
-    seed: Annotated[int, typer.Option(help=f"Training seed, below {FIRST_EVALUATION_SEED}.")] = 0,
-    output: Annotated[Path | None, typer.Option(help="The zip file to write; a manifest goes beside it.")] = None,
-    simulator: Annotated[
-        str,
-        typer.Option(help=f"One of {', '.join(SIMULATORS)}; the compiled highway teaches the same, bit for bit."),
-    ] = SIMULATORS[0],
-    shield: Annotated[
-        str,
-        typer.Option(
-            help=f"Train inside the shield: {', '.join(PROFILES)}; or none. Compiled on straight highways with"
-            " meta-actions. A recipe says itself."
-        ),
-    ] = "none",
-    sensor: Annotated[
-        str, typer.Option(help="Through which sensor the policy sees, such as normalised-0.5+intent; as of evaluate.")
-    ] = "exact",
-    envs: Annotated[
-        int | None, typer.Option(min=1, help="Environments side by side [4; a recipe has one].", show_default=False)
-    ] = None,
-    hyperparameters: Annotated[
-        Path | None, typer.Option(help="TOML file of the algorithm's keyword arguments.", show_default=False)
+    options: Annotated[
+        Path | None,
+        typer.Option(help="TOML file of the options below, by name; those given here go over it.", show_default=False),
     ] = None,
     set_: Annotated[
         list[str] | None,
-        typer.Option("--set", help="One of them, such as n_steps=1024 or policy_kwargs.net_arch=[64,64] (repeatable)."),
+        typer.Option(
+            "--set", help="A hyperparameter, such as n_steps=1024 or policy_kwargs.net_arch=[64,64] (repeatable)."
+        ),
     ] = None,
-    tensorboard: Annotated[
-        Path | None,
-        typer.Option(help="Folder to log to for TensorBoard (the extra `tensorboard`).", show_default=False),
-    ] = None,
+    **given: Any,
 ) -> None:
     """Train a policy on one core and save it with a manifest that says how."""
-    if (recipe is None) == (setting is None):
-        raise ConfigError("give either --recipe or --setting")
-    if recipe is not None and shield != "none":
-        raise ConfigError("a recipe says itself whether it trains inside the shield; give --setting with --shield")
-    if recipe is not None and (envs or hyperparameters or set_ or tensorboard):
-        raise ConfigError("a recipe has its own hyperparameters; give --setting with --envs, --set and the like")
-    parameters = ask_hyperparameters(hyperparameters, set_ or [])
-    check_name("algorithm", algorithm.lower(), TRAINABLE)
-    check_name("simulator", simulator, SIMULATORS)
-    check_sensor(sensor)
+    asked = {key: value for key, value in given.items() if value is not None}
     if recipe is not None:
-        get_recipe(recipe)
-    if setting is not None:
-        get_setting(setting)
+        _train_recipe(recipe, asked, bool(set_ or options))
+        return
+    found = {**({} if options is None else TrainingOptions.read(options)), **asked}
+    if asked.get("setting") or asked.get("env_id"):
+        # What is asked for here replaces the file's environment, whichever of the two names it.
+        found = {key: value for key, value in found.items() if key in asked or key not in ("setting", "env_id")}
+    base = dict(found.get("hyperparameters", {})) if "hyperparameters" not in asked else {}
+    file = asked.get("hyperparameters")
+    found["hyperparameters"] = ask_hyperparameters(file, set_ or [], base)
+    whole = TrainingOptions(**found)
+    check_writable(whole.path)
+    from evaluation.training.train import train_with
+
+    _tell(train_with(whole))
+
+
+def _train_recipe(recipe: str, asked: dict[str, Any], more: bool) -> None:
+    if "setting" in asked or "env_id" in asked:
+        raise ConfigError("give either --recipe or --setting")
+    own = [key for key in asked if key not in _WITH_RECIPE]
+    if own or more:
+        named = ", ".join("--" + key.replace("_", "-") for key in own) or "--set and --options"
+        raise ConfigError(f"a recipe has its own hyperparameters and options; give --setting with {named}")
+    get_recipe(recipe)
+    output = asked.get("output")
     if output is not None:
         check_writable(output)
-    from evaluation.learning.training import train, train_recipe
+    from evaluation.training.train import train_recipe
 
-    if recipe is not None:
-        trained = train_recipe(recipe, output, steps=steps, simulator=simulator, sensor=sensor)
-    else:
-        assert setting is not None
-        seen = "" if sensor == "exact" else f"-{sensor}"
-        path = output or Path("runs", "policies", f"{algorithm}-{setting}{seen}.zip")
-        decisions = 10_000 if steps is None else steps
-        trained = train(
-            setting,
-            algorithm,
-            decisions,
-            seed,
-            output=path,
-            hyperparameters=parameters,
-            simulator=simulator,
-            shield=shield,
-            sensor=sensor,
-            envs=envs or _TRAINING_ENVS,
-            tensorboard=tensorboard,
-        )
-    told = f"{trained.manifest['training_seconds']} s in {trained.manifest['simulator']}"
-    _out.print(f"wrote {trained.path} ({told})")
+    _tell(train_recipe(recipe, **asked))
+
+
+def _tell(trained: Any) -> None:
+    manifest = trained.manifest
+    resumed = f", resumed at {', '.join(map(str, manifest['resumed']))}" if manifest.get("resumed") else ""
+    _out.print(f"wrote {trained.path} ({manifest['training_seconds']} s in {manifest['simulator']}{resumed})")
 
 
 def add_training(app: typer.Typer) -> None:
     """Add the command to the application."""
-    app.command("train")(train_command)
+    app.command("train")(with_options(train_command, options_of(TrainingOptions, _HELP)))

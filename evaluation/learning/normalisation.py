@@ -44,8 +44,12 @@ def normalised(env: gym.Env[Any, Any] | VecEnv, what: Collection[str], gamma: fl
     )
 
 
-def fold(model: BaseAlgorithm) -> None:
+def fold(model: BaseAlgorithm, statistics: VecNormalize | None = None) -> None:
     """Put the normalisation of observations that a model was trained with into its first layers, in place.
+
+    Parameters
+    ----------
+    model : of PPO, A2C or MaskablePPO. statistics : with which; by default those of its environment.
 
     W (x - mean) / sigma + b = W' x + b' with W' = W / sigma and b' = b - W' mean.
 
@@ -54,14 +58,16 @@ def fold(model: BaseAlgorithm) -> None:
     ConfigError
         If the model is not an actor and critic of dense layers, or was trained without normalised observations.
     """
-    policy, env = model.policy, model.get_vec_normalize_env()
-    if not isinstance(policy, ActorCriticPolicy) or not isinstance(policy.features_extractor, FlattenExtractor):
+    policy: Any = model.policy
+    env = model.get_vec_normalize_env() if statistics is None else statistics
+    actor_critic = isinstance(policy, ActorCriticPolicy) or type(policy).__name__ == "MaskableActorCriticPolicy"
+    if not actor_critic or not isinstance(policy.features_extractor, FlattenExtractor):
         raise ConfigError(f"normalisation can be folded into an MlpPolicy of PPO or A2C, not {type(policy).__name__}")
     if env is None or not env.norm_obs:
         raise ConfigError("this model was trained without normalised observations; have nothing to fold")
-    statistics: Any = env.obs_rms
-    mean = torch.as_tensor(statistics.mean.reshape(-1))
-    sigma = torch.as_tensor(np.sqrt(statistics.var.reshape(-1) + env.epsilon))
+    moments: Any = env.obs_rms
+    mean = torch.as_tensor(moments.mean.reshape(-1))
+    sigma = torch.as_tensor(np.sqrt(moments.var.reshape(-1) + env.epsilon))
     first: list[Any] = [policy.mlp_extractor.policy_net[0], policy.mlp_extractor.value_net[0]]
     with torch.no_grad():
         for layer in first:

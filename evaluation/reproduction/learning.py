@@ -14,7 +14,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from evaluation.learning.algorithms import get_algorithm
-from evaluation.learning.training import manifest_path
+from evaluation.learning.manifests import manifest_path
 from evaluation.reproduction.env import ReportEnv
 from evaluation.reproduction.presets import Preset
 from evaluation.reproduction.variants import Variant

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from dynamics.vehicle.actuators import Actuators
 from evaluation.learning.algorithms import load_model
+from evaluation.learning.manifests import manifest_path
 from evaluation.learning.normalised_model import statistics_beside, with_statistics
-from evaluation.learning.training import manifest_path
 from evaluation.names import BASELINES, check_policy, policy_label
 from evaluation.policies import list_references, load_reference
 from evaluation.running.highway_planner import highway_policy

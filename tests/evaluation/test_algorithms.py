@@ -9,9 +9,9 @@ import highway_env  # noqa: F401  (registers the environments)
 import pytest
 
 from evaluation.learning.algorithms import ALGORITHMS, algorithm_of, get_algorithm, load_model
-from evaluation.learning.training import _ACTION_SPACES
 from evaluation.names import BASELINES, TRAINABLE
 from evaluation.running.named_policies import make_policy
+from evaluation.training.train import _ACTION_SPACES
 from shield.errors import ConfigError, PolicyError
 
 INPUTS = ("ddpg", "sac", "td3", "tqc", "crossq")

@@ -4,9 +4,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from evaluation.learning.training import train
 from evaluation.running.named_policies import BASELINES, make_policy, policy_label, start_episode
 from evaluation.settings import get_setting
+from evaluation.training.train import train
 from shield.errors import ConfigError, PolicyError
 
 

@@ -13,10 +13,10 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
-from evaluation.learning.training import train
 from evaluation.names import CHANNEL_NAMES
 from evaluation.running.episodes import run_episode
 from evaluation.running.records import Variant
+from evaluation.training.train import train
 from evaluation.wrappers import SENSORS, Confidence, Intent, SensorModel, SensorNoise, TrackedConfidence, seen_through
 from evaluation.wrappers.channels import CHANNELS
 from shield import Shield, ShieldedEnv

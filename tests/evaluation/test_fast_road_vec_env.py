@@ -8,8 +8,8 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 
 from evaluation.learning.fast_road_vec_env import FastRoadVecEnv
-from evaluation.learning.training import train
 from evaluation.settings import Setting
+from evaluation.training.train import train
 from shield.errors import ConfigError
 
 

@@ -12,8 +12,8 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecNormalize
 
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
-from evaluation.learning.training import train
 from evaluation.settings import Setting
+from evaluation.training.train import train
 from shield.errors import ConfigError
 
 CONFIG = {"vehicles_count": 6, "duration": 6}

@@ -7,11 +7,11 @@ import pytest
 import torch
 from stable_baselines3 import DQN
 
-from evaluation.learning.training import train
 from evaluation.running.episodes import run_episode
 from evaluation.running.records import Variant
 from evaluation.running.simulators import environment
 from evaluation.settings import get_setting
+from evaluation.training.train import train
 from shield import ShieldConfig
 from shield.errors import ConfigError
 

@@ -13,17 +13,14 @@ from stable_baselines3 import DQN, PPO
 from typer.testing import CliRunner
 
 from evaluation.commands.cli import app
+from evaluation.learning.algorithms import get_algorithm
+from evaluation.learning.manifests import manifest_path
 from evaluation.learning.normalisation import fold, normalised
 from evaluation.learning.recipes import RECIPES
-from evaluation.learning.training import (
-    FIRST_EVALUATION_SEED,
-    get_algorithm,
-    manifest_path,
-    train,
-    train_recipe,
-)
+from evaluation.names import FIRST_EVALUATION_SEED
 from evaluation.policies import list_references, load_reference, reference_manifest
 from evaluation.settings import Setting, get_setting
+from evaluation.training.train import train, train_recipe
 from shield.errors import ConfigError
 
 TINY = Setting("tiny", "highway-fast-v0", {"vehicles_count": 3, "duration": 10})
@@ -178,7 +175,7 @@ def test_only_what_was_normalised_can_be_folded(tmp_path):
         ({"algorithm": "sac"}, "have .*'dqn'"),
         ({"setting": CONTINUOUS}, "have .*'sac'"),
         ({"steps": 0}, "positive"),
-        ({"normalise": ["rewards"]}, "dqn cannot normalise rewards; a2c and ppo can"),
+        ({"normalise": ["rewards"]}, "dqn cannot normalise rewards; a2c, ppo, maskableppo can"),
         ({"algorithm": "ppo", "normalise": ["actions"]}, "can normalise observations and rewards"),
         ({"exploration": [0.1]}, "of which there are 0"),
         ({"algorithm": "ppo", "setting": CONTINUOUS, "exploration": [0.1]}, "of which there are 2"),
@@ -319,9 +316,10 @@ def test_the_base_policy_drives_and_mostly_arrives():
 
 def test_fewer_steps_than_the_recipes_are_those_that_are_trained(tmp_path, monkeypatch):
     asked = {}
-    monkeypatch.setattr("evaluation.learning.training.train", lambda *args, **kwargs: asked.update(args=args, **kwargs))
+    told = lambda options, **kwargs: asked.update(options=options, **kwargs)  # noqa: E731
+    monkeypatch.setattr("evaluation.training.train.train_with", told)
     train_recipe("ppo-highway-fast", tmp_path / "x.zip", steps=77)
-    assert asked["args"][2] == 77
+    assert asked["options"].steps == 77
     assert asked["command"].endswith("--steps 77")
 
 

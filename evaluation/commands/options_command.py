@@ -1,0 +1,77 @@
+"""Options of a command from the fields of a dataclass: one field, one option."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, Field, fields
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+import typer
+
+__all__ = ["options_of", "with_options"]
+
+
+def options_of(kind: type, help: Mapping[str, str]) -> list[inspect.Parameter]:
+    """An option for each field of a dataclass; None where it is not given, so that a file can say it.
+
+    Parameters
+    ----------
+    kind : a dataclass. Types are what the command line has: text, numbers, flags, paths, lists for tuples, and a file
+        for a mapping. help : what is said of each field, by name.
+    """
+    hints = get_type_hints(kind)
+    return [
+        inspect.Parameter(
+            each.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=None,
+            annotation=Annotated[
+                _asked(hints[each.name]) | None, typer.Option(help=_help(each, help[each.name]), show_default=False)
+            ],
+        )
+        for each in fields(kind)
+    ]
+
+
+def with_options(command: Callable[..., None], more: list[inspect.Parameter]) -> Callable[..., None]:
+    """A command that takes these options too, as keyword arguments.
+
+    Parameters
+    ----------
+    command : takes `**given`, and names its own options before it.
+    """
+    own = [
+        each
+        for each in inspect.signature(command, eval_str=True).parameters.values()
+        if each.kind is not each.VAR_KEYWORD
+    ]
+    whole = [*own, *more]
+
+    def run(**given: Any) -> None:
+        command(**given)
+
+    run.__doc__, run.__name__ = command.__doc__, command.__name__
+    run.__annotations__ = {each.name: each.annotation for each in whole}
+    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in whole]
+    )
+    return run
+
+
+def _asked(hint: Any) -> Any:
+    """What the command line asks for in a field's place."""
+    parts = [each for each in get_args(hint) if each is not type(None)] if isinstance(hint, UnionType) else [hint]
+    first = str if str in parts else parts[0]
+    origin = get_origin(first)
+    if origin is tuple:
+        return list[get_args(first)[0]]  # type: ignore[misc]
+    return Path if origin is not None and issubclass(origin, Mapping) else first
+
+
+def _help(one: Field[Any], text: str) -> str:
+    """The text of an option, with what holds without it."""
+    shown = one.default is not MISSING and one.default not in (None, False, "", (), 0)
+    return f"{text} [{one.default}]" if shown else text

@@ -1,0 +1,1 @@
+"""Training of policies: options, environments, checkpoints, evaluation while it learns."""

@@ -1,0 +1,249 @@
+"""Training of a policy with Stable-Baselines3, reproducible, with a manifest beside it that says how."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+
+from evaluation.learning.algorithms import get_algorithm
+from evaluation.learning.manifests import manifest_path
+from evaluation.learning.normalisation import fold, normalised
+from evaluation.learning.recipes import get_recipe
+from evaluation.settings import Setting
+from evaluation.threads import one_thread
+from evaluation.training.checkpoints import Checkpoints
+from evaluation.training.counting import CountSteps
+from evaluation.training.executed_actions import LearnFromExecuted
+from evaluation.training.manifest import manifest_of
+from evaluation.training.named_classes import with_classes
+from evaluation.training.options import TrainingOptions
+from evaluation.training.periodic_evaluation import PeriodicEvaluation
+from evaluation.training.worlds import World, make_world
+from shield.errors import ConfigError
+
+__all__ = ["TrainedPolicy", "train", "train_recipe", "train_with"]
+
+_ACTION_SPACES: dict[str, tuple[type[gym.Space[Any]], ...]] = {
+    "a2c": (gym.spaces.Discrete, gym.spaces.Box),
+    "dqn": (gym.spaces.Discrete,),
+    "maskableppo": (gym.spaces.Discrete,),
+    "ppo": (gym.spaces.Discrete, gym.spaces.Box),
+    "sac": (gym.spaces.Box,),
+    "td3": (gym.spaces.Box,),
+    "trpo": (gym.spaces.Discrete, gym.spaces.Box),
+}
+
+
+@dataclass(frozen=True)
+class TrainedPolicy:
+    """Where a trained policy lies and how it was made.
+
+    Attributes
+    ----------
+    path : the zip file, to be loaded with the algorithm's own `load`. manifest : what the JSON file beside it holds.
+    """
+
+    path: Path
+    manifest: Mapping[str, Any]
+
+
+def train(
+    setting: str | Setting,
+    algorithm: str,
+    steps: int,
+    seed: int,
+    *,
+    output: str | Path,
+    progress: bool = True,
+    **options: Any,
+) -> TrainedPolicy:
+    """Train a policy on one thread of the processor and save it with its manifest.
+
+    Parameters
+    ----------
+    setting, algorithm, steps, seed, output : as of `TrainingOptions`.
+    progress : whether to show a progress bar.
+    options : the other fields of `TrainingOptions`; `envs` is 1 where it is not given.
+
+    Returns
+    -------
+    The written file and its manifest.
+
+    Raises
+    ------
+    ConfigError
+        If an option is not valid, or the algorithm cannot learn in this environment.
+    """
+    known = TrainingOptions.names()
+    unknown = [name for name in options if name not in known]
+    if unknown:
+        raise ConfigError(f"unknown training option {unknown[0]!r}; have {', '.join(known)}")
+    asked: dict[str, Any] = {"envs": 1, **options}
+    whole = TrainingOptions(setting=setting, algorithm=algorithm, steps=steps, seed=seed, output=Path(output), **asked)
+    return train_with(whole, progress=progress)
+
+
+def train_recipe(
+    name: str,
+    output: str | Path | None = None,
+    *,
+    steps: int | None = None,
+    simulator: str = "auto",
+    sensor: str = "exact",
+    progress: bool = True,
+) -> TrainedPolicy:
+    """Train a reference policy again, by default into `runs/policies/NAME.zip`, or `NAME-SENSOR.zip`.
+
+    Parameters
+    ----------
+    name : a name in `evaluation.learning.recipes.RECIPES`.
+    output : the zip file to write instead.
+    steps : training steps instead of the recipe's.
+    simulator, sensor : as of `TrainingOptions`; a sensor only where the recipe has none itself.
+    progress : whether to show a progress bar.
+    """
+    recipe = get_recipe(name)
+    if sensor != "exact" and recipe.sensor != "exact":
+        raise ConfigError(f"the recipe {name!r} has a sensor, {recipe.sensor!r}: it takes no other")
+    steps = recipe.steps if steps is None else steps
+    file = name if sensor == "exact" else f"{name}-{sensor}"
+    more = "" if steps == recipe.steps else f" --steps {steps}"
+    more += "" if sensor == "exact" else f" --sensor {sensor}"
+    options = TrainingOptions(
+        setting=recipe.setting,
+        algorithm=recipe.algorithm,
+        steps=steps,
+        seed=recipe.seed,
+        envs=1,
+        hyperparameters=recipe.hyperparameters,
+        normalise=recipe.normalise,
+        exploration=recipe.exploration,
+        fast=recipe.fast,
+        simulator=simulator,
+        shield=recipe.shield,
+        sensor=recipe.sensor if sensor == "exact" else sensor,
+        output=Path(output) if output is not None else Path("runs", "policies", f"{file}.zip"),
+    )
+    return train_with(options, progress=progress, command=f"shield train --recipe {name}{more}")
+
+
+def train_with(options: TrainingOptions, *, progress: bool = True, command: str | None = None) -> TrainedPolicy:
+    """Train a policy as `options` say.
+
+    Parameters
+    ----------
+    options : how. progress : whether to show a progress bar.
+    command : the shell command that repeats this; by default one that calls `train`.
+
+    Returns
+    -------
+    The written file and its manifest.
+
+    Raises
+    ------
+    ConfigError
+        If the algorithm cannot learn in this environment, takes no such hyperparameters, a package is missing, or
+        the checkpoints to go on from are of other options.
+    """
+    if options.tensorboard is not None and find_spec("tensorboard") is None:
+        raise ConfigError(
+            "logging to TensorBoard needs the package tensorboard: pip install 'highway-shield[tensorboard]'"
+        )
+    get_algorithm(options.learner)
+    checkpoints = Checkpoints.of(options)
+    world = make_world(options)
+    counts, evaluation = CountSteps(), PeriodicEvaluation.of(options)
+    try:
+        _check_actions(options, world.env.action_space)
+        started = time.perf_counter()
+        with one_thread():
+            if checkpoints is not None:
+                checkpoints.attach(counts, evaluation)
+            model = _model(options, world, checkpoints)
+            if options.exploration and not model.num_timesteps:
+                _explore(model, options.exploration)
+            callbacks: list[BaseCallback] = [counts]
+            if options.learn_from == "executed":
+                callbacks.append(LearnFromExecuted())
+            if evaluation is not None:
+                callbacks.append(evaluation)
+            if checkpoints is not None:
+                callbacks.append(checkpoints.callback)
+            fresh = model.num_timesteps == 0
+            model.learn(
+                options.steps if fresh else max(options.steps - model.num_timesteps, 0),
+                callback=CallbackList(callbacks),
+                reset_num_timesteps=fresh,
+                progress_bar=progress,
+            )
+            if "observations" in options.normalise:
+                fold(model)
+        seconds = time.perf_counter() - started
+        options.path.parent.mkdir(parents=True, exist_ok=True)
+        model.save(options.path)
+    finally:
+        world.env.close()
+        if evaluation is not None:
+            evaluation.close()
+    manifest = {
+        **manifest_of(options, command),
+        "steps_taken": model.num_timesteps,
+        "simulator": world.driven_in,
+        "training_seconds": round(seconds, 1),
+        **counts.told(),
+        **({} if evaluation is None else {"best": evaluation.best}),
+        **({} if checkpoints is None else {"resumed": checkpoints.resumed}),
+    }
+    manifest_path(options.path).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+    return TrainedPolicy(path=options.path, manifest=manifest)
+
+
+def _check_actions(options: TrainingOptions, actions: gym.Space[Any]) -> None:
+    if not isinstance(actions, _ACTION_SPACES[options.learner]):
+        fitting = sorted(n for n, kinds in _ACTION_SPACES.items() if isinstance(actions, kinds))
+        raise ConfigError(
+            f"{options.learner} cannot act in {options.environment.name!r}, whose actions are {actions}; have {fitting}"
+        )
+
+
+def _model(options: TrainingOptions, world: World, checkpoints: Checkpoints | None) -> BaseAlgorithm:
+    """A new model, or the one of the last checkpoint."""
+    parameters = with_classes(options.hyperparameters)
+    env: Any = world.env
+    if options.normalise:
+        env = normalised(env, options.normalise, parameters.get("gamma", 0.99))
+    if checkpoints is not None and checkpoints.last is not None:
+        return checkpoints.load(env if isinstance(env, VecEnv) else DummyVecEnv([lambda: env]))
+    # A copy: Stable-Baselines3 writes its own entries into `policy_kwargs`.
+    arguments = {"policy": "MlpPolicy", **deepcopy(parameters)}
+    if options.tensorboard is not None:
+        arguments["tensorboard_log"] = str(options.tensorboard)
+    try:
+        return get_algorithm(options.learner)(**arguments, env=env, seed=options.seed, device="cpu")
+    except TypeError as error:
+        raise ConfigError(f"{options.learner} takes no such hyperparameters: {error}") from None
+
+
+def _explore(model: BaseAlgorithm, deviations: Sequence[float]) -> None:
+    """Set the standard deviation of each action."""
+    log_std: Any = getattr(model.policy, "log_std", None)
+    actions = 0 if log_std is None else len(log_std)
+    if actions != len(deviations) or min(deviations) <= 0:
+        raise ConfigError(
+            f"exploration is a positive number for each continuous action of PPO or A2C, of which there are {actions}"
+            f" here; got {list(deviations)}"
+        )
+    with torch.no_grad():
+        log_std.copy_(torch.log(torch.tensor(deviations)))

@@ -75,6 +75,8 @@ def train_command(
         _train_recipe(recipe, asked, bool(set_ or options))
         return
     found = {**({} if options is None else TrainingOptions.read(options)), **asked}
+    if not (found.get("setting") or found.get("env_id")):
+        raise ConfigError("give either --recipe or --setting, or --env-id")
     if asked.get("setting") or asked.get("env_id"):
         # What is asked for here replaces the file's environment, whichever of the two names it.
         found = {key: value for key, value in found.items() if key in asked or key not in ("setting", "env_id")}

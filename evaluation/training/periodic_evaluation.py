@@ -164,7 +164,7 @@ def drive(model: BaseAlgorithm, env: VecEnv, episodes: int, first: int = FIRST_S
     rows: list[dict[str, Any]] = []
     for begun in range(0, episodes, env.num_envs):
         going = np.arange(env.num_envs) < episodes - begun
-        batch = [
+        batch: list[dict[str, Any]] = [
             {"seed": first + begun + i, "return": 0.0, "steps": 0, "crashed": False, "overridden": 0, "speed": 0.0}
             for i in np.flatnonzero(going)
         ]

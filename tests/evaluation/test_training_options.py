@@ -51,7 +51,7 @@ def test_an_environment_of_the_users_is_trained_in_by_its_id(tmp_path):
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        ([], "give either a setting or an env_id"),
+        ([], "give either --recipe or --setting, or --env-id"),
         (["--setting", "highway-fast", "--env-id", "highway-v0"], "give either a setting or an env_id"),
         (["--setting", "highway-fast", "--videos"], "give evaluate_every"),
         (["--setting", "highway-fast", "--resume"], "resume goes with checkpoint_every"),

@@ -15,7 +15,7 @@ from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
 from dynamics.scenes.registration import spec_of
-from dynamics.simulator.layout import LANE, SPEED, TARGET, TARGET_SPEED
+from dynamics.simulator.layout import ACCELERATION, LANE, SPEED, STEERING, TARGET, TARGET_SPEED
 from dynamics.simulator.scenario import REWARDS
 from dynamics.simulator.simulator import Simulator
 from dynamics.state import FloatArray
@@ -127,7 +127,8 @@ class _Ego:
     def __init__(self, env: CompiledHighwayEnv) -> None:
         self._env, self._worlds = env, env.simulator.worlds
         rules = env.simulator.scenario.rules
-        if env.simulator.scenario.inputs is None:
+        self._inputs = env.simulator.scenario.inputs is not None
+        if not self._inputs:
             self.target_speeds = tuple(rules.target_speeds.tolist())
         self.override = (np.nan, np.nan)
 
@@ -139,8 +140,11 @@ class _Ego:
 
     @property
     def action(self) -> dict[str, float]:
-        """What takes the place of what the ego's controllers ask for in the next frame; NaN for theirs."""
-        return {"acceleration": self.override[0], "steering": self.override[1]}
+        """The low-level action of the next frame: what takes the place of the ego's own, else the throttle and wheel
+        that it keeps from frame to frame; NaN where its controllers choose in the frame."""
+        kept = self._worlds.f[0, (ACCELERATION, STEERING), 0] if self._inputs else (np.nan, np.nan)
+        acceleration, steering = np.where(np.isnan(self.override), kept, self.override).tolist()
+        return {"acceleration": acceleration, "steering": steering}
 
     @action.setter
     def action(self, action: Mapping[str, float]) -> None:

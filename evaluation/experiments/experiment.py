@@ -246,6 +246,11 @@ class Experiment:
         if functions:
             what["policies"] = {**what["policies"], **{name: {"function": _origin(f)} for name, f in functions.items()}}
         output = None if self.output is None else Path(self.output)
+        if output is not None:
+            try:
+                output.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise ConfigError(f"{output.parent} cannot be made: {error.strerror}") from None
         return Store(output, what, self.resume, finished(output) if self.resume and output is not None else None)
 
     def _drive(self, setting: Setting, variants: tuple[Variant, ...], name: str, policy: Any) -> pd.DataFrame:

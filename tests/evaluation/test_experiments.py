@@ -159,3 +159,12 @@ def test_an_output_goes_on_where_it_was_stopped(tmp_path):
         np.concatenate(kept["latencies_ms"].tolist()).tolist()
         == np.concatenate(first.episodes["latencies_ms"].tolist()).tolist()
     )
+
+
+def test_the_folder_of_the_output_is_made_or_it_is_said_why_not(tmp_path):
+    """A run into a folder that is not there yet begins; one into a folder that cannot be there says so."""
+    evaluate("slower", "highway-fast", shield="none", episodes=1, output=tmp_path / "new" / "folder" / "x.parquet")
+    assert (tmp_path / "new" / "folder" / "x.parquet").is_file()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="cannot be made"):
+        evaluate("slower", "highway-fast", shield="none", episodes=1, output=tmp_path / "file" / "x.parquet")

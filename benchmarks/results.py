@@ -1,4 +1,4 @@
-"""Drives the experiments of `benchmarks/results.toml` and writes their tables into docs/results.md, with their commands.
+"""Drives the experiments of `benchmarks/results.toml`, and writes their tables and commands into docs/results.md.
 
     python benchmarks/results.py                       # all of them, kept in runs/results; goes on where it was stopped
     python benchmarks/results.py --only "Planners"     # one table
@@ -29,6 +29,8 @@ SHOWN = (
     *("setting", "policy", "shield", "verified against", "episodes", "crashes %", "off road %", "success %", "return"),
     *("speed m/s", "jerk m/s³", "overridden %", "fallback %", "latency p50 ms", "latency p99 ms"),
 )
+_NOTE = "note"
+"""Of a run: what its shielded rows are called besides."""
 OPTIONS = {"env": "setting"}
 """Options of `shield evaluate` that are called otherwise than the attributes of `Experiment`."""
 
@@ -37,17 +39,26 @@ def command(run: Mapping[str, Any]) -> str:
     """The command of an experiment."""
     words = ["shield", "evaluate"]
     for name, value in run.items():
+        if name == _NOTE:
+            continue
         words += [f"--{OPTIONS.get(name, name)}", ",".join(value) if isinstance(value, list) else str(value)]
     return " ".join(words)
 
 
+def narrow(text: str) -> str:
+    """A Markdown table without the spaces that align it."""
+    return re.sub(r"-{3,}", "--", re.sub(r" {2,}", " ", text))
+
+
 def table(each: Mapping[str, Any], folder: Path, episodes: int | None, jobs: int) -> str:
     """The part of the page about one table, whose episodes are driven where they are not in the folder."""
-    found: list[Result] = []
+    found: list[pd.DataFrame] = []
     slug = re.sub(r"\W+", "-", each["title"].lower())
     for number, run in enumerate(each["run"]):
         path = folder / f"{slug}-{number}.parquet"
-        options = dict(run) if episodes is None else {**run, "episodes": episodes}
+        options = {key: value for key, value in run.items() if key != _NOTE}
+        if episodes is not None:
+            options["episodes"] = episodes
         if path.exists():
             result = Result.read(path)
             if result.made.get("commit") != commit():
@@ -55,11 +66,14 @@ def table(each: Mapping[str, Any], folder: Path, episodes: int | None, jobs: int
         else:
             partial = path.with_name(f"{path.name}.episodes").exists()
             result = Experiment(**options, jobs=jobs, output=path, resume=partial).run()
-        found.append(result)
-    frame = pd.concat([result.summary for result in found], ignore_index=True)
+        summary = result.summary
+        if _NOTE in run:
+            summary["mode"] += f", {run[_NOTE]}"
+        found.append(summary)
+    frame = pd.concat(found, ignore_index=True)
     columns = [column for column in SUMMARY if column.heading in SHOWN]
     commands = "\n".join(command(run) for run in each["run"])
-    return f"## {each['title']}\n\n{each['text']}\n\n```\n{commands}\n```\n\n{markdown(frame, columns)}"
+    return f"## {each['title']}\n\n{each['text']}\n\n```\n{commands}\n```\n\n{narrow(markdown(frame, columns))}"
 
 
 def main() -> None:

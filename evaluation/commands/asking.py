@@ -31,6 +31,7 @@ __all__ = [
     "ask_settings",
     "check_jobs",
     "check_modes",
+    "lengths",
     "shard_of",
     "split",
 ]
@@ -172,6 +173,25 @@ def shard_of(text: str | None) -> tuple[int, int] | None:
     if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
         raise ConfigError(f"--shard must be i/n with 1 <= i <= n, such as 2/8, not {text!r}")
     return int(number), int(count)
+
+
+def lengths(values: Sequence[str]) -> list[float]:
+    """Repeated options and comma lists of lengths [m].
+
+    Raises
+    ------
+    ConfigError
+        If one is no number.
+
+    Examples
+    --------
+    >>> lengths(["0.5,2", "4"])
+    [0.5, 2.0, 4.0]
+    """
+    try:
+        return [float(each) for each in split(values)]
+    except ValueError:
+        raise ConfigError(f"lengths are numbers such as 0.5,2,4, not {', '.join(values)}") from None
 
 
 def split(values: Sequence[str]) -> list[str]:

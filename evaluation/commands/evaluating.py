@@ -16,6 +16,7 @@ from evaluation.commands.asking import (
     ask_settings,
     check_jobs,
     check_modes,
+    lengths,
     shard_of,
     split,
 )
@@ -111,6 +112,12 @@ def evaluate_command(
         Path | None,
         typer.Option(help="Shield settings: a TOML file (see `shield config`), simulated, or worst-case."),
     ] = None,
+    buffer: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Buffer along the road [m], a row for each (repeatable, or a comma list); by default --config's."
+        ),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -193,6 +200,7 @@ def evaluate_command(
         output,
         resume,
         shard_of(shard),
+        lengths(buffer or []),
     )
     try:
         result = asked.run()

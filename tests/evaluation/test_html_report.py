@@ -113,6 +113,20 @@ def test_buffers_are_rows_of_their_own(tmp_path):
     assert recorded.asked.variant.mode == "full, buffer 6 m"
     with pytest.raises(ConfigError, match="longitudinal"):
         evaluate("faster", "highway-fast", buffer=-1)
+    asked = [
+        "evaluate",
+        "--policy",
+        "faster",
+        "--episodes",
+        "1",
+        "--jobs",
+        "1",
+        "--output",
+        str(tmp_path / "y.parquet"),
+    ]
+    assert CliRunner().invoke(app, [*asked, "--buffer", "1,6"]).exit_code == 0
+    assert list(Result.read(tmp_path / "y.parquet").summary["mode"]) == ["none", "full, buffer 1 m", "full, buffer 6 m"]
+    assert "lengths are numbers" in str(CliRunner().invoke(app, [*asked, "--force", "--buffer", "wide"]).exception)
 
 
 def test_mistakes_are_told(runs, tmp_path):

@@ -9,14 +9,17 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any, cast
 
 import pandas as pd
 
 from evaluation.measuring.metrics import summarise
 from evaluation.names import check_name
-from evaluation.report.table import finished, markdown, write_table
+from evaluation.report.table import Column, finished, markdown, write_table
+from evaluation.reproduction.presets import get_preset
 from evaluation.running.comparing import Comparison
 from evaluation.running.records import Variant, config_on
 from evaluation.running.store import Store, provenance
@@ -24,38 +27,37 @@ from evaluation.settings import Setting, get_setting
 from shield.config import SIMULATED, WORST_CASE, ShieldConfig
 from shield.errors import ConfigError
 
-__all__ = ["PUBLISHED_SHIELDS", "ROADS", "SHIELDS", "Road", "compare_shields", "variant_on"]
+__all__ = [
+    "BASELINES",
+    "PUBLISHED_SHIELDS",
+    "ROADS",
+    "SHIELDS",
+    "Road",
+    "compare_shields",
+    "driven_on",
+    "rows_of",
+    "variant_on",
+]
 
-FIRST_SEED = 972_000
+FIRST_SEED = 1_720_000
 """Of the episodes; the same in every part."""
 
 
 @dataclass(frozen=True)
 class Road:
-    """A road, the bundled model that drives it, and what limits the number of its episodes."""
+    """A road and the bundled model that drives it.
+
+    Attributes
+    ----------
+    name, setting, policy : of the road; the model's name.
+    baselines : whether the policies that look at nothing have their rows here.
+    """
 
     name: str
     setting: Setting
     policy: str
-    most: int = 1_000_000
+    baselines: bool = True
 
-
-_AS_CODED = Setting(
-    "roundabout-as-coded",
-    "roundabout-v0",
-    {
-        "duration": 60,
-        "simulation_frequency": 15,
-        "policy_frequency": 15,
-        "action": {"type": "DiscreteMetaAction", "target_speeds": [20, 25, 30]},
-        "other_vehicles_type": "highway_env.vehicle.behavior.AggressiveVehicle",
-        "collision_reward": -5,
-        "lane_change_reward": -0.1,
-        "reward_speed_range": [20, 30],
-        "normalize_reward": False,
-    },
-    "the report's hard roundabout as its script makes it: the car cannot stop",
-)
 
 ROADS: Mapping[str, Road] = MappingProxyType(
     {
@@ -63,29 +65,53 @@ ROADS: Mapping[str, Road] = MappingProxyType(
         for each in (
             Road("highway-fast", get_setting("highway-fast"), "ppo-highway-fast"),
             Road("abz", get_setting("abz-idm"), "dqn-abz-base"),
-            Road("abz-adversarial", get_setting("abz-idm"), "dqn-abz-adversarial"),
+            Road("abz-adversarial", get_setting("abz-idm"), "dqn-abz-adversarial", baselines=False),
             Road("merge", get_setting("merge"), "ppo-merge"),
             Road("roundabout", get_setting("roundabout"), "ppo-roundabout"),
-            Road("roundabout-as-coded", _AS_CODED, "faster", most=300),
             Road("intersection", get_setting("intersection"), "ppo-intersection"),
             Road("racetrack", get_setting("racetrack"), "ppo-racetrack"),
         )
     }
 )
-"""By name. `AggressiveVehicle` on networks is not compiled: at most 300 episodes of that roundabout."""
+"""By name; the two agents of ABZ drive on the same road, whose baselines stand once."""
+
+BASELINES: Mapping[str, str] = MappingProxyType(
+    {
+        "slower": "always SLOWER, no shield",
+        "idle": "always IDLE, no shield",
+        "faster": "always FASTER, no shield",
+        "stopped": "a car that stops, no shield",
+    }
+)
+"""Policies that look at nothing, by name."""
 
 SHIELDS: Mapping[str, str] = MappingProxyType(
     {
         "none": "no shield",
-        "distance": "the report's override as written: SLOWER in place of a lane change with somebody nearer than D",
+        "distance": "the report's override as written: SLOWER in place of a lane change with somebody nearer than 20 m",
         "rss": "gaps of RSS, else SLOWER",
-        "ttc": "time to collision in the lane of the target, else SLOWER",
+        "ttc-ranking": "time to collision over four decisions, down the policy's ranking to the first action that "
+        "keeps it, else SLOWER (ABZ's kind)",
         "worst-case": "`ShieldedEnv` against anything that the rules of the road allow",
         "simulated": "`ShieldedEnv` in simulated traffic",
         "observed": "`ShieldedEnv` from observations alone",
+        **BASELINES,
     }
 )
-"""By name."""
+"""Rows, by name."""
+
+_TTC_DECISIONS = 4
+_STOPPING = [0, 15, 30]
+_NETWORKS = ("merge", "roundabout", "intersection")
+_MOST: Mapping[tuple[str, str], int] = MappingProxyType(
+    {
+        **{(road, "observed"): 300 for road in ("highway-fast", "abz", "abz-adversarial")},
+        **{(road, "worst-case"): 100 for road in _NETWORKS},
+        ("racetrack", "worst-case"): 20,
+        ("racetrack", "simulated"): 20,
+    }
+)
+"""Episodes at most, by road and row, where an episode takes 0.2 to 20 CPU seconds."""
 
 PUBLISHED_SHIELDS: tuple[str, ...] = (
     "ABZ 2025 (time to collision over 4 steps, down the policy's ranking; 3 lanes, 1,000 runs): crashes 38 → 0 of the "
@@ -98,14 +124,59 @@ PUBLISHED_SHIELDS: tuple[str, ...] = (
 
 
 def variant_on(road: Road, shield: str) -> Variant:
-    """What stands between the model and a road."""
-    if shield == "none":
+    """What stands between the policy and a road in a row of `SHIELDS`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such shield on that road.
+    """
+    if shield == "none" or shield in BASELINES:
         return Variant()
-    if shield in ("distance", "rss", "ttc"):
-        return Variant("env", ShieldConfig(mode=shield))
+    if shield == "distance":
+        return Variant("env", ShieldConfig(mode="distance", distance=get_preset("as-written").distance))
+    if shield == "rss":
+        return Variant("env", ShieldConfig(mode="rss"))
+    if shield == "ttc-ranking":
+        seconds = _TTC_DECISIONS / _configuration(road.setting)["policy_frequency"]
+        return Variant("env", ShieldConfig(mode="ttc-ranking", time_to_collision=seconds))
     if shield == "observed":
         return Variant("env", config_on(road.setting, None, observes=True), "observation")
     return Variant("env", config_on(road.setting, {"worst-case": WORST_CASE, "simulated": SIMULATED}[shield]))
+
+
+def driven_on(road: Road, shield: str) -> tuple[Setting, str]:
+    """The environment and the policy of a row of `SHIELDS`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such baseline on that road.
+    """
+    if shield not in BASELINES:
+        return road.setting, road.policy
+    if shield != "stopped":
+        return road.setting, shield
+    configuration = _configuration(road.setting)
+    if "duration" not in configuration:
+        raise ConfigError("an episode ends at a place on this road, which a car that stops does not reach")
+    action = configuration["action"]
+    if action["type"] != "DiscreteMetaAction":
+        raise ConfigError("a car that stops is always SLOWER with a target speed of 0, which needs meta-actions")
+    return road.setting.override({"action": {**action, "target_speeds": _STOPPING}}), "slower"
+
+
+def _configuration(setting: Setting) -> Mapping[str, Any]:
+    env = setting.make()
+    try:
+        return dict(cast(Any, env.unwrapped).config)
+    finally:
+        env.close()
+
+
+def rows_of(road: Road, shields: Iterable[str]) -> list[str]:
+    """Those of `shields` that have a row on a road."""
+    return [each for each in shields if road.baselines or each not in BASELINES]
 
 
 def compare_shields(
@@ -140,28 +211,14 @@ def compare_shields(
     (folder / "episodes").mkdir(parents=True, exist_ok=True)
     rows, refused = [], dict[str, str]()
     for road in (ROADS[name] for name in chosen):
-        for shield in asked:
-            path = folder / "episodes" / f"{road.name}-{shield}.parquet"
+        for shield in rows_of(road, asked):
             try:
-                variant = variant_on(road, shield)
+                found = _part(folder, road, shield, min(episodes, _MOST.get((road.name, shield), episodes)), jobs)
             except ConfigError as error:
                 refused[f"{road.name}, {shield}"] = str(error)
                 continue
-            seeds = range(FIRST_SEED, FIRST_SEED + min(episodes, road.most))
-            comparison = Comparison(((road.setting, (variant,)),), (road.policy,), seeds)
-            store = Store(path, comparison.asked(), True, finished(path))
-            try:
-                driven = comparison.drive(store, jobs, progress=False)
-            except ConfigError as error:
-                refused[f"{road.name}, {shield}"] = str(error)
-                store.finish()
-                continue
-            driven.attrs["made"] = store.made
-            write_table(driven, path)
-            store.finish()
-            found = driven[driven["seed"].isin(seeds)]
             row = summarise(found)
-            row["door"], row["mode"], row["setting"] = shield, "", road.name
+            row["road"], row["shield"] = road.name, shield
             rows.append(row)
             if tell is not None:
                 crashes = int(row["crashes"].iloc[0])
@@ -173,15 +230,57 @@ def compare_shields(
     return text
 
 
+def _part(folder: Path, road: Road, shield: str, episodes: int, jobs: int) -> pd.DataFrame:
+    """The episodes of one row on one road; what is in the folder is not driven again."""
+    path = folder / "episodes" / f"{road.name}-{shield}.parquet"
+    setting, policy = driven_on(road, shield)
+    seeds = range(FIRST_SEED, FIRST_SEED + episodes)
+    comparison = Comparison(((setting, (variant_on(road, shield),)),), (policy,), seeds)
+    store = Store(path, comparison.asked(), True, finished(path))
+    try:
+        driven = comparison.drive(store, jobs, progress=False)
+    except ConfigError:
+        store.finish()
+        raise
+    driven.attrs["made"] = store.made
+    write_table(driven, path)
+    store.finish()
+    return driven[driven["seed"].isin(seeds)]
+
+
+def _interval(row: Mapping[str, Any], key: str, factor: float = 1.0) -> str:
+    value, low, high = (factor * row[f"{key}{end}"] for end in ("", "_low", "_high"))
+    return f"{value:.2f} [{low:.2f}, {high:.2f}]"
+
+
+def _milliseconds(row: Mapping[str, Any]) -> str:
+    p50, p99 = row["latency_p50_ms"], row["latency_p99_ms"]
+    return f"{p50:.1f}, {p99:.1f}" if isfinite(p50) and row["door"] != "none" else "–"
+
+
+_COLUMNS = (
+    Column("road", lambda row: str(row["road"])),
+    Column("policy", lambda row: str(row["policy"])),
+    Column("shield", lambda row: str(row["shield"])),
+    Column("episodes", lambda row: f"{row['episodes']:,}"),
+    Column("crashes %", lambda row: _interval(row, "crash_rate", 100.0)),
+    Column("off road %", lambda row: f"{100 * row['off_road_rate']:.1f}"),
+    Column("return", lambda row: _interval(row, "return")),
+    Column("speed m/s", lambda row: f"{row['mean_speed']:.1f}"),
+    Column("overridden %", lambda row: "–" if row["door"] == "none" else f"{100 * row['override_rate']:.1f}"),
+    Column("ms p50, p99", _milliseconds),
+)
+
+
 def _page(rows: list[pd.DataFrame], refused: Mapping[str, str], episodes: int) -> str:
     lines = [
         "# Shields side by side",
-        f"At most {episodes:,} episodes each, the same seeds from {FIRST_SEED:,} in a road's rows, 95 % intervals.",
+        f"At most {episodes:,} episodes each, the same seeds from {FIRST_SEED:,} in a road's rows. Crash rates with "
+        "Wilson 95 % intervals, returns with bootstrap intervals; milliseconds of the shield at each decision.",
         "\n".join(f"- *{name}*: {what}" for name, what in SHIELDS.items()),
     ]
     if rows:
-        whole = pd.concat(rows, ignore_index=True)
-        lines.append(markdown(whole))
+        lines.append(markdown(pd.concat(rows, ignore_index=True), _COLUMNS))
     if refused:
         lines += ["## Refused", "\n".join(f"- {name}: {reason}" for name, reason in refused.items())]
     lines += ["## Published by others", "\n".join(f"- {each}" for each in PUBLISHED_SHIELDS)]

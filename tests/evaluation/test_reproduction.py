@@ -18,6 +18,7 @@ from evaluation.reproduction.table import summary, table
 from evaluation.reproduction.variants import VARIANTS, get_variants
 from evaluation.reproduction.verdict import judge
 from evaluation.running import episodes as episodes_module
+from evaluation.running.episodes import run_episode
 from shield.errors import ConfigError
 
 SMALL = ["--seeds", "2", "--episodes", "4", "--pooled", "1", "--steps", "64", "--jobs", "1"]
@@ -238,3 +239,37 @@ def test_an_unknown_road_or_shield_lists_what_there_is(option, said, tmp_path):
     ended = CliRunner().invoke(app, ["reproduce", "shields", option, "nothing", "--out", str(tmp_path)])
     assert isinstance(ended.exception, ConfigError)
     assert said in str(ended.exception)
+
+
+@pytest.mark.parametrize("road", list(shields.ROADS))
+def test_baselines_stand_on_every_road_once(road):
+    """The two agents of ABZ share a road; a car stops where there are meta-actions."""
+    rows = shields.rows_of(shields.ROADS[road], shields.SHIELDS)
+    if road == "abz-adversarial":
+        assert not set(rows) & set(shields.BASELINES)
+        return
+    assert set(shields.BASELINES) < set(rows)
+    refused = {"racetrack": "needs meta-actions", "merge": "ends at a place"}
+    if road in refused:
+        with pytest.raises(ConfigError, match=refused[road]):
+            shields.driven_on(shields.ROADS[road], "stopped")
+        return
+    setting, policy = shields.driven_on(shields.ROADS[road], "stopped")
+    record = run_episode(setting, policy, seed=7_000)
+    assert record.crashed or record.mean_speed < 9.0
+    with_ttc = shields.variant_on(shields.ROADS[road], "ttc-ranking").config
+    assert with_ttc.time_to_collision == 4.0  # these roads have decisions of a second
+
+
+def test_the_ranking_of_the_model_is_walked_down(tmp_path):
+    """Some override of the row ttc-ranking is no SLOWER, which all overrides of the plain rule are."""
+    road = shields.ROADS["abz-adversarial"]
+    variant, actions = shields.variant_on(road, "ttc-ranking"), []
+
+    def watch(_, decision):
+        if decision.overridden:
+            actions.append(decision.executed)
+
+    for seed in range(7_000, 7_003):
+        run_episode(road.setting, road.policy, variant, seed, after=watch)
+    assert set(actions) - {4}

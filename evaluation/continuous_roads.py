@@ -33,7 +33,7 @@ def what_makes(env_id: str, config: Mapping[str, Any]) -> str:
     """
     road, action = env_id.rpartition(":")[2], config.get("action")
     kind = action.get("type") if isinstance(action, Mapping) else None
-    if road not in ROADS or kind != "ContinuousAction":
+    if road not in ROADS or kind not in ("ContinuousAction", "DiscreteAction"):
         return ""
     registered = ", ".join(continuous_id(f"{name}-{version}") for name, version in _LAST.items())
     return (

@@ -30,7 +30,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from dynamics.errors import ConfigError
-from evaluation.continuous_roads import what_makes
+from evaluation.continuous_roads import ROADS, continuous_id, what_makes
 from evaluation.names import check_name
 
 if TYPE_CHECKING:
@@ -166,6 +166,39 @@ class Setting:
             config["vehicles_density"] = density
             label.append(f"density={density:g}")
         return self.override(config, name="+".join([self.name, *label]))
+
+    def with_action_grid(self, grid: str) -> Setting:
+        """The same environment, driven by a grid of throttle and steering.
+
+        Parameters
+        ----------
+        grid : "NxM", how many values of throttle and of steering there are, from full brakes to full throttle and from
+            left to right in even steps. Options of the environment's `ContinuousAction` are kept; an axis that was
+            switched off is switched on.
+
+        Raises
+        ------
+        ConfigError
+            If it is no such text, or a number is below 2 or above 99.
+
+        Examples
+        --------
+        >>> get_setting("highway-fast").with_action_grid("5x9").make().action_space
+        Discrete(45)
+        """
+        from dynamics.vehicle.action_grid import KEPT, read_grid
+
+        counts = read_grid(grid)
+        action = self.configured.get("action") or {}
+        kept = {key: value for key, value in action.items() if key in KEPT}
+        road, straight = self.env_id.rpartition(":")[2], self.env_id.startswith(("highway", "racetrack", "parking"))
+        return replace(
+            self,
+            name=f"{self.name}+{grid}",
+            env_id=f"evaluation.wrappers:{continuous_id(road)}" if road in ROADS else self.env_id,
+            config={**self.config, "action": {"type": "DiscreteAction", "actions_per_axis": counts, **kept}},
+            road=self.road and straight,
+        )
 
 
 _ABZ_ROAD: dict[str, Any] = {
@@ -381,11 +414,19 @@ def setting_of(env_id: str, config: Path | None = None) -> Setting:
     """Any environment as a setting: its Gymnasium id ("module:id" imports a module first), and a TOML file of what
     differs from the configuration that it is registered with.
 
+    An id that ends in a grid of actions, such as "highway-v0+5x9", has these (`Setting.with_action_grid`).
+
     Raises
     ------
     ConfigError
-        If there is no such file, or it is no TOML.
+        If there is no such file, it is no TOML, or the grid is none.
     """
+    env_id, _, grid = env_id.partition("+")
+    found = _setting_of(env_id, config)
+    return found.with_action_grid(grid) if grid else found
+
+
+def _setting_of(env_id: str, config: Path | None) -> Setting:
     if config is None:
         return Setting(env_id, env_id)
     try:
@@ -398,6 +439,10 @@ def setting_of(env_id: str, config: Path | None = None) -> Setting:
 
 
 def get_setting(name: str) -> Setting:
-    """The setting of that name; a `ConfigError` that lists the names if there is none."""
+    """The setting of that name; a `ConfigError` that lists the names if there is none.
+
+    A name that ends in a grid of actions, such as "highway-fast+5x9", has these (`Setting.with_action_grid`).
+    """
+    name, _, grid = name.partition("+")
     check_name("setting", name, sorted(SETTINGS))
-    return SETTINGS[name]
+    return SETTINGS[name].with_action_grid(grid) if grid else SETTINGS[name]

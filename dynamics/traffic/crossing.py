@@ -16,6 +16,7 @@ from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.vehicle import behavior
 
 from dynamics.scenes.registration import spec_of
+from dynamics.vehicle.action_grid import KEPT, has_grid, put_on_grid
 
 __all__ = ["AggressiveVehicle", "DefensiveVehicle", "IDMVehicle", "LinearVehicle", "make", "with_own_traffic"]
 
@@ -46,8 +47,7 @@ def with_own_traffic(env_id: str, config: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _with_own_traffic(spec: EnvSpec, config: Mapping[str, Any]) -> dict[str, Any]:
-    entry, given = spec.entry_point, dict(config)
-    kind: Any = load_env_creator(entry) if isinstance(entry, str) else entry
+    kind, given = _kind(spec), dict(config)
     if not (isinstance(kind, type) and issubclass(kind, IntersectionEnv)):
         return given
     default = cast(Any, kind).default_config()[_KEY]
@@ -61,10 +61,35 @@ def make(env_id: str, config: Mapping[str, Any], **options: Any) -> gym.Env[Any,
 
     As in `gym.make`, `config` replaces the configuration that the id is registered with
     (`dynamics.scenes.registration.registered_config`). Nothing is passed where it is empty: an environment may be made
-    by a function that takes none.
+    by a function that takes none. A `DiscreteAction` with two `actions_per_axis` is a grid of throttle and steering
+    (`dynamics.vehicle.action_grid`), which highway-env itself does not have.
     """
     spec = spec_of(env_id)
     whole = _with_own_traffic(spec, config)
+    if has_grid(whole) and not _makes_grids(spec):
+        return _on_grid(spec, whole, options)
     if whole:
         options["config"] = whole
     return gym.make(spec, **options)
+
+
+def _on_grid(spec: EnvSpec, config: dict[str, Any], options: dict[str, Any]) -> gym.Env[Any, Any]:
+    """An environment made with `ContinuousAction`, and put on the grid that its configuration asks for."""
+    own = cast(Any, _kind(spec)).default_config().get("action", {})
+    action = {**{key: value for key, value in own.items() if key in KEPT}, **config["action"]}
+    rest = {key: value for key, value in action.items() if key not in ("type", "actions_per_axis")}
+    env = gym.make(spec, **options, config={**config, "action": {**rest, "type": "ContinuousAction"}})
+    put_on_grid(env.unwrapped, action)
+    return env
+
+
+def _makes_grids(spec: EnvSpec) -> bool:
+    """Whether what makes an environment takes grids of actions by itself: it says so, or is a function."""
+    kind = _kind(spec)
+    return not isinstance(kind, type) or bool(getattr(kind, "makes_grids", False))
+
+
+def _kind(spec: EnvSpec) -> Any:
+    """The class or function that makes an environment."""
+    entry = spec.entry_point
+    return load_env_creator(entry) if isinstance(entry, str) else entry

@@ -13,6 +13,7 @@ from evaluation.reproduction.batch import ReportBatch
 from evaluation.reproduction.presets import Preset
 from evaluation.reproduction.skilled import SkillRun
 from evaluation.reproduction.variants import Variant
+from evaluation.wrappers.override_penalty import less_overrides
 
 __all__ = ["ReportEnv"]
 
@@ -60,7 +61,7 @@ class ReportEnv(gym.Env[Any, Any]):
         rewards, overridden = list[float](), False
         while True:
             batch.step(chosen if skills is None else skills.primitive)
-            rewards.append(float(seen.reward[0]) - self._penalty * float(batch.overridden[0]))
+            rewards.append(less_overrides(float(seen.reward[0]), bool(batch.overridden[0]), self._penalty))
             overridden = overridden or bool(batch.overridden[0])
             terminated, truncated = bool(seen.terminated[0]), bool(seen.truncated[0])
             if skills is not None:

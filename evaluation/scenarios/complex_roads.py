@@ -14,7 +14,7 @@ from highway_env.envs.common.observation import ObservationType, observation_fac
 from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 
 from dynamics.networks.priority_road import PriorityRoad
-from evaluation.scenarios.action_grid import make_action_type
+from dynamics.vehicle.action_grid import make_action_type
 from evaluation.scenarios.course import SUBMAPS, Course, build_course, check_counts
 from evaluation.scenarios.traffic import ENTRY, populate, recycle
 from evaluation.wrappers.on_lane_reward import OnLane, on_lane_reward
@@ -66,6 +66,8 @@ class ComplexRoadsEnv(AbstractEnv):  # type: ignore[misc]
     course: Course
     changes_between_decisions_only = True
     """Others enter again between two decisions: for the compiled copy of the traffic."""
+    makes_grids = True
+    """It makes grids of actions by itself (`dynamics.traffic.crossing.make`)."""
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:

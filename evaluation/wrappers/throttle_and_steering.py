@@ -20,6 +20,7 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.dynamics import BicycleVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
+from dynamics.vehicle.action_grid import define_on_grid, has_grid
 from evaluation.continuous_roads import ROADS, continuous_id
 from shield.errors import ConfigError
 
@@ -40,7 +41,8 @@ class ThrottleAndSteering(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs
     Parameters
     ----------
     env : an environment of highway-env, with meta-actions.
-    action : options of `ContinuousAction`, such as `acceleration_range`, `lateral` or `dynamical`.
+    action : options of `ContinuousAction`, such as `acceleration_range`, `lateral` or `dynamical`; with
+        `actions_per_axis`, a number or two, those of `DiscreteAction`.
 
     Raises
     ------
@@ -72,13 +74,17 @@ class ThrottleAndSteering(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs
 
         def define() -> None:
             with self._lent():
-                define_spaces()
+                if has_grid(base.config):
+                    define_on_grid(base, define_spaces)
+                else:
+                    define_spaces()
             observe = base.observation_type.observe
             base.observation_type.observe = lambda: self._told(observe)
 
         base._rewards = lambda action: self._told(self._paid, rewards)
         base.define_spaces = define
-        base.config["action"] = {"type": "ContinuousAction", **action}
+        kind = "DiscreteAction" if "actions_per_axis" in action else "ContinuousAction"
+        base.config["action"] = {"type": kind, **action}
         base.reset()
 
     def _told(self, question: Callable[..., Any], *arguments: Any) -> Any:
@@ -121,7 +127,7 @@ def make_continuous(road: str, config: Mapping[str, Any] | None = None, render_m
 
     Parameters
     ----------
-    config : as highway-env's; the action, if there is one, a `ContinuousAction`.
+    config : as highway-env's; the action, if there is one, a `ContinuousAction` or a `DiscreteAction`.
 
     Raises
     ------
@@ -130,8 +136,13 @@ def make_continuous(road: str, config: Mapping[str, Any] | None = None, render_m
     """
     own = dict(config or {})
     action = dict(own.pop("action", {}))
-    if action.pop("type", "ContinuousAction") != "ContinuousAction":
-        raise ConfigError(f"{road} has its other actions in highway-env itself; here it has ContinuousAction")
+    kind = action.pop("type", "ContinuousAction")
+    if kind == "DiscreteAction":
+        action.setdefault("actions_per_axis", 3)
+    elif kind != "ContinuousAction":
+        raise ConfigError(
+            f"{road} has its other actions in highway-env itself; here it has ContinuousAction or DiscreteAction"
+        )
     creator = load_env_creator(str(gym.spec(road).entry_point))
     env: Any = creator(config=own or None, render_mode=render_mode)
     return ThrottleAndSteering(env, **action)

@@ -214,7 +214,7 @@ def test_what_highway_env_does_not_make_is_answered_with_what_makes_it(road):
     [
         {"action": {"type": "NoAction"}},
         {"action": "ContinuousAction"},
-        {"action": {"type": "DiscreteAction"}, "observation": {"type": "None"}},
+        {"action": {"type": "DiscreteMetaAction"}, "observation": {"type": "None"}},
     ],
 )
 def test_other_mistakes_on_such_a_road_are_told_as_they_are(config):

@@ -16,12 +16,14 @@ __all__ = [
     "CHANNEL_NAMES",
     "FIRST_EVALUATION_SEED",
     "MODELS",
+    "NORMALISABLE",
     "SENSOR_NAMES",
     "SIMULATORS",
     "TABLE_ENDINGS",
     "TRAFFIC",
     "TRAINABLE",
     "check_name",
+    "check_penalty",
     "check_policy",
     "check_sensor",
     "list_references",
@@ -33,6 +35,8 @@ FIRST_EVALUATION_SEED = 10_000
 """Seeds below it are for training and choosing, from it on for evaluation."""
 TRAINABLE = ("a2c", "dqn", "maskableppo", "ppo", "sac", "td3", "trpo")
 """The algorithms that `shield train` knows."""
+NORMALISABLE = ("observations", "rewards")
+"""What training can normalise by running means and variances."""
 SIMULATORS = ("auto", "compiled", "highway-env")
 """What episodes are driven in: highway-env's own code, its compiled copy, or that one where it serves."""
 SENSOR_NAMES = (
@@ -100,6 +104,19 @@ def check_name(what: str, name: str, valid: Iterable[str], more: str = "") -> No
     names = list(valid)
     if name not in names:
         raise ConfigError(f"unknown {what} {name!r}{perhaps(name, names)}; have {', '.join(names)}{more}")
+
+
+def check_penalty(penalty: float) -> float:
+    """What an overridden step costs in training, where it is a number that can be taken from a reward.
+
+    Raises
+    ------
+    ConfigError
+        If it is negative or not finite.
+    """
+    if not 0.0 <= penalty < float("inf"):
+        raise ConfigError(f"an override penalty is a finite number from 0 on, not {penalty!r}")
+    return float(penalty)
 
 
 def check_sensor(name: str) -> None:

@@ -13,8 +13,8 @@ from evaluation.commands.asking import ask_hyperparameters
 from evaluation.commands.options_command import options_of, with_options
 from evaluation.commands.reporting import check_writable
 from evaluation.learning.recipes import RECIPES, get_recipe
-from evaluation.names import FIRST_EVALUATION_SEED, SIMULATORS, TRAINABLE
-from evaluation.training.options import LEARN_FROM, NORMALISABLE, ON_POLICY, TrainingOptions
+from evaluation.names import FIRST_EVALUATION_SEED, NORMALISABLE, SIMULATORS, TRAINABLE
+from evaluation.training.options import LEARN_FROM, ON_POLICY, TrainingOptions
 from shield.config import PROFILES
 from shield.errors import ConfigError
 

@@ -15,10 +15,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
 from shield.errors import ConfigError
 
-__all__ = ["NORMALISABLE", "fold", "normalised"]
-
-NORMALISABLE = ("observations", "rewards")
-"""What can be normalised."""
+__all__ = ["fold", "normalised"]
 
 _VARIANCE = 1e-3
 """Added to every variance: an entry that hardly varies in training must not swamp the others once it does."""
@@ -30,7 +27,7 @@ def normalised(env: gym.Env[Any, Any] | VecEnv, what: Collection[str], gamma: fl
     Parameters
     ----------
     env : a single environment.
-    what : any of `NORMALISABLE`.
+    what : any of `evaluation.names.NORMALISABLE`.
     gamma : the discount with which rewards are summed up, whose variance they are divided by.
     """
     world = env if isinstance(env, VecEnv) else DummyVecEnv([cast(Any, lambda: env)])

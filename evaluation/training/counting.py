@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
@@ -30,7 +28,3 @@ class CountSteps(BaseCallback):
         )
         self.counts["overridden"] += sum(bool(info.get("shield", {}).get("overridden")) for info in infos)
         return True
-
-    def told(self) -> dict[str, Any]:
-        """As the manifest has it."""
-        return {"in_training": dict(self.counts)}

@@ -8,15 +8,22 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from evaluation.names import FIRST_EVALUATION_SEED, SIMULATORS, TRAINABLE, check_name, check_sensor, read_toml
+from evaluation.names import (
+    FIRST_EVALUATION_SEED,
+    NORMALISABLE,
+    SIMULATORS,
+    TRAINABLE,
+    check_name,
+    check_penalty,
+    check_sensor,
+    read_toml,
+)
 from evaluation.settings import Setting, get_setting, setting_of
 from shield.config import PROFILES
 from shield.errors import ConfigError
 
-__all__ = ["LEARN_FROM", "NORMALISABLE", "ON_POLICY", "TrainingOptions", "is_on_policy"]
+__all__ = ["LEARN_FROM", "ON_POLICY", "TrainingOptions"]
 
-NORMALISABLE = ("observations", "rewards")
-"""What can be normalised by running means and variances."""
 ON_POLICY = ("a2c", "ppo", "maskableppo")
 """Algorithms that can learn from normalised observations and rewards."""
 LEARN_FROM = ("proposed", "executed")
@@ -153,11 +160,6 @@ class TrainingOptions:
         return self.output if self.output.suffix == ".zip" else self.output.with_name(self.output.name + ".zip")
 
 
-def is_on_policy(algorithm: str) -> bool:
-    """Whether an algorithm learns from rollouts of its present policy."""
-    return algorithm in (*ON_POLICY, "trpo")
-
-
 def _check_place(options: TrainingOptions) -> None:
     if (options.setting is None) == (options.env_id is None):
         raise ConfigError("give either a setting or an env_id to train in (--setting, --env-id)")
@@ -199,9 +201,7 @@ def _check_numbers(options: TrainingOptions) -> None:
 
 def _check_shield(options: TrainingOptions) -> None:
     check_name("way to learn", options.learn_from, LEARN_FROM)
-    penalty = options.override_penalty
-    if not 0.0 <= penalty < float("inf"):
-        raise ConfigError(f"override_penalty is 0 or more, not {penalty:g}")
+    penalty = check_penalty(options.override_penalty)
     if options.masks and options.algorithm not in ("ppo", "maskableppo"):
         raise ConfigError(f"masks are for ppo, not {options.algorithm}")
     if options.shield == "none":

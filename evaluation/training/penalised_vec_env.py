@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
-from evaluation.wrappers.override_penalty import check_penalty, less_overrides
+from evaluation.names import check_penalty
+from evaluation.wrappers.override_penalty import less_overrides
 from shield.errors import ConfigError
 
 __all__ = ["PenalisedVecEnv"]

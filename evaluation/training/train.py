@@ -14,7 +14,7 @@ from typing import Any
 import gymnasium as gym
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList
+from stable_baselines3.common.callbacks import CallbackList
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from evaluation.learning.algorithms import get_algorithm
@@ -162,52 +162,79 @@ def train_with(options: TrainingOptions, *, progress: bool = True, command: str 
             "logging to TensorBoard needs the package tensorboard: pip install 'highway-shield[tensorboard]'"
         )
     get_algorithm(options.learner)
-    checkpoints = Checkpoints.of(options)
     world = make_world(options)
-    counts, evaluation = CountSteps(), PeriodicEvaluation.of(options)
+    callbacks: _Callbacks | None = None
     try:
         _check_actions(options, world.env.action_space)
+        callbacks = _Callbacks.of(options)
         started = time.perf_counter()
         with one_thread():
-            if checkpoints is not None:
-                checkpoints.attach(counts, evaluation)
-            model = _model(options, world, checkpoints)
-            if options.exploration and not model.num_timesteps:
-                _explore(model, options.exploration)
-            callbacks: list[BaseCallback] = [counts]
-            if options.learn_from == "executed":
-                callbacks.append(LearnFromExecuted())
-            if evaluation is not None:
-                callbacks.append(evaluation)
-            if checkpoints is not None:
-                callbacks.append(checkpoints.callback)
-            fresh = model.num_timesteps == 0
-            model.learn(
-                options.steps if fresh else max(options.steps - model.num_timesteps, 0),
-                callback=CallbackList(callbacks),
-                reset_num_timesteps=fresh,
-                progress_bar=progress,
-            )
-            if "observations" in options.normalise:
-                fold(model)
+            model = _learned(options, world, callbacks, progress)
         seconds = time.perf_counter() - started
         options.path.parent.mkdir(parents=True, exist_ok=True)
         model.save(options.path)
     finally:
         world.env.close()
-        if evaluation is not None:
-            evaluation.close()
+        if callbacks is not None and callbacks.evaluation is not None:
+            callbacks.evaluation.close()
     manifest = {
         **manifest_of(options, command),
         "steps_taken": model.num_timesteps,
         "simulator": world.driven_in,
         "training_seconds": round(seconds, 1),
-        **counts.told(),
-        **({} if evaluation is None else {"best": evaluation.best}),
-        **({} if checkpoints is None else {"resumed": checkpoints.resumed}),
+        **callbacks.told(),
     }
     manifest_path(options.path).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
     return TrainedPolicy(path=options.path, manifest=manifest)
+
+
+@dataclass(frozen=True)
+class _Callbacks:
+    """What watches a training, and what of it the options ask for."""
+
+    counts: CountSteps
+    evaluation: PeriodicEvaluation | None
+    checkpoints: Checkpoints | None
+
+    @classmethod
+    def of(cls, options: TrainingOptions) -> _Callbacks:
+        """Those that the options ask for; checkpoints of another training are refused."""
+        checkpoints = Checkpoints.of(options)
+        counts, evaluation = CountSteps(), PeriodicEvaluation.of(options)
+        if checkpoints is not None:
+            checkpoints.attach(counts, evaluation)
+        return cls(counts, evaluation, checkpoints)
+
+    def listed(self, options: TrainingOptions) -> CallbackList:
+        """In order: what is saved in a checkpoint comes before it."""
+        executed = LearnFromExecuted() if options.learn_from == "executed" else None
+        written = None if self.checkpoints is None else self.checkpoints.callback
+        return CallbackList([each for each in (self.counts, executed, self.evaluation, written) if each is not None])
+
+    def told(self) -> dict[str, Any]:
+        """As the manifest has it."""
+        return {
+            "in_training": dict(self.counts.counts),
+            **({} if self.evaluation is None else {"best": self.evaluation.best}),
+            **({} if self.checkpoints is None else {"resumed": self.checkpoints.resumed}),
+        }
+
+
+def _learned(options: TrainingOptions, world: World, callbacks: _Callbacks, progress: bool) -> BaseAlgorithm:
+    """The model at the end of its training."""
+    model = _model(options, world, callbacks.checkpoints)
+    done = model.num_timesteps
+    if options.exploration and not done:
+        _explore(model, options.exploration)
+    model.learn(
+        max(options.steps - done, 0),
+        callback=callbacks.listed(options),
+        reset_num_timesteps=not done,
+        progress_bar=progress,
+    )
+    if "observations" in options.normalise:
+        fold(model)
+    return model
 
 
 def _check_actions(options: TrainingOptions, actions: gym.Space[Any]) -> None:

@@ -6,6 +6,7 @@ from evaluation.wrappers.channels import Confidence, Intent, TrackedConfidence, 
 from evaluation.wrappers.hanoi_reward import HanoiWeights, HanoiWorldReward
 from evaluation.wrappers.off_road import OffRoadWrapper
 from evaluation.wrappers.on_lane_reward import OnLane, OnLaneReward
+from evaluation.wrappers.override_penalty import OverridePenalty
 from evaluation.wrappers.performance_logger import PerformanceLogger
 from evaluation.wrappers.sensor_model import SENSORS, SensorModel
 from evaluation.wrappers.sensor_noise import SensorNoise
@@ -24,6 +25,7 @@ __all__ = [
     "OffRoadWrapper",
     "OnLane",
     "OnLaneReward",
+    "OverridePenalty",
     "PerformanceLogger",
     "SensorModel",
     "SensorNoise",

@@ -7,9 +7,10 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.utils import RecordConstructorArgs
 
+from evaluation.names import check_penalty
 from shield.errors import ConfigError
 
-__all__ = ["OverridePenalty", "check_penalty", "less_overrides"]
+__all__ = ["OverridePenalty", "less_overrides"]
 
 
 def less_overrides(reward: Any, overridden: Any, penalty: float) -> Any:
@@ -26,19 +27,6 @@ def less_overrides(reward: Any, overridden: Any, penalty: float) -> Any:
     0.75
     """
     return reward - penalty * overridden
-
-
-def check_penalty(penalty: float) -> float:
-    """The penalty, where it is one.
-
-    Raises
-    ------
-    ConfigError
-        If it is negative or not finite.
-    """
-    if not 0.0 <= penalty < float("inf"):
-        raise ConfigError(f"an override penalty is a finite number from 0 on, not {penalty!r}")
-    return float(penalty)
 
 
 class OverridePenalty(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):

@@ -208,7 +208,7 @@ def test_masks_in_either_simulator_teach_the_same(tmp_path):
         ({"masks": True}, "goes with a shield"),
         ({"learn_from": "executed"}, "goes with a shield"),
         ({"shield": "default", "learn_from": "both"}, "proposed, executed"),
-        ({"shield": "default", "override_penalty": -0.1}, "0 or more"),
+        ({"shield": "default", "override_penalty": -0.1}, "from 0 on"),
         ({"shield": "default", "masks": True, "learn_from": "executed"}, "with masks every proposal"),
         ({"shield": "default", "masks": True, "algorithm": "dqn"}, "masks are for ppo"),
     ],

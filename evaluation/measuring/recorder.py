@@ -134,14 +134,23 @@ class History:
 
     def mean_jerk(self) -> float:
         """Mean size of the jerk along the way, frame by frame up to a crash [m/s^3]; NaN in less than three frames."""
-        sizes = jerk(self._driven()[:, Track.SPEED], self.dt)
+        sizes = self.jerks()
         return float(sizes.mean()) if sizes.size else np.nan
+
+    def jerks(self) -> FloatArray:
+        """Size of the jerk along the way, frame by frame up to a crash [m/s^3], (frames - 2,)."""
+        return jerk(self._driven()[:, Track.SPEED], self.dt)
 
     def mean_lateral_acceleration(self) -> float:
         """Mean size of speed times yaw rate, up to a crash [m/s^2]; NaN in less than two frames."""
         driven = self._driven()
         rate = wrap_to_pi(np.diff(driven[:, Track.HEADING])) / self.dt
         return float(np.abs(driven[:-1, Track.SPEED] * rate).mean()) if rate.size else np.nan
+
+    @property
+    def moved(self) -> FloatArray:
+        """The ego in the world frame (see `world`), (frames, 8)."""
+        return self._world()[:, 0]
 
     def _driven(self) -> FloatArray:
         """The ego in the world frame, before a crash (which changes its speed within a frame)."""

@@ -16,6 +16,7 @@ import joblib
 import pandas as pd
 
 from evaluation.measuring.statistics import bootstrap_mean, clopper_pearson
+from evaluation.running.decision_log import MEASURED
 from evaluation.running.episodes import run_paired
 from evaluation.running.identity import check_files, differences, hash_of_files, of_environment, of_policy, versions
 from evaluation.running.many import Many
@@ -52,6 +53,7 @@ COLUMNS = (
     "min_gap",
     "simulator",
     "rules",
+    *MEASURED,
 )
 FALLBACKS = [f"tier_{tier.value}" for tier in Tier if tier.fallback]
 _SHOWN = 20
@@ -116,7 +118,9 @@ def certify(asked: Asked, folder: str | Path, jobs: int = 1, progress: Any = Non
     -------
     A row for each episode, by seed: setting, policy, mode, seed, crashed, off_road, attribution, return, steps,
     mean_speed [m/s], overridden, held_back, frames, frames_overridden, violations, min_margin and min_gap [m],
-    simulator, rules (how often each was broken, as a text), and `fallbacks`, the decisions in which a fallback acted.
+    simulator, rules (how often each was broken, as a text), `fallbacks`, the decisions in which a fallback acted, and
+    the columns `evaluation.running.decision_log.MEASURED`, NaN where many are driven at once and it is not measured
+    (see `Many.run`).
 
     Raises
     ------

@@ -20,6 +20,7 @@ from rich.progress import Progress
 from evaluation.measuring.attribution import AttributionRules, attribute_from_simulator_state
 from evaluation.measuring.recorder import Recorder
 from evaluation.running.counting import UNSHIELDED, Tally, arrival, driving
+from evaluation.running.decision_log import DecisionLog
 from evaluation.running.driving_model import driving_model
 from evaluation.running.identity import check_files, hash_of_files
 from evaluation.running.named_policies import Policy, make_policy, policy_label, start_episode
@@ -49,10 +50,11 @@ class Driver:
     Attributes
     ----------
     env : with the shield around it, where that is its door. policy : bare. driver : what proposes, with the shield
-        around it where that is its door. recorder : of the last episode.
+        around it where that is its door. recorder, log : of the last episode.
     """
 
     recorder: Recorder
+    log: DecisionLog
 
     def __init__(
         self,
@@ -80,6 +82,8 @@ class Driver:
             frames = variant.door == "policy"
             self.shield = Shield(self.policy, self.env, variant.config, frames, variant.perception)
             self.driver = self.shield
+        self._taken: tuple[Any, Any] = (None, None)
+        """The last observation, and the action that was taken on it."""
         self.rules = AttributionRules(assumptions=variant.config.assumptions, braking=variant.config.braking)
 
     @property
@@ -107,8 +111,11 @@ class Driver:
         tally, total, steps, info = Tally(), 0.0, 0, dict[str, Any]()
         period = 1.0 / float(cast(Any, self.env.unwrapped).config["policy_frequency"])
         for reward, info in self.decisions(seed, before):
-            tally.add(self._shield_info(info))
+            told = self._shield_info(info)
+            tally.add(told)
             shielded = self.env if self.shield is None else self.shield
+            own = shielded.decisions if isinstance(shielded, ShieldedEnv | Shield) else []
+            self.log.add(*self._taken, reward, told, own[0] if len(own) == 1 else None)
             if after is not None and isinstance(shielded, ShieldedEnv | Shield) and shielded.last_decision is not None:
                 after(steps * period, shielded.last_decision)
             total += reward
@@ -143,6 +150,7 @@ class Driver:
             simulator=self.simulator,
             rules=dict(tally.rules),
             verification=self.verification.value,
+            **self.log.columns(history, self.variant.door != "none"),
             **arrival(info, self.env, history),
         )
 
@@ -159,13 +167,14 @@ class Driver:
         obs, _ = env.reset(seed=seed)
         env.action_space.seed(seed)  # highway-env makes a new space at each reset
         start_episode(self.policy, seed)
-        self.recorder = Recorder(env)
+        self.recorder, self.log = Recorder(env), DecisionLog(env)
         state, steps, done = None, 0, False
         while not done:
             action, state = self.driver.predict(obs, state, episode_start=np.array([steps == 0]), deterministic=True)
             steps += 1
             if before is not None:
                 before(steps)
+            self._taken = obs, action
             obs, reward, terminated, truncated, info = env.step(_plain(action))
             yield float(reward), info
             done = bool(terminated or truncated)

@@ -10,8 +10,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dynamics.state import BoolArray, FloatArray, IntArray
+from evaluation.measuring.side_by_side import SideBySide
 from evaluation.measuring.tally import SOON, Tallies, begin_tally, empty_tallies, tally
 from evaluation.policies import list_references
+from evaluation.running.decision_log import MEASURED, action_steps
 from evaluation.running.episodes import run_episode
 from evaluation.running.named_policies import ConstantPolicy, RandomPolicy, WeavingPolicy, make_policy, policy_label
 from evaluation.running.records import told, variant_for
@@ -135,7 +137,9 @@ class Many:
         )
         self._setting, self._policy, self._config = setting, policy, config
         self.steps = self._highways.steps
-        made = make_policy(policy, self._highways.one())
+        one: Any = self._highways.one()
+        self._measures = SideBySide(envs, action_steps(one.action_type.actions))
+        made = make_policy(policy, one)
         blind, self._draws = (
             isinstance(made, ConstantPolicy | RandomPolicy | WeavingPolicy),
             isinstance(made, RandomPolicy),
@@ -151,7 +155,11 @@ class Many:
 
     def run(self, seeds: Sequence[int]) -> pd.DataFrame:
         """A row for each seed, in order: the columns of `run_paired` that say what happened, and `fallbacks`, the
-        decisions in which a fallback acted."""
+        decisions in which a fallback acted.
+
+        Of the columns `MEASURED`, those of a single decision's time, of frame by frame jerk and of inputs are NaN: the
+        decisions of all environments are timed together, no frames are kept, and meta-actions have no inputs.
+        """
         rows: list[dict[str, Any]] = [{}] * len(seeds)
 
         def begin(i: int, k: int) -> None:
@@ -255,6 +263,7 @@ class Many:
             begin(i, left)
             on_road = highways.look(i, scene)
             begin_tally(tallies, i, scene, not on_road, times)
+            self._measures.begin(i, float(scene[0, 3]))
             left += 1
 
         with one_thread():
@@ -265,6 +274,7 @@ class Many:
                 highways.step(actions, orders)
                 lost = np.where(steps == 0, FALLBACKS[highways.records.tier], lost)
                 tally(tallies, highways.records, highways.rows, highways.off_road, seen.reward, going, times)
+                self._measures.add(highways.records, highways.rows, highways.off_road, seen.reward, going)
                 steps += going
                 over = seen.terminated | seen.truncated
                 for i in np.flatnonzero(over & going).tolist():
@@ -279,7 +289,9 @@ class Many:
             # Rare enough to be driven again, one frame at a time.
             variant = variant_for(self._config)
             attribution = run_episode(self._setting, self._policy, variant, seed, simulator="compiled").attribution
+        steps, frames = int(tallies.steps[i]), int(tallies.frames[i])
         return {
+            **dict.fromkeys(MEASURED, float("nan")),
             "setting": self._setting.name,
             "policy": policy_label(self._policy),
             "mode": self._config.mode,
@@ -288,11 +300,11 @@ class Many:
             "off_road": bool(tallies.off_road[i]),
             "attribution": attribution,
             "return": float(tallies.total[i]),
-            "steps": int(tallies.steps[i]),
+            "steps": steps,
             "mean_speed": float(tallies.speeds[i] / tallies.counted[i]),
             "overridden": int(tallies.overridden[i]),
             "held_back": int(tallies.held_back[i]),
-            "frames": int(tallies.frames[i]),
+            "frames": frames,
             "frames_overridden": int(tallies.frames_overridden[i]),
             "violations": int(tallies.violations[i]),
             "min_margin": float(tallies.min_margin[i]),
@@ -300,4 +312,7 @@ class Many:
             "simulator": "compiled",
             "rules": told(rules_in(tallies.broken[i])),
             "fallbacks": int(tallies.fallbacks[i]),
+            "frame_override_share": float(tallies.frames_overridden[i] / frames),
+            "mean_reward": float(tallies.total[i] / steps),
+            **self._measures.columns(i, steps),
         }

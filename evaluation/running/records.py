@@ -198,6 +198,22 @@ class EpisodeRecord:
     arrival_speed : the ego's speed then [m/s]; NaN where it was not.
     simulator : "highway-env", or "compiled", its copy.
     verification : what actions were verified against, a `shield.decision.Verification`.
+    frame_override_share : share of the frames in which the shield acted.
+    input_distance : mean over the decisions of the distance between the proposed and the executed action, 0 where they
+        are the same. Of throttle and steering: Euclidean, each input over its range. Of meta-actions: lanes plus
+        steps of speed between the two targets, so that LANE_LEFT to SLOWER is 2. An action is what the environment got:
+        frames in which the shield drove otherwise are in `frame_override_share`. NaN of several egos.
+    acceleration_distance, steering_distance : the same of throttle [m/s^2] and front wheel angle [rad]; NaN of
+        meta-actions, which ask for targets.
+    on_lane_share : share of the decisions at whose end the ego's centre was on the road.
+    mean_confidence : mean over the decisions of the mean confidence of the rows that are not empty; NaN without such a
+        channel.
+    latency_p50_ms, latency_p99_ms, latency_max_ms : of `latencies`; NaN without a shield.
+    mean_reward, peak_reward : of a decision. peak_speed : over the frames up to a crash [m/s].
+    mean_normalised_speed : mean over the ends of decisions of the speed over `Vehicle.MAX_SPEED`, within 0 and 1.
+    peak_jerk : as `mean_jerk`. mean_normalised_jerk, peak_normalised_jerk : see
+        `evaluation.measuring.jerk.normalised_jerk`, of the inputs that the ego's motion tells of the last frame of each
+        decision; NaN where it stands, and from a crash on.
     """
 
     setting: str
@@ -234,6 +250,22 @@ class EpisodeRecord:
     verification: str = Verification.OFF.value
     min_time_to_collision: float = float("nan")
     min_headway: float = float("nan")
+    frame_override_share: float = float("nan")
+    input_distance: float = float("nan")
+    acceleration_distance: float = float("nan")
+    steering_distance: float = float("nan")
+    on_lane_share: float = float("nan")
+    mean_confidence: float = float("nan")
+    latency_p50_ms: float = float("nan")
+    latency_p99_ms: float = float("nan")
+    latency_max_ms: float = float("nan")
+    mean_reward: float = float("nan")
+    peak_reward: float = float("nan")
+    peak_speed: float = float("nan")
+    mean_normalised_speed: float = float("nan")
+    peak_jerk: float = float("nan")
+    mean_normalised_jerk: float = float("nan")
+    peak_normalised_jerk: float = float("nan")
 
     def row(self) -> dict[str, Any]:
         """The record as flat columns of a table."""

@@ -15,7 +15,7 @@ from evaluation.running.records import Variant
 from shield.errors import ConfigError, PolicyError
 
 SHORT = {"duration": 3, "vehicles_count": 10}
-TIMES = ["latencies_ms", "simulator"]
+TIMES = ["latencies_ms", "latency_p50_ms", "latency_p99_ms", "latency_max_ms", "simulator"]
 
 
 def same(one, two):

@@ -32,10 +32,10 @@ def drive(setting: str, policy: str, config: ShieldConfig, seeds: list[int]) -> 
 
 def again(before: pd.DataFrame, asked: dict[str, Any], jobs: int) -> pd.DataFrame:
     """The same episodes, driven again."""
-    config, seeds = ShieldConfig.from_toml(tomli_w.dumps(asked["shield"])), before["seed"].tolist()
+    config, seeds = ShieldConfig.from_toml(tomli_w.dumps(*asked["shields"].values())), before["seed"].tolist()
     parts = [seeds[i : i + PART] for i in range(0, len(seeds), PART)]
     each = joblib.delayed(drive)
-    setting, policy = str(before["setting"].iloc[0]), asked["policy"]["name"]
+    setting, policy = str(before["setting"].iloc[0]), next(iter(asked["policies"].values()))["name"]
     return pd.concat(joblib.Parallel(n_jobs=jobs)(each(setting, policy, config, part) for part in parts))
 
 
@@ -46,7 +46,7 @@ def main() -> None:
     parser.add_argument("--others", type=int, default=1_000)
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args()
-    asked = json.loads((given.run / "asked.json").read_text(encoding="utf-8"))["asked"]
+    asked = json.loads((given.run / "manifest.json").read_text(encoding="utf-8"))["asked"]
     episodes = pd.read_parquet(given.run / "episodes.parquet")
     acted = episodes["fallbacks"] > 0
     others = episodes[~acted].sample(min(given.others, int((~acted).sum())), random_state=0)

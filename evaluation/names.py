@@ -14,6 +14,7 @@ __all__ = [
     "ANY",
     "BASELINES",
     "CHANNEL_NAMES",
+    "ENGINES",
     "FIRST_EVALUATION_SEED",
     "MODELS",
     "NORMALISABLE",
@@ -37,6 +38,8 @@ TRAINABLE = ("a2c", "dqn", "maskableppo", "ppo", "sac", "td3", "trpo")
 """The algorithms that `shield train` knows."""
 NORMALISABLE = ("observations", "rewards")
 """What training can normalise by running means and variances."""
+ENGINES = ("processes", "ray")
+"""What episodes are spread by: processes of this machine, or tasks of a Ray cluster."""
 SIMULATORS = ("auto", "compiled", "highway-env")
 """What episodes are driven in: highway-env's own code, its compiled copy, or that one where it serves."""
 SENSOR_NAMES = (

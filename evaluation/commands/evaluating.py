@@ -21,11 +21,12 @@ from evaluation.commands.asking import (
     split,
 )
 from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING, EVALUATION_SEED
-from evaluation.commands.reporting import Form, check_output, report
+from evaluation.commands.reporting import Form, check_output, check_steps_path, report
 from evaluation.learning.algorithms import ALGORITHMS, algorithm_named
 from evaluation.names import (
     BASELINES,
     CHANNEL_NAMES,
+    ENGINES,
     MODELS,
     SENSOR_NAMES,
     SIMULATORS,
@@ -140,6 +141,18 @@ def evaluate_command(
             help="i/n: drive every n-th episode only, from the i-th on; `shield merge` puts n such files together."
         ),
     ] = None,
+    steps: Annotated[
+        Path | None,
+        typer.Option(help="Write a row of each decision here (.parquet).", show_default=False),
+    ] = None,
+    engine: Annotated[
+        str,
+        typer.Option(help="processes of this machine (see --jobs), or ray: tasks of a Ray cluster (the extra `ray`)."),
+    ] = ENGINES[0],
+    address: Annotated[
+        str | None,
+        typer.Option(help="Of the Ray cluster; auto, the one that this machine belongs to, or local [auto]."),
+    ] = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
     latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX tables, for the package booktabs.")] = False,
     simulator: Annotated[
@@ -173,6 +186,8 @@ def evaluate_command(
         raise ConfigError("--resume goes with --output")
     if output is not None:
         check_output(output, force, resume)
+    if steps is not None:
+        check_steps_path(steps, force, resume)
     shield_config = None if config is None else ShieldConfig.named(config)
     settings = ask_settings(setting, env_id, env_config)
 
@@ -201,6 +216,9 @@ def evaluate_command(
         resume,
         shard_of(shard),
         lengths(buffer or []),
+        steps,
+        engine,
+        address,
     )
     try:
         result = asked.run()

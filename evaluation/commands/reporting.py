@@ -16,7 +16,7 @@ from shield.errors import ConfigError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Form", "check_output", "check_writable", "report"]
+__all__ = ["Form", "check_output", "check_steps_path", "check_writable", "report"]
 
 _out = Console()
 
@@ -35,7 +35,24 @@ def check_output(path: Path, force: bool, resume: bool = False) -> None:
     if path.exists() and not (force or resume):
         raise ConfigError(f"--output {path} exists already; --resume extends it, --force overwrites it")
     if force:
-        path.with_name(path.name + ".episodes").unlink(missing_ok=True)
+        from evaluation.running.store import discard
+
+        discard(path)
+    check_writable(path)
+
+
+def check_steps_path(path: Path, force: bool, resume: bool) -> None:
+    """Refuse a file for decisions that cannot be written, or that is there and would be overwritten unasked.
+
+    Raises
+    ------
+    ConfigError
+        That says why.
+    """
+    if path.suffix != ".parquet":
+        raise ConfigError(f"--steps {path.name!r} must end in .parquet")
+    if path.exists() and not (force or resume):
+        raise ConfigError(f"--steps {path} exists already; --force overwrites it")
     check_writable(path)
 
 

@@ -15,11 +15,13 @@ import pandas as pd
 from evaluation.experiments.result import Result
 from evaluation.learning.normalised_model import statistics_beside
 from evaluation.measuring import metrics
-from evaluation.names import SIMULATORS, check_name, check_sensor, read_toml
+from evaluation.names import ENGINES, SIMULATORS, check_name, check_sensor, read_toml
 from evaluation.report.table import finished
 from evaluation.running.comparing import Comparison
 from evaluation.running.episodes import run_paired
+from evaluation.running.processes import engine_of
 from evaluation.running.records import DOORS, Variant, make_variants
+from evaluation.running.step_table import check_steps, write_steps
 from evaluation.running.store import Store
 from evaluation.settings import SETTINGS, Setting, setting_of
 from shield.config import MODES, PERCEPTIONS, Buffer, ShieldConfig
@@ -59,6 +61,10 @@ class Experiment:
     jobs : processes; -1 for one per core.
     output : where the episodes go as they finish, .parquet or .csv; None keeps them in memory. resume : whether to go
         on with what is there.
+    steps : a .parquet file for a row of each decision (see `evaluation.running.step_table.steps_of`); decisions are
+        kept with the episodes until the run ends.
+    engine : "processes", or "ray" for the tasks of a Ray cluster. address : of the cluster, "auto" without for the one
+        that this machine belongs to; "local" starts one here.
     shard : (i, n) to drive every n-th episode only, from the i-th on, 1 to n, on one of n machines; see `merge`.
     buffer : buffers along the road [m], a row for each in place of the one of `config`.
 
@@ -90,6 +96,9 @@ class Experiment:
     resume: bool = False
     shard: tuple[int, int] | None = None
     buffer: float | Sequence[float] = ()
+    steps: str | Path | None = None
+    engine: str = ENGINES[0]
+    address: str | None = None
 
     def __post_init__(self) -> None:
         for name, valid in (("shield", MODES), ("door", DOORS[1:]), ("perception", PERCEPTIONS)):
@@ -98,6 +107,10 @@ class Experiment:
         for each in _several(self.sensor):
             check_sensor(each)
         check_name("simulator", self.simulator, SIMULATORS)
+        check_name("engine", self.engine, ENGINES)
+        engine_of(self.engine, self.jobs, self.address)
+        if self.steps is not None and Path(self.steps).suffix != ".parquet":
+            raise ConfigError(f"steps {str(self.steps)!r} must end in .parquet")
         for length in self._buffers:
             Buffer(length)
         if self.episodes < 1 or self.seed < 0:
@@ -189,13 +202,19 @@ class Experiment:
             compared = tuple((setting, tuple(self._variants(setting))) for setting in self.settings)
             asked = self._comparison(compared, tuple(named))
             store = self._store(asked, functions)
+            if self.steps is not None:
+                check_steps(Path(self.steps), store.rows)
+            engine = engine_of(self.engine, self.jobs, self.address)
             try:
-                parts = [asked.drive(store, self.jobs, progress)] if named else []
+                parts = [asked.drive(store, engine, progress)] if named else []
                 for setting, variants in compared:
                     parts += [self._drive(setting, variants, name, each) for name, each in functions.items()]
             except KeyboardInterrupt:
                 raise Stopped(Result(store.table(), store.made)) from None
-        result = Result(pd.concat(parts, ignore_index=True), store.made)
+        episodes = pd.concat(parts, ignore_index=True)
+        if self.steps is not None:
+            episodes = write_steps(Path(self.steps), episodes)
+        result = Result(episodes, store.made)
         if self.output is not None:
             result.write(self.output)
             store.finish()
@@ -236,6 +255,7 @@ class Experiment:
             algorithm=self.algorithm,
             model=self.model,
             simulator=self.simulator,
+            steps=self.steps is not None,
         )
 
     def _store(self, asked: Comparison, functions: Mapping[str, Any]) -> Store:
@@ -251,7 +271,8 @@ class Experiment:
                 output.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise ConfigError(f"{output.parent} cannot be made: {error.strerror}") from None
-        return Store(output, what, self.resume, finished(output) if self.resume and output is not None else None)
+        before = finished(output) if self.resume and output is not None else None
+        return Store(output, what, self.resume, before, asked.models)
 
     def _drive(self, setting: Setting, variants: tuple[Variant, ...], name: str, policy: Any) -> pd.DataFrame:
         """The episodes of a policy that is an object."""
@@ -268,7 +289,8 @@ class Experiment:
                 adapted,
                 variants,
                 self.seeds,
-                jobs=self.jobs,
+                engine=engine_of(self.engine, self.jobs, self.address),
+                steps=self.steps is not None,
                 algorithm=self.algorithm,
                 simulator=self.simulator,
                 sensor=sensor,

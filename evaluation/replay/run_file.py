@@ -18,6 +18,7 @@ from evaluation.report.table import made_of, read_episodes
 from evaluation.running.episodes import policy_name
 from evaluation.running.identity import differences, of_environment, policy_files, versions
 from evaluation.running.records import EpisodeRecord, Variant, variant_for
+from evaluation.running.store import Parts, is_store
 from evaluation.settings import SETTINGS, Setting
 from shield.config import ShieldConfig
 from shield.errors import ConfigError, ShieldError
@@ -28,7 +29,7 @@ _COMPARED = ("crashed", "off_road", "return", "steps", "overridden", "held_back"
 """What the episode has to have again."""
 _SHOWN = 4
 _CERTIFIED = "asked.json"
-"""What says how a run of `shield certify` was made, beside its table."""
+"""What said how a run of `shield certify` was made, beside its table, before its folder was a store."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +74,9 @@ def episode_of(run: str | Path, number: int, policy: str | None = None) -> Recor
     path = run_file(run)
     table = read_episodes(path)
     made, rows = made_of(table, path), table.to_dict("records")
-    if (certified := path.with_name(_CERTIFIED)).is_file() and path.name == "episodes.parquet":
+    if path.name == "episodes.parquet" and is_store(path.parent):
+        made = Parts(path.parent).manifest or {}
+    elif (certified := path.with_name(_CERTIFIED)).is_file() and path.name == "episodes.parquet":
         made = _as_compared(json.loads(certified.read_text(encoding="utf-8")), rows)
     if not 0 <= number < len(rows):
         raise ConfigError(f"{path.name} has the episodes 0 to {len(rows) - 1}, not {number}")

@@ -18,6 +18,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from evaluation.names import TABLE_ENDINGS
+from evaluation.running.store import is_store, plain_rows, read_store
 from shield.decision import Verification
 from shield.errors import ConfigError
 
@@ -234,8 +235,8 @@ def made_of(frame: pd.DataFrame, path: Path) -> dict[str, Any]:
 
 
 def finished(path: str | Path) -> tuple[dict[str, Any], list[dict[str, Any]]] | None:
-    """Of a table of episodes: how it was made (see `evaluation.running.store.provenance`), and its rows, as
-    `EpisodeRecord.row` made them; None if there is no such file.
+    """Of a table of episodes, or a store of them: how it was made (see `evaluation.running.manifest.provenance`), and
+    its rows, as `EpisodeRecord.row` made them; None if there is no such file.
 
     Raises
     ------
@@ -243,16 +244,12 @@ def finished(path: str | Path) -> tuple[dict[str, Any], list[dict[str, Any]]] | 
         If it is no such table.
     """
     path = Path(path)
+    if is_store(path):
+        return read_store(path)
     if not path.is_file():
         return None
     frame = read_episodes(path)
-    made, empty = made_of(frame, path), {"violations": None, "success": None, "rules": ""}
-    rows = []
-    for row in frame.to_dict("records"):
-        row["latencies_ms"] = [float(each) for each in row["latencies_ms"]]
-        blank = {key: nothing for key, nothing in empty.items() if key in row and pd.isna(row[key])}
-        rows.append({**{str(key): value for key, value in row.items()}, **blank})
-    return made, rows
+    return made_of(frame, path), plain_rows(frame)
 
 
 def _read(path: Path) -> pd.DataFrame:

@@ -21,6 +21,7 @@ from evaluation.names import check_name
 from evaluation.report.table import Column, finished, markdown, write_table
 from evaluation.reproduction.presets import get_preset
 from evaluation.running.comparing import Comparison
+from evaluation.running.processes import Processes
 from evaluation.running.records import Variant, config_on
 from evaluation.running.store import Store, provenance
 from evaluation.settings import Setting, get_setting
@@ -238,7 +239,7 @@ def _part(folder: Path, road: Road, shield: str, episodes: int, jobs: int) -> pd
     comparison = Comparison(((setting, (variant_on(road, shield),)),), (policy,), seeds)
     store = Store(path, comparison.asked(), True, finished(path))
     try:
-        driven = comparison.drive(store, jobs, progress=False)
+        driven = comparison.drive(store, Processes(jobs), progress=False)
     except ConfigError:
         store.finish()
         raise

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
+import re
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -17,12 +17,13 @@ import pandas as pd
 
 from evaluation.measuring.statistics import bootstrap_mean, clopper_pearson
 from evaluation.running.decision_log import MEASURED
-from evaluation.running.episodes import run_paired
-from evaluation.running.identity import check_files, differences, hash_of_files, of_environment, of_policy, versions
+from evaluation.running.episodes import policy_name, run_paired
+from evaluation.running.identity import check_files, hash_of_files, model_hashes, of_environment, of_policy
+from evaluation.running.manifest import check_fits, extended, provenance
 from evaluation.running.many import Many
 from evaluation.running.named_policies import is_model, make_policy
-from evaluation.running.records import told, variant_for
-from evaluation.running.store import provenance
+from evaluation.running.records import Variant, told, variant_for
+from evaluation.running.store import Parts
 from evaluation.settings import Setting
 from evaluation.simulators import compiled_where_it_serves
 from shield.config import ShieldConfig
@@ -56,6 +57,7 @@ COLUMNS = (
     *MEASURED,
 )
 FALLBACKS = [f"tier_{tier.value}" for tier in Tier if tier.fallback]
+_PART_NAME = re.compile(r"\d+-\d+")
 _SHOWN = 20
 
 
@@ -78,16 +80,27 @@ class Asked:
     config: ShieldConfig
     simulator: str = "auto"
 
+    @property
+    def variant(self) -> Variant:
+        """What stands between the policy and the environment."""
+        return variant_for(self.config, self.setting)
+
     def told(self) -> dict[str, Any]:
-        """As plain values: what tells one run from another, whatever its length."""
+        """As plain values, in the words of `evaluation.running.comparing.Comparison.asked`."""
+        shield = f"{self.setting.name}, {self.variant.place}, {self.variant.mode}"
         return {
-            "setting": of_environment(self.setting),
-            "policy": {"name": self.policy, **self._policy()},
+            "settings": {self.setting.name: of_environment(self.setting)},
+            "policies": {policy_name(self.policy, None): {"name": self.policy, **self._policy()}},
+            "shields": {shield: tomllib.loads(self.config.to_toml())},
             "seed": self.seed,
-            "shield": tomllib.loads(self.config.to_toml()),
+            "episodes": self.episodes,
             "simulator": self.simulator,
-            "version of": versions(),
         }
+
+    @property
+    def models(self) -> dict[str, str]:
+        """The hash of each model file, by its name."""
+        return model_hashes([self.policy])
 
     def _policy(self) -> dict[str, Any]:
         """What the policy is read from; a model is tried in the environment."""
@@ -110,7 +123,8 @@ def certify(asked: Asked, folder: str | Path, jobs: int = 1, progress: Any = Non
 
     Parameters
     ----------
-    folder : where the parts are kept, a Parquet file each. A run with more episodes goes on from one with fewer.
+    folder : where the parts are kept (see `evaluation.running.store.Parts`). A run with more episodes goes on from one
+        with fewer.
     jobs : processes; -1 for one per core.
     progress : called with the table of each part as it finishes.
 
@@ -130,40 +144,63 @@ def certify(asked: Asked, folder: str | Path, jobs: int = 1, progress: Any = Non
     if asked.episodes < 1:
         raise ConfigError(f"have at least one episode, not {asked.episodes}")
     folder = Path(folder)
-    _claim(folder, asked)
-    left = [part for part in asked.parts() if not _kept(folder, *part)]
+    parts = Parts(folder)
+    _claim(parts, asked)
+    left = [part for part in asked.parts() if not parts.has(_name(*part))]
     files = hash_of_files(asked.policy)
     for frame in _driven(partial(_drive, asked, folder, files), left, joblib.effective_n_jobs(jobs)):
         if progress is not None:
             progress(frame)
-    frames = [pd.read_parquet(_path(folder, *part)) for part in asked.parts()]
-    whole = pd.concat(frames, ignore_index=True)
-    # Parts of an older version have none.
-    return whole if "rules" in whole else whole.assign(rules=None)
+    whole = pd.concat([parts.read(_name(*part)) for part in asked.parts()], ignore_index=True)
+    # Parts of an older version lack some columns.
+    whole["door"] = asked.variant.place
+    whole = whole if "rules" in whole else whole.assign(rules=None)
+    whole.attrs["made"] = parts.manifest
+    return whole
 
 
-def _claim(folder: Path, asked: Asked) -> None:
+def _claim(parts: Parts, asked: Asked) -> None:
     """Note in the folder what is driven, and refuse one that holds something else."""
-    note, told = folder / "asked.json", json.loads(json.dumps(asked.told()))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if note.exists():
-            before = json.loads(note.read_text(encoding="utf-8"))["asked"]
-            if before != told:
-                differ = ", ".join(differences(before, told)[:_SHOWN])
-                raise ConfigError(f"{folder} holds episodes of another run: it differs in {differ}; take a new folder")
-            return
-        note.write_text(json.dumps(provenance(told), indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{folder} cannot be written: {error.strerror}") from None
+    _adopt(parts, asked)
+    made = provenance(json.loads(json.dumps(asked.told())), models=asked.models)
+    before = parts.manifest
+    if before is not None:
+        for key in ("settings", "policies", "shields"):
+            if (was := before.get("asked", {}).get(key, {})).keys() != (now := made["asked"][key]).keys():
+                raise ConfigError(
+                    f"{parts.folder} holds episodes of another run: of the {key} {', '.join(was)}, and not "
+                    f"{', '.join(now)}; take a new folder"
+                )
+        check_fits(str(parts.folder), before, made, "take a new folder")
+        made = extended(before, made)
+        made["asked"]["episodes"] = max(asked.episodes, before["asked"]["episodes"])
+    parts.claim(made)
 
 
-def _path(folder: Path, first: int, count: int) -> Path:
-    return folder / f"{first}-{first + count - 1}.parquet"
+def _adopt(parts: Parts, asked: Asked) -> None:
+    """Make a store of the folder of an earlier version: the parts beside asked.json, with other words in it."""
+    note = parts.folder / "asked.json"
+    if not note.is_file():
+        return
+    old = json.loads(note.read_text(encoding="utf-8"))
+    was = dict(old["asked"])
+    policy, versions_then = was.pop("policy"), was.pop("version of")
+    shield = f"{asked.setting.name}, {asked.variant.place}, {asked.variant.mode}"
+    files = [path for path in parts.folder.glob("*.parquet") if _PART_NAME.fullmatch(path.stem)]
+    count = sum(len(pd.read_parquet(path, columns=["seed"])) for path in files)
+    words = {
+        "settings": {asked.setting.name: was.pop("setting")},
+        "policies": {policy_name(policy["name"], None): policy},
+        "shields": {shield: was.pop("shield")},
+    }
+    parts.claim({**old, "asked": {**words, **was, "episodes": count}, "versions": versions_then})
+    for path in files:
+        path.replace(parts.folder / "parts" / path.name)
+    note.unlink()
 
 
-def _kept(folder: Path, first: int, count: int) -> bool:
-    return _path(folder, first, count).is_file()
+def _name(first: int, count: int) -> str:
+    return f"{first}-{first + count - 1}"
 
 
 def _driven(
@@ -200,15 +237,11 @@ def _drive(asked: Asked, folder: Path, files: str, first: int, count: int) -> pd
     if many is not None:
         frame = many.run(seeds)
     else:
-        table = run_paired(
-            asked.setting, asked.policy, [variant_for(asked.config, asked.setting)], seeds, simulator=asked.simulator
-        )
+        table = run_paired(asked.setting, asked.policy, [asked.variant], seeds, simulator=asked.simulator)
         frame = table[list(COLUMNS)].assign(fallbacks=table[FALLBACKS].sum(axis=1))
+    frame.insert(2, "door", asked.variant.place)
     check_files(asked.policy, None, files)
-    path = _path(folder, first, count)
-    written = path.with_suffix(f".{os.getpid()}.partial")
-    frame.to_parquet(written, index=False)
-    written.replace(path)
+    Parts(folder).write(_name(first, count), frame)
     return frame
 
 

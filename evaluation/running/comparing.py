@@ -10,8 +10,9 @@ from typing import Any
 import pandas as pd
 
 from evaluation.running.episodes import policy_name, run_paired
-from evaluation.running.identity import of_environment, of_policy
+from evaluation.running.identity import model_hashes, of_environment, of_policy
 from evaluation.running.named_policies import is_model, make_policy
+from evaluation.running.processes import Engine
 from evaluation.running.records import Variant
 from evaluation.running.simulators import environment
 from evaluation.running.store import KEY, Store
@@ -30,7 +31,7 @@ class Comparison:
     settings : each with what stands between the policy and the environment there.
     policies : by name, or as paths of zip files. sensors : through which they see.
     seeds : of the episodes of each row.
-    algorithm, model, simulator : as of `evaluation.running.episodes.run_episode`.
+    algorithm, model, simulator : as of `evaluation.running.episodes.run_episode`. steps : as of `run_paired` there.
 
     Raises
     ------
@@ -45,6 +46,7 @@ class Comparison:
     algorithm: str | None = None
     model: str | None = None
     simulator: str = "auto"
+    steps: bool = False
 
     def __post_init__(self) -> None:
         named: dict[str, str] = {}
@@ -77,7 +79,12 @@ class Comparison:
             "simulator": self.simulator,
         }
 
-    def drive(self, store: Store, jobs: int, progress: bool = True) -> pd.DataFrame:
+    @property
+    def models(self) -> dict[str, str]:
+        """The hash of each model file, by its name."""
+        return model_hashes(self.policies)
+
+    def drive(self, store: Store, engine: Engine, progress: bool = True) -> pd.DataFrame:
         """Drive what is not in the store; all rows, those of earlier runs that were not asked for again first."""
         parts = [
             run_paired(
@@ -85,7 +92,8 @@ class Comparison:
                 policy,
                 variants,
                 self.seeds,
-                jobs=jobs,
+                engine=engine,
+                steps=self.steps,
                 algorithm=self.algorithm,
                 model=self.model,
                 simulator=self.simulator,

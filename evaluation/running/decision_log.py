@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -112,7 +113,7 @@ class DecisionLog:
         p50, p99 = quantiles(times)
         driven = history.ego if history.crash_frame is None else history.ego[: history.crash_frame + 1]
         sizes, changes = history.jerks(), self._command_changes(history)
-        return {
+        found = {
             "frame_override_share": float(self._noted("frames_overridden").sum()) / (len(history.states) - 1),
             **{key: float(self._noted(key).mean()) for key in _DISTANCES},
             "on_lane_share": float(1.0 - self._ends(history)[:, Track.OFF_ROAD].mean()),
@@ -130,6 +131,8 @@ class DecisionLog:
             "mean_normalised_jerk": _mean(changes),
             "peak_normalised_jerk": float(np.nanmax(changes)) if np.isfinite(changes).any() else float("nan"),
         }
+        # One NaN, so that records of the same episode are equal.
+        return {key: math.nan if math.isnan(value) else value for key, value in found.items()}
 
     def steps(self, history: History) -> dict[str, list[Any]]:
         """A list of each column of the decisions of an episode that is over: what is noted, and where it ended."""

@@ -6,12 +6,12 @@ latencies) are the same whatever the number of jobs.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
-import joblib
 import numpy as np
 import pandas as pd
 from rich.console import Console
@@ -24,7 +24,7 @@ from evaluation.running.decision_log import DecisionLog
 from evaluation.running.driving_model import driving_model
 from evaluation.running.identity import check_files, hash_of_files
 from evaluation.running.named_policies import Policy, make_policy, policy_label, start_episode
-from evaluation.running.processes import in_processes
+from evaluation.running.processes import Engine, Processes
 from evaluation.running.records import EpisodeRecord, Variant
 from evaluation.running.simulators import environment
 from evaluation.running.store import Store
@@ -154,6 +154,10 @@ class Driver:
             **arrival(info, self.env, history),
         )
 
+    def steps(self) -> dict[str, list[Any]]:
+        """The decisions of the last episode, a list of each column (see `DecisionLog.steps`)."""
+        return self.log.steps(self.recorder.history())
+
     def decisions(
         self, seed: int, before: Callable[[int], None] | None = None
     ) -> Iterator[tuple[float, dict[str, Any]]]:
@@ -241,6 +245,8 @@ def run_paired(
     sensor: str = "exact",
     progress: bool = False,
     store: Store | None = None,
+    steps: bool = False,
+    engine: Engine | None = None,
 ) -> pd.DataFrame:
     """Drive every variant on the same seeds; one row per episode, by variant and then seed.
 
@@ -252,6 +258,8 @@ def run_paired(
     jobs : processes; -1 for one per core.
     progress : whether to show a bar; where the output is no terminal, a line now and then.
     store : where each episode is written as it finishes; what is there is not driven again.
+    steps : whether each row has a column "decisions", see `Driver.steps`.
+    engine : what makes the calls, instead of `jobs` processes.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
     variants, seeds = list(variants), list(seeds)
@@ -261,7 +269,8 @@ def run_paired(
         raise ConfigError("jobs must be at least 1, or -1 for one per core")
     if model not in (None, "bicycle") and policy != "mpc" and not any(v.door == "env" for v in variants):
         raise ConfigError("a model is for mpc and for the shield's door env; none of the two drives here")
-    workers = joblib.effective_n_jobs(jobs)
+    engine = Processes(jobs) if engine is None else engine
+    workers = engine.workers
     rows: list[dict[str, Any]] = []
     done: set[tuple[str, str, int]] = set()
     if store is not None:
@@ -270,18 +279,18 @@ def run_paired(
         rows = [row for row in store.rows if (row["setting"], row["policy"]) == (setting.name, label)]
         asked = {(variant.place, variant.mode, seed) for variant in variants for seed in seeds}
         rows = [row for row in rows if (row["door"], row["mode"], row["seed"]) in asked]
-    # One episode a call where each is kept as it finishes: the driver is, too.
-    size = 1 if store is not None else min(_CHUNK, -(-len(seeds) // workers))
+    # Few episodes a call where each is kept as it finishes: the driver is, too.
+    size = min(_CHUNK if store is None else engine.most, -(-len(seeds) // workers))
     calls = []
     files = hash_of_files(policy, model) if isinstance(policy, str) else ""
     for variant in variants:
-        driven = _Driven(setting, policy, variant, algorithm, model, simulator, sensor, files)
+        driven = _Driven(setting, policy, variant, algorithm, model, simulator, sensor, files, steps, store is not None)
         left = [seed for seed in seeds if (variant.place, variant.mode, seed) not in done]
         calls += [(driven, left[i : i + size]) for i in range(0, len(left), size)]
     console, total, said = Console(stderr=True), len(seeds) * len(variants), 0
     with Progress(disable=not (progress and console.is_terminal), transient=True, console=console) as bar:
         task = bar.add_task(f"{setting.name}", total=total, completed=len(rows))
-        for part in in_processes(_run_chunk, calls, workers):
+        for part in engine.spread(_run_chunk, calls):
             rows += part
             if store is not None:
                 store.add(part)
@@ -312,7 +321,8 @@ def policy_name(policy: str | Policy, model: str | None) -> str:
 
 
 class _Driven(NamedTuple):
-    """What is driven, as of `run_episode`; `files` are the hashes of what the policy is read from."""
+    """What is driven, as of `run_episode`; `files` are the hashes of what the policy is read from, `steps` whether
+    decisions are written down, and `kept` whether the driver is kept from one call to the next."""
 
     setting: Setting
     policy: str | Policy
@@ -322,6 +332,8 @@ class _Driven(NamedTuple):
     simulator: str
     sensor: str
     files: str
+    steps: bool
+    kept: bool
 
     def driver(self) -> Driver:
         """Ready to drive it.
@@ -331,7 +343,7 @@ class _Driven(NamedTuple):
         PolicyError
             If the files of the policy have changed since the hashes were taken.
         """
-        driver = Driver(*self[:-1])
+        driver = Driver(*self[:-3])
         if isinstance(self.policy, str):
             check_files(self.policy, self.model, self.files)
         return driver
@@ -339,13 +351,20 @@ class _Driven(NamedTuple):
 
 def _run_chunk(driven: _Driven, seeds: list[int]) -> list[dict[str, Any]]:
     with one_thread():
-        if len(seeds) == 1 and isinstance(driven.policy, str):
-            return [_kept(driven).run(seeds[0]).row()]
+        if driven.kept and isinstance(driven.policy, str):
+            driver = _kept(driven)
+            return [_row(driver, seed, driven.steps) for seed in seeds]
         driver = driven.driver()
         try:
-            return [driver.run(seed).row() for seed in seeds]
+            return [_row(driver, seed, driven.steps) for seed in seeds]
         finally:
             driver.env.close()
+
+
+def _row(driver: Driver, seed: int, steps: bool) -> dict[str, Any]:
+    """The row of an episode."""
+    row = driver.run(seed).row()
+    return {**row, "decisions": json.dumps(driver.steps())} if steps else row
 
 
 @lru_cache(maxsize=4)

@@ -27,7 +27,9 @@ from shield.errors import PolicyError
 __all__ = [
     "check_files",
     "differences",
+    "file_hash",
     "hash_of_files",
+    "model_hashes",
     "of_environment",
     "of_policy",
     "policy_files",
@@ -105,6 +107,12 @@ def policy_files(name: str, model: str | None = None) -> dict[str, Any]:
     if model is not None and Path(model).is_dir():
         found["model"] = _hash(sorted(each for each in Path(model).rglob("*") if each.is_file()))
     return found
+
+
+def model_hashes(policies: Iterable[str]) -> dict[str, str]:
+    """The hash of each file that some policies, by name or as paths of zip files, are read from, by its name."""
+    files = [Path(each) if each.endswith(".zip") else reference_file(each) for each in policies if _is_file(each)]
+    return {each.name: file_hash(each) for each in files}
 
 
 def hash_of_files(name: str, model: str | None = None) -> str:
@@ -187,11 +195,20 @@ def _sources(modules: Iterable[str]) -> dict[str, str]:
     return found
 
 
+def _is_file(policy: str) -> bool:
+    return policy in list_references() or (policy.endswith(".zip") and Path(policy).is_file())
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
 def _hash(files: Iterable[Path]) -> str:
     """A hash of the names and contents of files."""
     total = hashlib.sha256()
     for each in files:
-        total.update(each.name.encode() + b"\0" + hashlib.sha256(each.read_bytes()).digest())
+        total.update(each.name.encode() + b"\0" + bytes.fromhex(file_hash(each)))
     return total.hexdigest()[:16]
 
 

@@ -1,19 +1,147 @@
-"""Calls of a function in several processes, which end with the one that started them."""
+"""Calls of a function in several processes: of this machine, which end with the one that started them, or of a Ray
+cluster."""
 
 from __future__ import annotations
 
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from threading import Thread
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import joblib
 
-__all__ = ["in_processes"]
+from shield.errors import ConfigError
+
+__all__ = ["Engine", "Processes", "RayTasks", "engine_of", "in_processes"]
 
 T = TypeVar("T")
+_WAITING = 2
+"""So many calls for each core of a cluster are handed over at a time."""
+
+
+class Engine(Protocol):
+    """What makes calls."""
+
+    @property
+    def workers(self) -> int:
+        """How many calls are made at a time."""
+
+    @property
+    def most(self) -> int:
+        """How many episodes a call may have where each is kept as it finishes."""
+
+    def spread(self, function: Callable[..., T], calls: Sequence[tuple[Any, ...]]) -> Iterator[T]:
+        """What each call gives; each once, in any order."""
+
+
+@dataclass(frozen=True)
+class Processes:
+    """Processes of this machine.
+
+    Attributes
+    ----------
+    jobs : how many; -1 for one per core.
+    """
+
+    jobs: int = 1
+    most = 1
+
+    @property
+    def workers(self) -> int:
+        """How many."""
+        return int(joblib.effective_n_jobs(self.jobs))
+
+    def spread(self, function: Callable[..., T], calls: Sequence[tuple[Any, ...]]) -> Iterator[T]:
+        """What each call gives, in their order."""
+        return in_processes(function, calls, self.workers)
+
+
+@dataclass(frozen=True)
+class RayTasks:
+    """Tasks of a Ray cluster, a call each. What a node that is lost was working on is done again on another.
+
+    Attributes
+    ----------
+    address : of the cluster, "auto" for the one that this machine belongs to; "local" starts one here.
+    most : episodes of a task, all of which are kept when it is done.
+
+    Raises
+    ------
+    ConfigError
+        If Ray is not installed, or there is no such cluster.
+    """
+
+    address: str = "auto"
+    most: int = 10
+
+    @property
+    def workers(self) -> int:
+        """Cores of the cluster."""
+        return max(1, int(self._ray().cluster_resources().get("CPU", 1)))
+
+    def spread(self, function: Callable[..., T], calls: Sequence[tuple[Any, ...]]) -> Iterator[T]:
+        """What each call gives, as they finish; no more are under way than the cores can begin soon."""
+        ray = self._ray()
+        task = ray.remote(function).options(max_retries=-1, num_cpus=1)
+        left = iter(calls)
+        pending: list[Any] = []
+        try:
+            while True:
+                while len(pending) < _WAITING * self.workers and (call := next(left, None)) is not None:
+                    pending.append(task.remote(*call))
+                if not pending:
+                    return
+                (first, *_), pending = ray.wait(pending, num_returns=1)
+                try:
+                    found = ray.get(first)
+                except ray.exceptions.RayTaskError as error:
+                    # What was raised there, by its own class.
+                    raise error.cause from None
+                yield found
+        finally:
+            for each in pending:
+                ray.cancel(each, force=True)
+
+    def _ray(self) -> Any:
+        """Ray, connected."""
+        try:
+            import ray
+        except ImportError:
+            raise ConfigError(
+                "--engine ray needs the package ray: pip install 'highway-shield[ray]', on every node of the cluster"
+            ) from None
+        if not ray.is_initialized():
+            where = None if self.address == "local" else self.address
+            # Workers that thread only get in each other's way; the library has to be importable by them.
+            paths = os.pathsep.join(dict.fromkeys([*_paths(), os.environ.get("PYTHONPATH", "")])).strip(os.pathsep)
+            variables = {"OMP_NUM_THREADS": "1", "PYTHONPATH": paths, "SDL_VIDEODRIVER": "dummy"}
+            try:
+                ray.init(address=where, runtime_env={"env_vars": variables}, log_to_driver=False, logging_level="ERROR")
+            except (ConnectionError, ValueError, RuntimeError) as error:
+                raise ConfigError(f"there is no Ray cluster at {self.address!r}: {error}") from None
+        return ray
+
+
+def engine_of(name: str, jobs: int, address: str | None) -> Engine:
+    """An engine by name.
+
+    Parameters
+    ----------
+    name : one of `evaluation.names.ENGINES`. jobs : of processes. address : of a Ray cluster; "auto" without.
+
+    Raises
+    ------
+    ConfigError
+        If an address is given for processes.
+    """
+    if name == "ray":
+        return RayTasks(address or "auto")
+    if address is not None:
+        raise ConfigError("an address goes with the engine ray")
+    return Processes(jobs)
 
 
 def in_processes(function: Callable[..., T], calls: Sequence[tuple[Any, ...]], workers: int) -> Iterator[T]:
@@ -25,6 +153,13 @@ def in_processes(function: Callable[..., T], calls: Sequence[tuple[Any, ...]], w
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
         pool = joblib.Parallel(n_jobs=workers, return_as="generator")
         yield from pool(joblib.delayed(_in_worker)(function, os.getpid(), *call) for call in calls)
+
+
+def _paths() -> list[str]:
+    """Where this process finds modules of the user's: working directories and PYTHONPATH, and not what is installed."""
+    import sys
+
+    return [path for path in sys.path if path and "site-packages" not in path and not path.startswith(sys.base_prefix)]
 
 
 def _in_worker(function: Callable[..., T], parent: int, *call: Any) -> T:

@@ -1,78 +1,115 @@
-"""Episodes on disk as they finish, so that neither Ctrl-C nor a power cut loses one: a line of JSON each."""
+"""Episodes on disk as they finish, so that neither Ctrl-C, nor `kill -9`, nor a power cut loses one.
+
+A store is a folder: `manifest.json` says what made the rows, `parts/NAME.parquet` has episodes, each part written whole
+or not at all, and `open.jsonl` those since the last part, a line of JSON each. `shield evaluate`, `shield certify` and
+`shield reproduce` write it; the table that `shield evaluate --output` writes at its end has the manifest in it.
+"""
 
 from __future__ import annotations
 
 import json
 import os
-import platform
-import subprocess
-import sys
+import shutil
 from collections.abc import Iterable, Mapping
-from datetime import UTC, datetime
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from dynamics.errors import ConfigError, DataError
-from evaluation.running.identity import differences, versions
+from evaluation.running.manifest import check_fits, commit, extended, provenance
 
-__all__ = ["KEY", "SECTIONS", "Store", "commit", "provenance"]
+__all__ = ["KEY", "Parts", "Store", "commit", "discard", "is_store", "plain_rows", "provenance", "read_store"]
 
-SECTIONS = {"settings": "setting", "policies": "policy", "shields": "shield"}
-"""What is asked for by name: a run that goes on may have others, and those of the same name have to be the same."""
-_FREE = ("episodes", *SECTIONS)
-"""What a run that goes on may have more of."""
-_SHOWN = 6
-"""So many differences are listed."""
 KEY = ("setting", "policy", "door", "mode", "seed")
 """Columns that tell one episode from every other of a comparison."""
 _AGAIN = "--force begins again, another --output keeps both"
+_PART = 1_000
+"""Episodes that are kept a line each before they become a part."""
+_MANIFEST, _PARTS, _OPEN = "manifest.json", "parts", "open.jsonl"
 
 
-def provenance(asked: Mapping[str, Any], earlier: Iterable[str] = ()) -> dict[str, Any]:
-    """What made a file: what was asked for, the command line and those before it, the date, the versions of what took
-    part, the commit of the library's source, and the machine."""
-    return {
-        "asked": dict(asked),
-        "command": " ".join(["shield", *sys.argv[1:]]),
-        "earlier": list(earlier),
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "python": sys.version.split()[0],
-        "versions": versions(),
-        "commit": commit(),
-        "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
-    }
+class Parts:
+    """A folder of Parquet parts and their manifest. Several processes may write parts of different names.
 
+    Parameters
+    ----------
+    folder : which need not be there.
+    """
 
-@lru_cache(maxsize=1)
-def commit() -> str:
-    """The commit that the library's source is at, with "+" where files have been changed since; "" without git."""
-    folder = Path(__file__).parent
-    told = []
-    for command in (("rev-parse", "HEAD"), ("status", "--porcelain", "--untracked-files=no")):
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+
+    @property
+    def manifest(self) -> dict[str, Any] | None:
+        """What made the rows; None where nothing is there yet.
+
+        Raises
+        ------
+        DataError
+            If it is no JSON.
+        """
+        path = self.folder / _MANIFEST
+        if not path.is_file():
+            return None
         try:
-            done = subprocess.run(["git", *command], cwd=folder, capture_output=True, text=True, timeout=10, check=True)
-        except (OSError, subprocess.SubprocessError):
-            return ""
-        told.append(done.stdout.strip())
-    return told[0] + ("+" if told[1] else "")
+            found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise DataError(f"{path} is damaged: {error}") from None
+        return found
+
+    def claim(self, made: Mapping[str, Any]) -> None:
+        """Write the manifest; the folder is made.
+
+        Raises
+        ------
+        ConfigError
+            If it cannot be written.
+        """
+        try:
+            (self.folder / _PARTS).mkdir(parents=True, exist_ok=True)
+            _replace(self.folder / _MANIFEST, (json.dumps(made, indent=2) + "\n").encode())
+        except OSError as error:
+            raise ConfigError(f"{self.folder} cannot be written: {error.strerror}") from None
+
+    @property
+    def names(self) -> list[str]:
+        """Of the parts that are there, in order."""
+        return sorted(path.stem for path in (self.folder / _PARTS).glob("*.parquet"))
+
+    def has(self, name: str) -> bool:
+        """Whether a part is there."""
+        return self._path(name).is_file()
+
+    def read(self, name: str) -> pd.DataFrame:
+        """A part, with what was kept in its `attrs`."""
+        return pd.read_parquet(self._path(name))
+
+    def write(self, name: str, frame: pd.DataFrame) -> None:
+        """Write a part, whole or not at all."""
+        path = self._path(name)
+        written = path.with_suffix(f".{os.getpid()}.partial")
+        frame.to_parquet(written, index=False)
+        with written.open("rb+") as file:
+            os.fsync(file.fileno())
+        written.replace(path)
+
+    def _path(self, name: str) -> Path:
+        return self.folder / _PARTS / f"{name}.parquet"
 
 
 class Store:
     """The episodes of one comparison that have been driven so far.
 
-    The first line of the file says what was asked for; each of the others is an episode. A line that was cut off is as
-    good as not there.
-
     Parameters
     ----------
-    path : of the table that is to come; the episodes are beside it until then. None keeps them in memory.
-    asked : what determines the rows, as plain values: mappings by name under the keys in `SECTIONS`, and whatever else
-        is the same for all rows.
+    path : of the table that is to come; the episodes are in the folder PATH.episodes until then. None keeps them in
+        memory.
+    asked : what determines the rows, as plain values: mappings by name under the keys in
+        `evaluation.running.manifest.SECTIONS`, and whatever else is the same for all rows.
     resume : whether to go on where one that was stopped has left off, or to extend one that is finished.
-    finished : of one that is finished, how its table was made (see `provenance`), and its rows.
+    finished : of one that is finished, its manifest, and its rows.
+    models : see `provenance`.
 
     Raises
     ------
@@ -80,7 +117,11 @@ class Store:
         If episodes of another comparison are there: what determines their rows, or the versions of the libraries,
         differ. Or if there are some and it is not to be resumed.
     DataError
-        If the file cannot be read.
+        If they cannot be read.
+
+    Attributes
+    ----------
+    made : the manifest. parts : where the episodes are; None in memory.
     """
 
     def __init__(
@@ -89,25 +130,30 @@ class Store:
         asked: Mapping[str, Any],
         resume: bool = False,
         finished: tuple[Mapping[str, Any], list[dict[str, Any]]] | None = None,
+        models: Mapping[str, str] | None = None,
     ) -> None:
         self._rows: list[dict[str, Any]] = []
-        self.path: Path | None = None
-        self.made = provenance(json.loads(json.dumps(asked)))
+        self._open = 0
+        self.parts: Parts | None = None
+        self.made = provenance(json.loads(json.dumps(asked)), models=models)
         if path is None:
             return
-        self.path = path.with_name(path.name + ".episodes")
-        if self.path.exists() and self.path.stat().st_size:
+        folder = _folder(path)
+        _adopt(folder)
+        self.parts = Parts(folder)
+        if self.parts.manifest is not None:
             if not resume:
                 raise ConfigError(
-                    f"{self.path.name} holds the episodes of a run that was stopped; --resume goes on with it, "
+                    f"{folder.name} holds the episodes of a run that was stopped; --resume goes on with it, "
                     "--force begins again"
                 )
-            before, rows = self._read()
-            self._go_on(self.path.name, before, rows)
+            self._go_on(folder.name, *read_store(folder))
         elif finished is not None:
             self._go_on(path.name, *finished)
         else:
-            self._write([self.made])
+            # Without a manifest nothing that lies there is known.
+            discard(path)
+            self.parts.claim(self.made)
 
     @property
     def rows(self) -> list[dict[str, Any]]:
@@ -127,83 +173,154 @@ class Store:
         """Write episodes, and see to it that they are on the disk."""
         # What comes back from the file and what went in are the same then.
         plain = [json.loads(json.dumps(row, default=_plain)) for row in rows]
-        self._write(plain)
         self._rows += plain
+        if self.parts is None:
+            return
+        with (self.parts.folder / _OPEN).open("ab") as file:
+            file.write(_lines(plain))
+            file.flush()
+            os.fsync(file.fileno())
+        self._open += len(plain)
+        if self._open >= _PART:
+            self._close()
 
     def finish(self) -> None:
-        """Remove the file: the table is written."""
-        if self.path is not None:
-            self.path.unlink(missing_ok=True)
+        """Remove the folder: the table is written."""
+        if self.parts is not None:
+            shutil.rmtree(self.parts.folder, ignore_errors=True)
 
     def _go_on(self, name: str, before: Mapping[str, Any], rows: Iterable[dict[str, Any]]) -> None:
         """Take the rows that are there, and add what is asked for to what was asked for."""
-        asked, was = self.made["asked"], before.get("asked")
-        if was is None:
-            raise ConfigError(f"{name} does not say how it was made, and nothing can be added to it; {_AGAIN}")
-        differ = _differences(was, asked)
-        differ += differences({"version of": before.get("versions", {})}, {"version of": self.made["versions"]})
-        if differ:
-            more = f" and {len(differ) - _SHOWN} more" if len(differ) > _SHOWN else ""
-            raise ConfigError(
-                f"{name} holds episodes of another comparison: {', '.join(differ[:_SHOWN])}{more} differ; {_AGAIN}"
-            )
-        whole = {**asked, **{key: {**was.get(key, {}), **asked[key]} for key in SECTIONS if key in asked}}
-        commands = dict.fromkeys([*before.get("earlier", ()), before.get("command", "")])
-        self.made = {**self.made, "asked": whole, "earlier": list(commands)}
-        seen: set[Any] = set()
-        for row in rows:
-            key = tuple(row[name] for name in KEY)
-            if key not in seen:
-                seen.add(key)
-                self._rows.append(row)
-        self._rewrite()
+        assert self.parts is not None
+        check_fits(name, before, self.made, _AGAIN)
+        self.made = extended(before, self.made)
+        self._rows = _once(rows)
+        kept = sum(len(self.parts.read(each)) for each in self.parts.names)
+        # Of the rows that are in no part, the last may have been cut off.
+        self._open = len(self._rows) - kept
+        self._rewrite(self._rows[kept:])
+        self.parts.claim(self.made)
 
-    def _rewrite(self) -> None:
-        """The whole file anew, or not at all."""
-        assert self.path is not None
-        partial, path = self.path.with_name(self.path.name + ".partial"), self.path
-        self.path = partial
-        try:
-            partial.unlink(missing_ok=True)
-            self._write([self.made, *self._rows])
-            partial.replace(path)
-        finally:
-            self.path = path
+    def _close(self) -> None:
+        """Make a part of the episodes that are in none. One that is killed in between has them twice: they are read
+        once."""
+        assert self.parts is not None
+        self.parts.write(f"{len(self.parts.names):06d}", pd.DataFrame(self._rows[-self._open :]))
+        self._rewrite([])
+        self._open = 0
 
-    def _write(self, lines: list[dict[str, Any]]) -> None:
-        if self.path is None:
-            return
-        with self.path.open("ab") as file:
-            for line in lines:
-                file.write(json.dumps(line).encode() + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
-
-    def _read(self) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-        """How the episodes that are there were made, and their rows, without one that was not written to its end."""
-        assert self.path is not None
-        whole, _, _torn = self.path.read_bytes().rpartition(b"\n")
-        if not whole:
-            # Killed before the first line was written to its end.
-            return self.made, []
-        try:
-            first, *rows = [json.loads(line) for line in whole.split(b"\n")]
-        except ValueError as error:
-            raise DataError(f"{self.path} is damaged: {error}; --force begins again") from None
-        return first, rows
+    def _rewrite(self, rows: list[dict[str, Any]]) -> None:
+        """The rows that are in no part."""
+        assert self.parts is not None
+        self.parts.folder.mkdir(parents=True, exist_ok=True)
+        _replace(self.parts.folder / _OPEN, _lines(rows))
 
 
-def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Where what was asked for differs from what is, in words: of what has a name, where both have it."""
-    found = differences(*({key: value for key, value in each.items() if key not in _FREE} for each in (before, now)))
-    for key, word in SECTIONS.items():
-        one, two = before.get(key, {}), now.get(key, {})
-        if not (isinstance(one, Mapping) and isinstance(two, Mapping)):
-            found += differences({key: one}, {key: two})
-            continue
-        for name in sorted(one.keys() & two.keys()):
-            found += [f"{word} {name}: {each}" for each in differences(one[name], two[name])]
-    return found
+def is_store(path: str | Path) -> bool:
+    """Whether a folder is a store."""
+    return (Path(path) / _MANIFEST).is_file() and (Path(path) / _PARTS).is_dir()
+
+
+def read_store(folder: str | Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The manifest of a store, and its rows: those of its parts, by name, and those after. An episode that stands twice
+    is there once.
+
+    Raises
+    ------
+    ConfigError
+        If there is none.
+    DataError
+        If it cannot be read.
+    """
+    parts = Parts(folder)
+    made = parts.manifest
+    if made is None:
+        raise ConfigError(f"{folder} is no store of episodes: it has no {_MANIFEST}")
+    rows = [row for name in parts.names for row in plain_rows(parts.read(name))]
+    path = parts.folder / _OPEN
+    if path.is_file():
+        rows += _read_lines(path)
+    return made, _once(rows)
+
+
+def plain_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of a table as `EpisodeRecord.row` made them: what is unknown is None or "", and not NaN."""
+    empty = {"violations": None, "success": None, "rules": ""}
+    rows = []
+    for row in frame.to_dict("records"):
+        if "latencies_ms" in row:
+            row["latencies_ms"] = [float(each) for each in row["latencies_ms"]]
+        blank = {key: nothing for key, nothing in empty.items() if key in row and pd.isna(row[key])}
+        rows.append({**{str(key): value for key, value in row.items()}, **blank})
+    return rows
+
+
+def _once(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows, each episode once."""
+    found: dict[Any, dict[str, Any]] = {}
+    for row in rows:
+        found.setdefault(tuple(row.get(name) for name in KEY), row)
+    return list(found.values())
+
+
+def discard(path: Path) -> None:
+    """Remove the episodes of a table that is to be begun again."""
+    folder = _folder(path)
+    for each in (folder, _partial(folder)):
+        if each.is_dir():
+            shutil.rmtree(each)
+        else:
+            each.unlink(missing_ok=True)
+
+
+def _folder(path: Path) -> Path:
+    return path.with_name(path.name + ".episodes")
+
+
+def _partial(folder: Path) -> Path:
+    return folder.with_name(folder.name + ".partial")
+
+
+def _adopt(folder: Path) -> None:
+    """Make a folder of the file that earlier versions kept episodes in: the manifest in its first line, and a line
+    each."""
+    partial = _partial(folder)
+    if not folder.exists() and partial.is_dir():
+        partial.rename(folder)
+    if not folder.is_file():
+        return
+    lines = _read_lines(folder)
+    if partial.exists():
+        shutil.rmtree(partial)
+    if lines:
+        Parts(partial).claim(lines[0])
+        _replace(partial / _OPEN, _lines(lines[1:]))
+    folder.unlink()
+    if lines:
+        partial.rename(folder)
+
+
+def _read_lines(path: Path) -> list[dict[str, Any]]:
+    """What each line says, without one that was not written to its end."""
+    whole, _, _torn = path.read_bytes().rpartition(b"\n")
+    try:
+        return [json.loads(line) for line in whole.split(b"\n")] if whole else []
+    except ValueError as error:
+        raise DataError(f"{path} is damaged: {error}; --force begins again") from None
+
+
+def _lines(rows: Iterable[Mapping[str, Any]]) -> bytes:
+    return b"".join(json.dumps(row, default=_plain).encode() + b"\n" for row in rows)
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Write a file, whole or not at all."""
+    partial = path.with_name(path.name + ".partial")
+    with partial.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)
 
 
 def _plain(value: Any) -> Any:

@@ -1,5 +1,6 @@
 """Very many episodes are kept in parts, go on where they stopped, and give an exact bound."""
 
+import json
 import re
 import sys
 
@@ -11,10 +12,14 @@ from typer.testing import CliRunner
 
 from evaluation.commands.cli import app, main
 from evaluation.measuring.statistics import clopper_pearson
+from evaluation.policies import reference_file
 from evaluation.running import certify as certifying
 from evaluation.running.certify import Asked, certify, page
+from evaluation.running.decision_log import MEASURED
 from evaluation.running.episodes import run_episode
+from evaluation.running.identity import file_hash
 from evaluation.running.records import Variant, config_on, variant_for
+from evaluation.running.store import is_store, read_store
 from evaluation.settings import Setting, get_setting
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
@@ -39,7 +44,7 @@ def test_a_run_goes_on_where_it_stopped_and_drives_nothing_twice(tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         certify(asked(), tmp_path, progress=stop)
-    (tmp_path / "53-55.123.partial").write_bytes(b"cut off")
+    (tmp_path / "parts" / "53-55.123.partial").write_bytes(b"cut off")
     driven = []
     whole = certify(asked(), tmp_path, progress=driven.append)
     assert [part["seed"].tolist() for part in driven] == [[53, 54, 55], [56]]
@@ -63,8 +68,12 @@ def test_an_episode_is_the_one_of_highway_env(tmp_path):
 
 def test_a_folder_of_another_run_is_refused(tmp_path):
     certify(asked(1), tmp_path)
-    for change in ({"policy": "idle"}, {"seed": 51}, {"config": ShieldConfig(braking=6.0)}):
-        with pytest.raises(ConfigError, match="another run: it differs in"):
+    for change, told in (
+        ({"policy": "idle"}, "another run: of the policies faster, and not idle"),
+        ({"seed": 51}, r"another comparison: seed \(50, now 51\)"),
+        ({"config": ShieldConfig(braking=6.0)}, r"shield short, env, full: braking \(.*, now 6.0\) differ"),
+    ):
+        with pytest.raises(ConfigError, match=rf"{told}.*; take a new folder"):
             certify(asked(1, **change), tmp_path)
     with pytest.raises(ConfigError, match="at least one"):
         certify(asked(0), tmp_path)
@@ -143,3 +152,38 @@ def test_steering_behind_simulated_traffic_is_certified_at_every_frame(tmp_path)
     result = CliRunner().invoke(app, ["certify", str(tmp_path), *options])
     assert result.exit_code == 0, result.exception
     assert not pd.read_parquet(tmp_path / "episodes.parquet")["crashed"].any()
+
+
+def test_the_folder_is_a_store_and_that_of_an_earlier_version_becomes_one(tmp_path):
+    """Parts used to lie beside asked.json: they are taken over, and not driven again."""
+    driven = []
+    whole = certify(asked(), tmp_path)
+    made, rows = read_store(tmp_path)
+    assert [row["seed"] for row in rows] == list(range(50, 57))
+    assert {"asked", "versions", "commit", "models", "machine"} <= made.keys()
+    was = made["asked"]
+    old = {
+        "setting": was["settings"]["short"],
+        "policy": was["policies"]["faster"],
+        "seed": 50,
+        "shield": was["shields"]["short, env, full"],
+        "simulator": "auto",
+        "version of": made["versions"],
+    }
+    for path in (tmp_path / "parts").glob("*.parquet"):
+        pd.read_parquet(path).drop(columns=["door", *MEASURED]).to_parquet(tmp_path / path.name)
+        path.unlink()
+    (tmp_path / "manifest.json").unlink()
+    (tmp_path / "asked.json").write_text(json.dumps({**made, "asked": old}), encoding="utf-8")
+    again = certify(asked(), tmp_path, progress=driven.append)
+    assert not driven
+    assert is_store(tmp_path)
+    pd.testing.assert_frame_equal(again, whole[[each for each in whole if each not in MEASURED]], check_like=True)
+    assert len(certify(asked(9), tmp_path)) == 9
+    assert read_store(tmp_path)[0]["asked"]["episodes"] == 9
+
+
+def test_a_model_file_is_named_with_its_hash(tmp_path):
+    certify(asked(1, policy="ppo-highway-fast", setting=get_setting("highway-fast")), tmp_path)
+    models = read_store(tmp_path)[0]["models"]
+    assert models == {"ppo-highway-fast.zip": file_hash(reference_file("ppo-highway-fast"))}

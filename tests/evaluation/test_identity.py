@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from evaluation.commands.cli import app
 from evaluation.rare.finds import Find, made_with, replay
-from evaluation.running import store as storing
+from evaluation.running import manifest as storing
 from evaluation.running.certify import Asked, certify
 from evaluation.running.episodes import run_paired
 from evaluation.running.identity import differences, of_environment, of_policy, policy_files
@@ -58,7 +58,7 @@ def stopped(folder, monkeypatch):
     with monkeypatch.context() as patched:
         patched.setattr(Store, "add", once)
         assert evaluate(folder).exit_code == 130
-    assert len((folder / "x.parquet.episodes").read_bytes().splitlines()) == 2
+    assert len((folder / "x.parquet.episodes" / "open.jsonl").read_bytes().splitlines()) == 1
 
 
 def replace_model(folder):
@@ -178,7 +178,7 @@ def test_a_folder_of_parts_is_not_gone_on_with_by_another_model(tmp_path):
     certify(asked, tmp_path / "parts")
     save(model, 1)
     with pytest.raises(
-        ConfigError, match=r"another run: it differs in policy file \(\w+, now \w+\); take a new folder"
+        ConfigError, match=r"another comparison: policy model: file \(\w+, now \w+\) differ; take a new folder"
     ):
         certify(asked, tmp_path / "parts")
     certify(asked, tmp_path / "other")

@@ -19,9 +19,11 @@ from typer.testing import CliRunner
 
 from dynamics.errors import ConfigError, DataError
 from evaluation.commands.cli import app
+from evaluation.experiments import Result
+from evaluation.running import store as storing
 from evaluation.running.episodes import run_paired
 from evaluation.running.records import make_variants
-from evaluation.running.store import Store
+from evaluation.running.store import Store, is_store, read_store
 from evaluation.settings import Setting
 
 EPISODES = 20
@@ -39,7 +41,7 @@ def command(folder, *more):
 
 
 def lines(folder):
-    path = folder / "x.parquet.episodes"
+    path = folder / "x.parquet.episodes" / "open.jsonl"
     return path.read_bytes().count(b"\n") if path.exists() else 0
 
 
@@ -66,7 +68,6 @@ def test_a_run_that_is_killed_at_some_moments_ends_as_if_it_had_not_been(moments
         run.wait()
         killed += 1
     assert killed == moments
-    # The first may have been killed as soon as it had written down what was asked.
     assert lines(tmp_path) >= moments
     done = subprocess.run(command(tmp_path, "--resume"), capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -107,15 +108,16 @@ def test_what_is_stored_is_not_driven_again(tmp_path, jobs):
     path = tmp_path / "x.parquet"
     store = Store(path, ASKED)
     frame = drive(store, jobs)
-    file = store.path.read_bytes().splitlines(keepends=True)
-    assert len(file) == 9
+    kept = store.parts.folder / "open.jsonl"
+    file = kept.read_bytes().splitlines(keepends=True)
+    assert len(file) == 8
     # The last line was cut off, and one is there twice.
-    store.path.write_bytes(b"".join([*file[:5], file[3], file[5][:20]]))
+    kept.write_bytes(b"".join([*file[:4], file[2], file[4][:20]]))
     again = Store(path, ASKED, resume=True)
     assert len(again.rows) == 4
     same(frame, drive(again))
     assert len(again.rows) == 8
-    assert {len(json.loads(line)) for line in again.path.read_bytes().splitlines()[1:]} == {len(frame.columns)}
+    assert {len(json.loads(line)) for line in kept.read_bytes().splitlines()} == {len(frame.columns)}
     same(frame, drive(Store(path, ASKED, resume=True)))
 
 
@@ -130,9 +132,10 @@ def test_episodes_of_another_comparison_are_not_mixed_in(tmp_path):
     ):
         Store(path, {**ASKED, "seed": 6, "model": "learned"}, resume=True)
     assert Store(path, ASKED, resume=True).rows == []
-    (tmp_path / "x.parquet.episodes").write_bytes(b"nothing\n{}\n")
-    with pytest.raises(DataError, match="is damaged"):
-        Store(path, ASKED, resume=True)
+    for name in ("open.jsonl", "manifest.json"):
+        (tmp_path / "x.parquet.episodes" / name).write_bytes(b"nothing\n{}\n")
+        with pytest.raises(DataError, match=rf"{name} is damaged"):
+            Store(path, ASKED, resume=True)
 
 
 def test_a_store_without_a_path_keeps_episodes_in_memory():
@@ -186,3 +189,44 @@ def test_progress_is_said_where_the_output_is_no_terminal(tmp_path):
     assert f"12 of {2 * EPISODES} episodes" in done.stderr
     assert f"{2 * EPISODES} of {2 * EPISODES} episodes" in done.stderr
     assert re.search(rf"no shield: \d+ of {EPISODES} crashed, full at env: 0 of {EPISODES} crashed", done.stderr)
+
+
+def test_the_file_of_an_earlier_version_is_gone_on_with(tmp_path):
+    """Episodes used to be kept in one file, the manifest in its first line: none of them is driven again."""
+    path = tmp_path / "x.parquet"
+    store = Store(path, ASKED)
+    frame = drive(store)
+    lines = [json.dumps(each) for each in (store.made, *store.rows[:3])]
+    store.finish()
+    old = path.with_name("x.parquet.episodes")
+    assert not old.exists()
+    old.write_text("\n".join(lines) + '\n{"cut o', encoding="utf-8")
+    again = Store(path, ASKED, resume=True)
+    assert again.rows == store.rows[:3]
+    assert is_store(old)
+    same(frame, drive(again))
+    # Killed before its first line was whole, it is begun again.
+    again.finish()
+    old.write_text('{"cut o', encoding="utf-8")
+    assert Store(path, ASKED, resume=True).rows == []
+
+
+def test_episodes_become_parts_that_are_read_back(tmp_path, monkeypatch):
+    """Parquet parts and the lines after them are one table; killed between the two, an episode is there once."""
+    monkeypatch.setattr(storing, "_PART", 3)
+    path = tmp_path / "x.parquet"
+    store = Store(path, ASKED)
+    frame = drive(store)
+    assert store.parts.names == ["000000", "000001"]
+    made, rows = read_store(store.parts.folder)
+    assert made == store.made
+    assert {"asked", "versions", "commit", "models", "machine"} <= made.keys()
+    same(pd.DataFrame(rows), pd.DataFrame(store.rows))
+    # As if it had been killed after the part and before the lines were removed.
+    kept = store.parts.folder / "open.jsonl"
+    kept.write_bytes(b"".join(json.dumps(row).encode() + b"\n" for row in store.rows[3:]))
+    again = Store(path, ASKED, resume=True)
+    assert len(again.rows) == len(store.rows) == 8
+    assert kept.read_bytes().count(b"\n") == 2
+    same(frame, drive(again))
+    same(Result.read(store.parts.folder).episodes, pd.DataFrame(store.rows))

@@ -1,0 +1,114 @@
+"""The manifest of a run: what made its rows, and whether others may be added to them."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from dynamics.errors import ConfigError
+from evaluation.running.identity import differences, versions
+
+__all__ = ["SECTIONS", "check_fits", "commit", "extended", "provenance"]
+
+SECTIONS = {"settings": "setting", "policies": "policy", "shields": "shield"}
+"""What is asked for by name: a run that goes on may have others, and those of the same name have to be the same."""
+_FREE = ("episodes", *SECTIONS)
+"""What a run that goes on may have more of."""
+_SHOWN = 6
+"""So many differences are listed."""
+
+
+def provenance(
+    asked: Mapping[str, Any], earlier: Iterable[str] = (), models: Mapping[str, str] | None = None
+) -> dict[str, Any]:
+    """The manifest of a run.
+
+    Parameters
+    ----------
+    asked : what determines the rows, as plain values. earlier : the command lines of the runs that this one goes on
+        with. models : of each model file, by name, its hash (see `evaluation.running.identity.file_hash`).
+
+    Returns
+    -------
+    These, the command line, the date, the versions of what took part, the commit of the library's source, and the
+    machine.
+    """
+    return {
+        "asked": dict(asked),
+        "command": " ".join(["shield", *sys.argv[1:]]),
+        "earlier": list(earlier),
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "python": sys.version.split()[0],
+        "versions": versions(),
+        "commit": commit(),
+        "models": dict(models or {}),
+        "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
+    }
+
+
+@lru_cache(maxsize=1)
+def commit() -> str:
+    """The commit that the library's source is at, with "+" where files have been changed since; "" without git."""
+    folder = Path(__file__).parent
+    told = []
+    for command in (("rev-parse", "HEAD"), ("status", "--porcelain", "--untracked-files=no")):
+        try:
+            done = subprocess.run(["git", *command], cwd=folder, capture_output=True, text=True, timeout=10, check=True)
+        except (OSError, subprocess.SubprocessError):
+            return ""
+        told.append(done.stdout.strip())
+    return told[0] + ("+" if told[1] else "")
+
+
+def check_fits(name: str, before: Mapping[str, Any], now: Mapping[str, Any], instead: str) -> None:
+    """Raise where rows of one run cannot be added to those of another.
+
+    Parameters
+    ----------
+    name : of what holds the rows that are there. before, now : the manifests of those rows, and of the run.
+    instead : what can be done where they do not fit.
+
+    Raises
+    ------
+    ConfigError
+        That says where they differ: in what was asked for, of what has a name where both have it, or in the versions.
+    """
+    was = before.get("asked")
+    if was is None:
+        raise ConfigError(f"{name} does not say how it was made, and nothing can be added to it; {instead}")
+    differ = _differences(was, now["asked"])
+    differ += differences({"version of": before.get("versions", {})}, {"version of": now["versions"]})
+    if differ:
+        more = f" and {len(differ) - _SHOWN} more" if len(differ) > _SHOWN else ""
+        raise ConfigError(
+            f"{name} holds episodes of another comparison: {', '.join(differ[:_SHOWN])}{more} differ; {instead}"
+        )
+
+
+def extended(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
+    """The manifest of a run that goes on with another, which fits (see `check_fits`): what was asked for in both."""
+    was, asked = before["asked"], now["asked"]
+    whole = {**asked, **{key: {**was.get(key, {}), **asked[key]} for key in SECTIONS if key in asked}}
+    commands = dict.fromkeys([*before.get("earlier", ()), before.get("command", "")])
+    models = {**before.get("models", {}), **now["models"]}
+    return {**now, "asked": whole, "earlier": list(commands), "models": models}
+
+
+def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Where what was asked for differs from what is, in words: of what has a name, where both have it."""
+    found = differences(*({key: value for key, value in each.items() if key not in _FREE} for each in (before, now)))
+    for key, word in SECTIONS.items():
+        one, two = before.get(key, {}), now.get(key, {})
+        if not (isinstance(one, Mapping) and isinstance(two, Mapping)):
+            found += differences({key: one}, {key: two})
+            continue
+        for name in sorted(one.keys() & two.keys()):
+            found += [f"{word} {name}: {each}" for each in differences(one[name], two[name])]
+    return found

@@ -1,0 +1,100 @@
+"""A table with a row for each decision, beside the table of episodes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from evaluation.running.store import KEY
+from shield.errors import ConfigError
+
+__all__ = ["DECISIONS", "check_steps", "steps_of", "write_steps"]
+
+DECISIONS = "decisions"
+"""The column of an episode's row that has its decisions, until they are written."""
+
+
+def steps_of(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+    """The decisions of episodes, a row each, by episode and then in time.
+
+    Parameters
+    ----------
+    rows : of episodes that were driven with `steps`.
+
+    Returns
+    -------
+    After the columns `KEY` of the episode: `step`; `time`, at which it begins [s]; `reward`; `proposed` and
+    `executed`, lists of numbers; the three distances of `evaluation.running.records.EpisodeRecord`; what the shield's
+    report says (`overridden`, `intervention`, `reason`, `tier`, `margin` [m], `frames_overridden`, `violations`) and
+    `latency_ms`; `confidence`, the mean of the rows shown; and where it ended: `speed` [m/s], `acceleration` [m/s^2]
+    and `steering` [rad] in its last frame, as the ego's motion tells, `on_lane`, `crashed`.
+    """
+    parts = []
+    for row in rows:
+        part = pd.DataFrame(json.loads(row[DECISIONS]))
+        for place, name in enumerate(KEY):
+            part.insert(place, name, row[name])
+        parts.append(part)
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=list(KEY))
+
+
+def check_steps(path: Path, earlier: Iterable[Mapping[str, Any]]) -> None:
+    """Raise where episodes that are there already have no decisions, neither in their rows nor in the file.
+
+    Raises
+    ------
+    ConfigError
+        That says how many.
+    """
+    lacking = {_key(row) for row in earlier if not isinstance(row.get(DECISIONS), str)}
+    if lacking and path.is_file():
+        lacking -= {tuple(each) for each in _read(path)[list(KEY)].drop_duplicates().itertuples(index=False, name=None)}
+    if lacking:
+        raise ConfigError(
+            f"{len(lacking)} episodes that are there already have no decisions in {path}; give the --steps file of the "
+            "earlier run, or begin again with --force"
+        )
+
+
+def write_steps(path: Path, episodes: pd.DataFrame) -> pd.DataFrame:
+    """Write the decisions of episodes to a Parquet file, after those of other episodes that are in it.
+
+    Parameters
+    ----------
+    path : of the file. episodes : with the column `DECISIONS`.
+
+    Returns
+    -------
+    The episodes without that column.
+    """
+    has = episodes[DECISIONS].map(lambda each: isinstance(each, str))
+    frame, asked = steps_of(episodes[has].to_dict("records")), {_key(row) for row in episodes.to_dict("records")}
+    if path.is_file() and not has.all():
+        before = _read(path)
+        keys = pd.Series(list(before[list(KEY)].itertuples(index=False, name=None)), before.index)
+        new = {_key(row) for row in episodes[has].to_dict("records")}
+        frame = pd.concat([before[keys.isin(asked - new)], frame], ignore_index=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".partial")
+    frame.to_parquet(partial, index=False)
+    partial.replace(path)
+    return episodes.drop(columns=DECISIONS)
+
+
+def _read(path: Path) -> pd.DataFrame:
+    try:
+        if not set(KEY) <= set(pq.read_schema(path).names):
+            raise ConfigError(f"{path} has other columns than a table of decisions")
+        return pd.read_parquet(path)
+    except pa.ArrowInvalid as error:
+        raise ConfigError(f"{path} is no table of decisions: {error}") from None
+
+
+def _key(row: Mapping[str, Any]) -> tuple[Any, ...]:
+    return tuple(row[name] for name in KEY)

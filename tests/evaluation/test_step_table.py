@@ -1,0 +1,75 @@
+"""A row for each decision: the same whatever spreads the episodes, and complete after a run that went on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from evaluation import Experiment
+from evaluation.commands.cli import app
+from evaluation.running.store import KEY
+from evaluation.settings import Setting
+from shield.errors import ConfigError
+
+SHORT = Setting("short", "highway-fast-v0", {"duration": 5, "vehicles_count": 10})
+
+
+def asked(folder, **options):
+    given = {"episodes": 3, "shield": ["none", "full"], "config": "worst-case", "seed": 100_010}
+    where = {"output": folder / "x.parquet", "steps": folder / "steps.parquet"}
+    return Experiment("random", SHORT, **{**given, **where, **options})
+
+
+def same(one, two):
+    pd.testing.assert_frame_equal(one.drop(columns="latency_ms"), two.drop(columns="latency_ms"))
+
+
+def test_the_rows_of_decisions_add_up_to_those_of_episodes(tmp_path):
+    """Decisions, returns, overrides, distances and the last speed; two processes write what one does."""
+    result = asked(tmp_path).run(progress=False)
+    steps = pd.read_parquet(tmp_path / "steps.parquet")
+    assert "decisions" not in result.episodes
+    assert "decisions" not in pd.read_parquet(tmp_path / "x.parquet")
+    for _, row in result.episodes.iterrows():
+        mine = steps[(steps[list(KEY)] == row[list(KEY)].to_list()).all(axis=1)]
+        assert mine["step"].tolist() == list(range(row["steps"]))
+        assert mine["reward"].sum() == pytest.approx(row["return"])
+        assert mine["overridden"].sum() == row["overridden"]
+        assert mine["frames_overridden"].sum() == row["frames_overridden"]
+        assert mine["input_distance"].mean() == pytest.approx(row["input_distance"])
+        assert mine["on_lane"].mean() == row["on_lane_share"]
+        assert mine["crashed"].any() == row["crashed"]
+        differ = mine["proposed"].map(list) != mine["executed"].map(list)
+        assert (differ == (mine["input_distance"] > 0)).all()
+        assert (differ <= mine["overridden"]).all()
+    other = tmp_path / "two"
+    asked(other, jobs=2).run(progress=False)
+    same(pd.read_parquet(other / "steps.parquet"), steps)
+
+
+def test_a_run_that_goes_on_has_all_decisions(tmp_path):
+    """Of the episodes that were there already too; and it says where they are not to be had."""
+    whole = asked(tmp_path / "whole", episodes=4).run(progress=False)
+    asked(tmp_path).run(progress=False)
+    result = asked(tmp_path, episodes=4, resume=True).run(progress=False)
+    assert len(result.episodes) == len(whole.episodes) == 8
+    tables = [pd.read_parquet(folder / "steps.parquet") for folder in (tmp_path, tmp_path / "whole")]
+    same(*(each.sort_values([*KEY, "step"], ignore_index=True) for each in tables))
+    (tmp_path / "steps.parquet").unlink()
+    with pytest.raises(ConfigError, match=r"8 episodes that are there already have no decisions in .*steps.parquet"):
+        asked(tmp_path, episodes=5, resume=True).run(progress=False)
+    pd.DataFrame({"a": [1]}).to_parquet(tmp_path / "steps.parquet")
+    with pytest.raises(ConfigError, match="has other columns than a table of decisions"):
+        asked(tmp_path, episodes=5, resume=True).run(progress=False)
+
+
+def test_the_command_refuses_a_file_that_is_there(tmp_path):
+    run, file = CliRunner(), tmp_path / "steps.parquet"
+    words = ["evaluate", "--policy", "idle", "--shield", "none", "--episodes", "1", "--jobs", "1", "--steps", str(file)]
+    assert run.invoke(app, words).exit_code == 0
+    assert np.isfinite(pd.read_parquet(file)["acceleration"].iloc[0])
+    assert "exists already; --force overwrites it" in str(run.invoke(app, words).exception)
+    assert run.invoke(app, [*words, "--force"]).exit_code == 0
+    assert "must end in .parquet" in str(run.invoke(app, [*words[:-1], "steps.csv"]).exception)

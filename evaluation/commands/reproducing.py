@@ -22,12 +22,16 @@ class Table(StrEnum):
     """Which table."""
 
     HIGHWAY = "highway"
+    ROUNDABOUT = "roundabout"
     SHIELDS = "shields"
 
 
 def reproduce_command(
     table: Annotated[
-        Table, typer.Argument(help="highway: the report's variants; shields: shields side by side on several roads.")
+        Table,
+        typer.Argument(
+            help="highway, roundabout: the report's variants; shields: shields side by side on several roads."
+        ),
     ] = Table.HIGHWAY,
     preset: Annotated[
         str,
@@ -63,7 +67,7 @@ def reproduce_command(
     and manifest.json. The same command goes on where it was stopped.
     """
     check_jobs(jobs)
-    named = f"{table.value}-{preset}" if table is Table.HIGHWAY else table.value
+    named = table.value if table is Table.SHIELDS else f"{table.value}-{preset}"
     folder = out or Path("runs", "reproduce", named + ("-quick" if quick else ""))
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"{folder} is a file; --out is a folder")
@@ -73,19 +77,19 @@ def reproduce_command(
 
     if table is Table.SHIELDS:
         if variant:
-            raise ConfigError("--variant goes with the table highway; of shields have --road and --shield")
+            raise ConfigError("--variant goes with highway and roundabout; of shields have --road and --shield")
         from evaluation.reproduction.shields import compare_shields
 
         count = _QUICK_SHIELDS if quick else episodes
         typer.echo(compare_shields(folder, count, split(road or []), split(shield or []), jobs, tell))
         return
     if road or shield:
-        raise ConfigError("--road and --shield go with the table shields; of highway have --variant")
+        raise ConfigError("--road and --shield go with the table shields; of the others have --variant")
     from evaluation.reproduction.presets import get_preset
     from evaluation.reproduction.variants import get_variants
 
-    get_preset(preset)
-    get_variants(split(variant or []))  # mistakes in names are told before more is imported
+    get_preset(preset, table.value)
+    get_variants(split(variant or []), table.value)  # mistakes in names are told before more is imported
     from evaluation.reproduction.api import QUICK, reproduce
 
     counts = {"seeds": seeds, "episodes": episodes, "pooled": pooled}
@@ -93,7 +97,8 @@ def reproduce_command(
         counts = QUICK
     elif steps is not None:
         counts["steps"] = steps
-    typer.echo(reproduce(preset, split(variant or []), folder, jobs, tell, **counts))
+    rows = split(variant or [])
+    typer.echo(reproduce(preset, rows, folder, jobs, tell, road=table.value, **counts))
 
 
 def add_reproducing(app: typer.Typer) -> None:

@@ -1,4 +1,4 @@
-"""`reproduce`: the report's highway table from Python, as `shield reproduce highway` makes it."""
+"""`reproduce`: the report's tables from Python, as `shield reproduce highway` and `roundabout` make them."""
 
 from __future__ import annotations
 
@@ -48,6 +48,7 @@ def reproduce(
     out: str | Path | None = None,
     jobs: int = 1,
     tell: Callable[[str], None] | None = None,
+    road: str = "highway",
     **counts: int,
 ) -> Reproduced:
     """Train and drive the report's variants and this project's, beside what was published; what is finished in `out` is
@@ -56,8 +57,8 @@ def reproduce(
     Parameters
     ----------
     preset : "as-coded" or "as-written". variants : of the table; all by default.
-    out : a folder, runs/reproduce/highway-PRESET by default. jobs : processes, one training seed each.
-    tell : called with a line after each part.
+    out : a folder, runs/reproduce/ROAD-PRESET by default. jobs : processes, one training seed each.
+    tell : called with a line after each part. road : "highway" or "roundabout".
     counts : of `seeds`, `episodes`, `pooled` and `steps` those that are not to be `Reproduction`'s; `**QUICK` for a
         table in about a minute.
 
@@ -66,8 +67,8 @@ def reproduce(
     ConfigError
         If there is no such preset or variant, or a count is not valid.
     """
-    chosen = get_preset(preset)
-    asked = Reproduction(chosen, tuple(get_variants(list(variants))), **{"steps": chosen.steps, **counts})
-    folder = Path("runs", "reproduce", f"highway-{preset}") if out is None else Path(out)
+    chosen = get_preset(preset, road)
+    asked = Reproduction(chosen, tuple(get_variants(list(variants), road)), **{"steps": chosen.steps, **counts})
+    folder = Path("runs", "reproduce", f"{road}-{preset}") if out is None else Path(out)
     episodes = run(asked, folder, jobs, tell)
     return Reproduced(episodes, summary(episodes), judge(episodes), write(episodes, asked, folder), folder)

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from dynamics.state import BoolArray, FloatArray, IntArray
 from evaluation.reproduction import script, text
+from evaluation.reproduction.live_road import LiveRoad
 from evaluation.reproduction.presets import Preset
 from evaluation.reproduction.variants import Variant
-from evaluation.settings import Setting
+from evaluation.settings import Setting, get_setting
+from shield.batch.arrays import Records
 from shield.batch.vocabulary import OVERRIDES
 from shield.config import ShieldConfig
 from shield.exact.batches import highways_for
@@ -27,6 +29,8 @@ _STATE = 4
 
 def setting_for(preset: Preset, variant: Variant) -> Setting:
     """The environment of a variant."""
+    if variant.default_road:
+        return get_setting("roundabout")
     if not variant.stops:
         return preset.setting
     return preset.setting.override({"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 15, 30]}})
@@ -38,6 +42,13 @@ def shield_for(variant: Variant) -> ShieldConfig:
     if not variant.shield:
         return ShieldConfig(mode="none")
     return ShieldConfig() if variant.shield == "env" else ShieldConfig.exact()
+
+
+def _overridden(records: Records) -> BoolArray:
+    """In which environments something else was done than was proposed, in the decision or a frame of it, (e,)."""
+    other = OVERRIDES[records.tier] & (records.executed != records.proposed)
+    overridden: BoolArray = other | OVERRIDES[records.tiers].any(axis=1)
+    return overridden
 
 
 class Shown:
@@ -84,7 +95,9 @@ class Shown:
             added.append(self._over_time.add(rows, which) if over_time else script.confidence_across_features(rows))
         if variant.intent:
             metres = preset.intent == "metres"
-            added.append(text.intent_in_metres(rows) if metres else script.intent_of_normalised(rows))
+            added.append(
+                text.intent_in_metres(rows, scale=preset.scale) if metres else script.intent_of_normalised(rows)
+            )
         columns = [column[..., None].astype(np.float32) for column in added]
         return np.concatenate([rows, *columns], axis=-1)
 
@@ -94,11 +107,11 @@ class ReportBatch:
 
     Parameters
     ----------
-    preset, variant : what they are. num_envs : how many.
+    preset, variant : what they are. num_envs : how many; one where the preset is driven live.
 
     Attributes
     ----------
-    highways : the traffic, and the shield.
+    highways : the traffic, and the shield: compiled, or a `LiveRoad`.
     shown : what the policy is shown, (e, n, f) float32. steps : decisions that each episode has had, (e,).
     replaced : in which environments the report's rule replaced the last action, (e,).
     overridden : in which the shield did something else than it was asked for, (e,).
@@ -107,8 +120,10 @@ class ReportBatch:
     def __init__(self, preset: Preset, variant: Variant, num_envs: int) -> None:
         self.preset, self.variant = preset, variant
         setting, config = setting_for(preset, variant), shield_for(variant)
-        self.highways: Any = highways_for(config)(setting.env_id, num_envs, setting.configured, config)
-        observed = self.highways.simulator.scenario.observation_space
+        self.highways: Any = LiveRoad(setting, variant) if preset.live else None
+        if self.highways is None:
+            self.highways = highways_for(config)(setting.env_id, num_envs, setting.configured, config)
+        observed: Any = self.highways.simulator.scenario.observation_space
         self._sensor = Shown(preset, variant, num_envs, observed.shape[0], self.highways.steps)
         self.steps: IntArray = np.zeros(num_envs, np.intp)
         self.replaced: BoolArray = np.zeros(num_envs, np.bool_)
@@ -117,11 +132,6 @@ class ReportBatch:
         self.observation_space = gym.spaces.Box(-np.inf, np.inf, shape, np.float32)
         self.shown: NDArray[np.float32] = np.zeros((num_envs, *shape), np.float32)
         self.begin([0] * num_envs, range(num_envs))
-
-    @property
-    def lanes(self) -> int:
-        """Of the road."""
-        return int(self.highways.simulator.scenario.config["lanes_count"])
 
     def begin(self, seeds: Sequence[int], which: Sequence[int]) -> None:
         """Start episodes in these environments."""
@@ -137,13 +147,12 @@ class ReportBatch:
         given: IntArray = np.asarray(actions, np.intp)
         self.replaced[:] = False
         if self.variant.override == "distance" or (self.variant.override and self.preset.override == "lane changes"):
-            given, self.replaced = text.override_lane_changes(self.shown, given, self.preset.distance)
+            preset = self.preset
+            given, self.replaced = text.override_lane_changes(self.shown, given, preset.distance, preset.scale)
         elif self.variant.override:
             given, self.replaced = script.overriding_action(self.shown, given)
         self.highways.step(given)
-        records = self.highways.records
-        other = OVERRIDES[records.tier] & (records.executed != records.proposed)
-        self.overridden = other | OVERRIDES[records.tiers].any(axis=1)
+        self.overridden = self.highways.overridden if self.preset.live else _overridden(self.highways.records)
         self.steps = np.minimum(self.steps + 1, self.highways.steps)
         self._show(self.highways.simulator.seen.observations, np.arange(len(self.steps)))
 

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any
 
 from evaluation.names import check_name
+from evaluation.reproduction.text import HIGHWAY, ROUNDABOUT, Scale
 from evaluation.settings import Setting
 from evaluation.wrappers.skills import REPORT_SKILLS
 
-__all__ = ["PRESETS", "PUBLISHED", "Preset", "Published", "get_preset"]
+__all__ = [
+    "PRESETS",
+    "PUBLISHED",
+    "PUBLISHED_ROUNDABOUT",
+    "ROUNDABOUT_PRESETS",
+    "Preset",
+    "Published",
+    "get_preset",
+    "published_for",
+]
 
 
 @dataclass(frozen=True)
@@ -21,7 +31,7 @@ class Published:
 
     label: str
     mean: float
-    deviation: float
+    deviation: float | None
     crash_rate: float
     confidence: float | None = None
     episodes: int = 10
@@ -44,6 +54,7 @@ class Preset:
     distance : of that rule, and of skills that are interrupted [m]; the report names none, and this is a choice.
     skills : names and primitive actions.
     interrupted : whether a skill ends as soon as anybody is nearer than `distance`; else it is gated when it begins.
+    road : "highway" or "roundabout". scale : of its observations.
     """
 
     name: str
@@ -60,6 +71,13 @@ class Preset:
     interrupted: bool
     steps: int = 10_000
     distance: float = 20.0
+    road: str = "highway"
+    scale: Scale = HIGHWAY
+
+    @property
+    def live(self) -> bool:
+        """Whether its episodes are driven in highway-env itself, one at a time."""
+        return self.road != "highway"
 
     @property
     def gamma(self) -> float:
@@ -68,7 +86,10 @@ class Preset:
 
     def told(self) -> dict[str, Any]:
         """What determines episodes, as plain values."""
-        plain = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "description"}
+        left_out = {"description"} | ({"road", "scale"} if self.road == "highway" else set())
+        plain = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in left_out}
+        if "scale" in plain:
+            plain["scale"] = asdict(self.scale)
         setting = {"id": self.setting.env_id, "configuration": dict(self.setting.config)}
         return {**plain, "setting": setting, "hyperparameters": dict(self.hyperparameters), "skills": dict(self.skills)}
 
@@ -138,7 +159,45 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
         )
     }
 )
-"""By name."""
+"""Of the highway, by name."""
+
+_AS_CODED, _AS_WRITTEN = PRESETS["as-coded"], PRESETS["as-written"]
+
+ROUNDABOUT_PRESETS: Mapping[str, Preset] = MappingProxyType(
+    {
+        "as-coded": replace(
+            _AS_CODED,
+            name="roundabout-as-coded",
+            setting=Setting(
+                "roundabout-as-coded",
+                "roundabout-v0",
+                {
+                    "duration": 60,
+                    "simulation_frequency": 15,
+                    "policy_frequency": 15,
+                    "action": {"type": "DiscreteMetaAction", "target_speeds": [20, 25, 30]},
+                    "other_vehicles_type": "highway_env.vehicle.behavior.AggressiveVehicle",
+                    "collision_reward": -5,
+                    "lane_change_reward": -0.1,
+                    "reward_speed_range": [20, 30],
+                    "normalize_reward": False,
+                },
+                "the report's hard roundabout as its script makes it: the car cannot stop",
+            ),
+            sigma=0.2,
+            road="roundabout",
+            scale=ROUNDABOUT,
+        ),
+        "as-written": replace(
+            _AS_WRITTEN,
+            name="roundabout-as-written",
+            setting=Setting("roundabout-60", "roundabout-v0", {"duration": 60}),
+            road="roundabout",
+            scale=ROUNDABOUT,
+        ),
+    }
+)
+"""Of the roundabout, by name."""
 
 PUBLISHED: Mapping[str, Published] = MappingProxyType(
     {
@@ -151,14 +210,32 @@ PUBLISHED: Mapping[str, Published] = MappingProxyType(
 )
 """Rows of the report's table of the highway, by variant (see `evaluation.reproduction.variants`)."""
 
+PUBLISHED_ROUNDABOUT: Mapping[str, Published] = MappingProxyType(
+    {
+        "provided-baseline": Published("provided baseline", 9.17, None, 0.00),
+        "ppo": Published("PPO", 16.88, 9.78, 0.30),
+        "noise": Published("noise", 11.43, 9.79, 0.40, 0.806),
+        "noise-intent": Published("noise + intent", 20.46, 7.00, 0.10),
+        "noise-override": Published("+ safety", 7.28, 9.14, 0.50, 0.816),
+        "noise-override-skills": Published("+ safety + skills", 8.45, 9.53, 0.50, 0.007),
+    }
+)
+"""The same of its table of the roundabout; it gives no deviation of the first."""
 
-def get_preset(name: str) -> Preset:
-    """The preset of that name.
+
+def published_for(preset: str) -> Mapping[str, Published]:
+    """The published rows beside those of a preset, by its `Preset.name`."""
+    return PUBLISHED_ROUNDABOUT if preset.startswith("roundabout") else PUBLISHED
+
+
+def get_preset(name: str, road: str = "highway") -> Preset:
+    """The preset of that name on a road, "highway" or "roundabout".
 
     Raises
     ------
     ConfigError
         That lists those that there are.
     """
-    check_name("preset", name, PRESETS)
-    return PRESETS[name]
+    presets = ROUNDABOUT_PRESETS if road == "roundabout" else PRESETS
+    check_name("preset", name, presets)
+    return presets[name]

@@ -18,7 +18,7 @@ import pandas as pd
 
 from evaluation.learning.algorithms import get_algorithm, load_model
 from evaluation.reproduction.batch import ReportBatch
-from evaluation.reproduction.driving import drive_many
+from evaluation.reproduction.driving import drive_live, drive_many
 from evaluation.reproduction.learning import file_hash, hyperparameters, is_trained, train_variant
 from evaluation.reproduction.live import drive_one_by_one
 from evaluation.reproduction.presets import Preset
@@ -26,17 +26,25 @@ from evaluation.reproduction.variants import Variant
 from evaluation.running.highway_planner import highway_policy
 from evaluation.running.identity import differences, versions
 from evaluation.running.processes import in_processes
+from evaluation.running.roundabout_planner import roundabout_policy
 from evaluation.running.store import commit, provenance
 from shield.errors import ConfigError
 
-__all__ = ["FIRST_SEED", "Reproduction", "run", "why_not"]
+__all__ = ["FIRST_SEED", "Reproduction", "first_seed", "run", "why_not"]
 
 FIRST_SEED = 970_000
 """Seed of the first episode of the first training seed."""
+_FIRST_ON_ROUNDABOUT = 1_740_000
+"""The same on the roundabout."""
 _STRIDE = 10_000
 """Training seed k has the episodes from FIRST_SEED + k * _STRIDE on."""
 _SHOWN = 6
 _PHASES = ("training", "driving")
+
+
+def first_seed(preset: Preset) -> int:
+    """Seed of the first episode of the first training seed."""
+    return FIRST_SEED if preset.road == "highway" else _FIRST_ON_ROUNDABOUT
 
 
 @dataclass(frozen=True)
@@ -46,7 +54,7 @@ class Reproduction:
     Attributes
     ----------
     preset, variants : see there. seeds : training seeds, from 0 on.
-    episodes : of each variant and training seed; pooled : of those that are driven one by one.
+    episodes : of each variant and training seed; pooled : of those that are driven one by one, all on the roundabout.
     steps : of training.
     """
 
@@ -66,8 +74,8 @@ class Reproduction:
 
     def scenes(self, variant: Variant, seed: int) -> range:
         """Seeds of the episodes of a training seed; the same for all variants."""
-        first = FIRST_SEED + _STRIDE * seed
-        return range(first, first + (self.pooled if variant.pooled else self.episodes))
+        first = first_seed(self.preset) + _STRIDE * seed
+        return range(first, first + (self.pooled if variant.pooled or self.preset.live else self.episodes))
 
     def told(self, variant: Variant) -> dict[str, Any]:
         """What determines the rows of a variant, as plain values."""
@@ -81,10 +89,14 @@ class Reproduction:
 def why_not(preset: Preset, variant: Variant) -> str:
     """Why a variant cannot be had here; "" where it can."""
     try:
+        if variant.default_road and not preset.live:
+            return "it is driven on the roundabout"
         if variant.learner == "cem":
-            highway_policy(preset.setting.make())
+            (roundabout_policy if preset.live else highway_policy)(preset.setting.make())
         elif variant.learner:
             get_algorithm(variant.learner)
+        if variant.observed and preset.live:
+            return "scenes are made from observations on straight highways only"
         if not variant.pooled:
             ReportBatch(preset, variant, 1)
     except ConfigError as error:
@@ -204,9 +216,8 @@ def _part(
     trained = _Clock.now()
     if variant.learner and variant.learner != "cem":
         model = load_model(path)
-    driven = (
-        drive_one_by_one(preset, variant, model, left) if variant.pooled else drive_many(preset, variant, model, left)
-    )
+    drive = drive_one_by_one if variant.pooled else drive_live if preset.live else drive_many
+    driven = drive(preset, variant, model, left)
     driven_at = _Clock.now()
     driven.insert(0, "preset", preset.name)
     driven.insert(1, "variant", variant.name)
@@ -261,7 +272,7 @@ def _write_manifest(
         "preset": experiment.preset.name,
         "variants": {each.name: experiment.told(each)["variant"] for each in variants},
         **{name: getattr(experiment, name) for name in ("seeds", "episodes", "pooled", "steps")},
-        "first seed": FIRST_SEED,
+        "first seed": first_seed(experiment.preset),
     }
     models = {each["model"]["file"]: each["model"]["sha256"] for each in records if each["model"]}
     spent = {key: round(sum(each["seconds"][key] for each in records), 1) for key in _PHASES}

@@ -66,4 +66,4 @@ class SkillRun:
         if not batch.variant.report_skills:
             self.over |= batch.overridden
         elif batch.preset.interrupted:
-            self.over |= text.somebody_near(batch.shown, batch.preset.distance, batch.lanes)
+            self.over |= text.somebody_near(batch.shown, batch.preset.distance, batch.preset.scale)

@@ -8,7 +8,7 @@ import pandas as pd
 
 from dynamics.state import FloatArray
 from evaluation.measuring.statistics import Interval, interquartile_mean, nested_bootstrap, wilson
-from evaluation.reproduction.presets import PUBLISHED
+from evaluation.reproduction.presets import published_for
 from evaluation.reproduction.variants import VARIANTS
 
 __all__ = ["groups_of", "summary", "table"]
@@ -51,8 +51,8 @@ def summary(episodes: pd.DataFrame) -> pd.DataFrame:
             "overridden": float(rows["overridden"].sum() / steps),
             "confidence": float(rows["confidence"].mean()),
         }
-        if name in PUBLISHED:
-            told = PUBLISHED[name]
+        told = published_for(str(rows["preset"].iloc[0])).get(name)
+        if told is not None:
             row |= {f"published_{key}": getattr(told, key) for key in ("mean", "deviation", "crash_rate", "confidence")}
         found.append(row)
     return pd.DataFrame(found)
@@ -68,7 +68,7 @@ def table(found: pd.DataFrame) -> str:
             {
                 "variant": row["label"],
                 "published: crashes %": f"{100 * row['published_crash_rate']:.0f}" if published else "–",
-                "return ": f"{row['published_mean']:.2f} ± {row['published_deviation']:.2f}" if published else "–",
+                "return ": _published(row) if published else "–",
                 "episodes": f"{row['episodes']:,}",
                 "crashes %": _interval(row, "crash_rate", 100, 1 if row["crash_rate"] else 2),
                 "over seeds %": _ends(row, "crash_rate_nested") if row["training_seeds"] else "–",
@@ -83,6 +83,11 @@ def table(found: pd.DataFrame) -> str:
             }
         )
     return pd.DataFrame(lines).to_markdown(index=False, disable_numparse=True)
+
+
+def _published(row: dict[str, float]) -> str:
+    deviation = row["published_deviation"]
+    return f"{row['published_mean']:.2f}" + (f" ± {deviation:.2f}" if pd.notna(deviation) else "")
 
 
 def _flat(name: str, interval: Interval) -> dict[str, float]:

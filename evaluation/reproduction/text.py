@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,11 +10,48 @@ from numpy.typing import NDArray
 
 from dynamics.state import BoolArray, FloatArray, IntArray
 
-__all__ = ["ConfidenceOverTime", "intent_in_metres", "noise_on_others", "override_lane_changes", "somebody_near"]
+__all__ = [
+    "HIGHWAY",
+    "ROUNDABOUT",
+    "ConfidenceOverTime",
+    "Scale",
+    "intent_in_metres",
+    "noise_on_others",
+    "override_lane_changes",
+    "somebody_near",
+]
 
 _STATE = slice(1, 5)
-_X_RANGE, _V_RANGE, _LANE = 200.0, 80.0, 4.0
 _LEFT, _RIGHT, _SLOWER = 0, 2, 4
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What 1 stands for in an observation.
+
+    Attributes
+    ----------
+    x, y : [m]. speed : of vx and vy [m/s].
+    relative : whether the others' rows are relative to the ego's, and x is along the road. Else "along the road" is
+        the distance between centres, as the road is round.
+    """
+
+    x: float
+    y: float
+    speed: float
+    relative: bool
+
+    def offsets(self, rows: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
+        """x and y of the others against the ego [m], (..., n - 1) each."""
+        shown = np.asarray(rows[..., 1:3], float)
+        others = shown[..., 1:, :] if self.relative else shown[..., 1:, :] - shown[..., :1, :]
+        return self.x * others[..., 0], self.y * others[..., 1]
+
+
+HIGHWAY = Scale(200.0, 16.0, 80.0, True)
+"""highway-env's highway of four lanes."""
+ROUNDABOUT = Scale(100.0, 100.0, 15.0, False)
+"""highway-env's roundabout."""
 
 
 def noise_on_others(rows: NDArray[np.float32], draws: FloatArray, sigma: float) -> NDArray[np.float32]:
@@ -30,11 +68,12 @@ def noise_on_others(rows: NDArray[np.float32], draws: FloatArray, sigma: float) 
     return shown
 
 
-def intent_in_metres(rows: NDArray[Any], threshold: float = 0.3) -> FloatArray:
-    """+1 where somebody moves to the right by more than `threshold` [m/s], -1 to the left, else 0, and 0 in an absent
-    row; (..., n)."""
-    vy = _V_RANGE * np.asarray(rows[..., 4], float)
-    vy[..., 1:] += vy[..., :1]
+def intent_in_metres(rows: NDArray[Any], threshold: float = 0.3, scale: Scale = HIGHWAY) -> FloatArray:
+    """+1 where somebody moves towards +y, on a highway to the right, by more than `threshold` [m/s], -1 to the other
+    side, else 0, and 0 in an absent row; (..., n)."""
+    vy = scale.speed * np.asarray(rows[..., 4], float)
+    if scale.relative:
+        vy[..., 1:] += vy[..., :1]
     return np.where((np.abs(vy) > threshold) & (np.asarray(rows[..., 0]) > 0), np.sign(vy), 0.0)
 
 
@@ -68,16 +107,19 @@ class ConfidenceOverTime:
         return np.where(there[..., 0], np.exp(-variances.sum(axis=-1)), 0.0)
 
 
-def override_lane_changes(rows: NDArray[Any], actions: IntArray, distance: float) -> tuple[IntArray, BoolArray]:
+def override_lane_changes(
+    rows: NDArray[Any], actions: IntArray, distance: float, scale: Scale = HIGHWAY
+) -> tuple[IntArray, BoolArray]:
     """SLOWER in place of a lane change while somebody is nearer along the road than `distance` [m], and whether it took
     its place, (...,)."""
-    along = np.where(rows[..., 1:, 0] > 0, _X_RANGE * np.abs(rows[..., 1:, 1]), np.inf)
+    x, y = scale.offsets(rows)
+    along = np.where(rows[..., 1:, 0] > 0, np.abs(x) if scale.relative else np.hypot(x, y), np.inf)
     acts = ((actions == _LEFT) | (actions == _RIGHT)) & (along.min(axis=-1) < distance)
     return np.where(acts, _SLOWER, actions), acts
 
 
-def somebody_near(rows: NDArray[Any], distance: float, lanes: int) -> BoolArray:
+def somebody_near(rows: NDArray[Any], distance: float, scale: Scale = HIGHWAY) -> BoolArray:
     """Whether anybody is shown nearer to the ego than `distance` [m], (...,)."""
-    x, y = _X_RANGE * rows[..., 1:, 1], _LANE * lanes * rows[..., 1:, 2]
+    x, y = scale.offsets(rows)
     apart = np.where(rows[..., 1:, 0] > 0, np.hypot(x, y), np.inf)
     return np.asarray(apart.min(axis=-1) < distance)

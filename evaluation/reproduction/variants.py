@@ -32,6 +32,7 @@ class Variant:
     penalty : what an overridden decision costs in training.
     masks : whether the policy chooses among actions that verify.
     stops : whether the lowest target speed is 0.
+    default_road : whether it is driven in highway-env's roundabout as it comes.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Variant:
     penalty: float = 0.0
     masks: bool = False
     stops: bool = False
+    default_road: bool = False
 
     @property
     def trains(self) -> bool:
@@ -63,7 +65,8 @@ class Variant:
 
     def told(self) -> dict[str, Any]:
         """As plain values."""
-        return asdict(self)
+        plain = asdict(self)
+        return plain if self.default_road else {name: x for name, x in plain.items() if name != "default_road"}
 
 
 _SEEN: dict[str, Any] = {"learner": "ppo", "noise": True, "confidence": True}
@@ -79,6 +82,7 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
             Variant("idle", "always IDLE", action=1),
             Variant("faster", "always FASTER", action=3),
             Variant("stopped", "a car that stops", action=4, stops=True),
+            Variant("provided-baseline", "a stopped car, default configuration", action=4, default_road=True),
             Variant("cem", "learned dynamics + CEM", learner="cem"),
             Variant("ppo", "PPO", learner="ppo"),
             Variant("noise", "noise", **_SEEN),
@@ -125,15 +129,16 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
 """By name, in the order of the table."""
 
 
-def get_variants(names: Iterable[str] = ()) -> list[Variant]:
-    """Variants by name, in the order of the table; all of them by default, and with one those whose model drives it.
+def get_variants(names: Iterable[str] = (), road: str = "highway") -> list[Variant]:
+    """Variants by name, in the order of the table; by default all of those of a road, "highway" or "roundabout", and
+    with one those whose model drives it.
 
     Raises
     ------
     ConfigError
         That lists those that there are.
     """
-    asked = list(names) or list(VARIANTS)
+    asked = list(names) or [each.name for each in VARIANTS.values() if road == "roundabout" or not each.default_road]
     for name in asked:
         check_name("variant", name, VARIANTS)
     wanted = {*asked, *(VARIANTS[name].model for name in asked)}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.measuring.statistics import Interval, clopper_pearson, nested_bootstrap
-from evaluation.reproduction.presets import PUBLISHED
+from evaluation.reproduction.presets import PUBLISHED, Published, published_for
 from evaluation.reproduction.table import summary
 from evaluation.reproduction.variants import VARIANTS
 
@@ -76,7 +76,6 @@ _COMPARISONS = (
         "stopped",
     ),
 )
-_NO_CRASH = ("ppo", "noise-override-skills")
 _SHIELDED = ("shielded-env", "trained-inside", "trained-inside-penalty", "trained-inside-masks", "skills-inside")
 _INSIDE = ("skills-inside", "skills-inside-observed")
 
@@ -88,8 +87,14 @@ def judge(episodes: pd.DataFrame) -> list[Verdict]:
     and episodes of the same scenes, is above 0.
     """
     found = {row["variant"]: row for row in summary(episodes).to_dict("records")}
-    whole = [*_compared(episodes, found), *_without_crash(found), *_compatible(found), *_figures(episodes, found)]
-    return whole
+    published = published_for(str(episodes["preset"].iloc[0]))
+    without_crash = [name for name, told in published.items() if told.crash_rate == 0.0]
+    return [
+        *_compared(episodes, found),
+        *_without_crash(found, without_crash),
+        *_compatible(found, published),
+        *_figures(episodes, found),
+    ]
 
 
 def told(verdicts: list[Verdict]) -> str:
@@ -122,16 +127,16 @@ def _compared(episodes: pd.DataFrame, found: dict[str, dict[str, Any]]) -> Itera
         yield Verdict(each.name, "report", apart.low > 0.0, sentence)
 
 
-def _without_crash(found: dict[str, dict[str, Any]]) -> Iterator[Verdict]:
-    for name in _NO_CRASH:
+def _without_crash(found: dict[str, dict[str, Any]], names: Iterable[str]) -> Iterator[Verdict]:
+    for name in names:
         if name in found:
             crashes = round(found[name]["crash_rate"] * found[name]["episodes"])
             label, n = VARIANTS[name].label, found[name]["episodes"]
             yield Verdict(f"{name}-0", "report", crashes == 0, f"{label!r} does not crash: {crashes:,} of {n:,} do.")
 
 
-def _compatible(found: dict[str, dict[str, Any]]) -> Iterator[Verdict]:
-    for name, told in PUBLISHED.items():
+def _compatible(found: dict[str, dict[str, Any]], published: Mapping[str, Published]) -> Iterator[Verdict]:
+    for name, told in published.items():
         if name not in found:
             continue
         count, rate = round(told.crash_rate * told.episodes), found[name]["crash_rate"]
@@ -153,7 +158,7 @@ def _figures(episodes: pd.DataFrame, found: dict[str, dict[str, Any]]) -> Iterat
             sentence = f"{VARIANTS[name].label!r} has no crash: {100 * row['crash_rate']:.2f} % of {row['episodes']:,} "
             sentence += f"(at most {100 * row['crash_rate_high']:.3f} %), return {row['return']:.2f}."
             yield Verdict(f"{name}-crashes", "figure", row["crash_rate"] == 0.0, sentence)
-    for name in _INSIDE:
+    for name in _INSIDE if episodes["preset"].iloc[0] == "as-coded" else ():
         if name in found and "slower" in found:
             row, apart = found[name], _difference(episodes, "return", name, "slower")
             good = row["crash_rate"] <= 0.003 and row["return"] >= 21.6 and apart.low > 0.0

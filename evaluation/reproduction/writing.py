@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from evaluation.report.table import write_table
-from evaluation.reproduction.running import FIRST_SEED, Reproduction
+from evaluation.reproduction.running import Reproduction, first_seed
 from evaluation.reproduction.table import summary, table
 from evaluation.reproduction.verdict import judge, told
 from evaluation.running.store import commit
@@ -25,12 +25,14 @@ def write(episodes: pd.DataFrame, experiment: Reproduction, folder: Path) -> str
     judged = {"preset": experiment.preset.name, "claims": [each.plain() for each in verdicts]}
     (folder / "verdict.json").write_text(json.dumps(judged, indent=2) + "\n", encoding="utf-8")
     left_out = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["left out"]
+    preset, of_each = experiment.preset, f"{experiment.pooled:,} episodes each"
+    if not preset.live:
+        of_each = f"{experiment.episodes:,} episodes each ({experiment.pooled:,} of rows that are driven one at a time)"
     lines = [
-        f"# The report's highway, {experiment.preset.name}: {experiment.preset.description}",
-        f"{experiment.seeds} training seeds of {experiment.steps:,} steps, {experiment.episodes:,} episodes each "
-        f"({experiment.pooled:,} of rows that are driven one at a time), seeds from {FIRST_SEED:,}, revision "
-        f"{commit()[:12] or 'unknown'}. Crash rates with Wilson 95 % intervals; over seeds, and returns: bootstrap "
-        "over training seeds and episodes. *Rule*: steps that the report's rule replaced; *shield*: that the shield "
+        f"# The report's {preset.road}, {preset.name}: {preset.description}",
+        f"{experiment.seeds} training seeds of {experiment.steps:,} steps, {of_each}, seeds from "
+        f"{first_seed(preset):,}, revision {commit()[:12] or 'unknown'}. Crash rates with Wilson 95 % intervals; "
+        "over seeds, and returns: bootstrap over training seeds and episodes. *Rule*: steps that the report's rule replaced; *shield*: that the shield "
         "overrode. Confidence: the mean of the last column of the ego's row (published).",
         table(found),
         *(f"`{name}` is left out: {reason}." for name, reason in left_out.items()),

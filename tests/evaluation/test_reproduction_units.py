@@ -1,6 +1,7 @@
 """The report's noise, confidence, intent, override and skills, as its script and its text have them."""
 
 import math
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -11,9 +12,9 @@ from hypothesis import strategies as st
 from dynamics.simulator.env import CompiledHighwayEnv
 from evaluation.reproduction import script, text
 from evaluation.reproduction.batch import ReportBatch
-from evaluation.reproduction.driving import drive_many
+from evaluation.reproduction.driving import drive_live, drive_many
 from evaluation.reproduction.env import ReportEnv
-from evaluation.reproduction.presets import PRESETS
+from evaluation.reproduction.presets import PRESETS, ROUNDABOUT_PRESETS
 from evaluation.reproduction.skilled import SkillRun
 from evaluation.reproduction.variants import VARIANTS
 from evaluation.running.episodes import run_episode
@@ -106,8 +107,8 @@ def test_the_texts_override_stops_lane_changes_near_somebody():
     assert text.override_lane_changes(rows, np.array(0), 20.0)[0] == 4
     assert text.override_lane_changes(rows, np.array(3), 20.0)[0] == 3
     assert text.override_lane_changes(rows, np.array(0), 9.0)[0] == 0
-    assert text.somebody_near(rows, 11.0, 4)
-    assert not text.somebody_near(rows, 9.0, 4)
+    assert text.somebody_near(rows, 11.0)
+    assert not text.somebody_near(rows, 9.0)
 
 
 def test_confidence_over_time_and_intent_are_those_of_the_wrappers():
@@ -237,3 +238,62 @@ def test_the_environment_is_one_of_gymnasiums():
     assert isinstance(env, gym.Env)
     check_env(env)
     assert env.observation_space.shape == (5, 7)
+
+
+def test_what_is_near_on_the_roundabout_is_near_in_metres():
+    """Its rows are absolute, and 1 is 100 m and 15 m/s."""
+    rows = scene([1, 0.5, -0.1, 0, 0.01], [1, 0.56, -0.02, 0, 0.03])  # 6 m and 8 m away, at 0.15 and 0.45 m/s
+    assert text.somebody_near(rows, 10.1, text.ROUNDABOUT)
+    assert not text.somebody_near(rows, 9.9, text.ROUNDABOUT)
+    assert text.override_lane_changes(rows, np.array(2), 10.1, text.ROUNDABOUT)[0] == 4
+    assert text.override_lane_changes(rows, np.array(2), 9.9, text.ROUNDABOUT)[0] == 2
+    assert text.intent_in_metres(rows, scale=text.ROUNDABOUT).tolist() == [0.0, 1.0]
+
+
+@pytest.mark.parametrize("name", ["as-coded", "as-written"])
+def test_the_roundabout_is_that_of_highway_env(name):
+    """Returns, lengths and crashes of a constant policy are those of the environment itself."""
+    preset, variant = ROUNDABOUT_PRESETS[name], VARIANTS["faster"]
+    rows, env = drive_live(preset, variant, None, [5, 6]), preset.setting.make()
+    for _, row in rows.iterrows():
+        env.reset(seed=int(row["seed"]))
+        total, steps, done = 0.0, 0, False
+        while not done:
+            _, reward, terminated, truncated, info = env.step(3)
+            total, steps, done = total + reward, steps + 1, terminated or truncated
+        assert (row["return"], row["steps"], row["crashed"]) == (pytest.approx(total), steps, info["crashed"])
+
+
+def test_undisturbed_the_scripts_car_leaves_the_roundabout_after_124_steps():
+    """The fact that the page states: on the road for 124 of 900 steps, then at reward 0."""
+    env = ROUNDABOUT_PRESETS["as-coded"].setting.make()
+    env.reset(seed=0)
+    env.unwrapped.road.vehicles = [env.unwrapped.vehicle]
+    rewards, done = [], False
+    while not done:
+        _, reward, terminated, truncated, _ = env.step(3)
+        rewards.append(reward)
+        done = terminated or truncated
+    assert len(rewards) == 900
+    assert abs(sum(reward != 0.0 for reward in rewards) - 124) <= 1
+    assert not any(rewards[130:])
+
+
+def test_the_provided_baselines_return_is_that_of_a_stopped_car():
+    """Published as 9.17 with no crash."""
+    rows = drive_live(ROUNDABOUT_PRESETS["as-coded"], VARIANTS["provided-baseline"], None, range(3))
+    assert rows["return"].tolist() == pytest.approx([9.17] * 3, abs=0.01)
+    assert not rows["crashed"].any()
+
+
+def test_skills_and_the_shield_drive_on_the_roundabout():
+    """What is counted of a short episode behind the shield; a skill that is overridden ends at that step."""
+    preset = ROUNDABOUT_PRESETS["as-coded"]
+    preset = replace(preset, setting=preset.setting.override({"duration": 3}))
+    rows = drive_live(preset, VARIANTS["skills-inside"], Hashing(5), [11, 12])
+    assert (rows["decisions"] < rows["steps"]).all()
+    assert (rows["steps"] <= 45).all()
+    assert (rows["overridden"] <= rows["decisions"]).all()
+    assert rows["overridden"].sum() > 0
+    bare = drive_live(preset, VARIANTS["noise"], Hashing(5), [11, 12])
+    assert not bare["overridden"].any()

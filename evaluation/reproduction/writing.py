@@ -32,8 +32,9 @@ def write(episodes: pd.DataFrame, experiment: Reproduction, folder: Path) -> str
         f"# The report's {preset.road}, {preset.name}: {preset.description}",
         f"{experiment.seeds} training seeds of {experiment.steps:,} steps, {of_each}, seeds from "
         f"{first_seed(preset):,}, revision {commit()[:12] or 'unknown'}. Crash rates with Wilson 95 % intervals; "
-        "over seeds, and returns: bootstrap over training seeds and episodes. *Rule*: steps that the report's rule replaced; *shield*: that the shield "
-        "overrode. Confidence: the mean of the last column of the ego's row (published).",
+        "over seeds, and returns: bootstrap over training seeds and episodes. *Rule*: steps that the report's rule "
+        "replaced; *shield*: that the shield overrode. Confidence: the mean of the last column of the ego's row "
+        "(published).",
         table(found),
         *(f"`{name}` is left out: {reason}." for name, reason in left_out.items()),
         "## Claims",

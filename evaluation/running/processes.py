@@ -111,7 +111,7 @@ class RayTasks:
             import ray
         except ImportError:
             raise ConfigError(
-                "--engine ray needs the package ray: pip install 'highway-shield[ray]', on every node of the cluster"
+                "--engine ray needs the package ray: pip install 'ray>=2.40,<3', on every node of the cluster"
             ) from None
         if not ray.is_initialized():
             where = None if self.address == "local" else self.address

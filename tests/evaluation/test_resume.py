@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import random
 import re
 import signal
 import subprocess
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from killing import episodes_kept, kill_at_moments
 from slowly import later
 from typer.testing import CliRunner
 
@@ -23,7 +23,7 @@ from evaluation.experiments import Result
 from evaluation.running import store as storing
 from evaluation.running.episodes import run_paired
 from evaluation.running.records import make_variants
-from evaluation.running.store import Store, is_store, read_store
+from evaluation.running.store import KEY, Store, is_store, read_store
 from evaluation.settings import Setting
 
 EPISODES = 20
@@ -41,8 +41,7 @@ def command(folder, *more):
 
 
 def lines(folder):
-    path = folder / "x.parquet.episodes" / "open.jsonl"
-    return path.read_bytes().count(b"\n") if path.exists() else 0
+    return episodes_kept(folder / "x.parquet")
 
 
 def same(one, two):
@@ -50,30 +49,30 @@ def same(one, two):
     pd.testing.assert_frame_equal(one.drop(columns=times), two.drop(columns=times), check_dtype=False)
 
 
-@pytest.mark.parametrize("moments", later(1, 10))
-def test_a_run_that_is_killed_at_some_moments_ends_as_if_it_had_not_been(moments, tmp_path):
+@pytest.mark.parametrize(("moments", "jobs"), [(2, 1), *later((10, 1), (10, 2))])
+def test_a_run_that_is_killed_at_some_moments_ends_as_if_it_had_not_been(moments, jobs, tmp_path):
+    """`kill -9`: what was kept after one kill is there after the next, each episode once, and the table is that of a
+    run that nobody stopped."""
     whole = tmp_path / "whole"
     whole.mkdir()
     subprocess.run(command(whole), check=True, capture_output=True)
-    chance, killed = random.Random(0), 0
-    while killed < moments:
-        run = subprocess.Popen(command(tmp_path, "--resume"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        before = lines(tmp_path)
-        while run.poll() is None and lines(tmp_path) <= before:
-            time.sleep(0.005)
-        time.sleep(chance.uniform(0, 0.15))
-        if run.poll() is not None:
-            break
-        run.kill()
-        run.wait()
-        killed += 1
-    assert killed == moments
-    assert lines(tmp_path) >= moments
-    done = subprocess.run(command(tmp_path, "--resume"), capture_output=True, text=True)
+    asked = command(tmp_path, "--resume")
+    asked[asked.index("--jobs") + 1] = str(jobs)
+    kept = kill_at_moments(asked, tmp_path / "x.parquet", moments)
+    assert len(kept) == moments
+    assert kept == sorted(set(kept))
+    _, rows = read_store(tmp_path / "x.parquet.episodes")
+    before = pd.DataFrame(rows)
+    assert len(before) >= kept[-1] - 1
+    done = subprocess.run(asked, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    same(pd.read_parquet(whole / "x.parquet"), pd.read_parquet(tmp_path / "x.parquet"))
+    found = pd.read_parquet(tmp_path / "x.parquet")
+    same(pd.read_parquet(whole / "x.parquet"), found)
+    # Those that were kept were not driven again: their latencies are the same.
+    again = before[[*KEY]].merge(found, on=list(KEY))
+    assert [list(each) for each in again["latencies_ms"]] == before["latencies_ms"].tolist()
     assert not (tmp_path / "x.parquet.episodes").exists()
-    assert pd.read_parquet(tmp_path / "x.parquet").attrs["made"]["asked"]["episodes"] == EPISODES
+    assert found.attrs["made"]["asked"]["episodes"] == EPISODES
 
 
 def test_control_c_prints_what_there_is_and_keeps_it(tmp_path):

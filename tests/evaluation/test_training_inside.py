@@ -182,6 +182,20 @@ def test_with_masks_only_actions_that_verify_are_proposed(tmp_path, simulator):
     assert excluded > 0
 
 
+def test_a_penalty_in_training_changes_what_is_learned(tmp_path):
+    """Behind the same seed the first rollout is the same, and what is learned from it is not."""
+    weights, overridden = [], []
+    for penalty in (0.0, 0.5):
+        trained = train(
+            TINY, "ppo", 64, 1, output=tmp_path / str(penalty), shield="default", envs=2, hyperparameters=ROLLOUT,
+            override_penalty=penalty, progress=False,
+        )  # fmt: skip
+        overridden.append(trained.manifest["in_training"]["overridden"])
+        weights.append(PPO.load(trained.path, device="cpu").policy.state_dict())
+    assert overridden[0] == overridden[1] > 0
+    assert any(not torch.equal(value, weights[1][key]) for key, value in weights[0].items())
+
+
 def test_masks_in_either_simulator_teach_the_same(tmp_path):
     weights = []
     for simulator in ("compiled", "highway-env"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
 from collections.abc import Mapping
@@ -18,10 +17,10 @@ from evaluation.learning.manifests import manifest_path
 from evaluation.reproduction.env import ReportEnv
 from evaluation.reproduction.presets import Preset
 from evaluation.reproduction.variants import Variant
-from evaluation.running.identity import versions
+from evaluation.running.identity import file_hash, versions
 from evaluation.threads import one_thread
 
-__all__ = ["file_hash", "hyperparameters", "is_trained", "train_variant"]
+__all__ = ["hyperparameters", "is_trained", "train_variant"]
 
 _CRASHES = "crashes_in_training"
 
@@ -45,11 +44,6 @@ def hyperparameters(preset: Preset, variant: Variant) -> dict[str, Any]:
         "target_update_interval": 50,
         "policy_kwargs": {"net_arch": [256, 256]},
     }
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def is_trained(path: Path) -> bool:

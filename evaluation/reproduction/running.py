@@ -1,7 +1,8 @@
 """The whole experiment: trained and driven part by part, each kept as it finishes.
 
 A part is a variant and a training seed. In the folder there are `models/VARIANT-SEED.zip` with a manifest beside each,
-`episodes/VARIANT-SEED.parquet` with a record beside each of what made it, and `manifest.json`.
+`parts/VARIANT-SEED.parquet`, each with a record in it of what made it, and `manifest.json`: a store of episodes
+(`evaluation.running.store`).
 """
 
 from __future__ import annotations
@@ -19,15 +20,16 @@ import pandas as pd
 from evaluation.learning.algorithms import get_algorithm, load_model
 from evaluation.reproduction.batch import ReportBatch
 from evaluation.reproduction.driving import drive_live, drive_many
-from evaluation.reproduction.learning import file_hash, hyperparameters, is_trained, train_variant
+from evaluation.reproduction.learning import hyperparameters, is_trained, train_variant
 from evaluation.reproduction.live import drive_one_by_one
 from evaluation.reproduction.presets import Preset
 from evaluation.reproduction.variants import Variant
 from evaluation.running.highway_planner import highway_policy
-from evaluation.running.identity import differences, versions
+from evaluation.running.identity import differences, file_hash, versions
+from evaluation.running.manifest import commit, provenance
 from evaluation.running.processes import in_processes
 from evaluation.running.roundabout_planner import roundabout_policy
-from evaluation.running.store import commit, provenance
+from evaluation.running.store import Parts
 from shield.errors import ConfigError
 
 __all__ = ["FIRST_SEED", "Reproduction", "first_seed", "run", "why_not"]
@@ -123,11 +125,12 @@ def run(
     ConfigError
         If the folder holds parts of another experiment, or cannot be written.
     """
-    for name in ("models", "episodes"):
+    for name in ("models", "parts"):
         try:
             (folder / name).mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ConfigError(f"{folder} cannot be written: {error.strerror}") from None
+    _adopt(folder)
     commit()  # that of the source which has been read
     left_out = {each.name: reason for each in experiment.variants if (reason := why_not(experiment.preset, each))}
     variants = [each for each in experiment.variants if each.name not in left_out and each.model not in left_out]
@@ -159,11 +162,21 @@ def _seed(
     return [_part(experiment, variant, seed, folder, tell) for variant in variants]
 
 
-def _paths(variant: Variant, seed: int, folder: Path) -> tuple[Path, Path]:
-    """The model that drives, and the rows."""
-    return folder / "models" / f"{variant.model or variant.name}-{seed}.zip", folder / "episodes" / (
-        f"{variant.name}-{seed}.parquet"
-    )
+def _adopt(folder: Path) -> None:
+    """Make parts of the rows of an earlier version, which had a record in a file beside each."""
+    for rows in sorted((folder / "episodes").glob("*.parquet")):
+        record = rows.with_suffix(".json")
+        if record.is_file():
+            made = json.loads(record.read_text(encoding="utf-8"))
+            made["commit"] = made.pop("revision")
+            Parts(folder).write(rows.stem, pd.read_parquet(rows), made)
+            rows.unlink()
+            record.unlink()
+
+
+def _names(variant: Variant, seed: int, folder: Path) -> tuple[Path, str]:
+    """The model that drives, and the part of the rows."""
+    return folder / "models" / f"{variant.model or variant.name}-{seed}.zip", f"{variant.name}-{seed}"
 
 
 @dataclass(frozen=True)
@@ -184,11 +197,10 @@ def _by_phase(began: float, trained: float, driven: float) -> dict[str, float]:
 
 def _check(experiment: Reproduction, variant: Variant, seed: int, folder: Path) -> None:
     """Raise where the rows that are there were made otherwise."""
-    model, rows = _paths(variant, seed, folder)
-    record = rows.with_suffix(".json")
-    if not (rows.is_file() and record.is_file()):
+    model, part = _names(variant, seed, folder)
+    before = Parts(folder).record(part)
+    if before is None:
         return
-    before = json.loads(record.read_text(encoding="utf-8"))
     differ = differences(before["asked"], experiment.told(variant))
     differ += differences({"version of": before["versions"]}, {"version of": versions()})
     if before["model"] and model.is_file() and file_hash(model) != before["model"]["sha256"]:
@@ -204,9 +216,10 @@ def _part(
     experiment: Reproduction, variant: Variant, seed: int, folder: Path, tell: Callable[[str], None] | None
 ) -> pd.DataFrame:
     """The rows of one part, made or read; what is there is not made again."""
-    path, kept = _paths(variant, seed, folder)
-    scenes, preset, record = experiment.scenes(variant, seed), experiment.preset, kept.with_suffix(".json")
-    before = pd.read_parquet(kept) if kept.is_file() and record.is_file() else pd.DataFrame({"seed": []})
+    path, part = _names(variant, seed, folder)
+    scenes, preset, parts = experiment.scenes(variant, seed), experiment.preset, Parts(folder)
+    before = parts.read(part) if parts.has(part) else pd.DataFrame({"seed": []})
+    before.attrs = {}
     left = [each for each in scenes if each not in set(before["seed"])]
     if not left:
         return before[before["seed"].isin(scenes)]
@@ -228,15 +241,12 @@ def _part(
         "model": None if model is None else {"file": path.name, "sha256": file_hash(path)},
         "training_seed": seed,
         "seeds": [int(frame["seed"].min()), int(frame["seed"].max())],
-        "revision": commit(),
+        "commit": commit(),
         "seconds": _by_phase(*(each.wall for each in (began, trained, driven_at))),
         "cpu_seconds": _by_phase(*(each.cpu for each in (began, trained, driven_at))),
         "versions": versions(),
     }
-    written = kept.with_suffix(".partial")
-    frame.to_parquet(written, index=False)
-    record.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
-    written.replace(kept)
+    parts.write(part, frame, told)
     if tell is not None:
         crashes = int(driven["crashed"].sum())
         tell(
@@ -263,11 +273,9 @@ def _write_manifest(
     experiment: Reproduction, variants: Sequence[Variant], left_out: dict[str, str], folder: Path, seconds: float
 ) -> None:
     """What made the whole, with the hash of each model file."""
-    records = [
-        json.loads(_paths(variant, seed, folder)[1].with_suffix(".json").read_text(encoding="utf-8"))
-        for variant in variants
-        for seed in range(experiment.seeds)
-    ]
+    parts = Parts(folder)
+    names = [_names(variant, seed, folder)[1] for variant in variants for seed in range(experiment.seeds)]
+    records = [record for name in names if (record := parts.record(name)) is not None]
     asked = {
         "preset": experiment.preset.name,
         "variants": {each.name: experiment.told(each)["variant"] for each in variants},
@@ -277,12 +285,11 @@ def _write_manifest(
     models = {each["model"]["file"]: each["model"]["sha256"] for each in records if each["model"]}
     spent = {key: round(sum(each["seconds"][key] for each in records), 1) for key in _PHASES}
     manifest = {
-        **provenance(asked),
-        "commits of parts": sorted({each["revision"] for each in records}),
+        **provenance(asked, models=models),
+        "commits of parts": sorted({each["commit"] for each in records}),
         "seconds of this call": round(seconds, 1),
         "seconds of parts": spent,
         "CPU seconds of parts": _processor_time(records),
         "left out": left_out,
-        "models": models,
     }
-    (folder / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+    parts.claim(manifest)

@@ -85,9 +85,20 @@ class Parts:
         """A part, with what was kept in its `attrs`."""
         return pd.read_parquet(self._path(name))
 
-    def write(self, name: str, frame: pd.DataFrame) -> None:
-        """Write a part, whole or not at all."""
+    def record(self, name: str) -> dict[str, Any] | None:
+        """What made a part, where it says so itself; None where it does not, and without the part."""
+        if not self.has(name):
+            return None
+        found: dict[str, Any] | None = pd.read_parquet(self._path(name), columns=["seed"]).attrs.get("made")
+        return found
+
+    def write(self, name: str, frame: pd.DataFrame, made: Mapping[str, Any] | None = None) -> None:
+        """Write a part, whole or not at all; `made` is kept in it (see `record`)."""
         path = self._path(name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if made is not None:
+            frame = frame.copy(deep=False)
+            frame.attrs = {"made": dict(made)}
         written = path.with_suffix(f".{os.getpid()}.partial")
         frame.to_parquet(written, index=False)
         with written.open("rb+") as file:
@@ -256,10 +267,10 @@ def plain_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _once(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows, each episode once."""
+    """The rows, each episode once; those of other experiments than comparisons as they are."""
     found: dict[Any, dict[str, Any]] = {}
-    for row in rows:
-        found.setdefault(tuple(row.get(name) for name in KEY), row)
+    for number, row in enumerate(rows):
+        found.setdefault(tuple(row[name] for name in KEY) if row.keys() >= set(KEY) else number, row)
     return list(found.values())
 
 

@@ -11,7 +11,6 @@ from typer.testing import CliRunner
 from evaluation.commands.cli import app
 from evaluation.reproduction import running, shields
 from evaluation.reproduction.driving import COLUMNS
-from evaluation.reproduction.learning import file_hash
 from evaluation.reproduction.presets import PRESETS, PUBLISHED, get_preset
 from evaluation.reproduction.running import FIRST_SEED, Reproduction, run, why_not
 from evaluation.reproduction.table import summary, table
@@ -19,6 +18,8 @@ from evaluation.reproduction.variants import VARIANTS, get_variants
 from evaluation.reproduction.verdict import judge
 from evaluation.running import episodes as episodes_module
 from evaluation.running.episodes import run_episode
+from evaluation.running.identity import file_hash
+from evaluation.running.store import Parts, read_store
 from shield.errors import ConfigError
 
 SMALL = ["--seeds", "2", "--episodes", "4", "--pooled", "1", "--steps", "64", "--jobs", "1"]
@@ -54,7 +55,7 @@ def test_it_writes_the_table_the_episodes_and_what_made_them(driven):
     assert set(models) == {"noise-0.zip", "noise-1.zip"}
     assert {"commit", "versions", "asked", "command", "machine"} <= set(manifest)
     spent = manifest["CPU seconds of parts"]
-    parts = [json.loads(path.read_text())["cpu_seconds"] for path in (folder / "episodes").glob("*.json")]
+    parts = [Parts(folder).record(name)["cpu_seconds"] for name in Parts(folder).names]
     assert spent["total"] == pytest.approx(sum(sum(each.values()) for each in parts), abs=1.0)
     assert spent["noise"]["training"] > 0.0
     assert spent["slower"]["training"] == pytest.approx(0.0, abs=0.05)
@@ -110,7 +111,7 @@ def test_a_run_that_is_stopped_goes_on_with_the_next_part(tmp_path, monkeypatch)
     monkeypatch.setattr(running, "drive_many", stopped)
     with pytest.raises(KeyboardInterrupt):
         run(asked, tmp_path / "parts")
-    (tmp_path / "parts" / "episodes" / "faster-0.partial").write_bytes(b"cut off")
+    (tmp_path / "parts" / "parts" / "faster-0.7.partial").write_bytes(b"cut off")
     pd.testing.assert_frame_equal(run(asked, tmp_path / "parts"), whole)
     assert len(calls) == 2 + 1 + 4
 
@@ -274,3 +275,24 @@ def test_the_ranking_of_the_model_is_walked_down(tmp_path):
     for seed in range(7_000, 7_003):
         run_episode(road.setting, road.policy, variant, seed, after=watch)
     assert set(actions) - {4}
+
+
+def test_the_folder_is_a_store_and_that_of_an_earlier_version_becomes_one(tmp_path, monkeypatch):
+    """Rows used to lie in episodes/ with a record beside each: they are taken over, and not driven again."""
+    asked = Reproduction(get_preset("as-coded"), tuple(get_variants(["slower", "idle"])), 2, 3)
+    whole = run(asked, tmp_path)
+    made, rows = read_store(tmp_path)
+    assert len(rows) == len(whole) == 12
+    assert {"asked", "versions", "commit", "models", "machine"} <= made.keys()
+    parts, old = Parts(tmp_path), tmp_path / "episodes"
+    assert {parts.record(name)["commit"] for name in parts.names} == {made["commit"]}
+    old.mkdir()
+    for name in parts.names:
+        record = parts.record(name)
+        record["revision"] = record.pop("commit")
+        (old / f"{name}.json").write_text(json.dumps(record), encoding="utf-8")
+        (tmp_path / "parts" / f"{name}.parquet").rename(old / f"{name}.parquet")
+    monkeypatch.setattr(running, "drive_many", lambda *_: pytest.fail("driven again"))
+    pd.testing.assert_frame_equal(run(asked, tmp_path), whole)
+    assert read_store(tmp_path)[0]["commits of parts"] == [made["commit"]]
+    assert not list(old.iterdir())

@@ -21,6 +21,8 @@ from evaluation.learning.algorithms import get_algorithm
 from evaluation.learning.manifests import manifest_path
 from evaluation.learning.normalisation import fold, normalised
 from evaluation.learning.recipes import get_recipe
+from evaluation.running.identity import file_hash
+from evaluation.running.manifest import commit
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
 from evaluation.training.checkpoints import Checkpoints
@@ -183,6 +185,8 @@ def train_with(options: TrainingOptions, *, progress: bool = True, command: str 
         "simulator": world.driven_in,
         "training_seconds": round(seconds, 1),
         **callbacks.told(),
+        "commit": commit(),
+        "sha256": file_hash(options.path),
     }
     manifest_path(options.path).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
     return TrainedPolicy(path=options.path, manifest=manifest)

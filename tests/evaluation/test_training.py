@@ -19,6 +19,7 @@ from evaluation.learning.normalisation import fold, normalised
 from evaluation.learning.recipes import RECIPES
 from evaluation.names import FIRST_EVALUATION_SEED
 from evaluation.policies import list_references, load_reference, reference_manifest
+from evaluation.running.identity import file_hash
 from evaluation.settings import Setting, get_setting
 from evaluation.training.train import train, train_recipe
 from shield.errors import ConfigError
@@ -64,6 +65,8 @@ def test_training_writes_a_policy_and_its_manifest(tmp_path, algorithm, setting,
     assert manifest["hyperparameters"] == hyperparameters
     assert manifest["command"].startswith("python -c ")
     assert "torch" in manifest["versions"]
+    assert manifest["sha256"] == file_hash(trained.path)
+    assert "commit" in manifest
 
     model = get_algorithm(algorithm).load(trained.path, device="cpu")
     env = setting.make()

@@ -42,7 +42,11 @@ NamedSetting = Annotated[
     str | None, typer.Option(help=f"Named environment (see `shield settings`) [{DEMO_SETTING}].", show_default=False)
 ]
 EnvId = Annotated[
-    str | None, typer.Option(help="Any environment by its Gymnasium id instead, such as highway-v0 or module:id.")
+    str | None,
+    typer.Option(
+        help="Any environment by its Gymnasium id instead, such as highway-v0 or module:id; ID+5x9 on a grid of"
+        " throttle and steering."
+    ),
 ]
 EnvConfig = Annotated[
     Path | None,

@@ -24,7 +24,7 @@ _WITH_RECIPE = ("steps", "simulator", "sensor", "output")
 """Options that go with a recipe."""
 
 _HELP: Mapping[str, str] = {
-    "setting": "Environment setting to train in (see `shield settings`).",
+    "setting": "Environment setting to train in (see `shield settings`); NAME+5x9 on a grid of throttle and steering.",
     "env_id": "Any environment by its Gymnasium id instead, such as highway-v0 or module:id.",
     "env_config": "TOML file of what differs from the configuration of --env-id.",
     "algorithm": f"One of {', '.join(TRAINABLE)}.",

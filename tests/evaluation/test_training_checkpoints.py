@@ -80,33 +80,30 @@ def test_a_resumed_training_ends_with_the_same_model_bit_for_bit(tmp_path, monke
 
 
 def test_a_process_killed_at_any_moment_leaves_a_checkpoint_to_go_on_from(tmp_path):
-    """kill -9 as soon as the first checkpoint is there, twice; the third run finishes, as one that was not killed."""
-    args = [
-        *("--setting", "highway-fast", "--algorithm", "ppo", "--steps", "1536", "--envs", "2", "--shield", "default"),
-        *("--set", "n_steps=32", "--set", "batch_size=32", "--set", "n_epochs=5", "--checkpoint-every", "64"),
+    """kill -9 as soon as a checkpoint is there; the next run finishes, with the model of one that was not killed."""
+    output, folder = tmp_path / "killed.zip", tmp_path / "killed-checkpoints"
+    command = [
+        *(sys.executable, "-m", "evaluation.commands.cli", "train", "--setting", "highway-fast", "--steps", "1024"),
+        *("--envs", "2", "--shield", "default", "--set", "n_steps=32", "--set", "batch_size=32", "--set", "n_epochs=5"),
+        *("--checkpoint-every", "64", "--output", str(output), "--resume"),
     ]
-
-    def command(output: Path) -> list[str]:
-        return [sys.executable, "-m", "evaluation.commands.cli", "train", *args, "--output", str(output), "--resume"]
-
-    folder = tmp_path / "killed-checkpoints"
-    seen: set[str] = set()
-    for _ in range(2):
-        process = subprocess.Popen(command(tmp_path / "killed.zip"), stdout=subprocess.DEVNULL, env=dict(os.environ))
-        deadline = time.monotonic() + 120
-        while not (now := {each.name for each in folder.glob("[0-9]*")} - seen):
-            assert process.poll() is None, "it ended before a checkpoint was seen"
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-        seen |= now
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    assert not (tmp_path / "killed.zip").exists()
-    for name in ("killed", "whole"):
-        subprocess.run(command(tmp_path / f"{name}.zip"), check=True, stdout=subprocess.DEVNULL, env=dict(os.environ))
-    killed, whole = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("killed", "whole"))
-    assert len(killed["resumed"]) == 2 > len(whole["resumed"]) == 0
-    assert killed["in_training"] == whole["in_training"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=dict(os.environ))
+    deadline = time.monotonic() + 120
+    while not list(folder.glob("[0-9]*")):
+        assert process.poll() is None, "it ended before a checkpoint was seen"
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not output.exists()
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env=dict(os.environ))
+    killed = json.loads(output.with_suffix(".json").read_text())
+    options = {"hyperparameters": {"n_steps": 32, "batch_size": 32, "n_epochs": 5}, "envs": 2, "shield": "default"}
+    whole = train(
+        "highway-fast", "ppo", 1024, 0, output=tmp_path / "whole", checkpoint_every=64, progress=False, **options
+    )
+    assert len(killed["resumed"]) == 1 > len(whole.manifest["resumed"]) == 0
+    assert killed["in_training"] == whole.manifest["in_training"]
     one, two = (weights(tmp_path / f"{name}.zip", "ppo") for name in ("killed", "whole"))
     assert all(torch.equal(value, two[key]) for key, value in one.items())
 

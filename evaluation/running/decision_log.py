@@ -74,7 +74,7 @@ class DecisionLog:
         self._period = 1.0 / base.config["policy_frequency"]
         self._frames = int(base.config["simulation_frequency"] // base.config["policy_frequency"])
         self._confidence = _confidence_column(env)
-        self._rows: list[dict[str, Any]] = []
+        self._rows: list[tuple[float, Any, Any, Mapping[str, Any], float]] = []
 
     def add(
         self, observation: Any, action: Any, reward: float, shield: Mapping[str, Any], decision: Decision | None
@@ -88,18 +88,8 @@ class DecisionLog:
         decision : the shield's own decision about the action; None without a shield.
         """
         proposed, executed = (action, action) if decision is None else (decision.proposed, decision.executed)
-        self._rows.append(
-            {
-                "step": len(self._rows),
-                "time": self._period * len(self._rows),
-                "reward": reward,
-                "proposed": _listed(proposed),
-                "executed": _listed(executed),
-                **dict(zip(_DISTANCES, self._distances(proposed, executed), strict=True)),
-                **{key: shield[key] for key in _OF_SHIELD},
-                "confidence": self._believed(observation),
-            }
-        )
+        # What comes of it is computed at the end: there are far more decisions than episodes.
+        self._rows.append((reward, proposed, executed, shield, self._believed(observation)))
 
     def columns(self, history: History, latencies: bool) -> dict[str, Any]:
         """The columns `MEASURED` of an episode that is over.
@@ -108,25 +98,24 @@ class DecisionLog:
         ----------
         history : its frames. latencies : whether there is a shield that takes time.
         """
-        rewards = self._noted("reward")
-        times = self._noted("latency_ms") if latencies else np.full(1, np.nan)
+        rewards, _, _, shields, believed = zip(*self._rows, strict=True)
+        times = np.array([each["latency_ms"] for each in shields]) if latencies else np.full(1, np.nan)
         p50, p99 = quantiles(times)
         driven = history.ego if history.crash_frame is None else history.ego[: history.crash_frame + 1]
         sizes, changes = history.jerks(), self._command_changes(history)
+        ends = self._ends(history)
         found = {
-            "frame_override_share": float(self._noted("frames_overridden").sum()) / (len(history.states) - 1),
-            **{key: float(self._noted(key).mean()) for key in _DISTANCES},
-            "on_lane_share": float(1.0 - self._ends(history)[:, Track.OFF_ROAD].mean()),
-            "mean_confidence": _mean(self._noted("confidence")),
+            "frame_override_share": sum(each["frames_overridden"] for each in shields) / (len(history.states) - 1),
+            **dict(zip(_DISTANCES, self.distances().mean(axis=0).tolist(), strict=True)),
+            "on_lane_share": float(1.0 - ends[:, Track.OFF_ROAD].mean()),
+            "mean_confidence": _mean(np.array(believed)),
             "latency_p50_ms": p50,
             "latency_p99_ms": p99,
             "latency_max_ms": float(times.max()),
-            "mean_reward": float(rewards.mean()),
-            "peak_reward": float(rewards.max()),
+            "mean_reward": float(np.mean(rewards)),
+            "peak_reward": max(rewards),
             "peak_speed": float(driven[:, Track.SPEED].max()),
-            "mean_normalised_speed": float(
-                np.clip(self._ends(history)[:, Track.SPEED] / Vehicle.MAX_SPEED, 0.0, 1.0).mean()
-            ),
+            "mean_normalised_speed": float(np.clip(ends[:, Track.SPEED] / Vehicle.MAX_SPEED, 0.0, 1.0).mean()),
             "peak_jerk": float(sizes.max()) if sizes.size else float("nan"),
             "mean_normalised_jerk": _mean(changes),
             "peak_normalised_jerk": float(np.nanmax(changes)) if np.isfinite(changes).any() else float("nan"),
@@ -137,9 +126,16 @@ class DecisionLog:
     def steps(self, history: History) -> dict[str, list[Any]]:
         """A list of each column of the decisions of an episode that is over: what is noted, and where it ended."""
         ends, inputs = self._ends(history), self._inputs(history)
-        noted = {key: [row[key] for row in self._rows] for key in self._rows[0]}
+        rewards, proposed, executed, shields, believed = zip(*self._rows, strict=True)
         return {
-            **noted,
+            "step": list(range(len(self._rows))),
+            "time": [self._period * number for number in range(len(self._rows))],
+            "reward": list(rewards),
+            "proposed": [_listed(each) for each in proposed],
+            "executed": [_listed(each) for each in executed],
+            **dict(zip(_DISTANCES, self.distances().T.tolist(), strict=True)),
+            **{key: [each[key] for each in shields] for key in _OF_SHIELD},
+            "confidence": list(believed),
             "speed": ends[:, Track.SPEED].tolist(),
             "acceleration": inputs[:, 0].tolist(),
             "steering": inputs[:, 1].tolist(),
@@ -147,8 +143,9 @@ class DecisionLog:
             "crashed": (ends[:, Track.CRASHED] > 0).tolist(),
         }
 
-    def _noted(self, key: str) -> FloatArray:
-        return np.array([row[key] for row in self._rows], float)
+    def distances(self) -> FloatArray:
+        """Between what was proposed and executed in each decision: normalised, [m/s^2] and [rad], (decisions, 3)."""
+        return np.array([self._distances(proposed, executed) for _, proposed, executed, _, _ in self._rows])
 
     def _ends(self, history: History) -> FloatArray:
         """The ego in the last frame of each decision, (decisions, 8)."""
@@ -156,7 +153,9 @@ class DecisionLog:
 
     def _distances(self, proposed: Any, executed: Any) -> tuple[float, float, float]:
         """Between two actions: normalised, [m/s^2] and [rad]; NaN where they are no inputs of one ego."""
-        nothing = float("nan")
+        nothing = math.nan
+        if proposed is executed and self._actuators is None:
+            return (nothing if self._meta is None else 0.0), nothing, nothing
         if self._actuators is None:
             if self._meta is None or np.size(proposed) != 1 or np.size(executed) != 1:
                 return nothing, nothing, nothing

@@ -25,10 +25,9 @@ LABELS = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT", 3: "FASTER", 4: "SLOWER"}
 def distances(env, proposed, executed):
     """The three distances of one decision, as columns."""
     log = DecisionLog(env)
-    told = dict.fromkeys(("overridden", "intervention", "reason", "tier", "margin", "violations"))
     decision = Decision(proposed, executed, Reason.NONE, Tier.PASSED, math.nan, 0.0)
-    log.add(None, proposed, 0.0, {**told, "frames_overridden": 0, "latency_ms": 0.0}, decision)
-    return [float(log._noted(f"{name}_distance")[0]) for name in ("input", "acceleration", "steering")]
+    log.add(None, proposed, 0.0, {}, decision)
+    return log.distances()[0].tolist()
 
 
 @given(st.sampled_from(sorted(LABELS)), st.sampled_from(sorted(LABELS)))

@@ -25,8 +25,8 @@ from evaluation.running.processes import Processes
 from evaluation.running.records import Variant, config_on
 from evaluation.running.store import Store, provenance
 from evaluation.settings import Setting, get_setting
-from shield.config import SIMULATED, WORST_CASE, ShieldConfig
-from shield.errors import ConfigError
+from shield.config import RULES_ALONE, SIMULATED, WORST_CASE, ShieldConfig
+from shield.errors import ConfigError, SceneError
 
 __all__ = [
     "BASELINES",
@@ -134,6 +134,8 @@ def variant_on(road: Road, shield: str) -> Variant:
     """
     if shield == "none" or shield in BASELINES:
         return Variant()
+    if shield in RULES_ALONE and road.name in _NETWORKS:
+        raise ConfigError("a rule alone reads one road of straight parallel lanes")
     if shield == "distance":
         return Variant("env", ShieldConfig(mode="distance", distance=get_preset("as-written").distance))
     if shield == "rss":
@@ -215,7 +217,7 @@ def compare_shields(
         for shield in rows_of(road, asked):
             try:
                 found = _part(folder, road, shield, min(episodes, _MOST.get((road.name, shield), episodes)), jobs)
-            except ConfigError as error:
+            except (ConfigError, SceneError) as error:
                 refused[f"{road.name}, {shield}"] = str(error)
                 continue
             row = summarise(found)
@@ -240,7 +242,7 @@ def _part(folder: Path, road: Road, shield: str, episodes: int, jobs: int) -> pd
     store = Store(path, comparison.asked(), True, finished(path))
     try:
         driven = comparison.drive(store, Processes(jobs), progress=False)
-    except ConfigError:
+    except (ConfigError, SceneError):
         store.finish()
         raise
     driven.attrs["made"] = store.made
@@ -283,6 +285,7 @@ def _page(rows: list[pd.DataFrame], refused: Mapping[str, str], episodes: int) -
     if rows:
         lines.append(markdown(pd.concat(rows, ignore_index=True), _COLUMNS))
     if refused:
-        lines += ["## Refused", "\n".join(f"- {name}: {reason}" for name, reason in refused.items())]
+        reasons = {reason: [name for name, each in refused.items() if each == reason] for reason in refused.values()}
+        lines += ["## Refused", "\n".join(f"- {'; '.join(names)}: {reason}" for reason, names in reasons.items())]
     lines += ["## Published by others", "\n".join(f"- {each}" for each in PUBLISHED_SHIELDS)]
     return "\n\n".join(lines) + "\n"

@@ -20,7 +20,7 @@ from evaluation.running import episodes as episodes_module
 from evaluation.running.episodes import run_episode
 from evaluation.running.identity import file_hash
 from evaluation.running.store import Parts, read_store
-from shield.errors import ConfigError
+from shield.errors import ConfigError, SceneError
 
 SMALL = ["--seeds", "2", "--episodes", "4", "--pooled", "1", "--steps", "64", "--jobs", "1"]
 ROWS = "slower,stopped,noise,shielded-env,shielded-env-observed"
@@ -259,8 +259,10 @@ def test_baselines_stand_on_every_road_once(road):
     setting, policy = shields.driven_on(shields.ROADS[road], "stopped")
     record = run_episode(setting, policy, seed=7_000)
     assert record.crashed or record.mean_speed < 9.0
-    with_ttc = shields.variant_on(shields.ROADS[road], "ttc-ranking").config
-    assert with_ttc.time_to_collision == 4.0  # these roads have decisions of a second
+
+
+def test_four_decisions_are_four_seconds_at_1_hz():
+    assert shields.variant_on(shields.ROADS["highway-fast"], "ttc-ranking").config.time_to_collision == 4.0
 
 
 def test_the_ranking_of_the_model_is_walked_down(tmp_path):
@@ -296,3 +298,25 @@ def test_the_folder_is_a_store_and_that_of_an_earlier_version_becomes_one(tmp_pa
     pd.testing.assert_frame_equal(run(asked, tmp_path), whole)
     assert read_store(tmp_path)[0]["commits of parts"] == [made["commit"]]
     assert not list(old.iterdir())
+
+
+@pytest.mark.parametrize("error", [ConfigError("not here"), SceneError("not here")])
+def test_what_a_road_refuses_while_it_is_driven_is_said(error, tmp_path, monkeypatch):
+    """The other rows are driven all the same."""
+    drive = shields.Comparison.drive
+
+    def refusing(comparison, store, jobs, progress=True):
+        if comparison.settings[0][1][0].mode == "rss":
+            raise error
+        return drive(comparison, store, jobs, progress)
+
+    monkeypatch.setattr(shields.Comparison, "drive", refusing)
+    text = shields.compare_shields(tmp_path, 1, ["highway-fast"], ["rss", "slower"])
+    assert "highway-fast, rss: not here" in text.split("## Refused")[1]
+    assert "| slower " in text
+
+
+@pytest.mark.parametrize("road", ["merge", "roundabout", "intersection"])
+def test_a_rule_alone_is_refused_on_networks(road):
+    with pytest.raises(ConfigError, match="straight parallel lanes"):
+        shields.variant_on(shields.ROADS[road], "ttc-ranking")

@@ -134,7 +134,7 @@ def certify(asked: Asked, folder: str | Path, jobs: int = 1, progress: Any = Non
     mean_speed [m/s], overridden, held_back, frames, frames_overridden, violations, min_margin and min_gap [m],
     simulator, rules (how often each was broken, as a text), `fallbacks`, the decisions in which a fallback acted, and
     the columns `evaluation.running.decision_log.MEASURED`, NaN where many are driven at once and it is not measured
-    (see `Many.run`).
+    (see `evaluation.running.many.UNMEASURED`).
 
     Raises
     ------

@@ -13,7 +13,7 @@ from dynamics.state import BoolArray, FloatArray, IntArray
 from evaluation.measuring.side_by_side import SideBySide
 from evaluation.measuring.tally import SOON, Tallies, begin_tally, empty_tallies, tally
 from evaluation.policies import list_references
-from evaluation.running.decision_log import MEASURED, action_steps
+from evaluation.running.decision_log import action_steps
 from evaluation.running.episodes import run_episode
 from evaluation.running.named_policies import ConstantPolicy, RandomPolicy, WeavingPolicy, make_policy, policy_label
 from evaluation.running.records import told, variant_for
@@ -25,7 +25,14 @@ from shield.doors.ranking import normalised, orders_from_scores, ranking_of
 from shield.errors import ConfigError
 from shield.exact.batches import batch_for
 
-__all__ = ["Chosen", "Many"]
+__all__ = ["UNMEASURED", "Chosen", "Many"]
+
+UNMEASURED = (
+    *("acceleration_distance", "steering_distance", "mean_confidence", "latency_p50_ms", "latency_p99_ms"),
+    *("latency_max_ms", "peak_jerk", "mean_normalised_jerk", "peak_normalised_jerk"),
+)
+"""Columns of an episode that are NaN where many are driven at once: the decisions of all environments are timed
+together, no frames are kept, meta-actions have no inputs, and sensors are exact."""
 
 _ENVS = 50
 """Side by side by default: so many go into the parts of `shield certify` without a rest."""
@@ -138,7 +145,7 @@ class Many:
         self._setting, self._policy, self._config = setting, policy, config
         self.steps = self._highways.steps
         one: Any = self._highways.one()
-        self._measures = SideBySide(envs, action_steps(one.action_type.actions))
+        self._measures = SideBySide(envs, action_steps(one.unwrapped.action_type.actions))
         made = make_policy(policy, one)
         blind, self._draws = (
             isinstance(made, ConstantPolicy | RandomPolicy | WeavingPolicy),
@@ -157,8 +164,7 @@ class Many:
         """A row for each seed, in order: the columns of `run_paired` that say what happened, and `fallbacks`, the
         decisions in which a fallback acted.
 
-        Of the columns `MEASURED`, those of a single decision's time, of frame by frame jerk and of inputs are NaN: the
-        decisions of all environments are timed together, no frames are kept, and meta-actions have no inputs.
+        The columns `UNMEASURED` are NaN.
         """
         rows: list[dict[str, Any]] = [{}] * len(seeds)
 
@@ -291,7 +297,7 @@ class Many:
             attribution = run_episode(self._setting, self._policy, variant, seed, simulator="compiled").attribution
         steps, frames = int(tallies.steps[i]), int(tallies.frames[i])
         return {
-            **dict.fromkeys(MEASURED, float("nan")),
+            **dict.fromkeys(UNMEASURED, float("nan")),
             "setting": self._setting.name,
             "policy": policy_label(self._policy),
             "mode": self._config.mode,

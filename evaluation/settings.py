@@ -191,13 +191,13 @@ class Setting:
         counts = read_grid(grid)
         action = self.configured.get("action") or {}
         kept = {key: value for key, value in action.items() if key in KEPT}
-        road, straight = self.env_id.rpartition(":")[2], self.env_id.startswith(("highway", "racetrack", "parking"))
+        road = self.env_id.rpartition(":")[2]
         return replace(
             self,
             name=f"{self.name}+{grid}",
             env_id=f"evaluation.wrappers:{continuous_id(road)}" if road in ROADS else self.env_id,
             config={**self.config, "action": {"type": "DiscreteAction", "actions_per_axis": counts, **kept}},
-            road=self.road and straight,
+            road=self.road and road.startswith(("highway", "racetrack", "parking")),
         )
 
 

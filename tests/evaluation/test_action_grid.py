@@ -65,6 +65,13 @@ def test_every_stock_environment_is_driven_on_a_grid(name):
         env.close()
 
 
+def test_shields_read_a_grid_where_they_read_throttle_and_steering_by_themselves():
+    """On networks of roads throttle and steering are compared without the shield unless it is asked for."""
+    read = {name: get_setting(f"{name}+5x9").road for name in ("highway-fast", "racetrack", "parking", "merge", "exit")}
+    assert read == {"highway-fast": True, "racetrack": True, "parking": True, "merge": False, "exit": False}
+    assert setting_of("highway_env:highway-v0+5x9").road
+
+
 def test_options_of_the_environments_own_inputs_are_kept():
     env = get_setting("intersection-continuous+3x5").make()
     env.reset(seed=0)

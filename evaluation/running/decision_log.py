@@ -99,7 +99,7 @@ class DecisionLog:
         history : its frames. latencies : whether there is a shield that takes time.
         """
         rewards, _, _, shields, believed = zip(*self._rows, strict=True)
-        times = np.array([each["latency_ms"] for each in shields]) if latencies else np.full(1, np.nan)
+        times = np.array([each["latency_ms"] for each in shields if latencies], float)
         p50, p99 = quantiles(times)
         driven = history.ego if history.crash_frame is None else history.ego[: history.crash_frame + 1]
         sizes, changes = history.jerks(), self._command_changes(history)
@@ -111,7 +111,7 @@ class DecisionLog:
             "mean_confidence": _mean(np.array(believed)),
             "latency_p50_ms": p50,
             "latency_p99_ms": p99,
-            "latency_max_ms": float(times.max()),
+            "latency_max_ms": float(times.max()) if times.size else math.nan,
             "mean_reward": float(np.mean(rewards)),
             "peak_reward": max(rewards),
             "peak_speed": float(driven[:, Track.SPEED].max()),

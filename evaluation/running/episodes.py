@@ -288,16 +288,21 @@ def run_paired(
         left = [seed for seed in seeds if (variant.place, variant.mode, seed) not in done]
         calls += [(driven, left[i : i + size]) for i in range(0, len(left), size)]
     console, total, said = Console(stderr=True), len(seeds) * len(variants), 0
+    driven_so_far: dict[str, list[int]] = {}
+    _count(rows, driven_so_far)
     with Progress(disable=not (progress and console.is_terminal), transient=True, console=console) as bar:
         task = bar.add_task(f"{setting.name}", total=total, completed=len(rows))
         for part in engine.spread(_run_chunk, calls):
             rows += part
             if store is not None:
                 store.add(part)
-            bar.update(task, advance=len(part), description=f"{setting.name} ({_crashes(rows)})")
-            if progress and not console.is_terminal and 10 * len(rows) // total > said:
+            if not progress:
+                continue
+            _count(part, driven_so_far)
+            bar.update(task, advance=len(part), description=f"{setting.name} ({_crashes(driven_so_far)})")
+            if not console.is_terminal and 10 * len(rows) // total > said:
                 said = 10 * len(rows) // total
-                text = f"{setting.name}: {len(rows)} of {total} episodes ({_crashes(rows)})"
+                text = f"{setting.name}: {len(rows)} of {total} episodes ({_crashes(driven_so_far)})"
                 console.print(text, highlight=False, soft_wrap=True)
     order = {(v.place, v.mode): i for i, v in enumerate(variants)}
     place = {seed: i for i, seed in enumerate(seeds)}
@@ -305,13 +310,18 @@ def run_paired(
     return pd.DataFrame(rows)
 
 
-def _crashes(rows: list[dict[str, Any]]) -> str:
-    """What has been found so far, by what stands between the policy and the environment."""
-    driven: dict[str, list[int]] = {}
+def _count(rows: Iterable[Mapping[str, Any]], driven: dict[str, list[int]]) -> None:
+    """Add crashes and episodes, by what stands between the policy and the environment."""
     for row in rows:
         name = "no shield" if row["door"] == "none" else f"{row['mode']} at {row['door']}"
-        driven.setdefault(name, []).append(bool(row["crashed"]))
-    return ", ".join(f"{name}: {sum(crashed)} of {len(crashed)} crashed" for name, crashed in driven.items())
+        counted = driven.setdefault(name, [0, 0])
+        counted[0] += bool(row["crashed"])
+        counted[1] += 1
+
+
+def _crashes(driven: Mapping[str, list[int]]) -> str:
+    """What has been found so far."""
+    return ", ".join(f"{name}: {crashed} of {count} crashed" for name, (crashed, count) in driven.items())
 
 
 def policy_name(policy: str | Policy, model: str | None) -> str:

@@ -15,7 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BoolArray", "FloatArray", "IntArray", "RoadState", "State", "Vehicle", "wrap_to_pi"]
+__all__ = [
+    *("BoolArray", "FloatArray", "IntArray"),
+    *("LEAST", "MOST", "RoadState", "State", "Vehicle"),
+    *("readable", "wrap_to_pi"),
+]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -50,6 +54,16 @@ class Vehicle(IntEnum):
     LENGTH = 4
     WIDTH = 5
     CRASHED = 6
+
+
+LEAST = (-1e7, -1e7, -1e6, -1e4, 0.0, 0.0, 0.0)
+MOST = (1e7, 1e7, 1e6, 1e4, 1e4, 1e4, 1.0)
+"""Bounds of the columns of `Vehicle`: within them sums and squares of numbers, and loops over them, stay sound."""
+
+
+def readable(rows: FloatArray) -> BoolArray:
+    """Which numbers of vehicle rows (..., 7) are those of a vehicle on a road: finite, and within wide bounds."""
+    return np.asarray((rows >= LEAST) & (rows <= MOST))
 
 
 def wrap_to_pi(angle: Any) -> Any:

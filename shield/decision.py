@@ -16,7 +16,10 @@ from shield.errors import ConfigError
 if TYPE_CHECKING:
     from shield.explanation import Explanation
 
-__all__ = ["Decision", "Guarantee", "Intervention", "Reason", "Source", "Tier", "Verification", "weakest"]
+__all__ = ["ROUNDING", "Decision", "Guarantee", "Intervention", "Reason", "Source", "Tier", "Verification", "weakest"]
+
+ROUNDING = 1e-6
+"""By so much a plan that was verified may seem to miss later by the order of additions alone [m]."""
 
 
 class Reason(StrEnum):
@@ -222,10 +225,12 @@ class Decision:
 
     @property
     def guarantee(self) -> Guarantee:
-        """Which guarantee what is executed has: none, where nothing was verified, at this frame or an earlier one."""
+        """Which guarantee what is executed has: none, where nothing was verified, at this frame or an earlier one, and
+        where the stored plan is played on that does not verify any more."""
         if self.weakest is not None:
             return self.weakest
-        return self.sight if self.tier.certified and not isnan(self.margin) else Guarantee.NONE
+        lost = self.tier is Tier.STORED_PLAN and self.reason is Reason.NO_SAFE_PLAN and self.margin < -ROUNDING
+        return self.sight if self.tier.certified and not isnan(self.margin) and not lost else Guarantee.NONE
 
     @property
     def overridden(self) -> bool:

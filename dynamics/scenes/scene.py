@@ -17,7 +17,8 @@ from dynamics.compiled import uncounted
 from dynamics.errors import ActionError, SceneError
 from dynamics.roads.network import read_network
 from dynamics.roads.straight import Road, StraightRoad
-from dynamics.state import BoolArray, FloatArray, IntArray, State, Vehicle
+from dynamics.state import LEAST, MOST, BoolArray, FloatArray, IntArray, State, Vehicle, readable
+from dynamics.vehicle.bicycle import LENGTH
 from dynamics.vehicle.controllers import speed_to_index
 
 __all__ = ["EgoControl", "Scene", "SceneReader", "Target", "has_road_and_vehicles"]
@@ -117,13 +118,13 @@ class Scene:
 
     @property
     def finite(self) -> bool:
-        """Whether every number in the scene is finite."""
+        """Whether every number in the scene is readable (see `dynamics.state.readable`)."""
         return math.isfinite(self.control.target.speed) and bool(_finite(self.ego, self.others))
 
     @property
     def unreadable(self) -> BoolArray:
-        """Which of the others have a number that is not finite, (n,)."""
-        return np.logical_not(np.isfinite(self.others).all(axis=1))
+        """Which of the others have a number that is not readable, (n,)."""
+        return np.logical_not(readable(self.others).all(axis=1))
 
     def without(self, left_out: BoolArray) -> Scene:
         """The same without some of the others, (n,)."""
@@ -167,12 +168,12 @@ class Scene:
 
 @uncounted
 def _finite(ego: Any, others: Any) -> bool:
-    for value in ego:
-        if not math.isfinite(value):
+    for c in range(len(ego)):
+        if not LEAST[c] <= ego[c] <= MOST[c]:
             return False
-    for row in others:
-        for value in row:
-            if not math.isfinite(value):
+    for i in range(others.shape[0]):
+        for c in range(others.shape[1]):
+            if not LEAST[c] <= others[i, c] <= MOST[c]:
                 return False
     return True
 
@@ -245,11 +246,15 @@ class SceneReader:
         Raises
         ------
         SceneError
-            If the road is missing or unsupported.
+            If the road is missing or unsupported, or the ego is of another length than plans are rolled out for.
         """
         env = self._env
         if env.road is None:
             raise SceneError("the environment has no road yet; call reset() first")
+        if env.vehicle is not None and env.vehicle.LENGTH != LENGTH:
+            raise SceneError(
+                f"the ego is {env.vehicle.LENGTH:g} m long, and plans are rolled out for one of {LENGTH:g} m"
+            )
         if env.road.network is not self._network or self._road is None:
             self._road = _road_of(env.road.network, self._curved)
             self._network = env.road.network

@@ -13,7 +13,7 @@ import numpy as np
 from dynamics.simulator.simulator import Simulator
 from dynamics.state import BoolArray, IntArray
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
-from shield.batch.vocabulary import CERTIFIED, FALLBACKS, OVERRIDES, REASONS, TIERS, rules_in
+from shield.batch.vocabulary import FALLBACKS, OVERRIDES, REASONS, TIERS, certified, rules_in
 from shield.config import ShieldConfig
 from shield.decision import Guarantee, Intervention, Reason, Tier
 from shield.doors.defaults import verification_of
@@ -142,7 +142,8 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         fallbacks = held & FALLBACKS[tiers]
         shown = np.where(fallbacks.any(axis=1), fallbacks.argmax(axis=1), held.argmax(axis=1))
         # Frames that are not supervised are off.
-        certified = CERTIFIED[records.tier] & (CERTIFIED[records.tiers] | (records.tiers == _OFF)).all(axis=1)
+        frames = certified(records.tiers, records.reasons, records.margins) | (records.tiers == _OFF)
+        full = certified(records.tier, records.reason, records.margin) & frames.all(axis=1)
         done = np.where(other, _OTHER_ACTION, np.where(held[:, 1:].any(axis=1), _HELD_BACK, _AS_PROPOSED))
         columns: tuple[Any, ...] = (
             done != _AS_PROPOSED,
@@ -152,7 +153,7 @@ class ShieldedVecEnv(FastHighwayVecEnv):
             np.fmin.reduce(np.where(np.isfinite(margins), margins, np.nan), axis=1),
             held[:, 1:].sum(axis=1),
             records.violations,
-            certified,
+            full,
         )
         verification = verification_of(self._shield).value
         return [

@@ -311,7 +311,7 @@ def decide(bench: Bench, e: int, proposed: int, order: IntArray) -> None:
     ):
         if executed == NOBODY:
             continue
-        kept = hold_back(bench, scene, e, lanes[executed], wanted[executed])
+        kept = hold_back(bench, scene, e, lanes[executed], wanted[executed], numbers.one)
         if kept != NOBODY:
             plans = room.plans
             found[0], found[1] = plans.margins[kept], plans.fails[kept]

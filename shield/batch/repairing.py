@@ -56,11 +56,13 @@ def fail_lanes(shields: Shields, law: Law, e: int, lane: int, out: IntArray) -> 
 
 
 @uncounted
-def hold_back(bench: Bench, scene: Lent[Scene], e: int, lane: int, speed: float) -> int:
-    """The candidate with the greatest acceleration that verifies, committed lane first, or -1."""
+def hold_back(bench: Bench, scene: Lent[Scene], e: int, lane: int, speed: float, begins: int) -> int:
+    """The candidate with the greatest acceleration that verifies, committed lane first, or -1; `begins` as of
+    `shield.procedures.frames.HoldBack`, 0 or 1."""
     law, room = held(bench.law), held(bench.room)
     lanes, plans, grid = room.marks[2], room.plans, room.grid
     count, v = fail_lanes(held(bench.shields), law, e, lane, lanes), held(scene).ego[3]
+    here = nearest(law.centers, held(scene).state[1])
     _grid(law, v, speed, room)
     most = -math.inf
     for i in range(ACCELERATIONS):
@@ -86,6 +88,8 @@ def hold_back(bench: Bench, scene: Lent[Scene], e: int, lane: int, speed: float)
         for fail in range(count):
             for t in range(n):
                 k = tied[t]
+                if begins > 0 and k != fail and lanes[k] not in (lane, here):
+                    continue
                 plans.lanes[at], plans.fails[at] = lanes[k], lanes[fail]
                 plans.accelerations[at], plans.speeds[at] = grid[0, nexts[k]], grid[1, nexts[k]]
                 at += 1

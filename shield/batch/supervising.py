@@ -123,7 +123,7 @@ def supervise(bench: Bench, e: int, k: int) -> None:
         shields.stored[e] = plans.fails[found]
         forgive(shields, e)
         return
-    found = hold_back(bench, scene, e, lane, speed)
+    found = hold_back(bench, scene, e, lane, speed, law.numbers.none)
     if found != NOBODY:
         _keep(records, e, k, _GOVERNED, _UNVERIFIED, plans.lanes[found], plans.accelerations[found])
         _note(records, e, k, room, found)

@@ -89,7 +89,7 @@ class Watch:
     offenders : who has broken a rule and may still be in the way of the ego's fail-safe, (m,) bool.
     count : violations so far; a vehicle that breaks rules frame after frame counts once until it keeps to them again.
     by_rule : the same by the rule that was broken.
-    unreadable : ids of those whose numbers were not all finite; they are in none of the arrays.
+    unreadable : ids of those whose numbers were not all readable; they are in none of the arrays.
     """
 
     owing: BoolArray = field(default_factory=_nobody)
@@ -114,16 +114,16 @@ class Watch:
         """The same once a plan clears everybody again."""
         return replace(self, offenders=np.zeros(self.offenders.shape, dtype=bool)) if self.violated else self
 
-    def with_unreadable(self, ids: IntArray, finite: BoolArray, known: frozenset[int]) -> Watch:
-        """The same with vehicles whose numbers are not all finite: each breaks the rules that these are judged by.
+    def with_unreadable(self, ids: IntArray, read: BoolArray, known: frozenset[int]) -> Watch:
+        """The same with vehicles whose numbers are not all readable: each breaks the rules that these are judged by.
 
         Parameters
         ----------
-        ids : of those vehicles, (n,). finite : which of their numbers are finite, (n, 7). known : the ids of those that
+        ids : of those vehicles, (n,). read : which of their numbers are readable, (n, 7). known : the ids of those that
             were unreadable in the scene before, which have been counted.
         """
         count, by_rule = self.count, dict(self.by_rule)
-        for i, row in zip(ids.tolist(), finite, strict=True):
+        for i, row in zip(ids.tolist(), read, strict=True):
             if i in known:
                 continue
             count += 1
@@ -180,7 +180,7 @@ class Watch:
         if more:
             # Who takes more room than before has to leave it to the ego's fail-safe.
             in_the_way_now(ego, survey.scene.others, survey.scene.dt, grown, broken)
-            broken |= np.where(fail_safe() < 0, grown, 0)
+            broken |= np.where(fail_safe() >= 0, 0, grown)
             some = bool(broken.any())
         breaking = broken != 0
         if not some:

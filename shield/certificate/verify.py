@@ -45,12 +45,11 @@ from shield.certificate.clauses.together import (
     judged,
 )
 from shield.config import Buffer, ShieldConfig
+from shield.decision import ROUNDING
 
 __all__ = ["NOTHING", "ROUNDING", "Binding", "Clearance", "Surveyor", "footprint_of", "least_bad", "least_bad_evasion"]
 
 
-ROUNDING = 1e-6
-"""What rounding may take from a plan that was verified a frame before [m]."""
 _CLAUSES = {NOTHING_BINDS: "", SEPARATION_BINDS: "separation", SLIP_IN_BINDS: "slip-in", ROOM_BINDS: "room"}
 _NOBODY, _NO_LANES = np.zeros(0, dtype=bool), np.zeros((0, 0), dtype=bool)
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from dynamics.errors import SceneError
 from dynamics.scenes.scene import Scene
-from dynamics.state import FloatArray
+from dynamics.state import FloatArray, readable
 from shield.certificate.memory import Memory
 from shield.certificate.monitor import Watch
 from shield.certificate.verify import NOTHING, Binding
@@ -173,8 +173,8 @@ def decide(
 
 
 def _observe_readable(memory: Memory[S], scene: Any, procedure: Procedure[S, Any]) -> Memory[S]:
-    """Take in a scene some of whose others are not finite: they break a rule by it, and the rest are judged as ever."""
-    if not isinstance(scene, Scene) or scene.observed or not np.isfinite(scene.ego).all():
+    """Take in a scene some of whose others are not readable: they break a rule by it, the rest are judged as ever."""
+    if not isinstance(scene, Scene) or scene.observed or not readable(scene.ego).all():
         return memory
     strange, before = scene.unreadable, memory.watch
     if not strange.any() or not isinstance(before, Watch):
@@ -183,8 +183,7 @@ def _observe_readable(memory: Memory[S], scene: Any, procedure: Procedure[S, Any
     _, seen = procedure.observe(memory, scene.without(strange))
     if not isinstance(seen.watch, Watch) or (seen.frame is not None and seen.frame == memory.frame):
         return memory
-    finite = np.isfinite(scene.others[strange])
-    return replace(seen, watch=seen.watch.with_unreadable(ids, finite, before.unreadable))
+    return replace(seen, watch=seen.watch.with_unreadable(ids, readable(scene.others[strange]), before.unreadable))
 
 
 def _decided(

@@ -66,7 +66,16 @@ class Repair(Protocol):
 
 
 class HoldBack:
-    """The least intervention for one frame: the greatest acceleration that verifies, committed lane first."""
+    """The least intervention for one frame: the greatest acceleration that verifies, committed lane first.
+
+    Parameters
+    ----------
+    begins : whether it is tried by a decision, of which only the action is executed. What verifies then has to be among
+        what the frame tries, when the lane in which that plan stops has taken the stored one's place.
+    """
+
+    def __init__(self, begins: bool = False) -> None:
+        self._begins = begins
 
     def plans(self, now: Instant, target: Target) -> Iterator[Plan[int]]:
         """One plan, the least bad where none verifies."""
@@ -77,6 +86,9 @@ class HoldBack:
         fails = np.repeat(lanes, steer.size)
         steer = np.resize(steer, fails.size)
         accelerations = np.resize(grid, fails.size)
+        if self._begins:
+            tried = (steer == target.lane) | (steer == now.here) | (steer == fails)
+            steer, fails, accelerations = steer[tried], fails[tried], accelerations[tried]
         speeds = v + accelerations / KP_SPEED
         candidates = brake_candidates(scene, steer, speeds, fails, 1, now.config.braking)
         paths, result = now.judge(candidates)

@@ -46,7 +46,7 @@ class MetaActions:
 
     def __init__(self, config: ShieldConfig) -> None:
         self.config = config
-        self.screen, self._hold_back = Screen(config), HoldBack()
+        self.screen, self._hold_back = Screen(config), HoldBack(begins=True)
 
     def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
         """A proposal that is no action, or a scene that is not finite."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from dynamics.networks.layout import ROAD
 from dynamics.networks.network import Network
-from dynamics.state import FloatArray, IntArray, Vehicle
+from dynamics.state import FloatArray, IntArray, Vehicle, readable
 from shield.config import ShieldConfig
 
 __all__ = ["Traffic", "default_on", "has_crossings", "read_traffic"]
@@ -26,7 +26,7 @@ class Traffic(NamedTuple):
     who : what they are, to know them again. rows : vehicle rows, (m, 7). own : the lane that each is on, (m,).
     routes : see `dynamics.networks.reachable.prediction.spread`, (m, roads). stand : what stands and the wrecks, to
         know them again. things : rows of these, of wrecks with all of the way that they slide, (b, 7).
-    unreadable : bodies left out of all this, with the columns of `Vehicle` that are not finite.
+    unreadable : bodies left out of all this, with the columns of `Vehicle` that are not readable.
     """
 
     who: list[Any]
@@ -75,10 +75,10 @@ def _sliding(body: Any) -> list[float]:
 def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int], int]) -> Traffic:
     """Read the simulator's state of an environment, unwrapped."""
     bodies = [body for body in (*base.road.vehicles, *base.road.objects) if body is not base.vehicle]
-    finite = np.isfinite(np.array([_row(body) for body in bodies], float).reshape(-1, len(Vehicle)))
+    read = readable(np.array([_row(body) for body in bodies], float).reshape(-1, len(Vehicle)))
     unreadable = {
         body: frozenset(map(Vehicle, np.flatnonzero(~row).tolist()))
-        for body, row in zip(bodies, finite, strict=True)
+        for body, row in zip(bodies, read, strict=True)
         if not row.all()
     }
     others = [body for body in base.road.vehicles if body is not base.vehicle and body not in unreadable]

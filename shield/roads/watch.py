@@ -59,7 +59,7 @@ class Breach(StrEnum):
 @dataclass(frozen=True, slots=True)
 class Seen:
     """A scene: who was there, where they could be, what stood there, wrecks included; and which bodies could not be
-    read, with the columns of `Vehicle` that are not finite."""
+    read, with the columns of `Vehicle` that are not readable."""
 
     who: list[Any]
     others: Others
@@ -73,11 +73,11 @@ def check_readable(seen: Seen) -> None:
     Raises
     ------
     SceneError
-        That says what is not finite, and of which body.
+        That says what is not readable, and of which body.
     """
     for body, columns in seen.unreadable.items():
         names = ", ".join(column.name.lower() for column in sorted(columns))
-        raise SceneError(f"{names} of a {type(body).__name__} is not finite")
+        raise SceneError(f"{names} of a {type(body).__name__} is not finite, or beyond what a road has")
 
 
 @dataclass(slots=True, eq=False)

@@ -64,6 +64,30 @@ def test_on_highways_it_is_named_once_and_the_others_are_judged(inputs, column, 
     assert env.door.by_rule["speed"] == (2 if rule == "speed" else 1)
 
 
+@pytest.mark.parametrize(
+    ("column", "value", "rule"), [("LENGTH", 1e308, "size"), ("WIDTH", -2.0, "size"), ("speed", 1e9, "speed")]
+)
+def test_on_highways_numbers_beyond_any_vehicle_are_named_too(column, value, rule):
+    """A width below zero is the same rectangle in highway-env, sums of such lengths are no numbers, and braking changes
+    nothing at such speeds."""
+    env, _, far, idle = on_highway(False)
+    env.step(idle)
+    setattr(far, column, value)
+    far.step = lambda dt: None
+    assert env.step(idle)[-1]["shield"]["reason"] == "bad_scene"
+    assert env.door.by_rule == {rule: 1}
+
+
+def test_a_long_body_counts_whose_rear_is_near():
+    """Its centre is beyond the perception range, and its rear 30 m ahead."""
+    env, leader, _, idle = on_highway(False)
+    leader.LENGTH, leader.speed = 360.0, 0.0
+    leader.position = np.array([300.0 + 30.0 + 180.0, 4.0])
+    env.door.reset()
+    env.step(idle)
+    assert env.decisions[0].tier.fallback
+
+
 def test_on_highways_it_is_named_where_it_ends_the_episode():
     env, _, far, idle = on_highway(False)
     env.unwrapped.config["duration"] = 0.5

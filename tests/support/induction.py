@@ -2,7 +2,8 @@
 
 An audit stands around `Core.decide`. In each new frame it judges what is left of the stored plan by the clauses of the
 certificate, without precautions and without the vehicles that have broken a rule. Where the plan was verified a frame
-before, or was found good then, its margin must not be negative.
+before, or was found good then, its margin must not be negative. What a decision has verified, its first frame must not
+lose.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 
 from dynamics.scenes.scene import Scene
 from dynamics.state import Vehicle
-from shield import Decision, ShieldConfig, ShieldedEnv, Tier
+from shield import Decision, Reason, ShieldConfig, ShieldedEnv, Tier
 from shield.certificate.memory import Instant, Memory, observe
 from shield.certificate.verify import ROUNDING
 from shield.procedures.decide import Core
@@ -100,10 +101,15 @@ class Audit:
         core.decide = self.decide  # type: ignore[method-assign]
 
     def decide(self, scene: Any, proposal: Any, procedure: Any = None) -> Decision:
-        """As `Core.decide`; a new frame is judged before."""
-        if isinstance(scene, Scene) and scene.frame != self._core.memory.frame:
+        """As `Core.decide`; a new frame is judged before, and a frame after the decision that it begins with."""
+        again = isinstance(scene, Scene) and scene.frame == self._core.memory.frame
+        if isinstance(scene, Scene) and not again:
             self._judge(scene)
         decision = self._decide(scene, proposal, procedure)
+        lost = again and self._good and decision.reason is Reason.NO_SAFE_PLAN
+        if lost and not self._core.memory.watch.violated:
+            at, was = (decision.clause, decision.vehicle, decision.margin), (self._last.value, self._margin)
+            self.tally.lost.append(Lost(int(scene.frame or 0), *at, *was))
         if decision.tier.verified or decision.tier is Tier.EVADED:
             self._good = True
         self._good = self._good and self._core.memory.stored is not None

@@ -61,7 +61,7 @@ def in_reach(others: Others, limits: tuple[float, float], followers: bool, rows:
     count = 0
     for j in range(ahead.shape[0]):
         # Written so that a distance that is not a number drops nobody.
-        if least[j] - size[j] > distance or not abs(ahead[j]) <= perception:
+        if least[j] - size[j] > distance or not abs(ahead[j]) - size[j] <= perception:
             continue
         # Whoever is behind may still be braking, and coming nearer, long after the ego stands: none of them is too far.
         if behind[j] and not followers:

@@ -23,7 +23,7 @@ from dynamics.networks.engine import (
     on_way,
 )
 from dynamics.networks.layout import COUNT, FIRST, ID, ROAD
-from dynamics.networks.live import load_ego, longest_route
+from dynamics.networks.live import length_of_route, load_ego
 from dynamics.networks.network import index_of, network_of
 from dynamics.networks.regulation import Customs
 from dynamics.simulator.arithmetic import Sums, sums_of_numpy
@@ -98,7 +98,7 @@ def alone_on(base: Any) -> Alone:
     sums, products = sums_of_numpy()
     if Sums.OTHER in (sums, products):
         raise SceneError("numpy computes in a way that is not known here")
-    worlds = new_worlds(2, 1, max(1, longest_route(base)), 1)
+    worlds = new_worlds(2, 1, max(1, length_of_route(base)), 1)
     alone = Alone(Machine(sums, products, addresses()), worlds, rules, new_work(1))
     load_ego(base, rules, index_of(base.road.network), worlds)
     return alone

@@ -50,9 +50,9 @@ from dynamics.simulator.layout import (
     X,
     Y,
 )
-from dynamics.simulator.live import bodies_of, check_body, kind_in_scene, load_body
+from dynamics.simulator.live import bodies_of, check_body, check_egos, kind_in_scene, load_body
 
-__all__ = ["load", "load_ego", "longest_route", "store"]
+__all__ = ["length_of_route", "load", "load_ego", "longest_route", "store"]
 
 Lanes = Mapping[tuple[str, str, int], int]
 
@@ -60,6 +60,18 @@ Lanes = Mapping[tuple[str, str, int], int]
 def longest_route(env: Any) -> int:
     """How many entries the longest of the vehicles' routes has."""
     return max((len(getattr(v, "route", None) or ()) for v in bodies_of(env, first=False, team=True)[0]), default=0)
+
+
+def length_of_route(base: Any) -> int:
+    """How many entries the route of the ego of an environment, unwrapped, has, whatever else is on the road.
+
+    Raises
+    ------
+    SceneError
+        If there is no ego on the road.
+    """
+    check_egos(base, first=False, team=True)
+    return len(getattr(base.vehicle, "route", None) or ())
 
 
 def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: int) -> None:

@@ -52,7 +52,7 @@ from dynamics.simulator.random import WORDS, from_generator, to_generator
 from dynamics.simulator.scenario import Scenario
 from dynamics.state import FloatArray
 
-__all__ = ["bodies_of", "check_body", "kind_in_scene", "load", "load_body", "store"]
+__all__ = ["bodies_of", "check_body", "check_egos", "kind_in_scene", "load", "load_body", "store"]
 
 
 def bodies_of(env: gym.Env[Any, Any], first: bool = True, team: bool = False) -> tuple[list[Any], list[Any]]:
@@ -68,15 +68,26 @@ def bodies_of(env: gym.Env[Any, Any], first: bool = True, team: bool = False) ->
         If there is another ego, or one elsewhere, or something else stands on the road.
     """
     base = cast(Any, env.unwrapped)
+    check_egos(base, first, team)
+    strange = [type(o).__name__ for o in base.road.objects if type(o) is not Obstacle]
+    if strange:
+        raise SceneError(f"the simulator knows obstacles, not {', '.join(strange)}")
+    return base.road.vehicles, base.road.objects
+
+
+def check_egos(base: Any, first: bool = True, team: bool = False) -> None:
+    """Raise unless the ego of an environment, unwrapped, is on its road; parameters as of `bodies_of`.
+
+    Raises
+    ------
+    SceneError
+        If there is another ego, or one elsewhere.
+    """
     egos = len(base.controlled_vehicles)
     vehicles = [] if base.road is None or egos == 0 or (egos > 1 and not team) else base.road.vehicles
     if not any(v is base.vehicle for v in (vehicles[:1] if first else vehicles)):
         where = "first of" if first else "among"
         raise SceneError(f"have one ego, {where} the vehicles on the road; is the environment reset?")
-    strange = [type(o).__name__ for o in base.road.objects if type(o) is not Obstacle]
-    if strange:
-        raise SceneError(f"the simulator knows obstacles, not {', '.join(strange)}")
-    return base.road.vehicles, base.road.objects
 
 
 def load(env: gym.Env[Any, Any], scenario: Scenario, worlds: Worlds, e: int) -> None:

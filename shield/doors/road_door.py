@@ -13,7 +13,7 @@ import numpy as np
 from dynamics.networks.alone import Alone, Course, alone_on
 from dynamics.networks.engine import command, on_way
 from dynamics.networks.layout import COUNT, ROAD
-from dynamics.networks.live import load_ego, longest_route
+from dynamics.networks.live import length_of_route, load_ego
 from dynamics.networks.network import index_of
 from dynamics.simulator.layout import CRASHED, IMPACTED, LANE, SPEED, TARGET, TARGET_SPEED
 from shield.config import ShieldConfig
@@ -286,7 +286,7 @@ class RoadDoor:
     def _see(self) -> Seen:
         """Look at the scene."""
         base = self._base
-        if base.road.network is not self._network or longest_route(base) > self._alone.worlds.routes.shape[2]:
+        if base.road.network is not self._network or length_of_route(base) > self._alone.worlds.routes.shape[2]:
             self._furnish()
         load_ego(base, self._alone.rules, self._index, self._alone.worlds)
         seen = self._look()

@@ -9,7 +9,7 @@ import numpy as np
 from dynamics.compiled import inlined, uncounted
 from dynamics.networks.alone import Alone, Course, drive
 from dynamics.state import FloatArray
-from shield.roads.judging import ASKED, BELIEVED, CLEAR, STRICT, judge
+from shield.roads.judging import ASKED, BELIEVED, CLEAR, MADE, STRICT, judge
 from shield.roads.room import Body, Others, Road, Trial
 from shield.roads.survey import survey
 
@@ -82,9 +82,10 @@ def ask(alone: Alone, road: Road, body: Body, others: Others, row: FloatArray, t
 @inlined
 def _better(a: Choice, b: Choice) -> bool:
     """Whether a course is to be preferred to another: one that is clear of all, or else of all who have broken no rule;
-    that is clear for longer; that is slower when it is no longer; or has the larger margin."""
-    if (a.margin >= CLEAR) != (b.margin >= CLEAR):
-        return a.margin >= CLEAR
+    that is clear for longer; that is slower when it is no longer; or has the larger margin. Of two that are clear of
+    all the margin decides."""
+    if a.margin >= CLEAR or b.margin >= CLEAR:
+        return a.margin > b.margin
     if (a.innocent >= CLEAR) != (b.innocent >= CLEAR):
         return a.innocent >= CLEAR
     if a.clear != b.clear:
@@ -116,9 +117,9 @@ def choose(
     for k in range(courses.shape[0]):
         way = _follow(alone, road, others, courses[k], trial)
         found = _weigh(road, others, way, STRICT, trial, trial)
-        if found.margin >= CLEAR:
+        if found.margin >= MADE:
             return _at(found, k)
-        if best.margin >= CLEAR:
+        if best.margin >= MADE:
             continue
         if owed:
             found = _ask(road, body, others, way, trial, bodies)

@@ -22,14 +22,26 @@ import math
 import numpy as np
 
 from dynamics.compiled import inlined, uncounted
-from dynamics.networks.reachable.strips import ALWAYS, BACK, FAR, FRONT, HALF, HIGH, KEEP, LOW, NEAR, START
+from dynamics.networks.reachable.strips import (
+    ALWAYS,
+    BACK,
+    FAR,
+    FRONT,
+    HALF,
+    HIGH,
+    KEEP,
+    LOW,
+    NEAR,
+    SEVERAL,
+    START,
+)
 from dynamics.simulator.layout import LANE_LENGTH
 from dynamics.state import FloatArray
 from dynamics.traffic.permits import Ego, gap_between
 from shield.roads.room import Others, Road, Trial
 from shield.roads.survey import FAR_OFF
 
-__all__ = ["ASKED", "BELIEVED", "CLEAR", "STRICT", "judge"]
+__all__ = ["ASKED", "BELIEVED", "CLEAR", "MADE", "STRICT", "judge"]
 
 STRICT, BELIEVED, ASKED = 0, 1, 2
 """What those who owe the ego their distance are trusted with: to answer to its buffer, with time to react, as anybody
@@ -37,6 +49,11 @@ behind it; to keep their distance; to brake at once, where that keeps them behin
 
 CLEAR = -1e-6
 """The least margin of a path that is clear [m]; less is more than rounding."""
+MADE = -1e-9
+"""The least margin of a path that is taken anew [m]. The difference to `CLEAR` is a budget: what rounding and the
+tolerances of `shield.roads.watch` take from a path, frame by frame, adds up."""
+_NEARLY = 1e-3
+"""Ways to one lane that differ by less are taken to be the same one [m]."""
 _ENDLESS = 100_000
 """Frames: whoever has not come to rest by then is not counted on to."""
 
@@ -149,6 +166,32 @@ def _waits(
 
 
 @uncounted
+def _is_shut(others: Others, road: Road, j: int) -> bool:
+    """Whether the ego stands in every way that leads to strip j. Where several do, each has to be shut, and to have
+    been judged before."""
+    marks, numbers, ways, before = others.marks, others.numbers, road.ways, others.marks[j, 2]
+    if before >= 0:
+        return others.shut[before]
+    if before != SEVERAL:
+        return False
+    some, lane = False, marks[j, 1]
+    for k in range(others.found[0]):
+        if marks[k, 0] != marks[j, 0]:
+            continue
+        leads = ways.over[marks[k, 1]] == lane
+        for c in range(ways.after.shape[1]):
+            if ways.after[marks[k, 1], c] == lane:
+                ends = ways.ends[marks[k, 1], c]
+                near = numbers[k, NEAR] + road.lanes.rows[marks[k, 1], LANE_LENGTH] - ends[0] - ends[2]
+                leads = leads or abs(near - numbers[j, NEAR]) < _NEARLY
+        if leads:
+            if k >= j or not others.shut[k]:
+                return False
+            some = True
+    return some
+
+
+@uncounted
 def judge(
     others: Others, road: Road, trial: Trial, bodies: FloatArray, count: int, rests: bool, trust: int
 ) -> tuple[float, int, int, float]:
@@ -182,15 +225,16 @@ def judge(
             innocent = min(innocent, gap)
     for j in range(others.found[0]):
         i, lane, row = others.marks[j, 0], others.marks[j, 1], others.numbers[j]
-        before, first, last = others.marks[j, 2], met[lane, 0], met[lane, 1]
-        others.shut[j], others.waits[j] = before >= 0 and others.shut[before], False
+        first, last = met[lane, 0], met[lane, 1]
+        others.shut[j], others.waits[j] = _is_shut(others, road, j), False
         if others.shut[j] or last < first:
             continue
         end = rows[lane, LANE_LENGTH] if after.shape[1] > 0 and after[lane, 0] >= 0 else ALWAYS
         least, bad, contact = np.inf, count, -1
         there = rests and last == count - 1
-        # Who has to stand before the ego's rear does not come to the next lane, where that is within this one.
-        closes = there and boxes[lane, last, 0] <= end
+        # Who has to stay behind the ego's body does not come to the next lane, where its rear is within this one. That
+        # holds for any size, with the buffer and without: a frame later it may owe its distance to the body alone.
+        closes = there and trial.rears[lane, 1] <= end
         for k in range(first, last + 1):
             box = boxes[lane, k]
             if not box[0] < FAR_OFF:
@@ -220,17 +264,15 @@ def judge(
                 start = -row[NEAR] + row[FRONT] <= box[0]
                 owed = trust != STRICT and _is_owed(others, road, trial, j, since, contact)
                 asked = owed and trust == ASKED
-                # One that may come into the buffer stands before the body.
-                closed = there and trial.rears[lane, 1] - row[FRONT] <= end if owed else closes
                 if owed and trust == BELIEVED:
-                    others.shut[j] = closed and contact == count - 1
+                    others.shut[j] = closes and contact == count - 1
                     least, bad = np.inf, count
                 elif start or asked:
                     delay = 0 if asked else road.duty.reaction
                     rears, anywhere, since = bodies if asked else boxes, asked or road.duty.ahead, 0 if asked else since
                     stays = _followed(others, road, trial, rears, j, since, delay, anywhere, there)
                     if stays >= CLEAR:
-                        others.shut[j] = closed and contact == count - 1
+                        others.shut[j] = closes and contact == count - 1
                         least, bad = stays, count
             if least < 0 and road.duty.gives_way:
                 stays = _waits(others, road, trial, j, contact, bad, there, trust != STRICT)

@@ -10,7 +10,7 @@ import numpy as np
 from dynamics.networks.alone import Alone, Course
 from dynamics.state import FloatArray
 from shield.roads.choosing import ask, try_course
-from shield.roads.judging import CLEAR
+from shield.roads.judging import CLEAR, MADE
 from shield.roads.room import Body, Others, Road, Trial, empty_trial
 from shield.roads.saving import bare
 from shield.roads.watch import Seen
@@ -53,8 +53,9 @@ class Braking:
         self._fit(seen.others)
         try_course(self.alone, self.road, seen.others, np.array(course, float), True, self.trial)
         believed = self.trial.margins
-        # Who is in the way although it is believed to keep its distance is so elsewhere.
-        too_near = (at_once < CLEAR) & (believed >= CLEAR)
+        # Who is in the way although it is believed to keep its distance is so elsewhere. It is late before the plan
+        # suffers: what the tolerances of a frame take from the distance of one that brakes comes after.
+        too_near = (at_once < MADE) & (believed >= CLEAR)
         late = {b for i, b in enumerate(seen.who) if too_near[i] and self.stays.get(b, -1.0) >= CLEAR}
         return np.where(at_once < CLEAR, at_once, believed), late
 

@@ -19,6 +19,7 @@ from dynamics.networks.reachable.strips import HALF, HIGH, LOW, NEAR, START, Con
 from dynamics.simulator.layout import LANE_LENGTH
 from dynamics.state import FloatArray, IntArray
 from shield.config import ShieldConfig
+from shield.roads.coming import collisions
 from shield.roads.dues import Dues
 from shield.roads.reading import read_traffic
 from shield.roads.room import Body, Duty, Others, Road
@@ -74,6 +75,7 @@ class Outlook:
     def __init__(self, base: Any, alone: Alone, road: Road, frames: int) -> None:
         self._base, self._network, self._road, self._frames = base, alone.rules.network, road, frames
         self._index = index_of(base.road.network)
+        self._names = list(self._index)
         self._strips = empty_strips(_STRIPS)
 
     def look(self, dues: Dues) -> Seen:
@@ -112,4 +114,5 @@ class Outlook:
             lanes=np.unique(marks[:, 1]),
             rooms=_rooms(marks, numbers, road.lanes.rows[:, LANE_LENGTH]),
         )
-        return Seen(seen.who, others, seen.stand, seen.unreadable)
+        colliding = collisions(self._base, seen, marks, self._names)
+        return Seen(seen.who, others, seen.stand, seen.unreadable, colliding)

@@ -7,6 +7,7 @@ import math
 from dynamics.compiled import uncounted
 from dynamics.networks.footprints import Place, Rectangle, extent_of
 from dynamics.networks.lanes import Lanes, heading_at, local, on_lane, unrolled
+from dynamics.networks.reachable.strips import steepness
 from dynamics.simulator.layout import LANE_LENGTH
 from dynamics.state import FloatArray
 from shield.roads.room import Body, Others, Road, Trial
@@ -53,7 +54,9 @@ def survey(road: Road, body: Body, others: Others, path: FloatArray, count: int,
         for lane in others.lanes:
             box, row, reach = boxes[lane, k], lanes.rows[lane], half + max(others.rooms[lane], _NEAR)
             box[0], seen[lane, k] = FAR_OFF, False
-            dx, dy, far = x - circles[lane, 0], y - circles[lane, 1], circles[lane, 2] + reach
+            # Both s and r may be off by the reach, and on a sine r changes with s.
+            far = circles[lane, 2] + reach * (1 + math.hypot(1.0, steepness(lanes, lane)))
+            dx, dy = x - circles[lane, 0], y - circles[lane, 1]
             if dx * dx + dy * dy > far * far:
                 continue
             s, r = local(lanes, lane, x, y)

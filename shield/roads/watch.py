@@ -13,10 +13,13 @@ all time):
 6. *right of way*: where that is assumed, whoever has been counted on to wait for the ego, and has had the time to
    react, brakes for it where the fail-safe suffers otherwise.
 
-A body with a number that is not finite breaks the rule that the number is judged by.
+Whoever points so far out of its lanes that it collides with the ego's body in the coming frame, as highway-env counts
+collisions, has left its ways (`shield.roads.coming`). A body with a number that is not finite breaks the rule that the
+number is judged by.
 Rules 1, 4 and 5 are judged alone, the others where the ego's fail-safe suffers; so are bodies that have *appeared* or
 *grown*. A wreck or an object never may appear, nor *move*: it stays inside the rectangle that it was taken to fill a
-frame before, which for a wreck is all of the way that it slides. `UNFORESEEN` is for the sake of honesty: the
+frame before, which for a wreck is all of the way that it slides, and for an object that of the coming frame if it has a
+speed. A vehicle that becomes an object has appeared. `UNFORESEEN` is for the sake of honesty: the
 fail-safe has come to suffer from one who has broken no rule. That is a hole in the certificate, and a test fails.
 """
 
@@ -32,12 +35,15 @@ import numpy as np
 from dynamics.errors import SceneError
 from dynamics.networks.reachable.strips import BACK, FAR, FRONT, HALF, HIGH, KEEP, LOW, NEAR
 from dynamics.state import FloatArray, Vehicle
-from shield.roads.judging import CLEAR
+from shield.roads.judging import CLEAR, MADE
 from shield.roads.room import Others, Road
 
 __all__ = ["Breach", "Seen", "Watch", "check_readable"]
 
-_SLACK, _PLACE, _SAME = 1e-6, 1e-6, 1e-9
+_SLACK, _PLACE, _SAME = 1e-10, 1e-10, 1e-10
+"""What rounding may add in a frame to a speed [m/s], a place and a size [m]. It adds up: a path begins with `MADE`, the
+rules are judged below that, and what is left to `CLEAR` is enough for some hundred frames, each of which may take 10 s
+times the first of these and a few times the second."""
 _CORNERS = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 
 
@@ -58,13 +64,15 @@ class Breach(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A scene: who was there, where they could be, what stood there, wrecks included; and which bodies could not be
-    read, with the columns of `Vehicle` that are not readable."""
+    """A scene: who was there, where they could be, what stood there, wrecks included; which bodies could not be read,
+    with the columns of `Vehicle` that are not readable; and who collides with the ego's body in the coming frame, see
+    `shield.roads.coming.collisions`."""
 
     who: list[Any]
     others: Others
     stand: tuple[Any, ...] = ()
     unreadable: Mapping[Any, frozenset[Vehicle]] = field(default_factory=dict)
+    colliding: Mapping[Any, bool] = field(default_factory=dict)
 
 
 def check_readable(seen: Seen) -> None:
@@ -128,14 +136,18 @@ class Watch:
             breaking[body] = broken
             self._name(body, broken - self.breaking.get(body, set()))
         for i, body in enumerate(now.who):
+            hits = margins is not None and body in now.colliding
             suffers = margins is not None and bool(margins[i] < CLEAR)
+            less = margins is not None and bool(margins[i] < MADE)
             j = before.get(body)
             if j is None:
-                broken = {Breach.APPEARED} if suffers else set()
+                broken = {Breach.APPEARED} if suffers or hits else set()
             else:
-                suffers = suffers and body in clear
-                broken = self._broken(last.others, j, now.others, i, road, suffers, body in late)
-                if suffers and not broken and body not in self.offenders:
+                suffers, less, hits = suffers and body in clear, less and body in clear, hits and body in clear
+                broken = self._broken(last.others, j, now.others, i, road, less or hits, body in late)
+                if hits and now.colliding[body]:
+                    broken.add(Breach.WAYS)
+                if (suffers or hits) and not broken and body not in self.offenders:
                     broken = {Breach.UNFORESEEN}
             if broken:
                 breaking[body] = broken
@@ -195,12 +207,14 @@ def _of_column(column: Vehicle) -> Breach:
 
 
 def _of_standing(last: Seen, now: Seen) -> Iterator[tuple[Any, set[Breach]]]:
-    """Wrecks and objects that have appeared, or moved or grown out of the rectangles that they filled."""
-    before, known = {body: i for i, body in enumerate(last.stand)}, {*last.who, *last.stand}
+    """Wrecks and objects that have appeared, or moved or grown out of the rectangles that they filled. A vehicle that
+    has become a wreck has crashed, which is named elsewhere."""
+    before, driving = {body: i for i, body in enumerate(last.stand)}, set(last.who)
     for i, body in enumerate(now.stand):
-        if body not in known:
-            yield body, {Breach.APPEARED}
-        elif body in before and _leaves(last.others.things[before[body]], now.others.things[i]):
+        if body not in before:
+            if body not in driving or not getattr(body, "crashed", False):
+                yield body, {Breach.APPEARED}
+        elif _leaves(last.others.things[before[body]], now.others.things[i]):
             yield body, {Breach.MOVED}
 
 

@@ -63,7 +63,8 @@ BEFORE = 3.0
 _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
 _LAP = 250.0
 """Within this a vehicle may come by a second time [m]."""
-_ROUNDING = 1e-6
+_ROUNDING = 1e-11
+"""Strips that differ by less are the same one [m]; less than `shield.roads.watch` permits a frame."""
 _DRIFT = 6.0
 """How far out of the middle of an arc one drifts, times its radius [m^2]."""
 _ASKEW = 0.2

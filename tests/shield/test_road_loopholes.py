@@ -190,6 +190,10 @@ def test_a_stale_lane_index_is_not_believed():
             it.put(ego.position + 0.6 * (frame - 10) * across, ego.heading + math.pi / 2, 12.0)
             it.lane_index, it.lane = stale, lane
         touched.append((frame, dict(env.door.by_rule)))
+        if frame == 10:
+            marks = env.door._look().others.marks
+            there = {env.door._names[lane] for lane in marks[marks[:, 2] == -1, 1]}
+            assert road.network.get_closest_lane_index(it.position, it.heading) in there
 
     drive(env, IDLE, 1, cross)
     # It is named by the look that follows the frame in which it comes near.
@@ -214,6 +218,25 @@ def test_one_that_points_at_the_ego_for_a_frame_has_left_its_ways(frequency, spe
     drive(env, IDLE, 1, point, collide=True)
     assert ego.crashed
     assert env.door.by_rule.get("ways") == 1
+
+
+def test_one_that_has_pointed_out_of_its_lane_all_along_has_left_its_ways_where_it_would_hit_the_ego():
+    """It drives along its lane askew, and catches up with the ego in the lane beside: its body keeps to the middle of
+    its lane, and what it takes of it does not change."""
+    env, road, ego = alone("merge-v1", 5)
+    ego.speed = ego.target_speed = 20.0
+    it = body(road, ego.position + np.array([-12.0, -ego.position[1] + 0.1]), 0.49, 25.0, (2.0, 1.0))
+    it.collidable = True
+    road.vehicles.append(it)
+
+    def slide(frame):
+        if not ego.crashed:
+            it.put([it.position[0] + 25.0 / 5, it.position[1]], 0.49, 25.0)
+        it.impact, it.crashed = None, False
+
+    drive(env, IDLE, 3, slide, collide=True)
+    assert ego.crashed
+    assert env.door.by_rule == {"ways": 1}
 
 
 def test_what_takes_the_last_of_a_margin_is_named_however_little_it_is():

@@ -12,7 +12,9 @@ import pytest
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle, RoadObject
 
+from dynamics.networks.reachable.strips import SEVERAL
 from shield import ShieldedEnv
+from shield.roads.judging import _is_shut
 
 FASTER, IDLE, SLOWER = 3, 1, 4
 
@@ -130,6 +132,25 @@ def test_what_two_strips_of_a_lane_lead_to_is_shut_with_both():
     road.vehicles.append(turning)
     drive(env, SLOWER, 1, lambda frame: turning.put([2.27, 42.92], -1.7255, 0.0))
     assert "unforeseen" not in env.door.by_rule
+
+
+def test_a_lane_is_shut_where_all_that_leads_to_it_is():
+    """A body within 3 m of a joint has two strips of the lane that goes on; both lead to the next."""
+    env, road, ego = alone("roundabout-v0", 30)
+    road.vehicles.append(body(road, [2.27, 42.92], -1.7255, 0.0, (14.6, 2.6)))
+    env.door.reset()
+    env.door.decide(IDLE)
+    others = env.door._others
+    several = np.flatnonzero(others.marks[:, 2] == SEVERAL)
+    assert several.size
+    for j in several:
+        shut = []
+        for open_ in range(-1, j):
+            others.shut[:] = True
+            others.shut[max(open_, 0)] &= open_ < 0
+            shut.append(_is_shut(others, env.door._road, j))
+        assert shut[0]
+        assert shut.count(False) == 2
 
 
 def test_an_object_that_stands_and_gets_a_speed_has_moved():

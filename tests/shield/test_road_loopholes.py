@@ -136,7 +136,7 @@ def test_what_two_strips_of_a_lane_lead_to_is_shut_with_both():
 
 def test_a_lane_is_shut_where_all_that_leads_to_it_is():
     """A body within 3 m of a joint has two strips of the lane that goes on; both lead to the next."""
-    env, road, ego = alone("roundabout-v0", 30)
+    env, road, _ = alone("roundabout-v0", 30)
     road.vehicles.append(body(road, [2.27, 42.92], -1.7255, 0.0, (14.6, 2.6)))
     env.door.reset()
     env.door.decide(IDLE)

@@ -100,7 +100,7 @@ def spend(
     budgets, actions, recent, swings = bodies.budget, bodies.action, bodies.recent, bodies.swing
     for i in range(states.shape[0]):
         v, swing, lost = states0[i, 3], swings[i], 0.0
-        if v > motion.slow:
+        if v >= motion.slow:
             ds = states[i, 0] - states0[i, 0]
             if lap > 0:
                 ds -= lap * np.rint(ds / lap)

@@ -113,7 +113,7 @@ def threats(
 
     Whoever is behind the ego with its buffer, in a lane that it owns, owes it the distance, but for a path that enters
     a lane that the ego does not own and that this vehicle touches or may enter too, and for one that leaves its strip
-    and comes back; in its place counts where the ego stops, for a strip that reaches there, in a lane that it owns.
+    and comes back; in its place counts where the ego stops, for a strip that reaches there.
 
     Parameters
     ----------
@@ -131,12 +131,13 @@ def threats(
                 if not owned[entered]:
                     touches = low[j] < centers[entered] + TOUCH and high[j] > centers[entered] - TOUCH
                     owes = owes and not (touches or others.comes[entered, j])
-        # A strip may shrink while the plan lasts, as far as to the place in the ego's own lane where it stops.
-        least, most = low[j], high[j]
-        if owned[fail] and least < centers[fail] + stand and most > centers[fail] - stand:
-            least, most = centers[fail] - stand, centers[fail] + stand
-        if owes and _comes_back(state, path, turned, size, least, most):
-            owes = False
+        if owes:
+            # A strip may shrink while the plan lasts, as far as to the place where the ego stops; the lane that this is
+            # in may come to be the ego's meanwhile.
+            least, most = low[j], high[j]
+            if least < centers[fail] + stand and most > centers[fail] - stand:
+                least, most = centers[fail] - stand, centers[fail] + stand
+            owes = not _comes_back(state, path, turned, size, least, most)
         if not owes:
             rows[count] = j
             count += 1

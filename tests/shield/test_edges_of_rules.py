@@ -1,0 +1,75 @@
+"""Two places where a rule was off by an edge: a vehicle at exactly the slowest speed that turning is counted at, and a
+lane that comes to be the ego's while it leaves it."""
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+from highway_env.vehicle.kinematics import Vehicle
+
+from dynamics.traffic.assumptions import Assumptions
+from shield import ShieldedEnv
+from shield.decision import Reason
+
+SWING = {
+    "lanes_count": 2,
+    "vehicles_count": 0,
+    "simulation_frequency": 15,
+    "policy_frequency": 15,
+    "action": {"type": "ContinuousAction"},
+}
+HELD = {**SWING, "simulation_frequency": 5, "policy_frequency": 5}
+
+
+class Puppet(Vehicle):
+    """Goes straight on, and brakes."""
+
+    braking = 0.0
+
+    def act(self, action=None):
+        pass
+
+    def step(self, dt):
+        self.position = self.position + [self.speed * dt, 0.0]
+        self.speed -= self.braking * dt
+
+
+def highway(config, at, heading, speed):
+    env = ShieldedEnv(gym.make("highway-v0", config=config), "worst-case")
+    env.reset(seed=0)
+    ego = env.unwrapped.vehicle
+    ego.position, ego.heading, ego.speed = np.array(at), heading, speed
+    ego.on_state_update()
+    return env, env.unwrapped.road
+
+
+def test_a_lane_that_the_ego_comes_to_own_takes_no_plan_away():
+    """An attacker's scene: the plan stops in a lane that a wide follower's strip comes near, and that the ego does not
+    own before it touches it."""
+    env, road = highway(SWING, [300.0, 2.2896448920349495], 0.8249786296351735, 23.615081912096798)
+    follower = Puppet(road, [280.1857916132634, 4.186992402723296], 0.0, 22.226541557677034)
+    follower.WIDTH, follower.braking = 4.4347691260803845, 2.9
+    parked = Puppet(road, [337.73368292645114, 4.6305588548343986], 0.0, 0.0)
+    parked.LENGTH = parked.WIDTH = 2.0
+    road.vehicles += [follower, parked]
+    for wheel in (0.8095393338343296, -0.5256011648418802, 0.5348920294685925):
+        env.step(np.array([1.0, wheel]))
+        assert env.decisions[0].reason is not Reason.NO_SAFE_PLAN
+    assert env.door.violations == 0
+
+
+def lost_at(speed):
+    """What a vehicle has left to lose by turning, (2,), after a frame in which it has not moved, at 5 Hz."""
+    env, road = highway(HELD, [300.0, 0.0], 0.0, 20.0)
+    other = Puppet(road, [200.0, 4.0], 0.0, speed)
+    road.vehicles.append(other)
+    env.step(np.zeros(2))
+    other.step = lambda dt: None
+    env.step(np.zeros(2))
+    env.door.look()
+    bodies = env.door.core.memory.survey.around.bodies
+    return np.array([bodies.budget[0], bodies.action[0]])
+
+
+def test_at_the_slowest_speed_that_turning_is_counted_at_it_is_counted():
+    slow = Assumptions.idm().slow_speed
+    np.testing.assert_allclose(lost_at(slow), lost_at(slow + 1e-9), atol=1e-6)

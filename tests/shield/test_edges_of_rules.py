@@ -29,7 +29,7 @@ class Puppet(Vehicle):
         pass
 
     def step(self, dt):
-        self.position = self.position + [self.speed * dt, 0.0]
+        self.position = self.position + np.array([self.speed * dt, 0.0])
         self.speed -= self.braking * dt
 
 

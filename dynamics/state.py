@@ -16,9 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    *("BoolArray", "FloatArray", "IntArray"),
-    *("LEAST", "MOST", "RoadState", "State", "Vehicle"),
-    *("readable", "wrap_to_pi"),
+    "LEAST",
+    "MOST",
+    "BoolArray",
+    "FloatArray",
+    "IntArray",
+    "RoadState",
+    "State",
+    "Vehicle",
+    "readable",
+    "wrap_to_pi",
 ]
 
 FloatArray = NDArray[np.float64]

@@ -77,6 +77,13 @@ class Roads:
                 cause = describe(ego, self.others.rows[found.vehicle], who)
                 broke = " (it has broken a rule)" if self.others.offends[found.vehicle] else ""
                 why = f"{cause.text}{broke} could be in the way; {lacks}"
+                if found.margin >= 0:
+                    # Courses that are clear of everybody come first.
+                    short = 0.0
+                    why = (
+                        "it is clear only of those who keep the distance that they owe the ego, and another way is clear"
+                        f" of everybody; nearest comes {cause.text}"
+                    )
         return Explanation(proposal, at.reason, clause, cause, short, after, why, *tail, at.margin, frame, lost)
 
     def _best(self) -> Choice:

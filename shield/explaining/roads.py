@@ -81,8 +81,8 @@ class Roads:
                     # Courses that are clear of everybody come first.
                     short = 0.0
                     why = (
-                        "it is clear only of those who keep the distance that they owe the ego, and another way is clear"
-                        f" of everybody; nearest comes {cause.text}"
+                        "it is clear only if those behind keep the distance that they owe the ego, and another way is"
+                        f" clear of everybody; nearest comes {cause.text}"
                     )
         return Explanation(proposal, at.reason, clause, cause, short, after, why, *tail, at.margin, frame, lost)
 

@@ -66,8 +66,8 @@ def write_report(
     page = environment.from_string(source).render(
         title=" and ".join(read),
         runs=[
-            _run(name, *each, link_replays(each[2], each[1], each[0], output, replays, write))
-            for name, each in read.items()
+            _run(name, made, frame, path, link_replays(path, _shielded(frame, replays), made, output, replays, write))
+            for name, (made, frame, path) in read.items()
         ],
         charts=_charts({name: frame for name, (_, frame, _) in read.items()}),
     )
@@ -93,7 +93,7 @@ def _run(
             for setting, part in summary.groupby("setting", sort=False)
         ],
         "comparison": _table(comparison, COMPARISON) if len(comparison) else None,
-        "worst": _worst(path, episodes, links),
+        "worst": _worst(episodes, links),
         "file": path.name,
     }
 
@@ -108,11 +108,16 @@ def _table(frame: pd.DataFrame, columns: Sequence[Column]) -> dict[str, Any]:
     }
 
 
-def _worst(path: Path, episodes: pd.DataFrame, links: Mapping[int, ReplayLink]) -> list[dict[str, Any]]:
+def _shielded(episodes: pd.DataFrame, count: int = 0) -> pd.DataFrame:
+    """The worst episodes with the shield: those that are listed, and `count` at least."""
+    return worst_first(episodes[episodes["door"] != "none"]).head(max(_WORST, count))
+
+
+def _worst(episodes: pd.DataFrame, links: Mapping[int, ReplayLink]) -> list[dict[str, Any]]:
     """The episodes with a crash, then those with the smallest gap: first those with the shield, then others."""
-    found, ordered = [], worst_first(episodes)
-    bare = ordered["door"] == "none"
-    for number, row in pd.concat([ordered[~bare].head(_WORST), ordered[bare].head(_WORST_BARE)]).iterrows():
+    found = []
+    bare = worst_first(episodes[episodes["door"] == "none"]).head(_WORST_BARE)
+    for number, row in pd.concat([_shielded(episodes), bare]).iterrows():
         link = links.get(int(str(number)), ReplayLink())
         found.append(
             {

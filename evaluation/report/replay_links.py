@@ -43,21 +43,21 @@ def link_replays(
     count: int,
     write: WritesReplay | None,
 ) -> dict[int, ReplayLink]:
-    """How each shielded episode of a run is replayed.
+    """How shielded episodes of a run are replayed.
 
     Parameters
     ----------
-    run, episodes, made : the file, its rows, and what it says of how it was made.
+    run, made : the file, and what it says of how it was made. episodes : its rows of these episodes, the worst first.
     report : the page that links to the replays. A page that `shield replay` has written since the run is
         linked as it is.
-    count : of so many of the worst shielded episodes a page is written where there is none. write : writes it.
+    count : of so many of the episodes a page is written where there is none. write : writes it.
 
     Returns
     -------
     By the numbers of the rows.
     """
     found: dict[int, ReplayLink] = {}
-    for number, row in worst_first(episodes[episodes["door"] != "none"]).iterrows():
+    for number, row in episodes.iterrows():
         key, policy = int(str(number)), _file_of(str(row["policy"]), made, run)
         page, note = run.with_name(f"{run.stem}-episode-{key}.html"), ""
         if write is not None and not _is_of(run, page) and len(found) < count:

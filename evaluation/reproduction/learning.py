@@ -19,10 +19,9 @@ from evaluation.reproduction.presets import Preset
 from evaluation.reproduction.variants import Variant
 from evaluation.running.identity import file_hash, versions
 from evaluation.threads import one_thread
+from evaluation.training.counting import CountSteps
 
 __all__ = ["hyperparameters", "is_trained", "train_variant"]
-
-_CRASHES = "crashes_in_training"
 
 
 def hyperparameters(preset: Preset, variant: Variant) -> dict[str, Any]:
@@ -69,20 +68,12 @@ def train_variant(preset: Preset, variant: Variant, seed: int, steps: int, path:
     """
     parameters = hyperparameters(preset, variant)
     envs = 1 if variant.learner == "dqn" else preset.envs
-    began, counted = time.perf_counter(), {_CRASHES: 0, "episodes": 0, "overrides": 0}
-
-    def count(local: Mapping[str, Any], _: Mapping[str, Any]) -> bool:
-        for info, done in zip(local["infos"], local["dones"], strict=True):
-            counted["episodes"] += bool(done)
-            counted[_CRASHES] += bool(info["crashed"])
-            counted["overrides"] += bool(info["shield"]["overridden"])
-        return True
-
+    began, counting = time.perf_counter(), CountSteps()
     world = DummyVecEnv([lambda: Monitor(ReportEnv(preset, variant)) for _ in range(envs)])
     with one_thread():
         arguments = {"policy": "MlpPolicy", **deepcopy(parameters)}
         model = get_algorithm(variant.learner)(**arguments, env=world, seed=seed, device="cpu")
-        model.learn(steps, callback=count)
+        model.learn(steps, callback=counting)
     path.parent.mkdir(parents=True, exist_ok=True)
     model.save(path)
     manifest = {
@@ -94,7 +85,9 @@ def train_variant(preset: Preset, variant: Variant, seed: int, steps: int, path:
         "steps_taken": int(model.num_timesteps),
         "environments": envs,
         "hyperparameters": parameters,
-        **counted,
+        "crashes_in_training": counting.counts["crashes"],
+        "episodes": counting.counts["episodes"],
+        "overrides": counting.counts["overridden"],
         "training_seconds": round(time.perf_counter() - began, 1),
         "sha256": file_hash(path),
         "versions": versions(),

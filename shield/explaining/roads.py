@@ -64,7 +64,7 @@ class Roads:
         found = self._best()
         lost = Lost.GUARANTEE if at.tier.fallback else Lost.NOTHING
         tail = done(at, record, name, speed), proof(at, lost)
-        after, short, cause = found.clear * self.road.period, -found.margin, None
+        after, short, cause = found.clear * self.road.period, max(-found.margin, 0.0), None
         if found.margin < _OFF:
             clause, short, why = "road", nan, f"the ego would leave the road after {number(after)} s"
         else:
@@ -79,7 +79,6 @@ class Roads:
                 why = f"{cause.text}{broke} could be in the way; {lacks}"
                 if found.margin >= 0:
                     # Courses that are clear of everybody come first.
-                    short = 0.0
                     why = (
                         "it is clear only if those behind keep the distance that they owe the ego, and another way is"
                         f" clear of everybody; nearest comes {cause.text}"

@@ -20,7 +20,7 @@ import pandas as pd
 
 from evaluation import Experiment, Result
 from evaluation.report.table import SUMMARY, markdown
-from evaluation.running.store import commit
+from evaluation.running.manifest import commit
 from shield.errors import ConfigError
 
 ROOT = Path(__file__).parents[1]

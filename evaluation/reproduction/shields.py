@@ -21,9 +21,10 @@ from evaluation.names import check_name
 from evaluation.report.table import Column, finished, markdown, write_table
 from evaluation.reproduction.presets import get_preset
 from evaluation.running.comparing import Comparison
+from evaluation.running.manifest import provenance
 from evaluation.running.processes import Processes
 from evaluation.running.records import Variant, config_on
-from evaluation.running.store import Store, provenance
+from evaluation.running.store import Store
 from evaluation.settings import Setting, get_setting
 from shield.config import RULES_ALONE, SIMULATED, WORST_CASE, ShieldConfig
 from shield.errors import ConfigError, SceneError

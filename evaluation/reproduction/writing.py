@@ -11,7 +11,7 @@ from evaluation.report.table import write_table
 from evaluation.reproduction.running import Reproduction, first_seed
 from evaluation.reproduction.table import summary, table
 from evaluation.reproduction.verdict import judge, told
-from evaluation.running.store import commit
+from evaluation.running.manifest import commit
 
 __all__ = ["write"]
 

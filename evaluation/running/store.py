@@ -17,9 +17,9 @@ from typing import Any
 import pandas as pd
 
 from dynamics.errors import ConfigError, DataError
-from evaluation.running.manifest import check_fits, commit, extended, provenance
+from evaluation.running.manifest import check_fits, extended, provenance
 
-__all__ = ["KEY", "Parts", "Store", "commit", "discard", "is_store", "plain_rows", "provenance", "read_store"]
+__all__ = ["KEY", "Parts", "Store", "discard", "is_store", "plain_rows", "read_store"]
 
 KEY = ("setting", "policy", "door", "mode", "seed")
 """Columns that tell one episode from every other of a comparison."""

@@ -24,7 +24,7 @@ Watcher = Callable[[list[Any], FloatArray, BoolArray], None]
 class CompiledFrames(gym.Wrapper[Any, Any, Any, Any]):
     """The frames of each decision compiled, the rest as it is: resets, observations, rewards and what an environment
     changes between two decisions are its own (but that Kinematics is observed without a data frame). The same to the
-    last bit (where `exact`).
+    last bit (where `exact`), but that vehicles of the linear model collect no `data` for a regression.
 
     Any actions, and several egos with meta-actions. What looks at single frames (a film) finds only those in which a
     decision is made. Where somebody has a hand in the frames of a vehicle, as a shield that supervises them has, the

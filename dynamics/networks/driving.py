@@ -9,7 +9,7 @@ from dynamics.networks.lanes import heading_at, least_across, local, on_lane, re
 from dynamics.networks.layout import ACROSS, ALONG, COUNT, ID, LAW, ROAD, ROUTE, ROUTE_END, SHAPE, STRAIGHT
 from dynamics.networks.routes import Traffic, follow_road, on_lane_of
 from dynamics.simulator.arithmetic import clip, not_zero
-from dynamics.simulator.control import KP_A, KP_LATERAL, free_flow_of_all, pursue
+from dynamics.simulator.control import KP_A, KP_LATERAL, free_flow_of_all, linear_wheel, pursue
 from dynamics.simulator.lanes import MARGIN
 from dynamics.simulator.layout import (
     ACC_MAX,
@@ -29,6 +29,7 @@ from dynamics.simulator.layout import (
     LANE,
     LANE_LENGTH,
     LANE_WIDTH,
+    LINEAR,
     OBSTACLE,
     POLITENESS,
     SPEED,
@@ -39,7 +40,7 @@ from dynamics.simulator.layout import (
     X,
     Y,
 )
-from dynamics.simulator.traffic import desired_gap, free_flow_of, held_back
+from dynamics.simulator.traffic import desired_gap, free_flow_of, held_back, linear
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["act"]
@@ -90,13 +91,16 @@ def _ahead(traffic: Traffic, i: int, j: int) -> float:
 
 @inlined
 def _acceleration(traffic: Traffic, judge: int, body: int, leader: int, free: float) -> float:
-    """IDM's acceleration of a body behind a leader by the constants of a judge [m/s^2]; -1 is nobody.
+    """The acceleration of a body behind a leader by the model and the constants of a judge [m/s^2]; -1 is nobody.
 
     Parameters
     ----------
     free : that of the judge on an empty road, where it is the body; else it is found here.
     """
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
+    if g[KIND, judge] == LINEAR:
+        ahead = _ahead(traffic, body, leader) if body >= 0 and leader >= 0 else 0.0
+        return linear(lanes.sums, f, g, p, judge, body, leader, ahead)
     if body < 0 or g[KIND, body] == OBSTACLE:
         return 0.0
     if body != judge:
@@ -180,8 +184,12 @@ def _steer(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) ->
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
     asked, ahead, n = work[1], work[0], 0
     for i in range(vehicles):
-        if g[KIND, i] in (EGO, ALLY) or g[LAW, i] or (g[KIND, i] == IDM and not g[CRASHED, i]):
-            lane = g[TARGET, i]
+        lane = g[TARGET, i]
+        if g[KIND, i] == LINEAR and not g[CRASHED, i]:
+            s, r = on_lane_of(traffic, i, lane)
+            future = heading_at(lanes, lane, s + f[SPEED, i] * _PURSUIT)
+            f[STEERING, i] = linear_wheel(lanes.sums, lanes.loops, f, p, i, future, r)
+        elif g[KIND, i] in (EGO, ALLY) or g[LAW, i] or (g[KIND, i] == IDM and not g[CRASHED, i]):
             s, r = on_lane_of(traffic, i, lane)
             ahead[n] = heading_at(lanes, lane, s + f[SPEED, i] * _PURSUIT)
             if r == 0.0 and f[HEADING, i] == ahead[n] and f[SPEED, i] >= 0.0:
@@ -209,7 +217,7 @@ def act(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) -> No
                 follow_road(traffic, i)
         elif g[KIND, i] in (EGO, ALLY) or not g[CRASHED, i]:
             follow_road(traffic, i)
-            if g[KIND, i] == IDM and g[CHANGES, i]:
+            if g[KIND, i] in (IDM, LINEAR) and g[CHANGES, i]:
                 _change_lanes(traffic, i, vehicles, free[i])
     for i in range(vehicles):
         if g[KIND, i] in (EGO, ALLY):

@@ -38,7 +38,6 @@ from dynamics.simulator.layout import (
     IMPACTED,
     KIND,
     LANE,
-    LINEAR,
     MAX_SPEED,
     MIN_SPEED,
     OBSTACLE,
@@ -125,8 +124,6 @@ def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: 
             g[YIELDS, i] = getattr(body, "is_yielding", False)
             _load_route(body, i, rules, lanes, g, routes)
     g[FRAMES, 0] = getattr(base.road, "steps", 0)
-    if (g[KIND] == LINEAR).any():
-        raise SceneError("vehicles of the linear model are known on straight highways only")
     if not np.isfinite(f).all():
         raise SceneError("a position, heading, speed, target, timer or action of the scene is not finite")
     worlds.order[e] = np.arange(f.shape[1])

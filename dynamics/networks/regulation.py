@@ -41,6 +41,7 @@ from dynamics.simulator.layout import (
     LANE_LENGTH,
     LANE_LIMIT,
     LENGTH,
+    LINEAR,
     OBSTACLE,
     SIN,
     SPEED,
@@ -209,7 +210,7 @@ def regulate(
             if not _meet(traffic, products, paths, i, j):
                 continue
             yields = _who_yields(traffic, customs.ways_cross, i, j)
-            if g[KIND, yields] == IDM:
+            if g[KIND, yields] in (IDM, LINEAR):
                 f[TARGET_SPEED, yields], g[YIELDS, yields] = 0.0, 1
 
 
@@ -223,7 +224,7 @@ def clear(traffic: Traffic, customs: Customs, vehicles: int) -> None:
     for i in range(vehicles):
         lane = g[LANE, i]
         leaves = lanes.ids[lane, LEAVES] and f[ALONG, i] >= lanes.rows[lane, LANE_LENGTH] - 4 * p[LENGTH, i]
-        if g[KIND, i] == IDM and (leaves or g[ROUTE_END, i] < 0):
+        if g[KIND, i] in (IDM, LINEAR) and (leaves or g[ROUTE_END, i] < 0):
             f[X, i], f[Y, i], f[SPEED, i] = _GONE * (1 + i), _GONE, 0.0
             f[ALONG, i], f[ACROSS, i] = local(lanes, lane, f[X, i], f[Y, i])
             g[KIND, i], g[CRASHED, i], g[IMPACTED, i], g[CHECKS, i] = OBSTACLE, 1, 0, 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import inlined, uncounted
 from dynamics.simulator.arithmetic import clip, dot2, not_zero, wrap_to_pi
 from dynamics.simulator.layout import (
     ACC_MAX,
@@ -34,7 +34,7 @@ from dynamics.simulator.loops import apply, apply_two, c_pow
 from dynamics.simulator.traffic import acceleration, change_lanes, free_flow, wanted_share
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["KP_A", "KP_LATERAL", "act", "free_flow_of_all", "pursue"]
+__all__ = ["KP_A", "KP_LATERAL", "act", "free_flow_of_all", "linear_wheel", "pursue"]
 
 KP_A, _KP_HEADING, KP_LATERAL = 1 / 0.6, 1 / 0.2, 1 / 0.6
 _WHEEL, _TURN = math.pi / 3, math.pi / 4
@@ -91,6 +91,22 @@ def pursue(
         f[STEERING, busy[k]] = clip(y[k], -_WHEEL, _WHEEL)
 
 
+@inlined
+def linear_wheel(
+    sums: int, loops: IntArray, f: FloatArray, p: FloatArray, i: int, ahead: float, lateral: float
+) -> float:
+    """The front wheel angle of a vehicle of the linear model [rad].
+
+    Parameters
+    ----------
+    ahead : the heading of its lane ahead of it [rad]. lateral : how far it is from the middle of the lane [m].
+    """
+    speed = not_zero(f[SPEED, i])
+    turn = wrap_to_pi(ahead - f[HEADING, i]) * p[LENGTH, i] / speed
+    back = -lateral * p[LENGTH, i] / c_pow(loops[_C_POW, 0], speed, 2.0)
+    return clip(dot2(sums, p[S_HEADING, i], turn, p[S_LATERAL, i], back), -_WHEEL, _WHEEL)
+
+
 @uncounted
 def _steer(
     sums: int,
@@ -115,10 +131,7 @@ def _steer(
             busy[n] = i
             n += 1
         elif kind == LINEAR and not g[CRASHED, i]:
-            speed = not_zero(f[SPEED, i])
-            turn = wrap_to_pi(0.0 - f[HEADING, i]) * p[LENGTH, i] / speed
-            back = -lateral * p[LENGTH, i] / c_pow(loops[_C_POW, 0], speed, 2.0)
-            f[STEERING, i] = clip(dot2(sums, p[S_HEADING, i], turn, p[S_LATERAL, i], back), -_WHEEL, _WHEEL)
+            f[STEERING, i] = linear_wheel(sums, loops, f, p, i, 0.0, lateral)
     pursue(loops, f, p, ahead, x, work[2], busy, n)
 
 

@@ -33,7 +33,7 @@ from dynamics.simulator.layout import (
 from dynamics.simulator.random import Row, below, uniform
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["next_target_speed", "spawn", "speed_index"]
+__all__ = ["next_target_speed", "randomize", "spawn", "speed_index"]
 
 _EGO_SPEED = 25.0
 
@@ -61,6 +61,24 @@ def next_target_speed(target_speeds: FloatArray, speed: float, label: int) -> fl
     """The target speed that faster (3) or slower (4) asks for at a speed [m/s]."""
     index = speed_index(target_speeds, speed) + (1 if label == 3 else -1)
     return target_speeds[min(max(index, 0), len(target_speeds) - 1)]
+
+
+@uncounted
+def randomize(row: Row, kind: int, ranges: FloatArray, p: FloatArray, i: int) -> None:
+    """Draw the parameters of a vehicle: highway-env's `randomize_behavior`.
+
+    Parameters
+    ----------
+    kind : `IDM` or `LINEAR`. ranges : (6, 2), see `dynamics.simulator.kinds.ranges_of`.
+    """
+    if kind == LINEAR:
+        for k in range(3):
+            share = uniform(row, 0.0, 1.0)
+            p[A_SPEED + k, i] = ranges[1 + k, 0] + share * (ranges[1 + k, 1] - ranges[1 + k, 0])
+        for k in range(2):
+            share = uniform(row, 0.0, 1.0)
+            p[S_HEADING + k, i] = ranges[4 + k, 0] + share * (ranges[4 + k, 1] - ranges[4 + k, 0])
+    p[DELTA, i] = uniform(row, ranges[0, 0], ranges[0, 1])
 
 
 @uncounted
@@ -120,11 +138,4 @@ def spawn(
                 f[TARGET_SPEED, i] = target_speeds[speed_index(target_speeds, speed)]
             continue
         f[TIMER, i] = ((x + f[Y, i]) * math.pi) % p[DELAY, i]
-        if kinds[1] == LINEAR:
-            for k in range(3):
-                share = uniform(row, 0.0, 1.0)
-                p[A_SPEED + k, i] = ranges[1 + k, 0] + share * (ranges[1 + k, 1] - ranges[1 + k, 0])
-            for k in range(2):
-                share = uniform(row, 0.0, 1.0)
-                p[S_HEADING + k, i] = ranges[4 + k, 0] + share * (ranges[4 + k, 1] - ranges[4 + k, 0])
-        p[DELTA, i] = uniform(row, ranges[0, 0], ranges[0, 1])
+        randomize(row, kinds[1], ranges, p, i)

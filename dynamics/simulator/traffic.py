@@ -41,7 +41,16 @@ from dynamics.simulator.loops import at_two
 from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.mobil import gap_by
 
-__all__ = ["acceleration", "change_lanes", "desired_gap", "free_flow", "free_flow_of", "held_back", "wanted_share"]
+__all__ = [
+    "acceleration",
+    "change_lanes",
+    "desired_gap",
+    "free_flow",
+    "free_flow_of",
+    "held_back",
+    "linear",
+    "wanted_share",
+]
 
 _POWER = 5
 
@@ -90,7 +99,15 @@ def held_back(
 
 
 @inlined
-def _linear(sums: int, f: FloatArray, g: IntArray, p: FloatArray, judge: int, body: int, leader: int) -> float:
+def linear(
+    sums: int, f: FloatArray, g: IntArray, p: FloatArray, judge: int, body: int, leader: int, ahead: float
+) -> float:
+    """The linear model's acceleration of a body by the constants of a judge [m/s^2].
+
+    Parameters
+    ----------
+    body, leader : -1 for nobody. ahead : how far the leader is ahead of the body [m]; not read without a leader.
+    """
     if body < 0:
         return dot3(sums, p[A_SPEED, judge], 0.0, p[A_LEADER, judge], 0.0, p[A_GAP, judge], 0.0)
     v = f[SPEED, body]
@@ -99,7 +116,7 @@ def _linear(sums: int, f: FloatArray, g: IntArray, p: FloatArray, judge: int, bo
     closing, room = 0.0, 0.0
     if leader >= 0:
         closing = min(f[SPEED, leader] - v, 0.0)
-        room = min(f[X, leader] - f[X, body] - (p[DISTANCE, judge] + max(v, 0.0) * p[TIME, judge]), 0.0)
+        room = min(ahead - (p[DISTANCE, judge] + max(v, 0.0) * p[TIME, judge]), 0.0)
     return dot3(sums, p[A_SPEED, judge], faster, p[A_LEADER, judge], closing, p[A_GAP, judge], room)
 
 
@@ -124,7 +141,8 @@ def acceleration(
     free : `free_flow` of the judge itself, where it is the body; else it is found here.
     """
     if g[KIND, judge] == LINEAR:
-        return _linear(sums, f, g, p, judge, body, leader)
+        ahead = f[X, leader] - f[X, body] if body >= 0 and leader >= 0 else 0.0
+        return linear(sums, f, g, p, judge, body, leader, ahead)
     if body < 0 or g[KIND, body] == OBSTACLE:
         return 0.0
     if body != judge:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from unknown_traffic import UNKNOWN
 
 import evaluation.scenarios
 import evaluation.wrappers  # noqa: F401  (registers environments)
@@ -36,11 +37,12 @@ FEATURES = (
 
 
 def contents(env):
-    """All that an environment is, but for the road map and what it makes anew."""
+    """All that an environment is, but for the road map, what it makes anew, and what vehicles of the linear model
+    collect for a regression."""
     base = env.unwrapped
     bodies = []
     for body in [*base.road.vehicles, *base.road.objects]:
-        row = {k: plain(x) for k, x in vars(body).items() if k not in ("road", "lane", "history", "log")}
+        row = {k: plain(x) for k, x in vars(body).items() if k not in ("road", "lane", "history", "log", "data")}
         if not row.get("is_yielding", True):  # highway-env leaves a False behind where somebody had yielded
             row.pop("is_yielding")
         row.pop("yield_timer", None)
@@ -62,8 +64,8 @@ def assert_same(one, other, name):
     np.testing.assert_equal(one, other, err_msg=name)
 
 
-def drive_both(env_id, seeds, decisions=12):
-    plain_env, compiled = gym.make(env_id), CompiledFrames(gym.make(env_id))
+def drive_both(env_id, seeds, decisions=12, config=None):
+    plain_env, compiled = gym.make(env_id, config=config), CompiledFrames(gym.make(env_id, config=config))
     if not compiled.exact:
         pytest.skip("this machine's numpy adds in a way of its own")
     for seed in seeds:
@@ -82,6 +84,12 @@ def drive_both(env_id, seeds, decisions=12):
 @pytest.mark.parametrize("env_id", ROADS[1::2])
 def test_an_episode_is_the_same(env_id):
     drive_both(env_id, [31])
+
+
+@pytest.mark.parametrize("kind", ["Linear", "Aggressive", "Defensive"])
+@pytest.mark.parametrize("env_id", ["roundabout-v1", "intersection-v2", "racetrack-v0"])
+def test_an_episode_among_vehicles_of_the_linear_model_is_the_same(env_id, kind):
+    drive_both(env_id, [31], config={"other_vehicles_type": f"highway_env.vehicle.behavior.{kind}Vehicle"})
 
 
 @pytest.mark.slow
@@ -146,6 +154,5 @@ def test_what_is_not_known_is_refused():
         CompiledFrames(gym.make("parking-v0"))
     with pytest.raises(ConfigError, match="show_trajectories"):
         CompiledFrames(gym.make("merge-v0", config={"show_trajectories": True}))
-    linear = {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}
-    with pytest.raises(ConfigError, match="linear"):
-        CompiledFrames(gym.make("roundabout-v0", config=linear))
+    with pytest.raises(ConfigError, match="Dozy has act of its own"):
+        CompiledFrames(gym.make("roundabout-v0", config=UNKNOWN))

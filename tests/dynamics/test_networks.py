@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from highway_env.road.lane import SineLane, StraightLane
 from highway_env.road.road import RoadNetwork
-from highway_env.vehicle.behavior import AggressiveVehicle, IDMVehicle
+from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.objects import Obstacle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from network_pair import INTERSECTIONS, Pair, wild_scene
 from simulator_pair import same_numbers
+from unknown_traffic import Dozy
 
 from dynamics.errors import ConfigError, SceneError
 from dynamics.networks import lanes
@@ -39,6 +40,7 @@ NETWORKS = (
     "u-turn-v0",
     "u-turn-v1",
 )
+LINEAR = tuple(f"highway_env.vehicle.behavior.{name}Vehicle" for name in ("Linear", "Aggressive", "Defensive"))
 OTHERS = (
     "highway-v0",
     "intersection-v0",
@@ -62,6 +64,23 @@ def test_an_episode_is_the_same(env_id, seed):
     drive(Pair(env_id, 400 + seed), np.random.default_rng(seed))
 
 
+@pytest.mark.parametrize("kind", LINEAR)
+@pytest.mark.parametrize("env_id", ["merge-v0", "roundabout-v1", "exit-v0", "u-turn-v0", "two-way-v0"])
+def test_an_episode_among_vehicles_of_the_linear_model_is_the_same(env_id, kind):
+    """Aggressive and Defensive ones included; they were refused on networks."""
+    pair = Pair(env_id, 420, {"other_vehicles_type": kind})
+    assert any(isinstance(v, LinearVehicle) for v in pair.env.road.vehicles)
+    drive(pair, np.random.default_rng(0), 25)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("env_id", NETWORKS)
+@pytest.mark.parametrize("kind", LINEAR)
+def test_thirty_episodes_among_vehicles_of_the_linear_model_are_the_same(env_id, kind):
+    for seed in range(30):
+        drive(Pair(env_id, 2_000 + seed, {"other_vehicles_type": kind}), np.random.default_rng(seed))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("env_id", NETWORKS)
 def test_a_hundred_episodes_are_the_same(env_id):
@@ -69,9 +88,9 @@ def test_a_hundred_episodes_are_the_same(env_id):
         drive(Pair(env_id, 2_000 + seed), np.random.default_rng(seed))
 
 
-def drive_through(env_id, seed, yielded):
+def drive_through(env_id, seed, yielded, config=None):
     """An intersection, three decisions at a time, of which nobody comes during two; `yielded` gets who yielded."""
-    pair, rng = Pair(env_id, seed), np.random.default_rng(seed)
+    pair, rng = Pair(env_id, seed, config), np.random.default_rng(seed)
     for k in range(15):
         action = int(rng.integers(3))
         pair.env._simulate(action)
@@ -89,6 +108,15 @@ def test_an_intersection_is_the_same(env_id):
     yielded = []
     for seed in range(3):
         drive_through(env_id, seed, yielded)
+    assert yielded
+
+
+@pytest.mark.parametrize("kind", LINEAR)
+def test_an_intersection_among_vehicles_of_the_linear_model_is_the_same(kind):
+    """Vehicles of the linear model yield and leave as all others do."""
+    yielded = []
+    for seed in range(3):
+        drive_through("intersection-v0", seed, yielded, {"other_vehicles_type": kind})
     assert yielded
 
 
@@ -227,9 +255,8 @@ def test_what_is_not_known_is_refused():
         simulator.step(5)
     with pytest.raises(ConfigError, match="use step"):
         simulator.hold(0.0, 0.0, 1)
-    linear = AggressiveVehicle(road, road.vehicles[1].position, 0.0, 5.0)
-    road.vehicles[1] = linear
-    with pytest.raises(SceneError, match="linear"):
+    road.vehicles[1] = Dozy(road, road.vehicles[1].position, 0.0, 5.0)
+    with pytest.raises(SceneError, match="Dozy"):
         simulator.load(env)
     road.vehicles.pop()
     assert not simulator.fits(env)

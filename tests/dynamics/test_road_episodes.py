@@ -23,6 +23,7 @@ ROADS = (
     *("roundabout-generic-v0", "roundabout-generic-v1", "exit-v0", "exit-v1", "two-way-v0", "u-turn-v0", "u-turn-v1"),
     *("intersection-v0", "intersection-v1", "intersection-v2"),
 )
+LINEAR = tuple(f"highway_env.vehicle.behavior.{name}Vehicle" for name in ("Linear", "Aggressive", "Defensive"))
 FEATURES = (
     *("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d"),
     *("long_off", "lat_off", "ang_off"),
@@ -72,6 +73,19 @@ def test_an_episode_is_the_same(env_id):
 @pytest.mark.parametrize("env_id", sorted(CONFIGS)[::2])
 def test_an_episode_of_another_configuration_is_the_same(env_id):
     RoadPair(env_id, CONFIGS[env_id]).drive([7], decisions=8)
+
+
+@pytest.mark.parametrize(("env_id", "kind"), zip(ROADS[::2], LINEAR * 3, strict=False))
+def test_an_episode_among_vehicles_of_the_linear_model_is_the_same(env_id, kind):
+    """Their parameters are drawn one by one, and those of who comes to an intersection too."""
+    RoadPair(env_id, {"other_vehicles_type": kind}).drive([33], decisions=12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("env_id", ROADS)
+@pytest.mark.parametrize("kind", LINEAR)
+def test_five_episodes_among_vehicles_of_the_linear_model_are_the_same(env_id, kind):
+    RoadPair(env_id, {"other_vehicles_type": kind}).drive(range(1_000, 1_005))
 
 
 @pytest.mark.slow
@@ -157,7 +171,7 @@ def test_what_is_not_known_is_refused():
         ("merge-v0", {"observation": {"type": "LidarObservation"}}, "observation LidarObservation"),
         ("merge-v0", {"action": {"type": "ContinuousAction"}}, "its own reward does not take"),
         ("merge-v0", {"vehicles": 3, "show_trajectories": True}, "vehicles=3; show_trajectories"),
-        ("exit-v0", {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}, "LinearVehicle"),
+        ("exit-v0", {"other_vehicles_type": "highway_env.vehicle.controller.MDPVehicle"}, "MDPVehicle"),
         ("intersection-v0", {"controlled_vehicles": 2}, "controlled_vehicles=2"),
         ("intersection-v0", {"destination": "ir1"}, "o0 to o3, not 'ir1'"),
     ):

@@ -7,6 +7,7 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
+from unknown_traffic import UNKNOWN
 
 import evaluation.wrappers  # noqa: F401  (registers environments)
 from evaluation.measuring.metrics import summarise
@@ -19,6 +20,7 @@ from shield.decision import Verification
 from shield.errors import ConfigError
 
 LINEAR = {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}
+AGGRESSIVE = {"other_vehicles_type": "highway_env.vehicle.behavior.AggressiveVehicle"}
 TYRES = {"action": {"type": "ContinuousAction", "dynamical": True}}
 NETWORKS = ("merge-v0", "exit-v0", "roundabout-v1", "two-way-v0", "u-turn-v1", "intersection-v0", "intersection-v2")
 
@@ -41,7 +43,9 @@ def idle(env):
         ("highway-fast-v0", {}, Verification.WORST_CASE),
         ("highway-v0", {"action": {"type": "ContinuousAction"}}, Verification.WORST_CASE),
         ("highway-fast-v0", LINEAR, Verification.WORST_CASE),
-        ("merge-v0", LINEAR, Verification.WORST_CASE),
+        ("merge-v0", LINEAR, Verification.SIMULATED),
+        ("roundabout-v1", AGGRESSIVE, Verification.SIMULATED),
+        ("merge-v0", UNKNOWN, Verification.WORST_CASE),
         ("parking-v0", {}, Verification.STANDING),
     ],
 )
@@ -96,9 +100,9 @@ def test_unknown_traffic_is_told_at_construction(caplog):
     with caplog.at_level(logging.INFO, "shield"):
         ShieldedEnv(gym.make("merge-v0"))
         assert not [each for each in caplog.records if each.levelno > logging.INFO]
-        ShieldedEnv(gym.make("merge-v0", config=LINEAR))
+        ShieldedEnv(gym.make("merge-v0", config=UNKNOWN))
     (said,) = [each.getMessage() for each in caplog.records if each.levelno == logging.WARNING]
-    for part in ("MergeEnv", "worst case", "held back more often", "LinearVehicle", 'config="worst-case"'):
+    for part in ("MergeEnv", "worst case", "held back more often", "Dozy", 'config="worst-case"'):
         assert part in said
 
 
@@ -108,7 +112,7 @@ def test_a_reset_that_changes_the_traffic_changes_the_settings(door):
     env = gym.make("merge-v0")
     shielded = ShieldedEnv(env) if door == "env" else Shield(lambda observation: 1, env)
     before = {"other_vehicles_type": env.unwrapped.config["other_vehicles_type"]}
-    for config, kind in ((LINEAR, Verification.WORST_CASE), (before, Verification.SIMULATED)):
+    for config, kind in ((UNKNOWN, Verification.WORST_CASE), (before, Verification.SIMULATED)):
         env.unwrapped.config.update(config)
         if door == "env":
             shielded.reset(seed=1)
@@ -124,7 +128,7 @@ def test_a_reset_that_changes_the_traffic_changes_the_settings(door):
 
 
 def test_each_of_several_environments_has_its_own_settings():
-    env = DummyVecEnv([lambda: gym.make("merge-v0"), lambda: gym.make("merge-v0", config=LINEAR)])
+    env = DummyVecEnv([lambda: gym.make("merge-v0"), lambda: gym.make("merge-v0", config=UNKNOWN)])
     shield = Shield(lambda observation: [1, 1], env)
     shield.predict(env.reset())
     kinds = [Verification.SIMULATED, Verification.WORST_CASE]

@@ -39,10 +39,14 @@ FASTER = 3
         # Vehicles come, and go.
         ("intersection", "faster", range(6)),
         ("intersection", "ppo-intersection", range(2)),
+        # Vehicles of the linear model.
+        ("roundabout aggressive", "faster", range(2)),
+        ("intersection linear", "random", range(2)),
     ],
 )
 def test_side_by_side_is_one_by_one(name, policy, seeds):
-    setting = get_setting(name)
+    road, _, traffic = name.partition(" ")
+    setting = get_setting(road).with_traffic(traffic) if traffic else get_setting(road)
     many = Many(setting, policy, CONFIG, envs=2).run(seeds)
     alone = run_paired(setting, policy, [variant_for(CONFIG)], seeds, simulator="auto", jobs=1)
     alone = alone[list(COLUMNS)].assign(fallbacks=alone[FALLBACKS].sum(axis=1))

@@ -5,6 +5,7 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
 from policies import Always
+from unknown_traffic import UNKNOWN
 
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.errors import ConfigError
@@ -99,6 +100,6 @@ def test_where_highway_env_takes_an_action_late_the_step_is_refused(settings):
 def test_a_reset_to_traffic_that_cannot_be_simulated_is_refused(env_id):
     """It was `bad_scene` in each decision."""
     env = ShieldedEnv(gym.make(env_id), ShieldConfig.exact())
-    env.unwrapped.configure(AGGRESSIVE)
-    with pytest.raises(ConfigError, match="linear model"):
+    env.unwrapped.configure(UNKNOWN)
+    with pytest.raises(ConfigError, match="Dozy has act of its own"):
         env.reset(seed=0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gymnasium as gym
 import numpy as np
-from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.behavior import AggressiveVehicle, DefensiveVehicle, IDMVehicle, LinearVehicle
 from highway_env.vehicle.objects import Obstacle
 from simulator_pair import same_numbers
 
@@ -83,12 +83,18 @@ def wild_scene(env_id, seed, kind=Pair):
         IDMVehicle,
         type("Coach", (IDMVehicle,), {"LENGTH": 11.0, "WIDTH": 2.4, "POLITENESS": 0.4, "DELTA": 2.0}),
         type("Rash", (IDMVehicle,), {"LANE_CHANGE_DELAY": 0.1, "LANE_CHANGE_MIN_ACC_GAIN": -1.0, "TIME_WANTED": 0.4}),
+        AggressiveVehicle,
+        DefensiveVehicle,
+        type(
+            "Hasty", (LinearVehicle,), {"LANE_CHANGE_DELAY": 0.1, "LANE_CHANGE_MIN_ACC_GAIN": -1.0, "POLITENESS": 0.4}
+        ),
     ]
     for _ in range(rng.integers(2, 9)):
         lane = network.get_lane(keys[rng.integers(len(keys))])
         s = rng.uniform(-8, lane.length + 8)
         at, heading = lane.position(s, rng.normal(0, 1.5)), lane.heading_at(s) + rng.normal(0, 0.3)
-        vehicle = kinds[rng.integers(3)](road, at, heading, rng.uniform(-3, 25), enable_lane_change=rng.random() < 0.8)
+        drives = kinds[rng.integers(len(kinds))]
+        vehicle = drives(road, at, heading, rng.uniform(-3, 25), enable_lane_change=rng.random() < 0.8)
         if rng.random() < 0.7:
             nodes = sorted({key[1] for key in keys})
             vehicle.plan_route_to(nodes[rng.integers(len(nodes))])

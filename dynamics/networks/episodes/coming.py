@@ -8,7 +8,7 @@ from typing import NamedTuple
 from dynamics.compiled import uncounted
 from dynamics.networks.engine import NetworkRules, NetworkWork, NetworkWorlds, advance, traffic_of
 from dynamics.networks.episodes.draws import normal, two_of
-from dynamics.networks.episodes.placing import Scene, plan, put, vary
+from dynamics.networks.episodes.placing import Scene, plan, put
 from dynamics.networks.lanes import heading_at, place
 from dynamics.networks.layout import ALONG, FRAMES, LEAVES, ROUTE_END, F, G
 from dynamics.networks.routes import Traffic
@@ -22,13 +22,14 @@ from dynamics.simulator.layout import (
     LANE_LENGTH,
     LANE_LIMIT,
     LENGTH,
+    LINEAR,
     TARGET_SPEED,
     P,
     X,
     Y,
 )
 from dynamics.simulator.random import Row, below, uniform
-from dynamics.simulator.scene import speed_index
+from dynamics.simulator.scene import randomize, speed_index
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["Coming", "leave_and_come", "populate"]
@@ -87,7 +88,7 @@ def _come(
             return i
     put(scene, traffic, i, False, x, y, heading_at(lanes, coming.arms[start], s), speed)
     plan(scene, traffic, i, goal)
-    vary(row, scene, traffic.p, i)
+    randomize(row, scene.kind, scene.ranges, traffic.p, i)
     return i + 1
 
 
@@ -195,7 +196,7 @@ def leave_and_come(
         lane = g[LANE, i]
         leaves = rules.network.ids[lane, LEAVES] != 0
         leaves = leaves and worlds.f[e, ALONG, i] >= lanes[lane, LANE_LENGTH] - 4 * p[LENGTH, i]
-        busy[i] = 1 if g[KIND, i] == IDM and (leaves or g[ROUTE_END, i] < 0) else 0
+        busy[i] = 1 if g[KIND, i] in (IDM, LINEAR) and (leaves or g[ROUTE_END, i] < 0) else 0
     traffic = traffic_of(machine, worlds, rules.network, e)
     _keep(worlds, traffic, e, busy)
     n = worlds.counts[e, 0]

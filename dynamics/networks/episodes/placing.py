@@ -46,10 +46,8 @@ from dynamics.simulator.layout import (
     CHECKS,
     COS,
     DELAY,
-    DELTA,
     EGO,
     HEADING,
-    IDM,
     KIND,
     LANE,
     LANE_LIMIT,
@@ -64,10 +62,10 @@ from dynamics.simulator.layout import (
 )
 from dynamics.simulator.loops import at
 from dynamics.simulator.random import Row, below, uniform
-from dynamics.simulator.scene import speed_index
+from dynamics.simulator.scene import randomize, speed_index
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["Scene", "plan", "put", "put_row", "vary"]
+__all__ = ["Scene", "plan", "put", "put_row"]
 
 _COS, _SIN = 3, 4
 
@@ -78,7 +76,8 @@ class Scene(NamedTuple):
     Attributes
     ----------
     rows, choices : (n, NUMBERS) and (n, INTEGERS), see `tables`.
-    constants : (2, P), of the ego and of the traffic. habits : (2,), what exponents are drawn from.
+    constants : (2, P), of the ego and of the traffic. kind : of the traffic, IDM or LINEAR.
+    ranges : (6, 2), what its parameters are drawn from (see `dynamics.simulator.kinds.ranges_of`).
     ego : its kind, and whether its tyres slip.
     target_speeds : of the ego [m/s].
     ways : (nodes, goals, entries), the roads from a node to a goal, -1 after the last.
@@ -92,7 +91,8 @@ class Scene(NamedTuple):
     rows: FloatArray
     choices: IntArray
     constants: FloatArray
-    habits: FloatArray
+    kind: int
+    ranges: FloatArray
     ego: tuple[int, int]
     target_speeds: FloatArray
     ways: IntArray
@@ -134,7 +134,7 @@ def put(scene: Scene, traffic: Traffic, i: int, ego: bool, x: float, y: float, h
     g[TARGET, i] = g[LANE, i]
     g[CHECKS, i], g[CHANGES, i], g[ROUTE_END, i] = 1, 1, -1
     if not ego:
-        g[KIND, i], f[TARGET_SPEED, i] = IDM, speed
+        g[KIND, i], f[TARGET_SPEED, i] = scene.kind, speed
         f[TIMER, i] = ((x + y) * math.pi) % p[DELAY, i]
         return
     g[KIND, i], g[DYNAMICAL, i] = scene.ego
@@ -157,12 +157,6 @@ def plan(scene: Scene, traffic: Traffic, i: int, goal: int) -> None:
     g[ROUTE, i], g[ROUTE_END, i] = 0, n
 
 
-@inlined
-def vary(row: Row, scene: Scene, p: FloatArray, i: int) -> None:
-    """Draw the exponent of a vehicle: highway-env's `randomize_behavior`."""
-    p[DELTA, i] = uniform(row, scene.habits[0], scene.habits[1])
-
-
 @uncounted
 def _settle(row: Row, scene: Scene, traffic: Traffic, i: int, k: int) -> None:
     """What row k has of a vehicle beside its place and speed."""
@@ -170,7 +164,7 @@ def _settle(row: Row, scene: Scene, traffic: Traffic, i: int, k: int) -> None:
     if choices[GOAL] >= 0 and (choices[WHOSE] != EGO_ROW or g[KIND, i] == EGO):
         plan(scene, traffic, i, choices[GOAL] + below(row, choices[GOALS]))
     if choices[VARIES]:
-        vary(row, scene, traffic.p, i)
+        randomize(row, scene.kind, scene.ranges, traffic.p, i)
     if not math.isnan(scene.rows[k, WANTED]):
         f[TARGET_SPEED, i] = scene.rows[k, WANTED]
     g[CHANGES, i] = choices[MAY_CHANGE]

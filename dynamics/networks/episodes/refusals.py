@@ -14,7 +14,6 @@ from highway_env.vehicle.behavior import IDMVehicle
 from dynamics.errors import ConfigError
 from dynamics.networks.episodes.rewards import CROSSING, EXITING, MERGING, NAMES, ROUND, TURNING, TWO_WAY
 from dynamics.simulator.kinds import kind_of, mix_of
-from dynamics.simulator.layout import IDM
 from dynamics.simulator.observe import FEATURES
 
 __all__ = ["is_world", "kind_of_world", "refusals", "worlds_known"]
@@ -74,7 +73,8 @@ def refusals(kind: type[Any], config: Mapping[str, Any]) -> list[str]:
         refused.append(f"duration={config['duration']}")
     try:
         traffic = utils.class_from_path(config["other_vehicles_type"])
-        if kind_of(traffic) != IDM or len(mix_of(traffic)) > 1 or not issubclass(traffic, IDMVehicle):
+        kind_of(traffic)
+        if len(mix_of(traffic)) > 1 or not issubclass(traffic, IDMVehicle):
             refused.append(f"other_vehicles_type={traffic.__name__}")
     except (ConfigError, AttributeError, ImportError, ValueError) as error:
         refused.append(f"other_vehicles_type={config['other_vehicles_type']} ({error})")

@@ -30,7 +30,7 @@ from dynamics.networks.layout import ACROSS, ALONG, ROAD, F, G
 from dynamics.networks.network import Network, index_of, network_of
 from dynamics.networks.refusals import customs_of, exits_of
 from dynamics.scenes.registration import spec_of
-from dynamics.simulator.kinds import constants_of, ranges_of
+from dynamics.simulator.kinds import constants_of, kind_of, ranges_of
 from dynamics.simulator.layout import ACC_MAX, COMFORT, CONTINUOUS, EGO, LANE, MAX_SPEED, MIN_SPEED, OBSTACLE, TARGET, P
 from dynamics.simulator.live import load_body
 from dynamics.simulator.observe import FEATURES
@@ -234,7 +234,8 @@ def _scene(
         rows=rows,
         choices=choices,
         constants=np.array([ego, constants_of(traffic)]),
-        habits=ranges_of(traffic)[0].copy(),
+        kind=kind_of(traffic),
+        ranges=ranges_of(traffic),
         ego=(CONTINUOUS if inputs else EGO, int(isinstance(base.vehicle, BicycleVehicle))),
         target_speeds=target_speeds,
         ways=ways,

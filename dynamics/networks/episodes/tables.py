@@ -43,7 +43,7 @@ WHOSE, LAW, MANY, TRIES, FIRST_LANE, LANES, DRAWN, HEADED, GOAL, GOALS, VARIES, 
 """Integers of a row: EGO_ROW or 1 for the traffic; AT, SCATTERED or QUEUE; how many vehicles, and how often a place is
 looked for for each; the first lane, and of how many it is drawn; STEADY, UNIFORM or NORMAL, what is drawn; whether it
 is headed along its lane, not along x; the first goal, -1 without a route, and of how many it is drawn; whether its
-exponent is drawn; whether it may change lanes; the lane that it is bound for, -1 for its own."""
+parameters are drawn; whether it may change lanes; the lane that it is bound for, -1 for its own."""
 INTEGERS = 13
 
 EGO_ROW = 0

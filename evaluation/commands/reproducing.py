@@ -42,7 +42,12 @@ def reproduce_command(
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Training seeds.")] = 10,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each row and training seed.")] = 1_000,
-    pooled: Annotated[int, typer.Option(min=1, help="The same of rows that are driven one episode at a time.")] = 30,
+    pooled: Annotated[
+        int,
+        typer.Option(
+            min=1, help="The same of rows that take long: driven one at a time, or simulated on a roundabout."
+        ),
+    ] = 30,
     steps: Annotated[int | None, typer.Option(min=1, help="Training steps; by default the preset's.")] = None,
     road: Annotated[
         list[str] | None, typer.Option(help="Of shields: only these roads (repeatable, or a comma list).")

@@ -1,4 +1,4 @@
-"""Many compiled highways at once, with the report's sensor, columns and override around them."""
+"""Many compiled roads at once, with the report's sensor, columns and override around them."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from dynamics.state import BoolArray, FloatArray, IntArray
 from evaluation.reproduction import script, text
-from evaluation.reproduction.live_road import LiveRoad
 from evaluation.reproduction.presets import Preset
 from evaluation.reproduction.variants import Variant
 from evaluation.settings import Setting, get_setting
 from shield.batch.arrays import Records
 from shield.batch.vocabulary import OVERRIDES
 from shield.config import ShieldConfig
-from shield.exact.batches import highways_for
+from shield.exact.batches import batch_for
 
 __all__ = ["NOISE_STREAM", "ReportBatch", "Shown", "setting_for", "shield_for"]
 
@@ -36,12 +35,12 @@ def setting_for(preset: Preset, variant: Variant) -> Setting:
     return preset.setting.override({"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 15, 30]}})
 
 
-def shield_for(variant: Variant) -> ShieldConfig:
-    """The shield's settings of a variant: `ShieldedEnv`'s defaults, those of `Shield` with actions alone that reads the
-    simulator's state, or of mode "none"."""
+def shield_for(variant: Variant, road: str = "highway") -> ShieldConfig:
+    """The shield's settings of a variant on a road, "highway" or "roundabout": those that `ShieldedEnv` takes there by
+    itself, those of `Shield` with actions alone that reads the simulator's state, or of mode "none"."""
     if not variant.shield:
         return ShieldConfig(mode="none")
-    return ShieldConfig() if variant.shield == "env" else ShieldConfig.exact()
+    return ShieldConfig() if variant.shield == "env" and road == "highway" else ShieldConfig.exact()
 
 
 def _overridden(records: Records) -> BoolArray:
@@ -107,11 +106,11 @@ class ReportBatch:
 
     Parameters
     ----------
-    preset, variant : what they are. num_envs : how many; one where the preset is driven live.
+    preset, variant : what they are. num_envs : how many.
 
     Attributes
     ----------
-    highways : the traffic, and the shield: compiled, or a `LiveRoad`.
+    highways : the traffic, and the shield.
     shown : what the policy is shown, (e, n, f) float32. steps : decisions that each episode has had, (e,).
     replaced : in which environments the report's rule replaced the last action, (e,).
     overridden : in which the shield did something else than it was asked for, (e,).
@@ -119,10 +118,8 @@ class ReportBatch:
 
     def __init__(self, preset: Preset, variant: Variant, num_envs: int) -> None:
         self.preset, self.variant = preset, variant
-        setting, config = setting_for(preset, variant), shield_for(variant)
-        self.highways: Any = LiveRoad(setting, variant) if preset.live else None
-        if self.highways is None:
-            self.highways = highways_for(config)(setting.env_id, num_envs, setting.configured, config)
+        setting, config = setting_for(preset, variant), shield_for(variant, preset.road)
+        self.highways: Any = batch_for(setting.env_id, config)(setting.env_id, num_envs, setting.configured, config)
         observed: Any = self.highways.simulator.scenario.observation_space
         self._sensor = Shown(preset, variant, num_envs, observed.shape[0], self.highways.steps)
         self.steps: IntArray = np.zeros(num_envs, np.intp)
@@ -152,7 +149,7 @@ class ReportBatch:
         elif self.variant.override:
             given, self.replaced = script.overriding_action(self.shown, given)
         self.highways.step(given)
-        self.overridden = self.highways.overridden if self.preset.live else _overridden(self.highways.records)
+        self.overridden = _overridden(self.highways.records)
         self.steps = np.minimum(self.steps + 1, self.highways.steps)
         self._show(self.highways.simulator.seen.observations, np.arange(len(self.steps)))
 

@@ -16,10 +16,9 @@ from evaluation.reproduction.presets import Preset
 from evaluation.reproduction.script import counts_as_lane_change
 from evaluation.reproduction.skilled import SkillRun
 from evaluation.reproduction.variants import Variant
-from evaluation.running.counting import driving
 from evaluation.threads import one_thread
 
-__all__ = ["COLUMNS", "drive_live", "drive_many"]
+__all__ = ["COLUMNS", "drive_many"]
 
 _ENVS = 200
 _SLOWER = 4
@@ -140,54 +139,6 @@ def drive_many(
                 rows[place[e]] = {"seed": int(seeds[place[e]]), **_row(tallies, sums, e, batch.shown.shape[2] > 5)}
             if over.size:
                 follow(over)
-    return pd.DataFrame(rows)[list(COLUMNS)]
-
-
-def drive_live(preset: Preset, variant: Variant, model: _Policy | None, seeds: Sequence[int]) -> pd.DataFrame:
-    """The same in highway-env itself, one episode at a time (see `ReportBatch`).
-
-    Parameters
-    ----------
-    preset, variant, model, seeds : as of `drive_many`.
-    """
-    rows = []
-    with one_thread():
-        batch = ReportBatch(preset, variant, 1)
-        driver, road = _Driver(batch, model), batch.highways
-        for seed in seeds:
-            batch.begin([int(seed)], [0])
-            road.record()
-            sums, total, steps, overridden = _Sums(1), 0.0, 0, 0
-            frames, fallbacks, violations = 0, 0, 0
-            if driver.skills is not None:
-                driver.skills.begin(0)
-            while not (road.seen.terminated[0] or road.seen.truncated[0]):
-                driver.step(sums)
-                total, steps = total + float(road.seen.reward[0]), steps + 1
-                overridden += bool(road.overridden[0])
-                frames += int(road.report.get("frames_overridden", 0))
-                fallbacks += road.report.get("guarantee") == "none"
-                violations += int(road.report.get("violations", 0))
-            history = road.history()
-            rows.append(
-                {
-                    "seed": int(seed),
-                    "crashed": history.crash_frame is not None,
-                    "off_road": history.off_road,
-                    "return": total,
-                    "steps": steps,
-                    "mean_speed": driving(history)["mean_speed"],
-                    "min_gap": history.min_gap(),
-                    "overridden": overridden,
-                    "frames": len(history.states) - 1,
-                    "frames_overridden": frames,
-                    "fallbacks": fallbacks,
-                    "violations": violations,
-                    "confidence": float(sums.confidence[0] / steps) if batch.shown.shape[2] > 5 else float("nan"),
-                    **{name: int(counts[0]) for name, counts in sums.counts.items()},
-                    "simulator": "highway-env",
-                }
-            )
     return pd.DataFrame(rows)[list(COLUMNS)]
 
 

@@ -75,11 +75,6 @@ class Preset:
     scale: Scale = HIGHWAY
 
     @property
-    def live(self) -> bool:
-        """Whether its episodes are driven in highway-env itself, one at a time."""
-        return self.road != "highway"
-
-    @property
     def gamma(self) -> float:
         """The discount of a decision."""
         return float(self.hyperparameters["gamma"])

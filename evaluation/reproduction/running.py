@@ -19,7 +19,7 @@ import pandas as pd
 
 from evaluation.learning.algorithms import get_algorithm, load_model
 from evaluation.reproduction.batch import ReportBatch
-from evaluation.reproduction.driving import drive_live, drive_many
+from evaluation.reproduction.driving import drive_many
 from evaluation.reproduction.learning import hyperparameters, is_trained, train_variant
 from evaluation.reproduction.live import drive_one_by_one
 from evaluation.reproduction.presets import Preset
@@ -35,18 +35,16 @@ from shield.errors import ConfigError
 __all__ = ["FIRST_SEED", "Reproduction", "first_seed", "run", "why_not"]
 
 FIRST_SEED = 970_000
-"""Seed of the first episode of the first training seed."""
-_FIRST_ON_ROUNDABOUT = 1_740_000
-"""The same on the roundabout."""
-_STRIDE = 10_000
-"""Training seed k has the episodes from FIRST_SEED + k * _STRIDE on."""
+"""Seed of the first episode of the first training seed on the highway."""
+_SEEDS = {"highway": (FIRST_SEED, 10_000), "roundabout": (1_830_000, 1_000)}
+"""Of each road (first, stride): training seed k has the episodes from first + k * stride on."""
 _SHOWN = 6
 _PHASES = ("training", "driving")
 
 
 def first_seed(preset: Preset) -> int:
     """Seed of the first episode of the first training seed."""
-    return FIRST_SEED if preset.road == "highway" else _FIRST_ON_ROUNDABOUT
+    return _SEEDS[preset.road][0]
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,7 @@ class Reproduction:
     Attributes
     ----------
     preset, variants : see there. seeds : training seeds, from 0 on.
-    episodes : of each variant and training seed; pooled : of those that are driven one by one, all on the roundabout.
+    episodes : of each variant and training seed; pooled : of those that take long (`takes_long`).
     steps : of training.
     """
 
@@ -71,13 +69,22 @@ class Reproduction:
         for name in ("seeds", "episodes", "pooled", "steps"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"{name} must be at least 1, not {getattr(self, name)}")
-        if self.episodes > _STRIDE:
-            raise ConfigError(f"episodes are at most {_STRIDE:,} for each training seed, not {self.episodes:,}")
+        most = _SEEDS[self.preset.road][1]
+        if max(self.episodes, self.pooled) > most:
+            raise ConfigError(
+                f"episodes are at most {most:,} for each training seed, not {max(self.episodes, self.pooled):,}"
+            )
 
     def scenes(self, variant: Variant, seed: int) -> range:
         """Seeds of the episodes of a training seed; the same for all variants."""
-        first = first_seed(self.preset) + _STRIDE * seed
-        return range(first, first + (self.pooled if variant.pooled or self.preset.live else self.episodes))
+        first, stride = _SEEDS[self.preset.road]
+        first += stride * seed
+        return range(first, first + (self.pooled if self.takes_long(variant) else self.episodes))
+
+    def takes_long(self, variant: Variant) -> bool:
+        """Whether a variant has `pooled` episodes: it is driven one episode at a time, or behind a shield that
+        simulates the traffic on the roundabout, where the car cannot stop."""
+        return variant.pooled or (bool(variant.shield) and self.preset.road == "roundabout")
 
     def told(self, variant: Variant) -> dict[str, Any]:
         """What determines the rows of a variant, as plain values."""
@@ -91,14 +98,17 @@ class Reproduction:
 def why_not(preset: Preset, variant: Variant) -> str:
     """Why a variant cannot be had here; "" where it can."""
     try:
-        if variant.default_road and not preset.live:
+        on_highway = preset.road == "highway"
+        if variant.default_road and on_highway:
             return "it is driven on the roundabout"
+        if variant.observed and not on_highway:
+            return "scenes are made from observations on straight highways only"
+        if variant.shield == "actions" and not on_highway:
+            return "on this road ShieldedEnv replaces whole actions too, and its row is this one"
         if variant.learner == "cem":
-            (roundabout_policy if preset.live else highway_policy)(preset.setting.make())
+            (highway_policy if on_highway else roundabout_policy)(preset.setting.make())
         elif variant.learner:
             get_algorithm(variant.learner)
-        if variant.observed and preset.live:
-            return "scenes are made from observations on straight highways only"
         if not variant.pooled:
             ReportBatch(preset, variant, 1)
     except ConfigError as error:
@@ -229,7 +239,7 @@ def _part(
     trained = _Clock.now()
     if variant.learner and variant.learner != "cem":
         model = load_model(path)
-    drive = drive_one_by_one if variant.pooled else drive_live if preset.live else drive_many
+    drive = drive_one_by_one if variant.pooled else drive_many
     driven = drive(preset, variant, model, left)
     driven_at = _Clock.now()
     driven.insert(0, "preset", preset.name)

@@ -25,9 +25,8 @@ def write(episodes: pd.DataFrame, experiment: Reproduction, folder: Path) -> str
     judged = {"preset": experiment.preset.name, "claims": [each.plain() for each in verdicts]}
     (folder / "verdict.json").write_text(json.dumps(judged, indent=2) + "\n", encoding="utf-8")
     left_out = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["left out"]
-    preset, of_each = experiment.preset, f"{experiment.pooled:,} episodes each"
-    if not preset.live:
-        of_each = f"{experiment.episodes:,} episodes each ({experiment.pooled:,} of rows that are driven one at a time)"
+    preset = experiment.preset
+    of_each = f"{experiment.episodes:,} episodes each ({experiment.pooled:,} of rows that take long)"
     lines = [
         f"# The report's {preset.road}, {preset.name}: {preset.description}",
         f"{experiment.seeds} training seeds of {experiment.steps:,} steps, {of_each}, seeds from "

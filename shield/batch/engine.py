@@ -30,14 +30,14 @@ from shield.batch.supervising import supervise
 from shield.batch.vocabulary import TIERS
 from shield.decision import Tier
 
-__all__ = ["step_all_shielded"]
+__all__ = ["let_pass", "step_all_shielded"]
 
 _PASSED, _OFF = TIERS.index(Tier.PASSED), TIERS.index(Tier.OFF)
 _NO_TARGET = -1, 0.0
 
 
 @uncounted
-def _pass(records: Records, e: int, proposed: int) -> None:
+def let_pass(records: Records, e: int, proposed: int) -> None:
     """Without a shield, what is proposed is executed."""
     records.proposed[e] = records.executed[e] = proposed
     records.tier[e], records.reason[e], records.margin[e] = _OFF, 0, math.nan
@@ -87,7 +87,7 @@ def step_all_shielded(
         for k in range(by_rule.shape[0]):
             broken[k] = -by_rule[k]
         if off:
-            _pass(records, e, proposed)
+            let_pass(records, e, proposed)
         else:
             decide(bench, e, proposed, orders[e])
         lane, speed = _NO_TARGET

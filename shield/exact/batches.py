@@ -13,9 +13,10 @@ __all__ = ["batch_for", "highways_for"]
 
 
 def batch_for(env_id: str, config: ShieldConfig) -> type[FilteredHighways]:
-    """What drives so many copies of an environment at once: `ExactRoads` on a road network that is simulated, on
-    all others `highways_for`; each refuses what it cannot do."""
-    return ExactRoads if config.assumptions.simulated and on_roads(env_id) else highways_for(config)
+    """What drives so many copies of an environment at once: `ExactRoads` on a road network that is simulated or driven
+    without a shield, on all others `highways_for`; each refuses what it cannot do."""
+    alone = config.assumptions.simulated or config.mode == "none"
+    return ExactRoads if alone and on_roads(env_id) else highways_for(config)
 
 
 def highways_for(config: ShieldConfig) -> type[FilteredHighways]:

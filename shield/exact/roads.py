@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -20,7 +21,9 @@ from dynamics.simulator.layout import LANE
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.crossing import make
 from shield.batch.arrays import Records
+from shield.batch.engine import let_pass
 from shield.batch.vocabulary import TIERS
+from shield.config import ShieldConfig
 from shield.decision import Tier
 from shield.errors import ConfigError
 from shield.exact.deciding import Plans, decide
@@ -41,7 +44,7 @@ class ExactRoads(ExactHighways):
     Parameters
     ----------
     env_id, num_envs, config, threads : as of `RoadSimulator`.
-    shield : as of `ExactHighways`.
+    shield : as of `ExactHighways`, or settings of mode "none": what is proposed is executed.
 
     Raises
     ------
@@ -64,6 +67,10 @@ class ExactRoads(ExactHighways):
     """
 
     simulator: Any
+
+    def _settings(self, shield: ShieldConfig | str | Path | None) -> ShieldConfig:
+        config = ShieldConfig.of(shield, ShieldConfig.exact())
+        return config if config.mode == "none" else super()._settings(config)
 
     def _traffic(self, env_id: str, num_envs: int, config: Mapping[str, Any] | None, tape: bool) -> RoadSimulator:
         if tape:
@@ -129,11 +136,18 @@ class ExactRoads(ExactHighways):
             orders,
             self.rows,
             self.off_road,
+            self.config.mode == "none",
             first,
             last,
             again,
         )
         simulator.check_room()
+
+    def _mask(self, part: int, first: int, last: int, masks: BoolArray) -> None:
+        if self.config.mode == "none":
+            masks[first:last] = True
+        else:
+            super()._mask(part, first, last, masks)
 
 
 @inlined
@@ -164,14 +178,23 @@ def _step_all(
     orders: IntArray,
     rows: FloatArray,
     off_road: BoolArray,
+    off: bool,
     first: int,
     last: int,
     again: bool,
 ) -> None:
-    """A decision in each of the environments from `first` to `last`; see `shield.exact.engine.step_all_exact`."""
+    """A decision in each of the environments from `first` to `last`; see `shield.exact.engine.step_all_exact`.
+
+    Parameters
+    ----------
+    off : whether what is proposed is executed, unverified.
+    """
     machine, worlds = search.machine, episodes.worlds
     for e in range(first, last):
-        decide(search, plans, records, worlds, e, actions[e], orders[e])
+        if off:
+            let_pass(records, e, actions[e])
+        else:
+            decide(search, plans, records, worlds, e, actions[e], orders[e])
         search.given[0], search.given[1] = records.executed[e], 0.0
         begin(machine, episodes, rules, e, search.given)
         for k in range(rules.drive.numbers[0]):

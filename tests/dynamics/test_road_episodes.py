@@ -31,6 +31,14 @@ FEATURES = (
 CONFIGS = {
     "merge-v1": {"lane_change_reward": -0.3, "reward_speed_range": [15, 33], "simulation_frequency": 10},
     "merge-generic-v1": {"lanes_count": 3, "vehicles_count": 9, "parallel_merge_length": 60},
+    "roundabout-v0": {
+        "duration": 60,
+        "policy_frequency": 15,
+        "action": {"type": "DiscreteMetaAction", "target_speeds": [20, 25, 30]},
+        "other_vehicles_type": "highway_env.vehicle.behavior.AggressiveVehicle",
+        "reward_speed_range": [20, 20],
+        "normalize_reward": False,
+    },
     "roundabout-v1": {"incoming_vehicle_destination": 1, "normalize_reward": False, "right_lane_reward": 0.3},
     "roundabout-generic-v0": {"roundabout_lanes": 3, "roundabout_radius": 30, "vehicles_count": 9, "duration": 4},
     "exit-v1": {"lanes_count": 3, "vehicles_count": 8, "normalize_reward": False, "policy_frequency": 2},

@@ -161,6 +161,32 @@ def test_what_cannot_be_had_says_why():
     assert why_not(PRESETS["as-coded"], VARIANTS["trained-inside"]) == ""
 
 
+def test_the_roundabout_is_compiled_and_has_seeds_of_its_own(tmp_path):
+    """Rows behind the shield, which simulates the traffic there, have the smaller count."""
+    variants = tuple(get_variants(["faster", "shielded-env"], "roundabout"))
+    asked = Reproduction(get_preset("as-coded", "roundabout"), variants, seeds=2, episodes=3, pooled=1, steps=64)
+    rows = run(asked, tmp_path)
+    assert rows.groupby("variant").size().to_dict() == {"faster": 6, "noise": 6, "shielded-env": 2}
+    assert sorted(set(rows["seed"])) == [1_830_000, 1_830_001, 1_830_002, 1_831_000, 1_831_001, 1_831_002]
+    assert set(rows["simulator"]) == {"compiled"}
+    with pytest.raises(ConfigError, match="at most 1,000 for each training seed, not 1,001"):
+        Reproduction(asked.preset, variants, episodes=1_001)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("shield-actions", "its row is this one"),
+        ("shielded-env-observed", "straight highways only"),
+        ("cem", "15 Hz"),
+        ("trained-inside-masks", ""),
+    ],
+)
+def test_what_the_roundabout_leaves_out_says_why(name, reason):
+    found = why_not(get_preset("as-coded", "roundabout"), VARIANTS[name])
+    assert (reason in found) if reason else not found
+
+
 def episodes(rates, n=200, **columns):
     """Episodes of variants with these crash rates, two training seeds each."""
     frames = []

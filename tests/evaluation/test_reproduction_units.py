@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from dynamics.simulator.env import CompiledHighwayEnv
 from evaluation.reproduction import script, text
 from evaluation.reproduction.batch import ReportBatch
-from evaluation.reproduction.driving import drive_live, drive_many
+from evaluation.reproduction.driving import drive_many
 from evaluation.reproduction.env import ReportEnv
 from evaluation.reproduction.presets import PRESETS, ROUNDABOUT_PRESETS
 from evaluation.reproduction.skilled import SkillRun
@@ -254,7 +254,7 @@ def test_what_is_near_on_the_roundabout_is_near_in_metres():
 def test_the_roundabout_is_that_of_highway_env(name):
     """Returns, lengths and crashes of a constant policy are those of the environment itself."""
     preset, variant = ROUNDABOUT_PRESETS[name], VARIANTS["faster"]
-    rows, env = drive_live(preset, variant, None, [5, 6]), preset.setting.make()
+    rows, env = drive_many(preset, variant, None, [5, 6]), preset.setting.make()
     for _, row in rows.iterrows():
         env.reset(seed=int(row["seed"]))
         total, steps, done = 0.0, 0, False
@@ -281,7 +281,7 @@ def test_undisturbed_the_scripts_car_leaves_the_roundabout_after_124_steps():
 
 def test_the_provided_baselines_return_is_that_of_a_stopped_car():
     """Published as 9.17 with no crash."""
-    rows = drive_live(ROUNDABOUT_PRESETS["as-coded"], VARIANTS["provided-baseline"], None, range(3))
+    rows = drive_many(ROUNDABOUT_PRESETS["as-coded"], VARIANTS["provided-baseline"], None, range(3))
     assert rows["return"].tolist() == pytest.approx([9.17] * 3, abs=0.01)
     assert not rows["crashed"].any()
 
@@ -290,10 +290,10 @@ def test_skills_and_the_shield_drive_on_the_roundabout():
     """What is counted of a short episode behind the shield; a skill that is overridden ends at that step."""
     preset = ROUNDABOUT_PRESETS["as-coded"]
     preset = replace(preset, setting=preset.setting.override({"duration": 3}))
-    rows = drive_live(preset, VARIANTS["skills-inside"], Hashing(5), [11, 12])
+    rows = drive_many(preset, VARIANTS["skills-inside"], Hashing(5), [11, 12])
     assert (rows["decisions"] < rows["steps"]).all()
     assert (rows["steps"] <= 45).all()
     assert (rows["overridden"] <= rows["decisions"]).all()
     assert rows["overridden"].sum() > 0
-    bare = drive_live(preset, VARIANTS["noise"], Hashing(5), [11, 12])
+    bare = drive_many(preset, VARIANTS["noise"], Hashing(5), [11, 12])
     assert not bare["overridden"].any()

@@ -7,6 +7,7 @@ import pytest
 
 from dynamics.errors import ConfigError
 from dynamics.networks.engine import ego_of
+from dynamics.networks.episodes.simulator import RoadSimulator
 from dynamics.networks.layout import CROSSES
 from dynamics.simulator.layout import LANE, SPEED
 from evaluation.running.certify import COLUMNS, FALLBACKS
@@ -220,6 +221,24 @@ def test_episodes_follow_one_another():
         _, _, terminated, truncated = roads.step([1], again=True)
     assert truncated[0] or terminated[0] or roads.plans.length[0]
     assert roads.simulator.episodes.decisions[0] < 3
+
+
+@pytest.mark.parametrize("name", ["roundabout", "intersection"])
+def test_without_a_shield_what_is_proposed_is_executed(name):
+    """The same episodes as in the simulator alone."""
+    setting = get_setting(name)
+    roads = ExactRoads(setting.env_id, 2, setting.configured, ShieldConfig(mode="none"))
+    alone = RoadSimulator(setting.env_id, 2, setting.configured)
+    assert np.array_equal(roads.reset([3, 4]), alone.reset([3, 4]))
+    for k in range(6):
+        actions = np.array([k % 3, (k + 1) % 3])
+        for one, other in zip(roads.step(actions), alone.step(actions), strict=True):
+            assert np.array_equal(one, other)
+        assert np.array_equal(roads.records.executed, actions)
+        assert {TIERS[tier] for tier in roads.records.tier} == {Tier.OFF}
+    assert roads.masks().all()
+    with pytest.raises(ConfigError, match="meta-actions from 0 to"):
+        roads.step(np.array([9, 0]))
 
 
 def test_what_cannot_be_is_refused():

@@ -36,6 +36,8 @@ _WORLDS: dict[type, int] = {
     intersection_env.ConnectedLaneIntersectionEnv: CROSSING,
     intersection_env.ContinuousIntersectionEnv: CROSSING,
 }
+_READ_ELSEWHERE = ("reward_speed_range",)
+"""Keys of some roads that change nothing on the others, in highway-env as here."""
 _VIEWS = ("Kinematics", "ExitObservation", "TimeToCollision")
 
 
@@ -64,7 +66,7 @@ def kind_of_world(kind: type) -> int:
 
 def refusals(kind: type[Any], config: Mapping[str, Any]) -> list[str]:
     """All that is refused of the whole configuration of an environment; nothing where it can be run."""
-    known = {*kind.default_config(), *NAMES[kind_of_world(kind)]}
+    known = {*kind.default_config(), *NAMES[kind_of_world(kind)], *_READ_ELSEWHERE}
     refused = [f"{key}={config[key]!r}" for key in sorted(config.keys() - known)]
     if config.get("controlled_vehicles", 1) != 1:
         refused.append(f"controlled_vehicles={config['controlled_vehicles']}")

@@ -25,7 +25,16 @@ from dynamics.networks.episodes.observe import AHEAD, EXIT, KINEMATICS, View
 from dynamics.networks.episodes.places import Places, places_of
 from dynamics.networks.episodes.placing import Scene
 from dynamics.networks.episodes.refusals import is_world, kind_of_world, refusals
-from dynamics.networks.episodes.rewards import CROSSING, EXITING, MERGING, NAMES, TURNING, Worth
+from dynamics.networks.episodes.rewards import (
+    CROSSING,
+    EXITING,
+    MERGING,
+    NAMES,
+    ROUND,
+    TURNING,
+    TWO_WAY,
+    Worth,
+)
 from dynamics.networks.layout import ACROSS, ALONG, ROAD, F, G
 from dynamics.networks.network import Network, index_of, network_of
 from dynamics.networks.refusals import customs_of, exits_of
@@ -280,7 +289,8 @@ def _worth(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> Worth:
         most += float(config["left_lane_reward"])
     elif kind == CROSSING:
         most = float(config["arrived_reward"])
-    slow, fast = (float(v) for v in config.get("reward_speed_range", (0.0, 1.0)))
+    read = kind not in (ROUND, TWO_WAY)
+    slow, fast = (float(v) for v in config.get("reward_speed_range", (0.0, 1.0))) if read else (0.0, 1.0)
     ends = kind == MERGING
     return Worth(
         kind=kind,

@@ -63,8 +63,8 @@ def fold(model: BaseAlgorithm, statistics: VecNormalize | None = None) -> None:
     if env is None or not env.norm_obs:
         raise ConfigError("this model was trained without normalised observations; have nothing to fold")
     moments: Any = env.obs_rms
-    mean = torch.as_tensor(moments.mean.reshape(-1))
-    sigma = torch.as_tensor(np.sqrt(moments.var.reshape(-1) + env.epsilon))
+    mean = torch.as_tensor(moments.mean.reshape(-1), device=policy.device)
+    sigma = torch.as_tensor(np.sqrt(moments.var.reshape(-1) + env.epsilon), device=policy.device)
     first: list[Any] = [policy.mlp_extractor.policy_net[0], policy.mlp_extractor.value_net[0]]
     with torch.no_grad():
         for layer in first:

@@ -145,6 +145,8 @@ class _Network:
 
         batch = np.asarray(observation, np.float32)
         alone = batch.ndim == len(self.observation_space.shape)
+        # The network's own device and precision; a network without parameters takes float32 on the CPU.
+        like = next((part for part in self.network.parameters() if part.is_floating_point()), torch.empty(0))
         with torch.no_grad():
-            outputs = self.network(torch.as_tensor(batch[None] if alone else batch))
-        return outputs.cpu().numpy(), alone
+            outputs = self.network(torch.as_tensor(batch[None] if alone else batch, device=like.device).to(like.dtype))
+        return outputs.float().cpu().numpy(), alone

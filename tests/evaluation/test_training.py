@@ -148,7 +148,10 @@ def test_a_folded_policy_does_with_raw_observations_what_it_did_with_normalised_
             return (middle + spread * random.standard_normal((3, 2))).astype(np.float32), 1.0, False, False, {}
 
     world = normalised(Scattered(), ["observations"], 0.9)
-    model = PPO("MlpPolicy", world, n_steps=32, batch_size=16, n_epochs=1, seed=seed, policy_kwargs={"net_arch": [8]})
+    model = PPO(
+        "MlpPolicy", world, n_steps=32, batch_size=16, n_epochs=1, seed=seed, device="cpu",
+        policy_kwargs={"net_arch": [8]},
+    )  # fmt: skip
     model.learn(32)
     raw = middle + spread * random.standard_normal((20, 3, 2))
     before = model.policy.get_distribution(torch.as_tensor(world.normalize_obs(raw)).float()).distribution.mean

@@ -1,4 +1,4 @@
-"""Episodes on disk as they finish, so that neither Ctrl-C, nor `kill -9`, nor a power cut loses one.
+"""Episodes on disk as they finish: neither Ctrl-C nor `kill -9` loses one, and a power cut those of the last second.
 
 A store is a folder: `manifest.json` says what made the rows, `parts/NAME.parquet` has episodes, each part written whole
 or not at all, and `open.jsonl` those since the last part, a line of JSON each. `shield evaluate`, `shield certify` and
@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,9 @@ KEY = ("setting", "policy", "door", "mode", "seed")
 _AGAIN = "--force begins again, another --output keeps both"
 _PART = 1_000
 """Episodes that are kept a line each before they become a part."""
+_SYNC = 1.0
+"""At least so much time lies between two waits for the disk [s]; one takes milliseconds, as long as a compiled episode.
+Until then the operating system has what was written, which outlives the process."""
 _MANIFEST, _PARTS, _OPEN = "manifest.json", "parts", "open.jsonl"
 
 
@@ -145,6 +149,7 @@ class Store:
     ) -> None:
         self._rows: list[dict[str, Any]] = []
         self._open = 0
+        self._synced = -_SYNC
         self.parts: Parts | None = None
         self.made = provenance(json.loads(json.dumps(asked)), models=models)
         if path is None:
@@ -181,7 +186,7 @@ class Store:
         return {(row["door"], row["mode"], row["seed"]) for row in here}
 
     def add(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Write episodes, and see to it that they are on the disk."""
+        """Write episodes to the file, where they outlive this process; at most once a second, wait for the disk."""
         # What comes back from the file and what went in are the same then.
         plain = [json.loads(json.dumps(row, default=_plain)) for row in rows]
         self._rows += plain
@@ -190,7 +195,9 @@ class Store:
         with (self.parts.folder / _OPEN).open("ab") as file:
             file.write(_lines(plain))
             file.flush()
-            os.fsync(file.fileno())
+            if time.monotonic() - self._synced >= _SYNC:
+                os.fsync(file.fileno())
+                self._synced = time.monotonic()
         self._open += len(plain)
         if self._open >= _PART:
             self._close()

@@ -83,7 +83,7 @@ def reproduce_command(
     if table is Table.SHIELDS:
         if variant:
             raise ConfigError("--variant goes with highway and roundabout; of shields have --road and --shield")
-        from evaluation.reproduction.shields import compare_shields
+        from evaluation.reproduction.shields_table import compare_shields
 
         count = _QUICK_SHIELDS if quick else episodes
         typer.echo(compare_shields(folder, count, split(road or []), split(shield or []), jobs, tell))

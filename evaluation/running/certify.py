@@ -173,7 +173,6 @@ def _claim(parts: Parts, asked: Asked) -> None:
                 )
         check_fits(str(parts.folder), before, made, "take a new folder")
         made = extended(before, made)
-        made["asked"]["episodes"] = max(asked.episodes, before["asked"]["episodes"])
     parts.claim(made)
 
 

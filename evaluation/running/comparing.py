@@ -69,14 +69,18 @@ class Comparison:
         return {
             "settings": {setting.name: of_environment(setting) for setting, _ in self.settings},
             "policies": self._policies(),
-            "shields": {
-                f"{setting.name}, {variant.place}, {variant.mode}": tomllib.loads(variant.config.to_toml())
-                for setting, variants in self.settings
-                for variant in variants
-            },
+            "shields": self.shields(),
             "seed": self.seeds.start,
             "episodes": len(self.seeds),
             "simulator": self.simulator,
+        }
+
+    def shields(self) -> dict[str, Any]:
+        """The settings of each shield, as plain values, by what it stands between."""
+        return {
+            f"{setting.name}, {variant.place}, {variant.mode}": tomllib.loads(variant.config.to_toml())
+            for setting, variants in self.settings
+            for variant in variants
         }
 
     @property

@@ -96,6 +96,8 @@ def extended(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any
     """The manifest of a run that goes on with another, which fits (see `check_fits`): what was asked for in both."""
     was, asked = before["asked"], now["asked"]
     whole = {**asked, **{key: {**was.get(key, {}), **asked[key]} for key in SECTIONS if key in asked}}
+    if "episodes" in was and "episodes" in asked:
+        whole["episodes"] = max(was["episodes"], asked["episodes"])
     commands = dict.fromkeys([*before.get("earlier", ()), before.get("command", "")])
     models = {**before.get("models", {}), **now["models"]}
     return {**now, "asked": whole, "earlier": list(commands), "models": models}

@@ -171,6 +171,31 @@ class Store:
             discard(path)
             self.parts.claim(self.made)
 
+    @classmethod
+    def in_folder(
+        cls, folder: Path, asked: Mapping[str, Any], models: Mapping[str, str] | None = None, instead: str = _AGAIN
+    ) -> Store:
+        """A store that stays a folder, gone on with where it is one already.
+
+        Parameters
+        ----------
+        asked, models : as of the class. instead : what can be done where something else is there, for a message.
+
+        Raises
+        ------
+        ConfigError
+            If episodes of another comparison are there, or some of which nothing is known, or it cannot be written.
+        """
+        store = cls(None, asked, models=models)
+        store.parts = Parts(folder)
+        if store.parts.manifest is not None:
+            store._go_on(str(folder), *read_store(folder), instead)
+        elif store.parts.names or (folder / _OPEN).exists():
+            raise ConfigError(f"{folder} holds episodes without a {_MANIFEST} that says how they were made; {instead}")
+        else:
+            store.parts.claim(store.made)
+        return store
+
     @property
     def rows(self) -> list[dict[str, Any]]:
         """The episodes so far, as `EpisodeRecord.row` made them."""
@@ -202,15 +227,23 @@ class Store:
         if self._open >= _PART:
             self._close()
 
+    def note(self, told: Mapping[str, Any]) -> None:
+        """Add to the manifest what does not determine the rows."""
+        self.made = {**self.made, **told}
+        if self.parts is not None:
+            self.parts.claim(self.made)
+
     def finish(self) -> None:
         """Remove the folder: the table is written."""
         if self.parts is not None:
             shutil.rmtree(self.parts.folder, ignore_errors=True)
 
-    def _go_on(self, name: str, before: Mapping[str, Any], rows: Iterable[dict[str, Any]]) -> None:
+    def _go_on(
+        self, name: str, before: Mapping[str, Any], rows: Iterable[dict[str, Any]], instead: str = _AGAIN
+    ) -> None:
         """Take the rows that are there, and add what is asked for to what was asked for."""
         assert self.parts is not None
-        check_fits(name, before, self.made, _AGAIN)
+        check_fits(name, before, self.made, instead)
         self.made = extended(before, self.made)
         self._rows = _once(rows)
         kept = sum(len(self.parts.read(each)) for each in self.parts.names)

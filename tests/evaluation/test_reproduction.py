@@ -9,7 +9,7 @@ from stable_baselines3 import PPO
 from typer.testing import CliRunner
 
 from evaluation.commands.cli import app
-from evaluation.reproduction import running, shields
+from evaluation.reproduction import running, shields, shields_table
 from evaluation.reproduction.driving import COLUMNS
 from evaluation.reproduction.presets import PRESETS, PUBLISHED, get_preset
 from evaluation.reproduction.running import FIRST_SEED, Reproduction, run, why_not
@@ -231,7 +231,7 @@ def test_the_table_shows_each_training_seed_and_what_was_published():
 
 
 def test_shields_side_by_side_drive_the_same_seeds_and_go_on(tmp_path, monkeypatch):
-    """A part that is finished is not driven again; what a road refuses is said and left out."""
+    """Their rows are in one store: what is finished is not driven again; what a road refuses is said and left out."""
     made = shields.variant_on
 
     def some(road, shield):
@@ -239,15 +239,21 @@ def test_shields_side_by_side_drive_the_same_seeds_and_go_on(tmp_path, monkeypat
             raise ConfigError("not on this road")
         return made(road, shield)
 
-    monkeypatch.setattr(shields, "variant_on", some)
-    command = ["reproduce", "shields", "--road", "highway-fast", "--shield", "none,distance,rss", "--jobs", "1"]
+    monkeypatch.setattr(shields_table, "variant_on", some)
+    command = ["reproduce", "shields", "--road", "highway-fast", "--shield", "none,distance,rss,stopped", "--jobs", "1"]
     command += ["--out", str(tmp_path / "out"), "--episodes"]
     ended = CliRunner().invoke(app, [*command, "2"], catch_exceptions=False)
     assert "highway-fast, rss: not on this road" in ended.stdout.split("## Refused")[1]
     assert "CARPSS" in ended.stdout
-    parts = {path.stem: pd.read_parquet(path) for path in (tmp_path / "out" / "episodes").glob("*")}
-    assert set(parts) == {"highway-fast-none", "highway-fast-distance"}
-    assert {tuple(rows["seed"]) for rows in parts.values()} == {(shields.FIRST_SEED, shields.FIRST_SEED + 1)}
+    manifest, rows = read_store(tmp_path / "out")
+    first = shields_table.FIRST_SEED
+    named = {"highway-fast": {"none", "distance"}, "highway-fast, stopping": {"none"}}
+    asked = [(road, mode, first + k) for road, modes in named.items() for mode in modes for k in range(2)]
+    assert sorted((row["setting"], row["mode"], row["seed"]) for row in rows) == sorted(asked)
+    assert manifest["asked"]["settings"].keys() == named.keys()
+    assert manifest["asked"]["shields"].keys() >= {"highway-fast, env, distance"}
+    assert manifest["models"].keys() == {"ppo-highway-fast.zip"}
+    assert manifest["refused"] == {"highway-fast, rss": "not on this road"}
     chunk, driven = episodes_module._run_chunk, []
 
     def watched(asked, seeds):
@@ -259,7 +265,46 @@ def test_shields_side_by_side_drive_the_same_seeds_and_go_on(tmp_path, monkeypat
     assert again.stdout == ended.stdout
     assert not driven
     CliRunner().invoke(app, [*command, "3"], catch_exceptions=False)
-    assert driven == [shields.FIRST_SEED + 2] * 2
+    assert driven == [first + 2] * 3
+    assert read_store(tmp_path / "out")[0]["asked"]["episodes"] == 3
+    page = CliRunner().invoke(app, ["report", str(tmp_path / "out"), "--replays", "0"], catch_exceptions=False)
+    assert page.exit_code == 0
+
+
+def test_shields_that_are_stopped_lose_no_episode(tmp_path, monkeypatch):
+    """Each is on the disk before the next begins."""
+    chunk, driven = episodes_module._run_chunk, []
+
+    def stopped(asked, seeds):
+        if len(driven) == 3:
+            raise KeyboardInterrupt
+        driven.extend(seeds)
+        return chunk(asked, seeds)
+
+    monkeypatch.setattr(episodes_module, "_run_chunk", stopped)
+    monkeypatch.setattr("evaluation.running.processes.Processes.most", 1)
+    with pytest.raises(KeyboardInterrupt):
+        shields_table.compare_shields(tmp_path, 2, ["highway-fast"], ["slower", "idle"])
+    assert len(read_store(tmp_path)[1]) == 3
+    monkeypatch.setattr(episodes_module, "_run_chunk", chunk)
+    text = shields_table.compare_shields(tmp_path, 2, ["highway-fast"], ["slower", "idle"])
+    assert "| idle " in text
+    assert len(read_store(tmp_path)[1]) == 4
+
+
+def test_rows_of_shields_of_an_earlier_version_or_of_another_experiment_are_refused(tmp_path):
+    (tmp_path / "old" / "episodes").mkdir(parents=True)
+    with pytest.raises(ConfigError, match="earlier version, which was no store; take another --out"):
+        shields_table.compare_shields(tmp_path / "old", 1, ["highway-fast"], ["slower"])
+    shields_table.compare_shields(tmp_path / "new", 1, ["highway-fast"], ["slower"])
+    made = json.loads((tmp_path / "new" / "manifest.json").read_text(encoding="utf-8"))
+    made["versions"]["highway-env"] = "0.9"
+    (tmp_path / "new" / "manifest.json").write_text(json.dumps(made), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"version of highway-env.*take another --out"):
+        shields_table.compare_shields(tmp_path / "new", 1, ["highway-fast"], ["slower"])
+    (tmp_path / "new" / "manifest.json").unlink()
+    with pytest.raises(ConfigError, match=r"episodes without a manifest\.json.*take another --out"):
+        shields_table.compare_shields(tmp_path / "new", 1, ["highway-fast"], ["slower"])
 
 
 @pytest.mark.parametrize(("option", "said"), [("--road", "merge, roundabout"), ("--shield", "worst-case, simulated")])
@@ -329,17 +374,25 @@ def test_the_folder_is_a_store_and_that_of_an_earlier_version_becomes_one(tmp_pa
 @pytest.mark.parametrize("error", [ConfigError("not here"), SceneError("not here")])
 def test_what_a_road_refuses_while_it_is_driven_is_said(error, tmp_path, monkeypatch):
     """The other rows are driven all the same."""
-    drive = shields.Comparison.drive
+    drive = shields_table.run_paired
 
-    def refusing(comparison, store, jobs, progress=True):
-        if comparison.settings[0][1][0].mode == "rss":
+    def refusing(setting, policy, variants, seeds, **options):
+        if variants[0].mode == "rss":
             raise error
-        return drive(comparison, store, jobs, progress)
+        return drive(setting, policy, variants, seeds, **options)
 
-    monkeypatch.setattr(shields.Comparison, "drive", refusing)
-    text = shields.compare_shields(tmp_path, 1, ["highway-fast"], ["rss", "slower"])
+    monkeypatch.setattr(shields_table, "run_paired", refusing)
+    text = shields_table.compare_shields(tmp_path, 1, ["highway-fast"], ["rss", "slower"])
     assert "highway-fast, rss: not here" in text.split("## Refused")[1]
     assert "| slower " in text
+
+
+def test_no_two_rows_have_the_same_name():
+    """They are in one store, which tells them apart by setting, policy and what stands between the two."""
+    parts, _ = shields_table._parts(shields.ROADS.values(), shields.SHIELDS, 1)
+    names = [(each.setting.name, each.policy, each.variant.place, each.variant.mode) for each in parts]
+    assert len(names) > 50
+    assert len(set(names)) == len(names)
 
 
 @pytest.mark.parametrize("road", ["merge", "roundabout", "intersection"])

@@ -18,6 +18,7 @@ braking so, it does. Nobody else yields: who crosses, joins or comes the other w
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -79,21 +80,25 @@ def _arrival(v: float, way: float, drive: FloatArray, acceleration: float, dt: f
     return half * step + math.sqrt(reserve + (half * half - 2 * most) * step * step)
 
 
+class _Brakes(NamedTuple):
+    """How one brakes for the ego: `delay` frames after it sees it, which it does from frame `since` on, `anywhere` or
+    as `Duty.ahead` says; and how far its front is ahead of its middle [m]. That is `FRONT`, as the body is now, of who
+    owes the ego its distance, which may not move it further ahead. Of others it is `HALF`: on an arc the front moves
+    ahead where a body shifts towards the centre, and that is permitted."""
+
+    since: int
+    delay: int
+    anywhere: bool
+    front: float
+
+
 @uncounted
 def _followed(
-    others: Others,
-    road: Road,
-    trial: Trial,
-    rears: FloatArray,
-    j: int,
-    since: int,
-    delay: int,
-    anywhere: bool,
-    rests: bool,
+    others: Others, road: Road, trial: Trial, rears: FloatArray, j: int, brakes: _Brakes, rests: bool
 ) -> float:
-    """The least separation of the ego from one that comes up behind it in strip j and brakes for it, `delay` frames
-    after it sees it, which it does from frame `since` on, `anywhere` or as `Duty.ahead` says [m]; anything negative
-    where it is. `rears` are boxes like the trial's: it stays behind their rear where it is not beside the trial's."""
+    """The least separation of the ego from one that comes up behind it in strip j and brakes for it [m]; anything
+    negative where it is. `rears` are boxes like the trial's: it stays behind their rear where it is not beside the
+    trial's."""
     conduct, duty, dt = road.conduct, road.duty, road.period
     i, row, lane = others.marks[j, 0], others.numbers[j], others.marks[j, 1]
     boxes, first, last = trial.boxes, trial.met[lane, 0], trial.met[lane, 1]
@@ -111,18 +116,18 @@ def _followed(
         if k >= first and box[0] < FAR_OFF and ahead >= row[START]:
             if not rear < FAR_OFF:
                 rear = box[0]
-            least = min(least, max(rear - row[FRONT] - ahead, _beside(box, row)))
+            least = min(least, max(rear - brakes.front - ahead, _beside(box, row)))
             if least < CLEAR:
                 return least
-        there = anywhere or x >= row[NEAR]
-        if there and not anywhere and not within:
+        there = brakes.anywhere or x >= row[NEAR]
+        if there and not brakes.anywhere and not within:
             # One that is slower may be further into the lane in its first frame there, and faster.
             v = max(v, min(_arrival(v0, row[NEAR], others.drive[i], conduct.acceleration, dt), top))
             x = row[NEAR] + v * most * dt
             within = True
-        waited = waited + 1 if k >= since and there else 0
+        waited = waited + 1 if k >= brakes.since and there else 0
         x += v * most * dt
-        v = max(v - duty.braking * dt, 0.0) if waited > delay else min(v + conduct.acceleration * dt, top)
+        v = max(v - duty.braking * dt, 0.0) if waited > brakes.delay else min(v + conduct.acceleration * dt, top)
         k += 1
     return least
 
@@ -157,12 +162,12 @@ def _waits(
     since = contact + 1
     while since > 0 and road.rights[trial.own[since - 1]] > others.ranks[j]:
         since -= 1
-    if since > bad or row[FRONT] - row[NEAR] > trial.boxes[lane, bad, 0]:
+    if since > bad or row[HALF] - row[NEAR] > trial.boxes[lane, bad, 0]:
         return -1.0
     delay, given = road.duty.reaction, others.gives[i, lane]
     if lenient and given > 0 and since == 0:
         delay = max(delay - given, 0)
-    return _followed(others, road, trial, trial.boxes, j, since, delay, True, there)
+    return _followed(others, road, trial, trial.boxes, j, _Brakes(since, delay, True, row[HALF]), there)
 
 
 @uncounted
@@ -240,7 +245,8 @@ def judge(
             if not box[0] < FAR_OFF:
                 continue
             beside = _beside(box, row)
-            back = others.least[i, max(k - 1, 0)] - row[FAR]
+            # Both move between two frames: of one that rolls back the later frame counts.
+            back = min(others.least[i, max(k - 1, 0)], others.least[i, k + 1]) - row[FAR]
             ahead = others.most[i, k + 1] - row[NEAR]
             if rests and k == count - 1:
                 ahead = ALWAYS
@@ -261,16 +267,17 @@ def judge(
             # Who is behind, and sees the ego from some frame on.
             box = boxes[lane, bad]
             if since <= contact:
-                start = -row[NEAR] + row[FRONT] <= box[0]
+                start = -row[NEAR] + row[HALF] <= box[0]
                 owed = trust != STRICT and _is_owed(others, road, trial, j, since, contact)
                 asked = owed and trust == ASKED
                 if owed and trust == BELIEVED:
                     others.shut[j] = closes and contact == count - 1
                     least, bad = np.inf, count
                 elif start or asked:
-                    delay = 0 if asked else road.duty.reaction
-                    rears, anywhere, since = bodies if asked else boxes, asked or road.duty.ahead, 0 if asked else since
-                    stays = _followed(others, road, trial, rears, j, since, delay, anywhere, there)
+                    brakes = _Brakes(since, road.duty.reaction, road.duty.ahead, row[HALF])
+                    if asked:
+                        brakes = _Brakes(0, 0, True, row[FRONT])
+                    stays = _followed(others, road, trial, bodies if asked else boxes, j, brakes, there)
                     if stays >= CLEAR:
                         others.shut[j] = closes and contact == count - 1
                         least, bad = stays, count

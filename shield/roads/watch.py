@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.errors import SceneError
-from dynamics.networks.reachable.strips import BACK, FAR, FRONT, HALF, HIGH, KEEP, LOW, NEAR
+from dynamics.networks.reachable.strips import BACK, FAR, FRONT, HALF, HIGH, KEEP, LOW, NEAR, START
 from dynamics.state import FloatArray, Vehicle
 from shield.roads.judging import CLEAR, MADE
 from shield.roads.room import Others, Road
@@ -44,6 +44,8 @@ _SLACK, _PLACE, _SAME = 1e-10, 1e-10, 1e-10
 """What rounding may add in a frame to a speed [m/s], a place and a size [m]. It adds up: a path begins with `MADE`, the
 rules are judged below that, and what is left to `CLEAR` is enough for some hundred frames, each of which may take 10 s
 times the first of these and a few times the second."""
+_SHARE = 1e-12
+"""The same of a row of `Others.drive`, which is multiplied by all of the way of a path."""
 _CORNERS = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 
 
@@ -231,21 +233,56 @@ def _axes(heading: float) -> FloatArray:
 
 
 def _inside(old: Others, j: int, new: Others, i: int) -> bool:
-    """Whether each strip of vehicle i now begins inside one that it had before as vehicle j."""
+    """Whether what is foreseen of vehicle i now begins inside what was foreseen of it as vehicle j a frame before.
+
+    `shield.roads.judging.judge` reads the quantities below. None of them may become worse for the ego from one frame
+    to the next while no rule is broken; each is bounded by the rule beside it, and "here" by this function:
+
+    ====================================  ==============================================================================
+    speed                                 *speed*; *reversing* where it is negative
+    length, width                         *grown*
+    x, y, heading                         the strips; the heading in the coming frame also `shield.roads.coming`
+    `least`, `most`                       they follow from the speed and `drive`
+    `drive`, all columns                  here
+    `marks`: lane, the strip before       here
+    `NEAR`, `FAR`                         here: the way of a frame is between `least` and `most`
+    `LOW`, `HIGH`, `HALF`                 here
+    `FRONT`                               here; it is read only of who owes the ego its distance
+    `START`                               here, where the vehicle is so far back, or may roll back so far
+    `BACK`                                here, as `BACK - NEAR`, where the band is wider than `KEEP`
+    `KEEP`                                *grown*: on one lane it grows with the length and the width alone
+    `ranks`                               here
+    `owes`, `gives`                       *distance*, *right of way*: the door counts them (`shield.roads.dues`)
+    `things`                              *appeared*, *moved*
+    ====================================  ==============================================================================
+    """
+    if not _is_no_faster(old.drive[j], new.drive[i]):
+        return False
     count0, count = int(old.found[0]), int(new.found[0])
     mine, its = np.flatnonzero(old.marks[:count0, 0] == j), np.flatnonzero(new.marks[:count, 0] == i)
-    least, most, owes = old.least[j, 1], old.most[j, 1], old.owes[j].any()
+    least, most, owes, rearmost = old.least[j, 1], old.most[j, 1], old.owes[j].any(), new.least[i].min()
     for k in its:
-        row = new.numbers[k]
-        rows = old.numbers[mine[old.marks[mine, 1] == new.marks[k, 1]]]
+        row, same = new.numbers[k], mine[old.marks[mine, 1] == new.marks[k, 1]]
+        rows = old.numbers[same]
         along = (-row[FAR] >= least - rows[:, FAR] - _PLACE) & (-row[NEAR] <= most - rows[:, NEAR] + _PLACE)
+        along &= max(row[START], rearmost - row[FAR]) >= rows[:, START] - _PLACE
         across = (row[LOW] >= rows[:, LOW] - _PLACE) & (row[HIGH] <= rows[:, HIGH] + _PLACE)
         # Who is beside the middle has to be back there after as much way as before.
         settles = (max(row[HIGH], -row[LOW]) <= row[KEEP]) | (
             row[BACK] - row[NEAR] <= rows[:, BACK] - rows[:, NEAR] + _PLACE
         )
-        # The front counts of who has to stay behind the ego.
+        # The front as it is now counts of who has to stay behind the ego.
         fits = (row[HALF] <= rows[:, HALF] + _PLACE) & (~owes | (row[FRONT] <= rows[:, FRONT] + _PLACE))
-        if not (along & across & settles & fits).any():
+        if not (along & across & settles & fits & (new.ranks[k] <= old.ranks[same])).any():
             return False
     return True
+
+
+def _is_no_faster(old: FloatArray, new: FloatArray) -> bool:
+    """Whether a vehicle gets no further by a row of `Others.drive` than by the one of the frame before, whatever its
+    speed."""
+    # The speed that it accelerates to, the most metres of s in a metre, and the speed below which it gains less.
+    more = new[[0, 2, 3]] <= old[[0, 2, 3]] + _SHARE
+    # The least metres of s in a metre, and what it gains then.
+    less = new[[1, 4]] >= old[[1, 4]] - _SHARE
+    return bool(more.all() and less.all())

@@ -120,7 +120,9 @@ def _goes_on(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, strips
         low, high = low + min(r, 0.0) - slack, high + max(r, 0.0) + slack
         back = numbers[FAR] + long + SETTLED
     half = _half_on(lanes, conduct, row, strips, j, after)
-    return Strip(strips.marks[j, 0], after, j, near, far, low, high, half, s - BEFORE, back, keep, numbers[FRONT])
+    # Who is about to come into it from any lane is on it from there on.
+    start = ways.entries[after, 0] - BEFORE
+    return Strip(strips.marks[j, 0], after, j, near, far, low, high, half, start, back, keep, numbers[FRONT])
 
 
 @uncounted

@@ -10,6 +10,7 @@ _TESTS, _CLAUSES = "tests/shield/test_roads.py", "tests/shield/test_roads_clause
 _FOUND, _AROUND = "tests/shield/test_found_on_roads.py", "tests/shield/test_around_and_inside.py"
 _BANDS, _JOINTS = "tests/shield/test_bands_on_roads.py", "tests/shield/test_followers_at_joints.py"
 _LOOPHOLES = "tests/shield/test_road_loopholes.py"
+_TRANSITIONS = "tests/shield/test_road_transitions.py"
 _JUDGING, _PREDICTION = "shield/roads/judging.py", "dynamics/networks/reachable/prediction.py"
 
 ROADS = (
@@ -100,8 +101,8 @@ ROADS = (
     off(
         "who owes its distance has the time to react again",
         _JUDGING,
-        "0 if asked else road.duty.reaction",
-        "road.duty.reaction",
+        "_Brakes(0, 0, True, row[FRONT])",
+        "_Brakes(0, road.duty.reaction, True, row[FRONT])",
         _CLAUSES,
     ),
     off(
@@ -126,10 +127,38 @@ ROADS = (
         _CLAUSES,
     ),
     off(
+        "who rolls back is no nearer in the later frame",
+        _JUDGING,
+        "min(others.least[i, max(k - 1, 0)], others.least[i, k + 1])",
+        "others.least[i, max(k - 1, 0)]",
+        _TRANSITIONS,
+    ),
+    off(
+        "whoever is counted on to brake keeps its front where it is",
+        _JUDGING,
+        "_Brakes(since, road.duty.reaction, road.duty.ahead, row[HALF])",
+        "_Brakes(since, road.duty.reaction, road.duty.ahead, row[FRONT])",
+        _TRANSITIONS,
+    ),
+    off(
+        "how far a vehicle gets is not compared",
+        "shield/roads/watch.py",
+        "    if not _is_no_faster(old.drive[j], new.drive[i]):\n        return False\n",
+        "",
+        _TRANSITIONS,
+    ),
+    off(
+        "one turns into the next lane from its own alone",
+        _PREDICTION,
+        "ways.entries[after, 0] - BEFORE",
+        "s - BEFORE",
+        _TRANSITIONS,
+    ),
+    off(
         "those behind see the ego before they are in its lane",
         _JUDGING,
-        "if k >= since and there else 0",
-        "if k >= since else 0",
+        "if k >= brakes.since and there else 0",
+        "if k >= brakes.since else 0",
         _CLAUSES,
     ),
     off(

@@ -1,0 +1,176 @@
+"""What one frame may change on a network of roads: whatever is read of a vehicle that keeps the rules becomes no worse
+for the ego, so that what has been verified stays verified."""
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+import pytest
+from highway_env.road.lane import CircularLane
+from highway_env.vehicle.kinematics import Vehicle
+from slowly import later
+
+from dynamics.networks.reachable.strips import START
+from shield import ShieldConfig, ShieldedEnv
+from shield.doors.road_door import RoadDoor
+from shield.roads.choosing import try_course
+from shield.roads.watch import Breach, Watch
+
+HARD = 9.8
+
+
+class Scene:
+    """A door in front of an environment with the ego and one other vehicle, which are put anywhere."""
+
+    def __init__(self, env_id, size=(5.0, 2.0)):
+        env = gym.make(env_id)
+        env.reset(seed=0)
+        self.base = env.unwrapped
+        road, self.ego = self.base.road, self.base.vehicle
+        self.network, self.ego.route = road.network, None
+        self.other = Vehicle(road, road.network.lanes_list()[0].position(0, 0))
+        self.other.LENGTH, self.other.WIDTH = size
+        road.vehicles, road.objects = [self.ego, self.other], []
+        self.door = RoadDoor(self.base, ShieldConfig.for_roads())
+        self.door.reset()
+
+    def put(self, vehicle, lane, position, heading, speed):
+        """A vehicle on a lane of highway-env's; the ego is bound for it."""
+        vehicle.position, vehicle.heading, vehicle.speed = np.array(position, float), float(heading), float(speed)
+        vehicle.lane_index, vehicle.lane, vehicle.route = lane, self.network.get_lane(lane), None
+        if vehicle is self.ego:
+            vehicle.target_lane_index = lane
+
+    def on(self, vehicle, lane, s, r, speed):
+        """A vehicle along a lane."""
+        at = self.network.get_lane(lane)
+        self.put(vehicle, lane, at.position(s, r), at.heading_at(s), speed)
+
+    def see(self):
+        """The scene; nobody owes the ego its distance."""
+        self.door._read()
+        self.door._others.owes[:] = False
+        return self.door._others
+
+    def margin(self, lane, speed, frames):
+        """The least separation if the ego is bound for a lane at a speed for so many frames, and brakes then [m]."""
+        row = np.array([self.door._index[lane], speed, 1e3, frames, 0, HARD], float)
+        self.see()
+        door = self.door
+        return try_course(door._alone, door._road, door._others, row, False, door._trial).margin
+
+    def rules(self, before, after):
+        """The rules that the other one breaks between two scenes (`Outlook.look`) where the fail-safe suffers."""
+        watch = Watch()
+        for seen in (before, after):
+            watch.next(seen, {self.other}, np.array([-1.0]), self.door._road, set())
+        return set(watch.breaking.get(self.other, ()))
+
+    def looks(self, *states):
+        """The scene with the other one in each of these, (lane, position, heading, length, width), at rest."""
+        for lane, position, heading, length, width in states:
+            self.put(self.other, lane, position, heading, 0.0)
+            self.other.LENGTH, self.other.WIDTH = length, width
+            yield self.door._look()
+
+
+def test_who_becomes_narrow_at_the_outer_edge_of_an_arc_and_so_gets_further_is_named():
+    """Its body stays where it was, but the middle of it is further from that of the lane: a metre that it drives there
+    is more of the lane."""
+    scene, length = Scene("u-turn-v0"), 1.556
+    lane = scene.network.get_lane(("b", "c", 0))
+    s, r = lane.local_coordinates(np.array([135.664, 44.529]))
+    wide = ("b", "c", 0), lane.position(s, r), -0.083, length, 2.286
+    narrow = ("b", "c", 1), lane.position(s, r + 0.3), -0.083, length, 0.5
+    before, after = scene.looks(wide, narrow)
+    assert after.others.most[0, -1] > before.others.most[0, -1] + 1.0
+    assert scene.rules(before, after) == {Breach.WAYS}
+    # And the other way round it is the body that grows.
+    assert Breach.GROWN in scene.rules(after, before)
+
+
+@pytest.mark.parametrize("column", range(5))
+def test_whatever_says_how_far_a_vehicle_gets_is_compared(column):
+    """Each column of `Others.drive`, to the side that has it get further, or less far, than before."""
+    scene, lane = Scene("merge-v0"), ("b", "c", 2)
+    at = scene.network.get_lane(lane).position(30.0, 0.0)
+    before, after = scene.looks((lane, at, 0.0, 5.0, 2.0), (lane, at, 0.0, 5.0, 2.0))
+    assert scene.rules(before, after) == {Breach.UNFORESEEN}
+    worse = -1 if column in (1, 4) else 1
+    after.others.drive[0, column] += 1e-9 * worse
+    assert scene.rules(before, after) == {Breach.WAYS}
+    after.others.drive[0, column] -= 2e-9 * worse
+    assert scene.rules(before, after) == {Breach.UNFORESEEN}
+
+
+@pytest.mark.parametrize(("turned", "r", "gap"), [(0.2, 2.6, 7.1), (0.1, 2.8, 7.5), (0.3, 2.8, 7.0)])
+def test_who_rolls_back_for_one_frame_more_comes_no_nearer(turned, r, gap):
+    """It brakes to a standstill and still moves by the speed that it had, while the ego turns out of its lane: the
+    separation is as large as it was."""
+    own, beside, dt, back = ("a", "b", 0), ("a", "b", 1), 1 / 15, -0.19
+    scene = Scene("merge-v0")
+    scene.put(scene.ego, own, [60.0, r], turned, 10.0)
+    scene.put(scene.other, own, [60.0 + gap, 0.0], 0.0, back)
+    scene.ego.target_lane_index = beside
+    then = scene.margin(beside, 10.0, 30)
+    x, y, heading, speed = scene.door._trial.path[1]
+    scene.put(scene.ego, own, [x, y], heading, speed)
+    scene.put(scene.other, own, [60.0 + gap + back * dt, 0.0], 0.0, 0.0)
+    scene.ego.target_lane_index = beside
+    assert scene.margin(beside, 10.0, 29) >= then - 1e-9
+
+
+@pytest.mark.parametrize(
+    ("env_id", "length"), [("intersection-v0", 5.0), ("roundabout-v0", 12.0), *later(("u-turn-v0", 12.0))]
+)
+def test_who_shifts_towards_the_centre_of_an_arc_comes_no_nearer_from_behind(env_id, length):
+    """The ego counts on one behind it in an arc to brake, from the first frame in which it sees the ego: its front
+    moves ahead as it shifts, which is permitted."""
+    scene = Scene(env_id, (length, 2.0))
+    tried, arcs = 0, [(key, lane) for key, lane in scene.network.lanes_dict().items() if type(lane) is CircularLane]
+    for key, lane in arcs[:4]:
+        inside = 1.0 if lane.direction > 0 else -1.0
+        scene.on(scene.ego, key, lane.length, 0.0, 4.0)
+        for s in np.linspace(0.0, 0.5, 3) * lane.length:
+            margins = []
+            for r in (-0.5, 0.0, 0.5):
+                scene.on(scene.other, key, s, inside * r, 4.0)
+                margins.append(scene.margin(key, 4.0, 1))
+            tried += margins[0] < np.inf
+            assert margins == pytest.approx(margins[:1] * 3, abs=1e-9)
+    assert tried
+
+
+def test_what_native_traffic_does_on_an_arc_is_foreseen():
+    """A car in the right turn before the ego's lane is counted on to brake, and drifts by a centimetre."""
+    seed, rng = 1820003, np.random.default_rng(1820003)
+    env = ShieldedEnv(gym.make("intersection-v0"), config="worst-case")
+    env.reset(seed=seed)
+    actions = list(env.unwrapped.action_type.actions_indexes.values())
+    over = False
+    while not over:
+        *_, terminated, truncated, _ = env.step(actions[rng.integers(len(actions))])
+        over = terminated or truncated
+    assert "unforeseen" not in env.door.by_rule
+
+
+@pytest.mark.parametrize("env_id", ["roundabout-v0", "u-turn-v0", "intersection-v0"])
+def test_where_a_lane_can_be_come_to_does_not_change_on_the_way(env_id):
+    """Several lanes end at different places of a ring: who comes along one of them is on the ring no further back than
+    was foreseen, where it has not passed that place."""
+    scene = Scene(env_id)
+    checked = 0
+    for key, lane in scene.network.lanes_dict().items():
+        last = {}
+        for left in np.arange(12.0, 0.0, -0.5):
+            if left > lane.length:
+                continue
+            scene.on(scene.other, key, lane.length - left, 0.0, 7.5)
+            others = scene.see()
+            now = {}
+            for (_, number, _), numbers in zip(others.marks.tolist(), others.numbers, strict=True):
+                now[number] = min(now.get(number, np.inf), numbers[START])
+            for number in now.keys() & last.keys():
+                assert now[number] >= last[number] - 1e-9
+                checked += 1
+            last = now
+    assert checked

@@ -23,7 +23,7 @@ from shield.config import PROFILES, Buffer, ShieldConfig
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
+TEXT = {page.relative_to(ROOT).as_posix().removeprefix("docs/"): page.read_text(encoding="utf-8") for page in PAGES}
 COMMANDS = sorted({line for text in TEXT.values() for line in re.findall(r"^shield .*$", text, re.MULTILINE)})
 
 

@@ -115,12 +115,29 @@ def test_new_modules_turn_up_by_themselves(tmp_path: Path) -> None:
     ]
 
 
-def test_every_page_is_in_the_navigation() -> None:
+def navigation() -> list[str]:
+    """The pages that mkdocs.yml lists, in order; of docs/ but for the README and the examples."""
     nav = re.search(r"^nav:\n((?: .*\n)+)", MKDOCS, re.MULTILINE)
     assert nav is not None
-    listed = set(re.findall(r"[\w/-]+\.md", nav[1])) - {"index.md", "source/examples/index.md"}
-    assert listed == {page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md")}
-    assert "reference/" in nav[1]
+    assert "reference/\n" in nav[1]
+    return [page for page in re.findall(r"[\w/-]+\.md", nav[1]) if page not in {"index.md", "source/examples/index.md"}]
+
+
+def test_every_page_is_in_the_navigation_or_the_lab() -> None:
+    listed = navigation()
+    assert len(listed) == len(set(listed))
+    pages = {page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md")}
+    assert set(listed) == {page for page in pages if not page.startswith("lab/")}
+
+
+LAB = sorted((DOCS / "lab").glob("*.md"))
+
+
+@pytest.mark.parametrize("page", LAB, ids=lambda page: page.stem)
+def test_a_lab_page_is_dated_below_its_title(page: Path) -> None:
+    title, _, note, *_ = page.read_text(encoding="utf-8").splitlines()
+    assert title.startswith("# ")
+    assert re.match(r"\*Lab notes, 20\d\d-\d\d\b", note), note
 
 
 def test_the_site_loads_nothing_from_elsewhere() -> None:

@@ -21,11 +21,19 @@ _REFERENCE = "reference/"
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Put the reference where the navigation has its folder."""
-    reference = nav_of(pages(_root(config)))
-    config.nav = [
-        {title: reference if to == _REFERENCE else to} for item in config.nav or [] for title, to in item.items()
-    ]
+    config.nav = _with_reference(config.nav or [], nav_of(pages(_root(config))))
     return config
+
+
+def _with_reference(nav: list, reference: list) -> list:
+    """The navigation, a list of {title: page or list of these}, with the pages of the reference in place of its folder."""
+    filled = []
+    for item in nav:
+        ((title, to),) = item.items()
+        filled.append(
+            {title: reference if to == _REFERENCE else _with_reference(to, reference) if isinstance(to, list) else to}
+        )
+    return filled
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

@@ -249,7 +249,16 @@ def episodes_command(
 
 def merge_command(
     output: Annotated[Path, typer.Argument(help="The .csv or .parquet to write.")],
-    parts: Annotated[list[Path], typer.Argument(help="What `shield evaluate --shard i/n --output PART` wrote.")],
+    parts: Annotated[
+        list[Path],
+        typer.Argument(
+            help="What `shield evaluate --shard i/n --output PART` wrote, and with --steps its --steps files."
+        ),
+    ],
+    steps: Annotated[
+        Path | None,
+        typer.Option(help="The .parquet to write a row for each decision to, from the parts' --steps files."),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
     latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX tables, for the package booktabs.")] = False,
@@ -257,9 +266,21 @@ def merge_command(
     """Put the shards of one experiment together, and print its tables; refuse what does not fit together."""
     form = Form.of(markdown, latex)
     check_output(output, force)
+    if steps is not None:
+        check_steps_path(steps, force, False)
     from evaluation.experiments import Result, merge
+    from evaluation.running.step_table import is_steps, keep_steps, merge_steps
 
-    whole = merge([Result.read(part) for part in parts])
+    of_decisions = [part for part in parts if is_steps(part)]
+    if of_decisions and steps is None:
+        raise ConfigError(
+            f"{of_decisions[0]} has a row for each decision; --steps FILE.parquet says where to write all"
+        )
+    if steps is not None and not of_decisions:
+        raise ConfigError("--steps merges the files that `shield evaluate --steps` wrote; give them beside the parts")
+    whole = merge([Result.read(part) for part in parts if part not in of_decisions])
+    if steps is not None:
+        keep_steps(steps, merge_steps(of_decisions, whole.episodes))
     report(whole.episodes, output, form, dict(whole.made))
 
 

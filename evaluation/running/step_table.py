@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from evaluation.running.store import KEY
 from shield.errors import ConfigError
 
-__all__ = ["DECISIONS", "check_steps", "steps_of", "write_steps"]
+__all__ = ["DECISIONS", "check_steps", "is_steps", "keep_steps", "merge_steps", "steps_of", "write_steps"]
 
 DECISIONS = "decisions"
 """The column of an episode's row that has its decisions, until they are written."""
@@ -80,11 +80,61 @@ def write_steps(path: Path, episodes: pd.DataFrame) -> pd.DataFrame:
         keys = pd.Series(list(before[list(KEY)].itertuples(index=False, name=None)), before.index)
         new = {_key(row) for row in episodes[has].to_dict("records")}
         frame = pd.concat([before[keys.isin(asked - new)], frame], ignore_index=True)
+    keep_steps(path, frame)
+    return episodes.drop(columns=DECISIONS)
+
+
+def keep_steps(path: Path, steps: pd.DataFrame) -> None:
+    """Write a table of decisions to a Parquet file, whole or not at all; its folder is made."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(path.name + ".partial")
-    frame.to_parquet(partial, index=False)
+    steps.to_parquet(partial, index=False)
     partial.replace(path)
-    return episodes.drop(columns=DECISIONS)
+
+
+def is_steps(path: Path) -> bool:
+    """Whether a file is a table of decisions."""
+    if path.suffix != ".parquet" or not path.is_file():
+        return False
+    try:
+        return {*KEY, "step", "proposed"} <= set(pq.read_schema(path).names)
+    except pa.ArrowInvalid:
+        return False
+
+
+def merge_steps(paths: Iterable[Path], episodes: pd.DataFrame) -> pd.DataFrame:
+    """The decisions of all episodes of an experiment, from the files of its shards.
+
+    Parameters
+    ----------
+    paths : of the files. episodes : of the whole experiment (see `evaluation.experiments.result.merge`).
+
+    Returns
+    -------
+    As of `steps_of`, in the order of `episodes`.
+
+    Raises
+    ------
+    ConfigError
+        If a file is no table of decisions, or the decisions are not those of the episodes, each once.
+    """
+    frame = pd.concat([_read(path) for path in paths], ignore_index=True)
+    names = list(KEY)
+    if frame.duplicated([*names, "step"]).any():
+        raise ConfigError("a decision is in two of the --steps files")
+    place = {_key(row): k for k, row in enumerate(episodes.to_dict("records"))}
+    keys = [place.get(key, -1) for key in frame[names].itertuples(index=False, name=None)]
+    counts = pd.Series(keys, dtype=int).value_counts()
+    if -1 in counts.index:
+        raise ConfigError(f"the --steps files have {counts[-1]} decisions of episodes that are in no part")
+    lacking = [key for key, k in place.items() if counts.get(k, 0) != episodes["steps"].iloc[k]]
+    if lacking:
+        raise ConfigError(
+            f"decisions of {len(lacking)} of {len(episodes)} episodes are missing, the first is "
+            f"{', '.join(map(str, lacking[0]))}; give the --steps file of each part"
+        )
+    frame["place"] = keys
+    return frame.sort_values(["place", "step"], ignore_index=True).drop(columns="place")
 
 
 def _read(path: Path) -> pd.DataFrame:

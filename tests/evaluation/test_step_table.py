@@ -49,6 +49,30 @@ def test_the_rows_of_decisions_add_up_to_those_of_episodes(tmp_path):
     same(pd.read_parquet(other / "steps.parquet"), steps)
 
 
+def test_the_decisions_of_shards_are_those_of_the_whole(tmp_path):
+    """They were left as they were. What does not fit is refused, and nothing is written."""
+    asked(tmp_path, shield="none").run(progress=False)
+    for i in (1, 2):
+        where = {"output": tmp_path / f"part-{i}.parquet", "steps": tmp_path / f"steps-{i}.parquet"}
+        asked(tmp_path, shield="none", shard=(i, 2), **where).run(progress=False)
+    named = [str(tmp_path / f"{name}-{i}.parquet") for name in ("part", "steps") for i in (1, 2)]
+    merge, out = ["merge", str(tmp_path / "all.parquet")], tmp_path / "all-steps.parquet"
+    for files, options, said in (
+        (named, [], "has a row for each decision; --steps FILE.parquet"),
+        (named[:2], ["--steps", str(out)], "give them beside the parts"),
+        (named[:3], ["--steps", str(out)], "decisions of 1 of 3 episodes are missing"),
+        ([*named, named[3]], ["--steps", str(out)], "in two of the --steps files"),
+        (named, ["--steps", str(tmp_path / "all.csv")], "must end in .parquet"),
+    ):
+        ended = CliRunner().invoke(app, [*merge, *files, *options])
+        assert said in str(ended.exception), said
+        assert not out.exists()
+        assert not (tmp_path / "all.parquet").exists()
+    done = CliRunner().invoke(app, [*merge, *named, "--steps", str(out)], catch_exceptions=False)
+    assert done.exit_code == 0
+    same(pd.read_parquet(out), pd.read_parquet(tmp_path / "steps.parquet"))
+
+
 def test_a_run_that_goes_on_has_all_decisions(tmp_path):
     """Of the episodes that were there already too; and it says where they are not to be had."""
     whole = asked(tmp_path / "whole", episodes=4).run(progress=False)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from dynamics.state import FloatArray
 from evaluation.measuring.attribution import Cause
 from evaluation.measuring.statistics import (
     Interval,
@@ -24,7 +25,7 @@ from evaluation.measuring.statistics import (
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError
 
-__all__ = ["GROUP", "STOPPED", "compare", "summarise"]
+__all__ = ["GROUP", "STOPPED", "compare", "latencies_of", "summarise"]
 
 GROUP = ["setting", "policy", "door", "mode"]
 """Columns that say what was measured."""
@@ -33,7 +34,7 @@ STOPPED = 1.0
 """Speed below which a vehicle has reached its goal standing [m/s]."""
 
 _PAIR = ["setting", "policy"]
-_MEANS = ("lane_changes", "laps", "mean_jerk", "mean_lateral_acceleration")
+_MEANS = ("distance", "lane_changes", "laps", "mean_jerk", "mean_lateral_acceleration")
 _FALLBACKS = [f"tier_{tier.value}" for tier in Tier if tier.fallback]
 _REASONS = [f"reason_{reason.value}" for reason in Reason if reason is not Reason.NONE]
 
@@ -58,6 +59,8 @@ def summarise(episodes: pd.DataFrame) -> pd.DataFrame:
     - `violations` of the assumptions by the traffic, summed; NaN where they are not counted;
     - `min_margin` and `min_gap` [m]: the smallest of all episodes;
     - `latency_p50_ms`, `latency_p99_ms`: over all decisions of all episodes.
+
+    What a table has not is NaN: the episodes of `shield certify` have no latencies, distances, jerks and reasons.
     """
     _check(episodes)
     rows = []
@@ -68,7 +71,8 @@ def summarise(episodes: pd.DataFrame) -> pd.DataFrame:
 
 def _summary(group: pd.DataFrame) -> dict[str, Any]:
     n, decisions = len(group), int(group["steps"].sum())
-    p50, p99 = quantiles(np.concatenate([np.asarray(x, float) for x in group["latencies_ms"]]))
+    p50, p99 = quantiles(latencies_of(group))
+    fallbacks = ["fallbacks"] if _has(group, ["fallbacks"]) else _FALLBACKS
     return {
         "verification": str(group["verification"].iloc[0]) if "verification" in group else "",
         "episodes": n,
@@ -80,19 +84,35 @@ def _summary(group: pd.DataFrame) -> dict[str, Any]:
         **_arrivals(group),
         **_columns("return", bootstrap_mean(group["return"])),
         "mean_speed": float(group["mean_speed"].mean()),
-        "distance": float(group["distance"].mean()),
-        **{name: float(group[name].astype(float).mean()) for name in _MEANS},
+        **{name: float(group[name].astype(float).mean()) if name in group else float("nan") for name in _MEANS},
         "override_rate": float(group["overridden"].sum() / decisions),
         "held_back_rate": float(group["held_back"].sum() / decisions) if "held_back" in group else float("nan"),
         "frame_override_rate": float(group["frames_overridden"].sum() / group["frames"].sum()),
-        **{reason: float(group[reason].sum() / decisions) for reason in _REASONS},
-        "fallback_rate": float(group[_FALLBACKS].to_numpy().sum() / decisions),
+        **{reason: _share(group, [reason], decisions) for reason in _REASONS},
+        "fallback_rate": _share(group, fallbacks, decisions),
         "violations": float(group["violations"].astype(float).sum(skipna=False)),
         "min_margin": float(group["min_margin"].min()),
         "min_gap": float(group["min_gap"].min()),
         "latency_p50_ms": p50,
         "latency_p99_ms": p99,
     }
+
+
+def latencies_of(episodes: pd.DataFrame) -> FloatArray:
+    """The latency of every decision of all episodes [ms]; empty where one of them has none."""
+    if not _has(episodes, ["latencies_ms"]):
+        return np.zeros(0)
+    return np.concatenate([np.asarray(each, float) for each in episodes["latencies_ms"]])
+
+
+def _has(group: pd.DataFrame, columns: list[str]) -> bool:
+    """Whether every episode has all of these columns."""
+    return set(columns) <= set(group.columns) and bool(group[columns].notna().to_numpy().all())
+
+
+def _share(group: pd.DataFrame, columns: list[str], decisions: int) -> float:
+    """The sum of some columns of counts over all decisions; NaN where an episode has them not."""
+    return float(group[columns].to_numpy().sum() / decisions) if _has(group, columns) else float("nan")
 
 
 def _arrivals(group: pd.DataFrame) -> dict[str, float]:
@@ -169,7 +189,7 @@ def _columns(name: str, interval: Interval) -> dict[str, float]:
 
 
 def _check(episodes: pd.DataFrame) -> None:
-    missing = sorted({*GROUP, "seed", "crashed", "off_road", "return", "latencies_ms"} - set(episodes.columns))
+    missing = sorted({*GROUP, "seed", "crashed", "off_road", "return"} - set(episodes.columns))
     if missing:
         raise ConfigError(f"this is not a table of episodes: column {missing[0]!r} is missing")
     if episodes.duplicated([*GROUP, "seed"]).any():

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
-from evaluation.measuring.metrics import GROUP, compare, summarise
+from evaluation.measuring.metrics import GROUP, compare, latencies_of, summarise
 from evaluation.report.charts import Mark, crosses, ranges
 from evaluation.report.replay_links import ReplayLink, WritesReplay, link_replays, worst_first
 from evaluation.report.table import COMPARISON, SUMMARY, Column, cells_of, finished
@@ -155,7 +155,7 @@ def _charts(runs: Mapping[str, pd.DataFrame]) -> list[dict[str, str]]:
                 costs.append(Mark(label, kind, (100 * float(row["override_rate"]), nan, nan), times_left))
             if group["min_margin"].notna().any():
                 margins.append(Mark(label, kind, tuple(np.nanquantile(group["min_margin"], _TIMES).tolist())))
-            latencies = np.concatenate([np.asarray(each, float) for each in group["latencies_ms"]])
+            latencies = latencies_of(group)
             if latencies.size:
                 times.append(Mark(label, kind, tuple(np.quantile(latencies, _TIMES).tolist())))
         found.append(

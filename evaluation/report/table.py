@@ -73,7 +73,7 @@ def _interval(heading: str, key: str, factor: float = 1.0, digits: int = 1) -> C
 
 def _reasons(row: _Row) -> str:
     """Shares of all decisions by reason, the greatest first."""
-    shares = {k.removeprefix("reason_"): v for k, v in row.items() if k.startswith("reason_") and v}
+    shares = {k.removeprefix("reason_"): v for k, v in row.items() if k.startswith("reason_") and v > 0}
     parts = sorted(shares.items(), key=lambda item: -item[1])
     return ", ".join(f"{name} {_number(100 * share, 1)}" for name, share in parts) or "–"
 
@@ -256,7 +256,8 @@ def _read(path: Path) -> pd.DataFrame:
     if path.suffix == ".parquet":
         return pd.read_parquet(path)
     frame = pd.read_csv(path, keep_default_na=False, na_values=[""])
-    frame["latencies_ms"] = [json.loads(text) for text in frame["latencies_ms"]]
+    if "latencies_ms" in frame:
+        frame["latencies_ms"] = [json.loads(text) for text in frame["latencies_ms"]]
     return frame
 
 

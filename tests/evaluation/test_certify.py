@@ -10,13 +10,15 @@ import pytest
 from scipy import stats
 from typer.testing import CliRunner
 
+from evaluation import Result
 from evaluation.commands.cli import app, main
+from evaluation.measuring.metrics import summarise
 from evaluation.measuring.statistics import clopper_pearson
 from evaluation.policies import reference_file
 from evaluation.running import certify as certifying
 from evaluation.running.certify import Asked, certify, page
 from evaluation.running.decision_log import MEASURED
-from evaluation.running.episodes import run_episode
+from evaluation.running.episodes import run_episode, run_paired
 from evaluation.running.identity import file_hash
 from evaluation.running.records import Variant, config_on, variant_for
 from evaluation.running.store import is_store, read_store
@@ -64,6 +66,31 @@ def test_an_episode_is_the_one_of_highway_env(tmp_path):
     assert row["return"] == record.return_
     assert row["min_gap"] == record.min_gap
     assert row["min_margin"] == record.min_margin
+
+
+def test_the_summary_leaves_out_what_is_not_measured(tmp_path):
+    """It asked for latencies and reasons, which rows that are driven side by side have not."""
+    certify(asked(3, policy="random"), tmp_path)
+    rows = Result.read(tmp_path).summary.iloc[0]
+    known = summarise(run_paired(SHORT, "random", [Variant("env")], range(50, 53))).iloc[0]
+    unknown = {name for name in known.index if isinstance(known[name], float) and np.isnan(rows[name])}
+    left_out = {"distance", "lane_changes", "laps", "mean_jerk", "mean_lateral_acceleration"}
+    assert unknown >= {*left_out, "latency_p50_ms", "latency_p99_ms", "reason_unverified"}
+    for name in (
+        "episodes",
+        "crash_rate",
+        "return",
+        "override_rate",
+        "fallback_rate",
+        "frame_override_rate",
+        "min_gap",
+    ):
+        assert rows[name] == pytest.approx(known[name]), name
+    text = Result.read(tmp_path).to_markdown()
+    assert "fallback %" in text
+    assert "latency" not in text
+    done = CliRunner().invoke(app, ["report", str(tmp_path), "--replays", "0", "--output", str(tmp_path / "page.html")])
+    assert done.exit_code == 0, done.output
 
 
 def test_a_folder_of_another_run_is_refused(tmp_path):

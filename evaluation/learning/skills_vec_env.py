@@ -16,6 +16,7 @@ from dynamics.simulator.simulator import Simulator
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.crossing import make
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
+from evaluation.wrappers.skill_progress import SkillProgress
 from evaluation.wrappers.skills import (
     REPORT_SKILLS,
     NearerThan,
@@ -91,11 +92,8 @@ class SkillsVecEnv(VecEnvWrapper):
         self.discount, self._interrupt = checked_discount(discount), _of_many(interrupt)
         labels = action_labels(make(venv.env_id, venv.config).unwrapped)
         self.skills: tuple[Skill, ...] = parse_skills(skills, int(venv.action_space.n), labels)
-        self._lengths = np.array([len(skill.actions) for skill in self.skills], np.intp)
-        self._actions = np.zeros((len(self.skills), self._lengths.max()), np.intp)
-        for k, skill in enumerate(self.skills):
-            self._actions[k, : len(skill.actions)] = skill.actions
-        self._chosen: IntArray = np.zeros(venv.num_envs, np.intp)
+        self._progress = SkillProgress([skill.actions for skill in self.skills], venv.num_envs)
+        self._asked: IntArray = np.zeros(venv.num_envs, np.intp)
         super().__init__(venv, action_space=gym.spaces.Discrete(len(self.skills)))
 
     @property
@@ -120,36 +118,38 @@ class SkillsVecEnv(VecEnvWrapper):
             raise ConfigError(f"have a skill for each of {self.num_envs} environments, not {actions!r}")
         for each in given:
             chosen_skill(self.skills, each)
-        self._chosen = given.astype(np.intp)
+        self._asked = given.astype(np.intp)
 
     def step_wait(self) -> Any:
         """Carry out one skill in each environment."""
-        n, chosen = self.num_envs, self._chosen
-        lengths, going = self._lengths[chosen], np.ones(n, np.bool_)
+        n, progress = self.num_envs, self._progress
+        # A predicate that raised may have left skills half way.
+        progress.stop(np.ones(n, np.bool_))
+        progress.choose(self._asked)
         dones, interrupted = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
         rewards, overrides, infos = [list[float]() for _ in range(n)], np.zeros(n, np.intp), [dict[str, Any]()] * n
-        for k in range(int(lengths.max())):
-            which = np.flatnonzero(going)
-            primitive = self._actions[chosen, np.minimum(k, lengths - 1)]
-            observations, _, done, told = self.venv.step_some(primitive, which)
+        while not progress.over.all():
+            which = np.flatnonzero(~progress.over)
+            observations, _, done, told = self.venv.step_some(progress.primitive, which)
             paid = self.venv.simulator.seen.reward
             for e in which.tolist():
                 rewards[e].append(float(paid[e]))
                 infos[e] = told[e]
                 overrides[e] += bool(told[e].get("shield", {}).get("overridden", False))
             dones |= done
-            going &= ~done & (k + 1 < lengths)
-            asked = np.flatnonzero(going)
+            progress.advance()
+            progress.stop(done)
+            asked = np.flatnonzero(~progress.over)
             if self._interrupt is not None and len(asked):
                 ended = np.asarray(self._interrupt(self.venv, asked, [infos[e] for e in asked.tolist()]), np.bool_)
                 interrupted[asked] = ended
-                going[asked] &= ~ended
-            if not going.any():
-                break
+                progress.stop(interrupted)
         totals = np.zeros(n, np.float32)
         for e, info in enumerate(infos):
             told_of = int(overrides[e]) if "shield" in info else None
-            summary = skill_summary(self.skills[chosen[e]], rewards[e], self.discount, bool(interrupted[e]), told_of)
+            summary = skill_summary(
+                self.skills[progress.chosen[e]], rewards[e], self.discount, bool(interrupted[e]), told_of
+            )
             totals[e], info["skill"] = summary
         return observations, totals, dones, infos
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.state import BoolArray, IntArray
 from evaluation.reproduction import script, text
 from evaluation.reproduction.batch import ReportBatch
+from evaluation.wrappers.skill_progress import SkillProgress
 
 __all__ = ["SkillRun"]
 
@@ -25,21 +25,20 @@ class SkillRun:
     """
 
     def __init__(self, batch: ReportBatch) -> None:
-        skills, envs = batch.preset.skills, len(batch.steps)
+        skills = batch.preset.skills
         self._batch = batch
-        self._lengths = np.array([len(each) for each in skills.values()], np.intp)
-        self._actions = np.zeros((len(skills), self._lengths.max()), np.intp)
-        for k, each in enumerate(skills.values()):
-            self._actions[k, : len(each)] = each
+        self._progress = SkillProgress(list(skills.values()), len(batch.steps))
         self.slow_down = list(skills).index("SLOW_DOWN")
-        self._skill: IntArray = np.zeros(envs, np.intp)
-        self._place: IntArray = np.zeros(envs, np.intp)
-        self.over: BoolArray = np.ones(envs, np.bool_)
-        self.gated: BoolArray = np.zeros(envs, np.bool_)
+        self.gated: BoolArray = np.zeros(len(batch.steps), np.bool_)
+
+    @property
+    def over(self) -> BoolArray:
+        """Where no skill is going on, (e,)."""
+        return self._progress.over
 
     def begin(self, e: int) -> None:
         """An episode begins: no skill is going on."""
-        self.over[e] = True
+        self._progress.over[e] = True
 
     def choose(self, skills: IntArray) -> None:
         """Begin these (e,) wherever the one before is over; the others go on."""
@@ -48,22 +47,18 @@ class SkillRun:
         if batch.variant.report_skills and not batch.preset.interrupted:
             chosen, gated = script.gate_skills(batch.shown, chosen, self.slow_down)
             self.gated = gated & self.over
-        self._skill = np.where(self.over, chosen, self._skill)
-        self._place[self.over] = 0
-        self.over[:] = False
+        self._progress.choose(chosen)
 
     @property
-    def primitive(self) -> NDArray[np.intp]:
+    def primitive(self) -> IntArray:
         """The next action of each, (e,)."""
-        actions: NDArray[np.intp] = self._actions[self._skill, self._place]
-        return actions
+        return self._progress.primitive
 
     def step(self) -> None:
         """After a primitive step of the batch: see which skills are over."""
         batch = self._batch
-        self._place += 1
-        self.over = self._place >= self._lengths[self._skill]
+        self._progress.advance()
         if not batch.variant.report_skills:
-            self.over |= batch.overridden
+            self._progress.stop(batch.overridden)
         elif batch.preset.interrupted:
-            self.over |= text.somebody_near(batch.shown, batch.preset.distance, batch.preset.scale)
+            self._progress.stop(text.somebody_near(batch.shown, batch.preset.distance, batch.preset.scale))

@@ -4,6 +4,8 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from sb3_contrib import MaskablePPO
 from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
 from stable_baselines3 import DQN, PPO
@@ -16,6 +18,7 @@ from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 from evaluation.learning.shielded_vec_env import ShieldedVecEnv
 from evaluation.learning.skills_vec_env import SkillsVecEnv
 from evaluation.wrappers import REPORT_SKILLS, Skills, nearer_than, overridden
+from evaluation.wrappers.skill_progress import SkillProgress
 from shield import ShieldedEnv
 from shield.errors import ConfigError
 
@@ -93,6 +96,39 @@ def test_they_are_skills_around_each_environment(one, compiled, interrupt, inter
     assert ended > 0
     assert len(steps) > 1
     assert (cut > 0) == (interrupt is not None)
+
+
+@given(st.data())
+@settings(max_examples=50, deadline=None)
+def test_progress_is_that_of_each_environment_alone(data):
+    """Compiled environments and the report's experiments carry skills out by it."""
+    skills = data.draw(st.lists(st.lists(st.integers(0, 4), min_size=1, max_size=4), min_size=1, max_size=4))
+    envs, steps = data.draw(st.integers(1, 3)), data.draw(st.integers(1, 10))
+    progress, left = SkillProgress(skills, envs), [[] for _ in range(envs)]
+    for _ in range(steps):
+        chosen = data.draw(st.lists(st.integers(0, len(skills) - 1), min_size=envs, max_size=envs))
+        progress.choose(np.array(chosen))
+        left = [mine or list(skills[k]) for mine, k in zip(left, chosen, strict=True)]
+        assert progress.primitive.tolist() == [mine[0] for mine in left]
+        stopped = data.draw(st.lists(st.booleans(), min_size=envs, max_size=envs))
+        progress.advance()
+        progress.stop(np.array(stopped))
+        left = [[] if ends else mine[1:] for mine, ends in zip(left, stopped, strict=True)]
+        assert progress.over.tolist() == [not mine for mine in left]
+
+
+def test_a_predicate_that_raised_leaves_no_skill_half_way():
+    def failing(world, which, infos):
+        raise ValueError("broken")
+
+    world = SkillsVecEnv(FastHighwayVecEnv(2, "highway-fast-v0"), {"LONG": [1] * 4, "SHORT": [1]}, failing)
+    world.seed(7)
+    world.reset()
+    with pytest.raises(ValueError, match="broken"):
+        world.step([0, 0])
+    world.reset()
+    *_, infos = world.step([1, 1])
+    assert [info["skill"]["actions"] for info in infos] == [[1], [1]]
 
 
 def test_an_environment_whose_skill_is_over_waits():

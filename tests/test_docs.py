@@ -6,9 +6,11 @@ import os
 import re
 import subprocess
 import sys
+import textwrap
 from dataclasses import fields
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -19,12 +21,13 @@ import evaluation.scenarios
 import evaluation.wrappers  # noqa: F401  (registers the -continuous ones)
 from dynamics.traffic.assumptions import Assumptions
 from evaluation.commands.cli import app
+from shield import ShieldedEnv
 from shield.config import PROFILES, Buffer, ShieldConfig
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 TEXT = {page.relative_to(ROOT).as_posix().removeprefix("docs/"): page.read_text(encoding="utf-8") for page in PAGES}
-COMMANDS = sorted({line for text in TEXT.values() for line in re.findall(r"^shield .*$", text, re.MULTILINE)})
+COMMANDS = sorted({line for text in TEXT.values() for line in re.findall(r"^ *(shield .*)$", text, re.MULTILINE)})
 
 
 def test_the_readme_example_runs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -42,6 +45,20 @@ def test_a_policy_may_observe_lidar_and_images(capsys: pytest.CaptureFixture[str
     lines = capsys.readouterr().out.splitlines()
     assert [line.rpartition(" ")[0] for line in lines] == ["(64, 2)"] * 2 + ["(4, 128, 64)"] * 2
     assert {line.rpartition(" ")[2] for line in lines} <= {"none", "unverified"}
+
+
+@pytest.mark.parametrize("page", ["observations-alone", "add-a-road"])
+def test_the_steps_of_a_how_to_run(page: str) -> None:
+    """The Python of a page is one script, block after block."""
+    blocks = re.findall(r"^ *```python\n(.*?)^ *```", TEXT[f"how-to/{page}.md"], re.DOTALL | re.MULTILINE)
+    names: dict[str, Any] = {"__name__": page}
+    exec(compile("".join(textwrap.dedent(block) for block in blocks), f"{page}.md", "exec"), names)
+    env = names["shielded"] if page == "observations-alone" else ShieldedEnv(gym.make("Bend-v0"))
+    env.reset(seed=0)
+    for _ in range(3):
+        *_, info = env.step(3)
+        assert info["shield"]["guarantee"] in {"full", "assumed"}
+    assert not env.unwrapped.vehicle.crashed
 
 
 def test_every_environment_is_in_the_table_of_what_is_driven() -> None:

@@ -238,8 +238,9 @@ def judge(
         least, bad, contact = np.inf, count, -1
         there = rests and last == count - 1
         # Who has to stay behind the ego's body does not come to the next lane, where its rear is within this one. That
-        # holds for any size, with the buffer and without: a frame later it may owe its distance to the body alone.
-        closes = there and trial.rears[lane, 1] <= end
+        # holds for any size, with the buffer and without: a frame later it may owe its distance to the body alone. And
+        # it holds where the ego takes the middle, which is in any band: a frame later the band may be a narrower one.
+        closes = there and trial.rears[lane, 1] <= end and boxes[lane, last, 2] < 0.0 < boxes[lane, last, 3]
         for k in range(first, last + 1):
             box = boxes[lane, k]
             if not box[0] < FAR_OFF:

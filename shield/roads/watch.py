@@ -244,7 +244,8 @@ def _inside(old: Others, j: int, new: Others, i: int) -> bool:
     x, y, heading                         the strips; the heading in the coming frame also `shield.roads.coming`
     `least`, `most`                       they follow from the speed and `drive`
     `drive`, all columns                  here
-    `marks`: lane, the strip before       here
+    `marks`: lane                         here
+    `marks`: the strip before             here, as it is read: whether the ego stands in every way there (`shut`)
     `NEAR`, `FAR`                         here: the way of a frame is between `least` and `most`
     `LOW`, `HIGH`, `HALF`                 here
     `FRONT`                               here; it is read only of who owes the ego its distance
@@ -273,7 +274,9 @@ def _inside(old: Others, j: int, new: Others, i: int) -> bool:
         )
         # The front as it is now counts of who has to stay behind the ego.
         fits = (row[HALF] <= rows[:, HALF] + _PLACE) & (~owes | (row[FRONT] <= rows[:, FRONT] + _PLACE))
-        if not (along & across & settles & fits & (new.ranks[k] <= old.ranks[same])).any():
+        # What the plan passes over, since the ego stands in the way to it, has to stay so.
+        kept = (new.ranks[k] <= old.ranks[same]) & (~old.shut[same] | new.shut[k])
+        if not (along & across & settles & fits & kept).any():
             return False
     return True
 

@@ -1,6 +1,8 @@
 """What one frame may change on a network of roads: whatever is read of a vehicle that keeps the rules becomes no worse
 for the ego, so that what has been verified stays verified."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
@@ -13,6 +15,7 @@ from dynamics.networks.reachable.strips import START
 from shield import ShieldConfig, ShieldedEnv
 from shield.doors.road_door import RoadDoor
 from shield.roads.choosing import try_course
+from shield.roads.judging import CLEAR
 from shield.roads.watch import Breach, Watch
 
 HARD = 9.8
@@ -138,6 +141,42 @@ def test_who_shifts_towards_the_centre_of_an_arc_comes_no_nearer_from_behind(env
             tried += margins[0] < np.inf
             assert margins == pytest.approx(margins[:1] * 3, abs=1e-9)
     assert tried
+
+
+@pytest.mark.parametrize(
+    ("lane", "ego", "other", "then"),
+    [
+        (("k", "b", 0), (-6.96, -2.96, 0.0), (-19.86, -1.31), -0.39),
+        (("b", "c", 2), (-8.415, 1.704, 0.155), (-16.13, -1.527), -1.192),
+        (("b", "c", 2), (-7.74, 1.54, 0.2), (-17.23, -1.77), -1.22),
+    ],
+)
+def test_who_may_pass_the_ego_by_after_a_frame_could_before_or_is_named(lane, ego, other, then):
+    """The ego rests before the end of a lane, beside the middle, and one stands behind it there, beside the middle as
+    well. What comes after the lane is passed over where it has to stop behind the ego. A frame later it is further
+    inside its band, and can pass."""
+    scene = Scene("merge-v0")
+    on = scene.network.get_lane(lane)
+    s, r, turned = on.length + ego[0], ego[1], ego[2]
+    scene.put(scene.ego, lane, on.position(s, r), on.heading_at(s) + turned, 0.0)
+    margins, seen = [], []
+    for across in (other[1], then):
+        scene.on(scene.other, lane, on.length + other[0], across, 0.0)
+        margins.append(scene.margin(lane, 0.0, 1))
+        seen.append(replace(scene.door._look(), others=scene.door._others))
+    assert not margins[0] >= CLEAR > margins[1] or scene.rules(*seen) == {Breach.WAYS}
+
+
+@pytest.mark.parametrize(("r", "shut"), [(0.0, True), (-2.96, False)])
+def test_an_ego_shuts_a_lane_where_it_takes_the_middle_of_it(r, shut):
+    """One behind it could pass beside it, once back in the middle."""
+    scene, lane = Scene("merge-v0"), ("k", "b", 0)
+    length = scene.network.get_lane(lane).length
+    scene.on(scene.ego, lane, length - 6.96, r, 0.0)
+    scene.on(scene.other, lane, length - 19.86, -1.31, 0.0)
+    assert (scene.margin(lane, 0.0, 1) >= CLEAR) == shut
+    others = scene.door._others
+    assert others.shut[others.marks[:, 1] != scene.door._index[lane]].any() == shut
 
 
 def test_what_native_traffic_does_on_an_arc_is_foreseen():

@@ -141,6 +141,20 @@ ROADS = (
         _TRANSITIONS,
     ),
     off(
+        "an ego beside the middle of a lane shuts it",
+        _JUDGING,
+        " and boxes[lane, last, 2] < 0.0 < boxes[lane, last, 3]",
+        "",
+        _TRANSITIONS,
+    ),
+    off(
+        "who is passed over may have to be kept clear of in the next frame",
+        "shield/roads/watch.py",
+        " & (~old.shut[same] | new.shut[k])",
+        "",
+        _TRANSITIONS,
+    ),
+    off(
         "how far a vehicle gets is not compared",
         "shield/roads/watch.py",
         "    if not _is_no_faster(old.drive[j], new.drive[i]):\n        return False\n",
@@ -232,7 +246,7 @@ ROADS = (
         _CLAUSES,
     ),
     off("the ego leaves the road", "shield/roads/choosing.py", "    if found < 0:\n", "    if False:\n", _CLAUSES),
-    off("who stops behind the ego comes no further", _JUDGING, " and trial.rears[lane, 1] <= end\n", "\n", _FOUND),
+    off("who stops behind the ego comes no further", _JUDGING, " and trial.rears[lane, 1] <= end", "", _FOUND),
     off(
         "the lane that the ego is in is not tried",
         "shield/doors/road_door.py",

@@ -1,5 +1,5 @@
-# One command each: `make demo`, `make cem-demo`, `make test`, `make test-slow`, `make ray`, `make mutants`, `make compat`,
-# `make lint`, `make bench`, `make docs`, `make clean`.
+# One command each: `make demo`, `make cem-demo`, `make test`, `make test-slow`, `make decisions`, `make ray`,
+# `make mutants`, `make compat`, `make lint`, `make bench`, `make docs`, `make clean`.
 # PYTHON is the interpreter (3.11 or newer) that the virtual environment is made from.
 PYTHON ?= python3
 TORCH  ?= torch==2.13.0
@@ -14,7 +14,7 @@ export OMP_NUM_THREADS ?= 1
 export SDL_VIDEODRIVER ?= dummy
 export PYGAME_HIDE_SUPPORT_PROMPT ?= 1
 
-.PHONY: install demo cem-demo test test-slow ray mutants compat lint bench docs clean
+.PHONY: install demo cem-demo test test-slow decisions ray mutants compat lint bench docs clean
 
 install: $(STAMP)
 
@@ -43,6 +43,10 @@ test: lint
 
 test-slow: $(STAMP)
 	HYPOTHESIS_PROFILE=explore $(BIN)/pytest -n auto -m slow
+
+# Decisions on every road, compared with those that were recorded; RECORD=--record writes the file anew.
+decisions: $(STAMP)
+	$(BIN)/python tests/support/recorded_decisions.py --jobs $(JOBS) $(RECORD)
 
 # Episodes spread over a Ray cluster of two nodes, which the tests start, and lose one of. Ray takes 260 MB with what it
 # needs, so `make test` does without.

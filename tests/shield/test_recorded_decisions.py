@@ -1,0 +1,44 @@
+"""Decisions on every road are those that were recorded: a change that means to keep them keeps them.
+
+Where decisions are meant to change, `make decisions RECORD=--record` writes the file anew, and the commit says why. Here
+the cells of `ShieldedEnv` by default and in the worst case are compared; `make decisions` compares all.
+"""
+
+import pytest
+import recorded_decisions
+from recorded_decisions import Cell, decided, differences, recorded
+
+BEFORE = recorded()
+BEFORE = BEFORE[BEFORE.cell.str.contains("; (?:default|worst case); ShieldedEnv$")]
+BY_ENV = {env_id: group for env_id, group in BEFORE.groupby(BEFORE.cell.str.partition(";")[0])}
+
+
+@pytest.mark.parametrize("env_id", BY_ENV)
+def test_decisions_are_those_recorded(env_id):
+    """What is executed, why, from which stage, with which margin and clause, and where the ego comes to be."""
+    before = BY_ENV[env_id]
+    now = decided([Cell(*cell.split("; ")) for cell in before.cell.unique()])
+    assert not list(differences(before, now))
+
+
+@pytest.mark.parametrize("column", [*recorded_decisions.TEXTS, *recorded_decisions.COUNTS, "margin", "speed"])
+def test_each_column_is_compared(column):
+    """A change of any column, a decision that is missing and a cell that is missing are told."""
+    before = BEFORE[BEFORE.cell == BEFORE.cell.iloc[0]]
+    now = before.copy()
+    now[column] = now[column] + ("x" if column in recorded_decisions.TEXTS else 1)
+    told = list(differences(before, now))
+    assert len(told) == 1
+    assert column in told[0]
+    assert list(differences(before, before.iloc[:-1]))
+    assert list(differences(before, before.iloc[:0]))
+    assert not list(differences(before, before.copy()))
+
+
+def test_the_recorded_episodes_have_overrides_of_many_kinds():
+    """Episodes in which everything passes would compare little."""
+    every = recorded()
+    overridden = every[~every.tier.isin(["passed", "off"])]
+    assert len(overridden) > 2000
+    assert min(every.tier.nunique(), every.reason.nunique()) >= 6
+    assert {"", "separation", "slip-in"} <= set(every.clause)

@@ -1,6 +1,6 @@
 """Decisions on every road are those that were recorded: a change that means to keep them keeps them.
 
-Where decisions are meant to change, `make decisions RECORD=--record` writes the file anew, and the commit says why. Here
+Where decisions are meant to change, `make decisions RECORD=--record` writes the file anew and the commit says why. Here
 the cells of `ShieldedEnv` by default and in the worst case are compared; `make decisions` compares all.
 """
 

@@ -116,11 +116,12 @@ def test_new_modules_turn_up_by_themselves(tmp_path: Path) -> None:
 
 
 def navigation() -> list[str]:
-    """The pages that mkdocs.yml lists, in order; of docs/ but for the README and the examples."""
+    """The pages of docs/ that mkdocs.yml lists, in order."""
     nav = re.search(r"^nav:\n((?: .*\n)+)", MKDOCS, re.MULTILINE)
     assert nav is not None
     assert "reference/\n" in nav[1]
-    return [page for page in re.findall(r"[\w/-]+\.md", nav[1]) if page not in {"index.md", "source/examples/index.md"}]
+    listed = re.findall(r"[\w/-]+\.md", nav[1])
+    return [page for page in listed if page != "index.md" and not page.startswith("source/")]
 
 
 def test_every_page_is_in_the_navigation_or_the_lab() -> None:
@@ -128,6 +129,25 @@ def test_every_page_is_in_the_navigation_or_the_lab() -> None:
     assert len(listed) == len(set(listed))
     pages = {page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md")}
     assert set(listed) == {page for page in pages if not page.startswith("lab/")}
+
+
+command_line = load("command_line")
+
+
+def test_the_page_of_commands_names_every_command() -> None:
+    text = (DOCS / "reference" / "cli.md").read_text(encoding="utf-8")
+    assert len(command_line.commands()) >= 28
+    for name in command_line.commands():
+        assert re.search(rf"(^|`){name}\b", text, re.MULTILINE), name
+
+
+def test_the_site_lists_every_option_of_every_command() -> None:
+    sections = re.split(r"^### ", command_line.options(), flags=re.MULTILINE)[1:]
+    assert [section.splitlines()[0] for section in sections] == list(command_line.commands())
+    for section, command in zip(sections, command_line.commands().values(), strict=True):
+        for parameter in command.params:
+            rows = [line for line in section.splitlines() if line.startswith("| `")]
+            assert sum(parameter.name.upper() in row or parameter.opts[0] in row for row in rows) >= 1, parameter.name
 
 
 LAB = sorted((DOCS / "lab").glob("*.md"))

@@ -1,4 +1,4 @@
-"""What mkdocs cannot do by itself: the README as the home page, files outside docs/ as pages, and the API reference.
+"""What mkdocs cannot do by itself: the README as the home page, files outside docs/ as pages, API and command line.
 
 Links are written for the repository. Here they are turned into links of the site, so that both work.
 """
@@ -10,13 +10,14 @@ import posixpath
 import re
 from pathlib import Path
 
+from command_line import options
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 from reference import nav_of, overview, pages
 
 _LINK = re.compile(r"(?<=\]\()(?!https?:|mailto:|#)([^)#\s]+)(?=[)#])")
-_REFERENCE = "reference/"
+_REFERENCE, _SOURCE, _COMMANDS = "reference/", "source/", "reference/cli.md"
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
@@ -47,6 +48,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for file in files.documentation_pages():
         path = root / "docs" / file.src_uri
         sources |= _linked(path.read_text(encoding="utf-8"), path.parent, root)
+    for text in [path for path in sources if path.suffix == ".md"]:
+        sources |= _linked(text.read_text(encoding="utf-8"), text.parent, root)
     sources |= {file for path in sources if path.is_dir() for file in path.glob("*.py")}
     made |= {_source_uri(path, root): _source_page(path, root) for path in sources}
     for uri, text in made.items():
@@ -57,10 +60,16 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Turn links between files of the repository into links between pages."""
     root, uri = _root(config), page.file.src_uri
-    if page.file.generated_by and uri != "index.md":
+    if not page.file.generated_by:
+        folder = (root / "docs" / uri).parent
+    elif uri == "index.md":
+        folder = root
+    elif _is_text(uri, root):
+        folder = (root / uri.removeprefix(_SOURCE)).parent
+    else:
         return markdown
-    folder = root if uri == "index.md" else (root / "docs" / uri).parent
-    return _LINK.sub(lambda match: _site_link(match[1], folder, uri, root), markdown)
+    linked = _LINK.sub(lambda match: _site_link(match[1], folder, uri, root), markdown)
+    return f"{linked}\n{options()}" if uri == _COMMANDS else linked
 
 
 def _root(config: MkDocsConfig) -> Path:
@@ -83,13 +92,22 @@ def _site_link(target: str, folder: Path, uri: str, root: Path) -> str:
 
 
 def _source_uri(path: Path, root: Path) -> str:
-    """Of the page that shows a file or a folder of the repository."""
+    """Of the page that shows a file or a folder of the repository; a page of Markdown keeps its name."""
     name = path.relative_to(root).as_posix()
-    return f"source/{name}/index.md" if path.is_dir() else f"source/{name}.md"
+    if path.is_dir():
+        return f"{_SOURCE}{name}/index.md"
+    return f"{_SOURCE}{name}" if path.suffix == ".md" else f"{_SOURCE}{name}.md"
+
+
+def _is_text(uri: str, root: Path) -> bool:
+    """Whether a page is Markdown of the repository outside docs/, such as CONTRIBUTING.md, and no listing of a file."""
+    return uri.startswith(_SOURCE) and (root / uri.removeprefix(_SOURCE)).is_file()
 
 
 def _source_page(path: Path, root: Path) -> str:
     name = path.relative_to(root).as_posix()
+    if path.suffix == ".md":
+        return path.read_text(encoding="utf-8")
     if path.is_file():
         # What explains a name is found before what uses it.
         rank = "---\nsearch:\n  boost: 0.5\n---\n\n"

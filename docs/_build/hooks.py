@@ -51,7 +51,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for text in [path for path in sources if path.suffix == ".md"]:
         sources |= _linked(text.read_text(encoding="utf-8"), text.parent, root)
     sources |= {file for path in sources if path.is_dir() for file in path.glob("*.py")}
-    made |= {_source_uri(path, root): _source_page(path, root) for path in sources}
+    made |= {_source_uri(path, root): _source_page(path, root) for path in sources - {root / "README.md"}}
     for uri, text in made.items():
         files.append(File.generated(config, uri, content=text))
     return files
@@ -94,6 +94,8 @@ def _site_link(target: str, folder: Path, uri: str, root: Path) -> str:
 def _source_uri(path: Path, root: Path) -> str:
     """Of the page that shows a file or a folder of the repository; a page of Markdown keeps its name."""
     name = path.relative_to(root).as_posix()
+    if name == "README.md":
+        return "index.md"
     if path.is_dir():
         return f"{_SOURCE}{name}/index.md"
     return f"{_SOURCE}{name}" if path.suffix == ".md" else f"{_SOURCE}{name}.md"

@@ -3,6 +3,7 @@
 
     python benchmarks/default_drives.py --episodes 1000 --seed 920000      # the table of docs/what-it-drives.md
     python benchmarks/default_drives.py merge-v0 intersection-v2 --episodes 200 --seed 5000
+    python benchmarks/default_drives.py merge-v0 roundabout-v0 --traffic aggressive
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from evaluation.measuring.statistics import wilson
 from evaluation.running.episodes import run_paired
 from evaluation.running.many import Many
 from evaluation.running.records import Variant
-from evaluation.settings import Setting
+from evaluation.settings import TRAFFIC, Setting
 from shield.config import ShieldConfig
 from shield.decision import Verification
 from shield.doors.env import ShieldedEnv
@@ -38,21 +39,22 @@ class Row(NamedTuple):
     shielded: pd.DataFrame
 
 
-def shielded_episodes(setting: Setting, policy: str, config: ShieldConfig, seeds: range, jobs: int) -> pd.DataFrame:
-    """Episodes of the default shield: side by side where they are compiled so, else one by one."""
+def episodes(setting: Setting, policy: str, variant: Variant, seeds: range, jobs: int) -> pd.DataFrame:
+    """Episodes bare or behind the default shield: side by side where they are compiled so, else one by one."""
+    config = ShieldConfig(mode="none") if variant.door == "none" else variant.config
     try:
         return Many(setting, policy, config).run(seeds)
     except ConfigError:
-        return run_paired(setting, policy, [Variant("env", config)], seeds, simulator="auto", jobs=jobs)
+        return run_paired(setting, policy, [variant], seeds, simulator="auto", jobs=jobs)
 
 
-def rows(env_ids: Sequence[str], seeds: range, jobs: int) -> Iterator[Row]:
+def rows(env_ids: Sequence[str], traffic: str | None, seeds: range, jobs: int) -> Iterator[Row]:
     """A row for each environment that highway-env drives with meta-actions of one ego, and policy."""
     for env_id in env_ids:
         config = config_of(env_id, "DiscreteMetaAction")
         if config is None:
             continue
-        setting = Setting(env_id, env_id, config)
+        setting = Setting(env_id, env_id, config).with_traffic(traffic)
         try:
             # As the runner makes it: highway-env's intersections change the traffic of the process.
             shield = ShieldedEnv(setting.make())
@@ -61,8 +63,8 @@ def rows(env_ids: Sequence[str], seeds: range, jobs: int) -> Iterator[Row]:
         if shield.verification not in (Verification.SIMULATED, Verification.WORST_CASE) or "multi-agent" in env_id:
             continue
         for policy in POLICIES:
-            bare = run_paired(setting, policy, [Variant()], seeds, simulator="auto", jobs=jobs)
-            behind = shielded_episodes(setting, policy, shield.config, seeds, jobs)
+            bare = episodes(setting, policy, Variant(), seeds, jobs)
+            behind = episodes(setting, policy, Variant("env", shield.config), seeds, jobs)
             yield Row(env_id, shield.verification, policy, bare, behind)
 
 
@@ -97,6 +99,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=920_000)
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--traffic", choices=sorted(TRAFFIC), help="by default the environment's own")
     asked = parser.parse_args()
     warnings.simplefilter("ignore")
     print(
@@ -104,7 +107,8 @@ def main() -> None:
         "| default: crashes %; 95 % Wilson | return | speed m/s | overridden % |"
     )
     print("| :-- | :-- | :-- | --: | --: | --: | --: | --: | --: |")
-    for row in rows(asked.env_ids or env_ids(), range(asked.seed, asked.seed + asked.episodes), asked.jobs):
+    seeds = range(asked.seed, asked.seed + asked.episodes)
+    for row in rows(asked.env_ids or env_ids(), asked.traffic, seeds, asked.jobs):
         print(line(row), flush=True)
 
 

@@ -16,7 +16,7 @@ from evaluation.policies import list_references
 from evaluation.running.decision_log import action_steps
 from evaluation.running.episodes import run_episode
 from evaluation.running.named_policies import ConstantPolicy, RandomPolicy, WeavingPolicy, make_policy, policy_label
-from evaluation.running.records import told, variant_for
+from evaluation.running.records import Variant, told, variant_for
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
 from shield.batch.vocabulary import FALLBACKS, rules_in
@@ -293,7 +293,7 @@ class Many:
         crashed, attribution = bool(tallies.crashed[i]), "none"
         if crashed:
             # Rare enough to be driven again, one frame at a time.
-            variant = variant_for(self._config)
+            variant = Variant() if self._config.mode == "none" else variant_for(self._config)
             attribution = run_episode(self._setting, self._policy, variant, seed, simulator="compiled").attribution
         steps, frames = int(tallies.steps[i]), int(tallies.frames[i])
         return {

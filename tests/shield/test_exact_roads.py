@@ -13,7 +13,7 @@ from dynamics.simulator.layout import LANE, SPEED
 from evaluation.running.certify import COLUMNS, FALLBACKS
 from evaluation.running.episodes import run_paired
 from evaluation.running.many import UNMEASURED, Many
-from evaluation.running.records import variant_for
+from evaluation.running.records import Variant, variant_for
 from evaluation.settings import get_setting
 from shield.batch.vocabulary import TIERS
 from shield.config import ShieldConfig
@@ -58,6 +58,18 @@ def test_side_by_side_is_one_by_one(name, policy, seeds):
             np.testing.assert_allclose(one, other.astype(float), rtol=0, atol=1e-9, err_msg=column)
         else:
             assert one.tolist() == other.tolist(), column
+
+
+def test_side_by_side_is_one_by_one_without_a_shield():
+    """Crashes are attributed as well."""
+    setting, bare = get_setting("roundabout").with_traffic("aggressive"), ShieldConfig(mode="none")
+    many = Many(setting, "faster", bare, envs=2).run(range(4))
+    alone = run_paired(setting, "faster", [Variant()], range(4), simulator="auto", jobs=1)
+    for column in ("seed", "crashed", "off_road", "attribution", "steps", "simulator"):
+        assert many[column].tolist() == alone[column].tolist(), column
+    np.testing.assert_allclose(many["return"], alone["return"], rtol=0, atol=1e-9)
+    assert many["crashed"].any()
+    assert not many["overridden"].any()
 
 
 @pytest.mark.parametrize("seed", [6663, 86_003_496])

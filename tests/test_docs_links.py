@@ -1,4 +1,4 @@
-"""Links and names of test files in the pages lead somewhere."""
+"""Links, and the files that pages name, exist."""
 
 from __future__ import annotations
 
@@ -36,3 +36,12 @@ def test_links_lead_somewhere(page: Path) -> None:
 def test_tests_that_are_named_exist(page: Path) -> None:
     for name in re.findall(r"\btests/[\w/]+\.py", page.read_text(encoding="utf-8")):
         assert (ROOT / name).is_file(), name
+
+
+@pytest.mark.parametrize("name", ["ARCHITECTURE.md", "CONTRIBUTING.md"])
+def test_what_contributors_are_sent_to_exists(name: str) -> None:
+    """Files and folders in backticks and in the diagram, from the root of the repository."""
+    named = set(re.findall(r"\b(?:dynamics|mpc|shield|evaluation|tests)/[\w/]+(?:\.py\b|/)", (ROOT / name).read_text()))
+    assert len(named) >= 15
+    for path in named:
+        assert (ROOT / path).exists(), path

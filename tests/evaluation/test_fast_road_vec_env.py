@@ -8,7 +8,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 
 from evaluation.learning.fast_road_vec_env import FastRoadVecEnv
-from evaluation.settings import Setting
+from evaluation.settings import Setting, get_setting
 from evaluation.training.train import train
 from shield.errors import ConfigError
 
@@ -43,11 +43,14 @@ def test_steps_and_infos_are_those_of_monitors_around_highway_env(env_id, config
     assert ends > 0
 
 
-def test_training_takes_it_by_itself_and_gives_the_same_model(tmp_path):
+@pytest.mark.parametrize(
+    "setting", [Setting("short", "merge-v0"), get_setting("roundabout").with_traffic("aggressive")]
+)
+def test_training_takes_it_by_itself_and_gives_the_same_model(tmp_path, setting):
     networks = []
     for simulator in ("highway-env", "auto"):
         trained = train(
-            Setting("short", "merge-v0"),
+            setting,
             "ppo",
             32,
             1,

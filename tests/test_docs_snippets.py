@@ -55,3 +55,25 @@ def test_each_page_shows_some_output() -> None:
 
 def test_the_readme_is_short() -> None:
     assert len(README.read_text(encoding="utf-8").splitlines()) < 150
+
+
+def test_the_figures_of_the_readme_are_those_of_the_pages_it_names() -> None:
+    """Crash rates with their intervals, and returns, of each row of the table."""
+    text = README.read_text(encoding="utf-8")
+    results = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    driven = (ROOT / "docs" / "what-it-drives.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\S+)-(v\d) \| (PPO|FASTER) \| ([\d,]+) \| (.*) \|$", text, re.MULTILINE)
+    assert len(rows) >= 9
+    for road, version, policy, episodes, cells in rows:
+        name = f"ppo-{road}" if policy == "PPO" else "faster"
+        here = rf"^\| {road} \| {name} \|.*" if episodes != "1,000" else rf"^\| {road}-{version} \| .* \| {name} \|.*"
+        lines = " ".join(re.findall(here, driven if episodes == "1,000" else results, re.MULTILINE)).replace("**", "")
+        assert lines, (road, policy)
+        returns = {f"{float(number):.1f}" for number in re.findall(r"(?<=\| )-?\d+\.\d+", lines)}
+        shown = cells.replace("**", "").split(" | ")
+        for crashes, total in zip([shown[0], *shown[2::3]], [shown[1], *shown[3::3]], strict=False):
+            if "[" in crashes:
+                assert crashes in lines, (road, policy, crashes)
+                assert total in returns, (road, policy, total)
+    for revision in re.findall(r"revision (\w{7})", text):
+        assert revision in results + driven

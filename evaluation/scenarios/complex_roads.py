@@ -69,6 +69,9 @@ class ComplexRoadsEnv(AbstractEnv):  # type: ignore[misc]
     makes_grids = True
     """It makes grids of actions by itself (`dynamics.traffic.crossing.make`)."""
 
+    def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:
+        super().__init__(config, render_mode)
+
     @classmethod
     def default_config(cls) -> dict[str, Any]:
         """The configuration of the paper; ranges and frequencies are ours."""

@@ -150,6 +150,42 @@ def test_the_site_lists_every_option_of_every_command() -> None:
             assert sum(parameter.name.upper() in row or parameter.opts[0] in row for row in rows) >= 1, parameter.name
 
 
+MADE = ("what-it-drives.md", "results.md", "reproduce.md")
+"""Pages whose tables commands make: of these the prose alone counts."""
+EXPLANATIONS = ("how-it-decides", "roads", "exact", "perception", "simulator", "predictive-filter", "learned-dynamics")
+
+
+def words(page: Path, tables: bool = True) -> int:
+    """Words of a page without its code blocks, comments and link targets; without its tables unless asked."""
+    text = re.sub(r"```.*?```|<!--.*?-->", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    lines = re.sub(r"\]\([^)\s]*\)", "]", text).splitlines()
+    counted = (line for line in lines if tables or not line.startswith("|"))
+    return sum(bool(re.search(r"\w", word)) for line in counted for word in line.split())
+
+
+def test_the_navigation_has_at_most_15000_words() -> None:
+    """So that a newcomer finds and finishes something: what was tried and measured on the way goes to docs/lab."""
+    pages = [
+        ROOT / page.removeprefix("source/") if page.startswith("source/") else DOCS / page for page in navigation()
+    ]
+    counts = {page.name: words(page, page.name not in MADE) for page in [ROOT / "README.md", *pages]}
+    assert sum(counts.values()) <= 15_000, counts
+
+
+@pytest.mark.parametrize("name", EXPLANATIONS)
+def test_an_explanation_is_short_has_a_figure_and_ends_with_its_lab_page(name: str) -> None:
+    page = DOCS / f"{name}.md"
+    assert words(page) <= 1_500
+    text = page.read_text(encoding="utf-8")
+    assert re.search(r"^!\[.+\]\(images/\S+\.png\)$", text, re.MULTILINE)
+    assert f"(lab/{name}.md)" in text[-400:]
+
+
+@pytest.mark.parametrize("page", sorted((DOCS / "how-to").glob("*.md")), ids=lambda page: page.stem)
+def test_a_how_to_has_at_most_500_words(page: Path) -> None:
+    assert words(page) <= 500
+
+
 LAB = sorted((DOCS / "lab").glob("*.md"))
 
 

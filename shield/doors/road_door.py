@@ -31,11 +31,14 @@ from shield.roads.dues import Dues
 from shield.roads.judging import CLEAR
 from shield.roads.late import Braking
 from shield.roads.outlook import Outlook, road_of
-from shield.roads.room import Foreseen, Trial, empty_trial, foreseen
+from shield.roads.room import Foreseen, empty_trial, foreseen
 from shield.roads.saving import bare, save
 from shield.roads.watch import Breach, Seen, Watch, check_readable
 
 __all__ = ["RoadDoor"]
+
+_OF_A_DECISION = ("_wish", "_left", "_ready", "_others", "_who", "_trial")
+"""Attributes that a decision writes and its frames read."""
 
 
 class RoadDoor:
@@ -226,14 +229,17 @@ class RoadDoor:
         SceneError
             If the scene cannot be read.
         """
-        kept = self._wish
+        kept = {name: value for name, value in vars(self).items() if name in _OF_A_DECISION}
         mask = np.zeros(len(self._base.action_type.actions), dtype=bool)
-        check_readable(self._see())
-        for action in range(len(mask)):
-            load_ego(self._base, self._alone.rules, self._index, self._alone.worlds)
-            self._intend(action)
-            mask[action] = self._choose()[1].tier is Tier.PASSED
-        self._wish = kept
+        try:
+            check_readable(self._see())
+            self._trial = empty_trial(self._frames, len(self._names), len(self._who))
+            for action in range(len(mask)):
+                load_ego(self._base, self._alone.rules, self._index, self._alone.worlds)
+                self._intend(action)
+                mask[action] = self._choose()[1].tier is Tier.PASSED
+        finally:
+            vars(self).update(kept)
         return mask if mask.any() else np.ones_like(mask)
 
     def _intend(self, action: int) -> None:
@@ -272,7 +278,7 @@ class RoadDoor:
         self._frames = frames_of(self._frequency)
         self._braking: Braking = Braking.on(self._alone, self._road, self._frames, stays)
         self._outlook = Outlook(base, self._alone, self._road, self._frames)
-        self._trial: Trial = empty_trial(self._frames, len(self._names), 0)
+        self._trial = empty_trial(self._frames, len(self._names), 0)
 
     def _read(self) -> None:
         """Take in the scene, and once what has become of it since the one before."""

@@ -64,6 +64,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         folder = (root / "docs" / uri).parent
     elif uri == "index.md":
         folder = root
+        page.meta["hide"] = ["toc"]  # its table of results is wide
     elif _is_text(uri, root):
         folder = (root / uri.removeprefix(_SOURCE)).parent
     else:

@@ -136,7 +136,7 @@ def _tube() -> Figure:
     middle = 0.5 * float(found.front[nearest] + rear[nearest])
     text = f"margin {found.margin:.1f} m"
     _pointed(top, text, (middle, r), (middle, 8.6))
-    top.text(15.0, 8.6, "the ego with its buffer, every third frame", fontsize=8, ha="center", va="center")
+    top.text(9.0, 8.6, "the ego with its buffer, every third frame", fontsize=8, ha="center", va="center")
     top.set_xlabel("along the road [m]", fontsize=8)
     times = scene.dt * np.arange(1, len(found.path) + 1)
     below.fill_between(times, rear, front, color=_OTHERS, alpha=0.25, lw=0, label="where the leader can be")

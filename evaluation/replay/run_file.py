@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import tomli_w
 
 from evaluation.names import BASELINES, check_policy
@@ -149,10 +150,29 @@ def _shielded(rows: list[dict[str, Any]]) -> str:
 def _setting(name: str, settings: Mapping[str, Any]) -> Setting:
     """The setting of that name, which has to be what it was."""
     was = settings[name]
-    setting = SETTINGS[name] if name in SETTINGS else Setting(name, was["id"], was["configuration"])
-    if differ := differences(was, json.loads(json.dumps(of_environment(setting)))):
+    setting = SETTINGS[name] if name in SETTINGS else Setting(name, _importable(name, was), was["configuration"])
+    try:
+        now = of_environment(setting)
+    except (gym.error.Error, ImportError) as error:
+        raise ConfigError(
+            f"the environment {name} of the run cannot be made: {error}; run this in the folder of the module that "
+            "registers it"
+        ) from None
+    if differ := differences(was, json.loads(json.dumps(now))):
         raise ConfigError(f"the environment {name} is another than that of the run: {', '.join(differ[:_SHOWN])}")
     return setting
+
+
+def _importable(name: str, was: Mapping[str, Any]) -> str:
+    """The id of a recorded environment: "module:id" where a module has to be imported that registers it.
+
+    The module is that of the setting's name, as it was asked for, else that of the environment's class.
+    """
+    env_id: str = was["id"]
+    module, colon, _ = name.partition(":")
+    if colon:
+        return f"{module}:{env_id}"
+    return env_id if env_id in gym.registry else f"{was['class'].rpartition('.')[0]}:{env_id}"
 
 
 def _policy(label: str, given: str | None, policies: Mapping[str, Any]) -> str:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import sys
 
+import gymnasium as gym
 import pytest
 from typer.testing import CliRunner
 
@@ -80,3 +82,52 @@ def test_an_episode_of_a_certificate_is_found_in_its_folder(tmp_path):
     assert result.exit_code == 0, result.output
     page = (tmp_path / "episodes-episode-1.html").read_text(encoding="utf-8")
     assert '"seed":61,' in page
+
+
+OWN = """
+import gymnasium as gym
+from highway_env.envs.highway_env import HighwayEnvFast
+
+
+class Short(HighwayEnvFast):
+    @classmethod
+    def default_config(cls):
+        return {**super().default_config(), "duration": 3, "vehicles_count": 5}
+
+
+gym.register("Short-v0", entry_point=Short)
+"""
+
+
+@pytest.fixture
+def own_run(tmp_path, monkeypatch):
+    """A run in an environment that a module of the working directory registers, which nothing has imported since."""
+
+    def forget():
+        gym.registry.pop("Short-v0", None)
+        sys.modules.pop("short_road", None)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "short_road.py").write_text(OWN, encoding="utf-8")
+    options = ["--env-id", "short_road:Short-v0", "--policy", "faster", "--episodes", "1", "--jobs", "1"]
+    assert RUN.invoke(app, ["evaluate", *options, "--output", "mine.parquet"]).exit_code == 0
+    forget()
+    yield tmp_path / "mine.parquet"
+    forget()
+
+
+def test_an_episode_in_an_environment_of_the_users_own_is_replayed(own_run):
+    """The module that registers it is imported first, as for the run."""
+    result = RUN.invoke(app, ["replay", str(own_run), "--episode", "1"])
+    assert result.exit_code == 0, result.output
+    assert own_run.with_name("mine-episode-1.html").is_file()
+
+
+def test_a_module_that_is_gone_is_named(own_run):
+    """A message, and no traceback, says which module is missing and where to run the command."""
+    own_run.with_name("short_road.py").unlink()
+    error = RUN.invoke(app, ["replay", str(own_run), "--episode", "1"]).exception
+    assert isinstance(error, ConfigError)
+    assert "short_road" in str(error)
+    assert "run this in the folder" in str(error)

@@ -186,6 +186,25 @@ def test_a_how_to_has_at_most_500_words(page: Path) -> None:
     assert words(page) <= 500
 
 
+def measured() -> list[tuple[str, str]]:
+    """Tables with intervals on the pages of the navigation: the page, and all that stands before the table on it."""
+    found = []
+    for page in navigation():
+        text = (DOCS / page).read_text(encoding="utf-8")
+        for table in re.finditer(r"(?:^\|.*\n)+", text, re.MULTILINE):
+            if re.search(r"\[\d[\d.]*, \d[\d.]*\]", table[0]):
+                found.append((page, text[: table.start()]))
+    return found
+
+
+def test_a_measured_table_names_its_revision_and_its_command() -> None:
+    tables = measured()
+    assert len(tables) >= 8
+    for page, before in tables:
+        assert re.search(r"[Rr]evisions? [0-9a-f]{7}\b", before), page
+        assert re.search(r"\b(?:shield [a-z]+|python \S+) ", before[-1500:]), page
+
+
 LAB = sorted((DOCS / "lab").glob("*.md"))
 
 

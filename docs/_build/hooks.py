@@ -60,6 +60,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Turn links between files of the repository into links between pages."""
     root, uri = _root(config), page.file.src_uri
+    if uri.startswith("lab/"):
+        page.meta["search"] = {"boost": 0.5}  # The page that explains is found before the notes behind it.
     if not page.file.generated_by:
         folder = (root / "docs" / uri).parent
     elif uri == "index.md":

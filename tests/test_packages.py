@@ -47,6 +47,10 @@ def test_the_lowest_package_has_the_version():
     assert dynamics.__version__.count(".") == 2
 
 
+def test_the_citation_names_this_version():
+    assert f"\nversion: {dynamics.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
 def test_python_m_shield_is_the_command():
     done = subprocess.run([sys.executable, "-m", "shield", "--version"], cwd=ROOT, capture_output=True, text=True)
     assert done.stdout == f"highway-shield {shield.__version__}\n", done.stderr

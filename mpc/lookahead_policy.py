@@ -117,7 +117,8 @@ class LookaheadPolicy:
             kept = self._kept(going, worth, begun)
             self._copy(children, parents, kept, np.arange(len(kept)))
             values, first, n = worth[kept], begun[kept], len(kept)
-        return best[self._alike(start, 1)[0]]
+        found: FloatArray = best[self._alike(start, 1)[0]]
+        return found
 
     def _alike(self, futures: Any, n: int) -> IntArray:
         """The first action that leads to the same as each, in each of the first n futures, (n, actions)."""

@@ -205,7 +205,8 @@ class ShieldConfig:
             assumptions = Assumptions.profile(given)
         else:
             assumptions = _build(Assumptions, "assumptions", given)
-        return _build(cls, "config", {**data, "buffer": buffer, "assumptions": assumptions})
+        found: ShieldConfig = _build(cls, "config", {**data, "buffer": buffer, "assumptions": assumptions})
+        return found
 
     @classmethod
     def load(cls, path: str | Path) -> ShieldConfig:

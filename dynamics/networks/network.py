@@ -193,7 +193,8 @@ def _outline(lane: Any) -> FloatArray:
         first, last = sorted((lane.start_phase, lane.start_phase + turned))
         quarters = np.pi / 2 * np.arange(np.ceil(first / (np.pi / 2)), np.floor(last / (np.pi / 2)) + 1)
         angles = np.array([first, last, *quarters])
-        return np.asarray(lane.center) + lane.radius * np.column_stack([np.cos(angles), np.sin(angles)])
+        points: FloatArray = np.asarray(lane.center) + lane.radius * np.column_stack([np.cos(angles), np.sin(angles)])
+        return points
     wide = abs(lane.amplitude) if isinstance(lane, SineLane) else 0.0
     start, along, across = (np.asarray(each) for each in (lane.start, lane.direction, lane.direction_lateral))
     return np.array([start + s * along + r * across for s in (0.0, lane.length) for r in (-wide, wide)])

@@ -174,12 +174,14 @@ class PathRoad:
 
     def curvature(self, s: FloatArray) -> FloatArray:
         """Curvature of the path [1/m] at arc length s [m], shape of s."""
-        return self.pieces.curvatures[self._piece(s)[0]]
+        found: FloatArray = self.pieces.curvatures[self._piece(s)[0]]
+        return found
 
     def heading(self, s: FloatArray) -> FloatArray:
         """Direction of the path in the world [rad] at arc length s [m], shape of s; a lap adds the turn of a lap."""
         piece, along, laps = self._piece(s)
-        return self.pieces.poses[piece, 2] + self.pieces.curvatures[piece] * along + self._turn * laps
+        found: FloatArray = self.pieces.poses[piece, 2] + self.pieces.curvatures[piece] * along + self._turn * laps
+        return found
 
     def lane_at(self, r: float) -> int:
         """Index of the lane whose centre is nearest to lateral position r [m]."""

@@ -23,19 +23,19 @@ __all__ = ["AggressiveVehicle", "DefensiveVehicle", "IDMVehicle", "LinearVehicle
 _KEY, _STOCK = "other_vehicles_type", behavior.__name__
 
 
-class IDMVehicle(behavior.IDMVehicle):
+class IDMVehicle(behavior.IDMVehicle):  # type: ignore[misc]
     """highway-env's, at intersections."""
 
 
-class LinearVehicle(behavior.LinearVehicle):
+class LinearVehicle(behavior.LinearVehicle):  # type: ignore[misc]
     """highway-env's, at intersections."""
 
 
-class AggressiveVehicle(behavior.AggressiveVehicle):
+class AggressiveVehicle(behavior.AggressiveVehicle):  # type: ignore[misc]
     """highway-env's, at intersections."""
 
 
-class DefensiveVehicle(behavior.DefensiveVehicle):
+class DefensiveVehicle(behavior.DefensiveVehicle):  # type: ignore[misc]
     """highway-env's, at intersections."""
 
 

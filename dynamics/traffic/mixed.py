@@ -9,14 +9,14 @@ from highway_env.vehicle.behavior import IDMVehicle
 __all__ = ["Mixed", "Truck", "WithTrucks"]
 
 
-class Truck(IDMVehicle):
+class Truck(IDMVehicle):  # type: ignore[misc]
     """Drives as a car does, and is 12 m long and 2.5 m wide."""
 
     LENGTH = 12.0
     WIDTH = 2.5
 
 
-class Mixed(IDMVehicle):
+class Mixed(IDMVehicle):  # type: ignore[misc]
     """What `MIX` names, in turn.
 
     Its classes drive in one way: they may differ in constants, but for those that are drawn.

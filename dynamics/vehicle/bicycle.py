@@ -65,7 +65,8 @@ def step(states: FloatArray, acceleration: Any, steering: Any, dt: float) -> Flo
 def step_expression(state: ca.SX, acceleration: ca.SX, steering: ca.SX, dt: float) -> ca.SX:
     """The same step as a CasADi expression: state (4, 1) to next state (4, 1)."""
     after: Any = slip_step((state[0], state[1], state[2], state[3]), acceleration, slip_of(steering), dt)
-    return ca.vertcat(*after)
+    found: ca.SX = ca.vertcat(*after)
+    return found
 
 
 def slip_step(state: Columns, acceleration: Any, slip: Any, dt: float) -> Columns:

@@ -60,7 +60,8 @@ def steering_control(states: FloatArray, target_r: Any) -> FloatArray:
     heading_ref = np.clip(heading_command, -np.pi / 4, np.pi / 4)
     heading_rate = KP_HEADING * wrap_to_pi(heading_ref - psi)
     slip = np.arcsin(np.clip(LENGTH / 2 / v * heading_rate, -1, 1))
-    return np.clip(np.arctan(2 * np.tan(slip)), -MAX_STEERING, MAX_STEERING)
+    found: FloatArray = np.clip(np.arctan(2 * np.tan(slip)), -MAX_STEERING, MAX_STEERING)
+    return found
 
 
 def speed_to_index(speed: float, target_speeds: tuple[float, ...]) -> int:

@@ -164,7 +164,8 @@ def evaluate(
     import pandas as pd
 
     from evaluation.measuring.dynamics_study import errors
-    from evaluation.report.table import TABLE_ENDINGS, write_table
+    from evaluation.names import TABLE_ENDINGS
+    from evaluation.report.table import write_table
 
     if output is not None and output.suffix not in TABLE_ENDINGS:
         raise ConfigError(f"--output {output.name!r} must end in {' or '.join(TABLE_ENDINGS)}")

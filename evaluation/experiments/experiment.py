@@ -237,7 +237,7 @@ class Experiment:
         config = self.config
         if isinstance(config, str | Path) and config not in ("simulated", "worst-case"):
             config = ShieldConfig.named(Path(config))
-        made = make_variants(modes, _several(self.door), config, _several(self.perception), setting)  # type: ignore[arg-type]
+        made = make_variants(modes, _several(self.door), config, _several(self.perception), setting)
         return [each for variant in made for each in variant.with_buffers(self._buffers)]
 
     @property

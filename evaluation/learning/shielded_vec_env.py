@@ -81,7 +81,8 @@ class ShieldedVecEnv(FastHighwayVecEnv):
     def _made(self, num_envs: int, env_id: str, config: Mapping[str, Any] | None, threads: int) -> Simulator:
         kind = highways_for(self._shield)
         self.highways = kind(env_id, num_envs, config, self._shield, threads)
-        return self.highways.simulator
+        found: Simulator = self.highways.simulator
+        return found
 
     def _begin(self, seeds: list[int] | None) -> Any:
         self._episodes = [Statistics() for _ in range(self.num_envs)]
@@ -114,7 +115,8 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         return [masks[i] for i in self._indices(indices)]
 
     def _mask_of(self, i: int) -> BoolArray:
-        return self.action_masks()[i]
+        found: BoolArray = self.action_masks()[i]
+        return found
 
     def _infos(self, terminated: Any, done: Any, stepped: Any) -> list[dict[str, Any]]:
         infos, executed = super()._infos(terminated, done, stepped), self.highways.records.executed.tolist()

@@ -139,7 +139,7 @@ class Bold(IDMVehicle):  # type: ignore[misc]
         asked = [self.acceleration(self, first) if first is not None else 0.0]
         if last is not None and last is not self.ego:
             asked.append(self.acceleration(last, self))
-        return min(asked) >= -self.LANE_CHANGE_MAX_BRAKING_IMPOSED
+        return bool(min(asked) >= -self.LANE_CHANGE_MAX_BRAKING_IMPOSED)
 
     def _hold_on(self) -> None:
         """Take back what would leave the ego no room, as long as no other lane is touched."""
@@ -167,8 +167,10 @@ class Bold(IDMVehicle):  # type: ignore[misc]
         mine, yours = max(self.speed, 0.0), max(ego.speed, 0.0)
         if ahead > 0:
             pushed = yours + 10.0 * self.dt
-            return gap > _SPARE[1] + 3 * self.dt * yours + pushed**2 / (2 * FAIL_SAFE) - mine**2 / (2 * RULES.braking)
-        return gap > _SPARE[0] + self._closing(mine, yours)
+            return bool(
+                gap > _SPARE[1] + 3 * self.dt * yours + pushed**2 / (2 * FAIL_SAFE) - mine**2 / (2 * RULES.braking)
+            )
+        return bool(gap > _SPARE[0] + self._closing(mine, yours))
 
     def _closing(self, mine: float, yours: float) -> float:
         """How much of a gap behind the ego is lost until both stand, where it pushes for two more frames [m]."""

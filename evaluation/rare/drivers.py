@@ -109,7 +109,7 @@ class Bold(ControlledVehicle):  # type: ignore[misc]
                 held = -rules.braking
         if self.door.counts_on(self):
             held = -rules.braking
-        return max(held, -max(self.speed, 0.0) / dt)
+        return float(max(held, -max(self.speed, 0.0) / dt))
 
 
 def man(

@@ -171,4 +171,5 @@ def _variance(inside: BoolArray, within: float) -> float:
     for lag in range(1, length):
         covariance = float((centred[:-lag] * centred[lag:]).sum()) / ((length - lag) * chains)
         correlation += 2 * (1 - lag / length) * covariance / (within * (1 - within))
-    return (1 - within) / (within * length * chains) * (1 + max(correlation, 0.0))
+    found: float = (1 - within) / (within * length * chains) * (1 + max(correlation, 0.0))
+    return found

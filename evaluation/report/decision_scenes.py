@@ -98,7 +98,8 @@ class Tube:
     @property
     def gaps(self) -> FloatArray:
         """From the ego's buffer to the leader's least place, (K,) [m]."""
-        return self.occupancy.rear[0] - self.front
+        found: FloatArray = self.occupancy.rear[0] - self.front
+        return found
 
 
 def tube() -> Tube:

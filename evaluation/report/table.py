@@ -162,7 +162,7 @@ def markdown(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> str:
     headings, cells = cells_of(frame, columns)
     aligned = ["left" if i < len(_NAMES) else "right" for i in range(len(headings))]
     table = pd.DataFrame(cells, columns=headings)
-    return table.to_markdown(index=False, disable_numparse=True, colalign=aligned)
+    return str(table.to_markdown(index=False, disable_numparse=True, colalign=aligned))
 
 
 _LATEX = {

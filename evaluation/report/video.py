@@ -175,7 +175,7 @@ def _overridden(setting: Setting, policy: str, seed: int) -> tuple[list[bool], i
 
 def _rate(env: gym.Env[Any, Any]) -> int:
     """Decisions in a second."""
-    return max(1, round(cast(Any, env.unwrapped).config["policy_frequency"]))
+    return int(max(1, round(cast(Any, env.unwrapped).config["policy_frequency"])))
 
 
 def _best_clip(flags: Sequence[bool], rate: int = 1) -> tuple[int, int]:

@@ -75,7 +75,8 @@ def override_score(rows: NDArray[Any]) -> FloatArray:
     ahead = flag[..., 1:] - flag[..., :1]
     near = (lane[..., 1:] == lane[..., :1]) & (ahead >= 0.0) & (ahead < _REACH)
     least = np.where(near, ahead, _REACH).min(axis=-1)
-    return 0.5 * np.asarray(rows[..., 0, -1], float) + 0.5 * np.clip(least / _REACH, 0.0, 1.0)
+    found: FloatArray = 0.5 * np.asarray(rows[..., 0, -1], float) + 0.5 * np.clip(least / _REACH, 0.0, 1.0)
+    return found
 
 
 def overriding_action(rows: NDArray[Any], actions: IntArray) -> tuple[IntArray, BoolArray]:

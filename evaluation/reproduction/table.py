@@ -82,7 +82,7 @@ def table(found: pd.DataFrame) -> str:
                 "confidence": _number(row["confidence"]) + (f" ({confidence:.3f})" if pd.notna(confidence) else ""),
             }
         )
-    return pd.DataFrame(lines).to_markdown(index=False, disable_numparse=True)
+    return str(pd.DataFrame(lines).to_markdown(index=False, disable_numparse=True))
 
 
 def _published(row: dict[str, float]) -> str:

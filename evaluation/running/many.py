@@ -158,7 +158,7 @@ class Many:
     @property
     def exact(self) -> bool:
         """Whether this machine's numpy sums as is known here (see `Simulator.exact`)."""
-        return self._highways.simulator.exact
+        return bool(self._highways.simulator.exact)
 
     def run(self, seeds: Sequence[int]) -> pd.DataFrame:
         """A row for each seed, in order: the columns of `run_paired` that say what happened, and `fallbacks`, the
@@ -186,7 +186,7 @@ class Many:
     @property
     def draws(self) -> int:
         """How many numbers a scene is made from (see `Simulator.draws`)."""
-        return self._highways.simulator.draws
+        return int(self._highways.simulator.draws)
 
     def run_chosen(self, shares: FloatArray, actions: IntArray | None = None) -> Chosen:
         """Episodes in scenes of one's own choice.

@@ -132,7 +132,8 @@ class RandomPolicy:
         """The actions of the first `steps` decisions of an episode, of a Discrete action space."""
         space = self._space
         assert isinstance(space, gym.spaces.Discrete)
-        return space.start + np.random.default_rng(seed).integers(space.n, size=steps)
+        found: NDArray[np.intp] = space.start + np.random.default_rng(seed).integers(space.n, size=steps)
+        return found
 
 
 class WeavingPolicy:

@@ -21,8 +21,9 @@ import torch
 from dynamics.learned.data.transitions import Transitions
 from dynamics.learned.models.files import load_model, save_model
 from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
+from dynamics.learned.models.macro_steps import DistilledModel
 from dynamics.learned.tasks import parking_state as parking
-from dynamics.learned.training.distill import DistillConfig, DistilledModel, distill
+from dynamics.learned.training.distill import DistillConfig, distill
 from dynamics.learned.training.fit import FitConfig
 from dynamics.learned.training.on_policy_rounds import RoundsConfig, rounds
 from mpc.cem_policy import CEMPolicy
@@ -114,7 +115,7 @@ def save(trained: TrainedParking, notebook: NotebookModel, folder: str | Path = 
     save_model(trained.model, Path(folder, _MODEL), notes)
     trained.data.save(Path(folder, _MODEL, _DATA))
     arrays = {name: part.detach().numpy() for name, part in notebook.state_dict().items()}
-    np.savez_compressed(Path(folder, f"{_NOTEBOOK}.npz"), **arrays)  # type: ignore[arg-type]
+    np.savez_compressed(Path(folder, f"{_NOTEBOOK}.npz"), **arrays)
 
 
 @lru_cache(maxsize=4)

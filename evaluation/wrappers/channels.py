@@ -126,7 +126,8 @@ class Confidence(_Channel):
         n = np.maximum(known.sum(axis=0), 1)
         mean = np.where(known, shown, 0.0).sum(axis=0) / n
         variances = np.where(known, np.square(shown - mean), 0.0).sum(axis=0) / n
-        return np.exp(-variances.sum(axis=1))
+        found: FloatArray = np.exp(-variances.sum(axis=1))
+        return found
 
 
 class TrackedConfidence(_Channel):

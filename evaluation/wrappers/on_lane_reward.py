@@ -88,7 +88,7 @@ def on_lane_reward(offset: LaneOffset, speed: float, crashed: bool, terms: OnLan
     cosine = float(np.cos(offset.heading))
     along = float(np.copysign(abs(cosine) ** terms.heading_exponent, cosine))
     pace = (speed / terms.speed_scale) ** terms.speed_exponent
-    return along * pace / max(terms.distance_floor, abs(offset.distance)) ** terms.distance_exponent
+    return float(along * pace / max(terms.distance_floor, abs(offset.distance)) ** terms.distance_exponent)
 
 
 class OnLaneReward(gym.Wrapper[Any, Any, Any, Any]):

@@ -152,7 +152,8 @@ class Skills(gym.Wrapper[Any, Any, Any, Any]):
             of_actions = self.env.get_wrapper_attr("action_masks")
         except AttributeError:
             raise ConfigError("no shield inside says which actions verify; have Skills(ShieldedEnv(env))") from None
-        return masks_of_skills(self.skills, np.asarray(of_actions())[None])[0]
+        found: BoolArray = masks_of_skills(self.skills, np.asarray(of_actions())[None])[0]
+        return found
 
 
 def checked_discount(discount: float) -> float:

@@ -42,4 +42,4 @@ def curvature_ahead(scene: Scene, speed: float, settings: FilterSettings) -> Flo
         return None
     begins = np.array(settings.ends) - settings.frames
     s = float(scene.ego_road[RoadState.S]) + speed * settings.dt * begins
-    return np.asarray(scene.road.curvature(s))  # type: ignore[attr-defined]
+    return np.asarray(scene.road.curvature(s))

@@ -34,7 +34,8 @@ class _Adds:
     __slots__ = ()
 
     def __add__(self, other: Any) -> Sum:
-        return Sum.of(self) + other
+        found: Sum = Sum.of(self) + other
+        return found
 
     def __mul__(self, weight: float) -> Sum:
         return Sum.of(self) * weight

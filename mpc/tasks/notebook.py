@@ -56,7 +56,8 @@ class NotebookModel(nn.Module):
         a = self.a2(nn.functional.relu(self.a1(seen))).reshape(-1, STATE_DIM, STATE_DIM)
         b = self.b2(nn.functional.relu(self.b1(seen))).reshape(-1, STATE_DIM, ACTION_DIM)
         change = a @ x.unsqueeze(-1) + b @ u.unsqueeze(-1)
-        return x + change.squeeze(-1) * DT
+        found: Tensor = x + change.squeeze(-1) * DT
+        return found
 
 
 def collect_as_notebook(env: Any, seed: int = 0, size: int = 1000, hold: int = 2) -> tuple[Any, Any, Any]:

@@ -113,14 +113,16 @@ class FilteredHighways(ABC):
         observations = self.simulator.reset(seeds, which)
         for e in range(self.num_envs) if which is None else which:
             self._forget(e)
-        return observations
+        found: NDArray[np.float32] = observations
+        return found
 
     def reset_to(self, shares: FloatArray, which: Sequence[int]) -> NDArray[np.float32]:
         """Start episodes in scenes of one's own choice; see `Simulator.reset_to`."""
         observations = self.simulator.reset_to(shares, which)
         for e in which:
             self._forget(e)
-        return observations
+        found: NDArray[np.float32] = observations
+        return found
 
     def look(self, e: int, rows: FloatArray) -> bool:
         """The bodies of one environment as rows (m, 7); whether the ego is on the road."""

@@ -110,7 +110,7 @@ class Instant:
     @cached_property
     def here(self) -> int:
         """The lane that the ego's centre is in."""
-        return self.scene.road.lane_at(float(self.scene.ego_road[RoadState.R]))
+        return int(self.scene.road.lane_at(float(self.scene.ego_road[RoadState.R])))
 
     def judge(self, candidates: Manoeuvres, hold: int = 0) -> tuple[FloatArray, Clearance]:
         """Paths (n, K, 4) of some candidates, and what there is to say against them; see `Surveyor.clearance`."""

@@ -160,7 +160,7 @@ class InputDoor(InputFrames):
         is not known."""
         speed = float(getattr(self._base.vehicle, "speed", np.nan))
         frames = self._period if self._agent else 1
-        return -speed * self._base.config["simulation_frequency"] / frames
+        return float(-speed * self._base.config["simulation_frequency"] / frames)
 
 
 def _same(a: tuple[Actuators, int], b: tuple[Actuators, int]) -> bool:

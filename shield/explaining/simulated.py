@@ -12,13 +12,13 @@ import numpy as np
 from dynamics.simulator.layout import LANE
 from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.permits import Ego, gap_between
+from shield.compiling import announced
 from shield.decision import Decision, Reason, Tier
 from shield.exact.refused import foretell_refused
 from shield.exact.room import ANY, Search
 from shield.explaining.words import action_name, done, inputs_name, nothing_judged, proof
 from shield.explaining.worlds import Described, describe, lane_of
 from shield.explanation import Explanation, Lost, Obstruction, number
-from shield.procedures.warm_up import announced
 
 __all__ = ["Simulated", "copy_of"]
 

@@ -33,4 +33,5 @@ def within(tracks: Tracks, distance: float) -> FloatArray:
     spread = np.linalg.cholesky(covariances) @ _POINTS.T
     apart = (tracks.means - tracks.mean[:, None])[:, :, :2, None] + spread
     inside = np.square(apart).sum(axis=2) <= distance**2
-    return np.einsum("nj,nj->n", tracks.chances, inside.mean(axis=2))
+    found: FloatArray = np.einsum("nj,nj->n", tracks.chances, inside.mean(axis=2))
+    return found

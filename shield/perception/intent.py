@@ -88,7 +88,8 @@ def lane_chances(tracks: Tracks, wished: FloatArray, centers: FloatArray, habits
     stays = _changed(_in_lanes(y, np.sqrt(spread), centers), below * (1 - above), above)
     moves = (1 - habits.doubt) * then + habits.doubt * stays
     moves[:, _CALM] = stays[:, _CALM]
-    return np.einsum("nj,njk->nk", tracks.chances, moves)
+    found: FloatArray = np.einsum("nj,njk->nk", tracks.chances, moves)
+    return found
 
 
 def wishes(tracks: Tracks, ego: FloatArray, centers: FloatArray) -> FloatArray:

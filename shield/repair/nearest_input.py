@@ -193,7 +193,8 @@ class Search:
             points = _SPIRAL[:count] * (reach * np.sqrt(np.pi / max(count, 1)))
             points = points[((points >= self._low) & (points <= self._high)).all(axis=1)]
             if len(points) <= _STREWN:
-                return points
+                found: FloatArray = points
+                return found
             count = count * _STREWN // len(points)
 
     def _linearise(self, lane: int, best: Judged | None, start: FloatArray | None = None) -> Judged | None:

@@ -20,7 +20,8 @@ def _comes_over(others: Others, ways: Ways) -> BoolArray:
     vehicles, lanes, before = others.marks.T
     over = ways.over[lanes]
     several = (vehicles[:, None] == vehicles) & (over == lanes[:, None])
-    return np.where(before == SEVERAL, several.any(axis=1), (before >= 0) & (over[before] == lanes))
+    found: BoolArray = np.where(before == SEVERAL, several.any(axis=1), (before >= 0) & (over[before] == lanes))
+    return found
 
 
 def behind(others: Others, trial: Trial, road: Road) -> BoolArray:

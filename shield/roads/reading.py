@@ -88,7 +88,8 @@ def _lane_of(body: Any, network: Any, lanes: Mapping[tuple[str, str, int], int])
     start, end, lane = body.lane_index or (None, None, None)
     named: Any = (start, end, lane or 0)
     if named in lanes and network.get_lane(named).on_lane(body.position):
-        return named
+        found: tuple[str, str, int] = named
+        return found
     start, end, lane = network.get_closest_lane_index(body.position, body.heading)
     return start, end, lane
 

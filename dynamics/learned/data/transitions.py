@@ -154,7 +154,8 @@ class Transitions:
         if horizon < 1:
             raise DataError(f"a window must have 1 transition or more, got {horizon}")
         first = np.arange(max(len(self) - horizon + 1, 0))
-        return first[self.episodes[first] == self.episodes[first + horizon - 1]]
+        found: NDArray[np.int64] = first[self.episodes[first] == self.episodes[first + horizon - 1]]
+        return found
 
     def sequences(self, horizon: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """All windows: start states (w, d), actions (w, horizon, m) and states after each action (w, horizon, d)."""

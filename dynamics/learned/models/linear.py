@@ -159,7 +159,8 @@ class LinearStructuredModel(nn.Module):
         """
         protocol.check_batch(self, states, actions)
         with torch.inference_mode():
-            return self(self._tensor(states), self._tensor(actions)).numpy()
+            found: Float32Array = self(self._tensor(states), self._tensor(actions)).numpy()
+            return found
 
     def rollout(self, states: Any, actions: Any) -> Float32Array:
         """Repeated steps: (n, d) and (n, H, m) to the states after each, (n, H, d).

@@ -71,7 +71,10 @@ class MacroStep:
 
     def acting(self, u: Float32Array, shape: tuple[int, ...]) -> Float32Array:
         """The polynomials in w that the actions (m, points) leave, (k + 3, phis, *shape)."""
-        return (self.coefficients @ self.psi(u)).reshape(len(self.coefficients) // len(self.phi), len(self.phi), *shape)
+        found: Float32Array = (self.coefficients @ self.psi(u)).reshape(
+            len(self.coefficients) // len(self.phi), len(self.phi), *shape
+        )
+        return found
 
     def __call__(self, acting: Float32Array, w: Float32Array) -> Float32Array:
         """(k + 3, phis, n) and (k, n) to (k + 3, n)."""

@@ -55,7 +55,8 @@ def state(observation: Any) -> FloatArray:
             f"expected rows of {', '.join(OBSERVATION['features'])}, the ego first, shape (n, {STATE_DIM}); got shape "
             f"{array.shape}. Pass config={{'observation': dict(OBSERVATION)}} to gym.make"
         )
-    return array[0]
+    found: FloatArray = array[0]
+    return found
 
 
 class RandomDriver:

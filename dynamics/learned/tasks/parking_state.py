@@ -64,7 +64,8 @@ def goal(observation: Any) -> FloatArray:
 
 def observation(states: Any) -> FloatArray:
     """States in SI units (..., 6) as the observation would show them."""
-    return np.asarray(states, dtype=float) / SCALES
+    found: FloatArray = np.asarray(states, dtype=float) / SCALES
+    return found
 
 
 def _read(observation: Any, key: str) -> FloatArray:
@@ -77,4 +78,5 @@ def _read(observation: Any, key: str) -> FloatArray:
         ) from None
     if array.shape[-1:] != (STATE_DIM,):
         raise DataError(f"{key!r} must have {STATE_DIM} numbers (x, y, vx, vy, cos_h, sin_h), got shape {array.shape}")
-    return array * SCALES
+    found: FloatArray = array * SCALES
+    return found

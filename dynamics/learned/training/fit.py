@@ -271,16 +271,16 @@ def _writer(folder: str | None) -> Iterator[Callable[[int, float, float], None]]
         from torch.utils.tensorboard import SummaryWriter
     except ImportError as error:
         raise ConfigError("TensorBoard is not installed: pip install tensorboard, or leave it out") from error
-    writer = SummaryWriter(folder)  # type: ignore[no-untyped-call]
+    writer = SummaryWriter(folder)
 
     def write(epoch: int, train: float, held_out: float) -> None:
-        writer.add_scalar("loss/train", train, epoch)  # type: ignore[no-untyped-call]
-        writer.add_scalar("loss/held_out", held_out, epoch)  # type: ignore[no-untyped-call]
+        writer.add_scalar("loss/train", train, epoch)
+        writer.add_scalar("loss/held_out", held_out, epoch)
 
     try:
         yield write
     finally:
-        writer.close()  # type: ignore[no-untyped-call]
+        writer.close()
 
 
 def _bar(total: int, progress: bool) -> Any:

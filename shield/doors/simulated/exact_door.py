@@ -139,7 +139,7 @@ class ExactDoor(Foretells):
         slowest = int(search.order[0])
         if not passes(search, plans, records, simulator.worlds, 0, slowest):
             replace(search, plans, records, 0, slowest, np.full(1, -1, np.intp))
-        return TIERS[records.tier[0]].verified
+        return bool(TIERS[records.tier[0]].verified)
 
     def mask(self) -> np.ndarray[Any, Any]:
         """Which actions pass now; all True where none does. No decision, and no record, is another for being asked.

@@ -7,7 +7,6 @@ JOBS   ?= 2
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
-DOCS   := $(VENV)/.installed-docs
 
 # Networks and matrices are small here: more threads only get in each other's way.
 export OMP_NUM_THREADS ?= 1
@@ -77,12 +76,8 @@ bench: $(STAMP)
 
 # To site/, which is read without a network: open site/index.html. (The variable silences the theme's notice about its
 # successor.)
-docs: $(DOCS)
+docs: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
-
-$(DOCS): $(STAMP)
-	$(BIN)/python -m pip install -q -c constraints.txt -e ".[docs]"
-	touch $@
 
 clean:
 	rm -rf build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache \

@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from types import ModuleType
 
@@ -213,6 +214,12 @@ def test_a_lab_page_is_dated_below_its_title(page: Path) -> None:
     title, _, note, *_ = page.read_text(encoding="utf-8").splitlines()
     assert title.startswith("# ")
     assert re.match(r"\*Lab notes, 20\d\d-\d\d\b", note), note
+
+
+def test_what_builds_the_site_and_reads_data_sets_is_part_of_dev() -> None:
+    """So that on a fresh machine no test of either is skipped."""
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    assert {*extras["docs"], *extras["minari"]} <= set(extras["dev"])
 
 
 def test_the_site_loads_nothing_from_elsewhere() -> None:

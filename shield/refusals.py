@@ -15,6 +15,7 @@ __all__ = [
     "LOWEST_SIMULATED",
     "check",
     "check_frequency",
+    "check_perception",
     "check_target_speeds",
     "refuse_manual_control",
     "refuse_simulated",
@@ -95,6 +96,28 @@ def check_target_speeds(speeds: Any) -> None:
         )
     if not np.isfinite(each).all() or each.size < 2 or (np.diff(each) < 0).any() or each[0] == each[-1]:
         raise ConfigError(f"target_speeds [{shown}] m/s: have two or more speeds in ascending order, from 0 on")
+
+
+def check_perception(speeds: Any, config: ShieldConfig) -> None:
+    """Raise where the ego could be faster than it can brake from within the perception range.
+
+    Parameters
+    ----------
+    speeds : target speeds of `DiscreteMetaAction` [m/s], (n,). config : with the braking and the perception range.
+
+    Raises
+    ------
+    ConfigError
+        If the way to stop from the greatest of them is longer than the range. Vehicles beyond it do not count.
+    """
+    fastest = float(np.max(np.asarray(speeds, dtype=float)))
+    way = fastest**2 / (2 * config.braking)
+    if config.mode == "full" and not config.simulates and way > config.perception_range:
+        raise ConfigError(
+            f"from the target speed {fastest:g} m/s the ego takes {way:.0f} m to stop at {config.braking:g} m/s^2, and "
+            f"vehicles further away than {config.perception_range:g} m do not count: have target_speeds up to "
+            f"{np.sqrt(2 * config.braking * config.perception_range):.0f} m/s, or set perception_range to {way:.0f}"
+        )
 
 
 def check_frequency(frequency: float, simulated: bool) -> None:

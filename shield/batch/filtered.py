@@ -20,7 +20,7 @@ from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.batch.arrays import empty_records
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
-from shield.refusals import check_frequency, check_target_speeds
+from shield.refusals import check_frequency, check_perception, check_target_speeds
 
 __all__ = ["FilteredHighways"]
 
@@ -64,6 +64,7 @@ class FilteredHighways(ABC):
             raise ConfigError("many shields at once filter meta-actions; this environment has ContinuousAction")
         if self.config.mode != "none":
             check_target_speeds(self.simulator.rules.target_speeds)
+            check_perception(self.simulator.rules.target_speeds, self.config)
             check_frequency(scenario.config["simulation_frequency"], self.config.simulates)
         frames = self.simulator.rules.numbers[0]
         self.records = empty_records(num_envs, frames)

@@ -14,7 +14,7 @@ from dynamics.scenes.scene import has_road_and_vehicles
 from shield.config import ShieldConfig
 from shield.errors import ConfigError, ShieldError
 from shield.perception.known import Known
-from shield.refusals import check_frequency, check_target_speeds, refuse_manual_control
+from shield.refusals import check_frequency, check_perception, check_target_speeds, refuse_manual_control
 
 __all__ = [
     "base_environments",
@@ -92,8 +92,8 @@ def check_configuration(base: Any, config: ShieldConfig) -> None:
     Raises
     ------
     ConfigError
-        If decisions do not reach the ego, its meta-actions can make it drive backwards, or there are fewer frames a
-        second than verification has been tested with.
+        If decisions do not reach the ego, its meta-actions can make it drive backwards or faster than it can brake from
+        within the perception range, or there are fewer frames a second than verification has been tested with.
     """
     refuse_manual_control(base.config)
     if config.mode == "none":
@@ -105,6 +105,7 @@ def check_configuration(base: Any, config: ShieldConfig) -> None:
         speeds = getattr(each, "target_speeds", None)
         if speeds is not None:
             check_target_speeds(speeds)
+            check_perception(speeds, config)
 
 
 def check_step(base: Any, before: int, executed: Any, info: Mapping[str, Any]) -> None:

@@ -123,7 +123,7 @@ def drive(env_id, config, shield, choose, seeds, ranked=False):
         ("highway-fast-v0", {"lanes_count": 1, "vehicles_count": 3}, {}, anything, 2),
         ("highway-fast-v0", {"vehicles_count": 0}, {}, anything, 1),
         ("highway-fast-v0", {"vehicles_density": 2.5, "simulation_frequency": 10}, {}, weaving, 1),
-        ("highway-fast-v0", {}, {"buffer": Buffer(0.5, 0.0), "braking": 6.0, "perception_range": 60.0}, anything, 2),
+        ("highway-fast-v0", {}, {"buffer": Buffer(0.5, 0.0), "braking": 6.0, "perception_range": 80.0}, anything, 2),
     ],
 )  # fmt: skip
 def test_every_decision_is_the_same(env_id, config, settings, choose, seeds):

@@ -50,7 +50,7 @@ SETTINGS: dict[str, tuple[str, dict[str, Any], ShieldConfig, int]] = {
     "weak": ("highway-fast-v0", {"vehicles_density": 1.5}, ShieldConfig(assumptions=WEAK), 32),
     "weaker": ("highway-fast-v0", {"vehicles_density": 1.5}, ShieldConfig(assumptions=WEAKER), 32),
     "weaker, dense": ("highway-fast-v0", {"vehicles_density": 5.0}, ShieldConfig(assumptions=WEAKER), 32),
-    "near": ("highway-fast-v0", {}, ShieldConfig(buffer=Buffer(0.5, 0.0), braking=6.0, perception_range=60.0), 16),
+    "near": ("highway-fast-v0", {}, ShieldConfig(buffer=Buffer(0.5, 0.0), braking=6.0, perception_range=80.0), 16),
 }
 POLICIES = ("faster", "random", "weaving", "ranked")
 

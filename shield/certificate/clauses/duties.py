@@ -158,6 +158,10 @@ def counted_on(
     """Fill in which vehicles a stored plan counts on to brake, `counted` (v,): those that were behind the ego a frame
     before and may be in its way, without those that it leaves out because they owe the ego their distance.
 
+    A vehicle that owed its distance and has moved aside may be left out no more: where it no longer reaches the place
+    where the ego stops, the plan may sway back into its strip, and where the plan enters a lane on the way, it may join
+    that lane. Both are counted on to leave the plan its room.
+
     Parameters
     ----------
     others : the vehicles, (v,). state, size : of the ego: road state (4,) and footprint. centers : of the lanes [m].
@@ -166,12 +170,13 @@ def counted_on(
         (v,) bool.
     """
     keeps = owned[plan[0]] and (plan[1] < 0 or owned[plan[1]])
-    half = reach_across(size, state[2]) + _BESIDE
-    least, most = min(state[1], centers[plan[0]]) - half, max(state[1], centers[plan[0]]) + half
+    half, goal, stand = reach_across(size, state[2]) + _BESIDE, centers[plan[0]], size.across + _LEFT
+    least, most = min(state[1], goal) - half, max(state[1], goal) + half
     for j in range(counted.shape[0]):
-        comes = others.comes[plan[0], j] or (plan[1] >= 0 and others.comes[plan[1], j])
-        near = comes or (others.low[j] < most and others.high[j] > least)
-        counted[j] = before[0][j] and near and not (keeps and before[1][j] and others.held[j])
+        low, high = others.low[j], others.high[j]
+        near = plan[1] >= 0 or others.comes[plan[0], j] or (low < most and high > least)
+        reaches = low < goal + stand and high > goal - stand
+        counted[j] = before[0][j] and near and not (keeps and before[1][j] and others.held[j] and reaches)
 
 
 @uncounted

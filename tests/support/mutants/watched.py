@@ -5,6 +5,7 @@ from __future__ import annotations
 from mutants.kinds import (
     BODIES,
     DECIDE,
+    DUTIES,
     FRAMES,
     INPUTS,
     MEMORY,
@@ -20,6 +21,8 @@ from mutants.kinds import (
 )
 
 __all__ = ["WATCHED"]
+
+_ASIDE = "tests/shield/test_followers_that_move_aside.py"
 
 WATCHED = (
     off(
@@ -148,6 +151,20 @@ WATCHED = (
     off("LANES off", PERMITS, "            more |= _LANES", "            more |= 0", TESTS_OF_PERMITS),
     off("REVERSING off", PERMITS, "            more |= _REVERSING", "            more |= 0", TESTS_OF_PERMITS),
     off("DISTANCE off", PERMITS, "            bits |= _DISTANCE", "            bits |= 0", TESTS_OF_PERMITS),
+    off(
+        "a follower that leaves the place where the ego stops is left out still",
+        DUTIES,
+        "others.held[j] and reaches)",
+        "others.held[j])",
+        f"{_ASIDE}::test_one_that_leaves_the_lane_that_it_owes_in_is_named_where_the_plan_suffers",
+    ),
+    off(
+        "a follower that may join the lane that the plan enters is not counted on",
+        DUTIES,
+        "near = plan[1] >= 0 or others",
+        "near = others",
+        f"{_ASIDE}::test_one_that_turns_into_the_lane_beside_the_one_that_the_plan_enters_is_named_where_the_plan_suffers",
+    ),
     off("SIZE off", PERMITS, "            more |= _SIZE", "            more |= 0", "tests/shield/test_wrecks.py"),
     off(
         "APPEARED off",

@@ -1,0 +1,97 @@
+"""A follower that owes the ego its distance and moves aside, so that a stored plan has to stay clear of it: it leaves
+the plan its room, or the monitor names it. Both scenes are an attacker's; nobody was named in them."""
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers the environments)
+import numpy as np
+import pytest
+from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Obstacle
+
+from shield import ShieldConfig, ShieldedEnv
+from shield.errors import ConfigError
+
+THROTTLE = {"vehicles_count": 0, "action": {"type": "ContinuousAction"}, "offroad_terminal": False, "duration": 40}
+
+
+class Follower(Vehicle):
+    """Is where the list of its places says, frame by frame: x, y, heading."""
+
+    def __init__(self, road, speed, size, places):
+        super().__init__(road, places[0][:2], places[0][2], speed)
+        self.LENGTH, self.WIDTH = size
+        self.diagonal = np.hypot(*size)
+        self.places = iter(places[1:])
+
+    def act(self, action=None):
+        pass
+
+    def step(self, dt):
+        *at, heading = next(self.places)
+        self.position, self.heading = np.array(at), heading
+        self.on_state_update()
+
+
+def driven(config, ego_at, follower, actions):
+    """The environment after these actions, and the decisions of all frames; the ego alone is on the road before."""
+    env = ShieldedEnv(gym.make("highway-v0", config={**THROTTLE, **config}))
+    env.reset(seed=0)
+    road, ego = env.unwrapped.road, env.unwrapped.vehicle
+    ego.position, ego.heading, ego.speed = np.array(ego_at[:2]), ego_at[2], ego_at[3]
+    ego.on_state_update()
+    road.vehicles[:] = [ego]
+    road.vehicles.append(Follower(road, *follower))
+    frames = []
+    for action in actions:
+        env.step(np.array(action, np.float32))
+        frames += env.frame_decisions
+    return env, frames
+
+
+def check(env, frames):
+    """The first frame verifies, some later one does not or is another's fault, and then somebody is named."""
+    assert frames[0].tier.verified
+    lost = [decision for decision in frames if decision.guarantee.value == "none"]
+    assert not lost or env.door.violations > 0
+
+
+def test_one_that_leaves_the_lane_that_it_owes_in_is_named_where_the_plan_suffers():
+    """Its strip shrank past the place where the ego stops, so that the plan's sway came back into it."""
+    config = {"lanes_count": 4, "simulation_frequency": 6, "policy_frequency": 6}
+    speed, y = 5.1476387014039435, 6.84
+    places = [(192.31401115720362, y, 0.0), *((193.17195094077096 + k * speed / 6, 6.8501, 0.0) for k in range(3))]
+    ego = (200.0, 3.8270450589699094, 0.37053935485576767, 5.7531658452141485)
+    actions = [(-0.9321912527084351, -0.9557884335517883)] * 2
+    env, frames = driven(config, ego, (speed, (5.0, 2.0), places), actions)
+    check(env, frames)
+    assert env.door.violations == 1
+
+
+def test_one_that_turns_into_the_lane_beside_the_one_that_the_plan_enters_is_named_where_the_plan_suffers():
+    """It had owed its distance across several lanes; the plan gets out of its sight, so that it may join the lane."""
+    config = {"lanes_count": 3, "simulation_frequency": 15, "policy_frequency": 5}
+    speed, x = 12.821662467816502, 188.08803884950777
+    places = [(x + k * speed / 15, 8.9, -np.pi / 2 if k < 17 else 0.0) for k in range(30)]
+    ego = (200.0, 0.33612268822915004, 0.29607762347326405, 17.161967921249254)
+    actions = [
+        (0.07901636511087418, 0.42666465044021606),
+        (-0.5978143215179443, -0.17564158141613007),
+        (-0.6753512024879456, -0.13739463686943054),
+        (-0.7424114346504211, 0.4451982080936432),
+        (0.12065232545137405, 0.0111034344881773),
+        (0.27079081535339355, 0.20141643285751343),
+    ]
+    env, frames = driven(config, ego, (speed, (20.0, 3.2), places), actions)
+    check(env, frames)
+    assert env.door.violations == 1
+
+
+def test_speeds_that_cannot_be_braked_from_within_the_perception_range_are_refused():
+    """In one frame at 5 Hz FASTER led from 38 to 100 m/s, and to an obstacle that had been too far to count."""
+    fast = {"action": {"type": "DiscreteMetaAction", "target_speeds": [20, 310, 600]}, "vehicles_count": 0}
+    env = gym.make("highway-fast-v0", config=fast)
+    with pytest.raises(ConfigError, match="perception_range"):
+        ShieldedEnv(env)
+    env.reset(seed=1)
+    env.unwrapped.road.objects.append(Obstacle(env.unwrapped.road, [430.0, 0.0]))
+    assert ShieldedEnv(env, ShieldConfig(perception_range=20_000.0)).door is not None

@@ -27,8 +27,9 @@ from joblib import Parallel, delayed
 
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT / "benchmarks")]
-from what_it_drives import ACTIONS, CONFIGS, config_of, env_ids, made  # noqa: E402
+from what_it_drives import ACTIONS, CONFIGS, config_of, env_ids  # noqa: E402
 
+from dynamics.traffic.crossing import make  # noqa: E402
 from shield import Shield, ShieldedEnv  # noqa: E402
 from shield.errors import ShieldError  # noqa: E402
 
@@ -84,7 +85,7 @@ def driven(cell: Cell) -> Iterator[dict[str, Any]]:
     proposal: list[Any] = [None]
     settings, rng = CONFIGS[cell.settings](), np.random.default_rng(SEED)
     try:
-        env = made(cell.env_id, config_of(cell.env_id, cell.action) or {})
+        env = make(cell.env_id, config_of(cell.env_id, cell.action) or {})
         observation, _ = env.reset(seed=SEED)
         if cell.wrapper == "ShieldedEnv":
             shield: Any = ShieldedEnv(env, settings)
@@ -118,8 +119,8 @@ def _row(decision: Any, ego: Any) -> dict[str, Any]:
 
 
 def decided(which: Sequence[Cell], jobs: int = 1) -> pd.DataFrame:
-    """What is decided in these cells now. Those of an environment are driven one after the other, in a process that
-    drives nothing else where there are several: some of highway-env's change classes for all."""
+    """What is decided in these cells now, with `jobs` processes. Environments have traffic of their own (`make`):
+    highway-env's intersections change the classes of the process otherwise, and what is driven after them."""
     by_env: dict[str, list[Cell]] = {}
     for cell in which:
         by_env.setdefault(cell.env_id, []).append(cell)

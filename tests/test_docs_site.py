@@ -116,20 +116,23 @@ def test_new_modules_turn_up_by_themselves(tmp_path: Path) -> None:
     ]
 
 
-def navigation() -> list[str]:
-    """The pages of docs/ that mkdocs.yml lists, in order."""
+def listed() -> list[str]:
+    """What mkdocs.yml lists, in order: pages of docs/, index.md for the README, and source/FILE.md for other files."""
     nav = re.search(r"^nav:\n((?: .*\n)+)", MKDOCS, re.MULTILINE)
     assert nav is not None
     assert "reference/\n" in nav[1]
-    listed = re.findall(r"[\w/-]+\.md", nav[1])
-    return [page for page in listed if page != "index.md" and not page.startswith("source/")]
+    return re.findall(r"[\w/-]+\.md", nav[1])
+
+
+def navigation() -> list[str]:
+    """The pages of docs/ among them."""
+    return [page for page in listed() if page != "index.md" and not page.startswith("source/")]
 
 
 def test_every_page_is_in_the_navigation_or_the_lab() -> None:
-    listed = navigation()
-    assert len(listed) == len(set(listed))
     pages = {page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md")}
-    assert set(listed) == {page for page in pages if not page.startswith("lab/")}
+    assert len(listed()) == len(set(listed()))
+    assert set(navigation()) == {page for page in pages if not page.startswith("lab/")}
 
 
 command_line = load("command_line")
@@ -166,10 +169,9 @@ def words(page: Path, tables: bool = True) -> int:
 
 def test_the_navigation_has_at_most_15000_words() -> None:
     """So that a newcomer finds and finishes something: what was tried and measured on the way goes to docs/lab."""
-    pages = [
-        ROOT / page.removeprefix("source/") if page.startswith("source/") else DOCS / page for page in navigation()
-    ]
-    counts = {page.name: words(page, page.name not in MADE) for page in [ROOT / "README.md", *pages]}
+    pages = {"README.md": ROOT / "README.md"} | {page: DOCS / page for page in navigation()}
+    pages |= {page: ROOT / page[len("source/") :] for page in listed() if re.fullmatch(r"source/\w+\.md", page)}
+    counts = {name: words(page, name not in MADE) for name, page in pages.items()}
     assert sum(counts.values()) <= 15_000, counts
 
 

@@ -23,6 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from dynamics.compiled import inlined, uncounted
+from dynamics.networks.lanes import Lanes
+from dynamics.networks.layout import AMPLITUDE, PULSATION, SHAPE, SINE
 from dynamics.networks.reachable.strips import (
     ALWAYS,
     BACK,
@@ -35,15 +37,17 @@ from dynamics.networks.reachable.strips import (
     NEAR,
     SEVERAL,
     START,
+    curvature,
 )
 from dynamics.simulator.layout import LANE_LENGTH
-from dynamics.state import FloatArray
+from dynamics.state import FloatArray, Vehicle
 from dynamics.traffic.permits import Ego, gap_between
 from shield.roads.room import Others, Road, Trial
 from shield.roads.survey import FAR_OFF
 
 __all__ = ["ASKED", "BELIEVED", "CLEAR", "MADE", "STRICT", "judge"]
 
+_LENGTH, _SPEED = int(Vehicle.LENGTH), int(Vehicle.SPEED)
 STRICT, BELIEVED, ASKED = 0, 1, 2
 """What those who owe the ego their distance are trusted with: to answer to its buffer, with time to react, as anybody
 behind it; to keep their distance; to brake at once, where that keeps them behind its body."""
@@ -59,12 +63,34 @@ _ENDLESS = 100_000
 """Frames: whoever has not come to rest by then is not counted on to."""
 
 
+@uncounted
+def _sag(lanes: Lanes, lane: int, length: float, way: float) -> float:
+    """How far across a lane the front of a body moves that points along it and goes straight on for some way [m]."""
+    bend = curvature(lanes, lane)
+    if lanes.ids[lane, SHAPE] == SINE:
+        bend = abs(lanes.rows[lane, AMPLITUDE]) * lanes.rows[lane, PULSATION] * lanes.rows[lane, PULSATION]
+    return 0.5 * bend * (length * way + way * way)
+
+
+@uncounted
+def _aside(others: Others, road: Road, j: int, speed: float) -> float:
+    """How much further apart than the ego's buffer its body and that of strip j have to be across the lane [m], with
+    the ego at some speed: highway-env moves both straight on for the coming frame, and has them collide if they meet.
+    On a lane that bends the inner one of the two comes nearer so, the outer one does not."""
+    i, lane, body = others.marks[j, 0], others.marks[j, 1], road.body
+    row = others.rows[i]
+    its = _sag(road.lanes, lane, row[_LENGTH], max(others.drive[i, 0], row[_SPEED], 0.0) * road.period)
+    own = _sag(road.lanes, lane, 2 * body.length, max(speed, 0.0) * road.period)
+    return max(max(its, own) - (body.across - body.width), 0.0)
+
+
 @inlined
-def _beside(box: FloatArray, row: FloatArray) -> float:
-    """The gap across a strip [m]: where one gets to it that has come from beside, it is back in the middle by then."""
+def _beside(box: FloatArray, row: FloatArray, aside: float) -> float:
+    """The gap across a strip [m], less what is kept `aside`: where one gets to it that has come from beside, it is back
+    in the middle by then."""
     if box[0] - row[HALF] + row[NEAR] >= row[BACK]:
-        return max(box[2] - row[KEEP], -row[KEEP] - box[3])
-    return max(box[2] - row[HIGH], row[LOW] - box[3])
+        return max(box[2] - row[KEEP], -row[KEEP] - box[3]) - aside
+    return max(box[2] - row[HIGH], row[LOW] - box[3]) - aside
 
 
 @inlined
@@ -116,7 +142,8 @@ def _followed(
         if k >= first and box[0] < FAR_OFF and ahead >= row[START]:
             if not rear < FAR_OFF:
                 rear = box[0]
-            least = min(least, max(rear - brakes.front - ahead, _beside(box, row)))
+            beside = _beside(box, row, _aside(others, road, j, trial.path[m, 3]))
+            least = min(least, max(rear - brakes.front - ahead, beside))
             if least < CLEAR:
                 return least
         there = brakes.anywhere or x >= row[NEAR]
@@ -245,7 +272,7 @@ def judge(
             box = boxes[lane, k]
             if not box[0] < FAR_OFF:
                 continue
-            beside = _beside(box, row)
+            beside = _beside(box, row, _aside(others, road, j, path[k, 3]))
             # Both move between two frames: of one that rolls back the later frame counts.
             back = min(others.least[i, max(k - 1, 0)], others.least[i, k + 1]) - row[FAR]
             ahead = others.most[i, k + 1] - row[NEAR]

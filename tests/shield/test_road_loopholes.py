@@ -277,3 +277,36 @@ def test_what_takes_the_last_of_a_margin_is_named_however_little_it_is():
         watch.next(door._look(), {ahead}, np.array([-5e-7]), door._road, set())
         ahead.put(kept, 0.0, 20.0)
         assert {str(rule): count for rule, count in watch.by_rule.items()} == named
+
+
+@pytest.mark.parametrize("offset", [10.0, 10.3, 10.6, 10.9])
+def test_a_long_body_that_points_along_the_ring_is_foreseen_where_it_goes_straight_on_for_a_frame(offset):
+    """highway-env looks for collisions in the coming frame at constant velocity: on an arc the front of a truck, at the
+    outer edge of its lane, so hits an ego at rest in the lane beside. Its lane was taken to hold it."""
+    env, road, ego = alone("roundabout-v0", 15)
+    put_on(ego, ("ex", "ee", 1), 8.0, 0.0, 0.0, 0)
+    speed, length, radius = 19.9, 12.0, 20.0
+    width = 2 * (2.7 - 0.6 - length**2 / 8 / radius - 6 / radius) - 0.002
+    out = radius + width / 2 + 0.6 + length**2 / 8 / radius + 6 / radius - 1e-6
+    middle = math.sqrt(out**2 - length**2 / 4) - width / 2
+    begins = math.atan2(ego.position[1], ego.position[0]) + offset / radius
+    truck = body(road, (0.0, 0.0), 0.0, speed, (length, width))
+    truck.collidable = True
+    nodes = ["wx", "we", "sx", "se", "ex", "ee", "nx", "ne"]
+    truck.route = [(a, b, 0) for a, b in zip(nodes[2:], [*nodes[3:], nodes[0]], strict=True)]
+
+    def place(frame):
+        angle = begins - (frame + 1) * speed / 15 / middle
+        truck.put((middle * math.cos(angle), middle * math.sin(angle)), angle - math.pi / 2, speed)
+
+    place(-1)
+    road.vehicles.append(truck)
+    records = []
+
+    def after(frame):
+        records.append(env.frame_decisions[-1].tier.verified)
+        place(frame)
+
+    drive(env, SLOWER, 1, after, collide=True)
+    assert not (records[0] and ego.crashed)
+    assert "unforeseen" not in env.door.by_rule

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import time
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
@@ -15,6 +16,7 @@ import gymnasium as gym
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import CallbackList
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from evaluation.learning.algorithms import get_algorithm
@@ -36,6 +38,8 @@ from evaluation.training.worlds import World, make_world
 from shield.errors import ConfigError
 
 __all__ = ["TrainedPolicy", "train", "train_recipe", "train_with"]
+
+_log = logging.getLogger(__name__)
 
 _ACTION_SPACES: dict[str, tuple[type[gym.Space[Any]], ...]] = {
     "a2c": (gym.spaces.Discrete, gym.spaces.Box),
@@ -228,6 +232,7 @@ def _learned(options: TrainingOptions, world: World, callbacks: _Callbacks, prog
     """The model at the end of its training."""
     model = _model(options, world, callbacks.checkpoints)
     done = model.num_timesteps
+    _tell_rollouts(model, options.steps - done)
     if options.exploration and not done:
         _explore(model, options.exploration)
     model.learn(
@@ -239,6 +244,20 @@ def _learned(options: TrainingOptions, world: World, callbacks: _Callbacks, prog
     if "observations" in options.normalise:
         fold(model)
     return model
+
+
+def _tell_rollouts(model: BaseAlgorithm, steps: int) -> None:
+    """Warn where more steps are driven than asked for: algorithms on policy finish the rollout that they have begun."""
+    if not isinstance(model, OnPolicyAlgorithm):
+        return
+    rollout = model.n_steps * model.n_envs
+    driven = -(-max(steps, 0) // rollout) * rollout
+    if driven != max(steps, 0):
+        _log.warning(
+            "%d steps are driven, not %d: a rollout has n_steps x environments = %d x %d steps; "
+            "--set n_steps=N and --envs change that",
+            driven, steps, model.n_steps, model.n_envs,
+        )  # fmt: skip
 
 
 def _check_actions(options: TrainingOptions, actions: gym.Space[Any]) -> None:

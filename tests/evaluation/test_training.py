@@ -375,3 +375,13 @@ def test_hyperparameters_that_are_none_are_refused(tmp_path, args, message):
     setting = [] if "--recipe" in args else ["--setting", "highway-fast"]
     done = CliRunner().invoke(app, ["train", *setting, "--steps", "8", "--output", str(tmp_path / "x.zip"), *args])
     assert message in str(done.exception)
+
+
+def test_steps_that_a_rollout_adds_are_told(tmp_path, caplog):
+    """An algorithm on policy finishes its rollout: 40 steps of rollouts of 32 are 64."""
+    options = {"hyperparameters": {**ROLLOUT}, "progress": False}
+    train(TINY, "ppo", 64, 0, output=tmp_path / "whole", **options)
+    assert "steps are driven" not in caplog.text
+    trained = train(TINY, "ppo", 40, 0, output=tmp_path / "more", **options)
+    assert "64 steps are driven, not 40: a rollout has n_steps x environments = 32 x 1 steps" in caplog.text
+    assert PPO.load(trained.path, device="cpu").num_timesteps == 64

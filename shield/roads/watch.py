@@ -34,7 +34,7 @@ import numpy as np
 
 from dynamics.errors import SceneError
 from dynamics.networks.reachable.strips import BACK, FAR, FRONT, HALF, HIGH, KEEP, LOW, NEAR, START
-from dynamics.state import FloatArray, Vehicle
+from dynamics.state import FloatArray, IntArray, Vehicle
 from shield.roads.judging import CLEAR, MADE
 from shield.roads.room import Others, Road
 
@@ -46,6 +46,8 @@ rules are judged below that, and what is left to `CLEAR` is enough for some hund
 times the first of these and a few times the second."""
 _SHARE = 1e-12
 """The same of a row of `Others.drive`, which is multiplied by all of the way of a path."""
+_STILL = 1e-6
+"""A body whose band moves by less in a frame has not moved across its lane [m]; rounding on arcs is less."""
 _CORNERS = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 
 
@@ -245,7 +247,9 @@ def _inside(old: Others, j: int, new: Others, i: int) -> bool:
     `least`, `most`                       they follow from the speed and `drive`
     `drive`, all columns                  here
     `marks`: lane                         here
-    `marks`: the strip before             here, as it is read: whether the ego stands in every way there (`shut`)
+    `marks`: the strip before             here, as it is read: whether the ego stands in every way there (`shut`), where
+                                          the body has moved across its lane; else the ego's own judgement has changed,
+                                          and a plan that is lost so is *unforeseen*
     `NEAR`, `FAR`                         here: the way of a frame is between `least` and `most`
     `LOW`, `HIGH`, `HALF`                 here
     `FRONT`                               here; it is read only of who owes the ego its distance
@@ -262,6 +266,7 @@ def _inside(old: Others, j: int, new: Others, i: int) -> bool:
     count0, count = int(old.found[0]), int(new.found[0])
     mine, its = np.flatnonzero(old.marks[:count0, 0] == j), np.flatnonzero(new.marks[:count, 0] == i)
     least, most, owes, rearmost = old.least[j, 1], old.most[j, 1], old.owes[j].any(), new.least[i].min()
+    shifts = _shifts(old, mine, new, its)
     for k in its:
         row, same = new.numbers[k], mine[old.marks[mine, 1] == new.marks[k, 1]]
         rows = old.numbers[same]
@@ -274,11 +279,21 @@ def _inside(old: Others, j: int, new: Others, i: int) -> bool:
         )
         # The front as it is now counts of who has to stay behind the ego.
         fits = (row[HALF] <= rows[:, HALF] + _PLACE) & (~owes | (row[FRONT] <= rows[:, FRONT] + _PLACE))
-        # What the plan passes over, since the ego stands in the way to it, has to stay so.
-        kept = (new.ranks[k] <= old.ranks[same]) & (~old.shut[same] | new.shut[k])
+        # What the plan skips, since the ego stands in the way to it, stays so where the body has moved across its lane.
+        kept = (new.ranks[k] <= old.ranks[same]) & (~old.shut[same] | new.shut[k] | ~shifts)
         if not (along & across & settles & fits & kept).any():
             return False
     return True
+
+
+def _shifts(old: Others, mine: IntArray, new: Others, its: IntArray) -> bool:
+    """Whether a body has moved across a lane that it is on, or come onto another; its strips are `mine`, then `its`."""
+    for k in its[new.marks[its, 2] < 0]:
+        same = mine[old.marks[mine, 1] == new.marks[k, 1]]
+        sides = np.abs(old.numbers[same][:, [LOW, HIGH]] - new.numbers[k, [LOW, HIGH]])
+        if not (sides <= _STILL).all(axis=1).any():
+            return True
+    return False
 
 
 def _is_no_faster(old: FloatArray, new: FloatArray) -> bool:

@@ -186,11 +186,12 @@ def test_a_demo_that_cannot_be_lists_the_roads_that_can(env_id, why, tmp_path):
     assert not output.exists()
 
 
-def test_every_road_that_the_readme_and_the_refusal_name_can_be_demonstrated():
+def test_every_road_that_the_docs_and_the_refusal_name_can_be_demonstrated():
     """What `make demo ENV=` is said to take."""
     for road in ROADS:
         check_road(setting_of(road), ShieldConfig.exact())
-    (line,) = re.findall(r"make demo ENV=(.*);", (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8"))
+    page = Path(__file__).parents[2] / "docs" / "reference" / "cli.md"
+    (line,) = re.findall(r"make demo ENV=(.*);", page.read_text(encoding="utf-8"))
     assert {f"{name}-v0" for name in re.findall(r"[a-z-]+", line.replace("another road", ""))} == set(ROADS)
 
 

@@ -148,9 +148,9 @@ ROADS = (
         _TRANSITIONS,
     ),
     off(
-        "who is passed over may have to be kept clear of in the next frame",
+        "who is skipped may have to be kept clear of in the next frame",
         "shield/roads/watch.py",
-        " & (~old.shut[same] | new.shut[k])",
+        " & (~old.shut[same] | new.shut[k] | ~shifts)",
         "",
         _TRANSITIONS,
     ),

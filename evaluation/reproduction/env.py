@@ -75,7 +75,7 @@ class ReportEnv(gym.Env[Any, Any]):
         if not self._semi_markov:
             return sum(rewards)
         g, k = self._gamma ** (1.0 / self._planned), len(rewards)
-        return float(float(np.dot(g ** np.arange(k), rewards)) * (1.0 - self._gamma) / (1.0 - g**k))
+        return float(np.dot(g ** np.arange(k), rewards) * (1.0 - self._gamma) / (1.0 - g**k))
 
     def action_masks(self) -> BoolArray:
         """Which meta-actions verify now, as of `ShieldedVecEnv.action_masks`."""

@@ -232,11 +232,12 @@ def _learned(options: TrainingOptions, world: World, callbacks: _Callbacks, prog
     """The model at the end of its training."""
     model = _model(options, world, callbacks.checkpoints)
     done = model.num_timesteps
-    _tell_rollouts(model, options.steps - done)
+    left = max(options.steps - done, 0)
+    _tell_rollouts(model, left)
     if options.exploration and not done:
         _explore(model, options.exploration)
     model.learn(
-        max(options.steps - done, 0),
+        left,
         callback=callbacks.listed(options),
         reset_num_timesteps=not done,
         progress_bar=progress,
@@ -251,8 +252,8 @@ def _tell_rollouts(model: BaseAlgorithm, steps: int) -> None:
     if not isinstance(model, OnPolicyAlgorithm):
         return
     rollout = model.n_steps * model.n_envs
-    driven = -(-max(steps, 0) // rollout) * rollout
-    if driven != max(steps, 0):
+    driven = -(-steps // rollout) * rollout
+    if driven != steps:
         _log.warning(
             "%d steps are driven, not %d: a rollout has n_steps x environments = %d x %d steps; "
             "--set n_steps=N and --envs change that",

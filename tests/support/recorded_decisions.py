@@ -92,11 +92,10 @@ def driven(cell: Cell) -> Iterator[dict[str, Any]]:
             shield.reset(seed=SEED)
         else:
             shield = Shield(lambda _: proposal[0], env, settings, frames=cell.wrapper == "Shield")
-        shield_step = shield.step if isinstance(shield, ShieldedEnv) else None
         for k in range(DECISIONS):
             proposal[0] = proposals(env.action_space, rng)
-            if shield_step is not None:
-                _, _, terminated, truncated, _ = shield_step(proposal[0])
+            if isinstance(shield, ShieldedEnv):
+                _, _, terminated, truncated, _ = shield.step(proposal[0])
             else:
                 observation, _, terminated, truncated, _ = env.step(shield.predict(observation)[0])
             for ego, decision in enumerate(shield.last_decisions):

@@ -73,13 +73,20 @@ def _sag(lanes: Lanes, lane: int, length: float, way: float) -> float:
 
 
 @uncounted
-def _aside(others: Others, road: Road, j: int, speed: float) -> float:
-    """How much further apart than the ego's buffer its body and that of strip j have to be across the lane [m], with
-    the ego at some speed: highway-env moves both straight on for the coming frame, and has them collide if they meet.
-    On a lane that bends the inner one of the two comes nearer so, the outer one does not."""
-    i, lane, body = others.marks[j, 0], others.marks[j, 1], road.body
+def _sag_of(others: Others, road: Road, j: int) -> float:
+    """`_sag` of the body of strip j in a frame, at most [m]."""
+    i = others.marks[j, 0]
     row = others.rows[i]
-    its = _sag(road.lanes, lane, row[_LENGTH], max(others.drive[i, 0], row[_SPEED], 0.0) * road.period)
+    way = max(others.drive[i, 0], row[_SPEED], 0.0) * road.period
+    return _sag(road.lanes, others.marks[j, 1], row[_LENGTH], way)
+
+
+@uncounted
+def _aside(road: Road, lane: int, its: float, speed: float) -> float:
+    """How much further apart than the ego's buffer its body and another have to be across a lane [m], with the other's
+    `_sag_of` and the ego at some speed: highway-env moves both straight on for the coming frame, and has them collide
+    if they meet. On a lane that bends the inner one of the two comes nearer so, the outer one does not."""
+    body = road.body
     own = _sag(road.lanes, lane, 2 * body.length, max(speed, 0.0) * road.period)
     return max(max(its, own) - (body.across - body.width), 0.0)
 
@@ -131,7 +138,7 @@ def _followed(
     top, most = max(others.drive[i, 0], others.rows[i, 3]), others.drive[i, 2]
     v0 = max(others.rows[i, 3], 0.0)
     v, x, waited, least, k = v0, 0.0, 0, np.inf, 0
-    within = row[NEAR] <= 0
+    within, sag = row[NEAR] <= 0, _sag_of(others, road, j)
     while k <= last or (rests and v > 0.0):
         if k > _ENDLESS:
             return -1.0
@@ -142,7 +149,7 @@ def _followed(
         if k >= first and box[0] < FAR_OFF and ahead >= row[START]:
             if not rear < FAR_OFF:
                 rear = box[0]
-            beside = _beside(box, row, _aside(others, road, j, trial.path[m, 3]))
+            beside = _beside(box, row, _aside(road, lane, sag, trial.path[m, 3]))
             least = min(least, max(rear - brakes.front - ahead, beside))
             if least < CLEAR:
                 return least
@@ -262,7 +269,7 @@ def judge(
         if others.shut[j] or last < first:
             continue
         end = rows[lane, LANE_LENGTH] if after.shape[1] > 0 and after[lane, 0] >= 0 else ALWAYS
-        least, bad, contact = np.inf, count, -1
+        least, bad, contact, sag = np.inf, count, -1, _sag_of(others, road, j)
         there = rests and last == count - 1
         # Who has to stay behind the ego's body does not come to the next lane, where its rear is within this one. That
         # holds for any size, with the buffer and without: a frame later it may owe its distance to the body alone. And
@@ -272,7 +279,7 @@ def judge(
             box = boxes[lane, k]
             if not box[0] < FAR_OFF:
                 continue
-            beside = _beside(box, row, _aside(others, road, j, path[k, 3]))
+            beside = _beside(box, row, _aside(road, lane, sag, path[k, 3]))
             # Both move between two frames: of one that rolls back the later frame counts.
             back = min(others.least[i, max(k - 1, 0)], others.least[i, k + 1]) - row[FAR]
             ahead = others.most[i, k + 1] - row[NEAR]

@@ -1,7 +1,8 @@
-"""Hypothesis profiles (the default suite repeats itself exactly; `make test-slow` explores new examples), and traffic
-that no test, and no example in a docstring, leaves changed behind.
+"""Hypothesis profiles (the default suite repeats itself exactly; `make test-slow` explores new examples), and state of
+the process that no test, and no example in a docstring, leaves changed behind.
 """
 
+import logging
 import os
 from collections.abc import Iterator
 
@@ -31,3 +32,13 @@ def traffic_as_it_comes() -> Iterator[None]:
                 setattr(kind, name, own[name])
             elif name in vars(kind):
                 delattr(kind, name)
+
+
+@pytest.fixture(autouse=True)
+def logging_stays_enabled() -> Iterator[None]:
+    """A test that disables logging for the process makes later tests of log lines fail, depending on their order."""
+    before = logging.root.manager.disable
+    yield
+    after = logging.root.manager.disable
+    logging.disable(before)
+    assert after == before, "the test left logging disabled: restore it"

@@ -17,6 +17,7 @@ import logging
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -128,9 +129,21 @@ def decided(which: Sequence[Cell], jobs: int = 1) -> pd.DataFrame:
 
 
 def _rows(which: Sequence[Cell]) -> list[dict[str, Any]]:
-    warnings.simplefilter("ignore")
+    with _quiet():
+        return [row for cell in which for row in driven(cell)]
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """No warning and no log line up to WARNING inside, and both as before afterwards."""
+    before = logging.root.manager.disable
     logging.disable(logging.WARNING)
-    return [row for cell in which for row in driven(cell)]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logging.disable(before)
 
 
 def differences(before: pd.DataFrame, now: pd.DataFrame) -> Iterator[str]:

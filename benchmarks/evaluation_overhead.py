@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from evaluation import Experiment
-from evaluation.running.episodes import Driver
+from evaluation.running.driver import Driver, DriverSpec
 from evaluation.running.named_policies import start_episode
 from evaluation.running.records import Variant, make_variants
 from evaluation.settings import get_setting
@@ -42,7 +42,7 @@ FASTER = 8
 def bare(setting: str, policy: str, simulator: str, variants: list[Variant], seeds: range) -> None:
     """The same episodes without records."""
     for variant in variants:
-        driver = Driver(get_setting(setting), policy, variant, None, None, simulator)
+        driver = Driver(DriverSpec(get_setting(setting), policy, variant, simulator=simulator))
         for seed in seeds:
             obs, _ = driver.env.reset(seed=seed)
             driver.env.action_space.seed(seed)

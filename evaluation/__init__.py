@@ -25,7 +25,8 @@ refuse_hidden("dynamics", "mpc", "shield")
 register_environments()
 
 if TYPE_CHECKING:
-    from evaluation.experiments.experiment import Experiment, compare, evaluate
+    from evaluation.experiments.api import compare, evaluate
+    from evaluation.experiments.experiment import Experiment
     from evaluation.experiments.result import Result, merge
     from evaluation.learning.algorithms import load_model
     from evaluation.learning.fast_road_vec_env import FastRoadVecEnv
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     from evaluation.report.table import read_episodes
     from evaluation.report.video import film_override
     from evaluation.reproduction.api import reproduce
-    from evaluation.running.episodes import run_episode, run_paired
+    from evaluation.running.episodes import RunOptions, run_episode, run_paired
     from evaluation.running.many import Many
     from evaluation.running.named_policies import make_policy
     from evaluation.running.records import make_variants
@@ -51,6 +52,7 @@ __all__ = [
     "FastRoadVecEnv",
     "Many",
     "Result",
+    "RunOptions",
     "Setting",
     "ShieldOverlay",
     "ShieldedVecEnv",
@@ -77,7 +79,8 @@ __all__ = [
 __getattr__, _, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "experiments.experiment": ["Experiment", "compare", "evaluate"],
+        "experiments.api": ["compare", "evaluate"],
+        "experiments.experiment": ["Experiment"],
         "experiments.result": ["Result", "merge"],
         "learning.algorithms": ["load_model"],
         "learning.fast_road_vec_env": ["FastRoadVecEnv"],
@@ -90,7 +93,7 @@ __getattr__, _, _ = lazy_loader.attach(
         "report.table": ["read_episodes"],
         "report.video": ["film_override"],
         "reproduction.api": ["reproduce"],
-        "running.episodes": ["run_episode", "run_paired"],
+        "running.episodes": ["RunOptions", "run_episode", "run_paired"],
         "running.many": ["Many"],
         "running.named_policies": ["make_policy"],
         "running.records": ["make_variants"],

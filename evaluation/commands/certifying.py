@@ -120,10 +120,12 @@ def _rare_through(
     setting: str, policy: str, paths: int, seed: int, config: ShieldConfig, sensor: str, perception: str, jobs: int
 ) -> None:
     from evaluation.rare.noisy import crash_probability_through
+    from evaluation.running.driver import DriverSpec
     from evaluation.running.records import Variant
 
     variant = Variant() if config.mode == "none" else Variant("env", config, perception)
-    found = crash_probability_through(get_setting(setting), policy, variant, sensor, paths, seed=seed, jobs=jobs)
+    spec = DriverSpec(get_setting(setting), policy, variant, sensor=sensor)
+    found = crash_probability_through(spec, paths, seed=seed, jobs=jobs)
     table = Table("round", "time to collision [s]", "dropped")
     for k, (level, dropped) in enumerate(zip(found.levels, found.dropped, strict=True)):
         table.add_row(str(k + 1), f"{-level:.3f}", str(dropped))

@@ -78,7 +78,7 @@ def demo(
         _out.print(f"wrote {picture}")
         return
     from evaluation.report.video import film_override
-    from evaluation.running.episodes import run_paired
+    from evaluation.running.episodes import RunOptions, run_paired
     from evaluation.running.records import make_variants
 
     frame = run_paired(
@@ -87,7 +87,7 @@ def demo(
         make_variants(["none", "full"], ["env"]),
         range(EVALUATION_SEED, EVALUATION_SEED + episodes),
         jobs=jobs,
-        progress=True,
+        run=RunOptions(progress=True),
     )
     report(frame, output / "episodes.parquet")
     film = film_override(output / "override.gif")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from evaluation.commands.reporting import report
 from evaluation.report.gallery import ROADS, draw_gallery
-from evaluation.running.episodes import run_paired
+from evaluation.running.episodes import RunOptions, run_paired
 from evaluation.running.named_policies import make_policy
 from evaluation.running.records import make_variants
 from evaluation.settings import Setting, setting_of
@@ -39,7 +39,7 @@ def road_demo(env_id: str, seeds: Sequence[int], output: Path, jobs: int) -> Pat
     setting, config = setting_of(env_id), ShieldConfig.exact()
     check_road(setting, config)
     variants = make_variants(["none", "full"], ["actions"], config)
-    frame = run_paired(setting, _POLICY, variants, seeds, jobs=jobs, progress=True)
+    frame = run_paired(setting, _POLICY, variants, seeds, jobs=jobs, run=RunOptions(progress=True))
     report(frame, output / "episodes.parquet")
     return draw_gallery(output / "override.png", [env_id])
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from evaluation.experiments.experiment import Experiment, compare, evaluate
+from evaluation.experiments.api import compare, evaluate
+from evaluation.experiments.experiment import Experiment
 from evaluation.experiments.result import Result, merge
 
 __all__ = ["Experiment", "Result", "compare", "evaluate", "merge"]

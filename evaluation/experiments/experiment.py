@@ -2,36 +2,30 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import pandas as pd
 
+from evaluation.experiments.inputs import as_file, name_of, origin_of, setting_given
 from evaluation.experiments.result import Result
-from evaluation.learning.normalised_model import statistics_beside
-from evaluation.measuring import metrics
 from evaluation.names import ENGINES, SIMULATORS, check_name, check_sensor, read_toml
 from evaluation.report.table import finished
 from evaluation.running.comparing import Comparison
-from evaluation.running.episodes import run_paired
+from evaluation.running.episodes import RunOptions, run_paired
 from evaluation.running.processes import engine_of
 from evaluation.running.records import DOORS, Variant, make_variants
 from evaluation.running.step_table import check_steps, write_steps
 from evaluation.running.store import Store
-from evaluation.settings import SETTINGS, Setting, setting_of
+from evaluation.settings import Setting
 from shield.config import MODES, PERCEPTIONS, Buffer, ShieldConfig
 from shield.doors.adapters import as_policy
 from shield.errors import ConfigError
 
-__all__ = ["Experiment", "Stopped", "compare", "evaluate"]
-
-_KEPT = ("OrderEnforcing", "PassiveEnvChecker", "TimeLimit")
-"""Wrappers that `gym.make` puts around an environment again."""
+__all__ = ["Experiment", "Stopped"]
 
 
 class Stopped(KeyboardInterrupt):
@@ -149,7 +143,7 @@ class Experiment:
             return dict(self.policy)
         named: dict[str, Any] = {}
         for each in self.policy if isinstance(self.policy, list | tuple) else [self.policy]:
-            name = _name_of(each)
+            name = name_of(each)
             if name in named:
                 raise ConfigError(
                     f"{named[name]} and {each} would both be reported as {name!r}; copy one to another name, or give a "
@@ -169,7 +163,7 @@ class Experiment:
     def settings(self) -> tuple[Setting, ...]:
         """The environments as settings."""
         several = self.env if isinstance(self.env, list | tuple) else [self.env]
-        return tuple(_setting(each) for each in several)
+        return tuple(setting_given(each) for each in several)
 
     @property
     def seeds(self) -> range:
@@ -190,7 +184,7 @@ class Experiment:
             If an environment cannot be made, a policy cannot drive it, or `output` holds another experiment.
         """
         with tempfile.TemporaryDirectory(prefix="policies-") as folder:
-            files = {name: _as_file(name, each, Path(folder)) for name, each in self.policies.items()}
+            files = {name: as_file(name, each, Path(folder)) for name, each in self.policies.items()}
             functions = {name: each for name, each in files.items() if not isinstance(each, str)}
             named = [each for each in files.values() if isinstance(each, str)]
             objects = [name for name, each in self.policies.items() if not isinstance(each, str | Path)]
@@ -264,7 +258,10 @@ class Experiment:
         if self.shard is not None:
             what["shard"] = list(self.shard)
         if functions:
-            what["policies"] = {**what["policies"], **{name: {"function": _origin(f)} for name, f in functions.items()}}
+            what["policies"] = {
+                **what["policies"],
+                **{name: {"function": origin_of(f)} for name, f in functions.items()},
+            }
         output = None if self.output is None else Path(self.output)
         if output is not None:
             try:
@@ -289,122 +286,14 @@ class Experiment:
                 adapted,
                 variants,
                 self.seeds,
-                engine=engine_of(self.engine, self.jobs, self.address),
-                steps=self.steps is not None,
                 algorithm=self.algorithm,
                 simulator=self.simulator,
                 sensor=sensor,
+                run=RunOptions(engine_of(self.engine, self.jobs, self.address), steps=self.steps is not None),
             )
             parts.append(driven)
         return pd.concat(parts, ignore_index=True).assign(policy=name)
 
 
-def evaluate(policy: Any, env: Any = "highway-fast", **options: Any) -> Result:
-    """Drive a policy, or several, with and without the shield on the same seeds.
-
-    Parameters
-    ----------
-    policy, env : as of `Experiment`. options : its other attributes.
-
-    Returns
-    -------
-    The episodes, with tables and pictures of them.
-
-    Raises
-    ------
-    ConfigError, PolicyError
-        As of `Experiment` and its `run`.
-
-    Examples
-    --------
-    >>> result = evaluate("faster", "highway-fast", episodes=2, config="worst-case")  # doctest: +SKIP
-    >>> result.summary[["mode", "crash_rate"]]  # doctest: +SKIP
-    """
-    progress = bool(options.pop("progress", False))
-    return Experiment(policy, env).with_options(**options).run(progress)
-
-
-def compare(*results: Result | pd.DataFrame) -> pd.DataFrame:
-    """Each shielded row of some results against the unshielded one, paired by seed.
-
-    Parameters
-    ----------
-    results : of `evaluate`, or tables of episodes.
-
-    Returns
-    -------
-    The table of `evaluation.measuring.metrics.compare`.
-
-    Raises
-    ------
-    ConfigError
-        If there is none, or an episode is in two of them.
-    """
-    if not results:
-        raise ConfigError("nothing to compare: no results")
-    frames = [each.episodes if isinstance(each, Result) else each for each in results]
-    return metrics.compare(pd.concat(frames, ignore_index=True))
-
-
 def _several(value: str | Sequence[str]) -> list[str]:
     return [value] if isinstance(value, str) else list(value)
-
-
-def _name_of(policy: Any) -> str:
-    """What a policy is reported under unless it is given a name."""
-    if isinstance(policy, str | Path):
-        return Path(policy).stem if str(policy).endswith(".zip") else str(policy)
-    return str(getattr(policy, "__name__", type(policy).__name__)).strip("<>")
-
-
-def _origin(policy: Any) -> str:
-    named = policy if hasattr(policy, "__qualname__") else type(policy)
-    return f"{named.__module__}.{named.__qualname__}"
-
-
-def _as_file(name: str, policy: Any, folder: Path) -> Any:
-    """A policy by name or file, which is copied where it has another name; an SB3 model is saved, with its statistics,
-    so that every process has the same."""
-    if isinstance(policy, str | Path):
-        return str(policy) if _name_of(policy) == name else _copied(name, str(policy), folder)
-    if not (hasattr(policy, "save") and hasattr(policy, "get_vec_normalize_env")):
-        return policy
-    path = folder / f"{name}.zip"
-    policy.save(path)
-    statistics = policy.get_vec_normalize_env()
-    if statistics is not None:
-        statistics.save(str(folder / f"{name}_vecnormalize.pkl"))
-    return str(path)
-
-
-def _copied(name: str, policy: str, folder: Path) -> str:
-    """A zip file and its statistics under another name."""
-    if not policy.endswith(".zip"):
-        raise ConfigError(f"the policy {policy!r} is reported as {policy!r}, and under no other name such as {name!r}")
-    path = folder / f"{name}.zip"
-    shutil.copyfile(policy, path)
-    statistics = statistics_beside(Path(policy))
-    if statistics is not None:
-        shutil.copyfile(statistics, folder / f"{name}_vecnormalize.pkl")
-    return str(path)
-
-
-def _setting(env: Any) -> Setting:
-    """A setting by name, an environment by its id, or one that has been made."""
-    if isinstance(env, Setting):
-        return env
-    if isinstance(env, str):
-        return SETTINGS[env] if env in SETTINGS else setting_of(env)
-    if not isinstance(env, gym.Env):
-        raise ConfigError(f"{type(env).__name__} is no environment; valid are names of settings, ids, and gym.Env")
-    layer: Any = env
-    while isinstance(layer, gym.Wrapper):
-        if type(layer).__name__ not in _KEPT:
-            raise ConfigError(
-                f"{type(layer).__name__} around the environment would be lost, since each process makes its own: "
-                "register the environment with it (additional_wrappers=) and give the id"
-            )
-        layer = layer.env
-    if layer.spec is None:
-        raise ConfigError(f"{type(layer).__name__} was not made by gym.make: register it, and give the id")
-    return Setting(layer.spec.id, layer.spec.id, layer.config)

@@ -14,7 +14,7 @@ from evaluation.measuring.metrics import compare, summarise
 from evaluation.report.plots import plot_episodes
 from evaluation.report.table import COMPARISON, SUMMARY, finished, latex, markdown, write_table
 from evaluation.running.identity import differences
-from evaluation.running.store import KEY
+from evaluation.running.store_rows import KEY
 from shield.errors import ConfigError
 
 __all__ = ["Result", "merge"]

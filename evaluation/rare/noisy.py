@@ -19,10 +19,8 @@ from dynamics.state import FloatArray
 from evaluation.measuring.recorder import Track
 from evaluation.measuring.tally import HORIZON, SOON, time_to_collision
 from evaluation.rare.splitting import Path, Split, multilevel_splitting
-from evaluation.running.episodes import Driver
+from evaluation.running.driver import Driver, DriverSpec
 from evaluation.running.identity import check_files, hash_of_files
-from evaluation.running.records import Variant
-from evaluation.settings import Setting
 from evaluation.threads import one_thread
 from evaluation.wrappers.sensor_noise import SensorNoise
 from shield.errors import ConfigError
@@ -47,8 +45,7 @@ class NoisyEpisodes:
 
     Parameters
     ----------
-    setting, policy : the environment, and the policy by name or as the path of a zip file.
-    variant : what stands between the two. sensor : that is noisy (see `evaluation.wrappers.split_sensor`).
+    spec : what drives, and where; its sensor is noisy (see `evaluation.wrappers.split_sensor`).
 
     Raises
     ------
@@ -56,12 +53,14 @@ class NoisyEpisodes:
         If the sensor is exact, so that nothing is random after the reset.
     """
 
-    def __init__(self, setting: Setting, policy: str, variant: Variant, sensor: str) -> None:
-        self._driver = Driver(setting, policy, variant, None, None, "auto", sensor)
+    def __init__(self, spec: DriverSpec) -> None:
+        self._driver = Driver(spec)
         env: gym.Env = self._driver.env
         while not isinstance(env, SensorNoise):
             if not isinstance(env, gym.Wrapper):
-                raise ConfigError(f"nothing is random after the reset through the sensor {sensor!r}; have a noisy one")
+                raise ConfigError(
+                    f"nothing is random after the reset through the sensor {spec.sensor!r}; have a noisy one"
+                )
             env = env.env
         self._sensor = env
 
@@ -89,10 +88,7 @@ class NoisyEpisodes:
 
 
 def crash_probability_through(
-    setting: Setting,
-    policy: str,
-    variant: Variant,
-    sensor: str,
+    spec: DriverSpec,
     paths: int = 200,
     share: float = 0.1,
     seed: int = 0,
@@ -106,34 +102,41 @@ def crash_probability_through(
 
     Parameters
     ----------
-    setting, policy, variant, sensor : see `NoisyEpisodes`.
+    spec : see `NoisyEpisodes`.
     paths, share, seed, most : see `multilevel_splitting`; the first scenes have the seeds from `seed` on.
     jobs : processes; -1 for one per core.
     """
     if joblib.effective_n_jobs(jobs) == 1:
-        episodes = NoisyEpisodes(setting, policy, variant, sensor)
+        episodes = NoisyEpisodes(spec)
         try:
             return multilevel_splitting(lambda ways: [episodes.drive(x) for x in ways], 0.0, paths, share, seed, most)
         finally:
             episodes.close()
-    files = hash_of_files(policy)
+    files = hash_of_files(_policy(spec))
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1), joblib.Parallel(n_jobs=jobs) as pool:
 
         def drive(ways: Sequence[Path]) -> Sequence[FloatArray]:
-            found: list[FloatArray] = pool(
-                joblib.delayed(_drive)(setting, policy, variant, sensor, files, x) for x in ways
-            )
+            found: list[FloatArray] = pool(joblib.delayed(_drive)(spec, files, x) for x in ways)
             return found
 
         return multilevel_splitting(drive, 0.0, paths, share, seed, most)
 
 
 @lru_cache(maxsize=1)
-def _kept(setting: Setting, policy: str, variant: Variant, sensor: str, files: str) -> NoisyEpisodes:
+def _kept(spec: DriverSpec, files: str) -> NoisyEpisodes:
     """Kept while `files`, the hashes of what the policy is read from, are the same."""
-    check_files(policy, None, files)
-    return NoisyEpisodes(setting, policy, variant, sensor)
+    check_files(_policy(spec), None, files)
+    return NoisyEpisodes(spec)
 
 
-def _drive(setting: Setting, policy: str, variant: Variant, sensor: str, files: str, path: Path) -> FloatArray:
-    return _kept(setting, policy, variant, sensor, files).drive(path)
+def _drive(spec: DriverSpec, files: str, path: Path) -> FloatArray:
+    return _kept(spec, files).drive(path)
+
+
+def _policy(spec: DriverSpec) -> str:
+    """The policy of the spec, by name or as a path: an object has no files to compare."""
+    if not isinstance(spec.policy, str):
+        raise ConfigError(
+            f"a {type(spec.policy).__name__} drives in one process only; have a policy by name or a zip file"
+        )
+    return spec.policy

@@ -19,7 +19,7 @@ from evaluation.replay.record import Body, LaneDrawn, Override, Replay, Step, Wh
 from evaluation.replay.what_if import copy_unwatched, what_if
 from evaluation.report.draw import World
 from evaluation.report.proposal import action_labels
-from evaluation.running.episodes import Driver
+from evaluation.running.driver import Driver, DriverSpec
 from evaluation.running.identity import versions
 from evaluation.running.records import EpisodeRecord, Variant
 from evaluation.settings import Setting
@@ -143,12 +143,14 @@ def collect(
 
     Parameters
     ----------
-    told : called after each step, as of `evaluation.running.episodes.Driver.run`.
+    told : called after each step, as of `evaluation.running.driver.Driver.run`.
     follows : whether refused proposals are followed in the simulator, too (with throttle and steering at most one a
         second).
     """
     driver = Driver(
-        asked.setting, asked.policy, asked.variant, asked.algorithm, asked.model, "highway-env", asked.sensor
+        DriverSpec(
+            asked.setting, asked.policy, asked.variant, asked.algorithm, asked.model, "highway-env", asked.sensor
+        )
     )
     try:
         with one_thread():

@@ -16,10 +16,11 @@ from evaluation.policies import list_references
 from evaluation.replay.collect import Asked, collect
 from evaluation.replay.html import write_page
 from evaluation.report.table import made_of, read_episodes
-from evaluation.running.episodes import policy_name
+from evaluation.running.driver import policy_name
 from evaluation.running.identity import differences, of_environment, policy_files, versions
+from evaluation.running.parts import Parts
 from evaluation.running.records import EpisodeRecord, Variant, variant_for
-from evaluation.running.store import Parts, is_store
+from evaluation.running.store_rows import is_store
 from evaluation.settings import SETTINGS, Setting
 from shield.config import ShieldConfig
 from shield.errors import ConfigError, ShieldError

@@ -18,7 +18,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from evaluation.names import TABLE_ENDINGS
-from evaluation.running.store import is_store, plain_rows, read_store
+from evaluation.running.store_rows import is_store, plain_rows, read_store
 from shield.decision import Verification
 from shield.errors import ConfigError
 

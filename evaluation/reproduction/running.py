@@ -27,9 +27,9 @@ from evaluation.reproduction.variants import Variant
 from evaluation.running.highway_planner import highway_policy
 from evaluation.running.identity import differences, file_hash, versions
 from evaluation.running.manifest import commit, provenance
+from evaluation.running.parts import Parts
 from evaluation.running.processes import in_processes
 from evaluation.running.roundabout_planner import roundabout_policy
-from evaluation.running.store import Parts
 from shield.errors import ConfigError
 
 __all__ = ["FIRST_SEED", "Reproduction", "first_seed", "run", "why_not"]

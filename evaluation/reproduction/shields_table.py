@@ -18,7 +18,7 @@ from evaluation.names import check_name
 from evaluation.report.table import Column, markdown
 from evaluation.reproduction.shields import MOST, ROADS, SHIELDS, Road, driven_on, rows_of, variant_on
 from evaluation.running.comparing import Comparison
-from evaluation.running.episodes import run_paired
+from evaluation.running.episodes import RunOptions, run_paired
 from evaluation.running.manifest import SECTIONS
 from evaluation.running.processes import Processes
 from evaluation.running.records import Variant
@@ -75,14 +75,12 @@ def compare_shields(
         raise ConfigError(f"{folder} holds rows of an earlier version, which was no store; take another --out")
     parts, refused = _parts([ROADS[name] for name in chosen], asked, episodes)
     store = Store.in_folder(folder, *_identity(parts, episodes, refused), "take another --out")
-    rows, engine = [], Processes(jobs)
+    rows, run = [], RunOptions(Processes(jobs), store)
     for part in parts:
         if part.name in refused:
             continue
         try:
-            found = run_paired(
-                part.setting, part.policy, [part.variant], part.seeds, engine=engine, progress=False, store=store
-            )
+            found = run_paired(part.setting, part.policy, [part.variant], part.seeds, run=run)
         except (ConfigError, SceneError) as error:
             refused[part.name] = str(error)
             continue

@@ -17,13 +17,14 @@ import pandas as pd
 
 from evaluation.measuring.statistics import bootstrap_mean, clopper_pearson
 from evaluation.running.decision_log import MEASURED
-from evaluation.running.episodes import policy_name, run_paired
+from evaluation.running.driver import policy_name
+from evaluation.running.episodes import run_paired
 from evaluation.running.identity import check_files, hash_of_files, model_hashes, of_environment, of_policy
 from evaluation.running.manifest import check_fits, extended, provenance
 from evaluation.running.many import Many
 from evaluation.running.named_policies import is_model, make_policy
+from evaluation.running.parts import Parts
 from evaluation.running.records import Variant, told, variant_for
-from evaluation.running.store import Parts
 from evaluation.settings import Setting
 from evaluation.simulators import compiled_where_it_serves
 from shield.config import ShieldConfig
@@ -123,7 +124,7 @@ def certify(asked: Asked, folder: str | Path, jobs: int = 1, progress: Any = Non
 
     Parameters
     ----------
-    folder : where the parts are kept (see `evaluation.running.store.Parts`). A run with more episodes goes on from one
+    folder : where the parts are kept (see `evaluation.running.parts.Parts`). A run with more episodes goes on from one
         with fewer.
     jobs : processes; -1 for one per core.
     progress : called with the table of each part as it finishes.

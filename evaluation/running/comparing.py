@@ -9,13 +9,15 @@ from typing import Any
 
 import pandas as pd
 
-from evaluation.running.episodes import policy_name, run_paired
+from evaluation.running.driver import policy_name
+from evaluation.running.episodes import RunOptions, run_paired
 from evaluation.running.identity import model_hashes, of_environment, of_policy
 from evaluation.running.named_policies import is_model, make_policy
 from evaluation.running.processes import Engine
 from evaluation.running.records import Variant
 from evaluation.running.simulators import environment
-from evaluation.running.store import KEY, Store
+from evaluation.running.store import Store
+from evaluation.running.store_rows import KEY
 from evaluation.settings import Setting
 from shield.errors import ConfigError
 
@@ -31,7 +33,8 @@ class Comparison:
     settings : each with what stands between the policy and the environment there.
     policies : by name, or as paths of zip files. sensors : through which they see.
     seeds : of the episodes of each row.
-    algorithm, model, simulator : as of `evaluation.running.episodes.run_episode`. steps : as of `run_paired` there.
+    algorithm, model, simulator : as of `evaluation.running.episodes.run_episode`. steps : as of
+        `RunOptions` there.
 
     Raises
     ------
@@ -90,20 +93,18 @@ class Comparison:
 
     def drive(self, store: Store, engine: Engine, progress: bool = True) -> pd.DataFrame:
         """Drive what is not in the store; all rows, those of earlier runs that were not asked for again first."""
+        run = RunOptions(engine, store, self.steps, progress)
         parts = [
             run_paired(
                 setting if sensor == "exact" else setting.override({}, name=f"{setting.name}, {sensor}"),
                 policy,
                 variants,
                 self.seeds,
-                engine=engine,
-                steps=self.steps,
                 algorithm=self.algorithm,
                 model=self.model,
                 simulator=self.simulator,
                 sensor=sensor,
-                progress=progress,
-                store=store,
+                run=run,
             )
             for setting, variants in self.settings
             for sensor in self.sensors

@@ -11,7 +11,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from evaluation.running.store import KEY
+from evaluation.running.store_rows import KEY
 from shield.errors import ConfigError
 
 __all__ = ["DECISIONS", "check_steps", "is_steps", "keep_steps", "merge_steps", "steps_of", "write_steps"]

@@ -21,7 +21,7 @@ from evaluation.running.decision_log import MEASURED
 from evaluation.running.episodes import run_episode, run_paired
 from evaluation.running.identity import file_hash
 from evaluation.running.records import Variant, config_on, variant_for
-from evaluation.running.store import is_store, read_store
+from evaluation.running.store_rows import is_store, read_store
 from evaluation.settings import Setting, get_setting
 from shield.config import ShieldConfig
 from shield.errors import ConfigError

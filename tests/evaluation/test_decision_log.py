@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from evaluation import settings as named
 from evaluation.running.decision_log import MEASURED, DecisionLog, action_steps
-from evaluation.running.episodes import Driver, run_episode
+from evaluation.running.driver import Driver, DriverSpec
+from evaluation.running.episodes import run_episode
 from evaluation.running.records import Variant
 from evaluation.settings import Setting, get_setting
 from evaluation.wrappers import PerformanceLogger
@@ -64,7 +65,7 @@ def test_the_columns_are_the_metrics_of_the_performance_logger(simulator):
     setting = Setting("short", "highway-fast-v0", {"duration": 12})
     record = run_episode(setting, "random", Variant("env"), 100_003, simulator=simulator)
     env = PerformanceLogger(setting.make())
-    driver = Driver(setting, "random", Variant("env"), None, None, "highway-env")
+    driver = Driver(DriverSpec(setting, "random", Variant("env"), simulator="highway-env"))
     driver.env = ShieldedEnv(env, Variant("env").config, policy=driver.policy)
     assert driver.run(100_003).return_ == record.return_
     logged = env.episodes().iloc[0]
@@ -91,7 +92,7 @@ def test_latencies_and_overrides_of_an_episode_are_those_of_its_decisions():
 @pytest.mark.parametrize(("sensor", "there"), [("exact", False), ("normalised-0.5+confidence+intent", True)])
 def test_the_mean_confidence_is_that_of_the_rows_shown(sensor, there):
     """Of the column "confidence", whatever channel comes after it; NaN without one."""
-    driver = Driver(get_setting("highway-fast"), "idle", Variant(), None, None, "auto", sensor)
+    driver = Driver(DriverSpec(get_setting("highway-fast"), "idle", Variant(), sensor=sensor))
     seen = []
     predict = driver.driver.predict
     driver.driver.predict = lambda obs, *a, **k: seen.append(obs) or predict(obs, *a, **k)

@@ -17,7 +17,7 @@ from evaluation.commands.cli import app
 from evaluation.rare.finds import Find, made_with, replay
 from evaluation.running import manifest as storing
 from evaluation.running.certify import Asked, certify
-from evaluation.running.episodes import run_paired
+from evaluation.running.episodes import RunOptions, run_paired
 from evaluation.running.identity import differences, of_environment, of_policy, policy_files
 from evaluation.running.records import Variant
 from evaluation.running.store import Store
@@ -190,7 +190,7 @@ def test_a_model_that_is_saved_again_is_driven_again_in_the_same_process(tmp_pat
     returns = []
     for action in (3, 4):
         save(model, 0, prefers=action)
-        frame = run_paired(SHORT, str(model), [Variant()], [7], store=Store(None, {}))
+        frame = run_paired(SHORT, str(model), [Variant()], [7], run=RunOptions(store=Store(None, {})))
         returns.append(frame["mean_speed"].item())
         found = certify(Asked(SHORT, str(model), 1, 7, ShieldConfig()), tmp_path / str(action))
         returns.append(found["mean_speed"].item())

@@ -15,7 +15,7 @@ from evaluation.replay.collect import collect
 from evaluation.replay.html import page_path, to_html, write_page
 from evaluation.replay.record import STEP
 from evaluation.replay.what_if import copy_unwatched, follow
-from evaluation.running.episodes import Driver
+from evaluation.running.driver import Driver, DriverSpec
 from shield.errors import ConfigError
 
 
@@ -97,7 +97,7 @@ def test_following_proposals_changes_nothing_of_the_episode(driven):
 def test_a_copy_that_is_followed_is_the_simulator_itself():
     """The action that the shield let pass, in a copy without a shield, leads to the recorded states, bit for bit."""
     asked = asked_for("highway-fast", "faster", 5)
-    driver = Driver(asked.setting, asked.policy, asked.variant, None, None, "highway-env")
+    driver = Driver(DriverSpec(asked.setting, asked.policy, asked.variant, simulator="highway-env"))
     copies, compared = [], 0
     shielded = driver.env
 

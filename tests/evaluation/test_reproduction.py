@@ -19,7 +19,8 @@ from evaluation.reproduction.verdict import judge
 from evaluation.running import episodes as episodes_module
 from evaluation.running.episodes import run_episode
 from evaluation.running.identity import file_hash
-from evaluation.running.store import Parts, read_store
+from evaluation.running.parts import Parts
+from evaluation.running.store_rows import read_store
 from shield.errors import ConfigError, SceneError
 
 SMALL = ["--seeds", "2", "--episodes", "4", "--pooled", "1", "--steps", "64", "--jobs", "1"]

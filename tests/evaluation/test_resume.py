@@ -21,9 +21,10 @@ from dynamics.errors import ConfigError, DataError
 from evaluation.commands.cli import app
 from evaluation.experiments import Result
 from evaluation.running import store as storing
-from evaluation.running.episodes import run_paired
+from evaluation.running.episodes import RunOptions, run_paired
 from evaluation.running.records import make_variants
-from evaluation.running.store import KEY, Store, is_store, read_store
+from evaluation.running.store import Store
+from evaluation.running.store_rows import KEY, is_store, read_store
 from evaluation.settings import Setting
 
 EPISODES = 20
@@ -99,7 +100,7 @@ def test_control_c_prints_what_there_is_and_keeps_it(tmp_path):
 
 def drive(store, jobs=1):
     variants = make_variants(["none", "full"], ["env"])
-    return run_paired(SHORT, "faster", variants, range(100, 104), jobs=jobs, store=store)
+    return run_paired(SHORT, "faster", variants, range(100, 104), jobs=jobs, run=RunOptions(store=store))
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

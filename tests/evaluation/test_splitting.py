@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from evaluation.commands.cli import app
 from evaluation.rare.noisy import NoisyEpisodes, crash_probability_through
 from evaluation.rare.splitting import Path, multilevel_splitting
+from evaluation.running.driver import DriverSpec
 from evaluation.running.episodes import run_episode
 from evaluation.running.records import Variant
 from evaluation.settings import get_setting
@@ -116,7 +117,9 @@ def test_numbers_that_do_not_fit_are_refused(paths, share, drive):
 
 
 def test_noise_is_drawn_anew_from_a_decision_on():
-    episodes = NoisyEpisodes(SEEN, "faster", Variant("env", ShieldConfig(), "observation"), "metric-2")
+    episodes = NoisyEpisodes(
+        DriverSpec(SEEN, "faster", Variant("env", ShieldConfig(), "observation"), sensor="metric-2")
+    )
     first, forked = episodes.drive(Path(4)), episodes.drive(Path(4, ((9, 1),)))
     assert np.array_equal(first, episodes.drive(Path(4)))
     assert np.array_equal(first[:9], forked[:9])
@@ -126,7 +129,7 @@ def test_noise_is_drawn_anew_from_a_decision_on():
 
 def test_an_episode_is_that_of_the_evaluation():
     variant = Variant("env", ShieldConfig(), "observation")
-    episodes = NoisyEpisodes(SEEN, "faster", variant, "metric-2")
+    episodes = NoisyEpisodes(DriverSpec(SEEN, "faster", variant, sensor="metric-2"))
     scores = episodes.drive(Path(4))
     record = run_episode(SEEN, "faster", variant, seed=4, sensor="metric-2")
     assert len(scores) == record.steps + 1
@@ -135,7 +138,7 @@ def test_an_episode_is_that_of_the_evaluation():
 
 
 def test_the_rate_of_crashes_is_that_of_counting():
-    found = crash_probability_through(SEEN, "faster", Variant(), "metric-0.5", paths=30)
+    found = crash_probability_through(DriverSpec(SEEN, "faster", Variant(), sensor="metric-0.5"), paths=30)
     counted = [run_episode(SEEN, "faster", Variant(), seed=k, sensor="metric-0.5").crashed for k in range(30)]
     # Most crash without a shield: no path has to be split for that.
     assert found.probability == pytest.approx(np.mean(counted))
@@ -144,7 +147,7 @@ def test_the_rate_of_crashes_is_that_of_counting():
 
 def test_an_exact_sensor_is_refused():
     with pytest.raises(ConfigError, match="noisy"):
-        NoisyEpisodes(SEEN, "faster", Variant(), "exact")
+        NoisyEpisodes(DriverSpec(SEEN, "faster", Variant()))
 
 
 def test_the_command_says_what_it_found():
@@ -167,6 +170,8 @@ def test_the_command_says_what_it_found():
     ids=lambda path: str(path.seed),
 )
 def test_crashes_that_splitting_has_found_are_avoided(path):
-    episodes = NoisyEpisodes(SEEN, "faster", Variant("env", ShieldConfig(), "observation"), "normalised-0.5")
+    episodes = NoisyEpisodes(
+        DriverSpec(SEEN, "faster", Variant("env", ShieldConfig(), "observation"), sensor="normalised-0.5")
+    )
     assert episodes.drive(path).max() < 0.0
     episodes.close()

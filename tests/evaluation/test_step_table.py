@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from evaluation import Experiment
 from evaluation.commands.cli import app
-from evaluation.running.store import KEY
+from evaluation.running.store_rows import KEY
 from evaluation.settings import Setting
 from shield.errors import ConfigError
 

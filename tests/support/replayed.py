@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from evaluation.replay.collect import Asked
-from evaluation.running.episodes import Driver
+from evaluation.running.driver import Driver, DriverSpec
 from evaluation.running.records import config_on, variant_for
 from evaluation.settings import get_setting
 from shield import ShieldedEnv
@@ -33,7 +33,7 @@ def asked_for(setting, policy, seed, **changes):
 
 def records_of(asked):
     """Drive it without a replay."""
-    driver = Driver(asked.setting, asked.policy, asked.variant, None, None, "highway-env")
+    driver = Driver(DriverSpec(asked.setting, asked.policy, asked.variant, simulator="highway-env"))
     found = Records()
     shielded = driver.env if driver.shield is None else driver.shield
 

@@ -1,0 +1,61 @@
+"""`evaluate` and `compare`: an experiment in one call."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pandas as pd
+
+from evaluation.experiments.experiment import Experiment
+from evaluation.experiments.result import Result
+from evaluation.measuring import metrics
+from shield.errors import ConfigError
+
+__all__ = ["compare", "evaluate"]
+
+
+def evaluate(policy: Any, env: Any = "highway-fast", **options: Any) -> Result:
+    """Drive a policy, or several, with and without the shield on the same seeds.
+
+    Parameters
+    ----------
+    policy, env : as of `Experiment`. options : its other attributes.
+
+    Returns
+    -------
+    The episodes, with tables and pictures of them.
+
+    Raises
+    ------
+    ConfigError, PolicyError
+        As of `Experiment` and its `run`.
+
+    Examples
+    --------
+    >>> result = evaluate("faster", "highway-fast", episodes=2, config="worst-case")  # doctest: +SKIP
+    >>> result.summary[["mode", "crash_rate"]]  # doctest: +SKIP
+    """
+    progress = bool(options.pop("progress", False))
+    return Experiment(policy, env).with_options(**options).run(progress)
+
+
+def compare(*results: Result | pd.DataFrame) -> pd.DataFrame:
+    """Each shielded row of some results against the unshielded one, paired by seed.
+
+    Parameters
+    ----------
+    results : of `evaluate`, or tables of episodes.
+
+    Returns
+    -------
+    The table of `evaluation.measuring.metrics.compare`.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, or an episode is in two of them.
+    """
+    if not results:
+        raise ConfigError("nothing to compare: no results")
+    frames = [each.episodes if isinstance(each, Result) else each for each in results]
+    return metrics.compare(pd.concat(frames, ignore_index=True))

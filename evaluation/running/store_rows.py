@@ -1,0 +1,86 @@
+"""The rows of a store as they are read from its folder, and the line of JSON that each open row is."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from dynamics.errors import ConfigError, DataError
+from evaluation.running.parts import MANIFEST, PARTS, Parts
+
+__all__ = ["KEY", "OPEN", "is_store", "lines_of", "once", "plain_number", "plain_rows", "read_lines", "read_store"]
+
+KEY = ("setting", "policy", "door", "mode", "seed")
+"""Columns that tell one episode from every other of a comparison."""
+OPEN = "open.jsonl"
+"""Name of the file of the rows that are in no part yet."""
+
+
+def is_store(path: str | Path) -> bool:
+    """Whether a folder is a store."""
+    return (Path(path) / MANIFEST).is_file() and (Path(path) / PARTS).is_dir()
+
+
+def read_store(folder: str | Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The manifest of a store, and its rows: those of its parts, by name, and those after. An episode that stands twice
+    is there once.
+
+    Raises
+    ------
+    ConfigError
+        If there is none.
+    DataError
+        If it cannot be read.
+    """
+    parts = Parts(folder)
+    made = parts.manifest
+    if made is None:
+        raise ConfigError(f"{folder} is no store of episodes: it has no {MANIFEST}")
+    rows = [row for name in parts.names for row in plain_rows(parts.read(name))]
+    path = parts.folder / OPEN
+    if path.is_file():
+        rows += read_lines(path)
+    return made, once(rows)
+
+
+def plain_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of a table as `EpisodeRecord.row` made them: what is unknown is None or "", and not NaN."""
+    empty = {"violations": None, "success": None, "rules": ""}
+    rows = []
+    for row in frame.to_dict("records"):
+        if "latencies_ms" in row:
+            row["latencies_ms"] = [float(each) for each in row["latencies_ms"]]
+        blank = {key: nothing for key, nothing in empty.items() if key in row and pd.isna(row[key])}
+        rows.append({**{str(key): value for key, value in row.items()}, **blank})
+    return rows
+
+
+def once(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows, each episode once; those of other experiments than comparisons as they are."""
+    found: dict[Any, dict[str, Any]] = {}
+    for number, row in enumerate(rows):
+        found.setdefault(tuple(row[name] for name in KEY) if row.keys() >= set(KEY) else number, row)
+    return list(found.values())
+
+
+def read_lines(path: Path) -> list[dict[str, Any]]:
+    """What each line says, without one that was not written to its end."""
+    whole, _, _torn = path.read_bytes().rpartition(b"\n")
+    try:
+        return [json.loads(line) for line in whole.split(b"\n")] if whole else []
+    except ValueError as error:
+        raise DataError(f"{path} is damaged: {error}; --force begins again") from None
+
+
+def lines_of(rows: Iterable[Mapping[str, Any]]) -> bytes:
+    """A line of JSON for each row."""
+    return b"".join(json.dumps(row, default=plain_number).encode() + b"\n" for row in rows)
+
+
+def plain_number(value: Any) -> Any:
+    """numpy's numbers as Python's."""
+    return value.item()

@@ -6,27 +6,31 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from highway_env.vehicle.controller import MDPVehicle
+from highway_env.vehicle.objects import Obstacle
 from scipy.stats import norm
 from slowly import later
 from typer.testing import CliRunner
 
 from evaluation.commands.cli import app
+from evaluation.rare.drivers import man
 from evaluation.rare.falsify import crash_probability, falsify
 from evaluation.rare.finds import ANY, Find
 from evaluation.rare.finds import replay as drive_again
+from evaluation.rare.referee import Referee
 from evaluation.rare.road_episode import SCENES, RoadNumbers, Script, drive_numbers
 from evaluation.rare.road_search import LEVEL, has_network, search_roads
 from evaluation.rare.subset import subset_simulation
 from evaluation.running.many import Many
 from evaluation.settings import Setting, get_setting
-from shield import ConfigError, ShieldConfig
+from shield import ConfigError, ShieldConfig, ShieldedEnv, Tier
 
 EXACT = ShieldConfig.exact()
 MERGE, ROUNDABOUT, EXIT = map(get_setting, ("merge", "roundabout", "exit"))
 TOLD = ShieldConfig.for_roads()
 PLANTED = TOLD.replace(assumptions=replace(TOLD.assumptions, visible_distance=8.0))
 """A shield that counts on being seen in a lane from two lanes beside it."""
-BLIND = TOLD.replace(assumptions=replace(TOLD.assumptions, looks_ahead=True))
+LOOKS_AHEAD = TOLD.replace(assumptions=replace(TOLD.assumptions, looks_ahead=True))
 """On merge-v0 nobody looks beyond the end of the own lane."""
 
 
@@ -129,9 +133,73 @@ def test_who_passes_on_a_ramp_is_foreseen():
     assert not search_roads(MERGE, "bold", episodes=50, seed=3_500_000).hole
 
 
+def drive_placed(config, ego, other, actions, obstacles=()):
+    """The ego of merge-v0 and one bold driver that never slows down by itself, placed by hand as (lane, s, speed), and
+    obstacles as (lane, s): the environment, the referee and the tier of the first decision."""
+    env = ShieldedEnv(MERGE.make(), config)
+    env.reset(seed=0)
+    base = env.unwrapped
+    road, body = base.road, base.vehicle
+    road.vehicles, road.objects = [body], []
+    at(body, *ego)
+    road.vehicles.append(at(MDPVehicle(road, [0.0, 0.0]), *other))
+    for lane, s in obstacles:
+        road.objects.append(Obstacle(road, road.network.get_lane(lane).position(s, 0)))
+    env.door.reset()
+    man(env, "bold", 1, 0, [(Script([0.99]), Script([0.0]))])
+    referee, tiers = Referee(base, env.door), []
+    for action in actions:
+        *_, terminated, truncated, _ = env.step(action)
+        tiers.append(env.last_decision.tier)
+        if terminated or truncated or referee.over:
+            break
+    if not referee.over:
+        env.door.frame()
+    return env, referee, tiers[0]
+
+
+def at(vehicle, lane, s, speed):
+    """The vehicle, at s [m] of a lane and with a speed [m/s] that it keeps to."""
+    where = vehicle.road.network.get_lane(lane)
+    vehicle.position, vehicle.heading, vehicle.speed = where.position(s, 0), where.heading_at(s), speed
+    vehicle.lane, vehicle.lane_index, vehicle.target_lane_index = where, lane, lane
+    vehicle.target_speed, vehicle.route = speed, None
+    return vehicle
+
+
+@pytest.mark.parametrize(("config", "crashes"), [(TOLD, False), (LOOKS_AHEAD, True)])
+def test_an_assumption_that_nobody_keeps_is_named_before_the_crash(config, crashes):
+    """Two obstacles stand where the next road begins. Told that the follower looks beyond the end of its lane, the ego
+    stops on that road, and the follower drives into it: the monitor names it by the rule of distance, so it is no hole.
+    Told the truth, the ego stops before, where it is seen."""
+    follower, lanes = (("a", "b", 0), 145.0, 20.0), (("b", "c", 0), ("b", "c", 1))
+    ego = ("a", "b", 0), 170.0, 15.0
+    env, referee, tier = drive_placed(config, ego, follower, [1] * 12, [(lane, 25.0) for lane in lanes])
+    assert tier is Tier.PASSED
+    assert env.unwrapped.vehicle.crashed is crashes
+    assert ("distance" in env.door.by_rule) is crashes
+    assert "unforeseen" not in env.door.by_rule
+    assert referee.clearance >= 0
+
+
+@pytest.mark.parametrize(("config", "hole"), [(TOLD, False), (PLANTED, True)])
+def test_a_lane_change_before_one_that_does_not_see_it_is_a_hole(config, hole):
+    """From the ramp of merge-v0, 8 m from the ego's lane, somebody comes over behind an ego that changes to the lane
+    between them. Told that it sees the ego two lanes away, the shield verifies a lane change that a frame later no
+    longer verifies, because of one that has broken no rule."""
+    ego, other = (("b", "c", 0), 20.0, 20.0), (("b", "c", 2), 5.0, 20.0)
+    env, referee, tier = drive_placed(config, ego, other, [2, 1, 1])
+    assert tier is Tier.PASSED
+    assert ("unforeseen" in env.door.by_rule) is hole
+    assert referee.over is hole
+
+
 @pytest.mark.slow
-def test_what_nobody_does_is_found_out():
-    assert search_roads(MERGE, "bold", BLIND, episodes=170, seed=0).hole
+def test_the_hole_of_a_lane_change_is_found_by_a_search():
+    """With the settings of the road's own traffic the same episode has none."""
+    searched = search_roads(MERGE, "bold", PLANTED, episodes=170, seed=0)
+    assert searched.hole
+    assert not drive_numbers(MERGE, RoadNumbers("bold", searched.find.seed), np.array(searched.find.shares)).hole
 
 
 def test_the_command_says_what_would_be_valid(tmp_path):

@@ -92,8 +92,12 @@ def test_nearest_by_acceleration_swerves_less() -> None:
 
 @pytest.mark.slow
 def test_long_searches_find_no_driver_and_no_traffic_that_break_them() -> None:
-    more = settings(SETTINGS, max_examples=1000, phases=[Phase.generate, Phase.target])
-    more(given(SEEDS, st.sampled_from(STYLES), MOODS)(lambda seed, style, mood: drive(seed, style, mood, 150)))()
+    @settings(SETTINGS, max_examples=1000, phases=[Phase.generate, Phase.target])
+    @given(SEEDS, st.sampled_from(STYLES), MOODS)
+    def search(seed: int, style: str, mood: str) -> None:
+        drive(seed, style, mood, 150)
+
+    search()
 
 
 @pytest.mark.parametrize(("seed", "style", "mood"), [(18, "weave", "swarm"), (85, "random", "wall")])

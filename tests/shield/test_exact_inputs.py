@@ -25,6 +25,8 @@ MORE = [
     pytest.param(each, marks=pytest.mark.slow)
     for each in ("merge-generic-v1", "roundabout-generic-v0", "exit-v1", "intersection-v0", "racetrack-oval-v0")
 ]
+STARTS = {"racetrack-oval-v0": 824}
+"""Seeds of episodes in which the shield overrides each policy; 820 on all other roads."""
 POLICIES = {
     "throttle": lambda k, rng: [1.0, 0.0],
     "random": lambda k, rng: rng.uniform(-1, 1, 2),
@@ -65,7 +67,7 @@ def watched(env_id, seed, policy, decisions=25):
 def test_nobody_comes_into_the_buffer(env_id, policy):
     """Whatever is proposed, on the road; after each frame that verified, true rectangles apart; nothing unforetold."""
     tiers, shield = [], None
-    for env, base, decision, least in watched(env_id, 820, policy):
+    for env, base, decision, least in watched(env_id, STARTS.get(env_id, 820), policy):
         tiers.append(decision.tier)
         shield = env
         # The ego included, to the last bit: what comes of float32 actions otherwise is seen after some frames.

@@ -21,7 +21,7 @@ def kill_at_moments(command: list[str], table: Path, moments: int, seed: int = 0
 
     Parameters
     ----------
-    command : that goes on with the run. table : that it writes at its end.
+    command : that goes on with the run. table : that it writes at its end; it then removes the episodes that it kept.
 
     Returns
     -------
@@ -34,9 +34,10 @@ def kill_at_moments(command: list[str], table: Path, moments: int, seed: int = 0
         while run.poll() is None and episodes_kept(table) <= before:
             time.sleep(0.005)
         time.sleep(chance.uniform(0, 0.15))
-        if run.poll() is not None:
-            break
+        over = run.poll() is not None
         run.kill()
         run.wait()
+        if over or table.exists():
+            break
         kept.append(episodes_kept(table))
     return kept

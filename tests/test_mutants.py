@@ -1,21 +1,36 @@
-"""The table of mutants fits the sources: each change still applies, and what comes of it is a program."""
+"""The table of mutants fits the sources: each change still applies to one syntax node, and a program comes of it."""
 
+import ast
 from pathlib import Path
 
 import pytest
-from mutants import MUTANTS, Edit
+from mutants import MUTANTS, Mutant
+from mutants.nodes import StaleEditError, pattern_of, replaced
 
 ROOT = Path(__file__).parents[1]
-EDITS = sorted({edit for mutant in MUTANTS for edit in mutant.edits}, key=lambda edit: (edit.file, edit.old, edit.new))
+SOURCE = """
+def far(gap, other):
+    if gap.now >= 0 and other:
+        least = min(gap.now, 3.0)
+        return least
+    return gap.now >= 0
+"""
 
 
-@pytest.mark.parametrize("edit", EDITS, ids=lambda edit: f"{Path(edit.file).stem}: {edit.old.strip()[:50]}")
-def test_an_edit_applies_as_often_as_it_says(edit: Edit) -> None:
-    text = (ROOT / edit.file).read_text(encoding="utf-8")
-    assert text.count(edit.old) == edit.count, f"{edit.file} has changed: bring tests/support/mutants.py up to date"
-    mutated = text.replace(edit.old, edit.new)
-    assert mutated != text
-    compile(mutated, edit.file, "exec")
+@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
+def test_the_edits_of_a_mutant_apply_and_change_the_program(mutant: Mutant, tmp_path: Path) -> None:
+    """One after another, as `mutation_check.py` applies them; each names one node."""
+    for edit in mutant.edits:
+        target = tmp_path.joinpath(*edit.module.split(".")).with_suffix(".py")
+        if not target.exists():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(ROOT.joinpath(*edit.module.split(".")).with_suffix(".py").read_bytes())
+        before = target.read_text(encoding="utf-8")
+        path, after = edit.apply(tmp_path)
+        assert path == target
+        assert ast.dump(ast.parse(after)) != ast.dump(ast.parse(before))
+        compile(after, str(path), "exec")
+        path.write_text(after, encoding="utf-8")
 
 
 def test_names_are_unique_and_targets_exist() -> None:
@@ -26,3 +41,45 @@ def test_names_are_unique_and_targets_exist() -> None:
         for target in mutant.tests:
             file, _, test = target.partition("::")
             assert f"def {test.partition('[')[0]}" in (ROOT / file).read_text(encoding="utf-8"), target
+
+
+def test_a_renaming_or_another_layout_leaves_a_pattern_as_it_is() -> None:
+    """Another number, operator or builtin does not."""
+    pattern = "_ >= 0 and min(_[_, 1], 3.0)"
+    for text in ("a >= 0 and min(b.c[d, 1], 3.0)", "(x.y\n >= 0) and min(z[w, 1], 3.0)"):
+        assert pattern_of(ast.parse(text, mode="eval").body) == pattern
+    for text in ("a > 0 and min(b[d, 1], 3.0)", "a >= 1 and min(b[d, 1], 3.0)", "a >= 0 and max(b[d, 1], 3.0)"):
+        assert pattern_of(ast.parse(text, mode="eval").body) != pattern
+
+
+@pytest.mark.parametrize(
+    ("pattern", "new", "which", "line"),
+    [
+        ("_ >= 0", "{1} >= -0.3", 2, "    return (gap.now >= -0.3)"),
+        ("_ >= 0 and _", "{2}", 0, "    if (other):"),
+        ("if _ >= 0 and _:", "if False:", 0, "    if (False):"),
+        ("_ = min(_, 3.0)", "pass", 0, "        pass"),
+        ("return _", "print({1})\n{0}", 0, "        print(least)\n        return least"),
+    ],
+)
+def test_a_node_alone_is_replaced(pattern: str, new: str, which: int, line: str) -> None:
+    found = replaced(SOURCE, "far", pattern, new, which)
+    assert line in found
+    assert len(set(found.splitlines()) - set(SOURCE.splitlines())) == len(
+        set(line.splitlines()) - set(SOURCE.splitlines())
+    )
+
+
+@pytest.mark.parametrize(
+    ("function", "pattern", "which", "reads"),
+    [
+        ("far", "_ >= 0", 0, ""),  # two of them
+        ("far", "_ >= 0", 3, ""),
+        ("far", "_ > 0", 0, ""),
+        ("near", "_ >= 0", 1, ""),
+        ("far", "_ >= 0", 1, "other"),
+    ],
+)
+def test_an_edit_that_names_no_node_or_several_is_stale(function: str, pattern: str, which: int, reads: str) -> None:
+    with pytest.raises(StaleEditError):
+        replaced(SOURCE, function, pattern, "True", which, reads)

@@ -1,7 +1,7 @@
 """`make mutants`: switches the clauses of the certificate off one by one; some test has to fail each time.
 
 The working tree is copied, each mutant is applied to the copy, and its tests are run there. A mutant that no test
-notices survives; one whose text is no longer in the sources, or whose tests fail without it, says nothing.
+notices survives; one whose node is no longer in the sources, or whose tests fail without it, says nothing.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ from queue import Queue
 from time import perf_counter
 
 import typer
-from mutants import MUTANTS, Mutant
+from mutants import TABLES, Mutant
+from mutants.nodes import StaleEditError
 from rich.console import Console
 from rich.table import Table
 
 ROOT = Path(__file__).parents[2]
 KILLED, SURVIVED = "killed", "SURVIVED"
-STALE = "STALE: its text is not in the sources as often as stated; update tests/support/mutants"
+STALE = "STALE: its syntax node is not in the sources; update tests/support/mutants"
 RED = "RED: its tests fail, or are missing, without the mutant"
 BROKEN = "BROKEN: its tests did not fail but could not be run, or its kernel does not compile"
 STYLES = {KILLED: "green", SURVIVED: "bold red"}
@@ -64,12 +65,12 @@ class Copy:
         kept: dict[Path, tuple[bytes, os.stat_result]] = {}
         try:
             for edit in mutant.edits:
-                path = self.tree / edit.file
-                text = path.read_text(encoding="utf-8")
-                if text.count(edit.old) != edit.count:
+                try:
+                    path, text = edit.apply(self.tree)
+                except StaleEditError:
                     return STALE
                 kept.setdefault(path, (path.read_bytes(), path.stat()))
-                path.write_text(text.replace(edit.old, edit.new), encoding="utf-8")
+                path.write_text(text, encoding="utf-8")
             shutil.rmtree(self._used, ignore_errors=True)
             shutil.copytree(self._warm, self._used, copy_function=shutil.copy2)
             done = self._pytest(list(mutant.tests), self._used)
@@ -118,12 +119,16 @@ def check(mutants: list[Mutant], jobs: int) -> Iterator[tuple[Mutant, str, float
 
 def main(
     only: list[str] = typer.Option([], help="Mutants whose name contains this; all by default."),
+    table: list[str] = typer.Option([], help=f"Tables of mutants, of {', '.join(TABLES)}; all by default."),
     show: bool = typer.Option(False, "--list", help="Name the mutants and their tests, and run nothing."),
     jobs: int = typer.Option(1, min=1, help="How many to run at a time."),
 ) -> None:
     """Check that every clause of the certificate is held by a test; exit status 1 if one is not."""
-    chosen = [m for m in MUTANTS if not only or any(word in m.name for word in only)]
-    console, table, start = Console(), Table("mutant", "verdict", "s"), perf_counter()
+    if unknown := set(table) - set(TABLES):
+        raise typer.BadParameter(f"no table {', '.join(sorted(unknown))}; have {', '.join(TABLES)}")
+    mutants = [mutant for name in table or TABLES for mutant in TABLES[name]]
+    chosen = [m for m in mutants if not only or any(word in m.name for word in only)]
+    console, shown, start = Console(), Table("mutant", "verdict", "s"), perf_counter()
     if show:
         for mutant in chosen:
             console.print(f"{mutant.name}: {', '.join(mutant.tests)}", markup=False, soft_wrap=True)
@@ -131,9 +136,9 @@ def main(
     verdicts = []
     for mutant, verdict, took in check(chosen, jobs):
         verdicts.append(verdict)
-        table.add_row(mutant.name, f"[{STYLES.get(verdict, 'yellow')}]{verdict}", f"{took:.0f}")
+        shown.add_row(mutant.name, f"[{STYLES.get(verdict, 'yellow')}]{verdict}", f"{took:.0f}")
         console.print(f"{mutant.name}: {verdict}", markup=False)
-    console.print(table)
+    console.print(shown)
     killed = verdicts.count(KILLED)
     console.print(f"{killed} of {len(verdicts)} killed in {perf_counter() - start:.0f} s")
     raise typer.Exit(killed < len(verdicts) or not verdicts)

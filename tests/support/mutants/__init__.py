@@ -15,6 +15,18 @@ from mutants.simulated import SIMULATED
 from mutants.sources import SOURCES
 from mutants.watched import WATCHED
 
-__all__ = ["MUTANTS", "Edit", "Mutant"]
+__all__ = ["MUTANTS", "TABLES", "Edit", "Mutant"]
 
-MUTANTS = (*ACCEPTED, *BATCHED, *CLEARANCE, *OBSERVED, *OWED, *PLACES, *ROADS, *SIMULATED, *SOURCES, *WATCHED)
+TABLES = {
+    "accepted": ACCEPTED,
+    "batched": BATCHED,
+    "clearance": CLEARANCE,
+    "observed": OBSERVED,
+    "owed": OWED,
+    "places": PLACES,
+    "roads": ROADS,
+    "simulated": SIMULATED,
+    "sources": SOURCES,
+    "watched": WATCHED,
+}
+MUTANTS = tuple(mutant for table in TABLES.values() for mutant in table)

@@ -3,16 +3,42 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+
+from mutants.nodes import path_of, replaced
 
 
 @dataclass(frozen=True)
 class Edit:
-    """A change of one file: `old` occurs in it exactly `count` times, and becomes `new` everywhere."""
+    """A change of one syntax node of one module.
 
-    file: str
-    old: str
+    Attributes
+    ----------
+    module : dotted name. function : qualified name of the definition that the node is in.
+    pattern : of the node, see `mutants.nodes`.
+    new : what takes its place, see `mutants.nodes.replaced`. "pass" removes a statement.
+    which : the number of the node among those of this pattern in the function, from 1 on; 0 where there is one.
+    reads : a part of the node's source, where the pattern does not tell it from its like.
+    """
+
+    module: str
+    function: str
+    pattern: str
     new: str
-    count: int = 1
+    which: int = 0
+    reads: str = ""
+
+    def apply(self, root: Path) -> tuple[Path, str]:
+        """The file of the module below a folder, and its source after the change.
+
+        Raises
+        ------
+        StaleEditError
+            If the node is not there, or not the only one.
+        """
+        path = path_of(self.module, root)
+        source = path.read_text(encoding="utf-8")
+        return path, replaced(source, self.function, self.pattern, self.new, self.which, self.reads)
 
 
 @dataclass(frozen=True)
@@ -31,19 +57,19 @@ class Mutant:
     tests: tuple[str, ...]
 
 
-VERIFY, CLAUSES = "shield/certificate/verify.py", "shield/certificate/clauses"
-SEPARATION, ROOM, EDGE = f"{CLAUSES}/separation.py", f"{CLAUSES}/room.py", f"{CLAUSES}/edge.py"
-DUTIES, ENTERING, SLIPS = f"{CLAUSES}/duties.py", f"{CLAUSES}/entering.py", f"{CLAUSES}/slip_in.py"
-TOGETHER, SETTINGS = f"{CLAUSES}/together.py", f"{CLAUSES}/settings.py"
-MONITOR, MEMORY = "shield/certificate/monitor.py", "shield/certificate/memory.py"
-MOBIL = "dynamics/traffic/mobil.py"
-DECIDE, FRAMES = "shield/procedures/decide.py", "shield/procedures/frames.py"
-INPUTS, LOT = "shield/procedures/inputs.py", "shield/procedures/parking_lot.py"
-SEARCH, RULE_KERNELS = "shield/repair/nearest_input.py", "shield/rule_kernels.py"
-MANOEUVRES = "shield/certificate/manoeuvres.py"
-BODIES, REACTION = "dynamics/traffic/occupancy_kernels.py", "dynamics/traffic/reaction.py"
-BATCH, EXACT = "shield/batch", "shield/exact"
-PERMITS, GAPS, ROLLOUTS = "dynamics/traffic/permits.py", "dynamics/roads/gaps.py", "dynamics/vehicle/rollout_kernels.py"
+VERIFY, CLAUSES = "shield.certificate.verify", "shield.certificate.clauses"
+SEPARATION, ROOM, EDGE = f"{CLAUSES}.separation", f"{CLAUSES}.room", f"{CLAUSES}.edge"
+DUTIES, ENTERING, SLIPS = f"{CLAUSES}.duties", f"{CLAUSES}.entering", f"{CLAUSES}.slip_in"
+TOGETHER, SETTINGS = f"{CLAUSES}.together", f"{CLAUSES}.settings"
+MONITOR, MEMORY = "shield.certificate.monitor", "shield.certificate.memory"
+MOBIL = "dynamics.traffic.mobil"
+DECIDE, FRAMES = "shield.procedures.decide", "shield.procedures.frames"
+INPUTS, LOT = "shield.procedures.inputs", "shield.procedures.parking_lot"
+SEARCH, RULE_KERNELS = "shield.repair.nearest_input", "shield.rule_kernels"
+MANOEUVRES = "shield.certificate.manoeuvres"
+BODIES, REACTION = "dynamics.traffic.occupancy_kernels", "dynamics.traffic.reaction"
+BATCH, EXACT = "shield.batch", "shield.exact"
+PERMITS, GAPS, ROLLOUTS = "dynamics.traffic.permits", "dynamics.roads.gaps", "dynamics.vehicle.rollout_kernels"
 
 TESTS_OF_CLAUSES, TRAFFIC = "tests/shield/test_clauses.py", "tests/shield/test_clauses_of_traffic.py"
 TESTS = {
@@ -102,8 +128,11 @@ def at(*names: str) -> tuple[str, ...]:
     return tuple(found)
 
 
-def off(name: str, file: str, old: str, new: str, *tests: str, count: int = 1) -> Mutant:
-    return Mutant(name, (Edit(file, old, new, count),), at(*tests))
+def off(
+    name: str, module: str, function: str, pattern: str, new: str, *tests: str, which: int = 0, reads: str = ""
+) -> Mutant:
+    """A mutant of one edit; `tests` as of `at`."""
+    return Mutant(name, (Edit(module, function, pattern, new, which, reads),), at(*tests))
 
 
 def both(name: str, *edits: Edit, tests: tuple[str, ...]) -> Mutant:
@@ -117,5 +146,4 @@ TESTS_OF_LOT = "tests/shield/test_lot.py"
 
 def verified(kind: str, test: str) -> Mutant:
     """There is one place where plans are accepted; what decides about each kind of action has to notice by itself."""
-    old = "        return self.trusted or self.margin >= 0\n"
-    return off(f"{kind} accepted at -0.3 m", DECIDE, old, old.replace(">= 0", ">= -0.3"), test)
+    return off(f"{kind} accepted at -0.3 m", DECIDE, "Plan.verified", "_ >= 0", "{1} >= -0.3", test)

@@ -17,7 +17,7 @@ import pandas as pd
 import tomli_w
 
 from evaluation.measuring.statistics import bootstrap_mean, clopper_pearson
-from evaluation.running.many import Many
+from evaluation.running.batch_episodes import Many
 from evaluation.settings import get_setting
 from shield.config import ShieldConfig
 

@@ -18,14 +18,14 @@ from importlib.resources import files
 from pathlib import Path
 
 from shield.compiling import UNITS_FILE
-from shield.doors.warm_parts import PARTS
+from shield.wrappers.warm_parts import PARTS
 
 MEASURE = """
 import json, logging, sys, time
 import gymnasium as gym, highway_env
 from numba.core.event import Listener, install_listener
 import shield.compiling as compiling
-from shield.doors.warm_parts import PARTS
+from shield.wrappers.warm_parts import PARTS
 
 class Times(Listener):
     def __init__(self): self.depth, self.begun, self.each = 0, 0.0, {}

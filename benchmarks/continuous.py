@@ -23,8 +23,8 @@ from stable_baselines3 import PPO
 from dynamics.scenes.scene import SceneReader
 from dynamics.vehicle.actuators import Actuators
 from shield import ShieldConfig
-from shield.procedures.decide import Core
-from shield.procedures.inputs import Inputs
+from shield.pipelines.decide import Core
+from shield.pipelines.inputs import Inputs
 
 CONFIG = {"action": {"type": "ContinuousAction"}, "simulation_frequency": 20, "policy_frequency": 20, "duration": 30}
 

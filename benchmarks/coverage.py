@@ -17,7 +17,7 @@ from scipy.special import ndtr
 from dynamics.state import FloatArray
 from shield import PerceptionConfig
 from shield.perception.perceiving import ObservationPerception
-from shield.perception.settings import BOUNDS
+from shield.perception.perception_settings import BOUNDS
 from shield.perception.sighting import decode
 from shield.perception.tracking import sides
 

@@ -17,14 +17,14 @@ import pandas as pd
 from what_it_drives import config_of, env_ids
 
 from evaluation.measuring.statistics import wilson
+from evaluation.running.batch_episodes import Many
 from evaluation.running.episodes import run_paired
-from evaluation.running.many import Many
 from evaluation.running.records import Variant
 from evaluation.settings import TRAFFIC, Setting
 from shield.config import ShieldConfig
 from shield.decision import Verification
-from shield.doors.env import ShieldedEnv
 from shield.errors import ConfigError, ShieldError
+from shield.wrappers.shielded_env import ShieldedEnv
 
 POLICIES = ("faster", "random")
 

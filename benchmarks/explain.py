@@ -20,9 +20,9 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 
 from shield import ShieldConfig, ShieldedEnv
-from shield.doors.road_door import RoadDoor
-from shield.doors.simulated.exact_scene import ExactScene
-from shield.procedures.decide import Core
+from shield.filters.network import RoadDoor
+from shield.filters.simulated.predicted_scene import ExactScene
+from shield.pipelines.decide import Core
 
 INPUTS = {"action": {"type": "ContinuousAction"}}
 DOORS: dict[str, tuple[str, dict[str, Any], ShieldConfig]] = {

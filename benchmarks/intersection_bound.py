@@ -14,11 +14,11 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 
-from dynamics.networks.engine import ego_of
-from dynamics.networks.layout import ALONG
-from dynamics.networks.network import index_of
-from dynamics.networks.simulator import NetworkSimulator
-from dynamics.simulator.layout import CRASHED, LANE, SPEED
+from dynamics.highway_simulator.layout import CRASHED, LANE, SPEED
+from dynamics.road_networks.geometry.layout import ALONG
+from dynamics.road_networks.geometry.network import index_of
+from dynamics.road_networks.simulation.frame_kernels import ego_of
+from dynamics.road_networks.simulation.simulator import NetworkSimulator
 
 BEAM, EXIT = 24, 25.0
 """Futures that are followed; how far along its exit road the ego has arrived [m]."""

@@ -14,8 +14,8 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 
-from dynamics.networks.engine import ego_of
-from dynamics.networks.simulator import NetworkSimulator
+from dynamics.road_networks.simulation.frame_kernels import ego_of
+from dynamics.road_networks.simulation.simulator import NetworkSimulator
 
 LENGTH = 3
 

@@ -14,7 +14,8 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 
-from shield import ShieldConfig, ShieldedEnv, refusals
+from shield import ShieldConfig, ShieldedEnv
+from shield import supported_environments as refusals
 
 INPUTS: dict[str, Any] = {"action": {"type": "ContinuousAction"}}
 CELLS: dict[str, tuple[str, ShieldConfig, dict[str, Any]]] = {

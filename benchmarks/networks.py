@@ -19,9 +19,9 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 
-from dynamics.networks.compiled_frames import CompiledFrames
-from dynamics.networks.episodes.simulator import RoadSimulator
-from dynamics.networks.simulator import NetworkSimulator
+from dynamics.road_networks.episodes.simulator import RoadSimulator
+from dynamics.road_networks.simulation.compiled_frames import CompiledFrames
+from dynamics.road_networks.simulation.simulator import NetworkSimulator
 from evaluation.settings import setting_of
 
 IDS = (

@@ -16,12 +16,12 @@ import numpy as np
 from scipy.stats import norm
 
 from dynamics.traffic.assumptions import Assumptions
+from evaluation.falsification.falsify import crash_probability, falsify, falsify_among
+from evaluation.falsification.finds import ANY
+from evaluation.falsification.strata import Strata, stratified
+from evaluation.falsification.subset import subset_simulation
 from evaluation.measuring.statistics import clopper_pearson
-from evaluation.rare.falsify import crash_probability, falsify, falsify_among
-from evaluation.rare.finds import ANY
-from evaluation.rare.strata import Strata, stratified
-from evaluation.rare.subset import subset_simulation
-from evaluation.running.many import Many
+from evaluation.running.batch_episodes import Many
 from evaluation.settings import Setting, get_setting
 from shield import ShieldConfig
 from shield.config import Buffer

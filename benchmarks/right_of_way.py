@@ -11,9 +11,9 @@ from dataclasses import replace
 from evaluation.measuring.statistics import wilson
 from evaluation.settings import setting_of
 from shield import ShieldedEnv
-from shield.doors.road_door import RoadDoor
-from shield.roads.reading import default_on
-from shield.roads.watch import Breach
+from shield.certificate.network.monitor import Breach
+from shield.certificate.network.others import default_on
+from shield.filters.network import RoadDoor
 
 EPISODES, FIRST, LONGEST = 25, 5_200, 40
 ROADS = (("roundabout-v1", 3), ("merge-v1", 3), ("intersection-v2", 2))

@@ -21,8 +21,8 @@ import numpy as np
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 
-from dynamics.simulator.env import CompiledHighwayEnv
-from dynamics.simulator.simulator import Simulator
+from dynamics.highway_simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.simulator import Simulator
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 from evaluation.learning.recipes import get_recipe
 from evaluation.threads import one_thread

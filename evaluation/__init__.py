@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from evaluation.report.table import read_episodes
     from evaluation.report.video import film_override
     from evaluation.reproduction.api import reproduce
+    from evaluation.running.batch_episodes import Many
     from evaluation.running.episodes import RunOptions, run_episode, run_paired
-    from evaluation.running.many import Many
     from evaluation.running.named_policies import make_policy
     from evaluation.running.records import make_variants
     from evaluation.settings import Setting, get_setting, setting_of
@@ -94,7 +94,7 @@ __getattr__, _, _ = lazy_loader.attach(
         "report.video": ["film_override"],
         "reproduction.api": ["reproduce"],
         "running.episodes": ["RunOptions", "run_episode", "run_paired"],
-        "running.many": ["Many"],
+        "running.batch_episodes": ["Many"],
         "running.named_policies": ["make_policy"],
         "running.records": ["make_variants"],
         "training.train": ["train"],

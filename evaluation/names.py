@@ -55,8 +55,8 @@ TABLE_ENDINGS = (".csv", ".parquet")
 ANY = "any"
 """The policy that may propose anything: its actions are searched too. Drawn evenly, they are those of `random`."""
 TRAFFIC = ("idm", "bold", "wild", "mixed")
-"""Who drives the others: highway-env's own, or as recklessly as the rules permit (`evaluation.rare.bold`); on networks
-of roads drivers of `evaluation.rare.drivers`."""
+"""Drivers of the other vehicles: highway-env's own, or drivers as reckless as the rules permit
+(`evaluation.falsification.compliant_traffic`). On road networks: `evaluation.falsification.network_adversaries`."""
 MODELS = ("bicycle", "learned")
 """What the predictive filter can plan with; a folder of models is the third."""
 BASELINES = (

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import gymnasium as gym
 
-from dynamics.networks.compiled_frames import CompiledFrames
+from dynamics.road_networks.simulation.compiled_frames import CompiledFrames
 from evaluation.names import SIMULATORS, check_name
 from shield.errors import ConfigError, PlatformError, SceneError
 

@@ -12,10 +12,10 @@ import gymnasium as gym
 import numpy as np
 
 from dynamics.errors import ConfigError
-from dynamics.simulator.engine import alike
-from dynamics.simulator.env import CompiledHighwayEnv
-from dynamics.simulator.layout import HEADING, SPEED, TARGET, TARGET_SPEED, X, Y
-from dynamics.simulator.simulator import Simulator
+from dynamics.highway_simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.layout import HEADING, SPEED, TARGET, TARGET_SPEED, X, Y
+from dynamics.highway_simulator.simulator import Simulator
+from dynamics.highway_simulator.step_kernels import alike
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["LookaheadPolicy"]

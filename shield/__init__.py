@@ -27,14 +27,14 @@ if TYPE_CHECKING:
     from shield.callback import ShieldCallback
     from shield.config import Buffer, ShieldConfig
     from shield.decision import Decision, Reason, Tier
-    from shield.doors.env import ShieldedEnv
-    from shield.doors.policy import Shield
     from shield.errors import ActionError, ConfigError, PolicyError, SceneError, ShieldError
     from shield.perception.grid_spec import GridSpec
     from shield.perception.known import Known
     from shield.perception.perceiving import PerceptionConfig
     from shield.perception.spec import ObservationSpec
     from shield.perception.unseen import Unseen
+    from shield.wrappers.shielded_env import ShieldedEnv
+    from shield.wrappers.shielded_policy import Shield
 
 __all__ = [
     "ActionError",
@@ -64,8 +64,8 @@ __getattr__, _, _ = lazy_loader.attach(
         "callback": ["ShieldCallback"],
         "config": ["Assumptions", "Buffer", "ShieldConfig"],
         "decision": ["Decision", "Reason", "Tier"],
-        "doors.env": ["ShieldedEnv"],
-        "doors.policy": ["Shield"],
+        "wrappers.shielded_env": ["ShieldedEnv"],
+        "wrappers.shielded_policy": ["Shield"],
         "errors": ["ActionError", "ConfigError", "PolicyError", "SceneError", "ShieldError"],
         "perception.grid_spec": ["GridSpec"],
         "perception.known": ["Known"],

@@ -23,7 +23,7 @@ MODES = ("none", *RULES_ALONE, "full")
 PROFILES = ("default", "meta-actions", "roads", "exact")
 """Names of `ShieldConfig.profile`."""
 SIMULATED, WORST_CASE = "simulated", "worst-case"
-"""Names of settings that fit themselves to the environment (`shield.doors.defaults`)."""
+"""Names of settings that fit themselves to the environment (`shield.wrappers.defaults`)."""
 REPAIRS = ("hold", "filter")
 """Valid `ShieldConfig.repair`: hold the meta-action back, or take the nearest inputs."""
 

@@ -192,7 +192,7 @@ class Decision:
     sight : what a certificate made for this scene rests on. level : probability with which each side of each body is
         within its bounds there, 1 where the states are exact.
     alarm : whether the sensor did not behave as it is thought to, so that the widest bounds were taken and nothing is
-        guaranteed (`shield.perception.monitor`).
+        guaranteed (`shield.perception.sensor_monitor`).
     frames_overridden : in the record of a step, how many of its frames got other inputs.
     weakest : in the record of a step, the weakest guarantee of the decision and its frames; None elsewhere.
     done : in the record of a step, what was done to the proposal; None elsewhere.

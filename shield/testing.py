@@ -15,8 +15,8 @@ from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import EgoControl, Scene, Target
 from dynamics.state import FloatArray, State, Vehicle
 from shield.decision import Reason
-from shield.doors.ranking import ranking_of
 from shield.rules import Rule
+from shield.wrappers.ranking import ranking_of
 
 __all__ = ["check_policy", "check_rule", "random_scene"]
 

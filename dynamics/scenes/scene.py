@@ -15,7 +15,7 @@ import numpy as np
 
 from dynamics.compiled import uncounted
 from dynamics.errors import ActionError, SceneError
-from dynamics.roads.network import read_network
+from dynamics.roads.path_reader import read_network
 from dynamics.roads.straight import Road, StraightRoad
 from dynamics.state import LEAST, MOST, BoolArray, FloatArray, IntArray, State, Vehicle, readable
 from dynamics.vehicle.bicycle import LENGTH

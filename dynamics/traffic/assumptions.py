@@ -1,7 +1,7 @@
 """What the shield assumes of the other road users, as data.
 
-A certificate holds for every behaviour inside these bounds, and for none outside; `dynamics.traffic.permits` says of
-what a vehicle did in a frame whether it was inside. `Assumptions.rss()` takes the worst-case constants of
+A certificate holds for every behaviour inside these bounds, and for none outside; `dynamics.traffic.rules_of_the_road`
+says of what a vehicle did in a frame whether it was inside. `Assumptions.rss()` takes the worst-case constants of
 Responsibility-Sensitive Safety, `Assumptions.idm()` those of highway-env's traffic.
 """
 
@@ -51,11 +51,11 @@ class Assumptions:
         the ego is not visible there: one that gains by it (`dynamics.traffic.mobil`), or is on its way.
     slip_in : whether a vehicle alongside may change into the ego's lane behind an ego that pulls away from it, or
         before one that it pulls away from, as MOBIL does once IDM's desired gap has vanished
-        (`shield.certificate.clauses.slip_in`).
+        (`shield.certificate.road.clauses.cut_in`).
     looks_ahead : on road networks, whether those behind look beyond the end of their own lane; highway-env's traffic
         does not, but where its road is told to.
     gives_way : on road networks, whether whoever has less right of way than the ego waits for it
-        (`dynamics.networks.reachable.rights`); highway-env's traffic does not always.
+        (`dynamics.road_networks.reachable.rights`); highway-env's traffic does not always.
     simulated : whether the others are highway-env's own and are simulated, so that nothing above is asked; see `exact`.
     """
 
@@ -142,7 +142,7 @@ class Assumptions:
         """The others do what highway-env's traffic does, to the bit: verification is by simulation of it.
 
         What it promises carries over to no other traffic, and it is refused where the traffic is not of a class that
-        is known. See `shield.exact`.
+        is known. See `shield.certificate.simulated`.
         """
         return cls(simulated=True)
 

@@ -14,7 +14,7 @@ The front is that of one that accelerates at `acceleration`, until it owes the e
 Across: a vehicle stays in the lanes that its body touches, one frame ahead at constant velocity included. Where it is
 in them and how it is turned makes no difference, so that a lane change that is aborted late, a car that wavers and one
 that slides need no rule of their own. That it may touch a lane more is not in the bound: it has to leave the room for
-the ego's fail-safe then, and `dynamics.traffic.permits` says so.
+the ego's fail-safe then, and `dynamics.traffic.rules_of_the_road` says so.
 
 Source: Responsibility-Sensitive Safety (Shalev-Shwartz et al. 2017), set-based prediction (Althoff and Magdici
 2016), with the reaction of highway-env's own traffic.

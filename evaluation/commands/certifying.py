@@ -9,9 +9,17 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.commands.asking import EnvConfig, EnvId, NamedSetting, ask_setting, check_jobs, check_modes, split
 from evaluation.commands.falsifying import falsify_command
 from evaluation.commands.names import DEMO_SETTING
+from evaluation.commands.shared_options import (
+    EnvConfig,
+    EnvId,
+    NamedSetting,
+    ask_setting,
+    check_jobs,
+    check_modes,
+    split,
+)
 from evaluation.names import ANY, SIMULATORS, check_name, check_policy, check_sensor
 from evaluation.settings import get_setting
 from shield.config import ShieldConfig
@@ -98,7 +106,7 @@ def rare_command(
     where = get_setting(setting)
     import numpy as np
 
-    from evaluation.rare.falsify import crash_probability
+    from evaluation.falsification.falsify import crash_probability
 
     shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)
     if sensor != "exact":
@@ -119,7 +127,7 @@ def rare_command(
 def _rare_through(
     setting: str, policy: str, paths: int, seed: int, config: ShieldConfig, sensor: str, perception: str, jobs: int
 ) -> None:
-    from evaluation.rare.noisy import crash_probability_through
+    from evaluation.falsification.sensor_noise_crashes import crash_probability_through
     from evaluation.running.driver import DriverSpec
     from evaluation.running.records import Variant
 
@@ -159,7 +167,7 @@ def attack_command(
     settings = [get_setting(name) for name in split([setting])]
     from collections import Counter
 
-    from evaluation.rare.attack import attack_many
+    from evaluation.falsification.network_attack import attack_many
 
     shield_config = None if config is None else ShieldConfig.load(config)
     table = Table("environment", "drivers", "episodes", "frames", "crashes", "rules broken", "unforeseen")

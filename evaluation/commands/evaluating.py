@@ -9,7 +9,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from evaluation.commands.asking import (
+from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING, EVALUATION_SEED
+from evaluation.commands.reporting import Form, check_output, check_steps_path, report
+from evaluation.commands.shared_options import (
     EnvConfig,
     EnvId,
     ask_policies,
@@ -20,8 +22,6 @@ from evaluation.commands.asking import (
     shard_of,
     split,
 )
-from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING, EVALUATION_SEED
-from evaluation.commands.reporting import Form, check_output, check_steps_path, report
 from evaluation.learning.algorithms import ALGORITHMS, algorithm_named
 from evaluation.names import (
     BASELINES,

@@ -9,8 +9,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.commands.asking import EnvConfig, EnvId, NamedSetting, ask_setting, check_jobs
 from evaluation.commands.reporting import check_writable
+from evaluation.commands.shared_options import EnvConfig, EnvId, NamedSetting, ask_setting, check_jobs
 from evaluation.names import ANY, TRAFFIC, check_name, check_policy
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
@@ -73,7 +73,7 @@ def falsify_command(
             raise ConfigError(f"among {drivers} drivers the policy is {ANY!r}, not {policy!r}")
         _among(output, where, drivers, given, episodes, seed, jobs)
         return
-    from evaluation.rare.falsify import falsify
+    from evaluation.falsification.falsify import falsify
 
     found = falsify(where, policy, given or ShieldConfig(), episodes or _EPISODES["idm"], seed)
     found.find.save(output)
@@ -97,8 +97,8 @@ def _among(
     seed: int,
     jobs: int,
 ) -> None:
-    from evaluation.rare.falsify import falsify_among
-    from evaluation.rare.road_search import has_network, search_roads
+    from evaluation.falsification.falsify import falsify_among
+    from evaluation.falsification.road_search import has_network, search_roads
 
     if has_network(setting):
         found = search_roads(setting, drivers, config, episodes or _EPISODES["network"], seed, jobs)

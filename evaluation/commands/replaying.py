@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.commands.asking import EnvConfig, EnvId, NamedSetting, ask_setting
+from evaluation.commands.shared_options import EnvConfig, EnvId, NamedSetting, ask_setting
 from evaluation.names import check_policy
 from shield.config import ShieldConfig
 from shield.decision import Decision
@@ -156,7 +156,7 @@ def _replay_run(run: str, episode: int | None, policy: str | None, page: Path | 
 def _replay_find(path: Path) -> None:
     if not path.is_file():
         raise ConfigError(f"there is no file {path}")
-    from evaluation.rare.finds import Find, changed, replay
+    from evaluation.falsification.finds import Find, changed, replay
 
     found = Find.load(path)
     if others := changed(found):

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from evaluation.commands.asking import check_jobs, split
+from evaluation.commands.shared_options import check_jobs, split
 from shield.errors import ConfigError
 
 __all__ = ["add_reproducing"]

@@ -12,8 +12,8 @@ from evaluation.running.named_policies import make_policy
 from evaluation.running.records import make_variants
 from evaluation.settings import Setting, setting_of
 from shield.config import ShieldConfig
-from shield.doors.simulated.exact_door import ExactDoor
 from shield.errors import ConfigError, ShieldError
+from shield.filters.simulated.meta_actions import ExactDoor
 
 __all__ = ["check_road", "road_demo"]
 

@@ -9,9 +9,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.commands.asking import EnvConfig, EnvId, NamedSetting, ask_setting
 from evaluation.commands.names import DEMO_POLICY
 from evaluation.commands.reporting import Form, report
+from evaluation.commands.shared_options import EnvConfig, EnvId, NamedSetting, ask_setting
 from evaluation.names import FIRST_EVALUATION_SEED, check_policy
 from shield.config import PROFILES, ShieldConfig
 from shield.errors import ConfigError

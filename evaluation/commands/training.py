@@ -9,9 +9,9 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from evaluation.commands.asking import ask_hyperparameters
 from evaluation.commands.options_command import options_of, with_options
 from evaluation.commands.reporting import check_writable
+from evaluation.commands.shared_options import ask_hyperparameters
 from evaluation.learning.recipes import RECIPES, get_recipe
 from evaluation.names import FIRST_EVALUATION_SEED, NORMALISABLE, SIMULATORS, TRAINABLE
 from evaluation.training.options import LEARN_FROM, ON_POLICY, TrainingOptions

@@ -17,7 +17,7 @@ def warm_command() -> None:
 
     What is compiled already is read in seconds. Parts that take long say how long, about, and show their progress.
     """
-    from shield.doors.warm_parts import PARTS
+    from shield.wrappers.warm_parts import PARTS
 
     begun = perf_counter()
     for number, (name, compile_part) in enumerate(PARTS.items(), 1):

@@ -22,8 +22,8 @@ from evaluation.running.step_table import check_steps, write_steps
 from evaluation.running.store import Store
 from evaluation.settings import Setting
 from shield.config import MODES, PERCEPTIONS, Buffer, ShieldConfig
-from shield.doors.adapters import as_policy
 from shield.errors import ConfigError
+from shield.wrappers.policy_adapters import as_policy
 
 __all__ = ["Experiment", "Stopped"]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from dynamics.networks.episodes.simulator import RoadSimulator
-from dynamics.networks.episodes.telling import info_of
+from dynamics.road_networks.episodes.info import info_of
+from dynamics.road_networks.episodes.simulator import RoadSimulator
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 from shield.errors import MissingAttributeError
 
@@ -22,7 +22,7 @@ class FastRoadVecEnv(FastHighwayVecEnv):
 
     Parameters
     ----------
-    num_envs, env_id, config, threads : as of `dynamics.networks.episodes.simulator.RoadSimulator`.
+    num_envs, env_id, config, threads : as of `dynamics.road_networks.episodes.simulator.RoadSimulator`.
 
     Raises
     ------

@@ -11,9 +11,9 @@ import numpy as np
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
+from dynamics.highway_simulator.scenario import REWARDS
+from dynamics.highway_simulator.simulator import Simulator
 from dynamics.scenes.registration import spec_of
-from dynamics.simulator.scenario import REWARDS
-from dynamics.simulator.simulator import Simulator
 from dynamics.state import IntArray
 from shield.errors import ConfigError, MissingAttributeError
 
@@ -32,7 +32,7 @@ class FastHighwayVecEnv(VecEnv):
 
     Parameters
     ----------
-    num_envs, env_id, config, threads : as of `dynamics.simulator.simulator.Simulator`.
+    num_envs, env_id, config, threads : as of `dynamics.highway_simulator.simulator.Simulator`.
 
     Raises
     ------

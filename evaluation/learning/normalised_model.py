@@ -11,8 +11,8 @@ import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
-from shield.doors.ranking import ranking_of
 from shield.errors import ConfigError, PolicyError
+from shield.wrappers.ranking import ranking_of
 
 __all__ = ["NormalisedModel", "statistics_beside", "with_statistics"]
 
@@ -54,7 +54,7 @@ class NormalisedModel:
         return self.model.predict(seen, state=state, episode_start=episode_start, deterministic=deterministic)
 
     def action_scores(self, observation: Any) -> Any:
-        """Its scores of discrete actions (n, actions), or None (see `shield.doors.ranking.ranking_of`)."""
+        """Its scores of discrete actions (n, actions), or None (see `shield.wrappers.ranking.ranking_of`)."""
         return ranking_of(self.model, self.statistics.normalize_obs(observation))
 
 

@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.networks.kinematics import without_data_frames
+from dynamics.road_networks.simulation.kinematics import without_data_frames
 from dynamics.state import FloatArray
 from shield.errors import ConfigError
 

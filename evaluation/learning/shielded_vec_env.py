@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.simulator.simulator import Simulator
+from dynamics.highway_simulator.simulator import Simulator
 from dynamics.state import BoolArray, IntArray
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
-from shield.batch.vocabulary import FALLBACKS, OVERRIDES, REASONS, TIERS, certified, rules_in
+from shield.batch.codes import FALLBACKS, OVERRIDES, REASONS, TIERS, certified, rules_in
+from shield.certificate.simulated.batch_choice import highways_for
 from shield.config import ShieldConfig
 from shield.decision import Guarantee, Intervention, Reason, Tier
-from shield.doors.defaults import verification_of
-from shield.doors.report import Statistics
-from shield.exact.batches import highways_for
+from shield.wrappers.defaults import verification_of
+from shield.wrappers.report import Statistics
 
 __all__ = ["ShieldedVecEnv"]
 
@@ -130,8 +130,8 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         return infos
 
     def _reports(self) -> list[dict[str, Any]]:
-        """Of each environment what `shield.doors.report.report` has of one, as `Decision.with_frames` makes a record:
-        the decision and its frames side by side, (e, 1 + F)."""
+        """Of each environment what `shield.wrappers.report.report` has of one, as `Decision.with_frames` makes a
+        record: the decision and its frames side by side, (e, 1 + F)."""
         records, each = self.highways.records, np.arange(self.num_envs)
         tiers = np.column_stack([records.tier, records.tiers])
         reasons = np.column_stack([records.reason, records.reasons])

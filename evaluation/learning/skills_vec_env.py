@@ -10,9 +10,9 @@ import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
-from dynamics.networks.engine import ego_of
-from dynamics.simulator.layout import X, Y
-from dynamics.simulator.simulator import Simulator
+from dynamics.highway_simulator.layout import X, Y
+from dynamics.highway_simulator.simulator import Simulator
+from dynamics.road_networks.simulation.frame_kernels import ego_of
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.crossing import make
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
@@ -28,8 +28,8 @@ from evaluation.wrappers.skills import (
     parse_skills,
     skill_summary,
 )
-from shield.doors.discrete_action import action_labels
 from shield.errors import ConfigError
+from shield.filters.discrete_action import action_labels
 
 __all__ = ["InterruptMany", "SkillsVecEnv"]
 

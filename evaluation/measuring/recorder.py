@@ -16,11 +16,11 @@ import numpy as np
 from highway_env.envs.parking_env import ParkingEnv
 
 from dynamics.errors import SceneError
-from dynamics.networks.compiled_frames import CompiledFrames
-from dynamics.roads.network import read_network
+from dynamics.highway_simulator.env import CompiledHighwayEnv
+from dynamics.road_networks.simulation.compiled_frames import CompiledFrames
 from dynamics.roads.path import PathRoad
+from dynamics.roads.path_reader import read_network
 from dynamics.roads.straight import Road, StraightRoad
-from dynamics.simulator.env import CompiledHighwayEnv
 from dynamics.state import BoolArray, FloatArray, wrap_to_pi
 from evaluation.measuring.jerk import jerk
 from evaluation.measuring.nearness import headways, times_to_collision

@@ -9,9 +9,9 @@ import numpy as np
 
 from dynamics.compiled import inlined, uncounted
 from dynamics.state import BoolArray, FloatArray, IntArray
-from dynamics.traffic.permits import Rule
+from dynamics.traffic.rules_of_the_road import Rule
 from shield.batch.arrays import Records
-from shield.batch.vocabulary import FALLBACKS, OVERRIDES
+from shield.batch.codes import FALLBACKS, OVERRIDES
 
 __all__ = ["HORIZON", "SOON", "Tallies", "begin_tally", "distance", "empty_tallies", "tally", "time_to_collision"]
 

@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 import shapely
 
-from dynamics.networks.geometry import RoadGeometry
+from dynamics.road_networks.geometry.road_geometry import RoadGeometry
 from dynamics.roads.straight import StraightRoad
 from dynamics.state import RoadState, State, Vehicle
 from evaluation.measuring.rectangles import polygons
 from evaluation.replay.record import Area, rounded
 from evaluation.report.reachable_areas import strip_outline
-from shield.certificate.memory import Instant
+from shield.certificate.network.workspace import Foreseen
+from shield.certificate.road.memory import Instant
 from shield.decision import Decision
 from shield.explaining.roads import Roads
 from shield.explaining.simulated import Simulated
-from shield.procedures.decide import Made
-from shield.roads.room import Foreseen
+from shield.pipelines.decide import Made
 
 __all__ = ["areas_at"]
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from highway_env.envs.common.action import ContinuousAction
 
-from dynamics.networks.geometry import RoadGeometry
+from dynamics.road_networks.geometry.road_geometry import RoadGeometry
 from dynamics.roads.straight import StraightRoad
 from dynamics.vehicle.actuators import Actuators
 from evaluation.measuring.recorder import read_road
@@ -25,11 +25,11 @@ from evaluation.running.records import EpisodeRecord, Variant
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
 from shield import Shield, ShieldedEnv
+from shield.certificate.network.workspace import Foreseen
 from shield.decision import Decision
-from shield.doors.road_door import RoadDoor
 from shield.explaining.words import action_name, inputs_name
 from shield.explanation import Explanation
-from shield.roads.room import Foreseen
+from shield.filters.network import RoadDoor
 
 __all__ = ["Asked", "StepSeen", "collect"]
 

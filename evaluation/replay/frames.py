@@ -16,7 +16,7 @@ from evaluation.replay.record import STEP, TURN, Frame, rounded
 from evaluation.report.draw import World, acting_decision, status_of
 from shield.decision import Decision, Tier
 from shield.explaining.roads import Roads
-from shield.procedures.decide import Made
+from shield.pipelines.decide import Made
 
 if TYPE_CHECKING:
     from evaluation.replay.collect import StepSeen

@@ -15,7 +15,7 @@ from evaluation.report.draw import Shot, World
 from evaluation.report.proposal import action_labels, ego_copy, proposed_path
 from evaluation.report.reachable_areas import ReachableAreas
 from shield import ShieldedEnv
-from shield.doors.road_door import RoadDoor
+from shield.filters.network import RoadDoor
 
 __all__ = ["Camera"]
 

@@ -14,14 +14,14 @@ from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import EgoControl, Scene, Target
 from dynamics.state import FloatArray, RoadState, Vehicle
 from dynamics.traffic.occupancy import Occupancy, Surroundings
-from shield.certificate.manoeuvres import brake_candidates
-from shield.certificate.memory import Instant, Memory, observe
-from shield.certificate.verify import Surveyor
+from shield.alternatives.nearest_input import Judged
+from shield.certificate.road.manoeuvres import brake_candidates
+from shield.certificate.road.memory import Instant, Memory, observe
+from shield.certificate.road.verify import Surveyor
 from shield.config import ShieldConfig
 from shield.decision import Decision
-from shield.procedures.decide import decide
-from shield.procedures.inputs import Inputs
-from shield.repair.nearest_input import Judged
+from shield.pipelines.decide import decide
+from shield.pipelines.inputs import Inputs
 
 __all__ = [
     "CONFIG",

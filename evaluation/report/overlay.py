@@ -19,8 +19,8 @@ from evaluation.report.proposal import action_labels, ego_copy, proposed_path
 from evaluation.report.reachable_areas import ReachableAreas
 from shield import Shield, ShieldedEnv
 from shield.decision import Decision
-from shield.doors.road_door import RoadDoor
 from shield.errors import ConfigError
+from shield.filters.network import RoadDoor
 
 __all__ = ["ShieldOverlay"]
 
@@ -152,7 +152,7 @@ def _inside(env: Any) -> ShieldedEnv:
 
 def _filters(shield: Shield | ShieldedEnv) -> Any:
     """What filters the actions of the environment."""
-    return shield.door if isinstance(shield, ShieldedEnv) else shield.doors[0]
+    return shield.door if isinstance(shield, ShieldedEnv) else shield.wrappers[0]
 
 
 def _frames(shield: Shield | ShieldedEnv) -> list[Decision]:

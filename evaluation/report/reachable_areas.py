@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.networks.geometry import RoadGeometry
+from dynamics.road_networks.geometry.road_geometry import RoadGeometry
 from dynamics.state import FloatArray
 from evaluation.report.draw import AHEAD
-from shield.doors.road_door import RoadDoor
-from shield.roads.room import Foreseen
+from shield.certificate.network.workspace import Foreseen
+from shield.filters.network import RoadDoor
 
 __all__ = ["ReachableAreas", "strip_outline"]
 

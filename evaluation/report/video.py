@@ -28,8 +28,8 @@ from evaluation.running.records import config_on
 from evaluation.settings import Setting, get_setting
 from shield import ShieldConfig, ShieldedEnv, Tier
 from shield.decision import Intervention
-from shield.doors.road_door import RoadDoor
 from shield.errors import ConfigError
+from shield.filters.network import RoadDoor
 
 __all__ = [
     "FILM_POLICY",

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import shapely
 
-from dynamics.networks.geometry import RoadGeometry
-from dynamics.networks.layout import ROAD
+from dynamics.road_networks.geometry.layout import ROAD
+from dynamics.road_networks.geometry.road_geometry import RoadGeometry
 from dynamics.state import FloatArray
 from evaluation.measuring.rectangles import polygons
 from evaluation.names import FIRST_EVALUATION_SEED
@@ -19,10 +19,10 @@ from evaluation.report.proposal import ego_copy
 from evaluation.report.reachable_areas import strip_outline
 from evaluation.settings import setting_of
 from shield import ShieldConfig, ShieldedEnv
+from shield.certificate.network.workspace import Foreseen
 from shield.decision import Decision
-from shield.doors.road_door import RoadDoor
 from shield.errors import ConfigError
-from shield.roads.room import Foreseen
+from shield.filters.network import RoadDoor
 
 __all__ = ["VIEWED", "draw_worst_cases"]
 

@@ -15,9 +15,9 @@ from evaluation.reproduction.presets import Preset
 from evaluation.reproduction.variants import Variant
 from evaluation.settings import Setting, get_setting
 from shield.batch.arrays import Records
-from shield.batch.vocabulary import OVERRIDES
+from shield.batch.codes import OVERRIDES
+from shield.certificate.simulated.batch_choice import batch_for
 from shield.config import ShieldConfig
-from shield.exact.batches import batch_for
 
 __all__ = ["NOISE_STREAM", "ReportBatch", "Shown", "setting_for", "shield_for"]
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.env import CompiledHighwayEnv
 from evaluation.reproduction.batch import NOISE_STREAM, setting_for
 from evaluation.reproduction.driving import COLUMNS
 from evaluation.reproduction.presets import Preset

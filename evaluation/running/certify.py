@@ -16,12 +16,12 @@ import joblib
 import pandas as pd
 
 from evaluation.measuring.statistics import bootstrap_mean, clopper_pearson
+from evaluation.running.batch_episodes import Many
 from evaluation.running.decision_log import MEASURED
 from evaluation.running.driver import policy_name
 from evaluation.running.episodes import run_paired
 from evaluation.running.identity import check_files, hash_of_files, model_hashes, of_environment, of_policy
 from evaluation.running.manifest import check_fits, extended, provenance
-from evaluation.running.many import Many
 from evaluation.running.named_policies import is_model, make_policy
 from evaluation.running.parts import Parts
 from evaluation.running.records import Variant, told, variant_for
@@ -135,7 +135,7 @@ def certify(asked: Asked, folder: str | Path, jobs: int = 1, progress: Any = Non
     mean_speed [m/s], overridden, held_back, frames, frames_overridden, violations, min_margin and min_gap [m],
     simulator, rules (how often each was broken, as a text), `fallbacks`, the decisions in which a fallback acted, and
     the columns `evaluation.running.decision_log.MEASURED`, NaN where many are driven at once and it is not measured
-    (see `evaluation.running.many.UNMEASURED`).
+    (see `evaluation.running.batch_episodes.UNMEASURED`).
 
     Raises
     ------

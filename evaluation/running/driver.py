@@ -19,7 +19,7 @@ from evaluation.running.simulators import environment
 from evaluation.settings import Setting
 from shield import Shield, ShieldedEnv
 from shield.decision import Decision, Verification
-from shield.doors.adapters import refuse_misfits
+from shield.wrappers.policy_adapters import refuse_misfits
 
 __all__ = ["Driver", "DriverSpec", "policy_name"]
 

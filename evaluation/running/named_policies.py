@@ -34,8 +34,8 @@ from mpc import MPCPolicy
 from mpc.filter.program.road_step import StageModel
 from mpc.lookahead_policy import LookaheadPolicy
 from shield.batch.lookahead import ShieldedLookaheadPolicy
-from shield.doors.adapters import refuse_misfits
 from shield.errors import ConfigError, PolicyError
+from shield.wrappers.policy_adapters import refuse_misfits
 
 __all__ = [
     "BASELINES",

@@ -11,8 +11,8 @@ from highway_env.envs.common.action import ContinuousAction
 from evaluation.settings import Setting
 from shield.config import PERCEPTIONS, ShieldConfig
 from shield.decision import Reason, Tier, Verification
-from shield.doors.defaults import Given, Place, choose_settings
 from shield.errors import ConfigError
+from shield.wrappers.defaults import Given, Place, choose_settings
 
 __all__ = ["DOORS", "EpisodeRecord", "Variant", "config_on", "make_variants", "told", "variant_for"]
 

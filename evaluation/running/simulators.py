@@ -8,8 +8,8 @@ from typing import Any
 import gymnasium as gym
 from highway_env.envs.common.action import ContinuousAction
 
-from dynamics.networks.refusals import on_network
-from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.env import CompiledHighwayEnv
+from dynamics.road_networks.simulation.supported_traffic import on_network
 from evaluation.policies import list_references
 from evaluation.running.records import Variant, variant_for
 from evaluation.settings import Setting

@@ -13,7 +13,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.observation import ObservationType, observation_factory
 from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 
-from dynamics.networks.priority_road import PriorityRoad
+from dynamics.road_networks.traffic.priority_road import PriorityRoad
 from dynamics.vehicle.action_grid import make_action_type
 from evaluation.scenarios.course import SUBMAPS, Course, build_course, check_counts
 from evaluation.scenarios.traffic import ENTRY, populate, recycle

@@ -9,8 +9,8 @@ import gymnasium as gym
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
-from dynamics.networks.refusals import on_network
-from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.env import CompiledHighwayEnv
+from dynamics.road_networks.simulation.supported_traffic import on_network
 from evaluation.learning.observations import FastObservations
 from evaluation.settings import Setting
 from evaluation.simulators import compiled_where_it_serves, with_compiled_frames

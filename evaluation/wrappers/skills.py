@@ -16,11 +16,11 @@ import gymnasium as gym
 import numpy as np
 
 from dynamics.errors import perhaps
-from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.env import CompiledHighwayEnv
 from dynamics.state import BoolArray, FloatArray
 from evaluation.wrappers.checks import check_highway_env, check_number
-from shield.doors.discrete_action import action_index, action_labels
 from shield.errors import ConfigError
+from shield.filters.discrete_action import action_index, action_labels
 
 __all__ = [
     "REPORT_SKILLS",

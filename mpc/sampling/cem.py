@@ -25,7 +25,7 @@ from dynamics.errors import ConfigError
 from dynamics.learned.models.model import StepModel
 from mpc.sampling.noise import NoiseBank
 from mpc.sampling.plan import Cost, Fallback, Plan, PlanMemory, PlanStatus, evaluate, read_states
-from mpc.sampling.settings import PlannerSettings
+from mpc.sampling.sampler_settings import PlannerSettings
 
 __all__ = ["CEM", "Eliting", "PlannerSettings", "SamplingPlanner", "Update"]
 

@@ -1,7 +1,7 @@
 """What the shields of many environments know, as arrays: the memory, the records, and the room to work in.
 
-It is what `shield.certificate.memory.Memory`, `shield.decision.Decision` and the objects of one decision are for one
-environment, without the objects.
+It is what `shield.certificate.road.memory.Memory`, `shield.decision.Decision` and the objects of one decision are for
+one environment, without the objects.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dynamics.compiled import inlined, numbers_of
-from dynamics.lending import Lent
-from dynamics.simulator.engine import Worlds
+from dynamics.highway_simulator.step_kernels import Worlds
+from dynamics.pass_by_pointer import Lent
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.occupancy import horizons, room_for
-from dynamics.traffic.permits import Rule
+from dynamics.traffic.rules_of_the_road import Rule
 from dynamics.traffic.tables import bodies_of, motion_of
 from dynamics.vehicle.bicycle import MAX_SPEED
-from shield.batch.law import NOBODY, Law
-from shield.certificate.clauses.desk import Around, Desk, Ground, new_desk
-from shield.certificate.clauses.footprint import Footprint
-from shield.certificate.clauses.others import Others, others_from
-from shield.certificate.clauses.settings import Settings, settings_from
+from shield.batch.parameters import NOBODY, Law
+from shield.certificate.road.clauses.footprint import Footprint
+from shield.certificate.road.clauses.others import Others, others_from
+from shield.certificate.road.clauses.parameters import Settings, settings_from
+from shield.certificate.road.clauses.workspace import Around, Desk, Ground, new_desk
 
 __all__ = [
     "Bench",
@@ -128,7 +128,7 @@ class Records(NamedTuple):
     """What was decided: of the decision (e,), and of each of its F frames (e, F).
 
     `broken` (e, rules) is how often each rule was broken in the decision, in the order of `Rule`. `tiers`, `reasons`
-    and `clauses` are indices of `TIERS`, `REASONS` and `CLAUSES` in `shield.batch.vocabulary`.
+    and `clauses` are indices of `TIERS`, `REASONS` and `CLAUSES` in `shield.batch.codes`.
     """
 
     proposed: IntArray
@@ -188,7 +188,7 @@ def scene_of(shields: Shields, law: Law, e: int) -> Scene:
 
 @inlined
 def bound_of(scene: Scene) -> Scene:
-    """The same without precautions, see `shield.certificate.verify.Surveyor.without_cut_ins`."""
+    """The same without precautions, see `shield.certificate.road.verify.Surveyor.without_cut_ins`."""
     none = scene.slipping[:0]
     return Scene(scene.ego, scene.state, scene.around, scene.ground, none, scene.foot, scene.settings)
 

@@ -1,28 +1,28 @@
-"""One decision of one of many environments: what `shield.procedures.meta_actions.MetaActions` decides."""
+"""One decision of one of many environments: what `shield.pipelines.meta_actions.MetaActions` decides."""
 
 from __future__ import annotations
 
 import math
 
 from dynamics.compiled import inlined, uncounted
-from dynamics.lending import Lent, held, lent
+from dynamics.highway_simulator.layout import SPEED, TARGET, TARGET_SPEED, X, Y
+from dynamics.highway_simulator.scene import next_target_speed
+from dynamics.highway_simulator.step_kernels import Worlds
+from dynamics.pass_by_pointer import Lent, held, lent
 from dynamics.roads.straight import nearest
-from dynamics.simulator.engine import Worlds
-from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED, X, Y
-from dynamics.simulator.scene import next_target_speed
 from dynamics.state import FloatArray, IntArray
+from shield.alternatives.preference import CLEAR, GAIN, IN_LANE, OUTLOOK
 from shield.batch.arrays import Bench, Records, Room, Scene, Shields, scene_of
-from shield.batch.law import NOBODY, Law
+from shield.batch.codes import REASONS, TIERS
 from shield.batch.observing import observe
+from shield.batch.parameters import NOBODY, Law
 from shield.batch.repairing import fail_lanes, held_back, hold_back
 from shield.batch.supervising import forgive, keep_stored, violated
 from shield.batch.verifying import frames_of, verify
-from shield.batch.vocabulary import REASONS, TIERS
-from shield.certificate.clauses.together import NOTHING_BINDS
-from shield.certificate.verify import ROUNDING
+from shield.certificate.road.clauses.all_clauses import NOTHING_BINDS
+from shield.certificate.road.verify import ROUNDING
 from shield.decision import Reason, Tier
-from shield.procedures.frames import CAPS
-from shield.repair.order import CLEAR, GAIN, IN_LANE, OUTLOOK
+from shield.pipelines.frames import CAPS
 from shield.rule_kernels import alongside, breaks_rss, time_is_short
 
 __all__ = ["decide", "objects", "target_of", "verifies"]
@@ -74,7 +74,7 @@ def _why(shields: Shields, law: Law, e: int, lane: int, speed: float) -> int:
 
 @inlined
 def _progress(shields: Shields, law: Law, e: int, lane: int) -> float:
-    """See `shield.repair.order.lane_progress`."""
+    """See `shield.alternatives.preference.lane_progress`."""
     states, state, room, faster = shields.states[e, shields.now[e]], shields.state[e], math.inf, 0.0
     for i in range(states.shape[0]):
         ahead = states[i, 0] - state[0]
@@ -86,7 +86,7 @@ def _progress(shields: Shields, law: Law, e: int, lane: int) -> float:
 
 @inlined
 def _default_order(shields: Shields, law: Law, worlds: Worlds, e: int, proposed: int, room: Room, out: IntArray) -> int:
-    """See `shield.repair.order.default_order`; how many there are."""
+    """See `shield.alternatives.preference.default_order`; how many there are."""
     labels, numbers, targets = law.labels, law.numbers, room.marks[5]
     here = _progress(shields, law, e, nearest(law.centers, shields.state[e, 1]))
     gains, count = room.numbers[1], 0

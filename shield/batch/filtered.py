@@ -11,16 +11,16 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.simulator.asked import steps_asked
-from dynamics.simulator.engine import Worlds, look
-from dynamics.simulator.env import CompiledHighwayEnv
-from dynamics.simulator.simulator import Simulator
+from dynamics.highway_simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.requests import steps_asked
+from dynamics.highway_simulator.simulator import Simulator
+from dynamics.highway_simulator.step_kernels import Worlds, look
 from dynamics.slices import Slices
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.batch.arrays import empty_records
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
-from shield.refusals import check_frequency, check_perception, check_target_speeds
+from shield.supported_environments import check_frequency, check_perception, check_target_speeds
 
 __all__ = ["FilteredHighways"]
 
@@ -131,7 +131,7 @@ class FilteredHighways(ABC):
 
     @property
     def worlds(self) -> Worlds:
-        """The state of the traffic (see `dynamics.simulator.engine.Worlds`)."""
+        """The state of the traffic (see `dynamics.highway_simulator.step_kernels.Worlds`)."""
         worlds: Worlds = self.simulator.worlds
         return worlds
 

@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 from highway_env.road.road import RoadNetwork
 
+from dynamics.highway_simulator.layout import LENGTH, WIDTH
+from dynamics.highway_simulator.step_kernels import Worlds
 from dynamics.roads.straight import StraightRoad
-from dynamics.simulator.engine import Worlds
-from dynamics.simulator.layout import LENGTH, WIDTH
 from dynamics.state import BoolArray, IntArray
 from shield.batch.arrays import Shields, empty_shields, new_room
-from shield.batch.engine import step_all_shielded
 from shield.batch.filtered import FilteredHighways
-from shield.batch.law import Law, law_of
 from shield.batch.masking import mask_all
 from shield.batch.observing import forget
+from shield.batch.parameters import Law, law_of
+from shield.batch.step_kernels import step_all_shielded
 from shield.config import ShieldConfig
-from shield.procedures.frames import ACCELERATIONS
-from shield.refusals import refuse_simulated, require
+from shield.pipelines.frames import ACCELERATIONS
+from shield.supported_environments import refuse_simulated, require
 
 __all__ = ["ShieldedHighways"]
 

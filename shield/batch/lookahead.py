@@ -7,7 +7,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from dynamics.simulator.simulator import Simulator
+from dynamics.highway_simulator.simulator import Simulator
 from mpc.lookahead_policy import LookaheadPolicy
 from shield.batch.highways import ShieldedHighways
 from shield.batch.observing import forget
@@ -29,7 +29,7 @@ class ShieldedLookaheadPolicy(LookaheadPolicy):
 
     Examples
     --------
-    >>> from dynamics.simulator.env import CompiledHighwayEnv
+    >>> from dynamics.highway_simulator.env import CompiledHighwayEnv
     >>> from shield import ShieldedEnv
     >>> env = CompiledHighwayEnv("highway-fast-v0")
     >>> policy, shielded = ShieldedLookaheadPolicy(env, depth=2, beam=3), ShieldedEnv(env)

@@ -1,18 +1,18 @@
-"""Which meta-actions verify in many environments: what `shield.procedures.meta_actions.MetaActions.mask` finds."""
+"""Which meta-actions verify in many environments: what `shield.pipelines.meta_actions.MetaActions.mask` finds."""
 
 from __future__ import annotations
 
 import math
 
 from dynamics.compiled import uncounted
-from dynamics.lending import held, lent
+from dynamics.highway_simulator.step_kernels import Worlds
+from dynamics.pass_by_pointer import held, lent
 from dynamics.roads.straight import nearest
-from dynamics.simulator.engine import Worlds
 from dynamics.state import BoolArray
 from shield.batch.arrays import Bench, Records, Room, Shields, scene_of
 from shield.batch.deciding import objects, target_of, verifies
-from shield.batch.law import Law
 from shield.batch.observing import observe
+from shield.batch.parameters import Law
 from shield.batch.verifying import frames_of
 
 __all__ = ["mask_all"]

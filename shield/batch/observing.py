@@ -1,27 +1,27 @@
-"""Taking in a scene: what `shield.certificate.memory.observe` and `Watch.next` do, for one of many environments."""
+"""Observe the scene of one of many environments: `memory.observe` and `Watch.next` of the certificate, compiled."""
 
 from __future__ import annotations
 
 import math
 
 from dynamics.compiled import inlined, numbers_of, uncounted
-from dynamics.lending import held, lent
+from dynamics.highway_simulator.layout import TARGET_SPEED
+from dynamics.highway_simulator.step_kernels import Worlds, write_row
+from dynamics.pass_by_pointer import held, lent
 from dynamics.roads.straight import nearest
-from dynamics.simulator.engine import Worlds, write_row
-from dynamics.simulator.layout import TARGET_SPEED
 from dynamics.state import FloatArray
 from dynamics.traffic.occupancy import look
-from dynamics.traffic.permits import Ego, Rule, judge_motions
+from dynamics.traffic.rules_of_the_road import Ego, Rule, judge_motions
 from dynamics.traffic.tables import bodies_of
 from dynamics.vehicle.controllers import KP_SPEED
 from shield.batch.arrays import Bench, Room, Shields, scene_of
-from shield.batch.law import NOBODY, Law
+from shield.batch.parameters import NOBODY, Law
 from shield.batch.verifying import frames_of, verify
-from shield.certificate.clauses.duties import counted_on, hold_lanes
-from shield.certificate.clauses.footprint import Footprint
-from shield.certificate.clauses.others import TOUCH, others_from
-from shield.certificate.clauses.scene import seen
-from shield.certificate.monitor import in_the_way_now, stayed
+from shield.certificate.road.clauses.followers import counted_on, hold_lanes
+from shield.certificate.road.clauses.footprint import Footprint
+from shield.certificate.road.clauses.others import TOUCH, others_from
+from shield.certificate.road.clauses.scene import seen
+from shield.certificate.road.monitor import in_the_way_now, stayed
 
 __all__ = ["forget", "observe", "stop_in"]
 

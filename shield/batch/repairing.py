@@ -1,18 +1,18 @@
-"""What takes the place of a frame that does not verify: `HoldBack` and the evasions of `shield.procedures.frames`."""
+"""What takes the place of a frame that does not verify: `HoldBack` and the evasions of `shield.pipelines.frames`."""
 
 from __future__ import annotations
 
 import math
 
 from dynamics.compiled import inlined, uncounted
-from dynamics.lending import Lent, held
+from dynamics.pass_by_pointer import Lent, held
 from dynamics.roads.straight import nearest
 from dynamics.state import IntArray
 from dynamics.vehicle.controllers import KP_SPEED
 from shield.batch.arrays import Bench, Room, Scene, Shields
-from shield.batch.law import NOBODY, Law
+from shield.batch.parameters import NOBODY, Law
 from shield.batch.verifying import frames_of, verify
-from shield.procedures.frames import ACCELERATIONS, GREATEST, LANE_PENALTY
+from shield.pipelines.frames import ACCELERATIONS, GREATEST, LANE_PENALTY
 
 __all__ = ["evade", "fail_lanes", "held_back", "hold_back"]
 
@@ -41,7 +41,7 @@ def held_back(law: Law, v: float, speed: float, change: float, room: Room) -> fl
 
 @inlined
 def fail_lanes(shields: Shields, law: Law, e: int, lane: int, out: IntArray) -> int:
-    """`shield.procedures.frames.fail_lanes`, filled in; and how many they are."""
+    """`shield.pipelines.frames.fail_lanes`, filled in; and how many they are."""
     here, stored = nearest(law.centers, shields.state[e, 1]), shields.stored[e]
     if stored == NOBODY or abs(stored - here) > 1:
         stored = here
@@ -58,7 +58,7 @@ def fail_lanes(shields: Shields, law: Law, e: int, lane: int, out: IntArray) -> 
 @uncounted
 def hold_back(bench: Bench, scene: Lent[Scene], e: int, lane: int, speed: float, begins: int) -> int:
     """The candidate with the greatest acceleration that verifies, committed lane first, or -1; `begins` as of
-    `shield.procedures.frames.HoldBack`, 0 or 1."""
+    `shield.pipelines.frames.HoldBack`, 0 or 1."""
     law, room = held(bench.law), held(bench.room)
     lanes, plans, grid = room.marks[2], room.plans, room.grid
     count, v = fail_lanes(held(bench.shields), law, e, lane, lanes), held(scene).ego[3]
@@ -100,7 +100,7 @@ def hold_back(bench: Bench, scene: Lent[Scene], e: int, lane: int, speed: float,
 @inlined
 def _least_bad(room: Room, n: int, lawful: bool) -> int:
     """Of those that clear who has broken no rule (with `lawful`), or of all; see
-    `shield.certificate.verify.least_bad_evasion`."""
+    `shield.certificate.road.verify.least_bad_evasion`."""
     plans, best, most = room.plans, NOBODY, (0, 0, 0.0)
     for i in range(n):
         if lawful and not plans.lawful[i] >= 0:

@@ -1,18 +1,18 @@
-"""One frame of one of many environments: what `shield.procedures.frames.Frames` decides."""
+"""One frame of one of many environments: what `shield.pipelines.frames.Frames` decides."""
 
 from __future__ import annotations
 
 from dynamics.compiled import inlined, uncounted
-from dynamics.lending import Lent, held, lent
-from dynamics.simulator.layout import TARGET, TARGET_SPEED
+from dynamics.highway_simulator.layout import TARGET, TARGET_SPEED
+from dynamics.pass_by_pointer import Lent, held, lent
 from shield.batch.arrays import Bench, Records, Room, Scene, Shields, bound_of, scene_of
-from shield.batch.law import NOBODY
+from shield.batch.codes import REASONS, TIERS
 from shield.batch.observing import observe, stop_in
+from shield.batch.parameters import NOBODY
 from shield.batch.repairing import evade, fail_lanes, hold_back
 from shield.batch.verifying import frames_of, verify
-from shield.batch.vocabulary import REASONS, TIERS
-from shield.certificate.clauses.together import NOTHING_BINDS
-from shield.certificate.verify import ROUNDING
+from shield.certificate.road.clauses.all_clauses import NOTHING_BINDS
+from shield.certificate.road.verify import ROUNDING
 from shield.decision import Reason, Tier
 
 __all__ = ["forgive", "keep_stored", "supervise", "violated"]

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 
 from dynamics.compiled import inlined, uncounted
-from dynamics.lending import Lent, held
+from dynamics.pass_by_pointer import Lent, held
 from dynamics.state import BoolArray, FloatArray
 from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.rollout_kernels import roll_frame, slip_at
 from shield.batch.arrays import Bench, Scene
-from shield.batch.law import NOBODY, Law
-from shield.certificate.clauses.footprint import across_of, along_of
-from shield.certificate.clauses.together import SEPARATION_BINDS, judge
+from shield.batch.parameters import NOBODY, Law
+from shield.certificate.road.clauses.all_clauses import SEPARATION_BINDS, judge
+from shield.certificate.road.clauses.footprint import across_of, along_of
 
 __all__ = ["frames_of", "verify"]
 
@@ -20,7 +20,7 @@ __all__ = ["frames_of", "verify"]
 @inlined
 def frames_of(law: Law, v: float, most: float, commit: int) -> int:
     """Frames after which every candidate stands that commits, at speed `v`, to `most` at the most [m/s]; see
-    `shield.certificate.manoeuvres.brake_candidates`."""
+    `shield.certificate.road.manoeuvres.brake_candidates`."""
     numbers = law.numbers
     decay = 1 - KP_SPEED * numbers.dt if commit == 1 else numbers.decay
     top = max(v, most + (v - most) * decay, 0.0)

@@ -1,1 +1,1 @@
-"""What makes an action safe: manoeuvres, clauses, memory, monitor."""
+"""Three certificates: one road, a network of roads, and simulated traffic."""

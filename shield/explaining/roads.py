@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.networks.alone import Alone, Course
-from dynamics.networks.engine import new_work
-from dynamics.simulator.layout import HEADING, SPEED, X, Y
+from dynamics.highway_simulator.layout import HEADING, SPEED, X, Y
+from dynamics.road_networks.simulation.ego_alone import Alone, Course
+from dynamics.road_networks.simulation.frame_kernels import new_work
+from shield.certificate.network.choice import Choice, choose
+from shield.certificate.network.workspace import Body, Others, Road, empty_trial
 from shield.decision import Decision, Reason, Tier
 from shield.explaining.words import action_name, done, nothing_judged, proof
 from shield.explaining.worlds import Described, describe, lane_of
 from shield.explanation import Explanation, Lost, number
-from shield.roads.choosing import Choice, choose
-from shield.roads.room import Body, Others, Road, empty_trial
 
 __all__ = ["Roads", "on_roads"]
 

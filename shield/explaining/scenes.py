@@ -10,20 +10,20 @@ import numpy as np
 
 from dynamics.scenes.scene import Scene, Target
 from dynamics.state import FloatArray, State, Vehicle
-from shield.certificate.manoeuvres import brake_candidates
-from shield.certificate.memory import Instant
-from shield.certificate.monitor import Watch
-from shield.certificate.verify import ROUNDING
+from shield.certificate.road.manoeuvres import brake_candidates
+from shield.certificate.road.memory import Instant
+from shield.certificate.road.monitor import Watch
+from shield.certificate.road.verify import ROUNDING
 from shield.decision import Decision, Reason, Tier
 from shield.explaining.words import action_name, done, inputs_name, nothing_judged, proof
 from shield.explaining.worlds import Described, describe, place
 from shield.explanation import Explanation, Lost, Obstruction, number
-from shield.procedures.decide import Made, Unreadable
-from shield.procedures.frames import Frames, fail_lanes
-from shield.procedures.inputs import Inputs
-from shield.procedures.meta_actions import MetaActions
-from shield.procedures.parking_lot import ParkingLot
-from shield.procedures.screen import RuleAlone
+from shield.pipelines.decide import Made, Unreadable
+from shield.pipelines.frames import Frames, fail_lanes
+from shield.pipelines.inputs import Inputs
+from shield.pipelines.meta_actions import MetaActions
+from shield.pipelines.parking_lot import ParkingLot
+from shield.pipelines.screen import RuleAlone
 from shield.rules import Rule
 
 __all__ = ["cause_in", "explain_scene"]

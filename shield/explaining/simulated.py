@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.simulator.layout import LANE
+from dynamics.highway_simulator.layout import LANE
 from dynamics.state import FloatArray, IntArray
-from dynamics.traffic.permits import Ego, gap_between
+from dynamics.traffic.rules_of_the_road import Ego, gap_between
+from shield.certificate.simulated.refused_proposal import foretell_refused
+from shield.certificate.simulated.workspace import ANY, Search
 from shield.compiling import announced
 from shield.decision import Decision, Reason, Tier
-from shield.exact.refused import foretell_refused
-from shield.exact.room import ANY, Search
 from shield.explaining.words import action_name, done, inputs_name, nothing_judged, proof
 from shield.explaining.worlds import Described, describe, lane_of
 from shield.explanation import Explanation, Lost, Obstruction, number
@@ -29,12 +29,12 @@ class Simulated:
 
     Attributes
     ----------
-    search : the rules of the traffic, and room like which a search needs; see `shield.exact.room`.
+    search : the rules of the traffic, and room like which a search needs; see `shield.certificate.simulated.workspace`.
     worlds : the present, one environment (see `copy_of`). who : the bodies by column; numbers where there are no
         objects. lanes : highway-env's name of each lane, by number; none on a straight highway.
     proposal : an action, or acceleration [m/s^2] and wheel [rad], (2,). labels : of the actions, none of inputs.
     hint : actions that were planned, tried first after the proposal.
-    team : columns, plans and frames of the other egos (`shield.exact.room.Team`); None without.
+    team : columns, plans and frames of the other egos (`shield.certificate.simulated.workspace.Team`); None without.
     """
 
     search: Search

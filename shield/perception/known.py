@@ -17,10 +17,10 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from dynamics.roads.straight import StraightRoad
 from shield.errors import ConfigError
+from shield.perception.clipping import check_ranges
 from shield.perception.grid_spec import GridSpec, Spec, spec_from_config
-from shield.perception.legible import check_ranges
-from shield.perception.undoing import SAME, check_wrappers
-from shield.refusals import check_frequency, check_target_speeds, refuse_manual_control
+from shield.perception.unwrapping import SAME, check_wrappers
+from shield.supported_environments import check_frequency, check_target_speeds, refuse_manual_control
 
 __all__ = ["Known"]
 

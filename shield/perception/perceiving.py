@@ -14,8 +14,8 @@ from shield.decision import Guarantee
 from shield.perception.bodies import STANDING, bodies, bounded, unseen_bodies
 from shield.perception.filters import FARTHEST
 from shield.perception.learned import RESOLUTION, Conformal, Learned, Noise
-from shield.perception.monitor import Monitor
-from shield.perception.settings import PerceptionConfig
+from shield.perception.perception_settings import PerceptionConfig
+from shield.perception.sensor_monitor import Monitor
 from shield.perception.sighting import Sighting, decode
 from shield.perception.spec import ObservationSpec
 from shield.perception.tracking import Motions, Tracks, ahead_of, follow, sides

@@ -9,18 +9,18 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from dynamics.networks.kinematics import without_data_frames
+from dynamics.road_networks.simulation.kinematics import without_data_frames
 from dynamics.scenes.scene import Scene, SceneReader
 from dynamics.state import FloatArray
 from shield.config import PERCEPTIONS
 from shield.errors import ConfigError, SceneError
+from shield.perception.clipping import check_ranges
 from shield.perception.grid_perception import GridPerception
 from shield.perception.grid_spec import GridSpec, Spec, spec_of
 from shield.perception.learned import Learned
-from shield.perception.legible import check_ranges
 from shield.perception.perceiving import ObservationPerception, PerceptionConfig
 from shield.perception.spec import ObservationSpec
-from shield.perception.undoing import check_wrappers, latest, stacked_in
+from shield.perception.unwrapping import check_wrappers, latest, stacked_in
 
 __all__ = ["NO_OBSERVED_SCENES", "ObservedScenes", "perception_of", "scenes_of", "sense"]
 

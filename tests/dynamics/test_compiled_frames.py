@@ -12,8 +12,8 @@ from unknown_traffic import UNKNOWN
 import evaluation.scenarios
 import evaluation.wrappers  # noqa: F401  (registers environments)
 from dynamics.errors import ConfigError
-from dynamics.networks.compiled_frames import CompiledFrames
-from dynamics.networks.kinematics import without_data_frames
+from dynamics.road_networks.simulation.compiled_frames import CompiledFrames
+from dynamics.road_networks.simulation.kinematics import without_data_frames
 
 ROADS = (
     "merge-v0",

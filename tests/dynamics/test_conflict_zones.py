@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from road_geometries import COMPLEX, EACH, numbers, read
 
-from dynamics.networks.conflicts import Meeting
-from dynamics.networks.geometry import RoadGeometry
+from dynamics.road_networks.geometry.conflict_zones import Meeting, conflict_zones
+from dynamics.road_networks.geometry.road_geometry import RoadGeometry
 
 APART = ("highway-", "merge-", "exit-", "u-turn-", "racetrack-", "parking-", "lane-keeping-")
 """Roads of which no lanes overlap: those of highway-env's merges run beside each other until one ends."""
@@ -32,7 +32,7 @@ def followers(geometry):
 @EACH
 def test_if_one_lane_conflicts_with_another_so_does_that_with_it(env_id):
     geometry = read(env_id)[1]
-    zones = geometry.conflict_zones()
+    zones = conflict_zones(geometry)
     seen = {(z.lane, z.other, z.kind, z.interval, z.other_interval) for z in zones}
     assert len(seen) == len(zones)
     assert seen == {(z.other, z.lane, z.kind, z.other_interval, z.interval) for z in zones}
@@ -43,7 +43,7 @@ def test_where_lanes_of_different_roads_overlap_there_is_a_zone(env_id):
     """Any place on two of them that do not follow one another is in one, but for 5 cm at its edges."""
     geometry, rng = read(env_id)[1], np.random.default_rng(0)
     every, follow, intervals = numbers(geometry), followers(geometry), {}
-    for zone in geometry.conflict_zones():
+    for zone in conflict_zones(geometry):
         intervals.setdefault(zone[:2], []).append(zone.interval)
     for lane in every:
         s = rng.uniform(0, geometry.lengths[lane], 150)
@@ -60,7 +60,7 @@ def test_where_lanes_of_different_roads_overlap_there_is_a_zone(env_id):
 @EACH
 def test_from_one_end_of_a_zone_to_the_other_the_lanes_overlap(env_id):
     geometry = read(env_id)[1]
-    for z in geometry.conflict_zones():
+    for z in conflict_zones(geometry):
         assert geometry.names[z.lane][:2] != geometry.names[z.other][:2]
         assert 0.0 <= z.interval[0] < z.interval[1] <= geometry.lengths[z.lane]
         s, half = np.linspace(*z.interval, 7)[:, None], geometry.widths[z.lane] / 2
@@ -72,7 +72,7 @@ def test_from_one_end_of_a_zone_to_the_other_the_lanes_overlap(env_id):
 
 @EACH
 def test_lanes_side_by_side_and_one_behind_the_other_do_not_conflict(env_id):
-    assert not env_id.startswith(APART) or not read(env_id)[1].conflict_zones()
+    assert not env_id.startswith(APART) or not conflict_zones(read(env_id)[1])
 
 
 @settings(max_examples=30, deadline=None)
@@ -82,13 +82,13 @@ def test_arcs_side_by_side_do_not_conflict(radius, start, turned, clockwise):
     road.add_lane("a", "b", CircularLane([0.0, 0.0], radius, start, back))
     phases = (start, back) if clockwise else (back, start)
     road.add_lane("c", "d", CircularLane([0.0, 0.0], radius + 4.0, *phases, clockwise=clockwise))
-    assert not RoadGeometry.of(road).conflict_zones()
+    assert not conflict_zones(RoadGeometry.of(road))
 
 
 def meetings(env_id, lane):
     """What meets a lane, by name, and how."""
     geometry = read(env_id)[1]
-    return {geometry.names[z.other][:2]: z.kind for z in geometry.conflict_zones() if geometry.names[z.lane] == lane}
+    return {geometry.names[z.other][:2]: z.kind for z in conflict_zones(geometry) if geometry.names[z.lane] == lane}
 
 
 @pytest.mark.parametrize("env_id", ["intersection-v0", "intersection-v2"])
@@ -108,7 +108,7 @@ def test_ways_of_an_intersection_cross_join_and_part(env_id):
 def test_two_straight_ways_cross_in_a_square():
     geometry = read("intersection-v0")[1]
     lane, other = (geometry.number(name) for name in (("ir0", "il2", 0), ("ir1", "il3", 0)))
-    (zone,) = (z for z in geometry.conflict_zones() if z[:2] == (lane, other))
+    (zone,) = (z for z in conflict_zones(geometry) if z[:2] == (lane, other))
     assert np.allclose(np.diff(zone.interval), 4.0, atol=0.05)
     assert np.allclose(np.diff(zone.other_interval), 4.0, atol=0.05)
     assert np.allclose(zone.outline[:, 0].max() - zone.outline[:, 0].min(), 4.0, atol=0.05)
@@ -130,7 +130,7 @@ def test_who_comes_the_other_way_in_the_same_lane_is_oncoming():
     geometry = read("two-way-v0")[1]
     assert meetings("two-way-v0", ("b", "a", 0)) == {("a", "b"): Meeting.ONCOMING}
     assert not meetings("two-way-v0", ("a", "b", 1))
-    zone = geometry.conflict_zones()[0]
+    zone = conflict_zones(geometry)[0]
     assert np.allclose((zone.interval, zone.other_interval), (0.0, geometry.lengths[0]))
 
 
@@ -138,7 +138,7 @@ def test_lanes_that_meet_twice_have_two_zones():
     road = RoadNetwork()
     road.add_lane("a", "b", StraightLane([0.0, 5.0], [60.0, 5.0]))
     road.add_lane("c", "d", CircularLane([30.0, 0.0], 20.0, 0.0, np.pi, clockwise=True))
-    zones = [z for z in RoadGeometry.of(road).conflict_zones() if z.lane == 0]
+    zones = [z for z in conflict_zones(RoadGeometry.of(road)) if z.lane == 0]
     assert [z.kind for z in zones] == [Meeting.CROSS] * 2
     (first, second), (third, fourth) = (z.interval for z in zones)
     assert np.allclose((first + fourth, second + third), 60.0, atol=0.1)
@@ -149,6 +149,6 @@ def test_an_arc_of_more_than_half_a_circle_has_its_zone_where_it_ends():
     arc = CircularLane([0.0, 0.0], 20.0, 0.0, 1.5 * np.pi, clockwise=True)
     road.add_lane("a", "b", arc)
     road.add_lane("c", "d", StraightLane([-8.0, -30.0], [-8.0, -5.0]))
-    zones = [z for z in RoadGeometry.of(road).conflict_zones() if z.lane == 0]
+    zones = [z for z in conflict_zones(RoadGeometry.of(road)) if z.lane == 0]
     assert len(zones) == 1
     assert all(0.85 * arc.length < s < 0.97 * arc.length for s in zones[0].interval)

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from highway_env.vehicle import behavior
 
-from dynamics.networks.episodes.scenario import road_scenario_of
-from dynamics.networks.episodes.simulator import RoadSimulator
-from dynamics.simulator.kinds import IDM, LINEAR, constants_of, kind_of
+from dynamics.highway_simulator.kinds import IDM, LINEAR, constants_of, kind_of
+from dynamics.road_networks.episodes.scenario import road_scenario_of
+from dynamics.road_networks.episodes.simulator import RoadSimulator
 from dynamics.traffic import crossing
 from dynamics.traffic.crossing import with_own_traffic
 from evaluation.settings import Setting, get_setting
-from shield.exact.roads import ExactRoads
+from shield.certificate.simulated.roads import ExactRoads
 
 CHANGED = ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")
 PATH = "highway_env.vehicle.behavior.{}".format

@@ -11,11 +11,11 @@ from highway_env.road.road import RoadNetwork
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.networks.footprints import Place, Rectangle, extent_of
-from dynamics.networks.lanes import Lanes
-from dynamics.networks.network import network_of
-from dynamics.simulator.arithmetic import sums_of_numpy
-from dynamics.simulator.loops import addresses
+from dynamics.highway_simulator.arithmetic import sums_of_numpy
+from dynamics.highway_simulator.loops import addresses
+from dynamics.road_networks.geometry.footprints import Place, Rectangle, extent_of
+from dynamics.road_networks.geometry.lanes import Lanes
+from dynamics.road_networks.geometry.network import network_of
 
 SIDE = np.linspace(-1.0, 1.0, 201)
 OUTLINE = np.concatenate(

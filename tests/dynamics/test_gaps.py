@@ -13,10 +13,10 @@ from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.roads.network import read_network
 from dynamics.roads.path import PathRoad
+from dynamics.roads.path_reader import read_network
 from dynamics.roads.straight import StraightRoad
-from shield.doors.env import ShieldedEnv
+from shield.wrappers.shielded_env import ShieldedEnv
 
 GAPPED = ("racetrack-v0", "racetrack-large-v0")
 

@@ -7,7 +7,7 @@ from highway_env.vehicle.behavior import AggressiveVehicle, IDMVehicle, LinearVe
 from simulator_pair import drive
 
 from dynamics.errors import ConfigError
-from dynamics.simulator.simulator import Simulator
+from dynamics.highway_simulator.simulator import Simulator
 from dynamics.traffic.mixed import WithTrucks
 
 

@@ -7,9 +7,9 @@ from highway_env.vehicle.behavior import IDMVehicle
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dynamics.highway_simulator.kinds import constants_of
+from dynamics.highway_simulator.layout import COMFORT, DISTANCE, GAIN, TIME, TWICE_ROOT
 from dynamics.scenes.scene import SceneReader
-from dynamics.simulator.kinds import constants_of
-from dynamics.simulator.layout import COMFORT, DISTANCE, GAIN, TIME, TWICE_ROOT
 from dynamics.traffic import mobil
 from dynamics.traffic.occupancy import in_order
 

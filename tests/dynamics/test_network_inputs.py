@@ -8,9 +8,9 @@ import pytest
 from input_scenes import InputPair, make_inputs
 from network_pair import INTERSECTIONS, wild_scene
 
-from dynamics.networks.layout import LAW
-from dynamics.networks.simulator import NetworkSimulator
-from dynamics.simulator.layout import HEADING, SPEED, TARGET, X, Y
+from dynamics.highway_simulator.layout import HEADING, SPEED, TARGET, X, Y
+from dynamics.road_networks.geometry.layout import LAW
+from dynamics.road_networks.simulation.simulator import NetworkSimulator
 
 ROADS = (
     "merge-v0",

@@ -18,12 +18,12 @@ from simulator_pair import same_numbers
 from unknown_traffic import Dozy
 
 from dynamics.errors import ConfigError, SceneError
-from dynamics.networks import lanes
-from dynamics.networks.network import index_of, network_of
-from dynamics.networks.refusals import check_network
-from dynamics.networks.simulator import NetworkSimulator
-from dynamics.simulator.arithmetic import sums_of_numpy
-from dynamics.simulator.loops import addresses
+from dynamics.highway_simulator.arithmetic import sums_of_numpy
+from dynamics.highway_simulator.loops import addresses
+from dynamics.road_networks.geometry import lanes
+from dynamics.road_networks.geometry.network import index_of, network_of
+from dynamics.road_networks.simulation.simulator import NetworkSimulator
+from dynamics.road_networks.simulation.supported_traffic import check_network
 
 NETWORKS = (
     "merge-v0",

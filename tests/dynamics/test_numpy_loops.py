@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 
-from dynamics.simulator.arithmetic import Sums, dot2, dot3, not_zero, sums_of_numpy, wrap_to_pi
-from dynamics.simulator.loops import LOOPS, Loop, addresses, apply, apply_two, at, at_two, c_pow
-from dynamics.simulator.random import WORDS, below, from_generator, interval, seed_row, to_generator, uniform
+from dynamics.highway_simulator.arithmetic import Sums, dot2, dot3, not_zero, sums_of_numpy, wrap_to_pi
+from dynamics.highway_simulator.loops import LOOPS, Loop, addresses, apply, apply_two, at, at_two, c_pow
+from dynamics.highway_simulator.random import WORDS, below, from_generator, interval, seed_row, to_generator, uniform
 
 ADDRESSES = addresses()
 NUMBERS = np.concatenate([np.random.default_rng(0).uniform(-1, 1, 2000), [0.0, -0.0, 1.0, -1.0, 1e-300, 0.5]])

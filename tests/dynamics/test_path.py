@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from dynamics.errors import SceneError
 from dynamics.roads.arcs import Arcs, biarc, place, project
-from dynamics.roads.network import MAX_DEVIATION, SINE_ERROR, read_network
 from dynamics.roads.path import PathRoad
+from dynamics.roads.path_reader import MAX_DEVIATION, SINE_ERROR, read_network
 from dynamics.roads.straight import StraightRoad
 from dynamics.state import wrap_to_pi
 

@@ -11,8 +11,8 @@ from road_growth import road_growth
 from dynamics.errors import SceneError
 from dynamics.roads.arcs import Arcs
 from dynamics.roads.footprint import bend_growth
-from dynamics.roads.network import read_network
 from dynamics.roads.path import PathRoad
+from dynamics.roads.path_reader import read_network
 
 SLACK = 1e-9
 t = np.linspace(-1, 1, 81)

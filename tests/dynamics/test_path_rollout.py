@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.roads.arcs import Arcs
-from dynamics.roads.network import read_network
 from dynamics.roads.path import PathRoad
+from dynamics.roads.path_reader import read_network
 from dynamics.roads.straight import StraightRoad
 from dynamics.state import wrap_to_pi
 from dynamics.vehicle import bicycle

@@ -14,13 +14,13 @@ from highway_env.vehicle.kinematics import Vehicle as Simulated
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.roads.network import read_network
 from dynamics.roads.path import PathRoad
+from dynamics.roads.path_reader import read_network
 from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import Scene, SceneReader
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Surroundings
-from dynamics.traffic.permits import Ego, Rule, footprint, gap_between, permits
+from dynamics.traffic.rules_of_the_road import Ego, Rule, footprint, gap_between, permits
 
 LIMITS = settings(deadline=None, max_examples=60)
 FRAMES, HORIZON = 60, 40

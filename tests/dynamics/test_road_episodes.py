@@ -13,10 +13,10 @@ from road_pair import RoadPair
 
 from dynamics.compiled import compiled
 from dynamics.errors import ActionError, ConfigError, SceneError
-from dynamics.networks.episodes.draws import normal, two_of
-from dynamics.networks.episodes.simulator import RoadSimulator
-from dynamics.networks.episodes.vector_env import RoadVectorEnv
-from dynamics.simulator.random import from_generator
+from dynamics.highway_simulator.random import from_generator
+from dynamics.road_networks.episodes.draws import normal, two_of
+from dynamics.road_networks.episodes.simulator import RoadSimulator
+from dynamics.road_networks.episodes.vector_env import RoadVectorEnv
 
 ROADS = (
     *("merge-v0", "merge-v1", "merge-generic-v0", "merge-generic-v1", "roundabout-v0", "roundabout-v1"),
@@ -195,7 +195,7 @@ def test_what_is_not_known_is_refused():
 
 
 def test_more_vehicles_than_there_is_room_for_are_an_error(monkeypatch):
-    monkeypatch.setattr("dynamics.networks.episodes.scenario._MOST", 1)
+    monkeypatch.setattr("dynamics.road_networks.episodes.scenario._MOST", 1)
     simulator = RoadSimulator("intersection-v0", 20, {"spawn_probability": 1.0, "initial_vehicle_count": 1})
     simulator.step(np.ones(20, int))
     with pytest.raises(SceneError, match="has room for 3 vehicles, and more came"):

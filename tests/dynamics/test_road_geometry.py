@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from road_geometries import EACH, numbers, read
 
 from dynamics.errors import ConfigError, SceneError
-from dynamics.networks.geometry import RoadGeometry
+from dynamics.road_networks.geometry.road_geometry import RoadGeometry
 
 HALF_TURN = 0.999 * np.pi
 SHARE = st.floats(0, 1)

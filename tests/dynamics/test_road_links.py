@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from road_geometries import EACH, read
 
-from dynamics.networks.geometry import Neighbours
+from dynamics.road_networks.geometry.road_geometry import Neighbours
 from dynamics.state import wrap_to_pi
 
 UNCONNECTED = ("highway-", "two-way-", "parking-", "lane-keeping-")

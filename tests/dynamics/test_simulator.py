@@ -10,7 +10,7 @@ from live_highway import CONTINUOUS, drive_live, live
 from random_highways import place
 from simulator_pair import DRIVERS, SMALL, Pair, drive
 
-from dynamics.simulator.observe import FEATURES
+from dynamics.highway_simulator.observe import FEATURES
 
 ROAD = 10_000.0
 

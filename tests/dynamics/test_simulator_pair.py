@@ -5,7 +5,7 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from simulator_pair import SMALL, Pair
 
-from dynamics.simulator.layout import SPEED, X
+from dynamics.highway_simulator.layout import SPEED, X
 
 
 def test_one_bit_of_a_position_is_noticed_and_named():

@@ -10,7 +10,7 @@ from live_highway import CONTINUOUS, same_or_refused
 from simulator_pair import SMALL, Pair, drive
 
 from dynamics.errors import ActionError, ConfigError, ShieldError
-from dynamics.simulator.simulator import Simulator
+from dynamics.highway_simulator.simulator import Simulator
 
 
 class _Timid(IDMVehicle):

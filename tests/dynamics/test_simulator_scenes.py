@@ -8,7 +8,7 @@ from random_highways import place, random_scene
 from simulator_pair import SMALL, Pair
 
 from dynamics.errors import ConfigError, SceneError, ShieldError
-from dynamics.simulator.simulator import Simulator
+from dynamics.highway_simulator.simulator import Simulator
 
 
 @pytest.mark.parametrize("seed", range(24))

@@ -7,8 +7,8 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from dynamics.errors import ActionError, ConfigError, PlatformError
-from dynamics.simulator.simulator import Simulator
-from dynamics.simulator.vector_env import HighwayVectorEnv
+from dynamics.highway_simulator.simulator import Simulator
+from dynamics.highway_simulator.vector_env import HighwayVectorEnv
 from evaluation.running.episodes import run_episode
 from evaluation.settings import Setting
 
@@ -104,7 +104,7 @@ def test_what_it_cannot_run_is_refused_with_a_list(env_id, config, message):
 
 
 def test_another_version_of_highway_env_is_not_taken_for_the_one_that_was_copied(monkeypatch):
-    monkeypatch.setattr("dynamics.simulator.scenario.version", lambda name: "1.11")
+    monkeypatch.setattr("dynamics.highway_simulator.scenario.version", lambda name: "1.11")
     with pytest.raises(PlatformError, match=r"a copy of highway-env 1.12; 1.11 is installed"):
         Simulator("highway-fast-v0", 1, CONFIG)
     episode = run_episode(Setting("short", "highway-fast-v0", CONFIG), "faster")

@@ -11,9 +11,9 @@ import pytest
 from typer.testing import CliRunner
 
 from evaluation import policies
-from evaluation.commands.asking import ask_settings, split
 from evaluation.commands.cli import app, main
 from evaluation.commands.road_demo import check_road
+from evaluation.commands.shared_options import ask_settings, split
 from evaluation.report.gallery import ROADS
 from evaluation.settings import setting_of
 from shield.config import ShieldConfig

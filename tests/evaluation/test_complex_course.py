@@ -17,11 +17,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from dynamics.networks.lanes import Lanes, closest
-from dynamics.networks.network import index_of, network_of
-from dynamics.networks.priority_road import PriorityRoad
-from dynamics.simulator.arithmetic import sums_of_numpy
-from dynamics.simulator.loops import addresses
+from dynamics.highway_simulator.arithmetic import sums_of_numpy
+from dynamics.highway_simulator.loops import addresses
+from dynamics.road_networks.geometry.lanes import Lanes, closest
+from dynamics.road_networks.geometry.network import index_of, network_of
+from dynamics.road_networks.traffic.priority_road import PriorityRoad
 from dynamics.state import wrap_to_pi
 from evaluation.report.course_picture import draw_course
 from evaluation.scenarios import ComplexRoadsEnv

@@ -8,9 +8,9 @@ from typer.testing import CliRunner
 from dynamics.state import RoadState
 from evaluation.commands.cli import app
 from evaluation.report.decision_scenes import CONFIG, Duty, bounds, duties, passing, searched, slip_in, tube
-from shield.certificate.memory import Memory, observe
-from shield.certificate.verify import Surveyor
-from shield.procedures.inputs import Inputs
+from shield.certificate.road.memory import Memory, observe
+from shield.certificate.road.verify import Surveyor
+from shield.pipelines.inputs import Inputs
 
 
 def test_the_command_writes_five_pictures(tmp_path):

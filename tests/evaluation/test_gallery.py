@@ -13,8 +13,8 @@ from evaluation.report.gallery import draw_gallery, draw_override
 from evaluation.report.overlay import ShieldOverlay
 from evaluation.report.worst_case_view import draw_worst_cases
 from shield import Shield, ShieldConfig
-from shield.doors.road_door import RoadDoor
 from shield.errors import ConfigError
+from shield.filters.network import RoadDoor
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from typer.testing import CliRunner
 
 from evaluation.commands.cli import app
-from evaluation.rare.finds import Find, made_with, replay
+from evaluation.falsification.finds import Find, made_with, replay
 from evaluation.running import manifest as storing
 from evaluation.running.certify import Asked, certify
 from evaluation.running.episodes import RunOptions, run_paired

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import evaluation.scenarios  # noqa: F401  (registers the environments)
-from dynamics.networks.compiled_frames import CompiledFrames
+from dynamics.road_networks.simulation.compiled_frames import CompiledFrames
 from evaluation.running.episodes import run_episode
 from evaluation.running.records import Variant
 from evaluation.settings import get_setting

@@ -12,9 +12,9 @@ from dynamics.traffic.assumptions import Assumptions
 from evaluation.measuring.rectangles import separation
 from evaluation.measuring.tally import distance
 from evaluation.running import certify as certifying
+from evaluation.running.batch_episodes import UNMEASURED, Many
 from evaluation.running.certify import Asked, certify
 from evaluation.running.episodes import run_paired
-from evaluation.running.many import UNMEASURED, Many
 from evaluation.running.named_policies import RandomPolicy, make_policy
 from evaluation.running.records import Variant
 from evaluation.settings import Setting, get_setting

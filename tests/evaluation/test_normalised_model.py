@@ -16,8 +16,8 @@ from evaluation.commands.cli import app
 from evaluation.learning.normalised_model import NormalisedModel, statistics_beside
 from evaluation.running.named_policies import make_policy
 from shield import Shield, ShieldedEnv
-from shield.doors.ranking import ranking_of
 from shield.errors import PolicyError
+from shield.wrappers.ranking import ranking_of
 
 
 @pytest.fixture(scope="module")

@@ -10,15 +10,15 @@ from scipy.stats import norm
 from slowly import later
 from typer.testing import CliRunner
 
-from dynamics.simulator.simulator import Simulator
+from dynamics.highway_simulator.simulator import Simulator
 from dynamics.traffic.assumptions import Assumptions
 from evaluation.commands.cli import app
-from evaluation.rare.bold import drive_bold
-from evaluation.rare.falsify import crash_probability, falsify, falsify_among
-from evaluation.rare.finds import ANY, Find, replay
-from evaluation.rare.strata import Strata, stratified
-from evaluation.rare.subset import subset_simulation
-from evaluation.running.many import Many
+from evaluation.falsification.compliant_traffic import drive_bold
+from evaluation.falsification.falsify import crash_probability, falsify, falsify_among
+from evaluation.falsification.finds import ANY, Find, replay
+from evaluation.falsification.strata import Strata, stratified
+from evaluation.falsification.subset import subset_simulation
+from evaluation.running.batch_episodes import Many
 from evaluation.settings import Setting, get_setting
 from shield import ConfigError, ShieldConfig
 from shield.config import Buffer

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from dynamics.scenes.registration import spec_of
 from evaluation.commands.cli import app
-from evaluation.rare.finds import Find, replay
+from evaluation.falsification.finds import Find, replay
 from evaluation.report.video import _filmed
 from evaluation.running.certify import Asked, certify
 from evaluation.running.episodes import run_episode
@@ -126,7 +126,7 @@ def test_a_setting_and_an_id_are_not_both_given(command, tmp_path):
 
 def test_a_find_is_replayed_in_what_is_registered():
     """Two lanes and four others: with the class's defaults the numbers would be of another scene."""
-    from dynamics.simulator.simulator import Simulator
+    from dynamics.highway_simulator.simulator import Simulator
 
     setting = Setting("registered", "registered-stock-v0")
     draws = Simulator("registered-stock-v0", 1, setting.configured, tape=True).draws

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.env import CompiledHighwayEnv
 from evaluation.reproduction import script, text
 from evaluation.reproduction.batch import ReportBatch
 from evaluation.reproduction.driving import drive_many

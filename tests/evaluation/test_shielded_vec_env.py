@@ -17,7 +17,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.env import CompiledHighwayEnv
 from evaluation.learning.fast_road_vec_env import FastRoadVecEnv
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 from evaluation.learning.shielded_vec_env import ShieldedVecEnv

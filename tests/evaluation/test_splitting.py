@@ -9,8 +9,8 @@ from slowly import later
 from typer.testing import CliRunner
 
 from evaluation.commands.cli import app
-from evaluation.rare.noisy import NoisyEpisodes, crash_probability_through
-from evaluation.rare.splitting import Path, multilevel_splitting
+from evaluation.falsification.sensor_noise_crashes import NoisyEpisodes, crash_probability_through
+from evaluation.falsification.splitting import Path, multilevel_splitting
 from evaluation.running.driver import DriverSpec
 from evaluation.running.episodes import run_episode
 from evaluation.running.records import Variant

@@ -117,7 +117,7 @@ def test_training_refuses_actions_that_an_algorithm_does_not_have(algorithm, set
 
 def test_spaces_within_a_dictionary_are_compared():
     """A goal of another size stands in a `Dict` of the same keys."""
-    from shield.doors.adapters import refuse_misfits
+    from shield.wrappers.policy_adapters import refuse_misfits
 
     def env(features):
         observation = {

@@ -5,8 +5,8 @@ import highway_env.envs.common.observation as observations
 import pytest
 from typer.testing import CliRunner
 
-from evaluation.commands.asking import ask_settings
 from evaluation.commands.cli import app
+from evaluation.commands.shared_options import ask_settings
 from evaluation.commands.unknown_keys import arguments_of, unknown_keys
 from evaluation.settings import Setting
 

@@ -13,15 +13,15 @@ from slowly import later
 from typer.testing import CliRunner
 
 from evaluation.commands.cli import app
-from evaluation.rare.drivers import man
-from evaluation.rare.falsify import crash_probability, falsify
-from evaluation.rare.finds import ANY, Find
-from evaluation.rare.finds import replay as drive_again
-from evaluation.rare.referee import Referee
-from evaluation.rare.road_episode import SCENES, RoadNumbers, Script, drive_numbers
-from evaluation.rare.road_search import LEVEL, has_network, search_roads
-from evaluation.rare.subset import subset_simulation
-from evaluation.running.many import Many
+from evaluation.falsification.falsify import crash_probability, falsify
+from evaluation.falsification.fault_oracle import Referee
+from evaluation.falsification.finds import ANY, Find
+from evaluation.falsification.finds import replay as drive_again
+from evaluation.falsification.network_adversaries import man
+from evaluation.falsification.road_episode import SCENES, RoadNumbers, Script, drive_numbers
+from evaluation.falsification.road_search import LEVEL, has_network, search_roads
+from evaluation.falsification.subset import subset_simulation
+from evaluation.running.batch_episodes import Many
 from evaluation.settings import Setting, get_setting
 from shield import ConfigError, ShieldConfig, ShieldedEnv, Tier
 

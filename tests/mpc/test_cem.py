@@ -15,7 +15,7 @@ from mpc.sampling.cem import CEM
 from mpc.sampling.mppi import MPPI
 from mpc.sampling.noise import coloured
 from mpc.sampling.plan import PlanStatus
-from mpc.sampling.settings import PlannerSettings
+from mpc.sampling.sampler_settings import PlannerSettings
 
 KINDS = {
     "plain": PlannerSettings.notebook(blocks=3, hold=1),

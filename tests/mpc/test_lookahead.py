@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dynamics.errors import ConfigError
-from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.env import CompiledHighwayEnv
 from evaluation.running.episodes import run_episode
 from evaluation.settings import Setting
 from mpc.lookahead_policy import LookaheadPolicy

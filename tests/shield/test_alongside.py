@@ -17,7 +17,7 @@ from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import EgoControl, Scene, Target
 from dynamics.vehicle.rollouts import BRAKE, Rollouts
 from shield import ShieldConfig
-from shield.certificate.verify import Surveyor
+from shield.certificate.road.verify import Surveyor
 
 DT, LANES = 0.05, 2
 CONFIG = ShieldConfig()

@@ -11,7 +11,7 @@ from unknown_traffic import UNKNOWN
 
 import evaluation.scenarios  # noqa: F401  (registers environments)
 from dynamics.errors import ConfigError, PolicyError
-from dynamics.networks.compiled_frames import CompiledFrames
+from dynamics.road_networks.simulation.compiled_frames import CompiledFrames
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.config import WORST_CASE
 

@@ -11,10 +11,10 @@ from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from dynamics.networks.reachable.strips import FAR, HALF, HIGH, LOW, NEAR, half_of, keep_of
+from dynamics.road_networks.reachable.strips import FAR, HALF, HIGH, LOW, NEAR, half_of, keep_of
 from shield import ShieldConfig, ShieldedEnv
-from shield.doors.road_door import RoadDoor
-from shield.roads.courses import stopping
+from shield.certificate.network.manoeuvres import stopping
+from shield.filters.network import RoadDoor
 
 TOLERANCE, SMALL = 1e-6, 0.03
 

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.env import CompiledHighwayEnv
 from dynamics.traffic.assumptions import Assumptions
 from shield import ConfigError, ShieldConfig, ShieldedEnv
+from shield.batch.codes import CLAUSES, REASONS, TIERS, rules_in
 from shield.batch.highways import ShieldedHighways
-from shield.batch.vocabulary import CLAUSES, REASONS, TIERS, rules_in
 from shield.config import Buffer
 
 TRAFFIC = "highway_env.vehicle.behavior."

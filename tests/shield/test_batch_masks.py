@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.env import CompiledHighwayEnv
 from dynamics.traffic.assumptions import Assumptions
 from shield import ShieldConfig, ShieldedEnv
 from shield.batch.highways import ShieldedHighways
+from shield.certificate.simulated.batch_choice import batch_for
+from shield.certificate.simulated.highways import ExactHighways
+from shield.certificate.simulated.roads import ExactRoads
 from shield.config import PROFILES
-from shield.exact.batches import batch_for
-from shield.exact.highways import ExactHighways
-from shield.exact.roads import ExactRoads
 
 WEAK = Assumptions(braking=2.0, calm_braking=1.0, slip_in=False, turning_action=1.0)
 EXACT = ShieldConfig.exact()

@@ -13,15 +13,15 @@ from cores import ContinuousCore, LotCore, MetaCore, ShieldCore
 
 from dynamics.scenes.parking_lot import Lot
 from dynamics.scenes.scene import Scene
-from dynamics.traffic.permits import Rule
+from dynamics.traffic.rules_of_the_road import Rule
 from dynamics.vehicle.rollouts import Rollouts
 from shield import Decision, Reason, Tier
-from shield.certificate.clauses.edge import verdicts
-from shield.certificate.manoeuvres import brake_candidates
-from shield.certificate.verify import Surveyor
-from shield.procedures import frames as of_frames
-from shield.procedures import inputs as of_inputs
-from shield.procedures.frames import first_verified
+from shield.certificate.road.clauses.edge import verdicts
+from shield.certificate.road.manoeuvres import brake_candidates
+from shield.certificate.road.verify import Surveyor
+from shield.pipelines import frames as of_frames
+from shield.pipelines import inputs as of_inputs
+from shield.pipelines.frames import first_verified
 
 
 def frame(scene):

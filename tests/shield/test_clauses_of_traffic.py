@@ -13,7 +13,7 @@ from dynamics.roads.straight import StraightRoad
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Surroundings
 from shield import Buffer
-from shield.certificate.verify import Surveyor
+from shield.certificate.road.verify import Surveyor
 
 HELD_UP = CONFIG.replace(assumptions=replace(CONFIG.assumptions, calm_braking=6.0))
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.env import CompiledHighwayEnv
 from shield import ShieldConfig, ShieldedEnv
 
 TRAFFIC = "highway_env.vehicle.behavior."

@@ -7,13 +7,13 @@ import pytest
 from policies import Always
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.env import CompiledHighwayEnv
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.batch.highways import ShieldedHighways
-from shield.doors.supervision import limited_braking
+from shield.certificate.simulated.highways import ExactHighways
+from shield.certificate.simulated.roads import ExactRoads
 from shield.errors import ConfigError, SceneError
-from shield.exact.highways import ExactHighways
-from shield.exact.roads import ExactRoads
+from shield.filters.supervision import limited_braking
 from shield.perception.known import Known
 
 META = {"type": "DiscreteMetaAction"}

@@ -17,9 +17,9 @@ from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.rollouts import Rollouts
 from mpc.filter.predictive_filter import PredictiveFilter
 from shield import Reason, Shield, ShieldConfig, ShieldedEnv, Tier
-from shield.certificate import verify
+from shield.alternatives.nearest_input import Search
+from shield.certificate.road.road import verify
 from shield.errors import ConfigError, SceneError
-from shield.repair.nearest_input import Search
 
 NAN, INF = float("nan"), float("inf")
 FULL = np.array([1.0, 0.0], dtype=np.float32)

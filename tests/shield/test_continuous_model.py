@@ -12,9 +12,9 @@ from cores import ContinuousCore
 from dynamics.vehicle import bicycle
 from dynamics.vehicle.actuators import Actuators
 from shield import ShieldConfig, ShieldedEnv
+from shield.alternatives.nearest_input import Search
 from shield.decision import Tier
 from shield.errors import ConfigError
-from shield.repair.nearest_input import Search
 
 
 class Told:

@@ -16,7 +16,7 @@ from stable_baselines3 import A2C, DQN, PPO, SAC
 from evaluation.learning.normalisation import fold, normalised
 from evaluation.training.executed_actions import LearnFromExecuted
 from shield import Shield, ShieldedEnv
-from shield.doors.ranking import ranking_of
+from shield.wrappers.ranking import ranking_of
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 WHEEL = {"action": {"type": "ContinuousAction"}}

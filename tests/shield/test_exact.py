@@ -14,26 +14,26 @@ from plans import least_clearance
 from policies import Always
 from slowly import later
 
-from dynamics.simulator.engine import look
-from dynamics.simulator.env import CompiledHighwayEnv
-from dynamics.simulator.simulator import Simulator
+from dynamics.highway_simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.simulator import Simulator
+from dynamics.highway_simulator.step_kernels import look
 from dynamics.traffic.assumptions import Assumptions
 from evaluation.measuring.rectangles import separation
+from evaluation.running.batch_episodes import Many
 from evaluation.running.certify import COLUMNS, FALLBACKS
 from evaluation.running.episodes import run_paired
-from evaluation.running.many import Many
 from evaluation.running.records import variant_for
 from evaluation.settings import Setting, get_setting
 from shield import ConfigError, Reason, Shield, ShieldConfig, ShieldedEnv
 from shield.batch.arrays import empty_records
+from shield.batch.codes import TIERS
 from shield.batch.highways import ShieldedHighways
-from shield.batch.vocabulary import TIERS
+from shield.certificate.simulated.decision_kernels import boxed_in, empty_plans, passes
+from shield.certificate.simulated.highways import ExactHighways
+from shield.certificate.simulated.search import enter, survives
+from shield.certificate.simulated.workspace import new_search
 from shield.config import Buffer
 from shield.decision import Tier
-from shield.exact.deciding import boxed_in, empty_plans, passes
-from shield.exact.highways import ExactHighways
-from shield.exact.room import new_search
-from shield.exact.search import enter, survives
 from shield.rules import RssRule
 
 BOXED = {"vehicles_density": 2.0, "duration": 15}

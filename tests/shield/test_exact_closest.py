@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynamics.simulator.layout import SPEED, TARGET, TARGET_SPEED
-from dynamics.simulator.simulator import Simulator
+from dynamics.highway_simulator.layout import SPEED, TARGET, TARGET_SPEED
+from dynamics.highway_simulator.simulator import Simulator
 from shield import ShieldConfig
+from shield.certificate.simulated.closest import best_plan
+from shield.certificate.simulated.search import depart, enter, travel
+from shield.certificate.simulated.workspace import ANY, Wish, new_search
 from shield.config import Buffer
-from shield.exact.closest import best_plan
-from shield.exact.room import ANY, Wish, new_search
-from shield.exact.search import depart, enter, travel
 
 DENSE = {"vehicles_density": 1.6}
 DEPTH = 5

@@ -16,8 +16,8 @@ from policies import Always
 from slowly import later
 
 from shield import ConfigError, Reason, Shield, ShieldConfig, ShieldedEnv
+from shield.certificate.simulated.inputs import play
 from shield.decision import Tier
-from shield.exact.inputs import play
 
 EXACT = ShieldConfig.exact()
 ROADS = ["merge-v1", "roundabout-v1", "two-way-v0", "u-turn-v1", "intersection-v1", "highway-fast-v0", "racetrack-v0"]

@@ -6,24 +6,24 @@ import numpy as np
 import pytest
 
 from dynamics.errors import ConfigError
-from dynamics.networks.engine import ego_of
-from dynamics.networks.episodes.simulator import RoadSimulator
-from dynamics.networks.layout import CROSSES
-from dynamics.simulator.layout import LANE, SPEED
+from dynamics.highway_simulator.layout import LANE, SPEED
+from dynamics.road_networks.episodes.simulator import RoadSimulator
+from dynamics.road_networks.geometry.layout import CROSSES
+from dynamics.road_networks.simulation.frame_kernels import ego_of
+from evaluation.running.batch_episodes import UNMEASURED, Many
 from evaluation.running.certify import COLUMNS, FALLBACKS
 from evaluation.running.episodes import run_paired
-from evaluation.running.many import UNMEASURED, Many
 from evaluation.running.records import Variant, variant_for
 from evaluation.settings import get_setting
-from shield.batch.vocabulary import TIERS
+from shield.batch.codes import TIERS
+from shield.certificate.simulated.closest import best_plan, stopping
+from shield.certificate.simulated.decision_kernels import longest
+from shield.certificate.simulated.highways import ExactHighways
+from shield.certificate.simulated.roads import ExactRoads
+from shield.certificate.simulated.search import enter, in_depth, leap, survives
+from shield.certificate.simulated.workspace import ANY, Wish
 from shield.config import ShieldConfig
 from shield.decision import Tier
-from shield.exact.closest import best_plan, stopping
-from shield.exact.deciding import longest
-from shield.exact.highways import ExactHighways
-from shield.exact.roads import ExactRoads
-from shield.exact.room import ANY, Wish
-from shield.exact.search import enter, in_depth, leap, survives
 
 CONFIG = ShieldConfig.exact()
 FASTER = 3

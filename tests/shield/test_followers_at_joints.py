@@ -9,7 +9,7 @@ import pytest
 from highway_env.vehicle.kinematics import Vehicle
 
 from shield import ShieldConfig
-from shield.doors.road_door import RoadDoor
+from shield.filters.network import RoadDoor
 
 BEFORE, LANE = ("ser", "ses", 0), ("ses", "se", 0)
 IDLE = 1

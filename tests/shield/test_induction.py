@@ -14,7 +14,7 @@ from induction_report import POLICIES, policy_for
 from spoiling_followers import spoil
 
 from shield import ShieldedEnv
-from shield.certificate.clauses.entering import leaves_sight
+from shield.certificate.road.clauses.entering import leaves_sight
 from shield.decision import Reason, Tier
 
 FREQUENCIES = (5, 8, 10, 15, 30, 60)

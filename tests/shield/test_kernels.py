@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynamics.compiled import compiled
-from shield.certificate.clauses.duties import lanes_held
-from shield.certificate.clauses.edge import lanes_touched, verdicts
-from shield.certificate.clauses.entering import entrants, joins, leaves_sight, neighbours, sides_taken
-from shield.certificate.clauses.footprint import Footprint
-from shield.certificate.clauses.others import Others
-from shield.certificate.clauses.room import margin_of
-from shield.certificate.clauses.separation import Duty, Vehicle, coming_frame, extents, separation, turns
+from shield.certificate.road.clauses.edge import lanes_touched, verdicts
+from shield.certificate.road.clauses.entering import entrants, joins, leaves_sight, neighbours, sides_taken
+from shield.certificate.road.clauses.followers import lanes_held
+from shield.certificate.road.clauses.footprint import Footprint
+from shield.certificate.road.clauses.others import Others
+from shield.certificate.road.clauses.separation import Duty, Vehicle, coming_frame, extents, separation, turns
+from shield.certificate.road.clauses.stopping_room import margin_of
 
 CENTERS = np.array([0.0, 4.0, 8.0])
 SIZE = Footprint(4.5, 1.3, 5.0, 2.0, 0.1, 0.05, 0.02, 0.01)
@@ -97,7 +97,7 @@ def front_of(path, center, at_once, v0, start, stretch):
 
 
 def expected(paths, t):
-    """Whole arrays for one pair at a time: the formulas of `shield.certificate.verify`."""
+    """Whole arrays for one pair at a time: the formulas of `shield.certificate.road.verify`."""
     n, frames, _ = paths.shape
     out, bad = np.full((n, len(t["rear"])), np.inf), np.full(n, frames)
     for i, path in enumerate(paths):

@@ -18,7 +18,7 @@ from evaluation.settings import SETTINGS, get_setting
 from mpc.cem_policy import CEMPolicy
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.errors import ConfigError
-from shield.procedures.parking_lot import ParkingLot
+from shield.pipelines.parking_lot import ParkingLot
 
 FULL = np.array([1.0, 0.0], dtype=np.float32)
 SHORT = replace(get_setting("parking-parked"), config={"vehicles_count": 10, "duration": 6})

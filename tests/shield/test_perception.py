@@ -13,7 +13,7 @@ from dynamics.scenes.scene import SceneReader
 from shield import ConfigError, Shield, ShieldConfig, ShieldedEnv
 from shield.decision import Reason
 from shield.perception.perceiving import PerceptionConfig
-from shield.perception.undoing import as_shown
+from shield.perception.unwrapping import as_shown
 
 
 def test_everybody_is_seen_as_by_the_simulator_s_state():

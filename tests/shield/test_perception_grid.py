@@ -20,7 +20,7 @@ from shield import ConfigError, GridSpec, Known, PerceptionConfig, SceneError, S
 from shield.decision import Guarantee, Reason
 from shield.perception.grid_perception import GridPerception
 from shield.perception.grid_sighting import decode_grid, lane_in_grid, reach_of
-from shield.perception.undoing import as_shown
+from shield.perception.unwrapping import as_shown
 
 FINE = {
     "type": "OccupancyGrid",

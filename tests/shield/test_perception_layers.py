@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvWrapper
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 from shield import ConfigError, Known, Shield
 from shield.decision import Reason
-from shield.perception.undoing import as_shown, latest
+from shield.perception.unwrapping import as_shown, latest
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,8 @@ from shield import ConfigError, PerceptionConfig, ShieldedEnv
 from shield.decision import Guarantee
 from shield.perception.filters import FARTHEST
 from shield.perception.learned import RESOLUTION, WIDEST, Conformal, Learned, Noise
-from shield.perception.monitor import Monitor
 from shield.perception.perceiving import ObservationPerception
+from shield.perception.sensor_monitor import Monitor
 from shield.perception.spec import ObservationSpec
 
 CONTROL = EgoControl(Target(1, 25.0))

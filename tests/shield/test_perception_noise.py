@@ -19,10 +19,10 @@ from shield.perception.perceiving import ObservationPerception, PerceptionConfig
 from shield.perception.scenes import ObservedScenes, sense
 from shield.perception.spec import ObservationSpec
 from shield.perception.tracking import Motions, Tracks, follow, sides
-from shield.procedures.decide import Core
-from shield.procedures.frames import Frames
-from shield.procedures.meta_actions import MetaActions
-from shield.procedures.screen import Wish
+from shield.pipelines.decide import Core
+from shield.pipelines.frames import Frames
+from shield.pipelines.meta_actions import MetaActions
+from shield.pipelines.screen import Wish
 
 
 @pytest.mark.parametrize("sigma", [0.5, 2.0])

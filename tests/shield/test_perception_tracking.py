@@ -18,9 +18,9 @@ from shield import ShieldConfig
 from shield.perception.perceiving import ObservationPerception
 from shield.perception.spec import ObservationSpec
 from shield.perception.tracking import Motions, Tracks, follow, sides
-from shield.procedures.decide import Core
-from shield.procedures.meta_actions import MetaActions
-from shield.procedures.screen import Wish
+from shield.pipelines.decide import Core
+from shield.pipelines.meta_actions import MetaActions
+from shield.pipelines.screen import Wish
 
 
 def test_nobody_is_lost_when_rows_are_shuffled():

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from dynamics.scenes.scene import EgoControl, Scene, Target
 from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.rollouts import Rollouts
-from shield.certificate.manoeuvres import brake_candidates
-from shield.certificate.verify import Surveyor
-from shield.procedures.frames import _accelerations, held_back_speeds
+from shield.certificate.road.manoeuvres import brake_candidates
+from shield.certificate.road.verify import Surveyor
+from shield.pipelines.frames import _accelerations, held_back_speeds
 
 LANES = 3
 OWNED = {"visible": np.full(LANES, 10**6), "owned": np.array([True, True, False]), "stored": 1}

@@ -17,8 +17,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from dynamics.scenes.scene import SceneReader
 from shield import Shield, ShieldCallback, ShieldConfig, ShieldedEnv
-from shield.doors.ranking import normalised, ranking_of
 from shield.errors import ConfigError, PolicyError, SceneError
+from shield.wrappers.ranking import normalised, ranking_of
 
 CONTINUOUS = {"action": {"type": "ContinuousAction"}}
 

@@ -14,8 +14,8 @@ from policies import Always, Ranked, make
 
 from dynamics.scenes.scene import Scene, Target
 from shield import Shield, ShieldedEnv
-from shield.doors.ranking import order_from_scores, orders_from_scores, ranking_of
-from shield.repair.order import default_order
+from shield.alternatives.preference import default_order
+from shield.wrappers.ranking import order_from_scores, orders_from_scores, ranking_of
 
 
 @pytest.mark.parametrize("name", ["PPO", "A2C", "TRPO", "MaskablePPO", "DQN", "QRDQN"])

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from placed import DOORS, Body, placed, shielded
 from slowly import later
 
-from dynamics.networks.engine import ego_of
-from dynamics.networks.layout import ALONG
-from dynamics.simulator.layout import CRASHED, LANE, SPEED, X, Y
-from shield.exact.roads import ExactRoads
+from dynamics.highway_simulator.layout import CRASHED, LANE, SPEED, X, Y
+from dynamics.road_networks.geometry.layout import ALONG
+from dynamics.road_networks.simulation.frame_kernels import ego_of
+from shield.certificate.simulated.roads import ExactRoads
 
 FEW = settings(deadline=None, max_examples=8, suppress_health_check=list(HealthCheck))
 ENDS = {

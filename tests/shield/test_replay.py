@@ -17,8 +17,8 @@ from slowly import later
 from evaluation.policies import load_reference
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.config import WORST_CASE
-from shield.doors.meta_door import MetaDoor
-from shield.procedures.decide import Core, decide
+from shield.filters.meta_actions import MetaDoor
+from shield.pipelines.decide import Core, decide
 
 DENSE = {"vehicles_density": 1.5}
 CONTINUOUS = {"action": {"type": "ContinuousAction"}}

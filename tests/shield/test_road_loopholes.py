@@ -12,9 +12,9 @@ import pytest
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle, RoadObject
 
-from dynamics.networks.reachable.strips import SEVERAL
+from dynamics.road_networks.reachable.strips import SEVERAL
 from shield import ShieldedEnv
-from shield.roads.judging import _is_shut
+from shield.certificate.network.clearance import _is_shut
 
 FASTER, IDLE, SLOWER = 3, 1, 4
 

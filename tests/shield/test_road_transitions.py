@@ -11,12 +11,12 @@ from highway_env.road.lane import CircularLane
 from highway_env.vehicle.kinematics import Vehicle
 from slowly import later
 
-from dynamics.networks.reachable.strips import START
+from dynamics.road_networks.reachable.strips import START
 from shield import ShieldConfig, ShieldedEnv
-from shield.doors.road_door import RoadDoor
-from shield.roads.choosing import try_course
-from shield.roads.judging import CLEAR
-from shield.roads.watch import Breach, Watch
+from shield.certificate.network.choice import try_course
+from shield.certificate.network.clearance import CLEAR
+from shield.certificate.network.monitor import Breach, Watch
+from shield.filters.network import RoadDoor
 
 HARD = 9.8
 

@@ -15,14 +15,14 @@ from slowly import later
 from typer.testing import CliRunner
 
 from evaluation.commands.cli import app
-from evaluation.rare.attack import attack, watch_for_a_crash
-from evaluation.rare.drivers import man
+from evaluation.falsification.network_adversaries import man
+from evaluation.falsification.network_attack import attack, watch_for_a_crash
 from evaluation.settings import Setting
 from shield import Shield, ShieldConfig, ShieldedEnv
+from shield.certificate.network.monitor import Breach
 from shield.decision import Reason, Tier
-from shield.doors.road_door import RoadDoor
 from shield.errors import ConfigError
-from shield.roads.watch import Breach
+from shield.filters.network import RoadDoor
 
 ROADS = ("roundabout-v1", "merge-v1", "exit-v0", "two-way-v0", "u-turn-v1", "intersection-v2")
 STEPS = 15

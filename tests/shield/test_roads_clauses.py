@@ -11,13 +11,13 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 from slowly import later
 
-from dynamics.networks.reachable.prediction import reach
-from dynamics.networks.reachable.strips import LOW, Conduct
+from dynamics.road_networks.reachable.prediction import reach
+from dynamics.road_networks.reachable.strips import LOW, Conduct
 from shield import ShieldConfig
-from shield.doors.road_door import RoadDoor
-from shield.roads.choosing import choose, try_course
-from shield.roads.judging import CLEAR
-from shield.roads.watch import Breach, Watch
+from shield.certificate.network.choice import choose, try_course
+from shield.certificate.network.clearance import CLEAR
+from shield.certificate.network.monitor import Breach, Watch
+from shield.filters.network import RoadDoor
 
 HARD = 9.8
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynamics.networks.alone import Course
+from dynamics.road_networks.simulation.ego_alone import Course
+from shield.certificate.network.manoeuvres import COMMITTED, Wish, courses_of, frames_of, gone_on_with, stopping
 from shield.decision import Tier
-from shield.roads.courses import COMMITTED, Wish, courses_of, frames_of, gone_on_with, stopping
 
 BRAKING, HERTZ = 6.0, 15
 LANES, SPEEDS = st.integers(0, 5), st.floats(0.0, 30.0)

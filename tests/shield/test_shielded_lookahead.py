@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynamics.simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.env import CompiledHighwayEnv
 from evaluation.running.episodes import run_paired
 from evaluation.running.records import Variant
 from evaluation.settings import Setting

@@ -9,7 +9,7 @@ from hand_driven import Driven, drive
 from dynamics.roads.straight import StraightRoad
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Surroundings
-from dynamics.traffic.permits import Ego, Rule, permits
+from dynamics.traffic.rules_of_the_road import Ego, Rule, permits
 from shield import ShieldConfig
 
 IDLE, FASTER = 1, 3

@@ -15,7 +15,7 @@ from dynamics.roads.straight import StraightRoad
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Surroundings
 from dynamics.traffic.occupancy_kernels import coming_place
-from dynamics.traffic.permits import Ego, Rule, permits
+from dynamics.traffic.rules_of_the_road import Ego, Rule, permits
 from shield import ShieldedEnv
 
 

@@ -16,9 +16,10 @@ from numba.core.event import trigger_event
 
 from evaluation.commands.warming import warm_command
 from shield import compiling
-from shield.doors import warm_doors, warm_parts
-from shield.doors.warm_parts import PARTS
-from shield.procedures import warm_up
+from shield.pipelines import warm_up
+from shield.wrappers import warm_filters as warm_doors
+from shield.wrappers import warm_parts
+from shield.wrappers.warm_parts import PARTS
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "compile_times.py"
 

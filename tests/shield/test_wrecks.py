@@ -9,7 +9,7 @@ from hand_driven import Driven, drive
 from dynamics.roads.straight import StraightRoad
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import Surroundings
-from dynamics.traffic.permits import Ego, Rule, permits
+from dynamics.traffic.rules_of_the_road import Ego, Rule, permits
 
 FAR = Ego(1e6, 0.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
 

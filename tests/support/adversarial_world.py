@@ -16,7 +16,7 @@ from dynamics.scenes.scene import EgoControl, Scene, Target
 from dynamics.vehicle.bicycle import step
 from dynamics.vehicle.controllers import speed_control, steering_control
 from shield import Assumptions, ShieldConfig
-from shield.procedures.frames import FrameCommand
+from shield.pipelines.frames import FrameCommand
 
 LENGTH, WIDTH = 5.0, 2.0
 

@@ -11,8 +11,8 @@ from dynamics.vehicle.bicycle import step
 from dynamics.vehicle.controllers import steering_control
 from dynamics.vehicle.rollouts import Rollouts
 from shield import Decision, ShieldConfig
-from shield.certificate.manoeuvres import brake_candidates
-from shield.certificate.verify import Clearance, Surveyor
+from shield.certificate.road.manoeuvres import brake_candidates
+from shield.certificate.road.verify import Clearance, Surveyor
 
 __all__ = ["BODY", "CONFIG", "DT", "after", "along", "braking", "clear", "driven", "extents", "margin", "scene_of"]
 

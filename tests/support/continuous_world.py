@@ -1,6 +1,6 @@
 """The adversarial world with raw inputs: the ego may straddle a marking for as long as it likes.
 
-Who owes what (the head of `shield.certificate.verify`, and `Assumptions`)
+Who owes what (the head of `shield.certificate.road.verify`, and `Assumptions`)
 --------------------------------------------------------------
 A vehicle behind in a lane that the ego *owns* keeps its distance. The ego owns the lane that it starts in, and one
 that it enters once a plan to stop there has been verified, until its body no longer reaches where vehicles in the

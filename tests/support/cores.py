@@ -10,15 +10,15 @@ import numpy as np
 
 from dynamics.vehicle.actuators import Actuators
 from shield import Decision, ShieldConfig, Tier
-from shield.certificate.memory import Instant
-from shield.procedures.decide import Core
-from shield.procedures.frames import Frames
-from shield.procedures.inputs import Inputs
-from shield.procedures.meta_actions import MetaActions
-from shield.procedures.meta_actions_only import MetaActionsOnly
-from shield.procedures.nearest_inputs import NearestInputs
-from shield.procedures.parking_lot import ParkingLot
-from shield.procedures.screen import RuleAlone, Wish
+from shield.certificate.road.memory import Instant
+from shield.pipelines.decide import Core
+from shield.pipelines.frames import Frames
+from shield.pipelines.inputs import Inputs
+from shield.pipelines.meta_actions import MetaActions
+from shield.pipelines.meta_actions_only import MetaActionsOnly
+from shield.pipelines.nearest_inputs import NearestInputs
+from shield.pipelines.parking_lot import ParkingLot
+from shield.pipelines.screen import RuleAlone, Wish
 
 __all__ = ["ContinuousCore", "LotCore", "MetaCore", "ShieldCore", "nowhere"]
 

@@ -21,8 +21,8 @@ import numpy as np
 
 from dynamics.traffic.assumptions import Assumptions
 from shield import ShieldConfig
+from shield.batch.codes import TIERS
 from shield.batch.highways import ShieldedHighways
-from shield.batch.vocabulary import TIERS
 from shield.config import Buffer
 
 TRAFFIC = "highway_env.vehicle.behavior."

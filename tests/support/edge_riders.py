@@ -19,8 +19,8 @@ from highway_env.vehicle.kinematics import Vehicle
 from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray
 from shield import ShieldedEnv
-from shield.certificate.memory import observe
-from shield.procedures.inputs import Inputs
+from shield.certificate.road.memory import observe
+from shield.pipelines.inputs import Inputs
 
 __all__ = ["EdgeRider", "Skidder", "Stage", "ride"]
 

@@ -20,10 +20,10 @@ import numpy as np
 from dynamics.scenes.scene import Scene
 from dynamics.state import Vehicle
 from shield import Decision, Reason, ShieldConfig, ShieldedEnv, Tier
-from shield.certificate.memory import Instant, Memory, observe
-from shield.certificate.verify import ROUNDING
-from shield.procedures.decide import Core
-from shield.procedures.inputs import Inputs
+from shield.certificate.road.memory import Instant, Memory, observe
+from shield.certificate.road.verify import ROUNDING
+from shield.pipelines.decide import Core
+from shield.pipelines.inputs import Inputs
 
 __all__ = ["Audit", "Lost", "Tally", "audited", "drive", "make"]
 

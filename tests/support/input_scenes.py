@@ -7,8 +7,8 @@ import numpy as np
 from network_pair import Pair
 from simulator_pair import same_numbers
 
-from dynamics.networks.layout import LATERAL_SPEED, YAW_RATE
-from dynamics.simulator.layout import TARGET_SPEED, TIMER
+from dynamics.highway_simulator.layout import TARGET_SPEED, TIMER
+from dynamics.road_networks.geometry.layout import LATERAL_SPEED, YAW_RATE
 from evaluation.measuring.rectangles import separation
 from evaluation.wrappers import ThrottleAndSteering
 from evaluation.wrappers.throttle_and_steering import ROADS

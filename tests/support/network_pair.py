@@ -8,10 +8,10 @@ from highway_env.vehicle.behavior import AggressiveVehicle, DefensiveVehicle, ID
 from highway_env.vehicle.objects import Obstacle
 from simulator_pair import same_numbers
 
-from dynamics.networks.layout import ROUTE, ROUTE_END, YIELDS
-from dynamics.networks.network import index_of
-from dynamics.networks.simulator import NetworkSimulator
-from dynamics.simulator.layout import KIND, LANE, OBSTACLE, TARGET, TARGET_SPEED, TIMER
+from dynamics.highway_simulator.layout import KIND, LANE, OBSTACLE, TARGET, TARGET_SPEED, TIMER
+from dynamics.road_networks.geometry.layout import ROUTE, ROUTE_END, YIELDS
+from dynamics.road_networks.geometry.network import index_of
+from dynamics.road_networks.simulation.simulator import NetworkSimulator
 
 __all__ = ["INTERSECTIONS", "Pair", "wild_scene"]
 

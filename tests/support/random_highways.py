@@ -9,7 +9,7 @@ import numpy as np
 from highway_env.vehicle.objects import Obstacle
 from simulator_pair import DRIVERS
 
-from dynamics.simulator.observe import FEATURES
+from dynamics.highway_simulator.observe import FEATURES
 
 __all__ = ["place", "random_configuration", "random_scene"]
 

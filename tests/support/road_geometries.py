@@ -9,7 +9,7 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
 
-from dynamics.networks.geometry import RoadGeometry
+from dynamics.road_networks.geometry.road_geometry import RoadGeometry
 
 COMPLEX = "evaluation.scenarios:ComplexRoads-v0"
 ENVIRONMENTS = (*sorted(k for k, spec in gym.registry.items() if "highway_env" in str(spec.entry_point)), COMPLEX)

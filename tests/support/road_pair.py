@@ -7,13 +7,13 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
 
-from dynamics.networks.engine import new_worlds
-from dynamics.networks.episodes.simulator import RoadSimulator
-from dynamics.networks.episodes.telling import info_of
-from dynamics.networks.layout import FRAMES, ROUTE, ROUTE_END
-from dynamics.networks.live import load
-from dynamics.simulator.layout import CONTINUOUS, IMPACT_X, IMPACT_Y, IMPACTED, KIND, TARGET
-from dynamics.simulator.random import from_generator
+from dynamics.highway_simulator.layout import CONTINUOUS, IMPACT_X, IMPACT_Y, IMPACTED, KIND, TARGET
+from dynamics.highway_simulator.random import from_generator
+from dynamics.road_networks.episodes.info import info_of
+from dynamics.road_networks.episodes.simulator import RoadSimulator
+from dynamics.road_networks.geometry.layout import FRAMES, ROUTE, ROUTE_END
+from dynamics.road_networks.simulation.frame_kernels import new_worlds
+from dynamics.road_networks.simulation.live import load
 
 __all__ = ["RoadPair"]
 

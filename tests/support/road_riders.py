@@ -16,11 +16,11 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 
-from dynamics.networks.live import load_ego
+from dynamics.road_networks.simulation.live import load_ego
 from dynamics.state import FloatArray
-from dynamics.traffic.permits import Ego, gap_between
+from dynamics.traffic.rules_of_the_road import Ego, gap_between
 from shield import ShieldedEnv
-from shield.roads.watch import Breach
+from shield.certificate.network.monitor import Breach
 
 __all__ = ["RoadRider", "Tally", "ride_roads"]
 

@@ -10,9 +10,9 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 
-from dynamics.simulator import layout
-from dynamics.simulator.random import from_generator
-from dynamics.simulator.simulator import Simulator
+from dynamics.highway_simulator import layout
+from dynamics.highway_simulator.random import from_generator
+from dynamics.highway_simulator.simulator import Simulator
 from dynamics.traffic.mixed import WithTrucks
 
 __all__ = [

@@ -13,8 +13,8 @@ from induction import left_of
 
 from dynamics.state import FloatArray
 from shield import ShieldedEnv
-from shield.certificate.memory import observe
-from shield.procedures.inputs import Inputs
+from shield.certificate.road.memory import observe
+from shield.pipelines.inputs import Inputs
 
 __all__ = ["spoil"]
 

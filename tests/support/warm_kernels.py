@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from joblib import Parallel, delayed
 
-from shield.doors.warm_parts import PARTS
+from shield.wrappers.warm_parts import PARTS
 
 
 def compile_part(part: str) -> None:

@@ -27,7 +27,7 @@ ACCEPTED = (
     ),
     off(
         "a decision held back to what its frame does not try",
-        "shield.procedures.meta_actions",
+        "shield.pipelines.meta_actions",
         "MetaActions.__init__",
         "_(_=True)",
         "{1}()",
@@ -108,7 +108,7 @@ ACCEPTED = (
     ),
     off(
         "a frame evades without the worst case",
-        "shield.certificate.verify",
+        "shield.certificate.road.verify",
         "least_bad_evasion",
         "(-_(len(_)), _, _, _)",
         "(-{1}(len({2})), {2}, {5})",
@@ -128,7 +128,7 @@ ACCEPTED = (
         "Inputs._evade",
         "_ >= 0",
         "{1} >= -0.3",
-        "evades[ContinuousCore-shield.procedures.inputs]",
+        "evades[ContinuousCore-shield.pipelines.inputs]",
     ),
     off(
         "parking repaired near the proposal to -0.05 m",

@@ -57,19 +57,23 @@ class Mutant:
     tests: tuple[str, ...]
 
 
-VERIFY, CLAUSES = "shield.certificate.verify", "shield.certificate.clauses"
-SEPARATION, ROOM, EDGE = f"{CLAUSES}.separation", f"{CLAUSES}.room", f"{CLAUSES}.edge"
-DUTIES, ENTERING, SLIPS = f"{CLAUSES}.duties", f"{CLAUSES}.entering", f"{CLAUSES}.slip_in"
-TOGETHER, SETTINGS = f"{CLAUSES}.together", f"{CLAUSES}.settings"
-MONITOR, MEMORY = "shield.certificate.monitor", "shield.certificate.memory"
+VERIFY, CLAUSES = "shield.certificate.road.verify", "shield.certificate.road.clauses"
+SEPARATION, ROOM, EDGE = f"{CLAUSES}.separation", f"{CLAUSES}.stopping_room", f"{CLAUSES}.edge"
+DUTIES, ENTERING, SLIPS = f"{CLAUSES}.followers", f"{CLAUSES}.entering", f"{CLAUSES}.cut_in"
+TOGETHER, SETTINGS = f"{CLAUSES}.all_clauses", f"{CLAUSES}.parameters"
+MONITOR, MEMORY = "shield.certificate.road.monitor", "shield.certificate.road.memory"
 MOBIL = "dynamics.traffic.mobil"
-DECIDE, FRAMES = "shield.procedures.decide", "shield.procedures.frames"
-INPUTS, LOT = "shield.procedures.inputs", "shield.procedures.parking_lot"
-SEARCH, RULE_KERNELS = "shield.repair.nearest_input", "shield.rule_kernels"
-MANOEUVRES = "shield.certificate.manoeuvres"
+DECIDE, FRAMES = "shield.pipelines.decide", "shield.pipelines.frames"
+INPUTS, LOT = "shield.pipelines.inputs", "shield.pipelines.parking_lot"
+SEARCH, RULE_KERNELS = "shield.alternatives.nearest_input", "shield.rule_kernels"
+MANOEUVRES = "shield.certificate.road.manoeuvres"
 BODIES, REACTION = "dynamics.traffic.occupancy_kernels", "dynamics.traffic.reaction"
-BATCH, EXACT = "shield.batch", "shield.exact"
-PERMITS, GAPS, ROLLOUTS = "dynamics.traffic.permits", "dynamics.roads.gaps", "dynamics.vehicle.rollout_kernels"
+BATCH, EXACT = "shield.batch", "shield.certificate.simulated"
+PERMITS, GAPS, ROLLOUTS = (
+    "dynamics.traffic.rules_of_the_road",
+    "dynamics.roads.gaps",
+    "dynamics.vehicle.rollout_kernels",
+)
 
 TESTS_OF_CLAUSES, TRAFFIC = "tests/shield/test_clauses.py", "tests/shield/test_clauses_of_traffic.py"
 TESTS = {

@@ -12,11 +12,11 @@ _UNSEEN_TESTS = "tests/shield/test_perception_unseen.py"
 _NOISE_TESTS = "tests/shield/test_perception_noise.py"
 _TRACKING, _KERNELS = "shield.perception.tracking", "shield.perception.filter_kernels"
 _UNSEEN, _PERCEIVING = "shield.perception.unseen", "shield.perception.perceiving"
-_LEARNED, _MONITOR = "shield.perception.learned", "shield.perception.monitor"
+_LEARNED, _MONITOR = "shield.perception.learned", "shield.perception.sensor_monitor"
 _LEARNED_TESTS = "tests/shield/test_perception_learned.py"
 _CHANGED = f"{_LEARNED_TESTS}::test_a_sensor_that_has_changed_is_answered_with_the_widest_bounds_and_no_guarantee"
-_FRAMES = "shield.procedures.frames"
-_BODIES, _MEMORY = "shield.perception.bodies", "shield.certificate.memory"
+_FRAMES = "shield.pipelines.frames"
+_BODIES, _MEMORY = "shield.perception.bodies", "shield.certificate.road.memory"
 
 OBSERVED = (
     off(

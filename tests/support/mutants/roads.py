@@ -11,7 +11,7 @@ _FOUND, _AROUND = "tests/shield/test_found_on_roads.py", "tests/shield/test_arou
 _BANDS, _JOINTS = "tests/shield/test_bands_on_roads.py", "tests/shield/test_followers_at_joints.py"
 _LOOPHOLES = "tests/shield/test_road_loopholes.py"
 _TRANSITIONS = "tests/shield/test_road_transitions.py"
-_JUDGING, _PREDICTION = "shield.roads.judging", "dynamics.networks.reachable.prediction"
+_JUDGING, _PREDICTION = "shield.certificate.network.clearance", "dynamics.road_networks.reachable.prediction"
 
 ROADS = (
     off(
@@ -65,7 +65,7 @@ ROADS = (
     ),
     off(
         "one behind owes its distance before it has come over from a lane that ends",
-        "shield.roads.dues",
+        "shield.certificate.network.obligations",
         "behind",
         "_[_, 0] & (_[:, _] - _[:, _] <= _) & ~_(_, _)",
         "{1}[{2}, 0] & ({3}[:, {4}] - {3}[:, {6}] <= {7})",
@@ -89,7 +89,7 @@ ROADS = (
     ),
     off(
         "who is behind need not brake",
-        "shield.roads.watch",
+        "shield.certificate.network.monitor",
         "Watch._broken",
         "if _:",
         "pass",
@@ -97,7 +97,7 @@ ROADS = (
     ),
     off(
         "who owes its distance keeps it on whatever course",
-        "shield.roads.choosing",
+        "shield.certificate.network.choice",
         "choose",
         "if _:",
         "if False:",
@@ -105,7 +105,7 @@ ROADS = (
     ),
     off(
         "who can keep its distance no longer is counted on to",
-        "shield.roads.late",
+        "shield.certificate.network.late_braking",
         "Braking.now",
         "_(_ < _, _, _)",
         "{5}",
@@ -169,7 +169,7 @@ ROADS = (
     ),
     off(
         "who is skipped may have to be kept clear of in the next frame",
-        "shield.roads.watch",
+        "shield.certificate.network.monitor",
         "_inside",
         "(_[_] <= _[_]) & (~_[_] | _[_] | ~_)",
         "{1}[{2}] <= {3}[{4}]",
@@ -177,7 +177,7 @@ ROADS = (
     ),
     off(
         "how far a vehicle gets is not compared",
-        "shield.roads.watch",
+        "shield.certificate.network.monitor",
         "_inside",
         "if not _(_[_], _[_]):",
         "pass",
@@ -202,7 +202,7 @@ ROADS = (
     ),
     off(
         "no buffer on the lanes",
-        "shield.roads.survey",
+        "shield.certificate.network.projection",
         "_box",
         "_(0.0, _, _, _, _)",
         "{1}(0.0, {2}, {3}, body.length, body.width)",
@@ -235,7 +235,7 @@ ROADS = (
     ),
     off(
         "who has to wait may do as it likes",
-        "shield.roads.watch",
+        "shield.certificate.network.monitor",
         "Watch._broken",
         "_(_)",
         "pass",
@@ -261,7 +261,7 @@ ROADS = (
     ),
     off(
         "who is beside its lane may stay there",
-        "shield.roads.watch",
+        "shield.certificate.network.monitor",
         "_inside",
         "_ & _ & _",
         "{1} & {2}",
@@ -269,7 +269,7 @@ ROADS = (
     ),
     off(
         "the last resort does as it was told",
-        "shield.roads.choosing",
+        "shield.certificate.network.choice",
         "_better",
         "_ < _",
         "False",
@@ -277,7 +277,7 @@ ROADS = (
     ),
     off(
         "it turns aside into a lane that ends",
-        "dynamics.networks.alone",
+        "dynamics.road_networks.simulation.ego_alone",
         "drive",
         "0 <= _ < _[_, _] and _[_, _] == _[_[_, 0], _] and (_[_] < 0)",
         "0 <= {1} < {2}[{3}, {4}] and {2}[{3}, {7}] == {2}[{9}[{10}, 0], {7}]",
@@ -285,7 +285,7 @@ ROADS = (
     ),
     off(
         "the ego leaves the road",
-        "shield.roads.choosing",
+        "shield.certificate.network.choice",
         "_weigh",
         "_ < 0",
         "False",
@@ -301,7 +301,7 @@ ROADS = (
     ),
     off(
         "the lane that the ego is in is not tried",
-        "shield.doors.road_door",
+        "shield.filters.network",
         "RoadDoor._choose",
         "_()",
         "[self._bound]",
@@ -309,7 +309,7 @@ ROADS = (
     ),
     off(
         "wrecks appear unnamed",
-        "shield.roads.watch",
+        "shield.certificate.network.monitor",
         "_of_standing",
         "yield (_, {_})",
         "pass",
@@ -326,7 +326,7 @@ ROADS = (
     ),
     off(
         "an object is where it is, whatever its speed",
-        "shield.roads.reading",
+        "shield.certificate.network.others",
         "_standing",
         "_ * _",
         "0.0",
@@ -334,7 +334,7 @@ ROADS = (
     ),
     off(
         "a vehicle is on the lane that it names",
-        "shield.roads.reading",
+        "shield.certificate.network.others",
         "_lane_of",
         "_ in _ and _(_)._(_)",
         "{1} in {2}",
@@ -342,7 +342,7 @@ ROADS = (
     ),
     off(
         "a heading out of the lanes is none out of the ways",
-        "shield.roads.watch",
+        "shield.certificate.network.monitor",
         "Watch.next",
         "_ and _[_]",
         "False",
@@ -350,7 +350,7 @@ ROADS = (
     ),
     off(
         "who becomes an object was known before",
-        "shield.roads.watch",
+        "shield.certificate.network.monitor",
         "_of_standing",
         "_ not in _ or not getattr(_, 'crashed', False)",
         "{1} not in {2}",
@@ -358,7 +358,7 @@ ROADS = (
     ),
     off(
         "rules are judged where the path has suffered",
-        "shield.roads.watch",
+        "shield.certificate.network.monitor",
         "Watch.next",
         "_[_] < _",
         "{1}[{2}] < CLEAR",
@@ -367,7 +367,7 @@ ROADS = (
     ),
     off(
         "objects and wrecks may move",
-        "shield.roads.watch",
+        "shield.certificate.network.monitor",
         "_of_standing",
         "yield (_, {_})",
         "pass",
@@ -376,7 +376,7 @@ ROADS = (
     ),
     off(
         "bodies may grow into the way",
-        "shield.roads.watch",
+        "shield.certificate.network.monitor",
         "Watch._broken",
         "_(_)",
         "pass",
@@ -386,7 +386,7 @@ ROADS = (
     ),
     off(
         "a side of a body reaches no further across a sine than its ends",
-        "dynamics.networks.footprints",
+        "dynamics.road_networks.geometry.footprints",
         "_bulges",
         "abs(_) < abs(_ * _ * _)",
         "False",
@@ -394,7 +394,7 @@ ROADS = (
     ),
     off(
         "towards the centre of an arc a body takes no more of its length",
-        "dynamics.networks.reachable.standing",
+        "dynamics.road_networks.reachable.standing",
         "_pose",
         "max(_ - _, _ - _, _(_, _, _, _))",
         "{5}({6}, {7}, {8}, {9})",
@@ -402,7 +402,7 @@ ROADS = (
     ),
     off(
         "past the end of half a circle the ego is before its start",
-        "shield.roads.survey",
+        "shield.certificate.network.projection",
         "survey",
         "_(_, _, _)",
         "{4}",
@@ -410,7 +410,7 @@ ROADS = (
     ),
     off(
         "a body that is far from its lane is not looked at",
-        "shield.roads.survey",
+        "shield.certificate.network.projection",
         "survey",
         "max(_[_], _)",
         "{3}",
@@ -418,7 +418,7 @@ ROADS = (
     ),
     off(
         "a duty ends where the lane does",
-        "shield.roads.dues",
+        "shield.certificate.network.obligations",
         "behind",
         "_ = _ & (_ >= 0) & _[_, _[_]] & ~_[_, _]",
         "{1} = {1} & False",
@@ -435,7 +435,7 @@ ROADS = (
     ),
     off(
         "frames that are supervised are compiled",
-        "dynamics.networks.compiled_frames",
+        "dynamics.road_networks.simulation.compiled_frames",
         "CompiledFrames._simulate",
         "any(('act' in vars(_) for _ in _))",
         "False and any(('act' in vars({1}) for {1} in {3}))",
@@ -443,7 +443,7 @@ ROADS = (
     ),
     off(
         "a wrapper changes what was verified",
-        "shield.doors.environments",
+        "shield.environments",
         "check_step",
         "not _(_, _)",
         "False",

@@ -14,7 +14,7 @@ _INPUTS, _HELD = "tests/shield/test_exact_inputs.py", "tests/dynamics/test_netwo
 SIMULATED = (
     off(
         "what is simulated passes",
-        f"{EXACT}.deciding",
+        f"{EXACT}.decision_kernels",
         "passes",
         "if _ < 0:",
         "pass",
@@ -70,7 +70,7 @@ SIMULATED = (
     ),
     off(
         "a dead end of another present is one of this",
-        f"{EXACT}.effort",
+        f"{EXACT}.node_budget",
         "begin_anew",
         "_(_)",
         "pass",
@@ -119,7 +119,7 @@ SIMULATED = (
     ),
     off(
         "who is boxed in looks for one future of each lane and speed",
-        f"{EXACT}.deciding",
+        f"{EXACT}.decision_kernels",
         "longest",
         "return (_, _)",
         "pass",
@@ -128,7 +128,7 @@ SIMULATED = (
     ),
     off(
         "what lasts longest begins from nothing",
-        f"{EXACT}.deciding",
+        f"{EXACT}.decision_kernels",
         "longest",
         "_ > 0",
         "False",
@@ -136,7 +136,7 @@ SIMULATED = (
     ),
     off(
         "what was planned is not gone on with",
-        f"{EXACT}.deciding",
+        f"{EXACT}.decision_kernels",
         "replace",
         "_ < 0 and _ > 0 and (not _)",
         "False",
@@ -144,7 +144,7 @@ SIMULATED = (
     ),
     off(
         "a search over lanes and speeds takes as long as it likes",
-        f"{EXACT}.effort",
+        f"{EXACT}.node_budget",
         "may_go_on",
         "bool(_[0] < _[1])",
         "True",
@@ -184,7 +184,7 @@ SIMULATED = (
     ),
     off(
         "the mask asks more than a decision",
-        "shield.doors.simulated.exact_door",
+        "shield.filters.simulated.meta_actions",
         "ExactDoor.mask",
         "not _(_, 0)",
         "True",
@@ -192,7 +192,7 @@ SIMULATED = (
     ),
     off(
         "the mask forgets what was planned",
-        "shield.doors.simulated.exact_door",
+        "shield.filters.simulated.meta_actions",
         "ExactDoor.mask",
         "_[0]",
         "0",
@@ -201,7 +201,7 @@ SIMULATED = (
     ),
     off(
         "nothing is foretold",
-        "shield.doors.simulated.exact_scene",
+        "shield.filters.simulated.predicted_scene",
         "ExactScene._compare",
         "any((_[_] == _ for _ in _))",
         "True",
@@ -209,7 +209,7 @@ SIMULATED = (
     ),
     off(
         "the ego is foretold too",
-        "shield.doors.simulated.exact_scene",
+        "shield.filters.simulated.predicted_scene",
         "ExactScene._compare",
         "any((_[_] == _ for _ in _))",
         "False",
@@ -217,7 +217,7 @@ SIMULATED = (
     ),
     off(
         "the order is not asked for",
-        f"{EXACT}.deciding",
+        f"{EXACT}.decision_kernels",
         "replace",
         "_[0] > 0 and _[0] >= 0",
         "False",
@@ -233,7 +233,7 @@ SIMULATED = (
     ),
     off(
         "every lane is where a road ends",
-        "dynamics.networks.engine",
+        "dynamics.road_networks.simulation.frame_kernels",
         "on_way",
         "_[_, _] != 0 and _(_, _, _)",
         "{4}({5}, {2}, {7})",
@@ -241,7 +241,7 @@ SIMULATED = (
     ),
     off(
         "no road ends",
-        "dynamics.networks.engine",
+        "dynamics.road_networks.simulation.frame_kernels",
         "on_way",
         "_[_, _] != 0",
         "False",
@@ -249,7 +249,7 @@ SIMULATED = (
     ),
     off(
         "nobody yields",
-        "dynamics.networks.engine",
+        "dynamics.road_networks.simulation.frame_kernels",
         "intend",
         "_ > 0",
         "False",
@@ -257,7 +257,7 @@ SIMULATED = (
     ),
     off(
         "who has left stays",
-        "dynamics.networks.engine",
+        "dynamics.road_networks.simulation.frame_kernels",
         "intend",
         "_(_, _, _)",
         "pass",
@@ -266,7 +266,7 @@ SIMULATED = (
     ),
     off(
         "the one of higher priority yields",
-        "dynamics.networks.regulation",
+        "dynamics.road_networks.traffic.regulation",
         "_who_yields",
         "_ if _ > _ else _",
         "{4} if {2} > {3} else {1}",
@@ -298,7 +298,7 @@ SIMULATED = (
     ),
     off(
         "the law is forgotten between decisions",
-        "shield.doors.simulated.exact_input_door",
+        "shield.filters.simulated.inputs",
         "ExactInputDoor._read",
         "_ is not None",
         "False",
@@ -306,7 +306,7 @@ SIMULATED = (
     ),
     off(
         "a plan for another scene is kept",
-        "shield.doors.simulated.exact_input_door",
+        "shield.filters.simulated.inputs",
         "ExactInputDoor._read",
         "_[:] = 0",
         "pass",
@@ -314,7 +314,7 @@ SIMULATED = (
     ),
     off(
         "nobody looks between two decisions",
-        "shield.doors.simulated.exact_scene",
+        "shield.filters.simulated.predicted_scene",
         "ExactScene.as_foretold",
         "bool((_(_(_) - _) <= _)._())",
         "True",
@@ -322,7 +322,7 @@ SIMULATED = (
     ),
     off(
         "the wheel is straight in what others foresee",
-        "dynamics.networks.regulation",
+        "dynamics.road_networks.traffic.regulation",
         "regulate",
         "_[_, _] == _",
         "False",
@@ -348,7 +348,7 @@ SIMULATED = (
     ),
     off(
         "nobody is told what the one before was given",
-        "shield.doors.simulated.team_door",
+        "shield.filters.simulated.multi_agent",
         "TeamDoor._one_by_one",
         "_[_, 0] = _[-1]._",
         "pass",

@@ -9,8 +9,8 @@ __all__ = ["SOURCES"]
 _SOURCES, _GRID = "tests/shield/test_perception_sources.py", "tests/shield/test_perception_grid.py"
 _LAYERS, _UNREADABLE = "tests/shield/test_perception_layers.py", "tests/shield/test_perception_unreadable.py"
 _BLIND, _UNDOING, _SIGHTING = (
-    "shield.perception.blind",
-    "shield.perception.undoing",
+    "shield.perception.environment_free",
+    "shield.perception.unwrapping",
     "shield.perception.sighting",
 )
 _GRIDS, _CELLS = "shield.perception.grid_perception", "shield.perception.grid_sighting"

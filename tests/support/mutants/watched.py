@@ -277,7 +277,7 @@ WATCHED = (
     ),
     off(
         "the last frame is not judged",
-        "shield.doors.env",
+        "shield.wrappers.shielded_env",
         "ShieldedEnv.step",
         "if _:",
         "if False:",

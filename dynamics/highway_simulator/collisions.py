@@ -1,0 +1,185 @@
+"""Who touches whom after a frame, and who will: highway-env's `handle_collisions`.
+
+Pairs are looked at in the order of the indices, so that of several impacts the last counts, and only those that are
+near along x: for all others the quick check of highway-env says no.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.highway_simulator.arithmetic import dot2
+from dynamics.highway_simulator.layout import (
+    CHECKS,
+    COS,
+    CRASHED,
+    DIAGONAL,
+    IMPACT_X,
+    IMPACT_Y,
+    IMPACTED,
+    KIND,
+    LENGTH,
+    OBSTACLE,
+    SIN,
+    SPEED,
+    WIDTH,
+    X,
+    Y,
+)
+from dynamics.state import FloatArray, IntArray
+
+__all__ = ["collide"]
+
+_SLACK = 1e-6
+"""Added to the reach of the search [m]; the check itself is exact."""
+
+
+@uncounted
+def _outline(products: int, f: FloatArray, p: FloatArray, i: int, out: FloatArray) -> None:
+    """The corners of a body, the first repeated, (5, 2) [m]."""
+    c, s, length, width = f[COS, i], f[SIN, i], p[LENGTH, i] / 2, p[WIDTH, i] / 2
+    for k in range(4):
+        a = -length if k < 2 else length
+        b = -width if k in (0, 3) else width
+        out[k, 0] = dot2(products, c, a, -s, b) + f[X, i]
+        out[k, 1] = dot2(products, s, a, c, b) + f[Y, i]
+    out[4, 0], out[4, 1] = out[0, 0], out[0, 1]
+
+
+@uncounted
+def _span(sums: int, polygon: FloatArray, nx: float, ny: float) -> tuple[float, float]:
+    """A polygon's extent along an axis."""
+    low = high = dot2(sums, polygon[0, 0], nx, polygon[0, 1], ny)
+    for k in range(1, 5):
+        at = dot2(sums, polygon[k, 0], nx, polygon[k, 1], ny)
+        low, high = min(low, at), max(high, at)
+    return low, high
+
+
+@uncounted
+def _between(low: float, high: float, other_low: float, other_high: float) -> float:
+    return other_low - high if low < other_low else low - other_high
+
+
+@uncounted
+def _mean(polygon: FloatArray, axis: int) -> float:
+    return (polygon[0, axis] + polygon[1, axis] + polygon[2, axis] + polygon[3, axis]) / 4
+
+
+@uncounted
+def _intersect(sums: int, corners: FloatArray, ux: float, uy: float) -> tuple[bool, bool, float, float]:
+    """Whether two polygons intersect, will after one has moved by u against the other, and the translation apart.
+
+    The separating axes in highway-env's order, its early ends included.
+    """
+    a, b = corners[0], corners[1]
+    touch, will, least, tx, ty = True, True, np.inf, 0.0, 0.0
+    for which in range(2):
+        for k in range(4):
+            nx = -corners[which, k + 1, 1] + corners[which, k, 1]
+            ny = corners[which, k + 1, 0] - corners[which, k, 0]
+            size = math.sqrt(dot2(sums, nx, nx, ny, ny))
+            nx /= size
+            ny /= size
+            low, high = _span(sums, a, nx, ny)
+            other_low, other_high = _span(sums, b, nx, ny)
+            if _between(low, high, other_low, other_high) > 0:
+                touch = False
+            shift = dot2(sums, nx, ux, ny, uy)
+            if shift < 0:
+                low += shift
+            else:
+                high += shift
+            distance = _between(low, high, other_low, other_high)
+            if distance > 0:
+                will = False
+            if not touch and not will:
+                return False, False, 0.0, 0.0
+            if abs(distance) < least:
+                least = abs(distance)
+                dx, dy = _mean(a, 0) - _mean(b, 0), _mean(a, 1) - _mean(b, 1)
+                forward = dot2(sums, dx, nx, dy, ny) > 0
+                tx, ty = (nx, ny) if forward else (-nx, -ny)
+    return touch, will, least * tx, least * ty
+
+
+@uncounted
+def _handle(
+    sums: int,
+    products: int,
+    f: FloatArray,
+    g: IntArray,
+    p: FloatArray,
+    corners: FloatArray,
+    i: int,
+    j: int,
+    dt: float,
+) -> None:
+    _outline(products, f, p, i, corners[0])
+    _outline(products, f, p, j, corners[1])
+    ux = f[SPEED, i] * f[COS, i] * dt - f[SPEED, j] * f[COS, j] * dt
+    uy = f[SPEED, i] * f[SIN, i] * dt - f[SPEED, j] * f[SIN, j] * dt
+    touch, will, x, y = _intersect(sums, corners, ux, uy)
+    if will:
+        if g[KIND, j] == OBSTACLE:
+            f[IMPACT_X, i], f[IMPACT_Y, i] = x, y
+        else:
+            f[IMPACT_X, i], f[IMPACT_Y, i] = x / 2, y / 2
+            f[IMPACT_X, j], f[IMPACT_Y, j] = -x / 2, -y / 2
+            g[IMPACTED, j] = 1
+        g[IMPACTED, i] = 1
+    if touch:
+        g[CRASHED, i] = g[CRASHED, j] = 1
+
+
+@inlined
+def _near(sums: int, f: FloatArray, p: FloatArray, i: int, j: int, dt: float) -> bool:
+    """highway-env's quick check, which counts on the speed of the first alone."""
+    dx, dy = f[X, j] - f[X, i], f[Y, j] - f[Y, i]
+    apart = math.sqrt(dot2(sums, dx, dx, dy, dy))
+    return not apart > (p[DIAGONAL, i] + p[DIAGONAL, j]) / 2 + f[SPEED, i] * dt
+
+
+@uncounted
+def collide(
+    sums: int,
+    products: int,
+    f: FloatArray,
+    g: IntArray,
+    p: FloatArray,
+    order: IntArray,
+    corners: FloatArray,
+    pairs: IntArray,
+    vehicles: int,
+    dt: float,
+) -> None:
+    """Note crashes, and the impacts that the next frame applies.
+
+    Parameters
+    ----------
+    order : bodies by x. corners, pairs : (2, 5, 2) and (m (m - 1) / 2,), written.
+    """
+    bodies, widest, fastest = len(order), 0.0, 0.0
+    for i in range(bodies):
+        widest = max(widest, p[DIAGONAL, i])
+        fastest = max(fastest, f[SPEED, i])
+    reach = widest + fastest * dt + _SLACK
+    n = 0
+    for k in range(bodies):
+        for j in range(k + 1, bodies):
+            if f[X, order[j]] - f[X, order[k]] > reach:
+                break
+            one, two = min(order[k], order[j]), max(order[k], order[j])
+            if one >= vehicles or not (g[CHECKS, one] or g[CHECKS, two]) or not _near(sums, f, p, one, two, dt):
+                continue
+            pair, at = one * bodies + two, n
+            while at > 0 and pairs[at - 1] > pair:
+                pairs[at] = pairs[at - 1]
+                at -= 1
+            pairs[at] = pair
+            n += 1
+    for k in range(n):
+        _handle(sums, products, f, g, p, corners, pairs[k] // bodies, pairs[k] % bodies, dt)

@@ -1,0 +1,157 @@
+"""What the ego sees: highway-env's Kinematics observation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.highway_simulator.arithmetic import clip, dot2, wrap_to_pi
+from dynamics.highway_simulator.layout import COS, HEADING, KIND, LANE, LANE_Y, LENGTH, OBSTACLE, SIN, SPEED, X, Y
+from dynamics.highway_simulator.random import Row, interval
+from dynamics.state import FloatArray, IntArray
+
+__all__ = ["FEATURES", "feature_of", "kinematics"]
+
+FEATURES = (
+    "presence",
+    "x",
+    "y",
+    "vx",
+    "vy",
+    "heading",
+    "cos_h",
+    "sin_h",
+    "cos_d",
+    "sin_d",
+    "long_off",
+    "lat_off",
+    "ang_off",
+)
+"""What can be observed of a body. Destinations are unknown on a highway: cos_d and sin_d are 0."""
+
+_SIGHT = 200.0
+"""`PERCEPTION_DISTANCE` [m]."""
+_RELATIVE = 5
+"""The features before this one are taken relative to the ego's, but for presence."""
+
+
+@inlined
+def feature_of(f: FloatArray, g: IntArray, lanes: FloatArray, i: int, feature: int) -> float:
+    """A feature of a body, by its index in `FEATURES`."""
+    if feature == 0:
+        return 1.0
+    if feature == 1:
+        return f[X, i]
+    if feature == 2:
+        return f[Y, i]
+    standing = g[KIND, i] == OBSTACLE
+    if feature == 3:
+        return 0.0 if standing else f[SPEED, i] * f[COS, i]
+    if feature == 4:
+        return 0.0 if standing else f[SPEED, i] * f[SIN, i]
+    if feature == 6:
+        return f[COS, i]
+    if feature == 7:
+        return f[SIN, i]
+    if feature == 8 or feature == 9:
+        return 0.0
+    if standing:
+        return math.nan
+    if feature == 10:
+        return f[X, i]
+    if feature == 5:
+        return f[HEADING, i]
+    if feature == 11:
+        return f[Y, i] - lanes[g[LANE, i], LANE_Y]
+    return wrap_to_pi(f[HEADING, i] - 0.0)
+
+
+@uncounted
+def _near(
+    sums: int,
+    f: FloatArray,
+    g: IntArray,
+    p: FloatArray,
+    most: int,
+    behind: bool,
+    unsorted: bool,
+    obstacles: bool,
+    near: IntArray,
+) -> int:
+    """The bodies within sight, by their distance along the road, at most so many; how many there are."""
+    n, x, y, back = 0, f[X, 0], f[Y, 0], -2 * p[LENGTH, 0]
+    for i in range(1, f.shape[1]):
+        dx, dy = f[X, i] - x, f[Y, i] - y
+        standing = g[KIND, i] == OBSTACLE
+        if standing and not obstacles:
+            continue
+        if not (math.sqrt(dot2(sums, dx, dx, dy, dy)) < _SIGHT and ((behind and not standing) or back < dx)):
+            continue
+        if unsorted:
+            if n < most:
+                near[n] = i
+                n += 1
+            continue
+        k = n
+        while k > 0 and abs(dx) < abs(f[X, near[k - 1]] - x):
+            if k < most:
+                near[k] = near[k - 1]
+            k -= 1
+        if k < most:
+            near[k] = i
+            n = min(n + 1, most)
+    return n
+
+
+@uncounted
+def kinematics(
+    sums: int,
+    row: Row,
+    f: FloatArray,
+    g: IntArray,
+    p: FloatArray,
+    lanes: FloatArray,
+    features: IntArray,
+    ranges: FloatArray,
+    switches: tuple[bool, bool, bool, bool, bool, bool],
+    near: IntArray,
+    seen: FloatArray,
+    out: NDArray[np.float32],
+) -> None:
+    """The ego and those near it, nearest first, to `out`, (bodies, features).
+
+    Parameters
+    ----------
+    row : the generator, for a shuffled order.
+    features : indices in `FEATURES`. ranges : (features, 2), what is mapped to -1 and 1; NaN for what is not.
+    switches : absolute, normalised, clipped, behind as well, shuffled, obstacles too.
+    near, seen : (m,) and (bodies, features), written.
+    """
+    absolute, normalised, clipped, behind, shuffled, obstacles = switches
+    bodies, n = len(out), _near(sums, f, g, p, len(out) - 1, behind, shuffled, obstacles, near)
+    for k in range(bodies):
+        for c in range(len(features)):
+            if k > n:
+                seen[k, c] = 0.0
+                continue
+            i, feature = (0, features[c]) if k == 0 else (near[k - 1], features[c])
+            value = feature_of(f, g, lanes, i, feature)
+            if k > 0 and not absolute and 1 <= feature < _RELATIVE:
+                value -= feature_of(f, g, lanes, 0, feature)
+            if normalised and not math.isnan(ranges[c, 0]):
+                value = -1 + (value - ranges[c, 0]) * 2 / (ranges[c, 1] - ranges[c, 0])
+                if clipped:
+                    value = clip(value, -1.0, 1.0)
+            seen[k, c] = value
+    if shuffled:
+        for k in range(bodies - 2, 0, -1):
+            j = interval(row, k)
+            if j != k:
+                for c in range(len(features)):
+                    seen[1 + k, c], seen[1 + j, c] = seen[1 + j, c], seen[1 + k, c]
+    for k in range(bodies):
+        for c in range(len(features)):
+            out[k, c] = np.float32(seen[k, c])

@@ -1,0 +1,337 @@
+"""`Simulator`: highway-env's highway, compiled, many episodes at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.errors import ConfigError
+from dynamics.highway_simulator.arithmetic import Sums, sums_of_numpy
+from dynamics.highway_simulator.layout import LINEAR, F, G, P
+from dynamics.highway_simulator.live import bodies_of, load, store
+from dynamics.highway_simulator.loops import addresses
+from dynamics.highway_simulator.random import TAPE, WORDS
+from dynamics.highway_simulator.requests import actions_given, resets_asked, steps_asked
+from dynamics.highway_simulator.scenario import Scenario, scenario_of, scenario_of_live
+from dynamics.highway_simulator.step_kernels import (
+    Machine,
+    Rules,
+    Seen,
+    Work,
+    Worlds,
+    begin,
+    finish,
+    frame,
+    look,
+    observe,
+    reset_all,
+    step_all,
+)
+from dynamics.slices import Slices
+from dynamics.state import FloatArray
+
+__all__ = ["Simulator"]
+
+
+class Simulator:
+    """So many copies of `highway-v0` or `highway-fast-v0`, stepped together; the same to the last bit.
+
+    Parameters
+    ----------
+    env_id : the environment.
+    num_envs : how many copies.
+    config : what differs from its default configuration.
+    threads : how many of them share the environments of a step; worth it from some 64 environments a thread on.
+    tape : whether `reset_to` is there: scenes from numbers that somebody has chosen.
+
+    Raises
+    ------
+    ConfigError
+        If the environment needs what the simulator cannot do.
+    PlatformError
+        If numpy's own loops are not where they are known to be.
+
+    Attributes
+    ----------
+    scenario : what is simulated.
+    worlds : the state of all copies, arrays that may be read and written (see `engine.Worlds`, `layout`).
+    seen : what the last call found (see `engine.Seen`). flat : the same, with a grid's features in one axis.
+    exact : whether this machine's numpy makes sums of products in a way that is known here. Where it does not, states
+        agree to some 1e-12 at first.
+
+    Examples
+    --------
+    >>> simulator = Simulator("highway-fast-v0", 2)
+    >>> observations = simulator.reset([0, 1])
+    >>> observations, reward, terminated, truncated = simulator.step([3, 1])
+    >>> observations.shape, reward.shape
+    ((2, 5, 5), (2,))
+    """
+
+    def __init__(
+        self,
+        env_id: str,
+        num_envs: int = 1,
+        config: Mapping[str, Any] | None = None,
+        threads: int = 1,
+        tape: bool = False,
+    ) -> None:
+        self._network: Any = None
+        self._build(scenario_of(env_id, config), num_envs, threads, tape)
+        entropy = np.random.SeedSequence().generate_state(num_envs, np.uint64) >> np.uint64(1)
+        self.reset(entropy.astype(np.int64))
+
+    @classmethod
+    def of(cls, env: gym.Env[Any, Any], num_envs: int = 1, observes: bool = True) -> Simulator:
+        """Copies of a live environment as it is now, between two decisions, obstacles included.
+
+        Parameters
+        ----------
+        observes : False where only states are asked for, whatever the environment observes.
+
+        Raises
+        ------
+        ConfigError
+            If the environment needs what the simulator cannot do.
+        SceneError
+            If its scene does: another road, strange objects, vehicles that drive in another way.
+        """
+        scenario = scenario_of_live(cast(Any, env.unwrapped), observes)
+        vehicles, obstacles = bodies_of(env)
+        rules = scenario.rules
+        numbers = (rules.numbers[0], len(vehicles), *rules.numbers[2:])
+        bodies = len(vehicles) + len(obstacles)
+        simulator = cls.__new__(cls)
+        simulator._network = cast(Any, env.unwrapped).road.network
+        simulator._build(replace(scenario, rules=rules._replace(numbers=numbers), bodies=bodies), num_envs)
+        for e in range(num_envs):
+            simulator.load(env, e)
+        return simulator
+
+    def _check_configured(self) -> None:
+        """Raise where a reset would make other bodies than there are."""
+        vehicles = 1 + int(self.scenario.config["vehicles_count"])
+        if not self.scenario.bodies == self.scenario.rules.numbers[1] == vehicles:
+            raise ConfigError("a reset makes the configured vehicles; the live scene has others: load() it again")
+
+    def _check_copy(self, e: int) -> None:
+        if not 0 <= e < self.num_envs:
+            raise ConfigError(f"there are environments 0 to {self.num_envs - 1}, not {e}")
+
+    def fits(self, env: gym.Env[Any, Any]) -> bool:
+        """Whether a live environment has the road that this one was made `of`, and as many bodies and the same
+        frequencies still, so that `load` may take it."""
+        base = cast(Any, env.unwrapped)
+        road, config, rules = base.road, base.config, self.scenario.rules
+        if road is None or road.network is not self._network:
+            return False
+        times = 1 / config["simulation_frequency"], 1 / config["policy_frequency"]
+        bodies = rules.numbers[1], self.scenario.bodies - rules.numbers[1]
+        return times == rules.times[:2] and bodies == (len(road.vehicles), len(road.objects))
+
+    def load(self, env: gym.Env[Any, Any], e: int = 0) -> None:
+        """Copy a live environment, between two decisions, into copy `e`; see `live.load`."""
+        self._check_copy(e)
+        load(env, self.scenario, self.worlds, e)
+
+    def store(self, env: gym.Env[Any, Any], e: int = 0) -> None:
+        """Copy copy `e` into a live environment of the same bodies; see `live.store`."""
+        self._check_copy(e)
+        store(env, self.scenario, self.worlds, e)
+
+    def _build(self, scenario: Scenario, num_envs: int, threads: int = 1, tape: bool = False) -> None:
+        if num_envs < 1 or threads < 1:
+            raise ConfigError(f"num_envs and threads must be at least 1, not {num_envs} and {threads}")
+        self.scenario = scenario
+        self.num_envs, e = num_envs, num_envs
+        sums, products = sums_of_numpy()
+        self.exact = Sums.OTHER not in (sums, products)
+        self.machine = Machine(sums, products, addresses())
+        self.worlds = self.new_worlds(e, TAPE + self.draws if tape else WORDS)
+        shape = scenario.observation_space.shape
+        rows, features = shape[0], int(np.prod(shape[1:]))
+        self._slices = Slices(e, threads)
+        self._works = [self.new_work() for _ in self._slices.bounds]
+        flat = Seen(
+            np.zeros((e, rows, features), np.float32),
+            np.zeros((e, rows, features), np.float32),
+            np.zeros(e),
+            np.zeros(e, np.bool_),
+            np.zeros(e, np.bool_),
+            np.zeros((e, 4)),
+            np.zeros(e),
+        )
+        self.flat = flat
+        shown = flat.observations.reshape(e, *shape), flat.terminal.reshape(e, *shape)
+        self.seen = flat._replace(observations=shown[0], terminal=shown[1])
+
+    @property
+    def rules(self) -> Rules:
+        """What is the same in all copies, for the kernels."""
+        return self.scenario.rules
+
+    @property
+    def draws(self) -> int:
+        """How many numbers a scene is made from: the ego's lane and place, and each vehicle's lane, speed, place and
+        habits."""
+        _, vehicles, first_lane, _, _, kind = self.scenario.rules.numbers
+        lane = int(len(self.scenario.rules.lanes) > 1)
+        return 1 + lane * (first_lane < 0) + (vehicles - 1) * (lane + (8 if kind == LINEAR else 3))
+
+    def reset_to(self, shares: FloatArray, which: Sequence[int]) -> NDArray[np.float32]:
+        """Start episodes in scenes of one's own choice.
+
+        Parameters
+        ----------
+        shares : for each scene the numbers that it is made from, (len(which), `draws`), each from 0 to 1, as evenly
+            distributed as those of a generator if the scenes are to be.
+        which : the environments.
+
+        Returns
+        -------
+        As of `reset`.
+        """
+        shares = np.asarray(shares, float)
+        if self.worlds.rows.shape[1] <= WORDS:
+            raise ConfigError("scenes of one's own choice need Simulator(..., tape=True)")
+        if shares.shape != (len(which), self.draws) or not ((shares >= 0) & (shares < 1)).all():
+            raise ConfigError(f"have numbers from 0 to 1 of shape {(len(which), self.draws)}, not {shares.shape}")
+        chosen = np.asarray(which, np.int64)
+        self.worlds.rows[chosen, WORDS] = 1
+        self.worlds.rows[chosen, TAPE:] = np.ldexp(shares, 53).astype(np.uint64) << np.uint64(11)
+        return self.reset(which=which)
+
+    def new_worlds(self, count: int, words: int = WORDS) -> Worlds:
+        """Room for so many more environments of the same bodies."""
+        m = self.scenario.bodies
+        return Worlds(
+            np.zeros((count, F, m)),
+            np.zeros((count, G, m), np.int64),
+            np.zeros((count, P, m)),
+            np.zeros((count, m), np.int64),
+            np.zeros((count, words), np.uint64),
+            np.zeros(count),
+        )
+
+    def new_work(self) -> Work:
+        """Room for the kernels of one more thread."""
+        shape, scenario = self.scenario.observation_space.shape, self.scenario
+        return _work(scenario.bodies, len(scenario.rules.lanes), shape[0], int(np.prod(shape[1:])))
+
+    def reset(
+        self, seeds: Sequence[int] | NDArray[Any] | None = None, which: Sequence[int] | None = None
+    ) -> NDArray[np.float32]:
+        """Start new episodes.
+
+        Parameters
+        ----------
+        seeds : one for each environment, as of `env.reset(seed=...)`; None goes on with the generators that there are.
+        which : the environments to reset; all by default.
+
+        Returns
+        -------
+        The observations of all environments, (e, bodies, features) float32; the array is written over by the next
+        call.
+        """
+        chosen, numbers = resets_asked(self.num_envs, seeds, which)
+        rules, view = self.scenario.rules, self.scenario.view
+        self._check_configured()
+        reset_all(self.machine, self.worlds, rules, view, self._works[0], self.flat, chosen, numbers)
+        return self.seen.observations
+
+    def step(
+        self, actions: Any, again: bool = False, which: Sequence[int] | NDArray[Any] | None = None
+    ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+        """One decision in each environment.
+
+        Parameters
+        ----------
+        actions : (e,) meta-actions, or (e, size) throttle and steering.
+        again : whether episodes that end are followed by new ones at once; `seen.terminal` has their last
+            observations then.
+        which : the environments that make one, in increasing order; all by default. The arrays keep what they had of
+            the others.
+
+        Returns
+        -------
+        Observations (e, bodies, features), rewards (e,), terminated (e,) and truncated (e,): arrays that the next call
+        writes over.
+
+        Raises
+        ------
+        ActionError
+            If there is not an action for each environment, or one is none of the action space.
+        ConfigError
+            If `which` is not in increasing order, or there is no such environment.
+        """
+        scenario, seen = self.scenario, self.seen
+        given = self._given(actions)
+        if again:
+            self._check_configured()
+
+        def part(k: int, first: int, last: int) -> None:
+            work = self._works[k]
+            step_all(
+                self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, given, first, last, again
+            )
+
+        self._slices.run(part, steps_asked(self.num_envs, which))
+        return seen.observations, seen.reward, seen.terminated, seen.truncated
+
+    def step_first(
+        self, actions: Any, count: int
+    ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+        """`step` of the first `count` environments only; what it returns of the others is what was there before."""
+        scenario, seen, work = self.scenario, self.seen, self._works[0]
+        given = self._given(actions)
+        step_all(self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, given, 0, count, False)
+        return seen.observations, seen.reward, seen.terminated, seen.truncated
+
+    def begin(self, action: Any) -> None:
+        """Begin a decision in the only copy; `frame` and `finish` go on with it."""
+        begin(self.worlds, self.scenario.rules, 0, self._given(np.asarray(action)[None])[0])
+
+    def frame(self, rows: FloatArray, throttle: float = np.nan, wheel: float = np.nan) -> bool:
+        """One frame of the only copy; see `engine.frame`."""
+        work = self._works[0]
+        return bool(frame(self.machine, self.worlds, self.scenario.rules, work, 0, throttle, wheel, rows))
+
+    def look(self, rows: FloatArray) -> bool:
+        """The bodies of the only copy as rows; see `engine.look`."""
+        return bool(look(self.worlds, self.scenario.rules, 0, rows))
+
+    def observe(self) -> NDArray[np.float32]:
+        """What the ego of the only copy sees now, between two frames as well, (bodies, features); the array is written
+        over by the next call."""
+        scenario, work = self.scenario, self._works[0]
+        observe(self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, 0)
+        seen: NDArray[np.float32] = self.seen.observations[0]
+        return seen
+
+    def finish(self) -> Seen:
+        """End the decision that `begin` began: what it has led to."""
+        scenario, work = self.scenario, self._works[0]
+        finish(self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, 0)
+        return self.seen
+
+    def _given(self, actions: Any) -> FloatArray:
+        """Actions as the kernels take them, (e, 2)."""
+        return actions_given(actions, self.num_envs, len(self.scenario.rules.labels), self.scenario.inputs)
+
+
+def _work(bodies: int, lanes: int, rows: int, features: int) -> Work:
+    """Room for the kernels of one thread."""
+    return Work(
+        np.zeros((4, bodies)),
+        np.zeros(bodies, np.int64),
+        np.zeros((lanes, bodies), np.int64),
+        np.zeros((lanes, bodies), np.int64),
+        np.zeros((2, 5, 2)),
+        np.zeros(max(1, bodies * (bodies - 1) // 2), np.int64),
+        np.zeros((rows, features)),
+    )

@@ -1,0 +1,394 @@
+"""Many episodes at once: reset and step as one compiled call over environments."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.highway_simulator.arithmetic import clip
+from dynamics.highway_simulator.collisions import collide
+from dynamics.highway_simulator.control import act
+from dynamics.highway_simulator.grid import occupancy_grid
+from dynamics.highway_simulator.lanes import on_lane, reachable
+from dynamics.highway_simulator.layout import (
+    ACCELERATION,
+    COS,
+    CRASHED,
+    EGO,
+    HEADING,
+    KIND,
+    LANE,
+    LENGTH,
+    SPEED,
+    STEERING,
+    TARGET,
+    TARGET_SPEED,
+    WIDTH,
+    X,
+    Y,
+)
+from dynamics.highway_simulator.motion import move
+from dynamics.highway_simulator.neighbours import find, sort
+from dynamics.highway_simulator.observe import kinematics
+from dynamics.highway_simulator.random import seed_row
+from dynamics.highway_simulator.scene import next_target_speed, spawn
+from dynamics.state import FloatArray, IntArray
+
+__all__ = [
+    "Machine",
+    "Rules",
+    "Seen",
+    "View",
+    "Work",
+    "Worlds",
+    "advance",
+    "alike",
+    "begin",
+    "finish",
+    "follow",
+    "frame",
+    "look",
+    "reset_all",
+    "step_all",
+    "write_row",
+]
+
+
+class Machine(NamedTuple):
+    """How numpy computes on this machine: `sums_of_numpy`, and the `addresses` of its loops."""
+
+    sums: int
+    products: int
+    loops: IntArray
+
+
+class Worlds(NamedTuple):
+    """The state of all environments (see `layout`); e of them, of m bodies.
+
+    Attributes
+    ----------
+    f, g, p : (e, F, m), (e, G, m) and (e, P, m).
+    order : (e, m), bodies by x.
+    rows : (e, 6), the generators. clock : (e,), time since the reset [s].
+    """
+
+    f: FloatArray
+    g: IntArray
+    p: FloatArray
+    order: IntArray
+    rows: NDArray[np.uint64]
+    clock: FloatArray
+
+
+class Rules(NamedTuple):
+    """What is the same in all environments.
+
+    Attributes
+    ----------
+    lanes : (n, LANE_COLUMNS).
+    numbers : frames, vehicles, ego's first lane or -1, whether traffic collides, kinds of ego and traffic.
+    times : duration of a frame and of a decision, and of an episode [s].
+    spacings : of ego and traffic, and exp(-lanes / 8).
+    constants : (1 + c, P), of the ego and of the classes of the traffic, which take turns.
+    ranges : (6, 2), of what is drawn for each vehicle.
+    target_speeds : of the ego [m/s]. labels : of each action: 0 left, 1 none, 2 right, 3 faster, 4 slower.
+    reward : weights of collision, right lane, high speed and being on the road; speeds that are mapped to 0 and 1;
+        whether it is normalised, and whether leaving the road ends an episode.
+    """
+
+    lanes: FloatArray
+    numbers: tuple[int, int, int, int, int, int]
+    times: tuple[float, float, float]
+    spacings: tuple[float, float, float]
+    constants: FloatArray
+    ranges: FloatArray
+    target_speeds: FloatArray
+    labels: IntArray
+    reward: tuple[float, float, float, float, float, float, bool, bool]
+
+
+class View(NamedTuple):
+    """What is observed: see `grid.occupancy_grid`, and `observe.kinematics` for one without a grid, (0, 3)."""
+
+    features: IntArray
+    ranges: FloatArray
+    switches: tuple[bool, bool, bool, bool, bool, bool]
+    places: FloatArray
+    grid: FloatArray
+
+
+class Work(NamedTuple):
+    """Room that is written over."""
+
+    numbers: FloatArray
+    busy: IntArray
+    front: IntArray
+    rear: IntArray
+    corners: FloatArray
+    pairs: IntArray
+    seen: FloatArray
+
+
+class Seen(NamedTuple):
+    """What a step returns, an entry for each environment.
+
+    Attributes
+    ----------
+    observations : (e, bodies, features). terminal : the same at the end of an episode, before a reset.
+    reward, terminated, truncated : (e,).
+    parts : (e, 4), what the reward is made of: crashed, right lane, high speed, on the road.
+    speed : (e,), the ego's [m/s].
+    """
+
+    observations: NDArray[np.float32]
+    terminal: NDArray[np.float32]
+    reward: FloatArray
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    parts: FloatArray
+    speed: FloatArray
+
+
+@uncounted
+def _restart(worlds: Worlds, rules: Rules, e: int) -> None:
+    """Draw a new scene in one environment."""
+    numbers = rules.numbers
+    f, g, p, row = worlds.f[e], worlds.g[e], worlds.p[e], worlds.rows[e]
+    kinds = numbers[4], numbers[5]
+    spawn(
+        row,
+        f,
+        g,
+        p,
+        rules.lanes,
+        numbers[1],
+        kinds,
+        rules.constants,
+        rules.ranges,
+        rules.spacings,
+        rules.target_speeds,
+        numbers[2],
+        numbers[3] != 0,
+    )
+    worlds.clock[e] = 0.0
+    for i in range(f.shape[1]):
+        worlds.order[e, i] = i
+
+
+@uncounted
+def _command(rules: Rules, f: FloatArray, g: IntArray, action: FloatArray) -> None:
+    """What an action changes at once: target speed or lane of the ego, or its inputs."""
+    if g[KIND, 0] != EGO:
+        f[ACCELERATION, 0], f[STEERING, 0] = action[0], action[1]
+        return
+    label, lanes = rules.labels[int(action[0])], rules.lanes
+    if label >= 3:
+        f[TARGET_SPEED, 0] = next_target_speed(rules.target_speeds, f[SPEED, 0], label)
+    elif label != 1:
+        lane = min(max(g[TARGET, 0] + label - 1, 0), len(lanes) - 1)
+        if reachable(lanes, lane, f[X, 0], f[Y, 0]):
+            g[TARGET, 0] = lane
+
+
+@inlined
+def advance(
+    machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, level: bool, throttle: float, wheel: float
+) -> bool:
+    """Advance one environment by a frame; `level` is of `sort`, before and after."""
+    f, g, p, order = worlds.f[e], worlds.g[e], worlds.p[e], worlds.order[e]
+    vehicles, dt, lanes = rules.numbers[1], rules.times[0], rules.lanes
+    find(f, g, order, level, work.front, work.rear)
+    act(machine.sums, machine.loops, f, g, p, lanes, work.front, work.rear, work.numbers, work.busy, vehicles)
+    if not math.isnan(throttle):
+        f[ACCELERATION, 0] = throttle
+    if not math.isnan(wheel):
+        f[STEERING, 0] = wheel
+    move(machine.loops, f, g, p, lanes, work.numbers, work.busy, vehicles, dt)
+    level = sort(f, order)
+    collide(machine.sums, machine.products, f, g, p, order, work.corners, work.pairs, vehicles, dt)
+    return level
+
+
+@uncounted
+def _judge(rules: Rules, f: FloatArray, g: IntArray, parts: FloatArray) -> tuple[float, bool]:
+    """The reward of a decision, and whether the ego is on the road."""
+    collision, right, fast, on_road, slow_end, fast_end, normalised, _ = rules.reward
+    lanes, lane = rules.lanes, g[TARGET, 0] if g[KIND, 0] == EGO else g[LANE, 0]
+    on = on_lane(lanes, g[LANE, 0], f[X, 0], f[Y, 0], 0.0)
+    parts[0] = float(g[CRASHED, 0])
+    parts[1] = lane / max(len(lanes) - 1, 1)
+    parts[2] = clip((f[SPEED, 0] * f[COS, 0] - slow_end) / (fast_end - slow_end), 0.0, 1.0)
+    parts[3] = 1.0 if on else 0.0
+    reward = 0 + collision * parts[0]
+    reward += right * parts[1]
+    reward += fast * parts[2]
+    reward += on_road * parts[3]
+    if normalised:
+        reward = 0.0 + (reward - collision) / (fast + right - collision)
+    return reward * parts[3], on
+
+
+@uncounted
+def _show(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, e: int, out: Any) -> None:
+    """Fill in the observation of one environment, `out` (rows, features)."""
+    f, g, p, row = worlds.f[e], worlds.g[e], worlds.p[e], worlds.rows[e]
+    if len(view.grid) > 0:
+        occupancy_grid(
+            f,
+            g,
+            rules.lanes,
+            rules.numbers[1],
+            view.features,
+            view.ranges,
+            view.places,
+            view.grid,
+            view.switches[2],
+            work.seen,
+            out,
+        )
+        return
+    kinematics(
+        machine.sums,
+        row,
+        f,
+        g,
+        p,
+        rules.lanes,
+        view.features,
+        view.ranges,
+        view.switches,
+        work.busy,
+        work.seen,
+        out,
+    )
+
+
+@uncounted
+def finish(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
+    """End a decision in one environment: observation, reward, and whether the episode is over; see `Seen`."""
+    f, g = worlds.f[e], worlds.g[e]
+    _show(machine, worlds, rules, view, work, e, seen.observations[e])
+    reward, on = _judge(rules, f, g, seen.parts[e])
+    seen.reward[e], seen.speed[e] = reward, f[SPEED, 0]
+    seen.terminated[e] = g[CRASHED, 0] != 0 or (rules.reward[7] and not on)
+    seen.truncated[e] = worlds.clock[e] >= rules.times[2]
+
+
+@uncounted
+def observe(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
+    """What the ego of one environment sees at any frame, to `seen.observations`; nothing else is touched."""
+    _show(machine, worlds, rules, view, work, e, seen.observations[e])
+
+
+@uncounted
+def follow(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
+    """Begin the next episode in one environment; `seen.terminal` keeps what was last seen of this one."""
+    for k in range(seen.observations.shape[1]):
+        for c in range(seen.observations.shape[2]):
+            seen.terminal[e, k, c] = seen.observations[e, k, c]
+    _restart(worlds, rules, e)
+    _show(machine, worlds, rules, view, work, e, seen.observations[e])
+
+
+@uncounted
+def begin(worlds: Worlds, rules: Rules, e: int, action: FloatArray) -> None:
+    """Begin a decision in one environment: what its action changes at once."""
+    worlds.clock[e] += rules.times[1]
+    _command(rules, worlds.f[e], worlds.g[e], action)
+
+
+@uncounted
+def alike(worlds: Worlds, rules: Rules, count: int, work: FloatArray, first: IntArray) -> None:
+    """The first meta-action that leads to the same lane and speed as each, in the first `count` environments, `first`
+    (e, actions), written.
+
+    Parameters
+    ----------
+    work : (actions + 1, 2), written over.
+    """
+    actions = first.shape[1]
+    for e in range(count):
+        f, g = worlds.f[e], worlds.g[e]
+        target, speed = g[TARGET, 0], f[TARGET_SPEED, 0]
+        for a in range(actions):
+            work[actions, 0] = a
+            _command(rules, f, g, work[actions])
+            work[a, 0], work[a, 1] = g[TARGET, 0], f[TARGET_SPEED, 0]
+            g[TARGET, 0], f[TARGET_SPEED, 0] = target, speed
+            first[e, a] = a
+            for b in range(a - 1, -1, -1):
+                if work[b, 0] == work[a, 0] and work[b, 1] == work[a, 1]:
+                    first[e, a] = b
+
+
+@inlined
+def write_row(f: FloatArray, g: IntArray, p: FloatArray, i: int, row: FloatArray) -> None:
+    """A body as a row, (7,): x, y [m], heading [rad], speed [m/s], length, width [m], crashed."""
+    row[0], row[1], row[2], row[3] = f[X, i], f[Y, i], f[HEADING, i], f[SPEED, i]
+    row[4], row[5], row[6] = p[LENGTH, i], p[WIDTH, i], float(g[CRASHED, i])
+
+
+@inlined
+def look(worlds: Worlds, rules: Rules, e: int, rows: FloatArray) -> bool:
+    """The bodies of one environment as rows, (m, 7), see `frame`; whether the ego is on the road."""
+    f, g, p, lanes = worlds.f[e], worlds.g[e], worlds.p[e], rules.lanes
+    for i in range(f.shape[1]):
+        write_row(f, g, p, i, rows[i])
+    return on_lane(lanes, g[LANE, 0], f[X, 0], f[Y, 0], 0.0)
+
+
+@uncounted
+def frame(
+    machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, throttle: float, wheel: float, rows: FloatArray
+) -> bool:
+    """One frame of one environment; whether the ego is on the road afterwards.
+
+    Parameters
+    ----------
+    throttle, wheel : what the ego gets instead of what its own controllers ask for [m/s^2, rad]; NaN for theirs.
+    rows : (m, 7), written: x, y [m], heading [rad], speed [m/s], length, width [m], crashed, of each body.
+    """
+    advance(machine, worlds, rules, work, e, sort(worlds.f[e], worlds.order[e]), throttle, wheel)
+    return look(worlds, rules, e, rows)
+
+
+@uncounted
+def reset_all(
+    machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, which: IntArray, seeds: IntArray
+) -> None:
+    """Reset environments; a negative seed goes on with the environment's generator."""
+    for k in range(len(which)):
+        e = which[k]
+        if seeds[k] >= 0:
+            seed_row(worlds.rows[e], seeds[k])
+        _restart(worlds, rules, e)
+        _show(machine, worlds, rules, view, work, e, seen.observations[e])
+        seen.speed[e], seen.parts[e, 0] = worlds.f[e, SPEED, 0], 0.0
+
+
+@uncounted
+def step_all(
+    machine: Machine,
+    worlds: Worlds,
+    rules: Rules,
+    view: View,
+    work: Work,
+    seen: Seen,
+    actions: FloatArray,
+    first: int,
+    last: int,
+    again: bool,
+) -> None:
+    """A decision in each of the environments from `first` to `last`; with `again`, those that are over are reset."""
+    for e in range(first, last):
+        begin(worlds, rules, e, actions[e])
+        level = sort(worlds.f[e], worlds.order[e])
+        for _ in range(rules.numbers[0]):
+            level = advance(machine, worlds, rules, work, e, level, math.nan, math.nan)
+        finish(machine, worlds, rules, view, work, seen, e)
+        if again and (seen.terminated[e] or seen.truncated[e]):
+            follow(machine, worlds, rules, view, work, seen, e)

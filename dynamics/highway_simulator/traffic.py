@@ -1,0 +1,241 @@
+"""What highway-env's traffic does: IDM, the linear model, and MOBIL.
+
+Treiber, Hennecke and Helbing 2000; Kesting, Treiber and Helbing 2007; the details are those of highway-env's
+`vehicle/behavior.py`. A vehicle judges another's acceleration by its own constants.
+"""
+
+from __future__ import annotations
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.highway_simulator.arithmetic import clip, dot2, dot3, not_zero
+from dynamics.highway_simulator.lanes import reachable
+from dynamics.highway_simulator.layout import (
+    A_GAP,
+    A_LEADER,
+    A_SPEED,
+    COMFORT,
+    CONTINUOUS,
+    COS,
+    DELAY,
+    DELTA,
+    DISTANCE,
+    GAIN,
+    IMPOSED,
+    KIND,
+    LANE,
+    LANE_LIMIT,
+    LINEAR,
+    OBSTACLE,
+    POLITENESS,
+    SIN,
+    SPEED,
+    TARGET,
+    TARGET_SPEED,
+    TIME,
+    TIMER,
+    TWICE_ROOT,
+    X,
+    Y,
+)
+from dynamics.highway_simulator.loops import at_two
+from dynamics.state import FloatArray, IntArray
+from dynamics.traffic.mobil import gap_by
+
+__all__ = [
+    "acceleration",
+    "change_lanes",
+    "desired_gap",
+    "free_flow",
+    "free_flow_of",
+    "held_back",
+    "linear",
+    "wanted_share",
+]
+
+_POWER = 5
+
+
+@inlined
+def desired_gap(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, leader: int) -> float:
+    """IDM's gap d* of a body behind another [m]; negative where the other pulls away."""
+    v, w = f[SPEED, body], f[SPEED, leader]
+    c, s = f[COS, body], f[SIN, body]
+    closing = dot2(sums, v * c - w * f[COS, leader], c, v * s - w * f[SIN, leader], s)
+    return gap_by(p[DISTANCE, judge], p[TIME, judge], p[TWICE_ROOT, judge], v, closing)
+
+
+@inlined
+def wanted_share(f: FloatArray, g: IntArray, lanes: FloatArray, body: int) -> float:
+    """The speed of a body over the speed that it wants, within the limit of its lane."""
+    target = 0.0 if g[KIND, body] == CONTINUOUS else f[TARGET_SPEED, body]
+    return max(f[SPEED, body], 0.0) / abs(not_zero(clip(target, 0.0, lanes[g[LANE, body], LANE_LIMIT])))
+
+
+@inlined
+def free_flow(comfort: float, power: float) -> float:
+    """IDM's acceleration on an empty road [m/s^2], given the share of the wanted speed to the power delta."""
+    return comfort * (1.0 - power)
+
+
+@inlined
+def free_flow_of(
+    loops: IntArray, f: FloatArray, g: IntArray, p: FloatArray, lanes: FloatArray, judge: int, body: int
+) -> float:
+    """The same of a body by the constants of a judge; lanes : (n, LANE_COLUMNS)."""
+    share = wanted_share(f, g, lanes, body)
+    power = share * share
+    if p[DELTA, judge] != 2.0:
+        power = at_two(loops[_POWER, 0], loops[_POWER, 1], share, p[DELTA, judge])
+    return free_flow(p[COMFORT, judge], power)
+
+
+@inlined
+def held_back(
+    sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, leader: int, ahead: float, free: float
+) -> float:
+    """IDM's acceleration of a body behind a leader that is so far ahead of it [m], given that of an empty road."""
+    held = desired_gap(sums, f, p, judge, body, leader) / not_zero(ahead)
+    return free - p[COMFORT, judge] * (held * held)
+
+
+@inlined
+def linear(
+    sums: int, f: FloatArray, g: IntArray, p: FloatArray, judge: int, body: int, leader: int, ahead: float
+) -> float:
+    """The linear model's acceleration of a body by the constants of a judge [m/s^2].
+
+    Parameters
+    ----------
+    body, leader : -1 for nobody. ahead : how far the leader is ahead of the body [m]; not read without a leader.
+    """
+    if body < 0:
+        return dot3(sums, p[A_SPEED, judge], 0.0, p[A_LEADER, judge], 0.0, p[A_GAP, judge], 0.0)
+    v = f[SPEED, body]
+    own = g[KIND, body] == CONTINUOUS or g[KIND, body] == OBSTACLE
+    faster = (v if own else f[TARGET_SPEED, body]) - v
+    closing, room = 0.0, 0.0
+    if leader >= 0:
+        closing = min(f[SPEED, leader] - v, 0.0)
+        room = min(ahead - (p[DISTANCE, judge] + max(v, 0.0) * p[TIME, judge]), 0.0)
+    return dot3(sums, p[A_SPEED, judge], faster, p[A_LEADER, judge], closing, p[A_GAP, judge], room)
+
+
+@inlined
+def acceleration(
+    sums: int,
+    loops: IntArray,
+    f: FloatArray,
+    g: IntArray,
+    p: FloatArray,
+    lanes: FloatArray,
+    judge: int,
+    body: int,
+    leader: int,
+    free: float,
+) -> float:
+    """What a body would do behind a leader by the constants of a judge [m/s^2].
+
+    Parameters
+    ----------
+    body, leader : -1 for nobody.
+    free : `free_flow` of the judge itself, where it is the body; else it is found here.
+    """
+    if g[KIND, judge] == LINEAR:
+        ahead = f[X, leader] - f[X, body] if body >= 0 and leader >= 0 else 0.0
+        return linear(sums, f, g, p, judge, body, leader, ahead)
+    if body < 0 or g[KIND, body] == OBSTACLE:
+        return 0.0
+    if body != judge:
+        free = free_flow_of(loops, f, g, p, lanes, judge, body)
+    if leader < 0:
+        return free
+    return held_back(sums, f, p, judge, body, leader, f[X, leader] - f[X, body], free)
+
+
+@uncounted
+def _mobil(
+    sums: int,
+    loops: IntArray,
+    f: FloatArray,
+    g: IntArray,
+    p: FloatArray,
+    lanes: FloatArray,
+    front: IntArray,
+    rear: IntArray,
+    i: int,
+    lane: int,
+    free: float,
+    present: float,
+) -> bool:
+    """Whether a vehicle changes to a lane: nobody has to brake hard for it, and it gains.
+
+    What is cheap is asked first: none of the questions changes anything.
+    """
+    leader = front[lane, i]
+    gain = acceleration(sums, loops, f, g, p, lanes, i, i, leader, free) - present
+    if p[POLITENESS, i] == 0.0 and gain < p[GAIN, i]:
+        return False
+    follower = rear[lane, i]
+    imposed = acceleration(sums, loops, f, g, p, lanes, i, follower, i, free)
+    if imposed < -p[IMPOSED, i]:
+        return False
+    if p[POLITENESS, i] != 0.0:
+        old_leader = front[g[LANE, i], i]
+        old_follower = rear[g[LANE, i], i]
+        others = imposed - acceleration(sums, loops, f, g, p, lanes, i, follower, leader, free)
+        others += acceleration(sums, loops, f, g, p, lanes, i, old_follower, old_leader, free)
+        others -= acceleration(sums, loops, f, g, p, lanes, i, old_follower, i, free)
+        gain += p[POLITENESS, i] * others
+    return not gain < p[GAIN, i]
+
+
+@uncounted
+def change_lanes(
+    sums: int,
+    loops: IntArray,
+    f: FloatArray,
+    g: IntArray,
+    p: FloatArray,
+    lanes: FloatArray,
+    front: IntArray,
+    rear: IntArray,
+    i: int,
+    changers: IntArray,
+    changing: int,
+    free: float,
+    present: float,
+) -> int:
+    """A vehicle's decision about its lane, in place: those after it see what it has decided.
+
+    Parameters
+    ----------
+    front, rear : of `neighbours.find`.
+    changers, changing : those on the way to another lane, and how many there were; it may become one of them. Their
+        number is returned.
+    free, present : its acceleration on an empty road, and where it is [m/s^2].
+    """
+    lane, target = g[LANE, i], g[TARGET, i]
+    if lane != target:
+        for k in range(changing):
+            v = changers[k]
+            if v == i or g[LANE, v] == target or g[TARGET, v] != target:
+                continue
+            if 0.0 < f[X, v] - f[X, i] < desired_gap(sums, f, p, i, i, v):
+                g[TARGET, i] = lane
+                break
+        return changing
+    if not p[DELAY, i] < f[TIMER, i]:
+        return changing
+    f[TIMER, i] = 0.0
+    for side in (-1, 1):
+        candidate = lane + side
+        if candidate < 0 or candidate >= len(lanes):
+            continue
+        if not reachable(lanes, candidate, f[X, i], f[Y, i]) or abs(f[SPEED, i]) < 1.0:
+            continue
+        if _mobil(sums, loops, f, g, p, lanes, front, rear, i, candidate, free, present):
+            g[TARGET, i] = candidate
+    if g[TARGET, i] != lane:
+        changers[changing] = i
+        changing += 1
+    return changing

@@ -1,0 +1,212 @@
+"""Who comes to an intersection and who leaves it: highway-env's `IntersectionEnv`, draw by draw."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from dynamics.compiled import uncounted
+from dynamics.highway_simulator.arithmetic import dot2
+from dynamics.highway_simulator.layout import (
+    EGO,
+    IDM,
+    KIND,
+    LANE,
+    LANE_LENGTH,
+    LANE_LIMIT,
+    LENGTH,
+    LINEAR,
+    TARGET_SPEED,
+    P,
+    X,
+    Y,
+)
+from dynamics.highway_simulator.random import Row, below, uniform
+from dynamics.highway_simulator.scene import randomize, speed_index
+from dynamics.highway_simulator.step_kernels import Machine
+from dynamics.road_networks.episodes.draws import normal, two_of
+from dynamics.road_networks.episodes.placing import Scene, plan, put
+from dynamics.road_networks.geometry.lanes import heading_at, place
+from dynamics.road_networks.geometry.layout import ALONG, FRAMES, LEAVES, ROUTE_END, F, G
+from dynamics.road_networks.geometry.routes import Traffic
+from dynamics.road_networks.simulation.frame_kernels import (
+    NetworkRules,
+    NetworkWork,
+    NetworkWorlds,
+    advance,
+    traffic_of,
+)
+from dynamics.state import FloatArray, IntArray
+
+__all__ = ["Coming", "leave_and_come", "populate"]
+
+_ARMS = 4
+_FIRST, _FAST, _ROOM, _EGO_ROOM = 5.0, 8.0, 15.0, 20.0
+"""Where somebody comes in [m] and how fast [m/s], and how far from all others; and how far from the ego, at first."""
+_SECONDS = 3
+"""How long the traffic drives before the ego is there."""
+_EGO_PLACE, _CHALLENGER_PLACE = 60.0, 60.0
+
+
+class Coming(NamedTuple):
+    """Who comes, and when.
+
+    Attributes
+    ----------
+    arms : (4,), the lane that each arm comes in by; its goal has the same number. None where nobody comes.
+    places : (n,), where along their lanes those of the beginning are looked for [m]. frames : of a second.
+    odds : that somebody comes at a decision.
+    goal : the ego's, -1 for one that is drawn.
+    """
+
+    arms: IntArray
+    places: FloatArray
+    frames: int
+    odds: float
+    goal: int
+
+
+@uncounted
+def _come(
+    row: Row,
+    scene: Scene,
+    coming: Coming,
+    traffic: Traffic,
+    i: int,
+    along: float,
+    spreads: tuple[float, float],
+    odds: float,
+    straight: bool,
+) -> int:
+    """highway-env's `_spawn_vehicle`, into column `i`; how many columns are taken then."""
+    f, lanes = traffic.f, traffic.lanes
+    if uniform(row, 0.0, 1.0) > odds:
+        return i
+    start, goal = two_of(row, _ARMS)
+    if straight:
+        goal = (start + 2) % _ARMS
+    s = along + _FIRST + normal(row) * spreads[0]
+    speed = _FAST + normal(row) * spreads[1]
+    x, y = place(lanes, coming.arms[start], s)
+    for v in range(i):
+        dx, dy = f[X, v] - x, f[Y, v] - y
+        if math.sqrt(dot2(lanes.sums, dx, dx, dy, dy)) < _ROOM:
+            return i
+    put(scene, traffic, i, False, x, y, heading_at(lanes, coming.arms[start], s), speed)
+    plan(scene, traffic, i, goal)
+    randomize(row, scene.kind, scene.ranges, traffic.p, i)
+    return i + 1
+
+
+@uncounted
+def _move_column(traffic: Traffic, source: int, goal: int) -> None:
+    f, g, p, routes = traffic.f, traffic.g, traffic.p, traffic.routes
+    frames = g[FRAMES, 0]
+    for k in range(F):
+        f[k, goal] = f[k, source]
+    for k in range(G):
+        g[k, goal] = g[k, source]
+    for k in range(P):
+        p[k, goal] = p[k, source]
+    for k in range(routes.shape[1]):
+        routes[goal, k, 0], routes[goal, k, 1] = routes[source, k, 0], routes[source, k, 1]
+    g[FRAMES, 0] = frames
+
+
+@uncounted
+def _count(worlds: NetworkWorlds, e: int, n: int) -> None:
+    """Note how many vehicles there are; nothing stands on an intersection."""
+    worlds.counts[e, 0] = worlds.counts[e, 1] = n
+    for i in range(n):
+        worlds.order[e, i] = i
+
+
+@uncounted
+def _keep(worlds: NetworkWorlds, traffic: Traffic, e: int, gone: IntArray) -> None:
+    """Take those off the road that are marked."""
+    n = 0
+    for i in range(worlds.counts[e, 0]):
+        if gone[i] == 0:
+            if n != i:
+                _move_column(traffic, i, n)
+            n += 1
+    _count(worlds, e, n)
+
+
+@uncounted
+def _enter(row: Row, scene: Scene, coming: Coming, traffic: Traffic, i: int) -> None:
+    """Put the ego into column `i`."""
+    lanes, f = traffic.lanes, traffic.f
+    lane, goal = coming.arms[0], coming.goal
+    if goal < 0:
+        goal = 1 + below(row, _ARMS - 1)
+    x, y = place(lanes, lane, _EGO_PLACE + 5.0 * (1.0 + normal(row)))
+    limit = lanes.rows[lane, LANE_LIMIT]
+    put(scene, traffic, i, True, x, y, heading_at(lanes, lane, _EGO_PLACE), limit)
+    if traffic.g[KIND, i] == EGO:
+        plan(scene, traffic, i, goal)
+        f[TARGET_SPEED, i] = scene.target_speeds[speed_index(scene.target_speeds, limit)]
+
+
+@uncounted
+def populate(
+    machine: Machine,
+    worlds: NetworkWorlds,
+    rules: NetworkRules,
+    scene: Scene,
+    coming: Coming,
+    work: NetworkWork,
+    row: Row,
+    e: int,
+) -> None:
+    """A fresh scene: the traffic, which drives for a while, who comes across the ego's way, and the ego."""
+    n, busy = 0, work.busy
+    worlds.g[e, FRAMES, 0] = 0
+    for k in range(len(coming.places)):
+        frames = worlds.g[e, FRAMES, 0]
+        traffic = traffic_of(machine, worlds, rules.network, e)
+        n = _come(row, scene, coming, traffic, n, coming.places[k], (1.0, 1.0), 0.6, False)
+        worlds.g[e, FRAMES, 0] = frames
+    _count(worlds, e, n)
+    for _ in range(_SECONDS * coming.frames):
+        advance(machine, worlds, rules, work, e)
+    frames = worlds.g[e, FRAMES, 0]
+    traffic = traffic_of(machine, worlds, rules.network, e)
+    n = _come(row, scene, coming, traffic, n, _CHALLENGER_PLACE, (0.1, 0.0), 1.0, True)
+    _enter(row, scene, coming, traffic, n)
+    worlds.g[e, FRAMES, 0] = frames
+    _count(worlds, e, n + 1)
+    f = worlds.f[e]
+    for i in range(n + 1):
+        dx, dy = f[X, i] - f[X, n], f[Y, i] - f[Y, n]
+        near = math.sqrt(dot2(machine.sums, dx, dx, dy, dy)) < _EGO_ROOM
+        busy[i] = 1 if i < n and near else 0
+    _keep(worlds, traffic, e, busy)
+
+
+@uncounted
+def leave_and_come(
+    machine: Machine,
+    worlds: NetworkWorlds,
+    rules: NetworkRules,
+    scene: Scene,
+    coming: Coming,
+    work: NetworkWork,
+    row: Row,
+    e: int,
+) -> bool:
+    """What happens between two decisions: those near the end of a lane that leaves, or without a route, go, and then
+    somebody may come. Whether there was room for that."""
+    lanes, g, p, busy = rules.network.lanes, worlds.g[e], worlds.p[e], work.busy
+    for i in range(worlds.counts[e, 0]):
+        lane = g[LANE, i]
+        leaves = rules.network.ids[lane, LEAVES] != 0
+        leaves = leaves and worlds.f[e, ALONG, i] >= lanes[lane, LANE_LENGTH] - 4 * p[LENGTH, i]
+        busy[i] = 1 if g[KIND, i] in (IDM, LINEAR) and (leaves or g[ROUTE_END, i] < 0) else 0
+    traffic = traffic_of(machine, worlds, rules.network, e)
+    _keep(worlds, traffic, e, busy)
+    n = worlds.counts[e, 0]
+    if n == g.shape[1]:
+        return False
+    _count(worlds, e, _come(row, scene, coming, traffic, n, 0.0, (1.0, 1.0), coming.odds, False))
+    return True

@@ -1,0 +1,63 @@
+"""What environments on road networks draw, as numpy's `Generator` draws it: normal numbers, and two of several.
+
+The ziggurat of Marsaglia and Tsang (2000) as numpy has it; numba carries its tables.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba.np.random._constants import (
+    fi_double,
+    ki_double,
+    wi_double,
+    ziggurat_nor_inv_r,
+    ziggurat_nor_r,
+)
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.highway_simulator.random import Row, below, next_64, uniform
+
+__all__ = ["normal", "two_of"]
+
+_EDGES, _WIDTHS, _HEIGHTS = ki_double, wi_double, fi_double
+_FAR, _OVER_FAR = float(ziggurat_nor_r), float(ziggurat_nor_inv_r)
+
+
+@inlined
+def _share(row: Row) -> float:
+    return uniform(row, 0.0, 1.0)
+
+
+@uncounted
+def normal(row: Row) -> float:
+    """`Generator.normal()`."""
+    while True:
+        word = next_64(row)
+        layer = int(word & 0xFF)
+        size = (word >> 9) & 0x000FFFFFFFFFFFFF
+        x = size * _WIDTHS[layer]
+        if (word >> 8) & 1:
+            x = -x
+        if size < _EDGES[layer]:
+            return x
+        if layer == 0:
+            while True:
+                beyond = -_OVER_FAR * math.log1p(-_share(row))
+                height = -math.log1p(-_share(row))
+                if height + height > beyond * beyond:
+                    return -(_FAR + beyond) if (size >> 8) & 1 else _FAR + beyond
+        if (_HEIGHTS[layer - 1] - _HEIGHTS[layer]) * _share(row) + _HEIGHTS[layer] < math.exp(-0.5 * x * x):
+            return x
+
+
+@inlined
+def two_of(row: Row, n: int) -> tuple[int, int]:
+    """`Generator.choice(n, size=2, replace=False)`: Floyd's way, and a shuffle."""
+    one = below(row, n - 1)
+    two = below(row, n)
+    if two == one:
+        two = n - 1
+    if below(row, 2) == 0:
+        one, two = two, one
+    return one, two

@@ -1,0 +1,234 @@
+"""Many episodes on one road network: reset and step as one compiled call over environments."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.compiled import uncounted
+from dynamics.highway_simulator.layout import CRASHED, EGO, KIND, SPEED, TARGET_SPEED
+from dynamics.highway_simulator.random import seed_row
+from dynamics.highway_simulator.step_kernels import Machine
+from dynamics.road_networks.episodes.arrivals import Coming, leave_and_come, populate
+from dynamics.road_networks.episodes.observe import AHEAD, View, kinematics
+from dynamics.road_networks.episodes.placing import Scene, put_row
+from dynamics.road_networks.episodes.rewards import Worth, index_of_speed, judge
+from dynamics.road_networks.episodes.time_to_collision import time_ahead
+from dynamics.road_networks.geometry.layout import FRAMES
+from dynamics.road_networks.simulation.frame_kernels import (
+    NetworkRules,
+    NetworkWork,
+    NetworkWorlds,
+    advance,
+    command,
+    ego_of,
+    hold,
+    traffic_of,
+)
+from dynamics.state import FloatArray, IntArray
+
+__all__ = [
+    "EpisodeRules",
+    "EpisodeWork",
+    "Episodes",
+    "RoadsSeen",
+    "again_at",
+    "begin",
+    "finish",
+    "reset_all",
+    "step_all",
+]
+
+
+class Episodes(NamedTuple):
+    """The state of all environments: the roads, the generators, (e, 6), and the decisions since the reset, (e,)."""
+
+    worlds: NetworkWorlds
+    rows: NDArray[np.uint64]
+    decisions: IntArray
+
+
+class EpisodeRules(NamedTuple):
+    """What is the same in all environments."""
+
+    drive: NetworkRules
+    scene: Scene
+    coming: Coming
+    sight: View
+    worth: Worth
+
+
+class EpisodeWork(NamedTuple):
+    """Room that is written over: of the frames, and of an observation."""
+
+    drive: NetworkWork
+    near: IntArray
+    away: FloatArray
+    seen: FloatArray
+    stack: IntArray
+    ahead: FloatArray
+
+
+class RoadsSeen(NamedTuple):
+    """What a step returns, an entry for each environment.
+
+    Attributes
+    ----------
+    observations : (e, rows, features). terminal : the same at the end of an episode, before a reset.
+    reward, terminated, truncated : (e,).
+    parts : (e, 5), what the reward is made of (`rewards.NAMES`).
+    speed : (e,), the ego's [m/s]. crashed : (e,), whether it has.
+    full : (e,), whether somebody may have come for whom there was no room.
+    """
+
+    observations: NDArray[np.float32]
+    terminal: NDArray[np.float32]
+    reward: FloatArray
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    parts: FloatArray
+    speed: FloatArray
+    crashed: NDArray[np.bool_]
+    full: NDArray[np.bool_]
+
+
+@uncounted
+def _restart(machine: Machine, episodes: Episodes, rules: EpisodeRules, work: EpisodeWork, e: int) -> None:
+    """Draw a new scene in one environment."""
+    worlds, row, scene = episodes.worlds, episodes.rows[e], rules.scene
+    worlds.clock[e], episodes.decisions[e] = 0.0, 0
+    if len(rules.coming.arms) > 0:
+        populate(machine, worlds, rules.drive, scene, rules.coming, work.drive, row, e)
+        return
+    f, g, p = worlds.f[e], worlds.g[e], worlds.p[e]
+    traffic, n = traffic_of(machine, worlds, rules.drive.network, e), 0
+    for k in range(len(scene.rows)):
+        n = put_row(row, scene, traffic, work.drive.numbers, n, k)
+    worlds.counts[e, 0] = n
+    for j in range(scene.standing.shape[1]):
+        for k in range(f.shape[0]):
+            f[k, n] = scene.standing[k, j]
+        for k in range(g.shape[0]):
+            g[k, n] = scene.standing_ids[k, j]
+        for k in range(p.shape[0]):
+            p[k, n] = scene.standing_sizes[k, j]
+        n += 1
+    worlds.counts[e, 1] = n
+    g[FRAMES, 0] = 0
+    for i in range(n):
+        worlds.order[e, i] = i
+
+
+@uncounted
+def _show(
+    machine: Machine,
+    episodes: Episodes,
+    rules: EpisodeRules,
+    work: EpisodeWork,
+    e: int,
+    out: NDArray[np.float32],
+) -> None:
+    """Fill in the observation of one environment, `out` (rows, features)."""
+    worlds, view = episodes.worlds, rules.sight
+    ego, traffic = ego_of(worlds.g[e]), traffic_of(machine, worlds, rules.drive.network, e)
+    if view.kind == AHEAD:
+        speeds = rules.drive.target_speeds
+        index = index_of_speed(speeds, traffic.f[TARGET_SPEED, ego])
+        time_ahead(traffic, view, ego, speeds, index, worlds.counts[e, 0], work.stack, work.ahead, out)
+        return
+    kinematics(episodes.rows[e], traffic, view, ego, work.near, work.away, work.seen, out)
+
+
+@uncounted
+def begin(machine: Machine, episodes: Episodes, rules: EpisodeRules, e: int, action: FloatArray) -> None:
+    """Begin a decision in one environment: what its action changes at once."""
+    worlds = episodes.worlds
+    worlds.clock[e] += rules.drive.times[1]
+    episodes.decisions[e] += 1
+    ego = ego_of(worlds.g[e])
+    if worlds.g[e, KIND, ego] == EGO:
+        command(machine, worlds, rules.drive, e, ego, int(action[0]))
+    else:
+        hold(worlds, e, action[0], action[1])
+
+
+@uncounted
+def finish(
+    machine: Machine,
+    episodes: Episodes,
+    rules: EpisodeRules,
+    work: EpisodeWork,
+    seen: RoadsSeen,
+    e: int,
+    action: FloatArray,
+) -> None:
+    """End a decision in one environment: observation, reward, and whether the episode is over; then who comes and who
+    goes."""
+    worlds, worth = episodes.worlds, rules.worth
+    _show(machine, episodes, rules, work, e, seen.observations[e])
+    ego, traffic = ego_of(worlds.g[e]), traffic_of(machine, worlds, rules.drive.network, e)
+    which = int(action[0]) if traffic.g[KIND, ego] == EGO else -1
+    speeds, vehicles = rules.drive.target_speeds, worlds.counts[e, 0]
+    seen.reward[e], seen.terminated[e] = judge(traffic, worth, speeds, ego, vehicles, which, seen.parts[e])
+    seen.speed[e], seen.crashed[e] = traffic.f[SPEED, ego], traffic.g[CRASHED, ego] != 0
+    cut = worth.decisions > 0 and episodes.decisions[e] >= worth.decisions
+    seen.truncated[e] = cut or worlds.clock[e] >= worth.duration
+    if len(rules.coming.arms) > 0:
+        room = leave_and_come(machine, worlds, rules.drive, rules.scene, rules.coming, work.drive, episodes.rows[e], e)
+        seen.full[e] = seen.full[e] or not room
+
+
+@uncounted
+def reset_all(
+    machine: Machine,
+    episodes: Episodes,
+    rules: EpisodeRules,
+    work: EpisodeWork,
+    seen: RoadsSeen,
+    which: IntArray,
+    seeds: IntArray,
+) -> None:
+    """Reset environments; a negative seed goes on with the environment's generator."""
+    for k in range(len(which)):
+        e = which[k]
+        if seeds[k] >= 0:
+            seed_row(episodes.rows[e], seeds[k])
+        _restart(machine, episodes, rules, work, e)
+        _show(machine, episodes, rules, work, e, seen.observations[e])
+        seen.speed[e], seen.crashed[e] = episodes.worlds.f[e, SPEED, ego_of(episodes.worlds.g[e])], False
+
+
+@uncounted
+def again_at(
+    machine: Machine, episodes: Episodes, rules: EpisodeRules, work: EpisodeWork, seen: RoadsSeen, e: int
+) -> None:
+    """Follow an episode by a new one; `seen.terminal` has what was seen last."""
+    for k in range(seen.observations.shape[1]):
+        for c in range(seen.observations.shape[2]):
+            seen.terminal[e, k, c] = seen.observations[e, k, c]
+    _restart(machine, episodes, rules, work, e)
+    _show(machine, episodes, rules, work, e, seen.observations[e])
+
+
+@uncounted
+def step_all(
+    machine: Machine,
+    episodes: Episodes,
+    rules: EpisodeRules,
+    work: EpisodeWork,
+    seen: RoadsSeen,
+    actions: FloatArray,
+    first: int,
+    last: int,
+    again: bool,
+) -> None:
+    """A decision in each of the environments from `first` to `last`; with `again`, those that are over are reset."""
+    for e in range(first, last):
+        begin(machine, episodes, rules, e, actions[e])
+        for _ in range(rules.drive.numbers[0]):
+            advance(machine, episodes.worlds, rules.drive, work.drive, e)
+        finish(machine, episodes, rules, work, seen, e, actions[e])
+        if again and (seen.terminated[e] or seen.truncated[e]):
+            again_at(machine, episodes, rules, work, seen, e)

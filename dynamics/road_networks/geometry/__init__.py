@@ -1,0 +1,1 @@
+"""Lanes of a road network: positions, footprints, conflict zones and routes."""

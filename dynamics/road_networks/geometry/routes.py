@@ -1,0 +1,93 @@
+"""What drives on a network, and which lane comes next: highway-env's `follow_road` and `next_lane`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.highway_simulator.layout import LANE, TARGET, X, Y
+from dynamics.road_networks.geometry.lanes import Lanes, after_end, distance, local, place
+from dynamics.road_networks.geometry.layout import ACROSS, ALONG, COUNT, ID, ROAD, ROUTE, ROUTE_END, TO
+from dynamics.road_networks.geometry.network import Network
+from dynamics.state import FloatArray, IntArray
+
+__all__ = ["Traffic", "follow_road", "on_lane_of"]
+
+
+class Traffic(NamedTuple):
+    """m bodies of one scene on a network.
+
+    Attributes
+    ----------
+    f, g, p : (F, m), (G, m) and (P, m), see `layout`.
+    routes : (m, entries, 2): roads, and their lanes or -1.
+    bodies : how many of the m there are.
+    """
+
+    lanes: Lanes
+    network: Network
+    f: FloatArray
+    g: IntArray
+    p: FloatArray
+    routes: IntArray
+    bodies: int
+
+
+@inlined
+def on_lane_of(traffic: Traffic, i: int, lane: int) -> tuple[float, float]:
+    """(s, r) of a body on a lane [m]; on its own it is known."""
+    f = traffic.f
+    if lane == traffic.g[LANE, i]:
+        return f[ALONG, i], f[ACROSS, i]
+    return local(traffic.lanes, lane, f[X, i], f[Y, i])
+
+
+@uncounted
+def _entered(traffic: Traffic, lane: int, road: int, wanted: int, x: float, y: float) -> tuple[int, float]:
+    """The lane of the next road that follows a lane, and how far it is from a place [m]: the same of as many, the one
+    that is `wanted` (-1 for none), or the closest."""
+    lanes, roads = traffic.lanes, traffic.network.roads
+    first, count = roads[road, 2], roads[road, 3]
+    if lanes.ids[lane, COUNT] == count:
+        chosen = first + (lanes.ids[lane, ID] if wanted < 0 else wanted)
+        return chosen, distance(lanes, chosen, x, y)
+    best, least = first, distance(lanes, first, x, y)
+    for k in range(1, count):
+        away = distance(lanes, first + k, x, y)
+        if away < least:
+            best, least = first + k, away
+    return best, least
+
+
+@uncounted
+def _follow_on(traffic: Traffic, i: int, lane: int, s: float) -> None:
+    """`follow_road` of a vehicle that is at the end of its lane."""
+    lanes, network, g, routes = traffic.lanes, traffic.network, traffic.g, traffic.routes
+    node, following, wanted = lanes.ids[lane, TO], -1, -1
+    if g[ROUTE, i] < g[ROUTE_END, i]:
+        if routes[i, g[ROUTE, i], 0] == lanes.ids[lane, ROAD]:
+            g[ROUTE, i] += 1
+        if g[ROUTE, i] < g[ROUTE_END, i] and network.roads[routes[i, g[ROUTE, i], 0], 0] == node:
+            following, wanted = routes[i, g[ROUTE, i], 0], routes[i, g[ROUTE, i], 1]
+    x, y = place(lanes, lane, s)
+    if following >= 0:
+        g[TARGET, i] = _entered(traffic, lane, following, wanted, x, y)[0]
+        return
+    best, least = lane, 0.0
+    for k in range(network.outs.shape[1]):
+        road = network.outs[node, k]
+        if road < 0:
+            break
+        entered, away = _entered(traffic, lane, road, -1, x, y)
+        if k == 0 or away < least:
+            best, least = entered, away
+    g[TARGET, i] = best
+
+
+@inlined
+def follow_road(traffic: Traffic, i: int) -> None:
+    """At the end of the lane that a vehicle is bound for, the next one: of its route, or the closest."""
+    lane = traffic.g[TARGET, i]
+    s = on_lane_of(traffic, i, lane)[0]
+    if after_end(traffic.lanes.rows, lane, s):
+        _follow_on(traffic, i, lane, s)

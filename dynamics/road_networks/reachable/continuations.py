@@ -1,0 +1,87 @@
+"""Where one can go on from a lane: all that a road network offers, whatever a vehicle's route says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dynamics.road_networks.geometry.network import index_of
+from dynamics.state import FloatArray, IntArray
+
+__all__ = ["SETTLED", "continuations_of", "leads_over"]
+
+SETTLED = 25.0
+"""Who has come into a lane from beside it is back in the middle once it has driven so far [m]."""
+_SLACK, _STRAIGHT, _BESIDE, _PASSES = 1.0, 0.1, 0.3, 3
+_TOUCH = 2.5
+"""Lanes that begin within this of where another ends go on from it [m]; of a road without such a lane, the nearest."""
+
+
+def continuations_of(network: Any) -> tuple[IntArray, FloatArray, FloatArray]:
+    """The lanes that each lane of a `RoadNetwork` leads to, (n, most), -1 for none; where on them it ends, s and r,
+    and how much more room it takes to come over, (n, most, 3) [m]; and the least s, the least and the greatest r at
+    which one comes into each, (n, 3) [m].
+
+    Lanes are numbered as by `dynamics.road_networks.geometry.network.index_of`. A road that begins where a lane ends
+    and leads back the other way does not go on from it.
+    """
+    graph, numbers = network.graph, index_of(network)
+    found: list[list[tuple[int, tuple[float, float, float]]]] = []
+    for a, b, k in numbers:
+        lane = graph[a][b][k]
+        end, heading = lane.position(lane.length, 0.0), lane.heading_at(lane.length)
+        after: list[tuple[int, tuple[float, float, float]]] = []
+        for to, road in graph.get(b, {}).items():
+            ahead = [j for j, each in enumerate(road) if np.cos(each.heading_at(0.0) - heading) > 0]
+            if not ahead:
+                continue
+            away = {j: float(np.hypot(*(road[j].position(0.0, 0.0) - end))) for j in ahead}
+            near = [j for j in ahead if away[j] <= _TOUCH] or [min(ahead, key=away.__getitem__)]
+            after += [(numbers[b, to, j], _joint(road[j], end, heading)) for j in near]
+        found.append(after)
+    table = np.full((len(found), max(map(len, found), default=0)), -1, np.int64)
+    ends = np.zeros((*table.shape, 3))
+    for k, after in enumerate(found):
+        for j, (lane, place) in enumerate(after):
+            table[k, j], ends[k, j] = lane, place
+    return table, ends, _entries(table, ends, np.array([lane.length for lane in network.lanes_list()]))
+
+
+def _joint(lane: Any, end: FloatArray, heading: float) -> tuple[float, float, float]:
+    """Where on a lane another one ends, s and r, and how much more room it takes to come over [m]."""
+    s, r = lane.local_coordinates(end)
+    smooth = abs(r) < _BESIDE and abs(np.sin(heading - lane.heading_at(min(max(s, 0.0), lane.length)))) < _STRAIGHT
+    return float(s), float(r), 0.0 if smooth else _SLACK
+
+
+def leads_over(network: Any) -> IntArray:
+    """The neighbour that one has to come over to from a lane that ends, (n,), or -1."""
+    graph, numbers = network.graph, index_of(network)
+    over = np.full(len(numbers), -1, np.int64)
+    for (a, b, k), number in numbers.items():
+        lane = graph[a][b][k]
+        end, heading = lane.position(lane.length, 0.0), lane.heading_at(lane.length)
+        roads = [road for road in graph.get(b, {}).values() if np.cos(road[0].heading_at(0.0) - heading) > 0]
+        offsets = [each.local_coordinates(end)[1] for road in roads for each in road]
+        if not offsets or min(map(abs, offsets)) <= lane.width / 2:
+            continue
+        side = -1 if min(offsets, key=abs) > 0 else 1
+        if 0 <= k + side < len(graph[a][b]):
+            over[number] = numbers[a, b, k + side]
+    return over
+
+
+def _entries(table: IntArray, ends: FloatArray, lengths: FloatArray) -> FloatArray:
+    """The least s, the least and the greatest r at which one comes into each lane, (n, 3) [m]: beside it where the one
+    before ends there, or where one was beside that and has not driven far since."""
+    entries = np.zeros((len(table), 3))
+    for _ in range(_PASSES):
+        for k, row in enumerate(table):
+            inherited = entries[k, 1:] if lengths[k] < SETTLED else np.zeros(2)
+            for lane, (s, r, slack) in zip(row, ends[k], strict=True):
+                if lane >= 0:
+                    entries[lane, 0] = min(entries[lane, 0], s)
+                    entries[lane, 1] = min(entries[lane, 1], min(r, 0.0) + inherited[0] - slack)
+                    entries[lane, 2] = max(entries[lane, 2], max(r, 0.0) + inherited[1] + slack)
+    return entries

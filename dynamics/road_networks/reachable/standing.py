@@ -1,0 +1,158 @@
+"""The lanes that a vehicle is on now: those that it keeps to, is coming into, or else touches."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.highway_simulator.arithmetic import wrap_to_pi
+from dynamics.highway_simulator.layout import LANE_LENGTH, LANE_WIDTH
+from dynamics.road_networks.geometry.footprints import Place, Rectangle, extent_of
+from dynamics.road_networks.geometry.lanes import Lanes, heading_at, local, unrolled
+from dynamics.road_networks.geometry.layout import ROAD
+from dynamics.road_networks.reachable.continuations import SETTLED
+from dynamics.road_networks.reachable.strips import (
+    BEFORE,
+    Conduct,
+    Strip,
+    Strips,
+    Ways,
+    add,
+    front_of,
+    half_of,
+    keep_of,
+)
+from dynamics.state import FloatArray, IntArray, Vehicle
+
+__all__ = ["ALIGNED", "Subject", "stand"]
+
+_LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
+ALIGNED, _TURNING, _OVERLAY = 0.5, 0.9, 2.0
+"""A vehicle may follow a lane of another road if its heading is off by less than this [rad], or while it comes over to
+it by less than that, and it is this near to the middle [m]: where roads part, that is true of several."""
+_SWEEP = 0.5
+"""How much further a body may reach that turns into a lane from beside it [m]."""
+
+
+class Subject(NamedTuple):
+    """A vehicle: its number, its row (7,), the lane that it is on, and which roads its route has, (roads,), where it is
+    `limited` to them."""
+
+    number: int
+    row: FloatArray
+    own: int
+    route: IntArray
+    limited: bool
+
+
+class _Pose(NamedTuple):
+    """A body on a lane: s and r of its middle [m], its angle to the lane [rad], the least and the greatest r of it,
+    half of what it takes of the lane's length, how far its front is ahead, and how far it reaches to either side once
+    it keeps to the middle [m]; and whether it is where one may be in that lane, or about to come into it."""
+
+    s: float
+    r: float
+    angle: float
+    low: float
+    high: float
+    half: float
+    front: float
+    keep: float
+    within: bool
+
+
+@uncounted
+def _pose(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, lane: int) -> _Pose:
+    s, r = local(lanes, lane, row[0], row[1])
+    s = unrolled(lanes, lane, s)
+    long, keep = lanes.rows[lane, LANE_LENGTH], keep_of(lanes, lane, row, conduct)
+    angle = wrap_to_pi(row[2] - heading_at(lanes, lane, min(max(s, 0.0), long)))
+    body = Rectangle(0.0, math.cos(row[2]), math.sin(row[2]), 0.5 * row[_LENGTH], 0.5 * row[_WIDTH])
+    extent = extent_of(lanes, lane, Place(row[0], row[1], s, r), body)
+    half = max(extent.last - s, s - extent.first, half_of(lanes, lane, row, conduct))
+    front, within = max(extent.last - s, front_of(row)), ways.entries[lane, 0] - BEFORE <= s <= long
+    return _Pose(s, r, angle, extent.low, extent.high, half, front, keep, within)
+
+
+@inlined
+def _off_route(lanes: Lanes, subject: Subject, lane: int) -> bool:
+    return subject.limited and subject.route[lanes.ids[lane, ROAD]] == 0
+
+
+@uncounted
+def _strip_of(subject: Subject, lane: int, at: _Pose, low: float, high: float, back: float) -> Strip:
+    """The strip of a lane that a vehicle is on."""
+    return Strip(subject.number, lane, -1, -at.s, -at.s, low, high, at.half, min(at.s, 0.0), back, at.keep, at.front)
+
+
+@uncounted
+def _kept(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: Strips, first: int) -> int:
+    """The lanes to which a vehicle keeps: of its route, or any; how many strips there are then. Who keeps to none but
+    such as it has not come to is still between lanes."""
+    count, some = first, False
+    for lane in range(lanes.rows.shape[0]):
+        if _off_route(lanes, subject, lane):
+            continue
+        at = _pose(lanes, ways, conduct, subject.row, lane)
+        if at.within and abs(at.angle) <= ALIGNED and max(at.high, -at.low) <= at.keep:
+            count = add(strips, first, count, _strip_of(subject, lane, at, -at.keep, at.keep, 0.0))
+            some = some or at.s >= 0.0
+    return count if some else first
+
+
+@uncounted
+def _entered(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: Strips, first: int) -> int:
+    """The lanes into which a vehicle is coming from beside them, and with any such the one that it is on; likewise."""
+    count, some = first, False
+    for lane in range(lanes.rows.shape[0]):
+        if _off_route(lanes, subject, lane):
+            continue
+        at = _pose(lanes, ways, conduct, subject.row, lane)
+        low, high = at.low, at.high
+        if lane == subject.own:
+            low, high = min(low, -at.keep), max(high, at.keep)
+            count = add(strips, first, count, _strip_of(subject, lane, at, low, high, SETTLED))
+            continue
+        least, most = -at.keep + ways.entries[lane, 1], at.keep + ways.entries[lane, 2]
+        if at.within and abs(at.angle) <= _TURNING and low >= least and high <= most:
+            low, high = max(least, min(low - _SWEEP, -at.keep)), min(most, max(high + _SWEEP, at.keep))
+            count = add(strips, first, count, _strip_of(subject, lane, at, low, high, SETTLED))
+            some = True
+    return count if some else first
+
+
+@uncounted
+def _chosen(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: Strips, first: int) -> int:
+    """The lanes to which a vehicle keeps, or else those into which it is coming; likewise."""
+    count = _kept(lanes, ways, conduct, subject, strips, first)
+    return count if count > first else _entered(lanes, ways, conduct, subject, strips, first)
+
+
+@uncounted
+def _touched(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: Strips, first: int) -> int:
+    """The lanes that a vehicle touches, which is between them; likewise."""
+    count = first
+    for lane in range(lanes.rows.shape[0]):
+        at = _pose(lanes, ways, conduct, subject.row, lane)
+        if lane != subject.own:
+            if lanes.ids[lane, ROAD] == lanes.ids[subject.own, ROAD]:
+                if max(at.low, -at.high) >= lanes.rows[lane, LANE_WIDTH] / 2 - conduct.lean:
+                    continue
+            elif not (abs(at.r) <= _OVERLAY and at.within and abs(at.angle) <= ALIGNED):
+                continue
+        low, high = min(at.low, -at.keep), max(at.high, at.keep)
+        count = add(strips, first, count, _strip_of(subject, lane, at, low, high, SETTLED))
+    return count
+
+
+@uncounted
+def stand(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: Strips, first: int) -> int:
+    """The strips of the lanes that a vehicle is on, those of its route before all others; how many there are then."""
+    anywhere = Subject(subject.number, subject.row, subject.own, subject.route, False)
+    count = first
+    if subject.limited:
+        count = _chosen(lanes, ways, conduct, subject, strips, first)
+    if count == first:
+        count = _chosen(lanes, ways, conduct, anywhere, strips, first)
+    return count if count > first else _touched(lanes, ways, conduct, anywhere, strips, first)

@@ -1,0 +1,1 @@
+"""Frames of a live highway-env on a road network, compiled."""

@@ -1,0 +1,105 @@
+"""Which of highway-env's environments have traffic on a network that follows from its state alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.exit_env import ExitEnv
+from highway_env.envs.highway_env import HighwayEnv
+from highway_env.envs.intersection_env import IntersectionEnv
+from highway_env.envs.lane_keeping_env import LaneKeepingEnv
+from highway_env.envs.merge_env import MergeEnv
+from highway_env.envs.parking_env import ParkingEnv
+from highway_env.envs.racetrack_env import RacetrackEnv
+from highway_env.envs.roundabout_env import RoundaboutEnv
+from highway_env.envs.two_way_env import TwoWayEnv
+from highway_env.envs.u_turn_env import UTurnEnv
+from highway_env.road.regulation import RegulatedRoad
+from highway_env.utils import class_from_path
+
+from dynamics.errors import ConfigError
+from dynamics.highway_simulator.kinds import kind_of
+from dynamics.highway_simulator.own_methods import check_moves
+from dynamics.road_networks.traffic.priority_road import PriorityRoad
+from dynamics.road_networks.traffic.regulation import Customs
+
+__all__ = ["check_network", "customs_of", "exits_of", "may_have_spawned", "on_network"]
+
+_KNOWN = (ExitEnv, IntersectionEnv, LaneKeepingEnv, MergeEnv, RacetrackEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv)
+"""Nothing of their traffic is drawn after the reset, but for who comes to an intersection."""
+_AT_CROSSINGS = ("_clear_vehicles", "_spawn_vehicle")
+"""What `IntersectionEnv` changes between two decisions: vehicles leave near their exits, and others come."""
+_SPAWNED_WITHIN = 15.0
+"""How far along its entrance `IntersectionEnv` puts a vehicle at the most [m]: 5 m, and a normal deviation of 1 m."""
+
+
+def on_network(base: Any) -> bool:
+    """Whether an environment, unwrapped, has another road than a straight highway."""
+    return isinstance(base, ExitEnv) or not isinstance(base, HighwayEnv)
+
+
+def check_network(base: Any) -> None:
+    """Raise where the traffic of an environment, unwrapped, is not known.
+
+    Its class may be anybody's: what moves its traffic has to be highway-env's own (`check_moves`), and
+    what is on its road is checked where the scene is read.
+
+    Raises
+    ------
+    ConfigError
+        That names the method that is not highway-env's own; or if its vehicles drive in a way that is not known there,
+        or it is no environment of highway-env's, or a parking lot.
+    """
+    if not isinstance(base, AbstractEnv) or isinstance(base, ParkingEnv):
+        raise ConfigError(
+            f"the traffic of {type(base).__name__} does not follow from its state; it does on straight highways "
+            f"(highway-v0, highway-fast-v0), in {_names(_KNOWN)}, and in environments made as these are"
+        )
+    check_moves(base, _AT_CROSSINGS if isinstance(base, IntersectionEnv) else ())
+    traffic = base.config.get("other_vehicles_type")
+    if traffic is not None:
+        kind_of(class_from_path(traffic))
+
+
+def exits_of(base: Any) -> Callable[[tuple[str, str, int]], bool] | None:
+    """Which lanes vehicles vanish from near their end, by highway-env's index of them; None for nowhere."""
+    if not isinstance(base, IntersectionEnv):
+        return None
+    return lambda key: "il" in key[0] and "o" in key[1]
+
+
+def may_have_spawned(base: Any, body: Any) -> bool:
+    """Whether highway-env itself may have put a body where it is now, between two decisions: at an entrance of an
+    intersection."""
+    if not isinstance(base, IntersectionEnv) or body not in base.road.vehicles or body.lane_index is None:
+        return False
+    start, end, _ = body.lane_index
+    along = float(body.lane.local_coordinates(body.position)[0])
+    return start.startswith("o") and end.startswith("ir") and along < _SPAWNED_WITHIN
+
+
+def customs_of(base: Any) -> Customs:
+    """What happens on the road of an environment beside driving.
+
+    Raises
+    ------
+    ConfigError
+        If those who yield do it for longer than until it is settled anew, or it is settled in another way.
+    """
+    road, frames = base.road, int(base.config["simulation_frequency"] // base.config["policy_frequency"])
+    stay = frames if isinstance(base, IntersectionEnv) else 0
+    if not isinstance(road, RegulatedRoad):
+        return Customs(0, False, stay, 0)
+    known = (RegulatedRoad, PriorityRoad)
+    if type(road) not in known:
+        raise ConfigError(f"who yields on a {type(road).__name__} is not known; have {_names(known)}")
+    if road.YIELD_DURATION != 0:
+        raise ConfigError(f"who yields does it for {road.YIELD_DURATION} s; known is a YIELD_DURATION of 0")
+    period = int(1 / (1 / base.config["simulation_frequency"]) / road.REGULATION_FREQUENCY)
+    return Customs(period, isinstance(road, PriorityRoad), stay, road.steps - base.steps)
+
+
+def _names(kinds: tuple[type, ...]) -> str:
+    return ", ".join(kind.__name__ for kind in kinds)

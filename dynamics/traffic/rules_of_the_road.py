@@ -1,0 +1,303 @@
+"""Whether what a vehicle did in a frame was permitted: the one predicate that the certificate rests on.
+
+The occupancy (`dynamics.traffic.occupancy`) bounds everything that this predicate permits, for all time. What a vehicle
+may do, from one frame to the next:
+
+1. *speed*: change by no more than `braking` and `acceleration` allow, rise no further than to `max_speed`, and reverse
+   no faster than `reversing_speed`;
+2. *way*: get on along the road as its speed says, but for what turning takes from it (`turning_loss` and
+   `turning_action`, which comes back at `turning_rate`), and sideways no further than its speed says. Its heading may
+   take more of the coming frame's way than that where it leaves the room for the ego's fail-safe;
+3. *lanes*: stay in the lanes that its body touches. It may touch another one where that leaves the room for the ego's
+   fail-safe;
+4. *reversing*: only from what is ahead in its lanes, and as far as `queue_distance` from it; further where that leaves
+   the room for the ego's fail-safe;
+5. *distance*: whoever is behind the ego with its buffer, in a lane that the ego owns, stays behind it, and comes beside
+   it where that leaves the room for the ego's fail-safe;
+6. *no crash* with another than the ego;
+7. *braking*: harder than at `calm_braking` only as what is ahead asks for, or may come to ask for once it has moved in
+   before it (`dynamics.traffic.reaction`); harder where that leaves the room for the ego's fail-safe;
+8. *appearing*: only where that leaves the room for the ego's fail-safe and its buffer. What a newcomer did before is
+   not known, so this is judged by the shield alone (`shield.certificate.road.monitor`);
+9. *size*: its body grows only where that leaves the room for the ego's fail-safe.
+
+A wreck may brake at 1/s times its speed, as highway-env has it brake, where that is more than `braking`; otherwise the
+rules are the same for it, but for what pushes it off an ego with which it has crashed. Rules 1 and 2 are judged here
+alone. Of rules 3, 4, 7 and 9, and of headings, this module finds who has taken more room; whether the fail-safe suffers
+from it, and whether one that has come beside the ego (rule 5) leaves it the room, is for the shield to say. The first
+two make what they permit a matter of one frame: a bound that holds for a frame holds for all that follow, and
+`tests/dynamics/test_permits.py` has arbitrary inputs try to break that.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntFlag
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from dynamics.compiled import inlined, numbers_of, uncounted
+from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
+from dynamics.traffic.assumptions import Assumptions
+from dynamics.traffic.occupancy import Before, Surroundings
+from dynamics.traffic.occupancy_kernels import coming_place
+from dynamics.traffic.tables import bodies_of, motion_of
+
+__all__ = ["Ego", "Motions", "Rule", "footprint", "gap_between", "judge_motions", "limits_of", "permits"]
+
+_LENGTH, _WIDTH, _CRASHED = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
+_SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH, _BRAKING, _APPEARED, _SIZE = 1, 2, 4, 8, 16, 32, 64, 128, 256
+_TOUCHING = 2.0
+"""Bodies nearer than this have crashed into one another: highway-env moves them apart in the frame of a crash [m]."""
+_ROUNDING = 1e-9
+"""What rounding may add to an acceleration, a speed or a way [m/s^2, m/s, m]. Real growth of a bound is no smaller in
+highway-env's own traffic, and none is granted: whatever is granted in each frame adds up. So the fail-safe is asked
+however little a bound has grown."""
+_STRAIGHT = 1e-6
+"""Share of the coming frame's way that a heading may always take."""
+_SIDEWAYS = 1.0001
+"""Ways across the road may exceed what the speed says by this factor, for bends; no bound rests on it (rule 3 does)."""
+
+
+class Rule(IntFlag):
+    """The rules that a vehicle can break, as bits; as text what each is reported by.
+
+    Examples
+    --------
+    >>> str(Rule.WAY)
+    'way'
+    """
+
+    SPEED = _SPEED
+    WAY = _WAY
+    LANES = _LANES
+    REVERSING = _REVERSING
+    DISTANCE = _DISTANCE
+    CRASH = _CRASH
+    BRAKING = _BRAKING
+    APPEARED = _APPEARED
+    SIZE = _SIZE
+
+    def __str__(self) -> str:
+        """The name that one rule is reported by."""
+        return str(self.name).lower()
+
+
+class Motions(NamedTuple):
+    """What the vehicles did in a frame.
+
+    Attributes
+    ----------
+    broken : rules 1, 2, 5 and 6 that each broke, (m,) of `Rule` bits.
+    grown : rules 2, 3, 4, 7 and 9 that each broke unless it leaves the room, (m,) of `Rule` bits.
+    """
+
+    broken: IntArray
+    grown: IntArray
+
+
+class Ego(NamedTuple):
+    """The ego in the world frame: x, y [m], heading [rad], speed [m/s]; half extents of its footprint with the buffer
+    and of its body alone, along and across [m]; whether it has crashed in this frame, and in this one or before."""
+
+    x: float
+    y: float
+    heading: float
+    speed: float
+    along: float
+    across: float
+    body_along: float
+    body_across: float
+    crashed: bool
+    wrecked: bool = False
+
+
+class _Limits(NamedTuple):
+    braking: float
+    acceleration: float
+    power: float
+    fastest: float
+    reversing: float
+    slow: float
+    period: float
+    lap: float
+    frames: float
+
+
+@uncounted
+def gap_between(ego: Ego, along: float, across: float, rows: FloatArray, i: int, dt: float) -> float:
+    """Greatest gap along the directions of the sides of two rectangles [m], see `dynamics.scenes.rectangles`, while
+    both move for `dt` along their headings [s]: the ego with half extents `along`, `across` [m], and vehicle `i` of
+    `rows` (m, 7)."""
+    dx, dy = ego.x - rows[i, 0], ego.y - rows[i, 1]
+    ux, uy, wx, wy = math.cos(ego.heading), math.sin(ego.heading), math.cos(rows[i, 2]), math.sin(rows[i, 2])
+    c, s = abs(ux * wx + uy * wy), abs(uy * wx - ux * wy)
+    length, width = 0.5 * rows[i, _LENGTH], 0.5 * rows[i, _WIDTH]
+    # Half of the way of the one as the other sees it.
+    px, py = 0.5 * dt * (ego.speed * ux - rows[i, 3] * wx), 0.5 * dt * (ego.speed * uy - rows[i, 3] * wy)
+    dx, dy = dx + px, dy + py
+    mine = abs(dx * ux + dy * uy) - abs(px * ux + py * uy) - along - length * c - width * s
+    beside = abs(dy * ux - dx * uy) - abs(py * ux - px * uy) - across - length * s - width * c
+    theirs = abs(dx * wx + dy * wy) - abs(px * wx + py * wy) - length - along * c - across * s
+    by = abs(dy * wx - dx * wy) - abs(py * wx - px * wy) - width - along * s - across * c
+    return max(max(mine, beside), max(theirs, by))
+
+
+@inlined
+def judge_motions(
+    rows0: FloatArray,
+    states0: FloatArray,
+    marks0: IntArray,
+    numbers0: FloatArray,
+    brakes0: FloatArray,
+    recent0: FloatArray,
+    rows: FloatArray,
+    states: FloatArray,
+    marks: IntArray,
+    numbers: FloatArray,
+    brakes: FloatArray,
+    recent: FloatArray,
+    stretch: FloatArray,
+    settings: FloatArray,
+    behind: BoolArray,
+    ego: Ego,
+    row: FloatArray,
+    broken: IntArray,
+    grown: IntArray,
+) -> None:
+    """`permits`, filled in: vehicle rows, road states and `Tables` of the scene before and of this one, the numbers of
+    the limits, `row`, and the result, `broken` and `grown` (m,). `settings` are the numbers of `Motion`."""
+    limits, motion = _Limits(*numbers_of(row, 9)), motion_of(settings)
+    bodies0, bodies = bodies_of(marks0, numbers0, brakes0, recent0), bodies_of(marks, numbers, brakes, recent)
+    frames = int(limits.frames)
+    low0, high0, floor0, low, high, floor = (
+        bodies0.low,
+        bodies0.high,
+        bodies0.floor,
+        bodies.low,
+        bodies.high,
+        bodies.floor,
+    )
+    budget, action = bodies.budget, bodies.action
+    for i in range(rows.shape[0]):
+        v0, v = states0[i, 3], states[i, 3]
+        bits, more = 0, 0
+        ds, dr = states[i, 0] - states0[i, 0], states[i, 1] - states0[i, 1]
+        drop = floor0[i] - floor[i]
+        if limits.lap > 0:
+            ds -= limits.lap * np.rint(ds / limits.lap)
+            drop -= limits.lap * np.rint(drop / limits.lap)
+        most = stretch[1, i] if stretch.shape[1] > 0 else 1.0
+        way, wrecked = v0 * limits.period, rows0[i, _CRASHED] > 0
+        # Whoever the ego has run into has broken no rule by it.
+        pushed = ego.crashed or (ego.wrecked and wrecked)
+        pushed = pushed and gap_between(ego, ego.body_along, ego.body_across, rows, i, 0.0) < _TOUCHING
+        if rows[i, _CRASHED] > 0 and not wrecked and not (ego.crashed and pushed):
+            bits |= _CRASH
+        rate, hardest = (v - v0) / limits.period, limits.braking
+        if wrecked:
+            slowest, dt = v0, limits.period / limits.frames
+            for _ in range(frames):
+                slowest -= max(limits.braking, slowest) * dt
+            hardest = max((v0 - slowest) / limits.period + _ROUNDING, limits.braking)
+        sped = not v <= max(v0, limits.fastest) + _ROUNDING or not v >= -limits.reversing
+        most_rate = min(limits.acceleration, limits.power / max(v0, 1e-3) + _ROUNDING)
+        if sped or not (-hardest <= rate <= most_rate):
+            bits |= _SPEED
+        if frames == 1 and not (wrecked and pushed):
+            back = not ds >= min(way, 0.0) * most - _ROUNDING
+            ahead = not ds <= max(way, 0.0) * most + _ROUNDING
+            if back or ahead or not abs(dr) <= abs(way) * _SIDEWAYS + _ROUNDING:
+                bits |= _WAY
+            if not min(budget[i], action[i]) >= -_ROUNDING:
+                bits |= _WAY
+        if behind[i]:
+            touches = gap_between(ego, ego.along, ego.across, rows, i, 0.0) < 0
+            # highway-env counts what constant velocities would bring in the coming frame.
+            if touches or gap_between(ego, ego.body_along, ego.body_across, rows, i, limits.period) <= 0:
+                bits |= _DISTANCE
+        # highway-env counts what constant velocity along the heading would bring in the coming frame.
+        coming = v * math.cos(states[i, 2]) * motion.dt
+        if not (1 - _STRAIGHT) * v * motion.dt <= coming <= max(v, 0.0) * motion.dt:
+            forth = coming <= max(v, 0.0) * motion.dt + _ROUNDING
+            if stretch.shape[1] > 0:
+                coming = min(coming * stretch[0, i], coming * stretch[1, i])
+            least = coming_place(i, states, stretch, motion, bodies) - _ROUNDING
+            if not (forth and states[i, 0] + coming >= least):
+                more |= _WAY
+        if not (low[i] >= low0[i] - _ROUNDING and high[i] <= high0[i] + _ROUNDING):
+            more |= _LANES
+        if not (rows[i, _LENGTH] <= rows0[i, _LENGTH] + _ROUNDING and rows[i, _WIDTH] <= rows0[i, _WIDTH] + _ROUNDING):
+            more |= _SIZE
+        harder = False
+        if not wrecked:
+            allowed = 0.0
+            for k in range(frames):
+                allowed += brakes0[i, k] if k < brakes0.shape[1] else limits.braking
+            harder = not v0 - v <= (allowed + _ROUNDING) * limits.period / limits.frames
+            for k in range(brakes.shape[1] - frames):
+                harder = harder or brakes[i, k] > brakes0[i, k + frames] + _ROUNDING
+            if harder:
+                more |= _BRAKING
+        if not drop <= _ROUNDING and not harder:
+            more |= _REVERSING
+        broken[i], grown[i] = bits, more
+
+
+@lru_cache(maxsize=16)
+def limits_of(a: Assumptions, period: float, lap: float, frames: int) -> FloatArray:
+    """The numbers that `judge_motions` judges by, (9,)."""
+    limits = _Limits(
+        a.braking + _ROUNDING,
+        a.acceleration + _ROUNDING,
+        a.power,
+        a.max_speed,
+        a.reversing_speed + _ROUNDING,
+        a.slow_speed,
+        period,
+        lap,
+        frames,
+    )
+    return np.array(limits, dtype=float)
+
+
+def footprint(ego: FloatArray, longitudinal: float, lateral: float, crashed: bool = False) -> Ego:
+    """The ego of a vehicle row (7,) and its buffer along and across its heading [m]."""
+    x, y, heading, speed, length, width = ego[: Vehicle.CRASHED].tolist()
+    along, across = 0.5 * length, 0.5 * width
+    return Ego(x, y, heading, speed, along + longitudinal, across + lateral, along, across, crashed)
+
+
+def permits(before: Surroundings | Before, after: Surroundings, period: float, behind: BoolArray, ego: Ego) -> Motions:
+    """What the vehicles did between two scenes, `period` seconds apart; they are matched by their order.
+
+    Parameters
+    ----------
+    before, after : the others in both scenes, the same in the same order; `after` knows `before`.
+    period : time between them [s]. Over more than a frame, the way (rule 2) is not judged.
+    behind : who owed the ego its distance in the scene before, (m,).
+    ego : the ego after the frame.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from dynamics.roads.straight import StraightRoad
+    >>> from dynamics.traffic.assumptions import Assumptions
+    >>> def at(x, v, before=None):
+    ...     row = np.array([[x, 0.0, 0.0, v, 5.0, 2.0, 0.0]])
+    ...     return Surroundings(row, row[:, :4], StraightRoad.from_lanes(2), Assumptions.idm(), 0.1, before)
+    >>> nobody, ego = np.zeros(1, bool), Ego(0.0, 4.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
+    >>> first = at(0.0, 20.0)
+    >>> permits(first, at(2.0, 19.5, first), 0.1, nobody, ego).broken.tolist()
+    [0]
+    >>> Rule(int(permits(first, at(2.0, 19.0, first), 0.1, nobody, ego).broken[0]))
+    <Rule.SPEED: 1>
+    """
+    limits = limits_of(after.assumptions, float(period), after.lap, max(round(period / after.dt), 1))
+    m = len(after.states)
+    found = Motions(np.zeros(m, np.intp), np.zeros(m, np.intp))
+    old, new = (before.others, before.states, *before.tables), (after.others, after.states, *after.tables)
+    judge_motions(*old, *new, after.stretch, after.settings, behind, ego, limits, *found)
+    return found

@@ -1,0 +1,143 @@
+"""Drivers that take the places of highway-env's traffic on road networks, to attack the certificate.
+
+*Wild* ones are vehicles with throttle and steering at random, and break every rule there is. *Bold* ones keep to every
+rule that `shield.certificate.network.monitor` knows and are otherwise as reckless as the rules permit: from one moment
+to the next they brake or accelerate as hard as the assumptions allow, turn wherever the road leads, come over from a
+lane that ends wherever they like, and answer to nobody but to whoever is before them in their own lane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from highway_env.vehicle.controller import ControlledVehicle
+from highway_env.vehicle.kinematics import Vehicle
+
+from shield import ShieldedEnv
+from shield.errors import ConfigError
+from shield.filters.network import RoadDoor
+
+__all__ = ["DRIVERS", "FAIL_SAFE", "man"]
+
+DRIVERS = ("wild", "bold", "mixed")
+FAIL_SAFE = 9.8
+"""How hard the ego may brake at any time [m/s^2]."""
+Draw = Any
+"""A numpy generator, or what stands for one."""
+Lane = tuple[str, str, int]
+_HELD = 2, 20
+_CAUTION = 1.0
+"""What a bold driver keeps to the one before it beside its own way to a standstill [m]."""
+
+
+class Ways(NamedTuple):
+    """The lanes that each lane leads to, and the one that one has to come over to from each that ends."""
+
+    ahead: dict[Lane, list[Lane]]
+    over: dict[Lane, Lane]
+
+
+class Wild(Vehicle):  # type: ignore[misc]
+    """Throttle and steering at random, each held for a while; nothing else decides what it does."""
+
+    def take(self, draw: Draw, turns: Draw, door: RoadDoor, period: float, ways: Ways) -> None:
+        """Be driven by these numbers, and turn by these, in frames of so long [s]."""
+        self.draw, self.left, self.route = draw, 0, ()
+
+    def act(self, action: Any = None) -> None:
+        """For the coming frame."""
+        if self.left == 0:
+            self.left = int(self.draw.integers(*_HELD))
+            hard = self.draw.random() < 0.2
+            self.held = {
+                "acceleration": self.draw.uniform(-8, 8) if hard else self.draw.uniform(-3, 3),
+                "steering": self.draw.normal(0, 0.3 if hard else 0.03),
+            }
+        self.left -= 1
+        super().act(self.held)
+
+
+class Bold(ControlledVehicle):  # type: ignore[misc]
+    """As reckless as the rules permit."""
+
+    target_lane_index: Any
+
+    def take(self, draw: Draw, turns: Draw, door: RoadDoor, period: float, ways: Ways) -> None:
+        """Be driven by these numbers, and turn by these, in frames of so long [s]."""
+        self.draw, self.left, self.held, self.period = draw, 0, 0.0, period
+        self.turns, self.ways, self.until = turns, ways, -1.0
+        self.door, self.assumptions, self.route = door, door.config.assumptions, None
+
+    def act(self, action: Any = None) -> None:
+        """For the coming frame."""
+        if self.left == 0:
+            self.left = int(self.draw.integers(*_HELD))
+            a = self.assumptions
+            self.held = float(self.draw.choice([-a.braking, 0.0, a.acceleration, a.acceleration]))
+        self.left -= 1
+        self._turn_anywhere()
+        steering = float(
+            np.clip(self.steering_control(self.target_lane_index), -self.MAX_STEERING_ANGLE, self.MAX_STEERING_ANGLE)
+        )
+        Vehicle.act(self, {"acceleration": self._permitted(), "steering": steering})
+
+    def _turn_anywhere(self) -> None:
+        lane = self.road.network.get_lane(self.target_lane_index)
+        if lane.after_end(self.position):
+            ahead = self.ways.ahead[self.target_lane_index]
+            if ahead:
+                self.target_lane_index = ahead[int(self.turns.integers(len(ahead)))]
+        elif self.target_lane_index in self.ways.over:
+            if self.until < 0:
+                self.until = float(self.turns.random()) * lane.length
+            if lane.local_coordinates(self.position)[0] >= self.until:
+                self.target_lane_index = self.ways.over[self.target_lane_index]
+
+    def _permitted(self) -> float:
+        """No faster than its lane, and no nearer to the one before it than it can stop behind."""
+        rules, dt = self.assumptions, self.period
+        limit = self.lane.speed_limit or rules.max_speed
+        held = min(self.held, max(limit - self.speed, -rules.braking * dt) / dt)
+        first, _ = self.road.neighbour_vehicles(self, self.lane_index)
+        if first is not None:
+            gap = self.lane_distance_to(first) - self.LENGTH / 2 - first.LENGTH / 2 - _CAUTION
+            speed, other = max(self.speed, 0.0), max(first.speed, 0.0)
+            way = speed * 2 * dt + (speed + rules.acceleration * dt) ** 2 / (2 * rules.braking)
+            if gap < way - other * other / (2 * FAIL_SAFE):
+                held = -rules.braking
+        if self.door.counts_on(self):
+            held = -rules.braking
+        return float(max(held, -max(self.speed, 0.0) / dt))
+
+
+def man(
+    env: ShieldedEnv, drivers: str, vehicles: int, seed: int, told: Sequence[tuple[Draw, Draw]] | None = None
+) -> None:
+    """Put drivers into the first so many of the others.
+
+    Parameters
+    ----------
+    drivers : of `DRIVERS`. seed : of what they do. told : instead, what says so of each, and where it turns.
+
+    Raises
+    ------
+    ConfigError
+        If there are none of that name.
+    """
+    if drivers not in DRIVERS:
+        raise ConfigError(f"unknown drivers {drivers!r}; have {', '.join(DRIVERS)}")
+    base: Any = env.unwrapped
+    assert isinstance(env.door, RoadDoor)
+    kinds: Sequence[type[Any]] = {"wild": (Wild,), "bold": (Bold,), "mixed": (Wild, Bold)}[drivers]
+    left, ways, period = vehicles, Ways(env.door.ahead, env.door.over), 1 / base.config["simulation_frequency"]
+    for k, body in enumerate(base.road.vehicles):
+        if body is base.vehicle or left == 0:
+            continue
+        driven = kinds[left % len(kinds)](body.road, body.position.copy(), body.heading, body.speed)
+        draw = np.random.default_rng([seed, k])
+        habits, turns = (draw, draw) if told is None else told[vehicles - left]
+        driven.take(habits, turns, env.door, period, ways)
+        driven.crashed = body.crashed
+        base.road.vehicles[k], left = driven, left - 1

@@ -1,0 +1,145 @@
+"""The search for the worst that drivers and the ego's own policy can do to the certificate on networks of roads.
+
+In highway-env itself an episode takes a second, so hundreds of them are what there is: levels of 50, of which a fifth
+goes on, and an end with the first hole.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from joblib import Parallel, delayed
+from scipy.special import ndtr
+
+from dynamics.state import FloatArray
+from evaluation.falsification.finds import ANY, Find, made_with
+from evaluation.falsification.road_episode import RoadEpisode, RoadNumbers, drive_numbers
+from evaluation.falsification.subset import MOST_SHARE, subset_simulation
+from evaluation.settings import Setting
+from shield.certificate.network.others import has_crossings
+from shield.config import ShieldConfig
+from shield.errors import ConfigError
+
+__all__ = ["LEVEL", "RoadSearched", "has_network", "search_roads"]
+
+LEVEL = 50
+"""Episodes of a level."""
+_SHARE = 0.2
+"""So many of a level go on to the next."""
+
+
+@dataclass(frozen=True, slots=True)
+class RoadSearched:
+    """What a search has met.
+
+    Attributes
+    ----------
+    find : the first hole, or else the episode that came nearest to one (`RoadEpisode.performance`).
+    episodes : how many were driven. hole : whether the find is one.
+    median : of the clearances in the first level, which was drawn at random [m].
+    crashed : in how many the ego did. by_rule : how often each rule was broken.
+    frames : how many the clearance counted in. shrunk : in how many of them the margin of what was verified became
+        less because of one who kept to the rules (`RoadEpisode`).
+    """
+
+    find: Find
+    episodes: int
+    hole: bool
+    median: float
+    crashed: int
+    by_rule: dict[str, int]
+    frames: int
+    shrunk: int
+
+
+def has_network(setting: Setting) -> bool:
+    """Whether the scenes of a setting are on a network of several roads, with meta-actions or not."""
+    env = setting.make()
+    try:
+        env.reset(seed=0)
+        return has_crossings(env.unwrapped)
+    finally:
+        env.close()
+
+
+class _Found(Exception):
+    """The search is at its end."""
+
+
+def search_roads(
+    setting: Setting,
+    drivers: str,
+    config: ShieldConfig | None = None,
+    episodes: int = 500,
+    seed: int = 0,
+    jobs: int = 1,
+    drawn: bool = False,
+) -> RoadSearched:
+    """Search scenes, drivers and proposals by subset simulation for one whom nobody has named, and who comes nearer to
+    the ego than it may; until there is one, or for about so many episodes.
+
+    Parameters
+    ----------
+    setting : a network of roads with meta-actions. drivers : of `evaluation.falsification.network_adversaries.DRIVERS`.
+    config : the shield's settings; those for the road's traffic by default. episodes : at most, from `LEVEL` on.
+    seed : of the search, and the first of the seeds of its scenes. jobs : processes, -1 for one per core.
+    drawn : whether all are drawn at random instead, for comparison.
+
+    Raises
+    ------
+    ConfigError
+        If there are too few episodes for a level, no drivers of that name, or it is no such network.
+    """
+    if episodes < LEVEL:
+        raise ConfigError(f"have at least {LEVEL} episodes, a level's, not {episodes}")
+    numbers, driven, points_of = RoadNumbers(drivers, seed), list[RoadEpisode](), list[FloatArray]()
+    with Parallel(n_jobs=jobs, return_as="list") as pool:
+
+        def drive(rows: Sequence[FloatArray]) -> list[RoadEpisode]:
+            return list(pool(delayed(drive_numbers)(setting, numbers, row, config) for row in rows))
+
+        def performance(points: FloatArray) -> FloatArray:
+            shares, at_once = np.minimum(ndtr(points), MOST_SHARE), 1 if jobs == 1 else len(points)
+            first = len(driven)
+            for k in range(0, len(points), at_once):
+                rows = shares[k : k + at_once][: episodes - len(driven)]
+                driven.extend(drive(rows))
+                points_of.extend(rows)
+                if any(each.hole for each in driven[-len(rows) :]) or len(driven) == episodes:
+                    raise _Found
+            return np.array([each.performance for each in driven[first:]])
+
+        try:
+            if drawn:
+                performance(np.random.default_rng(seed).standard_normal((episodes, numbers.count)))
+            subset_simulation(performance, numbers.count, LEVEL, _SHARE, seed, jumps=1)
+        except _Found:
+            pass
+    last = next((k for k, each in enumerate(driven) if each.hole), len(driven) - 1)
+    driven = driven[: last + 1]
+    worst = min(range(len(driven)), key=lambda k: driven[k].performance)
+    find = Find(
+        env_id=setting.env_id,
+        config=dict(setting.config),
+        shield="" if config is None else config.to_toml(),
+        policy=ANY,
+        shares=tuple(points_of[worst].tolist()),
+        actions=(),
+        clearance=driven[worst].clearance,
+        drivers=drivers,
+        seed=seed,
+        made=made_with(setting, ANY),
+    )
+    return RoadSearched(
+        find=find,
+        episodes=len(driven),
+        hole=driven[worst].hole,
+        median=float(np.median([each.clearance for each in driven[:LEVEL]])),
+        crashed=sum(each.crashed for each in driven),
+        by_rule=dict(sum((Counter(each.by_rule) for each in driven), Counter())),
+        frames=sum(each.counted for each in driven),
+        shrunk=sum(each.shrunk for each in driven),
+    )

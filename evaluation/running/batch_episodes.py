@@ -1,0 +1,324 @@
+"""Very many shielded episodes, side by side: the rows that `run_paired` gives, a hundred times as fast."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from dynamics.state import BoolArray, FloatArray, IntArray
+from evaluation.measuring.side_by_side import SideBySide
+from evaluation.measuring.tally import SOON, Tallies, begin_tally, empty_tallies, tally
+from evaluation.policies import list_references
+from evaluation.running.decision_log import action_steps
+from evaluation.running.episodes import run_episode
+from evaluation.running.named_policies import ConstantPolicy, RandomPolicy, WeavingPolicy, make_policy, policy_label
+from evaluation.running.records import Variant, told, variant_for
+from evaluation.settings import Setting
+from evaluation.threads import one_thread
+from shield.batch.codes import FALLBACKS, rules_in
+from shield.certificate.simulated.batch_choice import batch_for
+from shield.config import ShieldConfig
+from shield.errors import ConfigError
+from shield.wrappers.ranking import normalised, orders_from_scores, ranking_of
+
+__all__ = ["UNMEASURED", "Chosen", "Many"]
+
+UNMEASURED = (
+    *("acceleration_distance", "steering_distance", "mean_confidence", "latency_p50_ms", "latency_p99_ms"),
+    *("latency_max_ms", "peak_jerk", "mean_normalised_jerk", "peak_normalised_jerk"),
+)
+"""Columns of an episode that are NaN where many are driven at once: the decisions of all environments are timed
+together, no frames are kept, meta-actions have no inputs, and sensors are exact."""
+
+_ENVS = 50
+"""Side by side by default: so many go into the parts of `shield certify` without a rest."""
+_NAMED = ("faster", "idle", "slower", "random", "weaving", "left", "right")
+"""Baselines that look at nothing."""
+
+
+class Chosen(NamedTuple):
+    """What happened in episodes of one's own choice.
+
+    Attributes
+    ----------
+    clearance : the smallest of each (n,) [m]. time_to_collision : the least at constant velocities, (n,) [s]; both are
+        0 in a crash, and positive elsewhere.
+    offences : of the traffic against the assumptions, (n,).
+    lost : whether the first decision found nothing that verifies, and a fallback acted, (n,).
+    """
+
+    clearance: FloatArray
+    time_to_collision: FloatArray
+    offences: IntArray
+    lost: BoolArray
+
+
+class _Drivers(Protocol):
+    """One policy in every environment."""
+
+    def begin(self, e: int, seed: int) -> None:
+        """An episode begins in environment `e`."""
+
+    def act(self, observations: NDArray[np.float32], steps: IntArray) -> tuple[IntArray, IntArray | None]:
+        """The action of each (e,), and the order of preference over the others, or None; `steps` (e,) is how many
+        decisions each episode has had."""
+
+
+class _Blind:
+    """Policies whose actions are known when the episode begins, (steps,)."""
+
+    def __init__(self, policy: ConstantPolicy | RandomPolicy | WeavingPolicy, envs: int, steps: int) -> None:
+        self._policy, self._actions = policy, np.zeros((envs, steps), np.intp)
+
+    def begin(self, e: int, seed: int) -> None:
+        """Draw all of them."""
+        self._actions[e] = self._policy.plan(seed, self._actions.shape[1])
+
+    def act(self, observations: NDArray[np.float32], steps: IntArray) -> tuple[IntArray, IntArray | None]:
+        """The next of each."""
+        return self._actions[np.arange(len(steps)), steps], None
+
+
+class _Planned:
+    """Actions that somebody has chosen, (e, steps)."""
+
+    def __init__(self, actions: IntArray) -> None:
+        self._actions = actions
+
+    def begin(self, e: int, seed: int) -> None:
+        """They are there."""
+
+    def act(self, observations: NDArray[np.float32], steps: IntArray) -> tuple[IntArray, IntArray | None]:
+        """The next of each."""
+        return self._actions[np.arange(len(steps)), np.minimum(steps, self._actions.shape[1] - 1)], None
+
+
+class _Model:
+    """An SB3 model, asked about all observations at once."""
+
+    def __init__(self, model: Any) -> None:
+        self._model = model
+
+    def begin(self, e: int, seed: int) -> None:
+        """It is the same in every episode."""
+
+    def act(self, observations: NDArray[np.float32], steps: IntArray) -> tuple[IntArray, IntArray | None]:
+        """Its actions, and its order of preference by their scores."""
+        actions = np.asarray(self._model.predict(observations, deterministic=True)[0])
+        scores = ranking_of(self._model, normalised(self._model, observations))
+        if scores is None:
+            return actions, None
+        return actions, orders_from_scores(scores, actions)
+
+
+class Many:
+    """The shielded episodes of one setting and policy.
+
+    Parameters
+    ----------
+    setting, policy : the environment, and the policy by name or as the path of a zip file.
+    config : the shield's settings.
+    envs : environments side by side. chosen : whether scenes are chosen, with `run_chosen`.
+
+    Raises
+    ------
+    ConfigError
+        If they cannot be driven side by side: an environment that is not compiled, other settings of the shield than
+        are compiled, or a policy that reads more than its observation.
+    """
+
+    def __init__(
+        self, setting: Setting, policy: str, config: ShieldConfig, envs: int = _ENVS, chosen: bool = False
+    ) -> None:
+        known = policy in _NAMED or policy in list_references() or policy.endswith(".zip")
+        if not known:
+            raise ConfigError(
+                f"{policy!r} does not drive side by side; have {', '.join(_NAMED)}, references and zip files"
+            )
+        self._highways = batch_for(setting.env_id, config)(
+            setting.env_id, envs, setting.configured, config, tape=chosen
+        )
+        self._setting, self._policy, self._config = setting, policy, config
+        self.steps = self._highways.steps
+        one: Any = self._highways.one()
+        self._measures = SideBySide(envs, action_steps(one.unwrapped.action_type.actions))
+        made = make_policy(policy, one)
+        blind, self._draws = (
+            isinstance(made, ConstantPolicy | RandomPolicy | WeavingPolicy),
+            isinstance(made, RandomPolicy),
+        )
+        self._drivers: _Drivers = _Blind(made, envs, self.steps) if blind else _Model(made)  # type: ignore[arg-type]
+        if not blind and getattr(getattr(made, "policy", None), "lstm_actor", None) is not None:
+            raise ConfigError(f"{policy!r} is recurrent; it drives one environment at a time")
+
+    @property
+    def exact(self) -> bool:
+        """Whether this machine's numpy sums as is known here (see `Simulator.exact`)."""
+        return bool(self._highways.simulator.exact)
+
+    def run(self, seeds: Sequence[int]) -> pd.DataFrame:
+        """A row for each seed, in order: the columns of `run_paired` that say what happened, and `fallbacks`, the
+        decisions in which a fallback acted.
+
+        The columns `UNMEASURED` are NaN.
+        """
+        rows: list[dict[str, Any]] = [{}] * len(seeds)
+
+        def begin(i: int, k: int) -> None:
+            self._highways.reset([seeds[k]], [i])
+            self._drivers.begin(i, seeds[k])
+
+        def end(i: int, k: int, tallies: Tallies, lost: bool) -> None:
+            rows[k] = self._row(seeds[k], tallies, i)
+
+        self._drive(len(seeds), begin, end, False)
+        return pd.DataFrame(rows)
+
+    @property
+    def actions(self) -> int:
+        """How many meta-actions there are."""
+        return self._highways.actions
+
+    @property
+    def draws(self) -> int:
+        """How many numbers a scene is made from (see `Simulator.draws`)."""
+        return int(self._highways.simulator.draws)
+
+    def run_chosen(self, shares: FloatArray, actions: IntArray | None = None) -> Chosen:
+        """Episodes in scenes of one's own choice.
+
+        Parameters
+        ----------
+        shares : the numbers that each is made from, (n, `draws`), see `Simulator.reset_to`.
+        actions : what is proposed in each, (n, steps); by default the policy says it.
+
+        Returns
+        -------
+        What happened in each.
+
+        Raises
+        ------
+        ConfigError
+            If the policy draws its actions by the seed of an episode, which a scene of one's own choice has not.
+        """
+        if actions is None and self._draws:
+            raise ConfigError("random actions go by an episode's seed; in scenes of one's own choice have actions=")
+
+        def begin(i: int, k: int) -> None:
+            self._highways.reset_to(shares[k : k + 1], [i])
+            self._drivers.begin(i, 0)
+
+        return self._run(len(shares), begin, actions)
+
+    def run_seeds(self, seeds: Sequence[int] | IntArray, actions: IntArray | None = None) -> Chosen:
+        """Episodes in the scenes of these seeds; `actions` and what is returned as in `run_chosen`."""
+
+        def begin(i: int, k: int) -> None:
+            self._highways.reset([int(seeds[k])], [i])
+            self._drivers.begin(i, int(seeds[k]))
+
+        return self._run(len(seeds), begin, actions)
+
+    def _run(self, count: int, begin: Callable[[int, int], None], actions: IntArray | None) -> Chosen:
+        gaps, times, offences = np.empty(count), np.empty(count), np.zeros(count, np.intp)
+        given_up = np.zeros(count, np.bool_)
+
+        def end(i: int, k: int, tallies: Tallies, lost: bool) -> None:
+            gaps[k], given_up[k] = tallies.min_gap[i], lost
+            times[k] = 0.0 if tallies.crashed[i] else max(tallies.min_ttc[i], SOON)
+            offences[k] = tallies.violations[i]
+
+        def begin_planned(i: int, k: int) -> None:
+            begin(i, k)
+            if actions is not None:
+                planned[i] = actions[k]
+
+        drivers = self._drivers
+        planned = np.zeros((self._highways.num_envs, 1 if actions is None else actions.shape[1]), np.intp)
+        if actions is not None:
+            self._drivers = _Planned(planned)
+        try:
+            self._drive(count, begin_planned, end, True)
+        finally:
+            self._drivers = drivers
+        return Chosen(gaps, times, offences, given_up)
+
+    def _drive(
+        self, count: int, begin: Callable[[int, int], None], end: Callable[[int, int, Tallies, bool], None], times: bool
+    ) -> None:
+        """Drive so many episodes: `begin` starts one in an environment, `end` takes what it has added up to, with the
+        times to collision or without, and whether it was lost from the first (`Chosen`)."""
+        highways, e = self._highways, self._highways.num_envs
+        seen, tallies = highways.simulator.seen, empty_tallies(e)
+        place, going, left = np.full(e, -1), np.zeros(e, np.bool_), 0
+        lost = np.zeros(e, np.bool_)
+        scene = np.empty((highways.rows.shape[2], highways.rows.shape[3]))
+        steps = np.zeros(e, np.intp)
+
+        def follow(i: int) -> None:
+            nonlocal left
+            steps[i], going[i] = 0, left < count
+            if not going[i]:
+                highways.reset([0], [i])
+                return
+            place[i] = left
+            begin(i, left)
+            on_road = highways.look(i, scene)
+            begin_tally(tallies, i, scene, not on_road, times)
+            self._measures.begin(i, float(scene[0, 3]))
+            left += 1
+
+        with one_thread():
+            for i in range(e):
+                follow(i)
+            while going.any():
+                actions, orders = self._drivers.act(seen.observations, steps)
+                highways.step(actions, orders)
+                lost = np.where(steps == 0, FALLBACKS[highways.records.tier], lost)
+                tally(tallies, highways.records, highways.rows, highways.off_road, seen.reward, going, times)
+                self._measures.add(highways.records, highways.rows, highways.off_road, seen.reward, going)
+                steps += going
+                over = seen.terminated | seen.truncated
+                for i in np.flatnonzero(over & going).tolist():
+                    end(i, int(place[i]), tallies, bool(lost[i]))
+                    follow(i)
+                for i in np.flatnonzero(over & ~going).tolist():
+                    highways.reset([0], [i])
+
+    def _row(self, seed: int, tallies: Tallies, i: int) -> dict[str, Any]:
+        crashed, attribution = bool(tallies.crashed[i]), "none"
+        if crashed:
+            # Rare enough to be driven again, one frame at a time.
+            variant = Variant() if self._config.mode == "none" else variant_for(self._config)
+            attribution = run_episode(self._setting, self._policy, variant, seed, simulator="compiled").attribution
+        steps, frames = int(tallies.steps[i]), int(tallies.frames[i])
+        return {
+            **dict.fromkeys(UNMEASURED, float("nan")),
+            "setting": self._setting.name,
+            "policy": policy_label(self._policy),
+            "mode": self._config.mode,
+            "seed": seed,
+            "crashed": crashed,
+            "off_road": bool(tallies.off_road[i]),
+            "attribution": attribution,
+            "return": float(tallies.total[i]),
+            "steps": steps,
+            "mean_speed": float(tallies.speeds[i] / tallies.counted[i]),
+            "overridden": int(tallies.overridden[i]),
+            "held_back": int(tallies.held_back[i]),
+            "frames": frames,
+            "frames_overridden": int(tallies.frames_overridden[i]),
+            "violations": int(tallies.violations[i]),
+            "min_margin": float(tallies.min_margin[i]),
+            "min_gap": float(tallies.min_gap[i]),
+            "simulator": "compiled",
+            "rules": told(rules_in(tallies.broken[i])),
+            "fallbacks": int(tallies.fallbacks[i]),
+            "frame_override_share": float(tallies.frames_overridden[i] / frames),
+            "mean_reward": float(tallies.total[i] / steps),
+            **self._measures.columns(i, steps),
+        }

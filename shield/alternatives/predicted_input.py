@@ -1,0 +1,92 @@
+"""What the predictive filter would do in a proposal's place: a scene as its question."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynamics.scenes.scene import Scene
+from dynamics.state import FloatArray, RoadState, State
+from dynamics.vehicle.actuators import Actuators
+from mpc.filter.from_scene import curvature_ahead, edges_of, rectangles
+from mpc.filter.predictive_filter import PredictiveFilter
+from mpc.filter.problem import FilterProblem, FilterSettings
+from mpc.filter.program.road_step import StageModel
+from mpc.filter.solvers.guess import shifted
+from shield.certificate.road.memory import Instant
+from shield.config import ShieldConfig
+
+__all__ = ["Predictor"]
+
+_STAGE, _STAGES = 0.2, 20
+"""Stage of the predictive filter [s], and how many."""
+_NEAREST = 12
+"""Vehicles that a plan looks at."""
+
+
+class Predictor:
+    """Asks the predictive filter; what its next plan starts from is the caller's to keep.
+
+    Parameters
+    ----------
+    config : settings. actuators : what the policy controls.
+    hold : simulation frames for which an input is held.
+    model : what plans are made with; the bicycle by default.
+    """
+
+    def __init__(self, config: ShieldConfig, actuators: Actuators, hold: int, model: StageModel | None) -> None:
+        self._config, self._actuators, self._hold, self.model = config, actuators, hold, model
+        self._filters: dict[float, PredictiveFilter] = {}
+
+    def prepare(self, scene: Scene) -> None:
+        """Compile what its programs need."""
+        self._filter_for(scene).prepare(_NEAREST, curved=scene.road.bends is not None)
+
+    def plan(self, now: Instant, proposal: FloatArray, lane: int) -> FloatArray | None:
+        """Inputs (N, 2) near the proposal in the first stage, or None where none keep the constraints.
+
+        Parameters
+        ----------
+        lane : that the plan may use beside the ego's own.
+        """
+        solver = self._filter_for(now.scene)
+        settings, scene = solver.settings, now.scene
+        survey, road, dt = now.survey, scene.road, scene.dt
+        here, v = now.here, max(float(scene.ego[State.SPEED]), 0.0)
+        half = survey.size.along + survey.size.growth_along, survey.size.across + survey.size.growth_across
+        low, high = edges_of(road, [here, lane], float(scene.ego_road[RoadState.R]), half[1])
+        owned, duration = survey.owned[here] and survey.owned[lane], settings.ends[-1] * dt
+        rows = survey.relevant((v + 2.0) * duration, followers=not owned)
+        around = survey.around
+        # Beyond its edges the plan meets nobody, and need not stay behind them either.
+        rows = rows[(around.low[rows] < high) & (around.high[rows] > low)]
+        rows = rows[np.argsort(np.abs(scene.others_road[rows, RoadState.S] - scene.ego_road[RoadState.S]))][:_NEAREST]
+        problem = FilterProblem(
+            state=scene.ego_road,
+            proposal=proposal,
+            occupancy=rectangles(around, rows, settings),
+            half=half,
+            edges=(low, high),
+            curvature=curvature_ahead(scene, v, settings),
+        )
+        # Nothing of the question before stays behind in the solver.
+        solver.reset()
+        last = now.memory.plan
+        guess = None if last is None else shifted(last, settings.frames[0], settings)
+        result = solver.solve(problem, guess)
+        return result.inputs if result.status.usable and np.isfinite(result.inputs[0]).all() else None
+
+    def _filter_for(self, scene: Scene) -> PredictiveFilter:
+        solver = self._filters.get(scene.dt)
+        if solver is None:
+            substeps = max(1, round(_STAGE / scene.dt))
+            settings = FilterSettings(
+                dt=scene.dt,
+                substeps=max(substeps, self._hold),
+                hold=self._hold,
+                stages=_STAGES,
+                acceleration=(-self._config.braking, max(self._actuators.acceleration[1], 1.0)),
+                steering=max(abs(self._actuators.steering[0]), abs(self._actuators.steering[1])),
+                braking=self._config.braking,
+            )
+            solver = self._filters[scene.dt] = PredictiveFilter(settings, self.model)
+        return solver

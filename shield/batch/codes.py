@@ -1,0 +1,30 @@
+"""Reasons, tiers, clauses and rules by number."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynamics.state import BoolArray, FloatArray, IntArray
+from dynamics.traffic.rules_of_the_road import Rule
+from shield.certificate.road.clauses.all_clauses import NOTHING_BINDS, ROOM_BINDS, SEPARATION_BINDS, SLIP_IN_BINDS
+from shield.decision import ROUNDING, Reason, Tier
+
+__all__ = ["CLAUSES", "FALLBACKS", "OVERRIDES", "REASONS", "TIERS", "certified", "rules_in"]
+
+REASONS, TIERS = tuple(Reason), tuple(Tier)
+FALLBACKS = np.array([tier.fallback for tier in TIERS])
+OVERRIDES = np.array([tier not in (Tier.OFF, Tier.PASSED) for tier in TIERS])
+"""Which tiers are fallbacks, and which stand for something else than the proposal."""
+_CERTIFIED = np.array([tier.certified for tier in TIERS])
+CLAUSES = {NOTHING_BINDS: "", SEPARATION_BINDS: "separation", SLIP_IN_BINDS: "slip-in", ROOM_BINDS: "room"}
+
+
+def certified(tiers: IntArray, reasons: IntArray, margins: FloatArray) -> BoolArray:
+    """Which decisions have a certificate, of arrays of one shape; see `shield.decision.Decision.guarantee`."""
+    lost = (tiers == TIERS.index(Tier.STORED_PLAN)) & (reasons == REASONS.index(Reason.NO_SAFE_PLAN))
+    return np.asarray(_CERTIFIED[tiers] & ~np.isnan(margins) & ~(lost & (margins < -ROUNDING)))
+
+
+def rules_in(broken: IntArray) -> dict[str, int]:
+    """How often each rule was broken, by its name, of a row of `Records.broken` (rules,)."""
+    return {str(rule): int(count) for rule, count in zip(Rule, broken, strict=True) if count}

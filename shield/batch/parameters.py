@@ -1,0 +1,124 @@
+"""What is the same for all environments: the settings of the shield, as numbers and arrays."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dynamics.highway_simulator.scenario import Scenario
+from dynamics.roads.straight import StraightRoad
+from dynamics.state import FloatArray, IntArray
+from dynamics.traffic.occupancy import motion_settings
+from dynamics.traffic.rules_of_the_road import limits_of
+from dynamics.vehicle.controllers import KP_SPEED
+from dynamics.vehicle.rollout_kernels import table_of
+from shield.certificate.road.clauses.parameters import settings_of
+from shield.certificate.road.verify import footprint_of
+from shield.config import ShieldConfig
+
+__all__ = ["NOBODY", "Law", "Numbers", "law_of"]
+
+NOBODY = -1
+"""Stands for no vehicle, no lane, no frame, no action."""
+
+
+class Numbers(NamedTuple):
+    """Scalars of the law.
+
+    `braking` of the fail-safe [m/s^2]; `dt` [s]; `period`: frames in a decision; `decay`: what is left of a difference
+    of speed after that; `width` of a lane, `length` of the road, `longitudinal`, `lateral`: of the buffer [m];
+    `response`, `ttc` [s]; `slower`, `idle`, `faster`: index of the action, or `NOBODY`; `off`: whether nothing is
+    filtered. `none` and `one` are 0 and 1: a kernel is compiled anew for each constant that it is called with.
+    """
+
+    braking: float
+    dt: float
+    period: int
+    decay: float
+    width: float
+    length: float
+    longitudinal: float
+    lateral: float
+    leader_braking: float
+    follower_braking: float
+    follower_acceleration: float
+    response: float
+    reaction: float
+    ttc: float
+    slower: int
+    idle: int
+    faster: int
+    off: bool
+    none: int = 0
+    one: int = 1
+
+
+class Law(NamedTuple):
+    """What is the same for all.
+
+    Attributes
+    ----------
+    centers : of the lanes, (lanes,) [m]. size, settings, motion, limits : numbers of `Footprint`, `Settings`, `Motion`
+        (with `lean` and `waver`), and of the limits of `permits`.
+    table, stretch, growth : of a straight road, none.
+    target_speeds, labels : of the meta-actions, see `dynamics.highway_simulator.step_kernels.Rules`.
+    numbers : the scalars.
+    """
+
+    centers: FloatArray
+    size: FloatArray
+    settings: FloatArray
+    motion: FloatArray
+    limits: FloatArray
+    table: FloatArray
+    stretch: FloatArray
+    growth: FloatArray
+    target_speeds: FloatArray
+    labels: IntArray
+    numbers: Numbers
+
+
+def law_of(config: ShieldConfig, scenario: Scenario, road: StraightRoad, length: float, width: float) -> Law:
+    """The law of a configuration, for meta-actions on a straight road.
+
+    Parameters
+    ----------
+    length, width : of the ego [m].
+    """
+    rules, a = scenario.rules, config.assumptions
+    labels = rules.labels.tolist()
+    dt, period = 1 / scenario.config["simulation_frequency"], rules.numbers[0]
+    numbers = Numbers(
+        braking=config.braking,
+        dt=dt,
+        period=period,
+        decay=(1 - KP_SPEED * dt) ** period,
+        width=float(road.width),
+        length=float(road.length),
+        longitudinal=config.buffer.longitudinal,
+        lateral=config.buffer.lateral,
+        leader_braking=a.braking,
+        follower_braking=a.follower_braking,
+        follower_acceleration=a.acceleration,
+        response=config.response_time,
+        reaction=a.reaction_time,
+        ttc=config.time_to_collision,
+        slower=labels.index(4 if 4 in labels else 1),
+        idle=labels.index(1) if 1 in labels else NOBODY,
+        faster=labels.index(3) if 3 in labels else NOBODY,
+        off=config.mode == "none",
+    )
+    return Law(
+        centers=road.centers,
+        size=footprint_of(length, width, config.buffer, None)[1],
+        settings=settings_of(a, float(road.width), float(config.perception_range), False, dt),
+        motion=motion_settings(a, dt)[1],
+        limits=limits_of(a, dt, 0.0, 1),
+        table=table_of(road),
+        stretch=np.zeros((2, 0)),
+        growth=np.zeros((0, 2)),
+        target_speeds=rules.target_speeds,
+        labels=rules.labels,
+        numbers=numbers,
+    )

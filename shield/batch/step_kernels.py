@@ -1,0 +1,125 @@
+"""Shielded decisions of many environments as one compiled call."""
+
+from __future__ import annotations
+
+import math
+
+from dynamics.compiled import uncounted
+from dynamics.highway_simulator.layout import SPEED, TARGET, TARGET_SPEED
+from dynamics.highway_simulator.neighbours import sort
+from dynamics.highway_simulator.step_kernels import (
+    Machine,
+    Rules,
+    Seen,
+    View,
+    Work,
+    Worlds,
+    advance,
+    begin,
+    finish,
+    follow,
+    look,
+)
+from dynamics.pass_by_pointer import lent
+from dynamics.state import BoolArray, FloatArray, IntArray
+from shield.batch.arrays import Bench, Records, Room, Shields
+from shield.batch.codes import TIERS
+from shield.batch.deciding import decide, target_of
+from shield.batch.observing import forget, observe
+from shield.batch.parameters import Law
+from shield.batch.supervising import supervise
+from shield.decision import Tier
+
+__all__ = ["let_pass", "step_all_shielded"]
+
+_PASSED, _OFF = TIERS.index(Tier.PASSED), TIERS.index(Tier.OFF)
+_NO_TARGET = -1, 0.0
+
+
+@uncounted
+def let_pass(records: Records, e: int, proposed: int) -> None:
+    """Without a shield, what is proposed is executed."""
+    records.proposed[e] = records.executed[e] = proposed
+    records.tier[e], records.reason[e], records.margin[e] = _OFF, 0, math.nan
+    records.clause[e], records.vehicle[e] = 0, -1
+    for k in range(records.tiers.shape[1]):
+        records.reasons[e, k], records.margins[e, k] = 0, math.nan
+        records.clauses[e, k], records.vehicles[e, k] = 0, -1
+
+
+@uncounted
+def step_all_shielded(
+    machine: Machine,
+    worlds: Worlds,
+    rules: Rules,
+    view: View,
+    work: Work,
+    seen: Seen,
+    shields: Shields,
+    law: Law,
+    room: Room,
+    records: Records,
+    actions: IntArray,
+    orders: IntArray,
+    given: FloatArray,
+    rows: FloatArray,
+    off_road: BoolArray,
+    first: int,
+    last: int,
+    again: bool,
+    frequency: float,
+) -> None:
+    """A shielded decision in each of the environments from `first` to `last`; with `again`, those that are over are
+    reset.
+
+    Parameters
+    ----------
+    actions, orders : proposed in each, (e,), and the order of the others, see `decide`, (e, actions or 0).
+    given : room for an action, (2,).
+    rows, off_road : the bodies after each frame (e, F, m, 7), and whether the ego is off the road then, (e, F);
+        results.
+    frequency : frames a second.
+    """
+    bench = Bench(lent(shields), lent(law), lent(worlds), lent(room), lent(records))
+    for e in range(first, last):
+        before, proposed, off = shields.offences[e], actions[e], law.numbers.off
+        broken, by_rule = records.broken[e], shields.by_rule[e]
+        for k in range(by_rule.shape[0]):
+            broken[k] = -by_rule[k]
+        if off:
+            let_pass(records, e, proposed)
+        else:
+            decide(bench, e, proposed, orders[e])
+        lane, speed = _NO_TARGET
+        if records.tier[e] == _PASSED:
+            lane, speed = target_of(worlds, law, e, proposed)
+        given[0], given[1] = records.executed[e], 0.0
+        begin(worlds, rules, e, given)
+        level = sort(worlds.f[e], worlds.order[e])
+        for k in range(rules.numbers[0]):
+            throttle = math.nan
+            if off:
+                records.tiers[e, k] = _OFF
+            elif k == 0 and lane == worlds.g[e, TARGET, 0] and speed == worlds.f[e, TARGET_SPEED, 0]:
+                # The decision has just verified this very frame, with this very target.
+                records.tiers[e, 0], records.reasons[e, 0], records.margins[e, 0] = _PASSED, 0, records.margin[e]
+                records.clauses[e, 0], records.vehicles[e, 0] = records.clause[e], records.vehicle[e]
+                records.lanes[e, 0], records.accelerations[e, 0] = lane, 0.0
+            else:
+                supervise(bench, e, k)
+                if records.tiers[e, k] != _PASSED:
+                    worlds.g[e, TARGET, 0] = records.lanes[e, k]
+                    throttle = max(records.accelerations[e, k], -max(worlds.f[e, SPEED, 0], 0.0) * frequency)
+            level = advance(machine, worlds, rules, work, e, level, throttle, math.nan)
+            shields.clock[e] += 1
+            off_road[e, k] = not look(worlds, rules, e, rows[e, k])
+        finish(machine, worlds, rules, view, work, seen, e)
+        if not off and (seen.terminated[e] or seen.truncated[e]):
+            # The last frame of an episode: nothing is decided after it.
+            observe(bench, e)
+        records.violations[e] = shields.offences[e] - before
+        for k in range(by_rule.shape[0]):
+            broken[k] += by_rule[k]
+        if again and (seen.terminated[e] or seen.truncated[e]):
+            follow(machine, worlds, rules, view, work, seen, e)
+            forget(shields, e)

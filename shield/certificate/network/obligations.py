@@ -1,0 +1,91 @@
+"""What others owe the ego on a road network, from one frame to the next: their distance, and the right of way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dynamics.road_networks.reachable.strips import FRONT, NEAR, SEVERAL, Ways
+from dynamics.state import BoolArray, IntArray
+from shield.certificate.network.clearance import CLEAR
+from shield.certificate.network.workspace import Others, Road, Trial
+
+__all__ = ["Dues", "behind"]
+
+
+def _comes_over(others: Others, ways: Ways) -> BoolArray:
+    """Whether the vehicle of each strip has to come over to its lane, from one beside it that ends, (k,)."""
+    vehicles, lanes, before = others.marks.T
+    over = ways.over[lanes]
+    several = (vehicles[:, None] == vehicles) & (over == lanes[:, None])
+    found: BoolArray = np.where(before == SEVERAL, several.any(axis=1), (before >= 0) & (over[before] == lanes))
+    return found
+
+
+def behind(others: Others, trial: Trial, road: Road) -> BoolArray:
+    """Who is behind the ego in a lane where it is seen, (m, n), at the start of a path. Whoever owes it its distance
+    may come into the buffer, and owes it still, in the lane that its own leads to as well. Who has yet to come over is
+    not behind."""
+    (vehicles, lanes, before), numbers = others.marks.T, others.numbers
+    owes = others.owes[vehicles, lanes] | ((before >= 0) & others.owes[vehicles, lanes[before]])
+    rear = np.where(owes, trial.rears[lanes, 0] - CLEAR, trial.boxes[lanes, 0, 0])
+    there = trial.seen[lanes, 0] & (numbers[:, FRONT] - numbers[:, NEAR] <= rear) & ~_comes_over(others, road.ways)
+    out = np.zeros(others.owes.shape, dtype=bool)
+    comes = there & (numbers[:, NEAR] > 0) & (not road.duty.ahead)
+    there &= ~comes
+    while there.any():
+        out[vehicles[there], lanes[there]] = True
+        there = comes & (before >= 0) & out[vehicles, lanes[before]] & ~out[vehicles, lanes]
+    return out
+
+
+@dataclass(slots=True, eq=False)
+class Dues:
+    """Who owes the ego what, by vehicle.
+
+    Attributes
+    ----------
+    distance : the lanes in which each owes the ego its distance, because it is behind it there.
+    waits : before which lanes each is counted on to wait for the ego, and for how many frames it has been.
+    """
+
+    distance: dict[Any, set[int]] = field(default_factory=dict)
+    waits: dict[Any, dict[int, int]] = field(default_factory=dict)
+
+    def tables(self, who: list[Any], lanes: int) -> tuple[BoolArray, IntArray]:
+        """`Others.owes` and `Others.gives` of these vehicles, (m, n)."""
+        owes, gives = np.zeros((len(who), lanes), dtype=bool), np.zeros((len(who), lanes), np.int64)
+        for i, body in enumerate(who):
+            owes[i, list(self.distance.get(body, ()))] = True
+            for lane, since in self.waits.get(body, {}).items():
+                gives[i, lane] = since
+        return owes, gives
+
+    def counts_on(self, body: Any, reaction: int) -> bool:
+        """Whether a vehicle has been counted on to wait for more than so many frames."""
+        return max(self.waits.get(body, {}).values(), default=0) > reaction
+
+    def is_owed_by(self, body: Any) -> bool:
+        """Whether a vehicle owes the ego its distance."""
+        return bool(self.distance.get(body))
+
+    def keep_distance(self, who: list[Any], others: Others, trial: Trial, road: Road, verified: bool) -> None:
+        """Who owes the ego its distance from now on: whoever did, and is still behind it in a lane where it is seen;
+        where its path is `verified`, all who are. `trial` begins where the ego is; `Others.owes` is written."""
+        there = behind(others, trial, road)
+        if not verified:
+            there &= others.owes
+        others.owes[:] = there
+        self.distance = {body: set(np.flatnonzero(there[i]).tolist()) for i, body in enumerate(who) if there[i].any()}
+
+    def give_way(self, who: list[Any], others: Others, trial: Trial, road: Road, verified: bool) -> None:
+        """Who is counted on to wait from now on: `Others.waits` is of the path that is taken. Where it is not
+        `verified`, nobody is of whom it was not known before."""
+        self.waits = {}
+        for j in np.flatnonzero(others.waits & (others.ranks < road.rights[trial.own[0]])):
+            i, lane = others.marks[j, :2]
+            since = int(others.gives[i, lane])
+            if verified or since > 0:
+                self.waits.setdefault(who[i], {})[int(lane)] = since + 1

@@ -1,0 +1,73 @@
+"""Where the ego's body is on each lane of a network, frame by frame along a path."""
+
+from __future__ import annotations
+
+import math
+
+from dynamics.compiled import uncounted
+from dynamics.highway_simulator.layout import LANE_LENGTH
+from dynamics.road_networks.geometry.footprints import Place, Rectangle, extent_of
+from dynamics.road_networks.geometry.lanes import Lanes, heading_at, local, on_lane, unrolled
+from dynamics.road_networks.reachable.strips import steepness
+from dynamics.state import FloatArray
+from shield.certificate.network.workspace import Body, Others, Road, Trial
+
+__all__ = ["FAR_OFF", "survey"]
+
+FAR_OFF = 1e6
+"""The least s of a body that is nowhere near a lane [m]."""
+_WITH = 0.9
+"""Cosine of the angle within which the ego drives in the direction of a lane, and counts as being in it."""
+_NEAR = 6.0
+"""How far from a lane's centre line the ego is looked at, at least, beyond its own half diagonal [m]."""
+
+
+@uncounted
+def _box(lanes: Lanes, lane: int, at: Place, pose: tuple[float, float, float], body: Body, box: FloatArray) -> None:
+    """Write the box of the body with its buffer, and of what it is without it so much further on: highway-env counts a
+    collision that constant velocities would bring within the coming frame. `pose` is the cosine and the sine of the
+    heading, and that way [m]."""
+    cos, sin, way = pose
+    wide = extent_of(lanes, lane, at, Rectangle(0.0, cos, sin, body.along, body.across))
+    bare = extent_of(lanes, lane, at, Rectangle(way, cos, sin, body.length, body.width))
+    box[0], box[1] = min(wide.first, bare.first), max(wide.last, bare.last)
+    box[2], box[3] = min(wide.low, bare.low), max(wide.high, bare.high)
+
+
+@uncounted
+def survey(road: Road, body: Body, others: Others, path: FloatArray, count: int, trial: Trial) -> None:
+    """Where the ego with its buffer is on the lanes of the others, at the first `count` places of a path (K, 4).
+
+    Parameters
+    ----------
+    body : of the ego, with the buffer that is asked for.
+    trial : written: `boxes`, the least and the greatest s and r of it, whose first is `FAR_OFF` where no body on that
+        lane comes near it; `seen`, `met` and `rears`.
+    """
+    lanes, circles, boxes, seen, met, rears = road.lanes, road.circles, trial.boxes, trial.seen, trial.met, trial.rears
+    half = math.hypot(body.along, body.across)
+    for lane in others.lanes:
+        met[lane, 0], met[lane, 1], rears[lane, 0], rears[lane, 1] = count, -1, FAR_OFF, FAR_OFF
+    for k in range(count):
+        x, y, heading = path[k, 0], path[k, 1], path[k, 2]
+        pose = math.cos(heading), math.sin(heading), path[k, 3] * road.period
+        for lane in others.lanes:
+            box, row, reach = boxes[lane, k], lanes.rows[lane], half + max(others.rooms[lane], _NEAR)
+            box[0], seen[lane, k] = FAR_OFF, False
+            # Both s and r may be off by the reach, and on a sine r changes with s.
+            far = circles[lane, 2] + reach * (1 + math.hypot(1.0, steepness(lanes, lane)))
+            dx, dy = x - circles[lane, 0], y - circles[lane, 1]
+            if dx * dx + dy * dy > far * far:
+                continue
+            s, r = local(lanes, lane, x, y)
+            at = Place(x, y, unrolled(lanes, lane, s), r)
+            if abs(r) > reach or at.s < -reach or at.s > row[LANE_LENGTH] + reach:
+                continue
+            _box(lanes, lane, at, pose, body, box)
+            if k == 0 or k == count - 1:
+                bare = Rectangle(0.0, pose[0], pose[1], body.length, body.width)
+                rears[lane, 0 if k == 0 else 1] = extent_of(lanes, lane, at, bare).first
+            met[lane, 0], met[lane, 1] = min(met[lane, 0], k), k
+            if abs(r) <= body.visible and on_lane(lanes.rows, lane, s, 0.0, 0.0):
+                aim = heading_at(lanes, lane, min(max(s, 0.0), row[LANE_LENGTH]))
+                seen[lane, k] = math.cos(heading - aim) >= _WITH

@@ -1,0 +1,1 @@
+"""What makes an action safe: manoeuvres, clauses, memory, monitor."""

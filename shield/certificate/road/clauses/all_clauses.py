@@ -1,0 +1,347 @@
+"""All that is said against paths, in one compiled call.
+
+It is handed arrays and nothing else, which get their names inside; `dynamics.traffic.tables` says why.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dynamics.compiled import compiled, inlined, numbers_of, uncounted
+from dynamics.state import BoolArray, FloatArray, IntArray
+from dynamics.state import Vehicle as Columns
+from dynamics.traffic.occupancy_kernels import front_of, rear_of
+from dynamics.traffic.tables import bodies_of, motion_of
+from shield.certificate.road.clauses.cut_in import (
+    anybody,
+    least_separations_of_slips,
+    slips_of,
+    sweeps,
+)
+from shield.certificate.road.clauses.entering import joins, leaves_sight, sides_taken
+from shield.certificate.road.clauses.followers import threats
+from shield.certificate.road.clauses.footprint import Footprint
+from shield.certificate.road.clauses.others import others_from
+from shield.certificate.road.clauses.parameters import Settings, duty_of, settings_from
+from shield.certificate.road.clauses.separation import Vehicle, extents, separation, turns
+from shield.certificate.road.clauses.stopping_room import margin_of, room_of
+from shield.certificate.road.clauses.workspace import Around, Desk, Ground, new_desk
+
+__all__ = [
+    "NOTHING_BINDS",
+    "ROOM_BINDS",
+    "SEPARATION_BINDS",
+    "SLIP_IN_BINDS",
+    "judge",
+    "judged",
+]
+
+NOTHING_BINDS, SEPARATION_BINDS, SLIP_IN_BINDS, ROOM_BINDS = 0, 1, 2, 3
+"""What a margin comes from."""
+
+
+_WIDTH = int(Columns.WIDTH)
+_AHEAD = 3
+"""Frames that are computed beyond those that are asked for: the next path may be a little longer."""
+
+
+@inlined
+def _rears(
+    desk: Desk, count: int, frames: int, around: Around, hold: int, rows: IntArray, out: FloatArray, last: bool
+) -> None:
+    """Least s of the first `count` of vehicles `rows`, to `out` (count, K): from what the desk has of them already, and
+    else computed; with `last`, the last frame stands for all that follow it."""
+    bodies, kind = around.bodies, 0 if hold == 0 else 1
+    for n in range(count):
+        j = rows[n]
+        if desk.done[kind, j] < frames:
+            enough = min(frames + _AHEAD, desk.rears.shape[2])
+            rear_of(
+                j, around.rows, around.states, around.stretch, around.motion, bodies, hold, enough, desk.rears[kind, j]
+            )
+            desk.done[kind, j] = enough
+        for k in range(frames):
+            out[n, k] = desk.rears[kind, j, k]
+        if last and hold == 0:
+            out[n, frames - 1] = min(out[n, frames - 1], bodies.floor[j] - bodies.reach[j])
+
+
+@inlined
+def _separations(
+    path: FloatArray,
+    lane: int,
+    fail: int,
+    r: float,
+    foot: Footprint,
+    ground: Ground,
+    around: Around,
+    q: int,
+    x: Settings,
+    hold: int,
+    desk: Desk,
+) -> int:
+    """The least separation of a path from each of the `q` vehicles on the desk that does not owe it; `r` is where the
+    ego is across the road. Returns the frames before the first that is negative."""
+    frames, near, visible, home, found = path.shape[0], desk.near, ground.visible, desk.home, desk.apart
+    others, centers, duty, low, high = around.others, ground.centers, duty_of(x, hold), desk.sides[0], desk.sides[1]
+    since = frames, frames
+    if x.blind > 0 and hold == 0:
+        sides_taken(lane, fail, near[:q], others, around.rows[:, _WIDTH], centers, x.waver, low, high, home)
+        since = leaves_sight(r, path, centers[lane], x.seen), leaves_sight(r, path, centers[fail], x.seen)
+    else:
+        for j in range(q):
+            low[j], high[j], home[j] = others.low[near[j]], others.high[near[j]], others.lane[near[j]]
+    ego = extents(path, desk.turned, foot, x.dt, desk.bounds)
+    if not ego.finite:
+        for j in range(q):
+            found[j] = np.nan
+        return 0
+    bodies, states, stretch, reached = around.bodies, around.states, around.stretch, frames
+    for j in range(q):
+        k, left, right = near[j], low[j], high[j]
+        s, v, length = states[k, 0], states[k, 3], bodies.reach[k]
+        most_left, most_right, later = left, right, frames
+        if min(since[0], since[1]) < frames:
+            later, core = min(since[0], since[1]), 0.5 * around.rows[k, _WIDTH] + x.waver
+            for step in range(2):
+                if since[step] < frames:
+                    goal = centers[lane if step == 0 else fail]
+                    low_most, high_most = joins(others.low[k], others.high[k], goal, core, x.width)
+                    most_left, most_right = min(most_left, low_most), max(most_right, high_most)
+        beside = max(most_left - ego.highest, ego.lowest - most_right)
+        about = s + v + length + bodies.floor[k] + bodies.budget[k] + bodies.action[k]
+        if beside >= 0 and math.isfinite(left + right + about):
+            # Wherever it gets along the road makes no difference.
+            found[j] = beside
+            continue
+        _rears(desk, 1, frames, around, hold, near[j : j + 1], desk.rear, True)
+        goal, at_once, already = centers[home[j]], -1, visible[home[j]]
+        if already > 0:
+            at_once = max(duty.reaction + 1 - already, 0)
+        most = stretch[1, k] if stretch.shape[1] > 0 else 1.0
+        other = Vehicle(
+            left, right, most_left, most_right, later, length, others.behind[k], goal, at_once, v, s + length, most
+        )
+        found[j], first = separation(
+            path, desk.turned, ego, desk.bounds, foot, other, desk.rear[0], duty, desk.bounds[4]
+        )
+        reached = min(reached, first)
+    return reached
+
+
+@inlined
+def _slips(
+    path: FloatArray,
+    foot: Footprint,
+    centers: FloatArray,
+    table: FloatArray,
+    ignored: BoolArray,
+    around: Around,
+    found: FloatArray,
+    x: Settings,
+    desk: Desk,
+) -> None:
+    """The least separation of a path from each of those `found` that may slip in, on the desk [m]; +inf where it does
+    not."""
+    frames, c, out = path.shape[0], found.shape[0], desk.away
+    for k in range(c):
+        out[k] = np.inf
+    if c == 0:
+        return
+    rows, numbers = desk.slipping[:c], desk.slips
+    bodies, states = around.bodies, around.states
+    slips = slips_of(found, states, bodies, centers, x.acceleration, x.hardest, rows, numbers[:4, :c], numbers[4:6, :c])
+    if not anybody(path, slips, centers, x.seen, x.dt):
+        return
+    # None of the frames that are asked for is the one that stands for all that follow.
+    rear, front, sweep = desk.ways[0, :c], desk.ways[1, :c], desk.sweep[:c]
+    if desk.swept[0] < frames:
+        enough = min(frames + _AHEAD, desk.ways.shape[2])
+        _rears(desk, c, enough, around, 0, rows, rear, False)
+        for k in range(c):
+            front_of(rows[k], states, around.stretch, around.motion, bodies, 0, enough, front[k])
+        sweeps(rows, slips, around.rows, states, bodies, table, x.dt, desk.turns[:c], sweep)
+        desk.swept[0] = enough
+    least_separations_of_slips(path, foot, slips, rear, front, sweep, centers, x.seen, x.dt, out)
+    if ignored.shape[0] > 0:
+        for k in range(c):
+            if ignored[rows[k]]:
+                out[k] = np.inf
+
+
+@inlined
+def _binding(margin: float, q: int, c: int, slips: FloatArray, desk: Desk) -> tuple[int, int]:
+    """What a margin comes from, and which vehicle."""
+    least, at = np.inf, -1
+    for j in range(q):
+        if at < 0 or desk.apart[j] < least:
+            least, at = desk.apart[j], j
+    if at >= 0 and least <= margin:
+        return SEPARATION_BINDS, desk.near[at]
+    least, at = np.inf, -1
+    for k in range(c):
+        if at < 0 or desk.away[k] < least:
+            least, at = desk.away[k], k
+    if at >= 0 and least <= margin:
+        return SLIP_IN_BINDS, int(slips[at, 0])
+    return (NOTHING_BINDS if margin == np.inf else ROOM_BINDS), -1
+
+
+@inlined
+def judge(
+    path: FloatArray,
+    lane: int,
+    fail: int,
+    state: FloatArray,
+    foot: Footprint,
+    x: Settings,
+    table: FloatArray,
+    hold: int,
+    ground: Ground,
+    ignored: BoolArray,
+    around: Around,
+    slipping: FloatArray,
+    desk: Desk,
+) -> tuple[float, int, int, int]:
+    """What is said against one path, (K, 4), that commits to `lane` and stops in `fail`; the desk has sine and cosine
+    of its headings, `turned`.
+
+    Returns its margin [m], frames before the first separation that is negative, what the margin comes from, and the
+    vehicle. The desk has who is in reach, `near`, the separation from each, `apart`, from each that slips in, `away`,
+    and the room, `room`.
+    """
+    frames, others, centers = path.shape[0], around.others, ground.centers
+    desk.room[0] = room_of(path, desk.turned, foot, centers[fail], 0.5 * x.width, x.bent > 0)
+    way = path[frames - 1, 0] - state[0]
+    # A way that is not a number drops nobody.
+    reach = (way if way == way else np.inf, x.perception)
+    q = threats(others, reach, lane, fail, ground.owned, centers, state, path, desk.turned, foot, desk.near)
+    if ignored.shape[0] > 0:
+        kept = 0
+        for j in range(q):
+            if not ignored[desk.near[j]]:
+                desk.near[kept] = desk.near[j]
+                kept += 1
+        q = kept
+    reached = frames
+    if q > 0:
+        reached = _separations(path, lane, fail, state[1], foot, ground, around, q, x, hold, desk)
+    c = slipping.shape[0] if hold == 0 else 0
+    _slips(path, foot, centers, table, ignored, around, slipping[:c], x, desk)
+    margin = margin_of(desk.apart[:q], desk.away[:c], desk.room[0])
+    if q == 0:
+        for k in range(frames):
+            if not math.isfinite(path[k, 0] + path[k, 1] + path[k, 2] + path[k, 3]):
+                margin = np.nan
+    clause, vehicle = _binding(margin, q, c, slipping, desk)
+    desk.found[0] = q
+    return margin, reached, clause, vehicle
+
+
+@uncounted
+def _judge_each(
+    paths: FloatArray,
+    lanes: IntArray,
+    fails: IntArray,
+    state: FloatArray,
+    size: FloatArray,
+    centers: FloatArray,
+    settings: FloatArray,
+    motion: FloatArray,
+    table: FloatArray,
+    hold: int,
+    owned: BoolArray,
+    visible: IntArray,
+    ignored: BoolArray,
+    rows: FloatArray,
+    states: FloatArray,
+    stretch: FloatArray,
+    marks: IntArray,
+    numbers: FloatArray,
+    brakes: FloatArray,
+    recent: FloatArray,
+    of_others: FloatArray,
+    flags: BoolArray,
+    slipping: FloatArray,
+    desk: Desk,
+    found: FloatArray,
+    marked: IntArray,
+    near: BoolArray,
+) -> None:
+    """`judged`, filled in: `found` (2 + m + c, n), `marked` (3, n), and who is in reach of any, `near` (m,)."""
+    m, x, foot = states.shape[0], settings_from(settings), Footprint(*numbers_of(size, 8))
+    bodies = bodies_of(marks, numbers, brakes, recent)
+    around = Around(rows, states, stretch, bodies, motion_of(motion), others_from(bodies, of_others, flags))
+    ground = Ground(centers, owned, visible)
+    for i in range(paths.shape[0]):
+        turns(paths[i], desk.turned)
+        margin, reached, clause, vehicle = judge(
+            paths[i], lanes[i], fails[i], state, foot, x, table, hold, ground, ignored, around, slipping, desk
+        )
+        found[0, i], found[1, i] = margin, desk.room[0]
+        marked[0, i], marked[1, i], marked[2, i] = reached, clause, vehicle
+        for j in range(desk.found[0]):
+            near[desk.near[j]] = True
+            found[2 + desk.near[j], i] = desk.apart[j]
+        for k in range(found.shape[0] - 2 - m):
+            found[2 + m + k, i] = desk.away[k]
+
+
+@compiled
+def judged(
+    paths: FloatArray,
+    lanes: IntArray,
+    fails: IntArray,
+    state: FloatArray,
+    size: FloatArray,
+    centers: FloatArray,
+    settings: FloatArray,
+    motion: FloatArray,
+    table: FloatArray,
+    hold: int,
+    owned: BoolArray,
+    visible: IntArray,
+    ignored: BoolArray,
+    rows: FloatArray,
+    states: FloatArray,
+    stretch: FloatArray,
+    marks: IntArray,
+    numbers: FloatArray,
+    brakes: FloatArray,
+    recent: FloatArray,
+    of_others: FloatArray,
+    flags: BoolArray,
+    slipping: FloatArray,
+) -> tuple[FloatArray, IntArray, IntArray]:
+    """What is said against paths, of each as if it were alone.
+
+    Parameters
+    ----------
+    paths, lanes, fails : (n, K, 4), and the lane that each commits to, and stops in, (n,).
+    state, size : of the ego: road state (4,), numbers of its `Footprint` (8,).
+    centers : of the lanes [m]. settings, motion : numbers of `Settings`, and of `Motion`.
+    table : of the road, see `dynamics.vehicle.rollout_kernels`.
+    hold : frames of constant speed, which make a forecast of it, and no bound.
+    owned, visible : which lanes it owns, and for how many frames it has been visible in each, (lanes,).
+    ignored : vehicles to leave out, (m,) bool, or none of them (0,).
+    rows, states, stretch, marks, numbers, brakes, recent, of_others, flags, slipping : of the others, see `seen`; and
+        what a metre driven is of the road, (2, m or 0).
+
+    Returns
+    -------
+    Of each path its margin, the room in the lane that is stopped in, the least separation from each vehicle in reach of
+    any, and from each that slips in, (2 + q + c, n) [m]; frames before the first separation that is negative, what the
+    margin comes from, and the vehicle, (3, n); and the vehicles in reach of any, (q,).
+    """
+    n, frames, m = paths.shape[0], paths.shape[1], states.shape[0]
+    c = slipping.shape[0] if hold == 0 else 0
+    desk, near = new_desk(m, frames, settings[15]), np.zeros(m, np.bool_)
+    found, marked = np.full((2 + m + c, n), np.inf), np.empty((3, n), np.intp)
+    scene = (state, size, centers, settings, motion, table, hold, owned, visible, ignored)
+    others = (rows, states, stretch, marks, numbers, brakes, recent, of_others, flags, slipping)
+    _judge_each(paths, lanes, fails, *scene, *others, desk, found, marked, near)
+    kept = np.ones(2 + m + c, np.bool_)
+    kept[2 : 2 + m] = near
+    return found[kept], marked, np.flatnonzero(near)

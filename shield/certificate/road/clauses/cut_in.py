@@ -1,0 +1,289 @@
+"""Vehicles alongside that slip into the ego's lane, before or behind it, while their bodies still overlap.
+
+MOBIL asks two questions before a lane change: whether the new follower would have to brake too hard, and whether the
+new leader is less in the way than the old one. Both are answered with the Intelligent Driver Model's desired gap
+
+    d* = d0 + T v + v (v - v_ahead) / (2 sqrt(a b))
+
+towards the *centre* of the other vehicle. Where one of the two pulls away from the other by some 15 m/s, d* vanishes:
+a vehicle that an ego passes changes into the ego's lane as soon as the ego's centre is ahead of its own, and one that
+passes a slow ego as soon as its centre is ahead, with half a body's length of each still side by side. Between the
+centres of two lanes there is room for that; an ego that is off its lane's centre is hit.
+
+Sources: Treiber, Hennecke and Helbing 2000 (IDM); Kesting, Treiber and Helbing 2007 (MOBIL); the constants are those of
+highway-env 1.12's `IDMVehicle`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.state import FloatArray, IntArray
+from dynamics.traffic.mobil import COMFORT, IMPOSED, TIME, TWICE_ROOT, desired_gap
+from dynamics.traffic.tables import Bodies
+from dynamics.vehicle.rollout_kernels import roll_stop
+from shield.certificate.road.clauses.footprint import Footprint
+
+__all__ = ["LASTS", "Slips", "anybody", "least_separations_of_slips", "may_slip", "slips_of", "sweeps"]
+
+_SLACK, _HARDLY = 3.0, 0.5
+"""What d* may differ by when the lane change starts [m]; and where it is the ego's own, whose plan is known."""
+_DRIFT = 9.0
+"""The same for each second of braking until then [m/s]."""
+_CHANGES = 3.0
+"""The same where it has to be blocked as it is: its speed and its leader change [m/s]."""
+_COMING, _MOVES = 1.0, 0.3
+"""Who comes nearer to a lane at more than this speed leads there from so much further off [m], [m/s]."""
+_OVERLAP = 2.0
+"""Bodies nearer than this along the road may overlap with the buffer between them [m]."""
+_BRAKES = 1.0
+"""Such a vehicle, and its leader, are taken to have braked for so long at most by then [s]."""
+_NEAR = 60.0
+"""Vehicles further away along the road are not looked at [m]."""
+LASTS = 1.0
+"""Within this time such a vehicle has reached the other lane [s]."""
+_CENTRED = 0.2
+"""An ego nearer than this to its lane's centre keeps its lane: the one that moves in owes it the room [m]."""
+
+
+class Slips(NamedTuple):
+    """Vehicles that may slip in, each (m,): where their centres are [m], their speeds [m/s], centres of the lanes that
+    they change into [m]; `ratios` (2, m): d* of the old leader as a share of the gap to it, at the worst and now;
+    `reaches`: half the length of each [m]. And how they accelerate and brake at most [m/s^2]."""
+
+    starts: FloatArray
+    speeds: FloatArray
+    goals: FloatArray
+    ratios: FloatArray
+    reaches: FloatArray
+    gain: float
+    braking: float
+
+
+@inlined
+def _blocked(v: float, speed: float, gap: float, braking: float) -> tuple[float, float]:
+    """Multiple of the gap to a leader that d* towards it may be, and is at this moment."""
+    closing = v - speed + braking * _BRAKES
+    left = max(gap - _BRAKES * max(closing, 0.0), 1.0)
+    return max(desired_gap(v, closing), 0.0) / left, max(desired_gap(v, v - speed), 0.0) / max(gap, 1.0)
+
+
+@inlined
+def _held_up(j: int, states: FloatArray, center: float, sight: float, braking: float) -> tuple[float, float]:
+    """The same of whoever holds vehicle `j` up most in the lane with this centre [m]: the next one ahead there, or one
+    that is on its way there."""
+    v, gap, speed, worst, now = states[j, 3], np.inf, 0.0, 0.0, 0.0
+    for i in range(states.shape[0]):
+        ahead, off = states[i, 0] - states[j, 0], states[i, 1] - center
+        if i == j or not ahead >= 0:
+            continue
+        if abs(off) <= sight:
+            if ahead < gap:
+                gap, speed = ahead, states[i, 3]
+        elif abs(off) <= sight + _COMING:
+            across = states[i, 3] * math.sin(states[i, 2])
+            if -math.copysign(across, off * across) > _MOVES:
+                most, as_now = _blocked(v, states[i, 3], ahead, braking)
+                worst, now = max(worst, most), max(now, as_now)
+    if gap < np.inf:
+        most, as_now = _blocked(v, speed, gap, braking)
+        worst, now = max(worst, most), max(now, as_now)
+    return worst, now
+
+
+@uncounted
+def may_slip(
+    others: FloatArray,
+    states: FloatArray,
+    bodies: Bodies,
+    ego: FloatArray,
+    length: float,
+    centers: FloatArray,
+    sight: float,
+    braking: float,
+    out: FloatArray,
+) -> int:
+    """Which vehicles may slip into a lane in which the ego is seen; rows (vehicle, lane, multiple of the gap that d*
+    may be, the same of this very moment) of `out` (2 m, 4), and how many of them there are."""
+    count, m, lane, first, last = 0, states.shape[0], bodies.lane, bodies.first, bodies.last
+    for j in range(m):
+        v, s = states[j, 3], states[j, 0]
+        if first[j] > last[j] or not abs(s - ego[0]) <= _NEAR or others[j, 6] > 0 or not v >= 1.0:
+            continue
+        for side in (-1, 1):
+            to = lane[j] + side
+            if to < 0 or to >= centers.shape[0] or not abs(ego[1] - centers[to]) <= sight:
+                continue
+            if first[j] <= to <= last[j]:
+                # Its strip has that lane already.
+                continue
+            # Without somebody that is more in the way than the ego, nobody changes lanes.
+            worst, now = _held_up(j, states, centers[lane[j]], sight, braking)
+            if not worst > 0:
+                continue
+            # Whether it may begin while the bodies overlap, at any speed down to which the ego may brake.
+            reach, fast = 0.5 * (others[j, 4] + length) + _OVERLAP, max(ego[3], 0.0) + 1.0
+            u = min(max(0.5 * (v - TIME * TWICE_ROOT), 0.0), fast)
+            most = worst * reach + _SLACK + _DRIFT * _BRAKES
+            leads = desired_gap(v, v - fast) <= most
+            most = IMPOSED * reach + _HARDLY + _DRIFT * _BRAKES
+            if leads or desired_gap(u, u - v) <= most:
+                out[count, 0], out[count, 1], out[count, 2], out[count, 3] = j, to, worst, now
+                count += 1
+    return count
+
+
+@uncounted
+def slips_of(
+    found: FloatArray,
+    states: FloatArray,
+    bodies: Bodies,
+    centers: FloatArray,
+    gain: float,
+    braking: float,
+    rows: IntArray,
+    numbers: FloatArray,
+    ratios: FloatArray,
+) -> Slips:
+    """What is known of those that `may_slip` has found, (n, 4); their `rows` (n,), and room for `numbers` (4, n) and
+    `ratios` (2, n), are filled in."""
+    for k in range(found.shape[0]):
+        j = rows[k] = int(found[k, 0])
+        numbers[0, k], numbers[1, k] = states[j, 0], states[j, 3]
+        numbers[2, k], numbers[3, k] = centers[int(found[k, 1])], bodies.reach[j]
+        ratios[0, k], ratios[1, k] = found[k, 2], found[k, 3]
+    return Slips(numbers[0], numbers[1], numbers[2], ratios, numbers[3], gain, braking)
+
+
+@uncounted
+def sweeps(
+    rows: IntArray,
+    slips: Slips,
+    others: FloatArray,
+    states: FloatArray,
+    bodies: Bodies,
+    table: FloatArray,
+    dt: float,
+    paths: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Where each body is across the road after 1..T frames of its lane change, from the strip that it is in, `out`
+    (n, T, 2) [m]: `rows` (n,) of vehicle rows (m, 7) and road states (m, 4), on the road of a `table` of
+    `dynamics.vehicle.rollout_kernels`; `paths` (n, T, 4) are written over."""
+    frames = out.shape[1]
+    for k in range(rows.shape[0]):
+        j = rows[k]
+        goal = slips.goals[k]
+        roll_stop(states[j], goal, goal, slips.speeds[k], frames, 0.0, table, dt, paths[k])
+        low, high, length, width = bodies.low[j], bodies.high[j], others[j, 4], others[j, 5]
+        for f in range(frames):
+            r, sin, cos = paths[k, f, 1], abs(math.sin(paths[k, f, 2])), abs(math.cos(paths[k, f, 2]))
+            half = 0.5 * (length * sin + width * cos)
+            low, high = min(low, r - half), max(high, r + half)
+            out[k, f, 0], out[k, f, 1] = low, high
+
+
+@inlined
+def _begins(
+    s: float, r: float, u: float, k: int, j: int, slips: Slips, sight: float, dt: float
+) -> tuple[bool, bool, bool]:
+    """Whether a vehicle may begin to slip in at frame k of a path, which is at s, r with speed u there; whether it may
+    as blocked as it is; and whether the ego is ahead of it."""
+    v, t = slips.speeds[j], dt * (k + 1)
+    ahead = s - slips.starts[j] - v * t
+    seen = abs(r - slips.goals[j]) <= sight
+    if not ahead > 0:
+        wanted = desired_gap(u, u - v)
+        return seen and abs(wanted) <= _HARDLY - IMPOSED * ahead + _DRIFT * min(t, _BRAKES), False, False
+    wanted = desired_gap(v, v - u)
+    may = seen and abs(wanted) <= slips.ratios[0, j] * ahead + _SLACK + _DRIFT * min(t, _BRAKES)
+    # It brakes meanwhile behind its own leader, as IDM does.
+    slows = min(COMFORT * slips.ratios[1, j] ** 2, slips.braking)
+    at_once = slips.ratios[1, j] * (ahead + 0.5 * slows * t * t) + _HARDLY + _CHANGES * t
+    slow = max(v - slows * t, 0.0)
+    return may, seen and min(wanted, desired_gap(slow, slow - u)) <= at_once and wanted >= -at_once, True
+
+
+@inlined
+def _offset(r: float, centers: FloatArray) -> float:
+    """Distance from the nearest lane's centre [m]."""
+    offset = np.inf
+    for c in centers:
+        offset = min(offset, abs(r - c))
+    return offset
+
+
+@uncounted
+def anybody(path: FloatArray, slips: Slips, centers: FloatArray, sight: float, dt: float) -> bool:
+    """Whether anybody may slip in where that counts (`least_separations_of_slips`); or a path (K, 4) is not finite."""
+    for j in range(slips.goals.shape[0]):
+        began = False
+        for k in range(path.shape[0]):
+            s, r, u = path[k, 0], path[k, 1], path[k, 3]
+            if not math.isfinite(s + r + path[k, 2] + u):
+                return True
+            may, at_once, _ = _begins(s, r, u, k, j, slips, sight, dt)
+            began = began or may
+            if began and (at_once or _offset(r, centers) > _CENTRED):
+                return True
+    return False
+
+
+@uncounted
+def least_separations_of_slips(
+    path: FloatArray,
+    size: Footprint,
+    slips: Slips,
+    rear: FloatArray,
+    front: FloatArray,
+    sweep: FloatArray,
+    centers: FloatArray,
+    sight: float,
+    dt: float,
+    out: FloatArray,
+) -> None:
+    """Least separation of a path (K, 4) from each vehicle that slips in, `out` (m,) [m]; +inf where it does not.
+
+    The first frame at which it may start to is the worst: afterwards it reaches furthest. `rear` and `front` (m, at
+    least K) are least and greatest s of its body after each frame [m], and `sweep` (m, T, 2) is where it is across the
+    road after so many frames [m]; it owes the ego its distance once it has no overlap with it.
+    """
+    lon, lat = size.along, size.across
+    for j in range(slips.goals.shape[0]):
+        began, begun, leads, least = -1, -1, False, np.inf
+        for k in range(path.shape[0]):
+            s, r, psi, u = path[k, 0], path[k, 1], path[k, 2], path[k, 3]
+            if not math.isfinite(s + r + psi + u):
+                least = np.nan
+                break
+            if begun < 0:
+                may, at_once, ahead_of = _begins(s, r, u, k, j, slips, sight, dt)
+                if began < 0 and may:
+                    began, leads = k, ahead_of
+                if at_once:
+                    begun = k
+            if began < 0:
+                continue
+            sin, cos = abs(math.sin(psi)), abs(math.cos(psi))
+            half_s, half_r = lon * cos + lat * sin + size.growth_along, lon * sin + lat * cos + size.growth_across
+            past = s - half_s - front[j, k] if leads else rear[j, k] - s - half_s
+            if past >= 0 or k - began >= sweep.shape[1]:
+                break
+            offset, since = _offset(r, centers), k - began
+            if offset <= _CENTRED:
+                # Beside an ego that keeps to the middle it needs more than that: it has to be blocked as it is.
+                if begun < 0:
+                    continue
+                since = k - begun
+            across = max(sweep[j, since, 0] - r - half_r, r - half_r - sweep[j, since, 1])
+            along = max(rear[j, k] - s - half_s, s - half_s - front[j, k])
+            if offset <= _CENTRED:
+                nose = slips.starts[j] + slips.speeds[j] * dt * (k + 1) + slips.reaches[j]
+                nose += 0.5 * slips.gain * (since * dt) ** 2
+                along = s - half_s - nose
+            least = min(least, max(along, across))
+        out[j] = least

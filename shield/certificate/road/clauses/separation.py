@@ -1,0 +1,235 @@
+"""The clause of separation: a plan stays clear of every place where the others can be, the coming frame included."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.state import FloatArray
+from shield.certificate.road.clauses.footprint import Footprint
+
+__all__ = ["Duty", "Path", "Vehicle", "coming_frame", "extents", "separation", "turns"]
+
+_STRAIGHT = 0.01
+"""Sine of the heading below which a path's own next frame is where constant velocity leads."""
+
+
+class Duty(NamedTuple):
+    """What a vehicle behind owes: distance within which it sees the ego [m], frames of reaction, greatest acceleration
+    and the braking that it owes [m/s^2], speed up to which it accelerates [m/s], power [m^2/s^3], frames of constant
+    speed that are expected before, and frame duration [s]."""
+
+    seen: float
+    reaction: int
+    acceleration: float
+    braking: float
+    max_speed: float
+    power: float
+    hold: int
+    dt: float
+
+
+class Path(NamedTuple):
+    """What a path comes to: whether it is `finite`; whether it is `turned`, so that where constant velocity leads to
+    counts; and how far it reaches across the road, that included, from `lowest` to `highest` [m]."""
+
+    finite: bool
+    turned: bool
+    lowest: float
+    highest: float
+
+
+class Vehicle(NamedTuple):
+    """A vehicle that does not owe the ego its distance.
+
+    `left`, `right` [m]: where it can be across the road, and `most_left`, `most_right` from frame `since` on; `length`
+    [m]: half of what it covers along it; `speed` [m/s], `front` [m], and greatest metres of s in a metre driven,
+    `stretch`; `behind`: whether it is behind the ego. Such a one has a `center` [m], of the lane that it would see the
+    ego in, and `at_once`, after how many frames it reacts if it sees the ego all the time, or -1.
+    """
+
+    left: float
+    right: float
+    most_left: float
+    most_right: float
+    since: int
+    length: float
+    behind: bool
+    center: float
+    at_once: int
+    speed: float
+    front: float
+    stretch: float
+
+
+@inlined
+def turns(path: FloatArray, turned: FloatArray) -> None:
+    """Sine and cosine of the headings of a path (K, 4), to `turned` (2, at least K)."""
+    for k in range(path.shape[0]):
+        turned[0, k], turned[1, k] = math.sin(path[k, 2]), math.cos(path[k, 2])
+
+
+@inlined
+def extents(path: FloatArray, turned: FloatArray, size: Footprint, dt: float, bounds: FloatArray) -> Path:
+    """Where the ego's rectangle is in each frame of a path (K, 4): s and r from `bounds[0]`, `[2]` to `bounds[1]`,
+    `[3]` with the buffer.
+
+    Parameters
+    ----------
+    turned : see `turns`. size : the ego's footprint. bounds : (4, K) [m], result.
+    """
+    lon, lat, length, width = size.along, size.across, size.length, size.width
+    coming, lowest, highest = False, np.inf, -np.inf
+    for k in range(path.shape[0]):
+        if not abs(path[k, 2]) < _STRAIGHT and not abs(turned[0, k]) < _STRAIGHT:
+            coming = True
+            break
+    for k in range(path.shape[0]):
+        s, r, psi, v = path[k, 0], path[k, 1], path[k, 2], path[k, 3]
+        if not (math.isfinite(s) and math.isfinite(r) and math.isfinite(psi) and math.isfinite(v)):
+            return Path(False, coming, lowest, highest)
+        sin, cos = turned[0, k], turned[1, k]
+        half_s = lon * abs(cos) + lat * abs(sin) + size.growth_along
+        half_r = lon * abs(sin) + lat * abs(cos) + size.growth_across
+        bounds[0, k], bounds[1, k], bounds[2, k], bounds[3, k] = s - half_s, s + half_s, r - half_r, r + half_r
+        lowest, highest = min(lowest, bounds[2, k]), max(highest, bounds[3, k])
+        if coming:
+            r += v * sin * dt
+            half_r = 0.5 * (length * abs(sin) + width * abs(cos)) + size.bare_across
+            lowest, highest = min(lowest, r - half_r), max(highest, r + half_r)
+    return Path(True, coming, lowest, highest)
+
+
+@uncounted
+def coming_frame(
+    state: FloatArray,
+    turned: tuple[float, float],
+    size: Footprint,
+    ends: tuple[float, float, float, float],
+    left: float,
+    right: float,
+    reach: float,
+    dt: float,
+) -> float:
+    """What is left between the ego and a vehicle over one frame of constant velocities along both headings [m]; +inf
+    where there is anything left.
+
+    highway-env counts a collision where no side of either rectangle has a normal along which the two stay apart
+    meanwhile (`RoadObject._is_colliding`). The other's heading is not known, so it has to be one of the ego's: ahead or
+    behind along the ego, or beside its flank, along which the ego itself does not move. `turned` are sine and cosine of
+    the ego's heading; `ends` are least s of the other's body now and then, and greatest s of both [m]; `left`, `right`
+    contain its own way sideways; `reach` is half the length that it covers.
+    """
+    s, r, v, sin, cos = state[0], state[1], state[3], turned[0], turned[1]
+    low, high = left - r, right - r
+    half, side = 0.5 * size.length + size.bare_along, 0.5 * size.width + size.bare_across
+    ahead = (ends[0] - s) * cos + min(low * sin, high * sin) - half
+    ahead -= max(v * dt - max(ends[1] - ends[0], 0.0) * cos, 0.0)
+    if ahead >= 0:
+        return np.inf
+    behind = -np.inf
+    if math.isfinite(ends[2]):
+        behind = (s - ends[2]) * cos - max(low * sin, high * sin) - half
+        behind -= max((ends[3] - ends[2]) * cos - v * dt, 0.0)
+    # Where any of its body may be beside the ego, all of it has to be on one side of the flank.
+    window = half + abs(v) * dt + abs(sin) * max(abs(low), abs(high)) + 2 * reach
+    # The other gets on along the road meanwhile, and that brings a flank that is turned towards it nearer.
+    moved = max(ends[3] - ends[2], 0.0) if math.isfinite(ends[3]) else 0.0
+    first, last = max(ends[0] - s, -window), min(ends[3] - s, window + moved)
+    if first >= last:
+        return np.inf
+    over = low * cos - max(first * sin, last * sin) - side
+    under = min(first * sin, last * sin) - high * cos - side
+    apart = max(max(ahead, behind), max(over, under))
+    return apart if apart < 0 else np.inf
+
+
+@inlined
+def _front(path: FloatArray, frames: int, other: Vehicle, duty: Duty, front: FloatArray) -> float:
+    """Greatest s of a vehicle after each frame: it accelerates, one behind until it owes the ego its braking. Returns
+    how much further such a one may come after the last [m]."""
+    v0, start, stretch, center, at_once = other.speed, other.front, other.stretch, other.center, other.at_once
+    seen, reaction, gain, loss, most = duty.seen, duty.reaction, duty.acceleration, duty.braking, duty.max_speed
+    hold, dt, power = duty.hold, duty.dt, duty.power
+    # The duty starts when the ego has come into sight for good; losing sight of it starts the clock again.
+    first = 1
+    for k in range(frames - 1, -1, -1):
+        if not abs(path[k, 1] - center) <= seen:
+            first = k + 2
+            break
+    turn = at_once if first == 1 and at_once >= 0 else first + reaction
+    if not other.behind:
+        turn = frames
+    way, speed, v, top = 0.0, v0, v0, max(v0, most)
+    for k in range(frames):
+        v = max(speed - loss * dt * max(k - turn, 0), 0.0)
+        way += v
+        front[k] = start + way * dt * stretch
+        if hold <= k < turn:
+            speed = min(speed + min(gain, power / max(speed, 1e-3)) * dt, top)
+    # Where the ego has come to rest at the last frame, its follower may still be doing so.
+    more = 0.0
+    if other.behind and path[frames - 1, 3] < 0.5:
+        k = frames
+        while k <= turn or v > 0:
+            v = max(speed - loss * dt * max(k - turn, 0), 0.0)
+            more += v
+            if k < turn:
+                speed = min(speed + min(gain, power / max(speed, 1e-3)) * dt, top)
+            k += 1
+    return more * dt * stretch
+
+
+@inlined
+def separation(
+    path: FloatArray,
+    turned: FloatArray,
+    ego: Path,
+    bounds: FloatArray,
+    size: Footprint,
+    other: Vehicle,
+    rear: FloatArray,
+    duty: Duty,
+    front: FloatArray,
+) -> tuple[float, int]:
+    """The least separation of a path (K, 4) from a vehicle that does not owe it [m], and the first frame in which it is
+    negative, K without one; NaN and 0 for a vehicle that is not finite (`rear` adds up: its last frame tells).
+
+    Parameters
+    ----------
+    turned, ego, bounds : its `turns` and `extents`. size : the ego's footprint. other : where the vehicle can be.
+    rear : least s of its body after each frame, (at least K,) [m]. duty : what a vehicle behind owes.
+    front : room that is written over, (at least K,).
+    """
+    frames, left, right, behind, dt = path.shape[0], other.left, other.right, other.behind, duty.dt
+    since = other.since
+    known = math.isfinite(left + right + rear[frames - 1])
+    if not known or ((behind or ego.turned) and not math.isfinite(other.speed + other.front + other.stretch)):
+        return np.nan, 0
+    beside = max(left - ego.highest, ego.lowest - right)
+    if since < frames:
+        beside = max(other.most_left - ego.highest, ego.lowest - other.most_right)
+    if beside >= 0:
+        return beside, frames
+    more = 0.0
+    if behind or ego.turned:
+        more = _front(path, frames, other, duty, front)
+    least, first = np.inf, frames
+    for k in range(frames):
+        if k == since:
+            left, right = other.most_left, other.most_right
+        along = rear[k] - bounds[1, k]
+        if behind:
+            along = max(along, bounds[0, k] - front[k] - (more if k == frames - 1 else 0.0))
+        apart = max(along, max(left - bounds[3, k], bounds[2, k] - right))
+        # Nothing is said about the frame after the last: an ego that brakes stands by then.
+        if ego.turned and k < frames - 1 and not abs(turned[0, k]) < _STRAIGHT:
+            ends, heading = (rear[k], rear[k + 1], front[k], front[k + 1]), (turned[0, k], turned[1, k])
+            apart = min(apart, coming_frame(path[k], heading, size, ends, left, right, other.length, dt))
+        least = min(least, apart)
+        if apart < 0:
+            first = min(first, k)
+    return least, first

@@ -1,0 +1,53 @@
+"""The clause of room: a plan stops inside one lane; and the margin that comes of all clauses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dynamics.compiled import inlined
+from dynamics.state import FloatArray
+from shield.certificate.road.clauses.footprint import Footprint
+
+__all__ = ["margin_of", "room_of"]
+
+
+@inlined
+def room_of(
+    path: FloatArray,
+    turned: FloatArray,
+    size: Footprint,
+    center: float,
+    side: float,
+    bent: bool,
+) -> float:
+    """What is left beside the ego with its buffer in the lane that a path (K, 4) stops in [m]; negative where it
+    reaches out. `center` and `side`: of the lane, and half its width [m]; `turned`, `size` as in `extents`."""
+    last = path.shape[0] - 1
+    sin, cos = abs(turned[0, last]), abs(turned[1, last])
+    # On a bend, what lies ahead and behind in the lane bends with the road: only the body has to fit.
+    half = (
+        0.5 * size.length * sin + size.across * cos + size.bare_across if bent else size.along * sin + size.across * cos
+    )
+    return side - abs(path[last, 1] - center) - half
+
+
+@inlined
+def margin_of(separations: FloatArray, slipping: FloatArray, room: float) -> float:
+    """The least separation of a path, and what it lacks of room where it does [m]; NaN where anything is.
+
+    Parameters
+    ----------
+    separations, slipping : from vehicles in reach (m,), and from those that may slip in (q,) [m]. room : [m].
+    """
+    least, known = np.inf, not math.isnan(room)
+    if room < 0:
+        least = room
+    for j in range(separations.shape[0]):
+        known = known and not math.isnan(separations[j])
+        least = min(least, separations[j])
+    for j in range(slipping.shape[0]):
+        known = known and not math.isnan(slipping[j])
+        least = min(least, slipping[j])
+    return least if known else np.nan

@@ -1,0 +1,251 @@
+"""What one decision leaves to the next, and one instant as it is seen with it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from dynamics.scenes.scene import Scene
+from dynamics.state import BoolArray, FloatArray, IntArray, RoadState, State, Vehicle
+from dynamics.traffic.occupancy import Before, Surroundings
+from dynamics.vehicle.controllers import KP_SPEED
+from dynamics.vehicle.rollouts import Rollouts
+from shield.certificate.road.clauses.followers import lanes_held
+from shield.certificate.road.clauses.others import TOUCH
+from shield.certificate.road.manoeuvres import Manoeuvres, brake_candidates
+from shield.certificate.road.monitor import Stillness, Watch
+from shield.certificate.road.nesting import nested
+from shield.certificate.road.verify import Binding, Clearance, Surveyor, footprint_of
+from shield.config import ShieldConfig
+
+__all__ = ["FailSafe", "Instant", "Memory", "observe"]
+
+S = TypeVar("S")
+_FIRST = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=bool), np.zeros(0, dtype=bool), np.zeros((0, 0), dtype=bool)
+"""What is known of the lanes before the first scene."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Memory(Generic[S]):
+    """What is remembered of an episode. A new one is a new episode.
+
+    Attributes
+    ----------
+    frame : index of the simulation frame that was seen last; None where it is not known.
+    stored : what plays the fail-safe on that was verified last: the lane that it stops in, the wheel angle that it
+        holds [rad], or the actions that are left of it. None without one. entered : the lane beside the ego's own and
+        the last that it enters on the way; None without one.
+    survey : who judged plans in the scene that was seen last; it knows the lanes that the ego owns, for how long it has
+        been visible in each, and who may enter which.
+    watch : what has been seen of the others.
+    plan : the predictive filter's last plan, inputs (N, 2), for the next one to start from.
+    """
+
+    frame: int | None = None
+    stored: S | None = None
+    survey: Surveyor | None = None
+    watch: Watch | Stillness = field(default_factory=Watch)
+    plan: FloatArray | None = None
+    entered: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FailSafe:
+    """The stored fail-safe played on from now: the lane that it stops in, its path (K, 4), its margin [m], and what
+    that comes from."""
+
+    lane: int
+    path: FloatArray
+    margin: float
+    binding: Binding
+
+
+@dataclass(frozen=True, eq=False)
+class Instant:
+    """One scene as it is seen with a memory: what each stage of a procedure judges with.
+
+    Attributes
+    ----------
+    scene, config : what is looked at, and the shield's settings.
+    memory : as it is after looking.
+    rollouts : of the ego.
+    survey : judges plans in this scene.
+    """
+
+    scene: Scene
+    config: ShieldConfig
+    memory: Memory[Any]
+    rollouts: Rollouts
+    survey: Surveyor
+
+    @cached_property
+    def lawful(self) -> Surveyor:
+        """Judges plans in view of those who have broken no rule."""
+        assert isinstance(self.memory.watch, Watch)
+        return self.survey.without(self.memory.watch.offenders)
+
+    def narrowed(self, share: float) -> Surveyor:
+        """Judges plans in the scene with bounds on the others that are a share as wide; see `Scene.narrowed`."""
+        assert isinstance(self.memory.watch, Watch)
+        scene, last, watch, lane = self.scene.narrowed(share), self.survey, self.memory.watch, self.memory.stored
+        stored = lane if isinstance(lane, int) else None
+        return Surveyor(
+            scene,
+            self.config,
+            last.visible,
+            last.owned,
+            None,
+            None,
+            watch.owing,
+            last.comes,
+            stored,
+            self.memory.entered,
+        )
+
+    @cached_property
+    def here(self) -> int:
+        """The lane that the ego's centre is in."""
+        return int(self.scene.road.lane_at(float(self.scene.ego_road[RoadState.R])))
+
+    def judge(self, candidates: Manoeuvres, hold: int = 0) -> tuple[FloatArray, Clearance]:
+        """Paths (n, K, 4) of some candidates, and what there is to say against them; see `Surveyor.clearance`."""
+        paths = candidates.paths(self.rollouts, self.scene.ego_road)
+        return paths, self.survey.clearance(paths, candidates.lanes, candidates.fails, hold)
+
+    def fail_safe(self, lawful: bool = False) -> FailSafe:
+        """The stored fail-safe from now on, judged without precautions; without one, that of the ego's own lane."""
+        lane = self.here if self.memory.stored is None else int(self.memory.stored)
+        survey = (self.lawful if lawful else self.survey).without_cut_ins()
+        path, result = _brake(self.scene, lane, self.config.braking, self.rollouts, survey, self.memory.entered)
+        return FailSafe(lane, path, float(result.margin[0]), result.binding(0))
+
+
+def observe(
+    memory: Memory[S],
+    scene: Scene,
+    config: ShieldConfig,
+    frames: int = 1,
+    fail_safe: Callable[[Surveyor], FloatArray] | None = None,
+) -> Instant:
+    """Take in a scene; one whose frame has been seen already is the same instant.
+
+    Parameters
+    ----------
+    frames : simulation frames between two scenes.
+    fail_safe : how far the ego's fail-safe stays from where each vehicle can be, (m,) [m]; that of braking in the
+        stored lane by default.
+    """
+    rollouts = Rollouts(scene.dt, scene.road)
+    if memory.survey is not None and scene.frame is not None and scene.frame == memory.frame:
+        return Instant(scene, config, memory, rollouts, memory.survey)
+    watch = memory.watch if isinstance(memory.watch, Watch) else Watch()
+    last, lane = memory.survey, memory.stored if isinstance(memory.stored, int) else None
+    same = None if last is None else _same(last.scene, scene)
+    if last is not None and same is not None and scene.blurred and frames == 1:
+        scene = nested(last.scene, last.around, same, scene)
+    ego = float(scene.ego_road[RoadState.S])
+    before: Surroundings | Before | None = None
+    if last is not None and not scene.blurred:
+        before = last.around if same is None else _before(last.around, same, scene, config, ego)
+    # Over more than a frame it is not known what turning has taken of each vehicle's way.
+    frame_before = before if frames == 1 else None
+    around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, frame_before, ego)
+    watch = watch.of(same, len(scene.others))
+    visible, owned, coming = _lanes(last, scene, config, frames, lane, watch.owing, same)
+    followers = None if last is None else watch.owing
+    survey = Surveyor(scene, config, visible, owned, around, None, followers, coming, lane, memory.entered)
+
+    def separations() -> FloatArray:
+        if fail_safe is not None:
+            return fail_safe(survey)
+        stop = lane if lane is not None else scene.road.lane_at(float(scene.ego_road[RoadState.R]))
+        return survey.of_each(_brake(scene, stop, config.braking, rollouts, survey, memory.entered)[1])
+
+    if scene.observed:
+        before = None
+    new = None if same is None else same < 0
+    watch = watch.next(survey, before, new, survey.counted(_followers(last, same)), frames * scene.dt, separations)
+    memory = Memory(scene.frame, memory.stored, survey, watch, memory.plan, memory.entered)
+    return Instant(scene, config, memory, rollouts, survey)
+
+
+def _same(last: Scene, scene: Scene) -> IntArray | None:
+    """Which of the others in the last scene each is now, (m,), -1 for newcomers; None where they are the same in the
+    same order. Without ids nobody is known again where their number is another."""
+    if scene.ids is None or last.ids is None:
+        if scene.ids is last.ids and len(last.others) == len(scene.others):
+            return None
+        return np.full(len(scene.others), -1)
+    if scene.ids is last.ids and not (scene.observed or scene.blurred):
+        return None
+    if not len(last.ids):
+        return np.full(len(scene.others), -1)
+    same = (scene.ids[:, None] == last.ids) & (scene.ids[:, None] >= 0)
+    return np.where(same.any(axis=1), same.argmax(axis=1), -1)
+
+
+def _followers(last: Surveyor | None, same: IntArray | None) -> tuple[BoolArray, BoolArray] | None:
+    """Who was behind the ego in the last scene, and in a lane that it owned, (m,) bool in the order of this one."""
+    if last is None or same is None:
+        return None if last is None else (last.behind, last.held)
+    flags, known = np.zeros((2, len(same)), dtype=bool), same >= 0
+    flags[0, known], flags[1, known] = last.behind[same[known]], last.held[same[known]]
+    return flags[0], flags[1]
+
+
+def _before(last: Surroundings, same: IntArray, scene: Scene, config: ShieldConfig, ego: float) -> Before:
+    """The others in the last scene; newcomers have kept their speed, and lost nothing by turning."""
+    fresh = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, None, ego)
+    known = np.flatnonzero(same >= 0)
+    rows, states, tables = scene.others.copy(), scene.others_road.copy(), fresh.tables
+    way = states[:, RoadState.SPEED] * scene.dt
+    states[:, RoadState.S] -= way * np.cos(states[:, RoadState.HEADING])
+    states[:, RoadState.R] -= way * np.sin(states[:, RoadState.HEADING])
+    rows[known], states[known] = last.others[same[known]], last.states[same[known]]
+    then = same[known]
+    tables.marks[:, known], tables.numbers[:, known] = last.tables.marks[:, then], last.tables.numbers[:, then]
+    tables.brakes[known], tables.recent[known] = last.tables.brakes[then], last.tables.recent[then]
+    return Before(rows, states, tables)
+
+
+def _lanes(
+    last: Surveyor | None,
+    scene: Scene,
+    config: ShieldConfig,
+    frames: int,
+    stored: int | None,
+    owing: BoolArray,
+    same: IntArray | None,
+) -> Any:
+    """Frames for which the ego has been visible in each lane, which it owns, and who could enter which before: any
+    newcomer."""
+    before: Any = _FIRST
+    if last is not None and last.visible is not None and last.visible.shape == scene.road.centers.shape:
+        comes = last.comes
+        if same is not None:
+            comes = np.ones((len(last.visible), len(same)), dtype=bool)
+            comes[:, same >= 0] = last.comes[:, same[same >= 0]]
+        before = last.visible, last.owned, owing, comes
+    r, psi, sight = scene.ego_road[RoadState.R], scene.ego_road[RoadState.HEADING], config.assumptions.visible_distance
+    length, width = float(scene.ego[Vehicle.LENGTH]), float(scene.ego[Vehicle.WIDTH])
+    half = 0.5 * (length * abs(math.sin(psi)) + width * abs(math.cos(psi)))
+    half += footprint_of(length, width, config.buffer, scene.road.bends)[0].bare_across
+    stop, near = -1 if stored is None else stored, (sight, TOUCH + half, 0.5 * float(scene.road.width) + half)
+    return lanes_held(float(r), scene.road.centers, frames, *near, stop, *before)
+
+
+def _brake(
+    scene: Scene, lane: int, braking: float, rollouts: Rollouts, survey: Surveyor, entered: int | None
+) -> tuple[FloatArray, Clearance]:
+    """Braking to a stop in a lane from now on: its path (K, 4), and what there is to say against it. `entered`: the
+    lane that the plan entered on the way, None without one."""
+    speed = float(scene.ego[State.SPEED]) - braking / KP_SPEED
+    candidates = brake_candidates(scene, [lane], [speed], [lane], 1, braking)
+    paths = candidates.paths(rollouts, scene.ego_road)
+    lanes = candidates.lanes if entered is None else survey.entered(paths, candidates.fails)[0]
+    return paths[0], survey.clearance(paths, lanes, candidates.fails)

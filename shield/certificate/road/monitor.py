@@ -1,0 +1,223 @@
+"""Watches whether the others keep to the assumptions, frame by frame.
+
+Traffic has to keep to `dynamics.traffic.rules_of_the_road`; in a parking lot everything has to stand still.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dynamics.compiled import uncounted
+from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
+from dynamics.traffic.occupancy import Before, Surroundings
+from dynamics.traffic.rules_of_the_road import Ego, Rule, gap_between, permits
+
+if TYPE_CHECKING:
+    from shield.certificate.road.verify import Surveyor
+
+__all__ = ["Stillness", "Watch", "in_the_way_now", "stayed"]
+
+
+_DISTANCE, _APPEARED = int(Rule.DISTANCE), int(Rule.APPEARED)
+
+
+def _nobody() -> BoolArray:
+    return np.zeros(0, dtype=bool)
+
+
+Separations = Callable[[], FloatArray]
+"""How far the ego's fail-safe stays from where each vehicle can be now, (m,) [m]; negative where it does not."""
+
+
+@uncounted
+def stayed(owed: Any, counted: Any, behind: Any, held: Any, broken: Any, grown: Any, owing: Any) -> tuple[bool, bool]:
+    """Fill in who owes the ego its distance now, `owing`, and add to `grown` who has not kept it: who owed it and has
+    come beside the ego in its own lane, and whom the stored plan has `counted` on to brake. Returns whether anybody has
+    broken a rule, and taken more room."""
+    some, more = False, False
+    for i in range(owed.shape[0]):
+        owing[i] = behind[i] and held[i]
+        if (owed[i] and held[i] and not behind[i]) or counted[i]:
+            grown[i] |= _DISTANCE
+        some, more = some or broken[i] != 0, more or grown[i] != 0
+    return some, more
+
+
+@uncounted
+def in_the_way_now(ego: Ego, rows: FloatArray, period: float, grown: IntArray, broken: IntArray) -> bool:
+    """Add to `broken` what is `grown` of those that touch the ego's buffer now, or its body in the coming frame, which
+    lasts `period` [s]: the fail-safe is judged from the next frame on. Whether there is anybody."""
+    some = False
+    for i in range(grown.shape[0]):
+        if grown[i] == 0:
+            continue
+        touches = gap_between(ego, ego.along, ego.across, rows, i, 0.0) < 0
+        if touches or gap_between(ego, ego.body_along, ego.body_across, rows, i, period) <= 0:
+            broken[i] |= grown[i]
+            some = True
+    return some
+
+
+def appeared(new: BoolArray, rows: FloatArray, ego: Ego, broken: IntArray, grown: IntArray) -> None:
+    """Judge newcomers, (m,) bool: each has to leave the fail-safe its room, and breaks a rule if it touches the ego's
+    buffer; what it did before it was there is not known. `broken` and `grown` are written."""
+    for i in np.flatnonzero(new).tolist():
+        touches = gap_between(ego, ego.along, ego.across, rows, i, 0.0) < 0
+        broken[i], grown[i] = (_APPEARED, 0) if touches else (0, _APPEARED)
+
+
+def _rule_of(column: Vehicle) -> Rule:
+    """The rule that a vehicle breaks with a number that is not finite."""
+    if column is Vehicle.SPEED:
+        return Rule.SPEED
+    return Rule.SIZE if column in (Vehicle.LENGTH, Vehicle.WIDTH) else Rule.WAY
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Watch:
+    """What has been seen of the others up to one scene.
+
+    Attributes
+    ----------
+    owing : who of them owed the ego its distance, (m,) bool.
+    crashed : whether the ego had crashed.
+    breaking : who was breaking a rule in that very frame, (m,) bool.
+    offenders : who has broken a rule and may still be in the way of the ego's fail-safe, (m,) bool.
+    count : violations so far; a vehicle that breaks rules frame after frame counts once until it keeps to them again.
+    by_rule : the same by the rule that was broken.
+    unreadable : ids of those whose numbers were not all readable; they are in none of the arrays.
+    """
+
+    owing: BoolArray = field(default_factory=_nobody)
+    crashed: bool = False
+    breaking: BoolArray = field(default_factory=_nobody)
+    offenders: BoolArray = field(default_factory=_nobody)
+    count: int = 0
+    by_rule: Mapping[Rule, int] = field(default_factory=dict)
+    unreadable: frozenset[int] = frozenset()
+
+    @property
+    def violated(self) -> bool:
+        """Whether anybody who has broken a rule may still be in the way."""
+        return bool(self.offenders.any())
+
+    @property
+    def named(self) -> dict[str, int]:
+        """`by_rule` by the names of the rules."""
+        return {str(rule): count for rule, count in self.by_rule.items()}
+
+    def forgiven(self) -> Watch:
+        """The same once a plan clears everybody again."""
+        return replace(self, offenders=np.zeros(self.offenders.shape, dtype=bool)) if self.violated else self
+
+    def with_unreadable(self, ids: IntArray, read: BoolArray, known: frozenset[int]) -> Watch:
+        """The same with vehicles whose numbers are not all readable: each breaks the rules that these are judged by.
+
+        Parameters
+        ----------
+        ids : of those vehicles, (n,). read : which of their numbers are readable, (n, 7). known : the ids of those that
+            were unreadable in the scene before, which have been counted.
+        """
+        count, by_rule = self.count, dict(self.by_rule)
+        for i, row in zip(ids.tolist(), read, strict=True):
+            if i in known:
+                continue
+            count += 1
+            for rule in {_rule_of(Vehicle(column)) for column in np.flatnonzero(~row).tolist()}:
+                by_rule[rule] = by_rule.get(rule, 0) + 1
+        return replace(self, count=count, by_rule=by_rule, unreadable=frozenset(ids.tolist()))
+
+    def of(self, same: IntArray | None, m: int) -> Watch:
+        """The same of the m others of the next scene, in their order.
+
+        Parameters
+        ----------
+        same : which of the others each was in the scene seen last, (m,), -1 for newcomers; None for the same order.
+        """
+        if same is None and len(self.owing) == m:
+            return self
+        flags = np.zeros((3, m), dtype=bool)
+        if same is not None:
+            known = same >= 0
+            flags[:, known] = np.stack([self.owing, self.breaking, self.offenders])[:, same[known]]
+        return replace(self, owing=flags[0], breaking=flags[1], offenders=flags[2])
+
+    def next(
+        self,
+        survey: Surveyor,
+        before: Surroundings | Before | None,
+        new: BoolArray | None,
+        counted: BoolArray,
+        period: float,
+        fail_safe: Separations,
+    ) -> Watch:
+        """The watch one scene later; this one is already `of` its others.
+
+        Parameters
+        ----------
+        survey : the scene, and what is known of the others in it; its surroundings know those of the scene before.
+        before : the others in the scene before; None in the first, and where their states are estimates.
+        new : who was not there then, (m,) bool; None where everybody was.
+        counted : whom the stored plan has counted on to brake, (m,) bool. period : time since the scene before [s].
+        fail_safe : asked where somebody has taken more room than before.
+        """
+        behind, held, ego = survey.behind, survey.held, survey.seen
+        crashed = bool(survey.scene.ego[Vehicle.CRASHED] > 0)
+        if before is None:
+            nobody = np.zeros(len(behind), dtype=bool)
+            return Watch(behind & held, crashed, nobody, nobody, self.count, self.by_rule)
+        if crashed:
+            ego = ego._replace(crashed=not self.crashed, wrecked=True)
+        broken, grown = permits(before, survey.around, period, self.owing, ego)
+        if new is not None:
+            appeared(new, survey.scene.others, ego, broken, grown)
+        owing = np.empty(len(broken), dtype=bool)
+        some, more = stayed(self.owing, counted, behind, held, broken, grown, owing)
+        if more:
+            # Who takes more room than before has to leave it to the ego's fail-safe.
+            in_the_way_now(ego, survey.scene.others, survey.scene.dt, grown, broken)
+            broken |= np.where(fail_safe() >= 0, 0, grown)
+            some = bool(broken.any())
+        breaking = broken != 0
+        if not some:
+            return Watch(owing, crashed, breaking, self.offenders, self.count, self.by_rule)
+        count, by_rule = self.count, dict(self.by_rule)
+        for i in np.flatnonzero(breaking & ~self.breaking):
+            count += 1
+            for rule in Rule(int(broken[i])):
+                by_rule[rule] = by_rule.get(rule, 0) + 1
+        return Watch(owing, crashed, breaking, self.offenders | breaking, count, by_rule)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stillness:
+    """What has been seen of a lot where everything is assumed to stand; a `Watch` that forgives nothing.
+
+    Attributes
+    ----------
+    count : how often something has begun to move. violated : whether something moves now.
+    moving : which obstacles did in the lot seen last, (m,) bool; they are matched by their order.
+    """
+
+    count: int = 0
+    violated: bool = False
+    moving: BoolArray | None = None
+
+    @property
+    def named(self) -> dict[str, int]:
+        """As of `Watch`."""
+        return {"moving": self.count} if self.count else {}
+
+    def next(self, moving: BoolArray) -> Stillness:
+        """The same one lot later."""
+        known = self.moving is not None and self.moving.shape == moving.shape
+        begun = moving & ~self.moving if known else moving  # type: ignore[operator]
+        return Stillness(self.count + int(begun.sum()), bool(moving.any()), moving)
+
+    def forgiven(self) -> Stillness:
+        """The same."""
+        return self

@@ -1,0 +1,324 @@
+"""Candidate trajectories against occupancy: a margin in metres, not a boolean.
+
+Notation
+--------
+Road frame. The ego's footprint is inflated by the buffer along and across its heading psi; its half extents
+along and across the road are
+
+    h_s = (L/2 + b_lon) |cos psi| + (W/2 + b_lat) |sin psi|
+    h_r = (L/2 + b_lon) |sin psi| + (W/2 + b_lat) |cos psi|
+
+The separation from a rectangle is the greater of the longitudinal and the lateral gap, negative when both
+overlap. The margin of a trajectory is the least separation over all frames and vehicles.
+
+Who owes what (Responsibility-Sensitive Safety): a vehicle behind, in a lane that the ego *owns*, must keep its
+distance. The ego owns the lane that it starts in, and one that it enters once a plan to stop there has been
+verified against those behind: until then they are the ego's business. A plan must also end inside its lane, so
+that an ego at rest is in nobody else's way.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+
+from dynamics.scenes.scene import Scene
+from dynamics.state import BoolArray, FloatArray, IntArray, RoadState, Vehicle
+from dynamics.traffic.occupancy import Surroundings
+from dynamics.traffic.rules_of_the_road import Ego, footprint
+from dynamics.vehicle.rollout_kernels import table_of
+from shield.certificate.road.clauses.all_clauses import (
+    NOTHING_BINDS,
+    ROOM_BINDS,
+    SEPARATION_BINDS,
+    SLIP_IN_BINDS,
+    judged,
+)
+from shield.certificate.road.clauses.edge import lanes_touched
+from shield.certificate.road.clauses.followers import in_reach
+from shield.certificate.road.clauses.footprint import Footprint
+from shield.certificate.road.clauses.others import Others, empty_others, others_from
+from shield.certificate.road.clauses.parameters import settings_of
+from shield.certificate.road.clauses.scene import counts, seen
+from shield.config import Buffer, ShieldConfig
+from shield.decision import ROUNDING
+
+__all__ = ["NOTHING", "ROUNDING", "Binding", "Clearance", "Surveyor", "footprint_of", "least_bad", "least_bad_evasion"]
+
+
+_CLAUSES = {NOTHING_BINDS: "", SEPARATION_BINDS: "separation", SLIP_IN_BINDS: "slip-in", ROOM_BINDS: "room"}
+_NOBODY, _NO_LANES = np.zeros(0, dtype=bool), np.zeros((0, 0), dtype=bool)
+
+
+@dataclass(frozen=True, slots=True)
+class Binding:
+    """What a margin comes from.
+
+    Attributes
+    ----------
+    clause : its name, "" with nobody in reach. vehicle : row among the scene's others, -1 without one.
+    """
+
+    clause: str = ""
+    vehicle: int = -1
+
+
+NOTHING = Binding()
+"""Nothing binds, or nothing was asked."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clearance:
+    """Result for n trajectories.
+
+    Attributes
+    ----------
+    margin : least separation beyond the buffer, (n,) [m]; +inf with nobody in reach, -inf in a gap of the map.
+    clear : frames before the first violation, (n,); all of them without one.
+    found : what the margin is the least of, (1 + q + c, n) [m]: the room in the lane that is stopped in; the least
+        separation from each vehicle in reach, +inf from one that owes the ego its distance; and from each that may slip
+        in alongside.
+    rows : the vehicles in reach, (q,).
+    binds : what each margin comes from, and which vehicle, (2, n).
+    """
+
+    margin: FloatArray
+    clear: Any
+    found: FloatArray | None = None
+    rows: Any = None
+    binds: Any = None
+
+    @property
+    def separations(self) -> FloatArray:
+        """Least separation of each path from each vehicle in reach, (n, q) [m]."""
+        assert self.found is not None
+        return self.found[1 : 1 + len(self.rows)].T
+
+    @property
+    def slipping(self) -> FloatArray:
+        """The same from those that may slip in alongside, (n, c) [m]."""
+        assert self.found is not None
+        return self.found[1 + len(self.rows) :].T
+
+    @property
+    def parts(self) -> FloatArray:
+        """What the margins are the least of, (n, q + c + 1) [m]: both, and the room."""
+        assert self.found is not None
+        return np.vstack([self.found[1:], self.found[:1]]).T
+
+    def binding(self, i: int) -> Binding:
+        """The clause that the margin of path `i` comes from, and the vehicle."""
+        if self.margin[i] == -np.inf:
+            return Binding("gap of the map")
+        return Binding(_CLAUSES[int(self.binds[0, i])], int(self.binds[1, i]))
+
+
+class Surveyor:
+    """Judges trajectories in one scene; what depends on the scene alone is computed once.
+
+    Parameters
+    ----------
+    scene : the scene.
+    config : buffer, assumptions and perception range.
+    visible : frames for which the ego has been visible in each lane already, (lanes,); none by default.
+    owned : which lanes the ego owns, (lanes,) bool; the one that it is in by default.
+    around : the scene's surroundings, where they have been built already.
+    ignored : whom to leave out, (m,) bool; nobody by default.
+    followers : who owed the ego its distance in the scene before, (m,) bool; nobody by default.
+    coming : who could enter which lane in the scene before, (lanes, m) bool; whoever may now by default.
+    stored, entered : the lane in which the stored plan stops, and the one that it enters on the way; None without one.
+
+    Attributes
+    ----------
+    size : the ego's footprint. behind, held : see `Others`, (m,) bool. comes : who may enter which lane, (lanes, m).
+    plan : `stored` and `entered`, -1 for None.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        config: ShieldConfig,
+        visible: Any = None,
+        owned: Any = None,
+        around: Surroundings | None = None,
+        ignored: Any = None,
+        followers: Any = None,
+        coming: Any = None,
+        stored: int | None = None,
+        entered: int | None = None,
+    ) -> None:
+        self.ignored = _NOBODY if ignored is None else ignored
+        self.plan = -1 if stored is None else stored, -1 if entered is None else entered
+        self.scene, self.config, self.visible = scene, config, visible
+        road, state, a, lanes = scene.road, scene.ego_road, config.assumptions, scene.road.centers.size
+        if owned is None:
+            owned = np.arange(lanes) == road.lane_at(float(state[RoadState.R]))
+        self.owned = np.asarray(owned, dtype=bool)
+        if around is None:
+            ego = float(state[RoadState.S])
+            around = Surroundings(scene.others, scene.others_road, road, a, scene.dt, None, ego)
+        self.around = around
+        self.size, self._size = footprint_of(
+            float(scene.ego[Vehicle.LENGTH]), float(scene.ego[Vehicle.WIDTH]), config.buffer, road.bends
+        )
+        bent, perception = road.bends is not None, float(config.perception_range)
+        self._settings = settings_of(a, float(road.width), perception, bent, scene.dt)
+        self._table = table_of(road)
+        self._visible = np.zeros(lanes, dtype=np.intp) if visible is None else np.asarray(visible, np.intp)
+        in_sight = self._visible
+        if visible is None:
+            offset = np.abs(road.centers - state[RoadState.R])
+            in_sight = np.where(offset <= a.visible_distance, np.iinfo(np.intp).max, 0)
+        m = len(scene.others)
+        self._of_others = numbers, flags = empty_others(m, lanes)
+        slipping = np.empty((2 * m, 4))
+        count = seen(
+            around.others,
+            around.states,
+            *around.tables,
+            scene.ego,
+            state,
+            self._size,
+            road.centers,
+            self._settings,
+            self.owned,
+            in_sight,
+            self.plan,
+            _NOBODY if followers is None else followers,
+            _NO_LANES if coming is None else coming,
+            numbers,
+            flags,
+            slipping,
+            np.empty((m, 4), np.bool_),
+        )
+        self._slipping, self.behind, self.held, self.comes = slipping[:count], flags[0], flags[1], flags[2 + lanes :]
+
+    @cached_property
+    def seen(self) -> Ego:
+        """The ego with its buffer, in the world frame."""
+        return footprint(self.scene.ego, self.config.buffer.longitudinal, self.config.buffer.lateral)
+
+    @cached_property
+    def others(self) -> Others:
+        """The vehicles as a judgement of paths sees them."""
+        named: Any = others_from
+        others: Others = named.py_func(self.around.bodies, *self._of_others)
+        return others
+
+    def counted(self, before: tuple[BoolArray, BoolArray] | None) -> BoolArray:
+        """Whom the stored plan counts on to brake, (m,) bool, see `counted_on`; `before`: who was `behind` and `held`
+        in the scene before."""
+        out = np.zeros(len(self.behind), dtype=bool)
+        if self.plan[0] >= 0 and before is not None:
+            scene = self.scene.ego_road, self._size, self.scene.road.centers
+            counts(*self.around.tables, *self._of_others, *scene, self.plan, self.owned, before, out)
+        return out
+
+    def entered(self, paths: FloatArray, fails: IntArray) -> tuple[IntArray, FloatArray, BoolArray, IntArray]:
+        """The lane that the body of each path (n, K, 4) enters beside those that the ego owns and the one that it stops
+        in, `fails` (n,); and the rest of `lanes_touched`."""
+        size, road = self.size, self.scene.road
+        body, side = (size.length, size.width, size.bare_across), 0.5 * road.width
+        return lanes_touched(self.scene.ego_road, paths, body, road.centers, side, self.owned, fails)
+
+    def without(self, ignored: BoolArray) -> Surveyor:
+        """The same for whom some vehicles are not there, (m,) bool."""
+        other = copy(self)
+        other.ignored = ignored
+        return other
+
+    def without_cut_ins(self) -> Surveyor:
+        """The same without the precaution of cut-ins: plans are refused for it, and the certificate does not need it,
+        for a vehicle that cuts in without leaving the fail-safe its room breaks a rule."""
+        other = copy(self)
+        other._slipping = self._slipping[:0]
+        return other
+
+    def relevant(self, distance: float, followers: bool = True) -> Any:
+        """Rows of those who can come into reach of an ego that travels at most `distance` [m].
+
+        Dropping the rest cannot change any verdict: nobody ahead comes to a place further back than its least one.
+        Without `followers`, those behind are left out altogether.
+        """
+        rows = np.empty(len(self.scene.others), np.intp)
+        return rows[: in_reach(self.others, (distance, float(self.config.perception_range)), followers, rows)]
+
+    def clearance(self, paths: FloatArray, lanes: Any, fails: Any, hold: int = 0) -> Clearance:
+        """Margin of each path against the worst case of the others.
+
+        Parameters
+        ----------
+        paths : road states of the ego after frames 1..K, (n, K, 4).
+        lanes, fails : the lane that each commits to, and stops in, (n,).
+        hold : frames for which the others are *expected* to keep their speed (a forecast, not a bound).
+        """
+        around = self.around
+        found, marks, rows = judged(
+            paths,
+            lanes,
+            fails,
+            self.scene.ego_road,
+            self._size,
+            self.scene.road.centers,
+            self._settings,
+            around.settings,
+            self._table,
+            hold,
+            self.owned,
+            self._visible,
+            self.ignored,
+            around.others,
+            around.states,
+            around.stretch,
+            *around.tables,
+            *self._of_others,
+            self._slipping,
+        )
+        self._close_gaps(paths, found[0])
+        return Clearance(found[0], marks[0], found[1:], rows, marks[1:])
+
+    def of_each(self, result: Clearance, i: int = 0) -> FloatArray:
+        """How far path `i` of a result stays from where each vehicle can be, (m,) [m]; +inf out of reach."""
+        out = np.full(len(self.scene.others), np.inf)
+        if result.found is not None:
+            out[result.rows] = result.separations[i]
+        return out
+
+    def _close_gaps(self, paths: FloatArray, margin: FloatArray) -> None:
+        """Nothing leads through where the map has no lane: `margin` (n,) is -inf there."""
+        gaps = self.scene.road.gaps
+        if gaps is not None:
+            margin[gaps.met(paths) & ~np.isnan(margin)] = -np.inf
+
+
+@lru_cache(maxsize=64)
+def footprint_of(length: float, width: float, buffer: Buffer, bends: Any) -> tuple[Footprint, FloatArray]:
+    """The ego's footprint, and its numbers: on a bend, its buffered footprint and its body need more than a straight
+    road's rectangle."""
+    growth, bare = (0.0, 0.0), (0.0, 0.0)
+    if bends is not None:
+        growth = bends.growth(length + 2 * buffer.longitudinal, width + 2 * buffer.lateral)
+        bare = bends.growth(length, width)
+    half = 0.5 * length + buffer.longitudinal, 0.5 * width + buffer.lateral
+    size = Footprint(*half, length, width, *growth, *bare)
+    return size, np.array(size, dtype=float)
+
+
+def least_bad(result: Clearance) -> int:
+    """The trajectory to take when none verifies: the one that stays clear longest, then the largest margin."""
+    margin = np.nan_to_num(result.margin, nan=-np.inf)
+    return int(np.lexsort((margin, result.clear))[-1])
+
+
+def least_bad_evasion(expected: Clearance, worst: Clearance) -> int:
+    """The trajectory to take from one who has broken a rule: the one that is expected to stay clear longest; of these,
+    the one that does in the worst case, then that of the largest margin that is expected, the first of equals.
+
+    Who brakes is expected to keep its speed; the worst case says what comes of it.
+    """
+    margin = np.nan_to_num(expected.margin, nan=-np.inf)
+    return int(np.lexsort((-np.arange(len(margin)), margin, worst.clear, expected.clear))[-1])

@@ -1,0 +1,227 @@
+"""The plan that comes closest to what was proposed: a search with one future for each lane, speed and time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.highway_simulator.control import KP_A
+from dynamics.highway_simulator.layout import SPEED, TARGET, TARGET_SPEED
+from dynamics.highway_simulator.scene import next_target_speed, speed_index
+from shield.certificate.simulated.node_budget import may_go_on
+from shield.certificate.simulated.search import copy_future, depart, in_depth, leave, must_go_on, repeats, travel
+from shield.certificate.simulated.traffic import ego_in, on_road
+from shield.certificate.simulated.workspace import ANY, NOBODY, Nodes, Search, Wish
+
+__all__ = ["best_plan", "clear_plan", "closest_plan", "stopping", "wish_of"]
+
+
+@uncounted
+def wish_of(search: Search, target_speed: float, action: int) -> Wish:
+    """Where an action that is held on to leads from a target speed [m/s]: of what is as fast, to the right, but for who
+    asks for a side."""
+    label, speeds, bounds = search.rules.labels[action], search.rules.target_speeds, search.bounds
+    speed, left, right = target_speed, 0.0, bounds.keep_right
+    if label == 3:
+        speed = speeds[len(speeds) - 1]
+    elif label == 4:
+        speed = speeds[0]
+    elif label in (0, 2) and bounds.asked > 0:
+        left, right = (bounds.asked, 0.0) if label == 0 else (0.0, bounds.asked)
+    return Wish(speed, left, right)
+
+
+@uncounted
+def stopping(search: Search) -> Wish:
+    """Nothing but to be slow, and of that to the right."""
+    return Wish(0.0, 0.0, search.bounds.keep_right)
+
+
+@uncounted
+def _bound_to_lose(search: Search, k: int, decisions: int, wish: float) -> float:
+    """What a future loses against a speed at the least, in so many more decisions [m]: on an empty road, with the
+    target speed at every decision that is furthest that way; nothing where the ego's road has ended."""
+    rules, f, ego = search.rules, search.futures.f[k], ego_in(search, k)
+    if on_road(search, k)[1]:
+        return 0.0
+    speed, target, dt, lost = f[SPEED, ego], f[TARGET_SPEED, ego], rules.times[0], 0.0
+    up = speed < wish
+    for _ in range(decisions):
+        following = next_target_speed(rules.target_speeds, speed, 3 if up else 4)
+        target = max(target, following) if up else min(target, following)
+        for _ in range(rules.numbers[0]):
+            speed += KP_A * (target - speed) * dt
+            left = wish - speed if up else speed - wish
+            if left <= 0.0:
+                return lost
+            lost += left * dt
+    return lost
+
+
+@inlined
+def _next(nodes: Nodes, count: int) -> int:
+    """The open node of least bound, of equals the one of the greatest level and then the least kind; `NOBODY` where
+    none is open."""
+    best = NOBODY
+    for i in range(count):
+        if not nodes.open[i]:
+            continue
+        if best == NOBODY or nodes.bound[i] < nodes.bound[best]:
+            best = i
+        elif nodes.bound[i] == nodes.bound[best]:
+            level, other = nodes.level[i], nodes.level[best]
+            if level > other or (level == other and nodes.kind[i] < nodes.kind[best]):
+                best = i
+    return best
+
+
+@inlined
+def _deepest(nodes: Nodes, count: int) -> int:
+    """The node of the greatest level, and of these the one of least cost; `NOBODY` where there is none."""
+    best = NOBODY
+    for i in range(count):
+        if best == NOBODY or nodes.level[i] > nodes.level[best]:
+            best = i
+        elif nodes.level[i] == nodes.level[best]:
+            cost, other = nodes.cost[i], nodes.cost[best]
+            if cost < other or (cost == other and nodes.kind[i] < nodes.kind[best]):
+                best = i
+    return best
+
+
+@uncounted
+def _expand(
+    search: Search, parent: int, count: int, only: int, never: int, depth: int, wish: Wish, floor: float
+) -> int:
+    """Take every action after a node, or after the present, and keep what is the best way to its lane and speed by
+    then; how many nodes there are."""
+    futures, speeds, nodes, tried = search.futures, search.rules.target_speeds, search.nodes, search.reached[0]
+    spare, first = search.bounds.spare, search.bounds.spare + 1
+    level, source = (0, 0) if parent == NOBODY else (nodes.level[parent], first + parent)
+    for action in range(search.order.shape[0]):
+        tried[action, 0] = -1.0
+        if level == 0 and (action == never or only not in (ANY, action)):
+            continue
+        tried[action, 0], tried[action, 1] = depart(search, source, spare, action)
+        if repeats(tried, action):
+            continue
+        least, cost = travel(search, spare, wish, floor)
+        if least < floor:
+            continue
+        ego = ego_in(search, spare)
+        speed = speed_index(speeds, futures.f[spare, TARGET_SPEED, ego])
+        kind = futures.g[spare, TARGET, ego] * len(speeds) + speed
+        slot = nodes.slots[level, kind]
+        if (count == nodes.cost.shape[0]) if slot == NOBODY else not nodes.open[slot]:
+            continue
+        if parent != NOBODY:
+            least, cost = min(least, nodes.clear[parent]), cost + nodes.cost[parent]
+        if floor < 0:
+            cost = bound = -least
+        else:
+            bound = cost + _bound_to_lose(search, spare, depth - level - 1, wish.speed)
+        if not bound < (np.inf if slot == NOBODY else nodes.bound[slot]):
+            continue
+        if slot == NOBODY:
+            slot, count = count, count + 1
+            nodes.slots[level, kind], nodes.open[slot] = slot, True
+        nodes.cost[slot], nodes.bound[slot], nodes.clear[slot], nodes.level[slot] = cost, bound, least, level + 1
+        nodes.kind[slot], nodes.parent[slot], nodes.action[slot] = kind, parent, action
+        copy_future(search, spare, first + slot)
+    return count
+
+
+@uncounted
+def _best_node(search: Search, only: int, never: int, depth: int, wish: Wish, floor: float) -> int:
+    """The node that `best_plan` leads to, with its sequence in `search.plan`; `NOBODY` where there is none."""
+    nodes = search.nodes
+    for level in range(depth):
+        for k in range(nodes.slots.shape[1]):
+            nodes.slots[level, k] = NOBODY
+    node, count = NOBODY, _expand(search, NOBODY, 0, only, never, depth, wish, floor)
+    while True:
+        node = _next(nodes, count) if may_go_on(search) else NOBODY
+        if node == NOBODY:
+            node = _deepest(nodes, count)
+            break
+        nodes.open[node] = False
+        if nodes.level[node] == depth:
+            break
+        count = _expand(search, node, count, only, never, depth, wish, floor)
+    found = node
+    while node != NOBODY:
+        search.plan[nodes.level[node] - 1] = nodes.action[node]
+        node = nodes.parent[node]
+    return found
+
+
+@uncounted
+def best_plan(search: Search, only: int, never: int, depth: int, wish: Wish, floor: float) -> tuple[int, float]:
+    """The sequence that stays clear for `depth` decisions and loses the least way against a wish, into `search.plan`;
+    where none does, the one that does for most of them.
+
+    A* (Hart, Nilsson and Raphael 1968) with what is lost on an empty road as the bound. Of the futures that are bound
+    for the same lane at the same speed after as many decisions, the one goes on whose bound is least, so it need not
+    find a sequence where there is one.
+
+    Parameters
+    ----------
+    only, never : the one action that it begins with, and one that it does not begin with; -1 for any.
+    floor : smallest clearance beyond the buffer that is allowed [m]; where it is negative, the clearance is what is
+        made largest.
+
+    Returns
+    -------
+    For how many decisions it stays clear, and its smallest clearance beyond the buffer [m], -inf where it is none.
+    """
+    nodes, node = search.nodes, _best_node(search, only, never, depth, wish, floor)
+    if node == NOBODY:
+        return 0, -np.inf
+    return nodes.level[node], nodes.clear[node]
+
+
+@uncounted
+def clear_plan(search: Search, only: int, never: int, wish: Wish) -> float:
+    """The smallest clearance beyond the buffer [m] of what `best_plan` finds, -inf where that does not keep the buffer
+    for all decisions."""
+    nodes, depth, node = (
+        search.nodes,
+        search.bounds.depth,
+        _best_node(search, only, never, search.bounds.depth, wish, 0.0),
+    )
+    if node == NOBODY or nodes.level[node] < depth:
+        return -np.inf
+    margin = nodes.clear[node]
+    return -np.inf if must_go_on(search, search.bounds.spare + 1 + node, search.plan, margin) else margin
+
+
+@uncounted
+def _go_on_from(search: Search, node: int) -> float:
+    """The smallest clearance beyond the buffer of a sequence for all decisions that begins as a node's does, or at the
+    least with the same action, into `search.plan` [m]; -inf where none is found. The futures up to the node are known.
+    """
+    nodes, spare, depth, known = search.nodes, search.bounds.spare, search.bounds.depth, search.nodes.level[node]
+    while node != NOBODY:
+        level, action = nodes.level[node], nodes.action[node]
+        copy_future(search, spare + 1 + node, level)
+        search.hint[level - 1], search.sequence[level - 1] = action, action
+        search.choices[level - 1], search.least[level] = 1, nodes.clear[node]
+        node = nodes.parent[node]
+    for level in range(known):
+        search.reached[level, 0, 0], search.reached[level, 0, 1] = depart(search, level, spare, search.hint[level])
+    lasts, margin, _ = in_depth(search, search.hint[0], search.hint, known, known, 0.0, search.bounds.budget)
+    return leave(search, search.plan[0], margin) if lasts == depth else -np.inf
+
+
+@uncounted
+def closest_plan(search: Search, proposed: int, wish: Wish) -> float:
+    """The sequence that does not begin with the proposal, stays clear for all decisions, and loses the least way
+    against a wish over the first `outlook` of them, into `search.plan`; its smallest clearance beyond the buffer [m],
+    -inf where none is found."""
+    outlook, node = search.bounds.outlook, _best_node(search, ANY, proposed, search.bounds.outlook, wish, 0.0)
+    if node == NOBODY or search.nodes.level[node] < outlook:
+        return -np.inf
+    margin = _go_on_from(search, node)
+    # What ends in the way keeps the buffer: it is no use to look for another that is as far by then.
+    refused = search.resting.margin[0] >= 0.0
+    return margin if margin >= 0 or refused else clear_plan(search, ANY, proposed, wish)

@@ -1,0 +1,204 @@
+"""One decision by simulation: which action is taken, and why."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.highway_simulator.layout import TARGET_SPEED
+from dynamics.state import BoolArray, IntArray
+from shield.batch.arrays import Records
+from shield.batch.codes import REASONS, TIERS
+from shield.certificate.simulated.closest import best_plan, clear_plan, closest_plan, stopping, wish_of
+from shield.certificate.simulated.dead_ends import forget_dead
+from shield.certificate.simulated.node_budget import try_once_more
+from shield.certificate.simulated.search import enter, in_depth, same_outcome, survives
+from shield.certificate.simulated.traffic import ego_in
+from shield.certificate.simulated.workspace import ANY, Search
+from shield.decision import Reason, Tier
+
+__all__ = ["Plans", "boxed_in", "decide", "empty_plans", "last_resort", "longest", "passes", "replace", "verify"]
+
+_NONE, _UNVERIFIED, _NO_SAFE_PLAN, _BAD_ACTION = (
+    REASONS.index(r) for r in (Reason.NONE, Reason.UNVERIFIED, Reason.NO_SAFE_PLAN, Reason.BAD_ACTION)
+)
+_PASSED, _ALTERNATIVE, _STORED, _LARGEST, _EMERGENCY = (
+    TIERS.index(t) for t in (Tier.PASSED, Tier.ALTERNATIVE, Tier.STORED_PLAN, Tier.LARGEST_MARGIN, Tier.EMERGENCY)
+)
+_ANYTHING = -1e9
+"""Stands for a clearance that does not matter, as long as there is no crash [m]."""
+
+
+class Plans(NamedTuple):
+    """What is remembered of each environment.
+
+    Attributes
+    ----------
+    actions : from the present on, (e, depth). length : how many of them there are, (e,).
+    verified : whether they keep the buffer; otherwise nothing did that was found, (e,).
+    """
+
+    actions: IntArray
+    length: IntArray
+    verified: BoolArray
+
+
+def empty_plans(e: int, depth: int) -> Plans:
+    """Of environments before their first decision."""
+    return Plans(np.zeros((e, depth), np.intp), np.zeros(e, np.intp), np.ones(e, np.bool_))
+
+
+@uncounted
+def _execute(records: Records, plans: Plans, e: int, plan: IntArray, length: int, tier: int, reason: int) -> None:
+    """Take the first action of a plan, and remember the others."""
+    records.executed[e], records.tier[e], records.reason[e] = plan[0], tier, reason
+    for k in range(1, length):
+        plans.actions[e, k - 1] = plan[k]
+    plans.length[e] = max(length - 1, 0)
+    if tier != _STORED:
+        plans.verified[e] = tier != _LARGEST
+
+
+@uncounted
+def last_resort(records: Records, plans: Plans, e: int, slower: int, reason: int) -> None:
+    """Nothing can be judged: play the stored plan on, or slow down; into `records`."""
+    length, records.margin[e] = plans.length[e], math.nan
+    if length > 0:
+        _execute(records, plans, e, plans.actions[e], length, _STORED, reason)
+    else:
+        records.executed[e], records.tier[e], records.reason[e] = slower, _EMERGENCY, reason
+
+
+@uncounted
+def verify(search: Search, action: int, stored: IntArray, length: int, twice: bool) -> float:
+    """The smallest clearance beyond the buffer of a sequence that begins with an action, into `search.plan` [m]: -inf
+    where none is found that keeps the buffer for all decisions, in depth first, and then, where asked twice on a
+    straight highway, over lanes and speeds."""
+    margin, exhausted = survives(search, action, stored, length)
+    if margin < 0 and exhausted and twice and search.bounds.straight:
+        margin = clear_plan(search, action, ANY, stopping(search))
+    return margin
+
+
+@uncounted
+def boxed_in(plans: Plans, e: int) -> bool:
+    """Whether nothing was found at the last decision that keeps the buffer: then each question is asked once."""
+    return plans.length[e] > 0 and not plans.verified[e]
+
+
+@inlined
+def _copy(source: IntArray, target: IntArray, length: int) -> None:
+    for k in range(length):
+        target[k] = source[k]
+
+
+@uncounted
+def longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]:
+    """The sequence without a crash that lasts longest, and of those that last the one that is most clear, as far as it
+    is found, into `search.plan`: what was planned, gone on with from its end, where that lasts; else also over lanes
+    and speeds, and that gone on with.
+
+    Parameters
+    ----------
+    stored, length : what was planned, as of `in_depth`.
+
+    Returns
+    -------
+    How many decisions it lasts, and its smallest clearance beyond the buffer [m].
+    """
+    depth, lasts, margin = search.bounds.depth, 0, -np.inf
+    try_once_more(search)
+    if length > 0:
+        lasts, margin, _ = in_depth(search, ANY, stored, length, 0, _ANYTHING, search.bounds.budget)
+        _copy(search.plan, search.hint, lasts)
+    if lasts < depth:
+        further, clear = best_plan(search, ANY, ANY, depth, stopping(search), _ANYTHING)
+        if further > lasts or (further == lasts and clear > margin):
+            lasts, margin = further, clear
+            _copy(search.plan, search.hint, lasts)
+    if lasts < depth:
+        # It keeps one future for each lane and speed, and the one that is most clear now may stand where it is hit.
+        forget_dead(search)
+        further, clear, _ = in_depth(search, ANY, search.hint, lasts, 0, _ANYTHING, search.bounds.budget)
+        if further > lasts:
+            return further, clear
+    _copy(search.hint, search.plan, lasts)
+    if lasts == 0:
+        search.plan[0] = search.order[0]
+    return lasts, margin
+
+
+@uncounted
+def passes(search: Search, plans: Plans, records: Records, worlds: Any, e: int, proposed: int) -> bool:
+    """Whether a proposal is executed as it is, or is no action at all, so that a stored plan or slowing down takes its
+    place; into `records`."""
+    records.proposed[e], records.clause[e], records.vehicle[e] = proposed, 0, -1
+    enter(search, worlds, e)
+    if not 0 <= proposed < search.order.shape[0]:
+        last_resort(records, plans, e, search.order[0], _BAD_ACTION)
+        return True
+    margin = verify(search, proposed, plans.actions[e], plans.length[e], not boxed_in(plans, e))
+    if margin < 0:
+        return False
+    records.margin[e] = margin
+    _execute(records, plans, e, search.plan, search.bounds.depth, _PASSED, _NONE)
+    return True
+
+
+@uncounted
+def replace(search: Search, plans: Plans, records: Records, e: int, proposed: int, order: IntArray) -> None:
+    """What takes the place of a proposal that does not pass, into `records`; see `decide`."""
+    n, stored, length, margin = search.order.shape[0], plans.actions[e], plans.length[e], -np.inf
+    ranked, now = order.shape[0] > 0 and order[0] >= 0, search.futures.f[0, TARGET_SPEED, ego_in(search, 0)]
+    once, wish = boxed_in(plans, e), wish_of(search, now, proposed)
+    if once and not ranked:
+        margin, n = clear_plan(search, ANY, proposed, wish), 0
+    elif not ranked:
+        margin = closest_plan(search, proposed, wish)
+    for k in range(n):
+        if margin >= 0 or (ranked and (k >= order.shape[0] or order[k] < 0)):
+            break
+        action = order[k] if ranked else search.order[k]
+        if action == proposed or same_outcome(search, action, proposed):
+            continue
+        if ranked:
+            margin = verify(search, action, stored, length, not once)
+        else:
+            # The search over lanes and speeds has been through all of them.
+            margin, _ = survives(search, action, stored, length)
+    if margin < 0 and length > 0 and not once:
+        # What was planned keeps the buffer to its end, from where it may go on.
+        try_once_more(search)
+        margin, _ = survives(search, ANY, stored, length)
+    if margin < 0 and search.resting.margin[0] >= 0:
+        margin = search.resting.margin[0]
+        _copy(search.resting.plan, search.plan, search.bounds.depth)
+    if margin >= 0:
+        records.margin[e], passed = margin, search.plan[0] == proposed
+        tier, reason = (_PASSED, _NONE) if passed else (_ALTERNATIVE, _UNVERIFIED)
+        _execute(records, plans, e, search.plan, search.bounds.depth, tier, reason)
+        return
+    lasts, margin = longest(search, stored, length)
+    records.margin[e] = margin if lasts == search.bounds.depth else math.nan
+    _execute(records, plans, e, search.plan, lasts, _LARGEST, _NO_SAFE_PLAN)
+
+
+@uncounted
+def decide(search: Search, plans: Plans, records: Records, worlds: Any, e: int, proposed: int, order: IntArray) -> None:
+    """Decide about one proposal, into `records`.
+
+    It passes where some sequence that begins with it keeps the buffer for all decisions. Otherwise the first of the
+    others that does is taken, in the policy's order where there is one; without an order, the one that comes closest to
+    where the proposal leads (`closest_plan`). Where nothing keeps the buffer, what goes without a crash longest; the
+    decision after it is content with one search for each question.
+
+    Parameters
+    ----------
+    proposed : the action; out of range, a stored plan or slowing down takes its place. order : the policy's order of
+        preference over the others, which ends with the first negative one; may be empty.
+    """
+    if not passes(search, plans, records, worlds, e, proposed):
+        replace(search, plans, records, e, proposed, order)

@@ -1,0 +1,242 @@
+"""A frame of throttle and steering by simulation: good where the ego can be brought to a good end after it.
+
+That end is brought about by a law of the shield's own, highway-env's controllers of lanes and speeds: as meta-actions
+are searched for in `search`, so are the sequences of lanes and speeds that the law is to hold. An input passes where
+some sequence after one frame of it stays clear for so many decisions. That sequence is remembered. It can be carried
+out a frame later, so there is always something to fall back on.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.highway_simulator.layout import ACCELERATION, CRASHED, STEERING
+from dynamics.state import FloatArray, IntArray
+from shield.batch.codes import TIERS
+from shield.certificate.simulated.closest import clear_plan, stopping
+from shield.certificate.simulated.decision_kernels import longest
+from shield.certificate.simulated.search import clearance, look_from, survives
+from shield.certificate.simulated.traffic import ego_in, frame, hold, on_road, sorted_in, start
+from shield.certificate.simulated.workspace import ANY, Search
+from shield.decision import Tier
+
+__all__ = ["Tail", "decide_inputs", "empty_tail", "play"]
+
+_PASSED, _GOVERNED, _STORED, _ALTERNATIVE, _LARGEST = (
+    TIERS.index(t) for t in (Tier.PASSED, Tier.GOVERNED, Tier.STORED_PLAN, Tier.ALTERNATIVE, Tier.LARGEST_MARGIN)
+)
+_THROTTLE, _WHEEL, _NEITHER = range(3)
+_HALVINGS = 3
+"""How often the way from the law's input to the proposal is halved."""
+
+
+class Tail(NamedTuple):
+    """What the law is to do next.
+
+    Attributes
+    ----------
+    actions : lanes and speeds, as meta-actions, (depth,).
+    counts : how many of them there are, and the frames that are left of the one that has begun, (2,).
+    """
+
+    actions: IntArray
+    counts: IntArray
+
+
+def empty_tail(depth: int) -> Tail:
+    """Of an episode before its first decision."""
+    return Tail(np.zeros(depth, np.intp), np.zeros(2, np.intp))
+
+
+@uncounted
+def _store(search: Search, tail: Tail, length: int) -> None:
+    for k in range(length):
+        tail.actions[k] = search.plan[k]
+    tail.counts[0], tail.counts[1] = length, 0
+
+
+@uncounted
+def _goes_on(search: Search, tail: Tail) -> float:
+    """The smallest clearance beyond the buffer of what the law can do from future 0 on, into `search.plan` [m]; -inf
+    where neither stopping, nor what was to come, going on or speeding up, nor what is close to these, stays clear.
+
+    Stopping comes first: who stands in the end has more than the horizon before him.
+    """
+    depth, n, stops = search.bounds.depth, search.order.shape[0], True
+    for i in range(tail.counts[0]):
+        stops = stops and tail.actions[i] == search.order[0]
+    for k in range(-1, 3):
+        length, first = tail.counts[0], tail.actions[0]
+        if k != 0:
+            # The order begins with slowing down and nothing, and ends with speeding up.
+            length, first = depth, search.order[0 if k < 0 else 1 if k == 1 else n - 1]
+            for i in range(depth):
+                search.hint[i] = first
+        elif stops:
+            continue
+        margin, _ = survives(search, first, search.hint if k != 0 else tail.actions, length)
+        if margin >= 0:
+            return margin
+    return -np.inf
+
+
+@uncounted
+def _after(search: Search, present: Search, tail: Tail, throttle: float, wheel: float) -> float:
+    """The smallest clearance beyond the buffer of a frame of an input and what the law can do then, into `search.plan`
+    [m]; -inf where nothing stays clear.
+
+    Parameters
+    ----------
+    throttle, wheel : acceleration [m/s^2] and front wheel angle [rad].
+    """
+    futures = search.futures
+    look_from(search, present.futures, 0)
+    hold(search, 0, throttle, wheel)
+    frame(search, 0, sorted_in(search, 0))
+    on, at_end = on_road(search, 0)
+    ego = ego_in(search, 0)
+    if futures.g[0, CRASHED, ego] != 0 or not on:
+        return -np.inf
+    least = clearance(futures, 0, ego, search.bounds, search.row)
+    if at_end or least < 0:
+        return least if least >= 0 else -np.inf
+    return min(least, _goes_on(search, tail))
+
+
+@uncounted
+def play(present: Search, tail: Tail, inputs: FloatArray) -> None:
+    """Advance the present by a frame of the law, and give its acceleration [m/s^2] and wheel [rad] into `inputs`."""
+    futures, actions, counts = present.futures, tail.actions, tail.counts
+    if counts[1] == 0 and counts[0] > 0:
+        present.given[0], present.given[1] = actions[0], 0.0
+        start(present, 0)
+        counts[0], counts[1] = counts[0] - 1, present.rules.numbers[0]
+        for k in range(counts[0]):
+            actions[k] = actions[k + 1]
+    frame(present, 0, sorted_in(present, 0))
+    counts[1] = max(counts[1] - 1, 0)
+    ego = ego_in(present, 0)
+    inputs[0], inputs[1] = futures.f[0, ACCELERATION, ego], futures.f[0, STEERING, ego]
+
+
+@uncounted
+def _take(present: Search, inputs: FloatArray, throttle: float, wheel: float) -> None:
+    """Advance the present by a frame of an input."""
+    hold(present, 0, throttle, wheel)
+    frame(present, 0, sorted_in(present, 0))
+    inputs[0], inputs[1] = throttle, wheel
+
+
+@uncounted
+def _peek(search: Search, present: Search, tail: Tail, inputs: FloatArray) -> None:
+    """The law's next acceleration [m/s^2] and wheel [rad]; nothing moves."""
+    futures = search.futures
+    look_from(search, present.futures, 0)
+    if tail.counts[1] == 0 and tail.counts[0] > 0:
+        search.given[0], search.given[1] = tail.actions[0], 0.0
+        start(search, 0)
+    frame(search, 0, sorted_in(search, 0))
+    ego = ego_in(search, 0)
+    inputs[0], inputs[1] = futures.f[0, ACCELERATION, ego], futures.f[0, STEERING, ego]
+
+
+@uncounted
+def _anew(search: Search, present: Search, tail: Tail) -> tuple[int, float]:
+    """A sequence from now on, as the tail: one that keeps the buffer, or else the one that lasts longest; the tier, and
+    its smallest clearance beyond the buffer [m]."""
+    depth = search.bounds.depth
+    look_from(search, present.futures, 0)
+    for k in range(search.order.shape[0]):
+        margin, _ = survives(search, search.order[k], tail.actions, 0)
+        if margin >= 0:
+            _store(search, tail, depth)
+            return _ALTERNATIVE, margin
+    margin = clear_plan(search, ANY, ANY, stopping(search))
+    if margin >= 0:
+        _store(search, tail, depth)
+        return _ALTERNATIVE, margin
+    length, margin = longest(search, tail.actions, 0)
+    _store(search, tail, max(length, 1))
+    return _LARGEST, margin
+
+
+@inlined
+def _between(proposal: FloatArray, inputs: FloatArray, kept: int, share: float) -> tuple[float, float]:
+    """What lies so far from the law's input to the proposal, of which one may be kept."""
+    throttle = inputs[0] + (1.0 if kept == _THROTTLE else share) * (proposal[0] - inputs[0])
+    return throttle, inputs[1] + (1.0 if kept == _WHEEL else share) * (proposal[1] - inputs[1])
+
+
+@uncounted
+def _nearest(
+    search: Search, present: Search, tail: Tail, proposal: FloatArray, inputs: FloatArray, kept: int
+) -> tuple[float, float]:
+    """How far from the law's input to the proposal it verifies, by halving, where one of them is kept; negative where
+    it does not. And the smallest clearance beyond the buffer [m]. The tail is what goes with it."""
+    best, margin, share, width = -1.0, -np.inf, 0.5, 0.25
+    if kept != _NEITHER:
+        throttle, wheel = _between(proposal, inputs, kept, 0.0)
+        margin = _after(search, present, tail, throttle, wheel)
+        if margin < 0:
+            return -1.0, margin
+        best = 0.0
+        _store(search, tail, search.bounds.depth)
+    for _ in range(_HALVINGS):
+        throttle, wheel = _between(proposal, inputs, kept, share)
+        found = _after(search, present, tail, throttle, wheel)
+        if found >= 0:
+            best, margin = share, found
+            _store(search, tail, search.bounds.depth)
+        share, width = share + (width if found >= 0 else -width), width / 2
+    return best, margin
+
+
+@uncounted
+def decide_inputs(
+    search: Search, present: Search, tail: Tail, proposal: FloatArray, known: bool, inputs: FloatArray
+) -> tuple[int, float]:
+    """Decide about one frame, and advance the present by it.
+
+    The proposal passes where the law can go on after it. Otherwise it is brought nearer to the law's input, as little
+    as halving finds to do: the wheel alone, else the throttle alone, else both. Otherwise the law's is taken.
+
+    Parameters
+    ----------
+    present : a search whose first future is the present. known : whether there is a proposal.
+    proposal : acceleration [m/s^2] and front wheel angle [rad], (2,). inputs : what is carried out, (2,), written.
+
+    Returns
+    -------
+    The tier (see `vocabulary`), and the smallest clearance beyond the buffer [m], NaN where it was not searched for.
+    """
+    margin = _after(search, present, tail, proposal[0], proposal[1]) if known else -np.inf
+    if margin >= 0:
+        _store(search, tail, search.bounds.depth)
+        _take(present, inputs, proposal[0], proposal[1])
+        return _PASSED, margin
+    tier = _STORED
+    if tail.counts[0] + tail.counts[1] == 0:
+        tier, margin = _anew(search, present, tail)
+        if tier == _LARGEST:
+            play(present, tail, inputs)
+            # Who has nothing that keeps the buffer looks for it again in the next frame.
+            tail.counts[0], tail.counts[1] = 0, 0
+            return tier, margin
+    if known:
+        _peek(search, present, tail, inputs)
+        for kept in (_THROTTLE, _WHEEL, _NEITHER):
+            share, found = _nearest(search, present, tail, proposal, inputs, kept)
+            if share >= 0:
+                _take(present, inputs, *_between(proposal, inputs, kept, share))
+                return _GOVERNED, found
+    if tail.counts[1] == 0 and tier == _STORED:
+        # The plan is not played to its end, where it can be gone on with.
+        look_from(search, present.futures, 0)
+        if _goes_on(search, tail) >= 0:
+            _store(search, tail, search.bounds.depth)
+    play(present, tail, inputs)
+    return tier, margin if tier == _ALTERNATIVE else math.nan

@@ -1,0 +1,217 @@
+"""`ExactRoads`: many compiled environments on a road network, each with its meta-actions verified by simulation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.highway_simulator.layout import LANE
+from dynamics.highway_simulator.step_kernels import write_row
+from dynamics.road_networks.episodes.rewards import CROSSING
+from dynamics.road_networks.episodes.simulator import RoadSimulator
+from dynamics.road_networks.episodes.step_kernels import (
+    EpisodeRules,
+    Episodes,
+    EpisodeWork,
+    RoadsSeen,
+    again_at,
+    begin,
+    finish,
+)
+from dynamics.road_networks.geometry.lanes import on_lane
+from dynamics.road_networks.geometry.layout import ACROSS, ALONG, FRAMES
+from dynamics.road_networks.simulation.frame_kernels import NetworkWorlds, advance, ego_of
+from dynamics.state import BoolArray, FloatArray, IntArray
+from dynamics.traffic.crossing import make
+from shield.batch.arrays import Records
+from shield.batch.codes import TIERS
+from shield.batch.step_kernels import let_pass
+from shield.certificate.simulated.decision_kernels import Plans, decide
+from shield.certificate.simulated.highways import ExactHighways
+from shield.certificate.simulated.workspace import Search
+from shield.config import ShieldConfig
+from shield.decision import Tier
+from shield.errors import ConfigError
+
+__all__ = ["ExactRoads"]
+
+_OFF = TIERS.index(Tier.OFF)
+_ENDLESS = 1_000
+"""Decisions that are enough where an episode has no end but one on the road."""
+
+
+class ExactRoads(ExactHighways):
+    """So many copies of an environment on a road network with meta-actions, each behind what `Shield` with
+    `ShieldConfig.exact()` and `frames=False` is around one of them: the same decisions.
+
+    Parameters
+    ----------
+    env_id, num_envs, config, threads : as of `RoadSimulator`.
+    shield : as of `ExactHighways`, or settings of mode "none": what is proposed is executed.
+
+    Raises
+    ------
+    ConfigError
+        If the simulator cannot run the environment, its actions are not meta-actions, or the settings are others.
+
+    Attributes
+    ----------
+    simulator, records, plans : as of `ExactHighways`.
+    rows, off_road : the bodies after each frame, the ego first; where there are fewer than the most that may be, the
+        others are infinitely far. Whether the ego was off the road.
+
+    Examples
+    --------
+    >>> roads = ExactRoads("roundabout-v1", 2)
+    >>> observations = roads.reset([0, 1])
+    >>> observations, reward, terminated, truncated = roads.step([1, 1])
+    >>> roads.records.executed
+    array([1, 1])
+    """
+
+    simulator: Any
+
+    def _settings(self, shield: ShieldConfig | str | Path | None) -> ShieldConfig:
+        config = ShieldConfig.of(shield, ShieldConfig.exact())
+        return config if config.mode == "none" else super()._settings(config)
+
+    def _traffic(self, env_id: str, num_envs: int, config: Mapping[str, Any] | None, tape: bool) -> RoadSimulator:
+        if tape:
+            raise ConfigError("scenes are chosen on straight highways only")
+        return RoadSimulator(env_id, num_envs, config)
+
+    def _prepare(self, threads: int) -> None:
+        super()._prepare(threads)
+        simulator, rules = self.simulator, self.simulator.rules
+        self._works = [simulator.episode_work() for _ in range(threads)]
+        if simulator.scenario.kind == CROSSING:
+            # Who leaves is gone when a decision ends. The roads know when that is; a search counts its frames.
+            frames = rules.numbers[0]
+            phase = int(simulator.episodes.worlds.g[0, FRAMES, 0] % frames)
+            rules = rules._replace(customs=rules.customs._replace(stay=frames, phase=phase))
+            self._searches = [search._replace(rules=rules) for search in self._searches]
+
+    def look(self, e: int, rows: FloatArray) -> bool:
+        """The bodies of one environment as rows (m, 7), see `rows`; whether the ego is on the road."""
+        return bool(_look(self.worlds, self.simulator.scenario.rules, e, rows))
+
+    @property
+    def worlds(self) -> Any:
+        """The state of the traffic."""
+        worlds: NetworkWorlds = self.simulator.episodes.worlds
+        return worlds
+
+    def one(self) -> gym.Env[Any, Any]:
+        """One such environment, unfiltered, reset."""
+        scenario = self.simulator.scenario
+        env = make(scenario.env_id, scenario.config)
+        env.reset(seed=0)
+        return env
+
+    @property
+    def steps(self) -> int:
+        """As many decisions as an episode has, and one more; `_ENDLESS` where only a place on the road ends it."""
+        worth, decision = self.simulator.scenario.rules.worth, self.simulator.rules.times[1]
+        most = min(worth.duration / decision, worth.decisions or math.inf, _ENDLESS)
+        return math.ceil(most) + 1
+
+    def reset_to(self, shares: FloatArray, which: Any) -> Any:
+        """Not on these roads.
+
+        Raises
+        ------
+        ConfigError
+            Always.
+        """
+        raise ConfigError("scenes are chosen on straight highways only")
+
+    def _decide(self, part: int, first: int, last: int, actions: IntArray, orders: IntArray, again: bool) -> None:
+        simulator = self.simulator
+        _step_all(
+            self._searches[part],
+            simulator.episodes,
+            simulator.scenario.rules,
+            self._works[part],
+            simulator.flat,
+            self.plans,
+            self.records,
+            actions,
+            orders,
+            self.rows,
+            self.off_road,
+            self.config.mode == "none",
+            first,
+            last,
+            again,
+        )
+        simulator.check_room()
+
+    def _mask(self, part: int, first: int, last: int, masks: BoolArray) -> None:
+        if self.config.mode == "none":
+            masks[first:last] = True
+        else:
+            super()._mask(part, first, last, masks)
+
+
+@inlined
+def _look(worlds: NetworkWorlds, rules: EpisodeRules, e: int, rows: FloatArray) -> bool:
+    f, g, p, lanes = worlds.f[e], worlds.g[e], worlds.p[e], rules.drive.network.lanes
+    ego, bodies, n = ego_of(g), worlds.counts[e, 1], 1
+    write_row(f, g, p, ego, rows[0])
+    for i in range(rows.shape[0]):
+        if i >= bodies:
+            rows[i] = 0.0
+            rows[i, 0] = math.inf
+        elif i != ego:
+            write_row(f, g, p, i, rows[n])
+            n += 1
+    return on_lane(lanes, g[LANE, ego], f[ALONG, ego], f[ACROSS, ego], 0.0)
+
+
+@uncounted
+def _step_all(
+    search: Search,
+    episodes: Episodes,
+    rules: EpisodeRules,
+    work: EpisodeWork,
+    seen: RoadsSeen,
+    plans: Plans,
+    records: Records,
+    actions: IntArray,
+    orders: IntArray,
+    rows: FloatArray,
+    off_road: BoolArray,
+    off: bool,
+    first: int,
+    last: int,
+    again: bool,
+) -> None:
+    """A decision in each of the environments from `first` to `last`; see `step_kernels.step_all_exact`.
+
+    Parameters
+    ----------
+    off : whether what is proposed is executed, unverified.
+    """
+    machine, worlds = search.machine, episodes.worlds
+    for e in range(first, last):
+        if off:
+            let_pass(records, e, actions[e])
+        else:
+            decide(search, plans, records, worlds, e, actions[e], orders[e])
+        search.given[0], search.given[1] = records.executed[e], 0.0
+        begin(machine, episodes, rules, e, search.given)
+        for k in range(rules.drive.numbers[0]):
+            records.tiers[e, k], records.reasons[e, k], records.margins[e, k] = _OFF, 0, math.nan
+            advance(machine, worlds, rules.drive, work.drive, e)
+            off_road[e, k] = not _look(worlds, rules, e, rows[e, k])
+        finish(machine, episodes, rules, work, seen, e, search.given)
+        # The traffic is what was simulated: whoever was there cannot do otherwise.
+        records.violations[e] = 0
+        if again and (seen.terminated[e] or seen.truncated[e]):
+            again_at(machine, episodes, rules, work, seen, e)
+            plans.length[e] = 0

@@ -1,0 +1,349 @@
+"""Whether a meta-action can be gone on with: a depth-first search in the traffic's exact future.
+
+The traffic of a straight highway draws nothing at random after the reset, so `dynamics.highway_simulator` tells what
+every vehicle does after every action of the ego, its answers to the ego included. An action is good where *some*
+sequence of actions that begins with it stays clear for so many decisions.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from dynamics.compiled import inlined, uncounted
+from dynamics.highway_simulator.layout import (
+    CRASHED,
+    DIAGONAL,
+    HEADING,
+    LENGTH,
+    SPEED,
+    TARGET,
+    TARGET_SPEED,
+    WIDTH,
+    X,
+    Y,
+)
+from dynamics.highway_simulator.step_kernels import write_row
+from dynamics.state import FloatArray, IntArray
+from dynamics.traffic.rules_of_the_road import Ego, gap_between
+from shield.certificate.simulated.dead_ends import bury, is_dead
+from shield.certificate.simulated.node_budget import begin_anew
+from shield.certificate.simulated.traffic import (
+    copy_more,
+    ego_in,
+    frame,
+    in_the_way,
+    lanes_beside,
+    on_road,
+    sorted_in,
+    start,
+)
+from shield.certificate.simulated.workspace import ANY, Bounds, Search, Wish
+
+__all__ = [
+    "clearance",
+    "copy_future",
+    "copy_state",
+    "depart",
+    "enter",
+    "foretell",
+    "in_depth",
+    "leap",
+    "leave",
+    "look_from",
+    "must_go_on",
+    "repeats",
+    "same_outcome",
+    "survives",
+    "travel",
+]
+
+_AT_REST = 1.0
+"""Who is slower stands, or is about to [m/s]."""
+_LEAVE = 2
+"""Decisions that may be simulated for each ahead to find a sequence that does not end in the way; one the next time."""
+_JOIN = 2 / 3
+"""How much of its budget a sequence that begins otherwise than what was planned may spend on joining it again."""
+
+
+@uncounted
+def copy_state(worlds: Any, e: int, futures: Any, k: int) -> None:
+    """Copy what moves of one environment into a future."""
+    f, g, f0, g0 = futures.f[k], futures.g[k], worlds.f[e], worlds.g[e]
+    for i in range(f.shape[0]):
+        for j in range(f.shape[1]):
+            f[i, j] = f0[i, j]
+    for i in range(g.shape[0]):
+        for j in range(g.shape[1]):
+            g[i, j] = g0[i, j]
+    for j in range(f.shape[1]):
+        futures.order[k, j] = worlds.order[e, j]
+    futures.clock[k] = worlds.clock[e]
+
+
+@uncounted
+def copy_future(search: Search, source: int, target: int) -> None:
+    """Copy one future over another."""
+    copy_state(search.futures, source, search.futures, target)
+
+
+@uncounted
+def look_from(search: Search, worlds: Any, e: int) -> None:
+    """Make a state the first future of a search, as `enter` does, where nobody has come or gone since that."""
+    copy_state(worlds, e, search.futures, 0)
+    begin_anew(search)
+    search.resting.margin[0], search.resting.allowed[0] = -np.inf, True
+
+
+@uncounted
+def enter(search: Search, worlds: Any, e: int) -> None:
+    """Make the present of one environment the first future."""
+    look_from(search, worlds, e)
+    p, p0 = search.futures.p, worlds.p[e]
+    # Nobody moves in the futures of the nodes.
+    for k in range(search.bounds.spare + 1):
+        for i in range(p.shape[1]):
+            for j in range(p.shape[2]):
+                p[k, i, j] = p0[i, j]
+    copy_more(search, worlds, e)
+    # Who stands where ways cross already may stay there.
+    moves = abs(search.futures.f[0, SPEED, ego_in(search, 0)]) >= _AT_REST
+    search.resting.allowed[0] = not moves and in_the_way(search, 0)
+
+
+@uncounted
+def clearance(futures: Any, k: int, ego: int, bounds: Bounds, row: FloatArray) -> float:
+    """The ego's smallest distance to anybody, beyond the buffer, negative where somebody is inside [m]."""
+    f, g, p = futures.f[k], futures.g[k], futures.p[k]
+    x, y, half_length, half_width = f[X, ego], f[Y, ego], 0.5 * p[LENGTH, ego], 0.5 * p[WIDTH, ego]
+    along, across = half_length + bounds.longitudinal, half_width + bounds.lateral
+    own = Ego(x, y, f[HEADING, ego], f[SPEED, ego], along, across, half_length, half_width, False, False)
+    least, reach = np.inf, math.hypot(along, across)
+    for i in range(f.shape[1]):
+        if i == ego or not p[LENGTH, i] > 0:
+            continue
+        far, dx, dy = reach + 0.5 * p[DIAGONAL, i], f[X, i] - x, f[Y, i] - y
+        if abs(dx) - far < least and abs(dy) - far < least and math.hypot(dx, dy) - far < least:
+            write_row(f, g, p, i, row[0])
+            least = min(least, gap_between(own, along, across, row, 0, 0.0))
+    return least
+
+
+@uncounted
+def depart(search: Search, source: int, target: int, action: int) -> tuple[int, float]:
+    """Begin an action in future `source`, as `target`; the lane and the speed that the ego is bound for then [m/s]: all
+    that an action decides."""
+    copy_future(search, source, target)
+    search.given[0], search.given[1] = action, 0.0
+    start(search, target)
+    ego = ego_in(search, target)
+    return search.futures.g[target, TARGET, ego], search.futures.f[target, TARGET_SPEED, ego]
+
+
+@uncounted
+def travel(search: Search, target: int, wish: Wish, floor: float) -> tuple[float, float]:
+    """Go on with what `depart` has begun to the end of the decision; see `leap`."""
+    futures, rules, bounds, allies = search.futures, search.rules, search.bounds, search.team.columns
+    f, g, dt, ego = futures.f[target], futures.g[target], rules.times[0], ego_in(search, target)
+    search.spent[0] += 1
+    if on_road(search, target)[1]:
+        return np.inf, 0.0
+    level, least, lost = sorted_in(search, target), np.inf, 0.0
+    for _ in range(rules.numbers[0]):
+        level = frame(search, target, level)
+        on, at_end = on_road(search, target)
+        if g[CRASHED, ego] != 0 or not on:
+            return -np.inf, lost
+        least = min(least, clearance(futures, target, ego, bounds, search.row))
+        for i in range(allies.shape[0]):
+            if g[CRASHED, allies[i]] != 0:
+                return -np.inf, lost
+            least = min(least, clearance(futures, target, allies[i], bounds, search.row))
+        left, right = lanes_beside(search, target)
+        lost += (abs(wish.speed - f[SPEED, ego]) + wish.left * left + wish.right * right) * dt
+        if least < floor or at_end:
+            break
+    return least, lost
+
+
+@uncounted
+def leap(search: Search, source: int, target: int, action: int, wish: Wish, floor: float) -> tuple[float, float]:
+    """Take an action in future `source`; `target` is what comes of it.
+
+    Parameters
+    ----------
+    floor : it is given up where less than this is clear beyond the buffer [m].
+
+    Returns
+    -------
+    The smallest clearance beyond the buffer on the way [m], with -inf for a crash or leaving the road, and no more
+    asked once the road has ended; and the way that is lost against the wish, with what being beside its lane counts as
+    [m].
+    """
+    depart(search, source, target, action)
+    return travel(search, target, wish, floor)
+
+
+@uncounted
+def foretell(search: Search, actions: IntArray, length: int, rows: FloatArray) -> int:
+    """What comes of the first `length` actions, until the ego's road ends: the bodies now and after each frame.
+
+    Parameters
+    ----------
+    rows : (frames + 1, m, 7), written: x, y [m], heading [rad], speed [m/s], length, width [m], crashed.
+
+    Returns
+    -------
+    How many of them are.
+    """
+    futures, target, n = search.futures, 1, 0
+    f, g, p = futures.f[target], futures.g[target], futures.p[target]
+    copy_future(search, 0, target)
+    for k in range(-1, length):
+        if k >= 0:
+            search.given[0], search.given[1] = actions[k], 0.0
+            start(search, target)
+        level = sorted_in(search, target)
+        for _ in range(1 if k < 0 else search.rules.numbers[0]):
+            if k >= 0:
+                level = frame(search, target, level)
+            for i in range(f.shape[1]):
+                write_row(f, g, p, i, rows[n, i])
+            n += 1
+            if on_road(search, target)[1]:
+                return n
+    return n
+
+
+@inlined
+def repeats(reached: FloatArray, k: int) -> bool:
+    """Whether row k, a lane and a speed that an action is bound for, is that of an earlier action, so that the same
+    comes of both."""
+    found = False
+    for earlier in range(k):
+        found = found or (reached[earlier, 0] == reached[k, 0] and reached[earlier, 1] == reached[k, 1])
+    return found
+
+
+@uncounted
+def same_outcome(search: Search, a: int, b: int) -> bool:
+    """Whether two actions want the same lane and speed now."""
+    spare = search.bounds.spare
+    return depart(search, 0, spare, a) == depart(search, 0, spare, b)
+
+
+@uncounted
+def must_go_on(search: Search, k: int, sequence: IntArray, margin: float) -> bool:
+    """Whether a sequence for all decisions is refused that leads to future k, since the ego is in the way there. The
+    first of them is remembered."""
+    resting = search.resting
+    if resting.allowed[0] or not in_the_way(search, k):
+        return False
+    if resting.margin[0] < 0.0:
+        resting.margin[0] = margin
+        for i in range(resting.plan.shape[0]):
+            resting.plan[i] = sequence[i]
+    return True
+
+
+@uncounted
+def in_depth(
+    search: Search,
+    first: int,
+    stored: IntArray,
+    length: int,
+    known: int,
+    floor: float,
+    budget: int,
+    leaves: bool = False,
+) -> tuple[int, float, bool]:
+    """A sequence that stays clear for all decisions, or of those that were tried the first that does for most of them,
+    into `search.plan`: in depth first.
+
+    Parameters
+    ----------
+    first : the action that it begins with; `ANY` for any.
+    stored : what is tried first at each level, but for what it begins with, (depth,), of which `length` are there; then
+        what slows down. known : of them, those whose futures, and all else of these levels, are there already.
+    floor : smallest clearance beyond the buffer that is allowed [m]. budget : decisions that may be simulated.
+    leaves : whether a sequence for all decisions may not end in the way (`in_the_way`).
+
+    Returns
+    -------
+    For how many decisions it stays clear, its smallest clearance beyond the buffer [m], and whether the budget was
+    spent before all had been tried.
+    """
+    bounds, n, level, lasts = search.bounds, search.order.shape[0], known, known
+    until = min(search.spent[0] + budget - known, search.spent[1])
+    search.least[0] = np.inf
+    clear, search.choices[known] = search.least[known], 0
+    while level >= 0 and lasts < bounds.depth and search.spent[0] < until:
+        tried = search.choices[level]
+        search.choices[level] += 1
+        only = level == 0 and first != ANY
+        if tried > (0 if only else n):
+            if level > 0:
+                bury(search, level)
+            level -= 1
+            continue
+        preferred = stored[level] if level < length else search.order[0]
+        action = first if only else preferred if tried == 0 else search.order[tried - 1]
+        search.reached[level, tried, 0] = -1.0
+        if not only and tried > 0 and action == preferred:
+            continue
+        reached = search.reached[level]
+        reached[tried, 0], reached[tried, 1] = depart(search, level, level + 1, action)
+        if repeats(reached, tried):
+            continue
+        least, _ = travel(search, level + 1, Wish(0.0, 0.0, 0.0), floor)
+        if least < floor or is_dead(search, level + 1):
+            continue
+        search.sequence[level] = action
+        search.least[level + 1] = min(search.least[level], least)
+        if leaves and level + 1 == bounds.depth and in_the_way(search, level + 1):
+            continue
+        level += 1
+        if level > lasts:
+            lasts, clear = level, search.least[level]
+            for k in range(level):
+                search.plan[k] = search.sequence[k]
+        search.choices[level] = 0
+    return lasts, clear if lasts > 0 else -np.inf, lasts < bounds.depth and search.spent[0] >= until
+
+
+@uncounted
+def leave(search: Search, first: int, margin: float) -> float:
+    """The smallest clearance beyond the buffer of a sequence for all decisions that was found, or, where that ends in
+    the way, of another that begins with the same action and goes on as fast as it can, into `search.plan` [m]; -inf
+    where none is found."""
+    depth, going, once = search.bounds.depth, search.resting.going, search.resting.margin[0] >= 0.0
+    if not must_go_on(search, depth, search.plan, margin):
+        return margin
+    budget = depth if once else _LEAVE * depth
+    lasts, margin, _ = in_depth(search, first, going, depth, 0, 0.0, budget, True)
+    return margin if lasts == depth else -np.inf
+
+
+@uncounted
+def survives(search: Search, first: int, stored: IntArray, length: int) -> tuple[float, bool]:
+    """Whether some sequence that begins with an action keeps the buffer for all decisions, into `search.plan`; see
+    `in_depth`. Where what was planned begins otherwise, it has the greater part of the budget on a network to join that
+    again, and what slows down has the rest; on a straight highway all is for what slows down.
+
+    Returns
+    -------
+    Its smallest clearance beyond the buffer [m], -inf where none is found; and whether the budget was spent before all
+    had been tried.
+    """
+    depth, budget = search.bounds.depth, search.bounds.budget
+    begins = first == ANY or (length > 0 and stored[0] == first)
+    lasts, margin, exhausted = 0, -np.inf, True
+    if length > 0 and not begins and not search.bounds.straight:
+        joins = math.ceil(_JOIN * budget)
+        lasts, margin, exhausted = in_depth(search, first, stored, length, 0, 0.0, joins)
+        budget -= joins
+    if lasts < depth and exhausted:
+        lasts, margin, exhausted = in_depth(search, first, stored, length if begins else 0, 0, 0.0, budget)
+    return (leave(search, search.plan[0], margin) if lasts == depth else -np.inf), exhausted

@@ -1,0 +1,54 @@
+"""Decisions by simulation of many environments as one compiled call."""
+
+from __future__ import annotations
+
+import math
+
+from dynamics.compiled import uncounted
+from dynamics.highway_simulator.neighbours import sort
+from dynamics.highway_simulator.step_kernels import Seen, View, Worlds, advance, begin, finish, follow, look
+from dynamics.state import BoolArray, FloatArray, IntArray
+from shield.batch.arrays import Records
+from shield.batch.codes import TIERS
+from shield.certificate.simulated.decision_kernels import Plans, decide
+from shield.certificate.simulated.workspace import Search
+from shield.decision import Tier
+
+__all__ = ["step_all_exact"]
+
+_OFF = TIERS.index(Tier.OFF)
+
+
+@uncounted
+def step_all_exact(
+    search: Search,
+    worlds: Worlds,
+    view: View,
+    seen: Seen,
+    plans: Plans,
+    records: Records,
+    actions: IntArray,
+    orders: IntArray,
+    rows: FloatArray,
+    off_road: BoolArray,
+    first: int,
+    last: int,
+    again: bool,
+) -> None:
+    """A decision in each of the environments from `first` to `last`; see `step_all_shielded`."""
+    machine, rules, work = search.machine, search.rules, search.work
+    for e in range(first, last):
+        decide(search, plans, records, worlds, e, actions[e], orders[e])
+        search.given[0], search.given[1] = records.executed[e], 0.0
+        begin(worlds, rules, e, search.given)
+        level = sort(worlds.f[e], worlds.order[e])
+        for k in range(rules.numbers[0]):
+            records.tiers[e, k], records.reasons[e, k], records.margins[e, k] = _OFF, 0, math.nan
+            level = advance(machine, worlds, rules, work, e, level, math.nan, math.nan)
+            off_road[e, k] = not look(worlds, rules, e, rows[e, k])
+        finish(machine, worlds, rules, view, work, seen, e)
+        # The traffic is what was simulated: it cannot do otherwise.
+        records.violations[e] = 0
+        if again and (seen.terminated[e] or seen.truncated[e]):
+            follow(machine, worlds, rules, view, work, seen, e)
+            plans.length[e] = 0

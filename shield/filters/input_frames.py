@@ -1,0 +1,105 @@
+"""Throttle and steering frame by frame, whoever judges them: what the doors for inputs have in common."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from dynamics.state import FloatArray
+from dynamics.vehicle.actuators import Actuators
+from shield.config import ShieldConfig
+from shield.decision import Decision, Reason, Tier
+from shield.environments import check_configuration, frames_of
+from shield.filters.speed_recovery import Cruise
+
+__all__ = ["InputFrames"]
+
+
+class InputFrames(ABC):
+    """Takes a decision's action for its first frame, and the low-level action that highway-env repeats for the others.
+
+    Parameters
+    ----------
+    base : the highway-env environment, unwrapped.
+    config : settings.
+
+    Attributes
+    ----------
+    actuators : what the policy controls.
+    cause : why the scene of the last frame could not be read, "" where it could.
+    """
+
+    def __init__(self, base: Any, config: ShieldConfig) -> None:
+        self.config, self._base = config, base
+        self._off = config.mode == "none"
+        self.cause = ""
+        self._begin()
+
+    def _begin(self) -> None:
+        """An episode begins.
+
+        Raises
+        ------
+        ConfigError
+            If the environment is now configured as the shield does not support.
+        """
+        base = self._base
+        check_configuration(base, self.config)
+        self.actuators = Actuators.of(base.action_type)
+        self._period = frames_of(base)
+        self._cruise = Cruise(self.actuators)
+        self._untouched = True
+        self._proposal: FloatArray | None = None
+        self._first: tuple[FloatArray, Decision] | None = None
+
+    @abstractmethod
+    def _filter(self, begins: bool) -> tuple[FloatArray, Decision]:
+        """What is carried out in the coming frame instead of `_proposal`, (2,), and the record.
+
+        Parameters
+        ----------
+        begins : whether the frame is the first of a decision.
+        """
+
+    def _physical(self, action: Any, read: FloatArray) -> FloatArray:
+        """The acceleration [m/s^2] and wheel [rad] of an action, (2,), which `read` is in normalised units."""
+        return self.actuators.physical(read)
+
+    def decide(self, action: Any, order: Any = None) -> Decision:
+        """Filter an action for its first frame; `executed` is the action itself where that verifies.
+
+        Otherwise it is the action nearest to what the actuators get: the shield brakes harder than the policy can if it
+        has to. (Inputs have no order: `order` is for the door of meta-actions.)
+        """
+        self._untouched = True
+        if self._off:
+            return Decision(action, action, Reason.NONE, Tier.OFF, np.nan, 0.0)
+        read = self.actuators.read(action)
+        self._proposal = None if read is None else self._physical(action, read)
+        inputs, decision = self._filter(True)
+        self._first = inputs, replace(decision, latency=0.0)
+        executed = self.actuators.normalised(inputs)
+        if decision.tier is Tier.PASSED:
+            # A whole number may have come in an array or a list, which the environment does not take.
+            executed = action if self.actuators.choices is None else int(np.asarray(action).item())
+        return replace(decision, proposed=action, executed=executed, refusal=(decision, 0))
+
+    def frame(self) -> tuple[dict[str, float] | None, Decision]:
+        """The low-level action of the next frame, None where the environment's own stands; and the record.
+
+        highway-env repeats the low-level action that it has. So once a frame has been overridden, the next ones get
+        theirs from here, the proposal too; until then the proposal is what highway-env has made of it (it keeps an
+        acceleration that it has limited above `MAX_SPEED`).
+        """
+        first, self._first = self._first, None
+        if first is None and self._untouched:
+            low = self._base.vehicle.action
+            self._proposal = np.array([float(low["acceleration"]), float(low["steering"])])
+        inputs, decision = first if first is not None else self._filter(False)
+        self._untouched = self._untouched and decision.tier is Tier.PASSED
+        if self._untouched:
+            return None, decision
+        return {"acceleration": float(inputs[0]), "steering": float(inputs[1])}, decision

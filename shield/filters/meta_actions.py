@@ -1,0 +1,198 @@
+"""The door for `DiscreteMetaAction`: meta-actions filtered, and the frames between two of them supervised."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from dynamics.scenes.scene import Scene, SceneReader, Target
+from shield.config import RULES_ALONE, ShieldConfig
+from shield.decision import Decision, Reason, Tier
+from shield.environments import check_configuration, refuse_lots
+from shield.errors import SceneError
+from shield.explaining.scenes import explain_scene
+from shield.filters.discrete_action import action_index
+from shield.filters.supervision import Command
+from shield.perception.environment_free import BlindScenes
+from shield.perception.scenes import ObservedScenes
+from shield.pipelines.decide import Core, Unreadable, read
+from shield.pipelines.frames import Frames
+from shield.pipelines.meta_actions import MetaActions
+from shield.pipelines.meta_actions_only import MetaActionsOnly
+from shield.pipelines.nearest_inputs import NearestInputs
+from shield.pipelines.screen import RuleAlone, Wish
+from shield.rules import Rule
+from shield.supported_environments import refuse_simulated
+
+__all__ = ["MetaDoor"]
+
+
+class MetaDoor:
+    """Filters the meta-actions of one environment.
+
+    Parameters
+    ----------
+    base : the highway-env environment, unwrapped; None where it is out of reach, and `scenes` are all that there is.
+    config : settings.
+    frames : whether the frames between two decisions are supervised, with `frame`. Without, a meta-action has to last
+        until the next decision, and the shield's look-ahead ends with its horizon.
+    rule : what decides alone, as the modes of `RULES_ALONE` do.
+    scenes : what reads scenes; the simulator's true state by default.
+
+    Raises
+    ------
+    SceneError
+        If the environment's road or number of controlled vehicles is not supported.
+    ConfigError
+        If it is a parking lot, or configured as the shield does not support.
+
+    Attributes
+    ----------
+    core : what decides, and remembers. cause : why the scene of the last decision could not be read, "" where it could.
+    """
+
+    def __init__(
+        self,
+        base: Any,
+        config: ShieldConfig,
+        frames: bool = True,
+        rule: Rule | None = None,
+        scenes: ObservedScenes | BlindScenes | None = None,
+    ) -> None:
+        if base is not None:
+            refuse_lots([base])
+            check_configuration(base, config)
+        refuse_simulated(config)
+        self.config, self._base, self._scenes = config, base, scenes
+        self.reader: SceneReader | ObservedScenes | BlindScenes = SceneReader(base) if scenes is None else scenes
+        self._meta: Any = MetaActions(config) if frames else MetaActionsOnly(config)
+        self._frames = Frames(config, NearestInputs(config) if config.repair == "filter" else None)
+        self._alone = rule is not None or config.mode in RULES_ALONE
+        self.core: Core[Any] = Core(RuleAlone(config, rule) if self._alone else self._meta, explain_scene)
+        self._passed: tuple[Decision, Target] | None = None
+        self.cause = ""
+        if base is not None and base.road is not None and config.mode != "none":
+            self._check()
+
+    @property
+    def violations(self) -> int:
+        """How often the traffic has broken the assumptions."""
+        return self.core.violations
+
+    @property
+    def by_rule(self) -> dict[str, int]:
+        """The same by the rule that was broken."""
+        return self.core.by_rule
+
+    @property
+    def supervising(self) -> bool:
+        """Whether `frame` has a say."""
+        return self.config.mode == "full" and not self._alone
+
+    def record(self) -> None:
+        """Keep in each decision what is drawn, as with `ShieldConfig.record`."""
+        self.config = self.config.replace(record=True)
+        procedures: tuple[Any, ...] = (self._meta, self._frames, self.core.procedure)
+        for procedure in procedures:
+            procedure.config = self.config
+
+    def reset(self) -> None:
+        """Forget everything about the episode.
+
+        Raises
+        ------
+        SceneError
+            If the episode's road is not supported.
+        ConfigError
+            If the environment is now configured as the shield does not support.
+        """
+        if self._base is not None:
+            check_configuration(self._base, self.config)
+        self.core.reset()
+        if self.config.mode != "none":
+            self._check()
+        self._passed = None
+
+    def show(self, observation: Any) -> None:
+        """What the policy sees, before it is decided about: nothing to one that reads the simulator's state."""
+        if self._scenes is not None and self.observing:
+            self._scenes.show(observation)
+
+    @property
+    def observing(self) -> bool:
+        """Whether its scenes are made from observations."""
+        return self._scenes is not None and self.config.mode != "none"
+
+    def begins(self) -> bool:
+        """Whether what was shown last begins an episode, where neither an environment nor anybody else says so."""
+        return self.observing and isinstance(self._scenes, BlindScenes) and self._scenes.begins()
+
+    def decide(self, action: Any, order: Callable[[], list[int] | None] | None = None) -> Decision:
+        """Filter one meta-action; `order` gives the policy's order of preference over the others."""
+        start, proposed, labels = perf_counter(), action_index(action), self.reader.actions
+        shown = action if proposed < 0 else proposed
+        self._passed = None
+        if self.config.mode == "none":
+            return Decision(shown, shown, Reason.NONE, Tier.OFF, np.nan, 0.0)
+        scene = read(self.reader)
+        self.cause = scene.cause if isinstance(scene, Unreadable) else ""
+        decision = self.core.decide(scene, Wish(proposed, labels, order))
+        if decision.tier is Tier.PASSED and isinstance(scene, Scene):
+            self._passed = replace(self._rated(decision, scene), latency=0.0), scene.target_of(proposed)
+        if isinstance(self._scenes, BlindScenes):
+            self._scenes.tell(int(decision.executed))
+        return replace(self._rated(decision, scene), proposed=shown, latency=perf_counter() - start)
+
+    def frame(self) -> tuple[Command, Decision]:
+        """What the actuators get for the next frame, None where the environment's own stands; and the record."""
+        passed, self._passed = self._passed, None
+        if passed is not None and self._tracked() == passed[1]:
+            # The decision has just verified this very frame, with this very target.
+            return None, passed[0]
+        scene = read(self.reader)
+        blind = Target(int(self._base.vehicle.lane_index[2]), 0.0)
+        target = blind if isinstance(scene, Unreadable) else scene.control.target
+        decision = self._rated(self.core.decide(scene, target, self._frames), scene)
+        return (None if decision.tier is Tier.PASSED else decision.executed), decision
+
+    def look(self) -> None:
+        """Judge the others in the last frame of an episode, after which nothing is decided."""
+        if self._scenes is None and self.config.mode != "none" and not self._alone:
+            self.core.look(read(self.reader), self._frames if self.supervising else None)
+
+    def mask(self) -> np.ndarray[Any, Any]:
+        """Which actions verify now; all True where none does."""
+        mask: np.ndarray[Any, Any] = self._meta.mask(self.core.memory, self.reader.read())
+        return mask if mask.any() else np.ones_like(mask)
+
+    def _check(self) -> None:
+        """Read what depends on the road alone, or say what filters meta-actions on this road."""
+        try:
+            self.reader.check()
+        except SceneError as error:
+            if self._base is None or self._base.road is None:
+                raise
+            # Imported here: what simulates takes longer to import.
+            from shield.filters.simulated.remedies import by_default, by_simulation
+
+            instead = "; or ".join(each for each in (by_default(self._base), by_simulation(self._base)) if each)
+            if not instead:
+                raise
+            raise SceneError(f"this road is not supported with these settings: {instead}. ({error})") from error
+
+    def _rated(self, decision: Decision, scene: Any) -> Decision:
+        """The same with what its certificate rests on."""
+        if self._scenes is None or isinstance(scene, Unreadable):
+            return decision
+        perception = self._scenes.perception
+        sight, level = perception.rating
+        return replace(decision, sight=sight, level=level, alarm=perception.alarmed)
+
+    def _tracked(self) -> Target:
+        """What the ego's controllers track."""
+        ego = self._base.vehicle
+        return Target(int(ego.target_lane_index[2]), float(ego.target_speed))

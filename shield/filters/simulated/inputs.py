@@ -1,0 +1,195 @@
+"""The door for throttle and steering that are verified by simulation, frame by frame."""
+
+from __future__ import annotations
+
+from copy import copy
+from time import perf_counter
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from dynamics.errors import ConfigError
+from dynamics.highway_simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.layout import CONTINUOUS, KIND, TARGET, TARGET_SPEED
+from dynamics.road_networks.geometry.layout import LAW
+from dynamics.road_networks.simulation.simulator import NetworkSimulator
+from dynamics.scenes.parking_lot import is_lot
+from dynamics.state import FloatArray
+from shield.batch.codes import TIERS
+from shield.certificate.simulated.inputs import Tail, decide_inputs, empty_tail, play
+from shield.certificate.simulated.workspace import Search
+from shield.config import ShieldConfig
+from shield.decision import Decision, Reason, Tier
+from shield.explaining.simulated import copy_of
+from shield.filters.input_frames import InputFrames
+from shield.filters.simulated.predicted_scene import (
+    STATE,
+    ExactScene,
+    Foretells,
+    Room,
+    check_traffic,
+    simulate_network,
+    why_unread,
+)
+from shield.supported_environments import check
+
+__all__ = ["ExactInputDoor"]
+
+_HOLD = 1.0
+"""How long the law holds a lane and a speed before it may turn to others [s]."""
+
+
+class ExactInputDoor(Foretells, InputFrames):
+    """Filters throttle and steering where the traffic, of known classes, follows from its state.
+
+    At every frame the proposal is simulated for that frame, and after it a law that keeps lanes and speeds, for
+    `ShieldConfig.horizon`. The law may brake as hard as `ShieldConfig.braking`.
+
+    Parameters
+    ----------
+    base : highway-env's environment, unwrapped.
+    config : settings with `Assumptions.exact()`.
+
+    Raises
+    ------
+    ConfigError
+        If the simulator cannot run the environment, or the settings are for another kind of verification.
+    SceneError
+        If it has vehicles or lanes that are not known.
+    """
+
+    supervising = True
+
+    def __init__(self, base: Any, config: ShieldConfig) -> None:
+        check(config)
+        if isinstance(base, CompiledHighwayEnv):
+            raise ConfigError(
+                "throttle and steering are verified by simulation in highway-env, not in its compiled copy"
+            )
+        if is_lot(base):
+            raise ConfigError(
+                f"nothing is simulated in a parking lot, {type(base).__name__}: leave ShieldConfig.exact() out; "
+                "ShieldedEnv(env) and Shield(policy, env) filter ContinuousAction there"
+            )
+        super().__init__(base, config)
+        self._scene = ExactScene(base, config, self._simulate, self._verifies)
+        self._inputs = np.zeros(2)
+        self.reset()
+        if base.road is not None:
+            self._scene.read()
+
+    def _simulate(self, base: Any, like: Any) -> NetworkSimulator:
+        law = self.config.braking, self.actuators.acceleration[1], _HOLD
+        return simulate_network(base, like, law=law)
+
+    def reset(self) -> None:
+        """Forget everything about the episode.
+
+        Raises
+        ------
+        ConfigError
+            If the environment is now configured as the shield does not support.
+        """
+        check_traffic(self._base)
+        self._begin()
+        self._scene.forget()
+        self._search: Search | None = None
+        self._present: Search | None = None
+        self._tail: Tail = empty_tail(1)
+
+    def _physical(self, action: Any, read: FloatArray) -> FloatArray:
+        """As highway-env itself computes them: in the precision of the action, which tells in the end."""
+        given: dict[str, float] = {}
+        kind = copy(self._base.action_type)
+        kind.controlled_vehicle = SimpleNamespace(act=given.update)
+        kind.act(action)
+        return np.array([float(given["acceleration"]), float(given["steering"])])
+
+    def _filter(self, begins: bool) -> tuple[FloatArray, Decision]:
+        start, self.cause = perf_counter(), ""
+        try:
+            search, present = self._read(begins)
+        except Exception as error:
+            reason, self.cause = why_unread(error)
+            return self._last_resort(reason, start)
+        known, proposal, tail = self._proposal is not None, np.zeros(2), self._tail
+        # The present is advanced by the decision.
+        before, planned, length = copy_of(present.futures), tail.actions.copy(), int(tail.counts[0])
+        if self._proposal is not None:
+            proposal = self._cruise.proposal(self._proposal, float(self._base.vehicle.speed))
+        code, margin = decide_inputs(search, present, self._tail, proposal, known, self._inputs)
+        self._scene.expect(present.futures.f[0][STATE])
+        tier = TIERS[code]
+        # A stored plan is one for this very scene: it is as was foretold.
+        reason = Reason.NO_SAFE_PLAN if tier is Tier.LARGEST_MARGIN else Reason.UNVERIFIED
+        if tier is Tier.PASSED:
+            reason = Reason.NONE
+        if not known:
+            reason = Reason.BAD_ACTION
+        elif tier is Tier.PASSED and proposal is not self._proposal:
+            tier, reason = Tier.GOVERNED, Reason.RESUME
+        plan, areas = None, None
+        if self.config.record and self._tail.counts[1] == 0:
+            search.futures.f[0], search.futures.g[0] = present.futures.f[0], present.futures.g[0]
+            plan, areas = self._scene.shown(search, self._tail.actions, int(self._tail.counts[0]))
+        inputs, source = self._inputs.copy(), None
+        if tier is not Tier.PASSED and known:
+            source = self._scene.kept(search, before, proposal.copy(), planned, length)
+        latency = perf_counter() - start
+        return inputs, Decision(inputs, inputs, reason, tier, margin, latency, plan, areas, source=source)
+
+    def _last_resort(self, reason: Reason, start: float) -> tuple[FloatArray, Decision]:
+        """Nothing is known of the scene: what was planned, if anything was, or braking with the wheel straight."""
+        tier, present = Tier.EMERGENCY, self._present
+        if present is not None and self._tail.counts.any():
+            play(present, self._tail, self._inputs)
+            tier = Tier.STORED_PLAN
+        else:
+            speed = float(getattr(self._base.vehicle, "speed", np.nan))
+            stopping = -speed * self._base.config["simulation_frequency"]
+            hardest = self.config.braking
+            self._inputs[:] = np.clip(stopping, -hardest, hardest) if np.isfinite(speed) else 0.0, 0.0
+        self._scene.expect_nothing()
+        inputs = self._inputs.copy()
+        return inputs, Decision(inputs, inputs, reason, tier, np.nan, perf_counter() - start)
+
+    def _verifies(self, base: Any, room: Room) -> bool:
+        """Whether the law verifies in a scene; changes nothing that is remembered."""
+        simulator, search = room
+        present = search._replace(futures=copy_of(simulator.worlds))
+        search.futures.p[:], search.futures.routes[:] = present.futures.p, present.futures.routes
+        tail = empty_tail(search.bounds.depth)
+        code, _ = decide_inputs(search, present, tail, np.zeros(2), False, np.zeros(2))
+        return TIERS[code].verified
+
+    def _law(self) -> tuple[int, int, float] | None:
+        """Whether the law has been at work in the last frame, and its lane and speed [m/s]; what it does next may go on
+        from there, also where an action has just ended."""
+        if self._present is None:
+            return None
+        futures = self._present.futures
+        ego = int(np.flatnonzero(futures.g[0, KIND] == CONTINUOUS)[0])
+        return int(futures.g[0, LAW, ego]), int(futures.g[0, TARGET, ego]), float(futures.f[0, TARGET_SPEED, ego])
+
+    def _read(self, begins: bool) -> tuple[Search, Search]:
+        """Room for searches, and the scene as it is. Between two frames of a decision that is what was foretold, where
+        all are where they should be: some have acted by then for the coming frame, so it is read only where it must."""
+        search, present = self._search, self._present
+        if begins or search is None or present is None or not self._scene.as_foretold():
+            law, foretold = self._law(), self._scene.foretells
+            simulator, search = self._scene.read()
+            present = search._replace(futures=simulator.worlds)
+            if self._scene.surprised or not foretold:
+                # What was planned was for another scene.
+                self._tail.counts[:] = 0
+            elif law is not None:
+                # highway-env knows nothing of what the law is about.
+                f, g, ego = simulator.worlds.f[0], simulator.worlds.g[0], self._scene.ego(self._scene.bodies())
+                g[LAW, ego], g[TARGET, ego], f[TARGET_SPEED, ego] = law
+            if len(self._tail.actions) != search.bounds.depth:
+                self._tail = empty_tail(search.bounds.depth)
+            self._search, self._present = search, present
+            # What does not change is the same in all futures.
+            search.futures.p[:], search.futures.routes[:] = present.futures.p, present.futures.routes
+        return search, present

@@ -1,0 +1,216 @@
+"""The door for meta-actions that are verified by simulation: what `Shield` runs with `Assumptions.exact()`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from copy import deepcopy
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from dynamics.highway_simulator.env import CompiledHighwayEnv
+from dynamics.highway_simulator.simulator import Simulator
+from dynamics.road_networks.simulation.simulator import NetworkSimulator
+from dynamics.road_networks.simulation.supported_traffic import on_network
+from dynamics.state import FloatArray
+from shield.alternatives.preference import resolve
+from shield.batch.arrays import Records, empty_records
+from shield.batch.codes import REASONS, TIERS
+from shield.certificate.simulated.decision_kernels import (
+    Plans,
+    boxed_in,
+    empty_plans,
+    last_resort,
+    passes,
+    replace,
+    verify,
+)
+from shield.certificate.simulated.node_budget import begin_anew
+from shield.certificate.simulated.search import enter, leap
+from shield.certificate.simulated.workspace import Search, Wish
+from shield.config import ShieldConfig
+from shield.decision import Decision, Reason, Source
+from shield.environments import check_configuration, refuse_lots
+from shield.explaining.simulated import Simulated, copy_of
+from shield.filters.discrete_action import action_index
+from shield.filters.simulated.predicted_scene import (
+    STATE,
+    ExactScene,
+    Foretells,
+    Room,
+    check_traffic,
+    simulate_network,
+    why_unread,
+)
+from shield.pipelines.screen import slower
+from shield.supported_environments import check
+
+__all__ = ["ExactDoor", "as_decision"]
+
+
+class ExactDoor(Foretells):
+    """Filters meta-actions where the traffic, of known classes, follows from its state: on straight highways, and on
+    the networks of merges, exits, roundabouts, two-way roads, u-turns and intersections (where nobody knows
+    who comes next).
+
+    Parameters
+    ----------
+    base : the environment, unwrapped: highway-env's own, or a `CompiledHighwayEnv`.
+    config : settings with `Assumptions.exact()`.
+
+    Raises
+    ------
+    ConfigError
+        If the simulator cannot run the environment, it is a parking lot, or the settings are for another kind of
+        verification.
+
+    Attributes
+    ----------
+    on_network : whether the road is no straight highway.
+    cause : why the scene of the last decision could not be read, "" where it could.
+    """
+
+    supervising = False
+
+    def __init__(self, base: Any, config: ShieldConfig) -> None:
+        refuse_lots([base])
+        check(config)
+        self.config, self._base = config, base
+        self.on_network = not isinstance(base, CompiledHighwayEnv) and on_network(base)
+        self._check()
+        self._scene = ExactScene(base, config, _simulate, self._verifies)
+        self.cause = ""
+        self._plans: Plans = empty_plans(1, 1)
+        self._search: Search | None = None
+
+    def reset(self) -> None:
+        """Forget everything about the episode.
+
+        Raises
+        ------
+        ConfigError
+            If the environment is now configured as the shield does not support.
+        """
+        self._check()
+        self._scene.forget()
+        self._plans = empty_plans(1, 1)
+        self._search = None
+
+    def _check(self) -> None:
+        """Raise where the environment, as it is configured now, is none that can be simulated."""
+        check_configuration(self._base, self.config)
+        check_traffic(self._base)
+
+    def decide(self, action: Any, order: Callable[[], list[int] | None] | None = None) -> Decision:
+        """Filter one meta-action; `order` gives the policy's order of preference over the others."""
+        start, proposed, self.cause = perf_counter(), action_index(action), ""
+        shown = action if proposed < 0 else proposed
+        reason: Reason | None = None
+        try:
+            simulator, search = self._read()
+        except Exception as error:
+            reason, self.cause = why_unread(error)
+        records = empty_records(1, 1)
+        if reason is not None:
+            self._scene.expect_nothing()
+            slowest = slower(list(self._base.action_type.actions_indexes))
+            last_resort(records, self._plans, 0, slowest, REASONS.index(reason))
+            return as_decision(shown, records, start)
+        source = None
+        if not passes(search, self._plans, records, simulator.worlds, 0, proposed):
+            source = self._kept(search, simulator, proposed)
+            # The policy is asked for its order only where something takes the proposal's place.
+            wanted = resolve(order) or []
+            ranked = np.array([*(a for a in wanted if a != proposed), -1], np.intp)
+            replace(search, self._plans, records, 0, proposed, ranked)
+        leap(search, 0, 1, int(records.executed[0]), Wish(0.0, 0.0, 0.0), -math.inf)
+        self._scene.expect(search.futures.f[1][STATE])
+        plan, areas = None, None
+        if self.config.record:
+            plan, areas = self._scene.shown(search, search.plan, int(self._plans.length[0]) + 1)
+        return as_decision(shown, records, start, plan, areas, source)
+
+    def _kept(self, search: Search, simulator: Any, proposed: int) -> Simulated:
+        """What a refusal is made from, for whoever asks why."""
+        return self._scene.kept(
+            search, copy_of(simulator.worlds), proposed, self._plans.actions[0], self._plans.length[0]
+        )
+
+    def _verifies(self, base: Any, room: Room) -> bool:
+        """Whether any sequence of actions verifies in a scene; changes nothing that is remembered."""
+        simulator, search = room
+        plans, records = empty_plans(1, search.bounds.depth), empty_records(1, 1)
+        if len(self._plans.actions[0]) == search.bounds.depth and self._plans.verified[0]:
+            plans = deepcopy(self._plans)
+        slowest = int(search.order[0])
+        if not passes(search, plans, records, simulator.worlds, 0, slowest):
+            replace(search, plans, records, 0, slowest, np.full(1, -1, np.intp))
+        return bool(TIERS[records.tier[0]].verified)
+
+    def mask(self) -> np.ndarray[Any, Any]:
+        """Which actions pass now; all True where none does. No decision, and no record, is another for being asked.
+
+        Raises
+        ------
+        SceneError, ConfigError
+            If the traffic cannot be simulated.
+        """
+        simulator, search = self._read(counting=False)
+        enter(search, simulator.worlds, 0)
+        plans, actions = self._plans, range(len(search.order))
+        twice, stored, length = not boxed_in(plans, 0), plans.actions[0], plans.length[0]
+        mask = np.zeros(len(search.order), np.bool_)
+        for k in actions:
+            # What is remembered of one would be a hint for the next, and `decide` has none.
+            begin_anew(search)
+            mask[k] = verify(search, k, stored, length, twice) >= 0
+        return mask if mask.any() else np.ones_like(mask)
+
+    def source(self, proposed: int) -> Simulated:
+        """What an explanation is made from if a proposal is refused now.
+
+        Raises
+        ------
+        SceneError, ConfigError
+            If the traffic cannot be simulated.
+        """
+        simulator, search = self._read(counting=False)
+        return self._kept(search, simulator, proposed)
+
+    def rehearse(self) -> None:
+        """Decide, and call what acts where nothing passes: so that it is compiled."""
+        self.decide(1)
+        assert self._search is not None
+        records = empty_records(1, 1)
+        replace(self._search, self._plans, records, 0, 1, np.full(1, -1, np.intp))
+        last_resort(records, self._plans, 0, 4, records.reason[0])
+
+    def _read(self, counting: bool = True) -> Room:
+        """The traffic as it is, and room for searches in it; what was planned is kept where it is as was foretold."""
+        simulator, search = self._scene.read(counting)
+        if self._scene.surprised:
+            self._plans.length[0] = 0
+        if len(self._plans.actions[0]) != search.bounds.depth:
+            self._plans = empty_plans(1, search.bounds.depth)
+        self._search = search
+        return simulator, search
+
+
+def _simulate(base: Any, like: Any) -> Simulator | NetworkSimulator:
+    return simulate_network(base, like) if on_network(base) else Simulator.of(base, observes=False)
+
+
+def as_decision(
+    shown: Any,
+    records: Records,
+    start: float,
+    plan: FloatArray | None = None,
+    areas: FloatArray | None = None,
+    source: Source | None = None,
+) -> Decision:
+    """What the records say of the first environment, as a decision that began at `start`."""
+    reason, tier = REASONS[records.reason[0]], TIERS[records.tier[0]]
+    margin, latency = float(records.margin[0]), perf_counter() - start
+    return Decision(shown, int(records.executed[0]), reason, tier, margin, latency, plan, areas, source=source)

@@ -1,0 +1,207 @@
+"""The door for several egos: each has a plan, and counts on the others' plans."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from copy import deepcopy
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from highway_env.envs.common.action import DiscreteMetaAction, MultiAgentAction
+
+from dynamics.highway_simulator.layout import ALLY, EGO, KIND
+from dynamics.road_networks.geometry.layout import FRAMES
+from dynamics.road_networks.simulation.supported_traffic import check_network, on_network
+from dynamics.scenes.parking_lot import is_lot
+from shield.batch.arrays import empty_records
+from shield.batch.codes import REASONS
+from shield.certificate.simulated.decision_kernels import Plans, empty_plans, last_resort, passes, replace
+from shield.certificate.simulated.search import leap
+from shield.certificate.simulated.workspace import Wish
+from shield.config import ShieldConfig
+from shield.decision import Decision, Reason
+from shield.environments import check_configuration
+from shield.errors import ConfigError
+from shield.explaining.simulated import copy_of
+from shield.filters.discrete_action import action_index
+from shield.filters.simulated.meta_actions import as_decision
+from shield.filters.simulated.predicted_scene import STATE, ExactScene, Foretells, Room, simulate_network, why_unread
+from shield.pipelines.screen import slower
+from shield.supported_environments import check
+
+__all__ = ["TeamDoor", "is_team"]
+
+
+def is_team(base: Any) -> bool:
+    """Whether an environment, unwrapped, has several egos."""
+    return isinstance(getattr(base, "action_type", None), MultiAgentAction)
+
+
+class TeamDoor(Foretells):
+    """Filters the meta-actions of several egos, where the traffic follows from its state.
+
+    There is a plan for each of them, and all plans together keep everybody's buffer. One ego after the other is asked
+    what it wants: what it gets is verified with those before it doing what they have been given, and those after it
+    what is planned for them. So whatever it gets, there is a plan for everybody, as there was before.
+
+    Parameters
+    ----------
+    base : highway-env's environment, unwrapped, with `MultiAgentAction`.
+    config : settings with `Assumptions.exact()`.
+
+    Raises
+    ------
+    ConfigError
+        If the egos' actions are not meta-actions, the simulator cannot run the environment, or the settings are for
+        another kind of verification.
+
+    Attributes
+    ----------
+    cause : why the scene of the last decision could not be read, "" where it could.
+    """
+
+    supervising = False
+
+    def __init__(self, base: Any, config: ShieldConfig) -> None:
+        # What other settings do not mend comes first: they would be named as the remedy otherwise.
+        if not on_network(base) or is_lot(base):
+            raise ConfigError(
+                f"several egos are shielded on networks of roads, such as intersection-multi-agent-v2, not in "
+                f"{type(base).__name__}"
+            )
+        check_network(base)
+        kinds = {type(each) for each in base.action_type.agents_action_types}
+        if kinds - {DiscreteMetaAction}:
+            names = ", ".join(sorted(kind.__name__ for kind in kinds))
+            instead = _with_meta_actions(base)
+            raise ConfigError(f"the shield of several egos filters DiscreteMetaAction; here they have {names}{instead}")
+        check_configuration(base, config)
+        if not config.assumptions.simulated:
+            raise ConfigError("several egos are verified by simulation: ShieldedEnv(env, ShieldConfig.exact())")
+        check(config)
+        self.config, self._base = config, base
+        self._scene = ExactScene(base, config, simulate_network, self._verifies)
+        self.cause = ""
+        self.reset()
+
+    @property
+    def agents(self) -> int:
+        """How many egos there are."""
+        return len(self._base.controlled_vehicles)
+
+    def reset(self) -> None:
+        """Forget everything about the episode.
+
+        Raises
+        ------
+        ConfigError
+            If the environment is now configured as the shield does not support.
+        """
+        check_configuration(self._base, self.config)
+        check_network(self._base)
+        self._scene.forget()
+        self._plans: list[Plans] = [empty_plans(1, 1) for _ in range(self.agents)]
+
+    def decide(self, actions: Sequence[Any]) -> list[Decision]:
+        """Filter the meta-actions of all egos.
+
+        Parameters
+        ----------
+        actions : one for each.
+
+        Raises
+        ------
+        ConfigError
+            If there are more or fewer.
+        """
+        given: Any = actions
+        rows: list[Any] = list(given) if np.iterable(given) else [given]
+        if len(rows) != self.agents or not np.iterable(given):
+            raise ConfigError(f"there are {self.agents} egos and {len(rows)} actions; have a tuple of one for each")
+        start, self.cause = perf_counter(), ""
+        try:
+            simulator, search = self._scene.read()
+        except Exception as error:
+            reason, self.cause = why_unread(error)
+            return self._last_resort(actions, reason, start)
+        for k, plans in enumerate(self._plans):
+            if len(plans.actions[0]) != search.bounds.depth:
+                self._plans[k] = empty_plans(1, search.bounds.depth)
+            elif self._scene.surprised:
+                plans.length[0] = 0
+        decisions = self._one_by_one(actions, self._base, (simulator, search), self._plans, start)
+        leap(search, 0, 1, int(decisions[-1].executed), Wish(0.0, 0.0, 0.0), -math.inf)
+        self._scene.expect(search.futures.f[1][STATE])
+        return decisions
+
+    def _one_by_one(
+        self, actions: Sequence[Any], base: Any, room: Room, remembered: list[Plans], start: float
+    ) -> list[Decision]:
+        """Decide for one ego after the other in the scene of an environment; `remembered` is theirs, and written."""
+        simulator, search = room
+        depth, slowest = search.bounds.depth, int(search.order[0])
+        wanted = np.full((self.agents, depth + 1), slowest, np.intp)
+        for k, plans in enumerate(remembered):
+            wanted[k, : plans.length[0]] = plans.actions[0, : plans.length[0]]
+        columns = np.array([base.road.vehicles.index(vehicle) for vehicle in base.controlled_vehicles], np.intp)
+        g, decisions = simulator.worlds.g[0], []
+        search.team.since[0] = g[FRAMES, 0]
+        for k, action in enumerate(actions):
+            others = [i for i in range(self.agents) if i != k]
+            search.team.columns[:], search.team.plans[:] = columns[others], wanted[others]
+            g[KIND, columns] = ALLY
+            g[KIND, columns[k]] = EGO
+            decisions.append(self._of_one(action, room, remembered[k], start))
+            plans, start = remembered[k], perf_counter()
+            wanted[k] = slowest
+            wanted[k, 0] = decisions[-1].executed
+            wanted[k, 1 : 1 + plans.length[0]] = plans.actions[0, : plans.length[0]]
+        return decisions
+
+    def _of_one(self, action: Any, room: Room, plans: Plans, start: float) -> Decision:
+        proposed, records = action_index(action), empty_records(1, 1)
+        (simulator, search), source = room, None
+        if not passes(search, plans, records, simulator.worlds, 0, proposed):
+            team = search.team.columns.copy(), search.team.plans.copy(), int(search.team.since[0])
+            planned = plans.actions[0], plans.length[0]
+            source = self._scene.kept(search, copy_of(simulator.worlds), proposed, *planned, team)
+            replace(search, plans, records, 0, proposed, np.array([-1], np.intp))
+        return as_decision(action if proposed < 0 else proposed, records, start, source=source)
+
+    def _verifies(self, base: Any, room: Room) -> bool:
+        """Whether some sequences of actions of all egos verify in a scene; changes nothing that is remembered."""
+        depth, slowest = room[1].bounds.depth, int(room[1].order[0])
+        alike = all(len(plans.actions[0]) == depth and plans.verified[0] for plans in self._plans)
+        plans = deepcopy(self._plans) if alike else [empty_plans(1, depth) for _ in self._plans]
+        decisions = self._one_by_one([slowest] * self.agents, base, room, plans, perf_counter())
+        return all(decision.tier.verified for decision in decisions)
+
+    def _last_resort(self, actions: Sequence[Any], reason: Reason, start: float) -> list[Decision]:
+        self._scene.expect_nothing()
+        slowest, decisions = slower(list(self._base.action_type.agents_action_types[0].actions_indexes)), []
+        for plans, action in zip(self._plans, actions, strict=True):
+            records, proposed = empty_records(1, 1), action_index(action)
+            last_resort(records, plans, 0, slowest, REASONS.index(reason))
+            decisions.append(as_decision(action if proposed < 0 else proposed, records, start))
+        return decisions
+
+
+def _with_meta_actions(base: Any) -> str:
+    """What gives the egos meta-actions that are filtered, in words; "" where highway-env or the shield refuses them.
+
+    Parameters
+    ----------
+    base : highway-env's environment, unwrapped. Another of its class is made.
+    """
+    action = {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}
+    try:
+        TeamDoor(type(base)(config={**base.config, "action": action}), ShieldConfig.exact())
+    except Exception:
+        # Whatever it is, it must not hide what is told.
+        return ""
+    return (
+        '. Pass config={"action": {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}} to '
+        "gym.make, and ShieldConfig.exact() to ShieldedEnv"
+    )

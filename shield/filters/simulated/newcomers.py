@@ -1,0 +1,57 @@
+"""Bodies that simulated traffic did not foretell: who of them leaves the egos nothing that verifies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Set
+from copy import copy
+from typing import Any
+
+from dynamics.road_networks.simulation.supported_traffic import may_have_spawned
+
+__all__ = ["blocking", "unannounced"]
+
+Verifies = Callable[[Any], bool]
+"""Whether any sequence of actions verifies in an environment, unwrapped; False where it cannot be simulated."""
+
+
+def unannounced(base: Any, foretold: Set[Any]) -> set[Any]:
+    """The vehicles and obstacles that were not foretold, without egos and what highway-env may have spawned itself.
+
+    Parameters
+    ----------
+    base : highway-env's environment, unwrapped. foretold : the bodies of the scene that was foretold.
+    """
+    known = foretold | set(base.controlled_vehicles)
+    bodies = (*base.road.vehicles, *base.road.objects)
+    return {body for body in bodies if body not in known and not may_have_spawned(base, body)}
+
+
+def blocking(base: Any, newcomers: set[Any], verifies: Verifies) -> set[Any]:
+    """The newcomers that have crashed with an ego, or without which some sequence of actions would verify.
+
+    Several that block only together are all returned.
+
+    Parameters
+    ----------
+    base : highway-env's environment, unwrapped, as it is now.
+    newcomers : vehicles and obstacles in it that were not foretold.
+    """
+    if not newcomers:
+        return set()
+    if any(ego.crashed for ego in base.controlled_vehicles):
+        return {body for body in newcomers if body.crashed or getattr(body, "hit", False)}
+    if verifies(base) or not verifies(_without(base, newcomers)):
+        return set()
+    if len(newcomers) == 1:
+        return newcomers
+    alone = {body for body in newcomers if not verifies(_without(base, newcomers - {body}))}
+    return alone or newcomers
+
+
+def _without(base: Any, bodies: set[Any]) -> Any:
+    """A view of an environment without some bodies; the environment stays as it is."""
+    view, road = copy(base), copy(base.road)
+    road.vehicles = [body for body in road.vehicles if body not in bodies]
+    road.objects = [body for body in road.objects if body not in bodies]
+    view.road = road
+    return view

@@ -1,0 +1,69 @@
+"""What a refusal adds: other ways to filter the same actions in the same environment, each of them tried."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from highway_env.envs.common.action import ContinuousAction
+
+from shield.certificate.network.others import default_on, has_crossings
+from shield.config import ShieldConfig
+from shield.filters.network import RoadDoor
+from shield.filters.simulated.inputs import ExactInputDoor
+from shield.filters.simulated.meta_actions import ExactDoor
+from shield.filters.simulated.multi_agent import TeamDoor, is_team
+
+__all__ = ["by_default", "by_simulation", "team_by_simulation"]
+
+
+def by_simulation(base: Any) -> str:
+    """How to have the actions of one ego filtered by `ShieldConfig.exact()`, in words; "" where that refuses them too.
+
+    Parameters
+    ----------
+    base : highway-env's environment, unwrapped. It is tried, and left as it is.
+    """
+    filters = ExactInputDoor if isinstance(base.action_type, ContinuousAction) else ExactDoor
+    if not _accepted(filters, base, ShieldConfig.exact()):
+        return ""
+    return (
+        "pass ShieldConfig.exact(), which simulates the traffic here: ShieldedEnv(env, ShieldConfig.exact()), "
+        "Shield(policy, env, ShieldConfig.exact()), or as TOML what `shield config --profile exact` prints"
+    )
+
+
+def team_by_simulation(base: Any) -> str:
+    """How to have the meta-actions of several egos filtered, in words; "" where they are refused.
+
+    Parameters
+    ----------
+    base : highway-env's environment, unwrapped, with `MultiAgentAction`. It is tried, and left as it is.
+    """
+    accepted = is_team(base) and _accepted(TeamDoor, base, ShieldConfig.exact())
+    return "ShieldedEnv(env, ShieldConfig.exact()) filters those of several" if accepted else ""
+
+
+def by_default(base: Any) -> str:
+    """That the default settings filter meta-actions on a network of roads, in words; "" where they do not.
+
+    Parameters
+    ----------
+    base : highway-env's environment, unwrapped, with `DiscreteMetaAction`. It is tried, and left as it is.
+    """
+    if not has_crossings(base) or not _accepted(RoadDoor, base, default_on(base)):
+        return ""
+    return (
+        "by default ShieldedEnv(env) and Shield(policy, env=env) filter meta-actions here: without a rule or a mode, "
+        "without frames=False, and with the simulator's perception"
+    )
+
+
+def _accepted(filters: Callable[[Any, ShieldConfig], Any], base: Any, config: ShieldConfig) -> bool:
+    """Whether what filters an environment can be made for it."""
+    try:
+        filters(base, config)
+    except Exception:
+        # Whatever it is, it is not what the user has asked for, and must not hide what is told.
+        return False
+    return True

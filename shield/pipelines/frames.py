@@ -1,0 +1,256 @@
+"""Between two decisions: the committed target, frame by frame, held back where it does not verify.
+
+A proposal is the target that the environment's controllers track. What is executed is that, or a `FrameCommand`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from dynamics.scenes.scene import Scene, Target
+from dynamics.state import BoolArray, FloatArray, IntArray, State
+from dynamics.vehicle.controllers import KP_SPEED
+from shield.certificate.road.manoeuvres import Brakes, brake_candidates
+from shield.certificate.road.memory import Instant, Memory, observe
+from shield.certificate.road.verify import ROUNDING, Clearance, least_bad, least_bad_evasion
+from shield.config import ShieldConfig
+from shield.decision import Reason, Tier
+from shield.pipelines.decide import Plan, Tried, Unreadable
+
+__all__ = [
+    "ACCELERATIONS",
+    "CAPS",
+    "GREATEST",
+    "LANE_PENALTY",
+    "FrameCommand",
+    "Frames",
+    "HoldBack",
+    "Repair",
+    "fail_lanes",
+    "first_verified",
+    "held_back_speeds",
+]
+
+
+ACCELERATIONS = 32
+"""Grid points between full braking and the committed acceleration, when a frame is held back."""
+LANE_PENALTY = 2.0
+"""What it costs to leave the committed lane, in acceleration [m/s^2]."""
+GREATEST = 5.0
+"""Greatest acceleration that is tried when a frame is held back [m/s^2]."""
+CAPS = (-4.0, -2.0, 0.0, 5.0)
+"""Changes of speed to which a lane change may be held back, rounded down to the grid [m/s]."""
+_SHARES = (0.75, 0.5, 0.25, 0.0)
+"""How wide bounds on the others are taken to be where nothing clears them, as shares of their width."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameCommand:
+    """What the actuators get for one frame: the lane to steer to and an acceleration [m/s^2]. Where a front wheel angle
+    [rad] is given, it takes the place of the steering."""
+
+    lane: int
+    acceleration: float
+    steering: float | None = None
+
+
+class Repair(Protocol):
+    """What takes the place of a committed target that does not verify at this frame."""
+
+    def plans(self, now: Instant, target: Target) -> Iterator[Plan[int]]:
+        """In order."""
+
+
+class HoldBack:
+    """The least intervention for one frame: the greatest acceleration that verifies, committed lane first.
+
+    Parameters
+    ----------
+    begins : whether it is tried by a decision, of which only the action is executed. What verifies then has to be among
+        what the frame tries, when the lane in which that plan stops has taken the stored one's place.
+    """
+
+    def __init__(self, begins: bool = False) -> None:
+        self._begins = begins
+
+    def plans(self, now: Instant, target: Target) -> Iterator[Plan[int]]:
+        """One plan, the least bad where none verifies."""
+        scene, lanes = now.scene, fail_lanes(now, target.lane)
+        v, grid = float(scene.ego[State.SPEED]), _accelerations(now, target)
+        # Each steering is tried with each fail-safe lane.
+        steer = np.repeat(lanes, grid.size)
+        fails = np.repeat(lanes, steer.size)
+        steer = np.resize(steer, fails.size)
+        accelerations = np.resize(grid, fails.size)
+        if self._begins:
+            tried = (steer == target.lane) | (steer == now.here) | (steer == fails)
+            steer, fails, accelerations = steer[tried], fails[tried], accelerations[tried]
+        speeds = v + accelerations / KP_SPEED
+        candidates = brake_candidates(scene, steer, speeds, fails, 1, now.config.braking)
+        paths, result = now.judge(candidates)
+        cost = np.where(candidates.lanes == target.lane, 0.0, LANE_PENALTY)
+        score = np.where(result.margin >= 0, accelerations - cost, -np.inf)
+        i = int(score.argmax())
+        if not np.isfinite(score[i]):
+            i = least_bad(result)
+        yield _plan(candidates, accelerations, paths, result, i)
+
+
+class Frames:
+    """Supervises the frames between two decisions about meta-actions.
+
+    Parameters
+    ----------
+    config : settings.
+    repair : what is tried where the target does not verify; `HoldBack` by default.
+    """
+
+    def __init__(self, config: ShieldConfig, repair: Repair | None = None) -> None:
+        self.config, self._repair = config, repair if repair is not None else HoldBack()
+
+    def refuses(self, scene: Scene, proposal: Target) -> Reason | None:
+        """A scene that is not finite."""
+        return None if scene.finite else Reason.BAD_SCENE
+
+    def observe(self, memory: Memory[int], scene: Scene) -> tuple[Instant, Memory[int]]:
+        """Take in a scene."""
+        now = observe(memory, scene, self.config)
+        return now, now.memory
+
+    def plans(self, now: Instant, proposal: Target) -> Iterator[Tried[int]]:
+        """The target for one more frame, and then what takes its place."""
+        fails = fail_lanes(now, proposal.lane)
+        lanes, speeds = [proposal.lane] * len(fails), [proposal.speed] * len(fails)
+        paths, result = now.judge(brake_candidates(now.scene, lanes, speeds, fails, 1, self.config.braking))
+        i = first_verified(result.margin)
+        plan = Plan(proposal, float(result.margin[i]), fails[i], paths[i], result.binding(i))
+        yield Tried(Tier.PASSED, Reason.NONE, plan)
+        for each in self._repair.plans(now, proposal):
+            yield Tried(Tier.GOVERNED, Reason.UNVERIFIED, each)
+
+    def fall_back(self, now: Instant, proposal: Target, tried: list[Tried[int]]) -> Tried[int]:
+        """The stored plan is kept as long as it clears those who have broken no rule; among what clears them, what
+        clears the others longest is taken."""
+        violated, reason = now.memory.watch.violated, Reason.NO_SAFE_PLAN
+        kept = None if now.memory.stored is None else now.fail_safe(lawful=True)
+        if kept is not None and (kept.margin >= -ROUNDING or not violated):
+            if violated:
+                plan, lawful = _evade(now, proposal)
+                if lawful >= 0:
+                    return Tried(Tier.EVADED, reason, plan)
+            elif kept.margin >= -ROUNDING:
+                reason = Reason.PRECAUTION
+            command = FrameCommand(kept.lane, -self.config.braking)
+            entered = now.memory.entered
+            stored = Plan(command, kept.margin, kept.lane, kept.path, kept.binding, entered=entered)
+            return Tried(Tier.STORED_PLAN, reason, stored)
+        if now.scene.likely is not None:
+            # Through noise it is the bounds that nothing clears, and not yet the others.
+            return Tried(Tier.LARGEST_MARGIN, reason, _likeliest(now, proposal))
+        return Tried(Tier.LARGEST_MARGIN, reason, _evade(now, proposal)[0])
+
+    def last_resort(self, memory: Memory[int], scene: Scene | Unreadable, proposal: Target) -> tuple[Tier, Plan[int]]:
+        """Brake in the stored lane; without one, in the target's."""
+        lane = proposal.lane if memory.stored is None else memory.stored
+        command = FrameCommand(lane, -self.config.braking)
+        return Tier.EMERGENCY, Plan(command, stored=memory.stored, entered=memory.entered)
+
+
+def _evade(now: Instant, target: Target) -> tuple[Plan[int], float]:
+    """What clears everybody longest among what clears those who have broken no rule; and its margin from the latter
+    [m], negative where nothing does.
+
+    From one who has broken a rule the worst case may be that nothing helps: longest is as long as is expected, with
+    everybody at constant speed, and of what is expected to stay clear as long, what does so in the worst case. Who
+    brakes before the ego is not expected to go on braking: it is the worst case that says so.
+    """
+    candidates, accelerations = _evasions(now, target)
+    paths, result = now.judge(candidates)
+    lawful, expected = result.margin, result
+    if now.memory.watch.violated:
+        lawful = now.lawful.clearance(paths, candidates.lanes, candidates.fails).margin
+        expected = now.survey.clearance(paths, candidates.lanes, candidates.fails, hold=paths.shape[1])
+    keeps = lawful >= 0
+    some = np.flatnonzero(keeps if keeps.any() else ~keeps)
+    i = int(some[least_bad_evasion(_rows(expected, some), _rows(result, some))])
+    return _plan(candidates, accelerations, paths, result, i), float(lawful[i])
+
+
+def _likeliest(now: Instant, target: Target) -> Plan[int]:
+    """What clears everybody longest among what clears bounds on them that are as wide as anything clears; in the ego's
+    own lane, and only where nothing does there, in others."""
+    candidates, accelerations = _evasions(now, target)
+    paths, result = now.judge(candidates)
+    own = candidates.lanes == now.here
+    narrow: list[Clearance] = []
+
+    def clear() -> Iterator[BoolArray]:
+        for share in _SHARES:
+            narrow.append(now.narrowed(share).clearance(paths, candidates.lanes, candidates.fails))
+            yield own & (narrow[-1].margin >= 0)
+        for each in narrow:
+            yield ~own & (each.margin >= 0)
+
+    chosen = next((some for some in clear() if some.any()), None)
+    i = least_bad(narrow[-1]) if chosen is None else _least_bad_of(result, chosen)
+    return _plan(candidates, accelerations, paths, result, i)
+
+
+def _least_bad_of(result: Clearance, some: BoolArray) -> int:
+    """`least_bad` of some of the candidates, (n,) bool."""
+    which = np.flatnonzero(some)
+    return int(which[least_bad(_rows(result, which))])
+
+
+def _rows(result: Clearance, which: IntArray) -> Clearance:
+    return Clearance(result.margin[which], result.clear[which])
+
+
+def _plan(candidates: Brakes, accelerations: FloatArray, paths: FloatArray, result: Clearance, i: int) -> Plan[int]:
+    """One of the candidates."""
+    command = FrameCommand(int(candidates.lanes[i]), float(accelerations[i]))
+    return Plan(command, float(result.margin[i]), int(candidates.fails[i]), paths[i], result.binding(i))
+
+
+def _evasions(now: Instant, target: Target) -> tuple[Brakes, FloatArray]:
+    """Accelerations in the ego's lane and its neighbours, each of which stops where it steers to."""
+    scene, here, grid = now.scene, now.here, _accelerations(now, target)
+    lanes = [lane for lane in (here, here - 1, here + 1) if 0 <= lane < scene.road.centers.size]
+    if now.memory.stored is not None and now.memory.stored not in lanes:
+        lanes.append(now.memory.stored)
+    steer, accelerations = np.repeat(lanes, grid.size), np.tile(grid, len(lanes))
+    speeds = float(scene.ego[State.SPEED]) + accelerations / KP_SPEED
+    return brake_candidates(scene, steer, speeds, steer, 1, now.config.braking), accelerations
+
+
+def _accelerations(now: Instant, target: Target) -> FloatArray:
+    wish, braking = KP_SPEED * (target.speed - float(now.scene.ego[State.SPEED])), now.config.braking
+    return np.linspace(-braking, max(min(wish, GREATEST), -braking), ACCELERATIONS)
+
+
+def held_back_speeds(now: Instant, target: Target) -> set[float]:
+    """Speeds to which `HoldBack` may hold a target back, one for each of `CAPS` [m/s]: what verifies with one of them
+    verifies at the first frame too."""
+    grid = _accelerations(now, target)
+    places = np.searchsorted(grid, KP_SPEED * np.array(CAPS), side="right") - 1
+    return {float(now.scene.ego[State.SPEED]) + a / KP_SPEED for a in grid[np.maximum(places, 0)].tolist()}
+
+
+def fail_lanes(now: Instant, lane: int) -> list[int]:
+    """Lanes in which the fail-safe may stop: the committed one, the one that the ego is in, and the stored one."""
+    here, stored = now.here, now.memory.stored
+    if stored is None or abs(stored - here) > 1:
+        stored = here
+    return list(dict.fromkeys((lane, here, stored)))
+
+
+def first_verified(margins: FloatArray) -> int:
+    """The first that verifies, in order of preference; the largest margin if none does."""
+    for i, margin in enumerate(margins.tolist()):
+        if margin >= 0:
+            return i
+    return int(margins.argmax())

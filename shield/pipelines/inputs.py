@@ -1,0 +1,257 @@
+"""The procedure for throttle and steering: the nearest input that verifies.
+
+An input (a, delta) is verified for as long as it is held: after it, the fail-safe (brake to a stop in a lane, steered
+by highway-env's own lane controller) must stay clear of every place where the others can be, the ego's body must stay
+on the road, and the ego must not roll backwards. A proposal that does not verify is replaced by the nearest input that
+does (`shield.alternatives.nearest_input`); where the search finds none, by the first input of the predictive filter's
+plan (`mpc.filter.predictive_filter`), which is verified like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from dynamics.scenes.scene import Scene
+from dynamics.state import FloatArray, RoadState, State
+from dynamics.vehicle.actuators import Actuators
+from dynamics.vehicle.bicycle import LENGTH
+from mpc.filter.program.road_step import StageModel
+from shield.alternatives.nearest_input import Judged, Search
+from shield.alternatives.predicted_input import Predictor
+from shield.certificate.road.clauses.edge import verdicts
+from shield.certificate.road.memory import Instant, Memory, observe
+from shield.certificate.road.verify import ROUNDING, Binding, Surveyor, least_bad_evasion
+from shield.config import ShieldConfig
+from shield.decision import Reason, Tier
+from shield.errors import ConfigError
+from shield.pipelines.decide import Plan, Tried, Unreadable
+from shield.pipelines.execution import EveryDecision, EveryFrame, Execution
+
+__all__ = ["Inputs"]
+
+_EVASIONS = 9
+"""Accelerations that are tried for each lane where somebody has broken a rule."""
+
+
+class Inputs:
+    """Decides about throttle and steering on a road.
+
+    Parameters
+    ----------
+    config : settings.
+    actuators : what the policy controls.
+    hold : where the shield acts through the actions only, the simulation frames for which each is held. Without it, the
+        shield acts at every frame, and may use throttle, brake (`config.braking`) and wheel in any case.
+    predictive : whether the predictive filter takes part in the repair.
+    model : what the predictive filter plans with; the bicycle by default. Its plans are verified on the bicycle.
+    norm : what the nearest input is nearest in, one of `shield.config.NORMS`; `config.norm` by default.
+
+    Raises
+    ------
+    ConfigError
+        If the mode is one of the rules for meta-actions.
+    """
+
+    def __init__(
+        self,
+        config: ShieldConfig,
+        actuators: Actuators | None = None,
+        hold: int | None = None,
+        predictive: bool = True,
+        model: StageModel | None = None,
+        norm: str | None = None,
+    ) -> None:
+        if config.mode not in ("none", "full"):
+            raise ConfigError(f"mode {config.mode!r} judges meta-actions; for ContinuousAction use none or full")
+        self.actuators = actuators if actuators is not None else Actuators()
+        self.execution: Execution = EveryFrame(config)
+        if hold is not None:
+            self.execution = EveryDecision(config, self.actuators, hold)
+            predictive = predictive and self.actuators.size == 2
+        self.config = self.execution.config
+        self.norm = self.config.norm if norm is None else norm
+        self.predictor: Predictor | None = None
+        if predictive:
+            self.predictor = Predictor(self.config, self.actuators, self.execution.frames, model)
+
+    def prepare(self, scene: Scene) -> None:
+        """Compute what depends on the road alone, so that no frame has to wait for it."""
+        if scene.finite:
+            now, _ = self.observe(Memory(), scene)
+            self.judge(now, np.zeros((1, 2)), self.stop_lanes(now)[:1])
+            if self.predictor is not None:
+                self.predictor.prepare(scene)
+
+    def refuses(self, scene: Scene, proposal: FloatArray | None) -> Reason | None:
+        """A proposal that is no input, or a scene that is not finite."""
+        if proposal is None:
+            return Reason.BAD_ACTION
+        return None if scene.finite else Reason.BAD_SCENE
+
+    def observe(self, memory: Memory[int], scene: Scene) -> tuple[Instant, Memory[int]]:
+        """Take in a scene."""
+        now = observe(memory, scene, self.config, self.execution.frames)
+        return now, now.memory
+
+    def plans(self, now: Instant, proposal: FloatArray) -> Iterator[Tried[int]]:
+        """The proposal, and then what takes its place."""
+        first, *others = self.stop_lanes(now)
+        judged = self.judge(now, proposal[None], [first])
+        if not judged.margin[0] >= 0 and others:
+            judged = self.judge(now, proposal[None], [first, *others])
+        yield Tried(Tier.PASSED, Reason.NONE, replace(self.plan(now, judged), action=proposal))
+        for plan in self.repairs(now, proposal, judged):
+            yield Tried(Tier.GOVERNED, Reason.UNVERIFIED, plan)
+
+    def repairs(self, now: Instant, proposal: FloatArray, first: Judged) -> Iterator[Plan[int]]:
+        """The nearest input, the least bad where none verifies; and then that of the predictive filter.
+
+        Parameters
+        ----------
+        first : the proposal, judged.
+        """
+        lane = self._stop_lane(now)
+        floor = np.array([self._floor(now.scene), -np.inf])
+        lanes = list(dict.fromkeys((lane, int(first.lanes[0]))))
+        least = np.minimum((-self.config.braking, self.actuators.steering[0]), proposal)
+        most = np.maximum((self.actuators.acceleration[1], self.actuators.steering[1]), proposal)
+
+        def judge(inputs: FloatArray, lanes: list[int], parts: bool) -> Judged:
+            return self.judge(now, inputs, lanes, parts)
+
+        bounds = np.maximum(least, floor), np.maximum(most, floor)
+        search = Search(judge, proposal, self._spans(now.scene), *bounds)
+        law = self.execution.law(now.scene, lane)
+        yield self.plan(now, search.run(lanes, law, self.stop_lanes(now)))
+        if self.predictor is not None:
+            planned = self.predictor.plan(now, proposal, int(first.lanes[0]))
+            if planned is not None:
+                found = self.judge(now, np.maximum(planned[0], floor)[None], lanes)
+                yield replace(self.plan(now, found), predicted=planned)
+
+    def fall_back(self, now: Instant, proposal: FloatArray, tried: list[Tried[int]]) -> Tried[int]:
+        """The stored plan is kept as long as it clears those who have broken no rule; among what clears them, what
+        clears the others longest is taken."""
+        violated, reason, lane = now.memory.watch.violated, Reason.NO_SAFE_PLAN, now.memory.stored
+        if lane is not None:
+            law = self.execution.law(now.scene, lane)[None]
+            stored = self.judge(now, law, [lane], survey=now.lawful.without_cut_ins())
+            keeps = bool(stored.margin[0] >= -ROUNDING)
+            if keeps and violated:
+                evading = self._evade(now)
+                if evading is not None:
+                    return Tried(Tier.EVADED, reason, self.plan(now, evading))
+            if keeps and not violated:
+                reason = Reason.PRECAUTION
+            if keeps or not violated:
+                return Tried(Tier.STORED_PLAN, reason, replace(self.plan(now, stored), action=law[0]))
+        # The first of the repairs: the least bad that the search has found.
+        return Tried(Tier.LARGEST_MARGIN, reason, tried[1].plan)
+
+    def last_resort(
+        self, memory: Memory[int], scene: Scene | Unreadable, proposal: FloatArray | None
+    ) -> tuple[Tier, Plan[int]]:
+        """Brake in the stored lane where there is one; with the wheel straight where nothing can be seen."""
+        inputs = np.array([-self.config.braking, 0.0])
+        if isinstance(scene, Unreadable):
+            # NaN, where the speed is not known, is braking at full.
+            inputs[0] = np.fmin(np.fmax(inputs[0], scene.stopping), self.config.braking)
+        elif np.isfinite(scene.ego).all():
+            here = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
+            inputs = self.execution.law(scene, here if memory.stored is None else memory.stored)
+        return Tier.EMERGENCY, Plan(inputs, stored=memory.stored, entered=memory.entered)
+
+    # -- pieces ------------------------------------------------------------------------------------------
+
+    def judge(
+        self,
+        now: Instant,
+        inputs: FloatArray,
+        stops: list[int],
+        parts: bool = False,
+        survey: Surveyor | None = None,
+    ) -> Judged:
+        """Each input (n, 2) and then the fail-safe, in the first of the lanes `stops` where that verifies.
+
+        With `parts`, for which there must be one lane only, what their margins are made of comes along. `survey` is who
+        judges, everybody being looked at by default.
+        """
+        scene, frames = now.scene, self.execution.frames
+        inputs = self.execution.exact(inputs)
+        n, f = len(inputs), len(stops)
+        fails = np.array(stops * n)
+        held = inputs[:, None] if frames == 1 else np.repeat(inputs[:, None], frames, axis=1)
+        paths = self.execution.stops(scene, now.rollouts.run_inputs(scene.ego_road, held), fails)
+        entered, edges, allowed, on_road = now.survey.entered(paths, fails)
+        survey = survey if survey is not None else now.survey
+        result = survey.clearance(paths, entered, fails)
+        margin = verdicts(result.margin, edges, allowed, paths, frames)
+        clear = np.minimum(result.clear, on_road)
+        of = np.hstack([result.parts, edges]) if parts else None
+
+        def bind(row: int) -> Binding:
+            if not margin[row] < result.margin[row]:
+                return result.binding(row)
+            return Binding("edge" if np.isfinite(margin[row]) or not allowed[row] else "rollback")
+
+        if f == 1:
+            return Judged(inputs, margin, clear, fails, paths, of, bind)
+        # The first lane that verifies, in order; else the best.
+        each = margin.reshape(n, f)
+        good = each >= 0
+        pick = np.where(good.any(axis=1), good.argmax(axis=1), np.nan_to_num(each, nan=-np.inf).argmax(axis=1))
+        rows = np.arange(n) * f + pick
+        return Judged(inputs, margin[rows], clear[rows], fails[rows], paths[rows], bind=lambda i: bind(int(rows[i])))
+
+    def plan(self, now: Instant, judged: Judged) -> Plan[int]:
+        """The plan of an input that has been judged."""
+        path, occupancy = np.vstack([now.scene.ego_road, judged.paths[0]]), None
+        if self.config.record:
+            occupancy = now.survey.around.occupancy(len(judged.paths[0])).rectangles()
+        margin, clear = float(judged.margin[0]), int(judged.clear[0])
+        stop = int(judged.lanes[0])
+        entered = int(now.survey.entered(judged.paths[:1], judged.lanes[:1])[0][0])
+        plan = Plan(judged.inputs[0], margin, stop, path, judged.bind(0), clear, occupancy)
+        return plan if entered == stop else replace(plan, entered=entered)
+
+    def stop_lanes(self, now: Instant) -> list[int]:
+        """Lanes in which the fail-safe may stop, in order of preference."""
+        near = (self._stop_lane(now), now.here, now.here - 1, now.here + 1)
+        return list(dict.fromkeys(i for i in near if 0 <= i < now.scene.road.centers.size))
+
+    def _evade(self, now: Instant) -> Judged | None:
+        """What is expected to clear everybody longest among what clears those who have broken no rule, see
+        `shield.pipelines.frames`; None where nothing does."""
+        lanes, braking = self.stop_lanes(now), self.config.braking
+        accelerations = np.linspace(-braking, self.actuators.acceleration[1], _EVASIONS)
+        wheels = [float(self.execution.law(now.scene, lane)[1]) for lane in lanes]
+        floored = np.maximum(accelerations, self._floor(now.scene))
+        inputs = np.array([(a, wheel) for wheel in wheels for a in floored])
+        lawful = self.judge(now, inputs, lanes, survey=now.lawful)
+        keeps = np.flatnonzero(lawful.margin >= 0)
+        if not keeps.size:
+            return None
+        paths, fails = lawful.paths[keeps], lawful.lanes[keeps]
+        entered = now.survey.entered(paths, fails)[0]
+        expected = now.survey.clearance(paths, entered, fails, hold=paths.shape[1])
+        i = keeps[least_bad_evasion(expected, now.survey.clearance(paths, entered, fails))]
+        return self.judge(now, inputs[i : i + 1], [int(lawful.lanes[i])])
+
+    def _stop_lane(self, now: Instant) -> int:
+        """The lane in which the fail-safe of the frame before would stop, however far; the ego's own without one."""
+        return now.here if now.memory.stored is None else int(now.memory.stored)
+
+    def _floor(self, scene: Scene) -> float:
+        """The acceleration that just stops the ego before the next scene [m/s^2]."""
+        return -max(float(scene.ego[State.SPEED]), 0.0) / (self.execution.frames * scene.dt)
+
+    def _spans(self, scene: Scene) -> FloatArray:
+        """Changes of throttle and steering that count alike, (2,) [m/s^2, rad]."""
+        along, across = float(np.ptp(self.actuators.acceleration)), float(np.ptp(self.actuators.steering))
+        if self.norm == "acceleration":
+            v, along = max(float(scene.ego[State.SPEED]), 1.0), along or self.config.braking
+            across = min(along * LENGTH / v**2, across or np.inf)
+        return np.array([along, across])

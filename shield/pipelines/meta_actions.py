@@ -1,0 +1,201 @@
+"""The procedure for meta-actions: propose, rules, verify, repair, fall back.
+
+The invariant: if a scene admits a verified plan and the others keep to the assumptions, nothing that is let through or
+substituted ever brings the ego nearer to another vehicle than the buffer. It holds by induction: an action is executed
+for one frame only if, after it, the fail-safe manoeuvre (brake to a stop in a lane) stays clear of every place where
+the others can be; where nothing verifies, the fail-safe verified at the frame before is played on.
+
+The frames between two decisions are supervised by `shield.pipelines.frames`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import takewhile
+from typing import Any
+
+import numpy as np
+
+from dynamics.scenes.scene import Scene, Target
+from dynamics.state import FloatArray
+from shield.alternatives.preference import default_order, resolve
+from shield.certificate.road.manoeuvres import brake_candidates
+from shield.certificate.road.memory import Instant, Memory, observe
+from shield.certificate.road.verify import ROUNDING
+from shield.config import ShieldConfig
+from shield.decision import Reason, Tier
+from shield.pipelines.decide import Plan, Tried, Unreadable
+from shield.pipelines.frames import HoldBack, fail_lanes, first_verified, held_back_speeds
+from shield.pipelines.screen import Screen, Wish, slower
+
+__all__ = ["MetaActions"]
+
+
+class MetaActions:
+    """Decides about meta-actions.
+
+    Parameters
+    ----------
+    config : settings.
+
+    Attributes
+    ----------
+    screen : the rules that are run before anything is verified.
+    """
+
+    def __init__(self, config: ShieldConfig) -> None:
+        self.config = config
+        self.screen, self._hold_back = Screen(config), HoldBack(begins=True)
+
+    def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
+        """A proposal that is no action, or a scene that is not finite."""
+        return self.screen.refuses(scene, proposal)
+
+    def observe(self, memory: Memory[int], scene: Scene) -> tuple[Instant, Memory[int]]:
+        """Take in a scene."""
+        now = observe(memory, scene, self.config)
+        return now, now.memory
+
+    def plans(self, now: Instant, proposal: Wish) -> Iterator[Tried[int]]:
+        """The proposal; itself with another speed; alternatives; itself held back; and then whatever verifies."""
+        scene, action = now.scene, proposal.action
+        target = scene.target_of(action)
+        changes = _changes_lane(now, target)
+        if self.screen.buffer.objects(scene, target):
+            reason = Reason.BUFFER
+        else:
+            # A longitudinal proposal can be held back by the frames; a lane change should be able to end well.
+            (plan,) = self._verify(now, [action], [target], forecast=changes)
+            yield Tried(Tier.PASSED, Reason.NONE, plan)
+            reason = self.screen.why(scene, target)
+        labels = scene.control.actions
+        targets = [scene.target_of(a) for a in range(len(labels))]
+        alternatives = self._alternatives(now, proposal, targets, changes)
+        if changes:
+            # A lane change that only its speed stands in the way of.
+            for plan in self._verify_actions(now, [action], targets):
+                yield Tried(Tier.GOVERNED, reason, plan)
+        for plan in self._verify_actions(now, alternatives, targets):
+            yield Tried(Tier.ALTERNATIVE, reason, plan)
+        # An override that has no policy order behind it holds the proposal back rather than drop it.
+        kept = ([] if changes else [action]) + [labels.index(x) for x in ("IDLE", "SLOWER") if x in labels]
+        for a in kept:
+            for held in self._hold_back.plans(now, targets[a]):
+                yield Tried(Tier.GOVERNED, reason, replace(held, action=a, path=_from_here(now, held.path)))
+        # Whatever is left, whether or not it is expected to last: the certificate needs one frame only.
+        rest = [a for a in range(len(labels)) if a != action]
+        for plan in self._verify_actions(now, rest, targets, forecast=False):
+            yield Tried(Tier.ALTERNATIVE, reason, plan)
+
+    def fall_back(self, now: Instant, proposal: Wish, tried: list[Tried[int]]) -> Tried[int]:
+        """Slow down, and leave it to the frames to play the stored plan on."""
+        tier, plan = self.last_resort(now.memory, now.scene, proposal)
+        held = tier is Tier.STORED_PLAN and not now.memory.watch.violated and now.fail_safe().margin >= -ROUNDING
+        return Tried(tier, Reason.PRECAUTION if held else Reason.NO_SAFE_PLAN, plan)
+
+    def last_resort(self, memory: Memory[int], scene: Scene | Unreadable, proposal: Wish) -> tuple[Tier, Plan[int]]:
+        """The same."""
+        tier = Tier.STORED_PLAN if memory.stored is not None else Tier.EMERGENCY
+        return tier, Plan(slower(proposal.labels), stored=memory.stored, entered=memory.entered)
+
+    def mask(self, memory: Memory[int], scene: Scene) -> Any:
+        """Which actions verify as they are, (actions,) bool; all False only if none does."""
+        labels = scene.control.actions
+        mask = np.zeros(len(labels), dtype=bool)
+        if not scene.finite:
+            return mask
+        now = observe(memory, scene, self.config)
+        targets = [scene.target_of(a) for a in range(len(labels))]
+        for forecast in (False, True):
+            group = [
+                a
+                for a, target in enumerate(targets)
+                if _changes_lane(now, target) is forecast and not self.screen.buffer.objects(scene, target)
+            ]
+            if group:
+                plans = self._verify(now, group, [targets[a] for a in group], forecast)
+                mask[group] = [plan.verified for plan in plans]
+        return mask
+
+    def lasts(self, now: Instant, action: int) -> bool:
+        """Whether an action has to be expected to last for the whole decision, beside verifying for a frame."""
+        return _changes_lane(now, now.scene.target_of(action))
+
+    # -- pieces ------------------------------------------------------------------------------------------
+
+    def _alternatives(self, now: Instant, proposal: Wish, targets: list[Target], changes: bool) -> list[int]:
+        """What is tried in the proposal's place: the policy's order, or the documented one without one."""
+        labels, wanted = now.scene.control.actions, resolve(proposal.order)
+        if wanted is None:
+            # What can be held back comes before what slows down on purpose.
+            stop = ("SLOWER",) if changes else ("FASTER", "IDLE", "SLOWER")
+            ordered = default_order(now.scene, proposal.action, targets)
+            wanted = list(takewhile(lambda a: labels[a] not in stop, ordered))
+        # An action that sets the same target would be the same action under another name.
+        return [a for a in wanted if a != proposal.action and targets[a] != targets[proposal.action]]
+
+    def _verify(
+        self, now: Instant, actions: Sequence[int], targets: list[Target], forecast: bool = False
+    ) -> list[Plan[int]]:
+        """Each target committed to for one frame: the bound that the certificate rests on.
+
+        With `forecast`, those that are expected to need holding back within the decision period (at constant speed
+        of the others) are marked down too: an alternative should last for the whole period.
+        """
+        scene = now.scene
+        pairs = [(i, f) for i, t in enumerate(targets) for f in fail_lanes(now, t.lane)]
+        lanes, speeds = [targets[i].lane for i, _ in pairs], [targets[i].speed for i, _ in pairs]
+        fails = [f for _, f in pairs]
+        period, braking = scene.frames_per_decision, self.config.braking
+        paths, bound = now.judge(brake_candidates(scene, lanes, speeds, fails, 1, braking))
+        margins, results = bound.margin, [bound] * len(pairs)
+        if forecast:
+            lasting = brake_candidates(scene, lanes, speeds, fails, period, braking)
+            paths, expected = now.judge(lasting, period)
+            sooner = expected.margin < margins
+            margins = np.minimum(margins, expected.margin)
+            results = [expected if earlier else bound for earlier in sooner]
+        owner = np.array([i for i, _ in pairs])
+        out = []
+        for i, action in enumerate(actions):
+            rows = np.flatnonzero(owner == i)
+            best = int(rows[first_verified(margins[rows])])
+            path, occupancy = paths[best], None
+            if self.config.record:
+                hold = period if forecast else 0
+                occupancy = now.survey.around.occupancy(len(path), hold).rectangles()
+            path, binding = _from_here(now, path), results[best].binding(best)
+            out.append(Plan(action, float(margins[best]), fails[best], path, binding, occupancy=occupancy))
+        return out
+
+    def _verify_actions(
+        self, now: Instant, actions: Sequence[int], targets: list[Target], forecast: bool = True
+    ) -> list[Plan[int]]:
+        """Verify alternatives in one batch; a lane change also with its speed held back by the frames."""
+        labels = now.scene.control.actions
+        owner: list[int] = []
+        tried: list[Target] = []
+        for a in actions:
+            if self.screen.buffer.objects(now.scene, targets[a]):
+                continue
+            speeds = {targets[a].speed}
+            if labels[a].startswith("LANE"):
+                speeds |= held_back_speeds(now, targets[a])
+            owner += [a] * len(speeds)
+            tried += [Target(targets[a].lane, speed) for speed in sorted(speeds)]
+        if not tried:
+            return []
+        best: dict[int, Plan[int]] = {}
+        for plan in self._verify(now, owner, tried, forecast):
+            if plan.action not in best or plan.margin > best[plan.action].margin:
+                best[plan.action] = plan
+        return [best[a] for a in actions if a in best]
+
+
+def _from_here(now: Instant, path: FloatArray | None) -> FloatArray:
+    return np.vstack([now.scene.ego_road, np.empty((0, 4)) if path is None else path])
+
+
+def _changes_lane(now: Instant, target: Target) -> bool:
+    return target.lane != now.here

@@ -1,0 +1,121 @@
+"""The procedure for meta-actions only: what `Shield.predict` runs, once per decision.
+
+Without a brake of its own, the fail-safe is a sequence of meta-actions: each action, a lane change among them, and
+then SLOWER to the end. Where the ego's slowest target speed is above zero it cannot stop, and a
+sequence is verified over `ShieldConfig.horizon` only: that is what its certificate says, and no more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from dynamics.scenes.scene import Scene
+from dynamics.state import FloatArray
+from dynamics.vehicle.rollouts import Rollouts
+from shield.alternatives.preference import default_order, resolve
+from shield.certificate.road.manoeuvres import meta_candidates
+from shield.certificate.road.memory import Instant, Memory, observe
+from shield.certificate.road.verify import Surveyor
+from shield.config import ShieldConfig
+from shield.decision import Reason, Tier
+from shield.pipelines.decide import Plan, Tried, Unreadable
+from shield.pipelines.screen import Screen, Wish, slower
+
+__all__ = ["MetaActionsOnly"]
+
+Sequel = tuple[int, ...]
+"""Actions that are left of a sequence."""
+
+
+class MetaActionsOnly:
+    """Decides about meta-actions whose frames nobody supervises.
+
+    Parameters
+    ----------
+    config : settings; `ShieldConfig.for_meta_actions()` by default.
+    """
+
+    def __init__(self, config: ShieldConfig | None = None) -> None:
+        self.config = config if config is not None else ShieldConfig.for_meta_actions()
+        self.screen = Screen(self.config)
+
+    def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
+        """A proposal that is no action, or a scene that is not finite."""
+        return self.screen.refuses(scene, proposal)
+
+    def observe(self, memory: Memory[Sequel], scene: Scene) -> tuple[Instant, Memory[Sequel]]:
+        """Take in a scene."""
+        rollouts = Rollouts(scene.dt, scene.road)
+
+        def fail_safe(survey: Surveyor) -> FloatArray:
+            # The ego has no brake: what counts is the room for the slowest that its actions allow.
+            candidates, _ = meta_candidates(scene, [slower(scene.control.actions)], self.config.horizon)
+            paths = candidates.paths(rollouts, scene.ego_road)
+            return survey.of_each(survey.clearance(paths, candidates.lanes, candidates.fails))
+
+        now = observe(memory, scene, self.config, scene.frames_per_decision, fail_safe)
+        return now, now.memory
+
+    def plans(self, now: Instant, proposal: Wish) -> Iterator[Tried[Sequel]]:
+        """The proposal, and then the others in order."""
+        scene = now.scene
+        target = scene.target_of(proposal.action)
+        if self.screen.buffer.objects(scene, target):
+            reason = Reason.BUFFER
+        else:
+            yield Tried(Tier.PASSED, Reason.NONE, self._judge(now, [proposal.action])[0])
+            reason = self.screen.why(scene, target)
+        for plan in self._judge(now, self._others(scene, proposal)):
+            yield Tried(Tier.ALTERNATIVE, reason, plan)
+
+    def fall_back(self, now: Instant, proposal: Wish, tried: list[Tried[Sequel]]) -> Tried[Sequel]:
+        """The stored sequence, unless somebody has broken a rule; else what stays clear longest, then has the largest
+        margin, then is slowest."""
+        reason, scene = Reason.NO_SAFE_PLAN, now.scene
+        if (now.memory.stored and not now.memory.watch.violated) or not tried:
+            tier, plan = self.last_resort(now.memory, scene, proposal)
+            return Tried(tier, reason, plan)
+        # The proposal comes last: the first of equals is taken.
+        plans = sorted((each.plan for each in tried), key=lambda plan: plan.action == proposal.action)
+        plan = max(plans, key=lambda x: (x.clear, x.margin, -scene.target_of(x.action).speed))
+        return Tried(Tier.LARGEST_MARGIN, reason, plan)
+
+    def last_resort(
+        self, memory: Memory[Sequel], scene: Scene | Unreadable, proposal: Wish
+    ) -> tuple[Tier, Plan[Sequel]]:
+        """Play the stored sequence on, or slow down."""
+        if memory.stored:
+            return Tier.STORED_PLAN, Plan(memory.stored[0], stored=memory.stored[1:])
+        return Tier.EMERGENCY, Plan(slower(proposal.labels), stored=memory.stored)
+
+    def _others(self, scene: Scene, proposal: Wish) -> list[int]:
+        targets = [scene.target_of(a) for a in range(len(scene.control.actions))]
+        wanted = resolve(proposal.order)
+        if wanted is None:
+            wanted = default_order(scene, proposal.action, targets)
+        return [
+            a
+            for a in wanted
+            if a != proposal.action
+            and targets[a] != targets[proposal.action]
+            and not self.screen.buffer.objects(scene, targets[a])
+        ]
+
+    def _judge(self, now: Instant, actions: Sequence[int]) -> list[Plan[Sequel]]:
+        """For each first action its one sequence."""
+        if not actions:
+            return []
+        scene = now.scene
+        candidates, sequences = meta_candidates(scene, list(actions), self.config.horizon)
+        paths, result = now.judge(candidates)
+        occupancy = None
+        if self.config.record:
+            occupancy = now.survey.around.occupancy(paths.shape[1]).rectangles()
+        out = []
+        for i, action in enumerate(actions):
+            path, left = np.vstack([scene.ego_road, paths[i]]), sequences[i][1:]
+            clear = int(result.clear[i])
+            out.append(Plan(action, float(result.margin[i]), left, path, result.binding(i), clear, occupancy))
+        return out

@@ -1,0 +1,111 @@
+"""What is done about a meta-action before anything is verified: refuse what is no good, and run the rules."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from dynamics.scenes.scene import Scene, Target
+from shield.alternatives.preference import Order, resolve
+from shield.certificate.road.memory import Memory
+from shield.config import ShieldConfig
+from shield.decision import Reason, Tier
+from shield.pipelines.decide import Plan, Tried, Unreadable
+from shield.rules import BufferRule, RssRule, Rule, TtcRule, make_rule
+
+__all__ = ["RuleAlone", "Screen", "Wish", "slower"]
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """A proposed meta-action.
+
+    Attributes
+    ----------
+    action : its index, -1 for what is none. labels : of the actions that there are, by index.
+    order : the alternatives in the policy's order of preference, or a function that gives it; None without one.
+    """
+
+    action: int
+    labels: Sequence[str]
+    order: Order = None
+
+
+class Screen:
+    """The stages in front of verification, for one configuration.
+
+    Attributes
+    ----------
+    buffer : the rule that refuses a lane change into a vehicle alongside.
+    """
+
+    def __init__(self, config: ShieldConfig) -> None:
+        self.buffer = BufferRule(config.buffer.longitudinal)
+        self._explain: tuple[Rule, ...] = (RssRule(config), TtcRule(config.time_to_collision))
+
+    def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
+        """A proposal that is no action, or a scene that is not finite."""
+        if not 0 <= proposal.action < len(proposal.labels):
+            return Reason.BAD_ACTION
+        return None if scene.finite else Reason.BAD_SCENE
+
+    def why(self, scene: Scene, target: Target) -> Reason:
+        """The reason to record for a target that did not verify."""
+        return next((r.reason for r in self._explain if r.objects(scene, target)), Reason.UNVERIFIED)
+
+
+class RuleAlone:
+    """One rule and nothing else: an action that it refuses is replaced by slowing down or, in the mode "ttc-ranking",
+    by the first action in the policy's order of preference that it accepts.
+
+    Parameters
+    ----------
+    config : its `mode` names the rule.
+    rule : one of the user's own instead.
+
+    Attributes
+    ----------
+    rule : the one that decides.
+    """
+
+    def __init__(self, config: ShieldConfig, rule: Rule | None = None) -> None:
+        self.config = config
+        self._screen, self.rule = Screen(config), rule if rule is not None else make_rule(config.mode, config)
+
+    def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
+        """A proposal that is no action, or a scene that is not finite."""
+        return self._screen.refuses(scene, proposal)
+
+    def observe(self, memory: Memory[Any], scene: Scene) -> tuple[Scene, Memory[Any]]:
+        """Nothing is remembered."""
+        return scene, memory
+
+    def plans(self, view: Scene, proposal: Wish) -> Iterator[Tried[Any]]:
+        """The proposal, or the action that replaces it."""
+        executed = next((a for a in self._candidates(proposal) if not self._refuses(view, a)), slower(proposal.labels))
+        passed = executed == proposal.action
+        tier, reason = (Tier.PASSED, Reason.NONE) if passed else (Tier.ALTERNATIVE, self.rule.reason)
+        yield Tried(tier, reason, Plan(executed, trusted=True))
+
+    def _candidates(self, proposal: Wish) -> Iterator[int]:
+        """The proposal and, where the mode has it, the policy's other actions by falling preference."""
+        yield proposal.action
+        if self.config.mode == "ttc-ranking":
+            yield from (a for a in resolve(proposal.order) or () if 0 <= a < len(proposal.labels))
+
+    def _refuses(self, view: Scene, action: int) -> bool:
+        return self.rule.objects(view, view.target_of(action))
+
+    def fall_back(self, view: Scene, proposal: Wish, tried: list[Tried[Any]]) -> Tried[Any]:
+        """Never asked: the rule has a word on everything."""
+        return tried[-1]
+
+    def last_resort(self, memory: Memory[Any], scene: Scene | Unreadable, proposal: Wish) -> tuple[Tier, Plan[Any]]:
+        """Slow down."""
+        return Tier.EMERGENCY, Plan(slower(proposal.labels))
+
+
+def slower(labels: Sequence[str]) -> int:
+    """Index of the action that slows down, or of IDLE where there is none."""
+    return list(labels).index("SLOWER" if "SLOWER" in labels else "IDLE")

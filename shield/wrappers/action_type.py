@@ -1,0 +1,43 @@
+"""The action type that a policy decides about, or an error that says which action types are filtered."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from highway_env.envs.common.action import ContinuousAction
+
+from dynamics.scenes.parking_lot import is_lot
+from shield.errors import ConfigError
+from shield.filters.simulated.remedies import team_by_simulation
+
+__all__ = ["the_action_type"]
+
+_META, _INPUTS = "DiscreteMetaAction", "ContinuousAction"
+
+
+def the_action_type(bases: list[Any], wrapper: str) -> str:
+    """What the policy decides about: "DiscreteMetaAction", or "ContinuousAction", of which `DiscreteAction` is a kind.
+
+    Raises
+    ------
+    ConfigError
+        If it is neither, or not the same in all environments.
+    """
+    kinds = {type(getattr(base, "action_type", None)) for base in bases}
+    if len(kinds) == 1:
+        (kind,) = kinds
+        if issubclass(kind, ContinuousAction):
+            return _INPUTS
+        if kind.__name__ == _META:
+            return _META
+    names = ", ".join(sorted(kind.__name__ for kind in kinds))
+    if names == "MultiAgentAction":
+        instead = team_by_simulation(bases[0])
+        raise ConfigError(
+            f"{wrapper} filters one ego's actions{f'; {instead}' if instead else ', and here are several'}"
+        )
+    valid = _INPUTS if any(map(is_lot, bases)) else _META
+    raise ConfigError(
+        f"{wrapper} filters {_META}, {_INPUTS} or DiscreteAction; this environment has {names}. "
+        f'Pass config={{"action": {{"type": "{valid}"}}}} to gym.make'
+    )

@@ -1,0 +1,63 @@
+"""Which door filters the actions of an environment: by their kind, by its road, and by what is assumed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from shield.config import ShieldConfig
+from shield.errors import ConfigError
+from shield.filters.inputs import InputDoor
+from shield.filters.meta_actions import MetaDoor
+from shield.filters.network import RoadDoor
+from shield.filters.simulated.inputs import ExactInputDoor
+from shield.filters.simulated.meta_actions import ExactDoor
+from shield.perception.perceiving import PerceptionConfig
+from shield.perception.scenes import NO_OBSERVED_SCENES, scenes_of
+from shield.rules import Rule
+
+if TYPE_CHECKING:
+    from mpc.filter.program.road_step import StageModel
+
+__all__ = ["Door", "door_for"]
+
+Door: TypeAlias = MetaDoor | InputDoor | ExactDoor | ExactInputDoor | RoadDoor
+"""What filters the actions of one ego."""
+
+
+def door_for(
+    env: Any,
+    config: ShieldConfig,
+    *,
+    inputs: bool,
+    on_roads: bool,
+    frames: bool = True,
+    perception: str | PerceptionConfig = "simulator",
+    model: StageModel | None = None,
+    rule: Rule | None = None,
+) -> Door:
+    """The door for an environment of one ego.
+
+    Parameters
+    ----------
+    env : the environment. config : settings. inputs : whether its actions are throttle and steering, and no
+        meta-actions. on_roads : whether others have to be looked for on a network of roads.
+    frames, perception : as of `Shield`. model, rule : as of `ShieldedEnv`.
+
+    Raises
+    ------
+    ConfigError, SceneError
+        As of the door, or if it reads the simulator's state and observations are to be read.
+    """
+    base = env.unwrapped
+    if not inputs and not config.simulates and not (on_roads and config.mode == "full"):
+        return MetaDoor(base, config, frames, rule, scenes_of(perception, env))
+    door: Door
+    if inputs and config.simulates:
+        door = ExactInputDoor(base, config)
+    elif inputs:
+        door = InputDoor(base, config, agent=not frames, model=model)
+    else:
+        door = ExactDoor(base, config) if config.simulates else RoadDoor(base, config)
+    if perception != "simulator":
+        raise ConfigError(NO_OBSERVED_SCENES)
+    return door

@@ -1,0 +1,51 @@
+"""Environments that are out of reach: what a shield is told of them beforehand, or asks for once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from shield.environments import is_known
+from shield.errors import ConfigError
+from shield.perception.known import Known
+from shield.perception.perceiving import PerceptionConfig
+from shield.perception.unwrapping import check_wrappers
+
+__all__ = ["known_beforehand"]
+
+
+def known_beforehand(
+    env: Any, known: Known | Sequence[Known] | None, frames: bool, perception: str | PerceptionConfig
+) -> tuple[Known, ...]:
+    """What is known of each environment where nothing but its observations is read; nothing where it is in reach.
+
+    Parameters
+    ----------
+    env : what the actions are meant for, None where there is nothing but `known`.
+    known : what the caller knows of it. frames, perception : as of `Shield`.
+
+    Raises
+    ------
+    ConfigError
+        If frames are to be supervised, or states to be read, of what is out of reach; or if there is not one `Known`
+        for each environment.
+    """
+    remote = env is not None and hasattr(env, "num_envs") and not getattr(env, "envs", None)
+    if known is None and not (remote and perception != "simulator"):
+        return ()
+    if perception == "simulator":
+        raise ConfigError('known is for Shield(..., frames=False, perception="observation", known=...)')
+    if frames:
+        alone = "pass frames=False, or " if known is not None or is_known(env) else ""
+        raise ConfigError(
+            f"the frames between two decisions are out of reach: {alone}put the shield inside, "
+            "SubprocVecEnv([lambda: ShieldedEnv(gym.make(...))])"
+        )
+    if known is None:
+        return Known.of(env)
+    many = int(getattr(env, "num_envs", 1))
+    each = (known,) * many if isinstance(known, Known) else tuple(known)
+    if not each or (env is not None and len(each) != many):
+        raise ConfigError(f"there are {many} environments, and {len(each)} are known")
+    check_wrappers(env, ())
+    return each

@@ -1,0 +1,427 @@
+"""`Shield(policy)`: a drop-in for an SB3 model's `predict` that filters its actions."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from shield.certificate.network.others import has_crossings
+from shield.config import ShieldConfig
+from shield.decision import Decision, Reason, Verification
+from shield.environments import base_environments, frames_of
+from shield.errors import ConfigError
+from shield.filters.discrete_action import action_index
+from shield.filters.inputs import InputDoor
+from shield.filters.meta_actions import MetaDoor
+from shield.filters.simulated.inputs import ExactInputDoor
+from shield.filters.simulated.meta_actions import ExactDoor
+from shield.filters.supervision import Command, Supervision
+from shield.perception.environment_free import BlindScenes
+from shield.perception.known import Known
+from shield.perception.perceiving import PerceptionConfig
+from shield.perception.unwrapping import as_shown
+from shield.wrappers.action_rows import ActionRows, as_numbers
+from shield.wrappers.action_type import the_action_type
+from shield.wrappers.defaults import ChosenSettings, Place, as_settings, choose_settings
+from shield.wrappers.failure_limit import ActionWarning, Patience
+from shield.wrappers.filter_choice import Door, door_for
+from shield.wrappers.known_environments import known_beforehand
+from shield.wrappers.policy_adapters import as_policy, refuse_misfits
+from shield.wrappers.ranking import Ranking
+from shield.wrappers.report import Offences, Statistics, report
+from shield.wrappers.stale_environment import Liveness
+from shield.wrappers.warm_filters import warm_up_door
+from shield.wrappers.wrapped_policy import WrappedPolicy
+
+__all__ = ["Shield"]
+
+_log = logging.getLogger(__name__)
+
+
+class _Proposed(NamedTuple):
+    """What a policy has said: its actions and its state; why it failed, where it has, and what it raised."""
+
+    actions: Any
+    state: Any
+    reason: Reason | None
+    cause: str = ""
+
+
+class Shield(WrappedPolicy):
+    """Wraps a policy; `predict` returns its action where that verifies, and an alternative otherwise.
+
+    The shield reads the simulator's true state unless `perception` says otherwise: the observation alone does not show
+    who drives behind. It also has the last word at each simulation frame between two calls of `predict`, as
+    `ShieldedEnv` does: a meta-action lasts for many frames, in which the world moves on.
+
+    Parameters
+    ----------
+    policy : an SB3 or sb3-contrib model, a bare `BasePolicy`, any object with SB3's `predict()`, a `torch.nn.Module`
+        (scores of the actions, or continuous ones), or a function of the observation.
+    env : the environment(s) that the actions are meant for: a Gymnasium environment or a VecEnv. Without it the
+        environment that the model carries is used; `predict` raises where another one is driven. One of other processes
+        is for `perception="observation"` with `frames=False`: it is asked once for its configuration.
+    config : settings, the path of a TOML file, "simulated" or "worst-case"; the default as of `ShieldedEnv`. In the
+        worst case, meta-actions without `frames` have `ShieldConfig.for_meta_actions()`.
+    frames : whether the frames between two decisions are supervised. Without, `Shield` is a pure filter of actions: it
+        touches nothing but what `predict` returns, and has to look seconds ahead with what it assumes. With
+        `ShieldConfig.exact()` it simulates the traffic instead, and meta-actions need no supervision either way.
+    perception : what scenes are read from: "simulator", its true state, or "observation", nothing of the traffic but
+        what reaches `predict` (Kinematics, grids; meta-actions, a highway), and at the frames between what the
+        environment would show then; or a `PerceptionConfig`, which has the settings of the latter.
+    known : what is known beforehand of the environment, or of each of several; then nothing of it is read but the
+        observations that reach `predict`, and there need not be one. For "observation" with `frames=False`; highways in
+        other processes are asked for it (`Known.of`). Each `predict` is then taken for the next decision; say with
+        `episode_start`, or `reset()`, where an episode begins.
+
+    Raises
+    ------
+    PolicyError
+        If `policy` is none of these, or was made for other observations or actions.
+    ConfigError
+        If there is no highway-env environment to read the scene from, it is shielded already, its actions are neither
+        meta-actions nor continuous, or it is a parking lot and they are not continuous, or cannot brake; or if the
+        settings cannot be read.
+    SceneError
+        If its road is not supported.
+
+    Attributes
+    ----------
+    decisions : the decisions of the last `predict` about the actions alone, one for each environment.
+    frame_decisions : those about the frames since, a list for each environment. Both together are `last_decisions`.
+
+    Examples
+    --------
+    >>> import gymnasium as gym, highway_env
+    >>> class Faster:
+    ...     def predict(self, obs, state=None, episode_start=None, deterministic=False):
+    ...         return 3, state
+    >>> env = gym.make("highway-fast-v0")
+    >>> obs, _ = env.reset(seed=0)
+    >>> shielded = Shield(Faster(), env=env)
+    >>> action, _ = shielded.predict(obs)
+    >>> shielded.last_decision.proposed
+    3
+    """
+
+    def __init__(
+        self,
+        policy: Any,
+        env: Any = None,
+        config: ShieldConfig | str | Path | None = None,
+        frames: bool = True,
+        perception: str | PerceptionConfig = "simulator",
+        known: Known | Sequence[Known] | None = None,
+    ) -> None:
+        if env is None:
+            env = policy.get_env() if callable(getattr(policy, "get_env", None)) else None
+        if env is None and known is None:
+            raise ConfigError(
+                "Shield needs the environment to read the scene from: pass Shield(policy, env=env), "
+                "or load the model with its environment, PPO.load(path, env=env)"
+            )
+        self._env = env
+        self._known = known_beforehand(env, known, frames, perception)
+        self.policy = as_policy(policy, env)
+        self._frames = frames
+        self._doors: list[Door]
+        self._bases: list[Any]
+        if self._known:
+            self._bases, self._inputs = [None] * len(self._known), False
+        else:
+            self._bases = base_environments(env, "Shield")
+            self._inputs = the_action_type(self._bases, "Shield") == "ContinuousAction"
+        refuse_misfits(self.policy, env)
+        self._given, self._perception = as_settings(config), perception
+        n, self._recording = len(self._bases), False
+        self._chosen = [self._settings(i) for i in range(n)]
+        if self._known:
+            settings = perception if isinstance(perception, PerceptionConfig) else None
+            scenes = [BlindScenes(one, settings) for one in self._known]
+            self._doors = [MetaDoor(None, self.config, frames=False, scenes=each) for each in scenes]
+            warm_up_door(self._doors[0])
+        else:
+            self._doors = [self._made(i) for i in range(n)]
+        self._roads: list[Any] = [None] * n
+        self._decided = [0] * n
+        self._patience = [Patience(self.config.patience) for _ in self._bases]
+        self._action_warning = ActionWarning()
+        self._alive = [Liveness(base) for base in self._bases if base is not None]
+        self._supervisions: list[Supervision | None] = [None] * n
+        self._counted = [Offences(door) for door in self._doors]
+        self._statistics = Statistics()
+        self.decisions: list[Decision] = []
+        self.frame_decisions: list[list[Decision]] = [[] for _ in range(n)]
+
+    def _settings(self, i: int) -> ChosenSettings:
+        """What was handed in, or what environment `i` is given without."""
+        observes = bool(self._known) or self._perception != "simulator"
+        return choose_settings(self._given, Place(self._bases[i], self._inputs, self._frames, observes))
+
+    def _made(self, i: int) -> Door:
+        """What filters in environment `i`, by the settings chosen for it."""
+        chosen, base = self._chosen[i], self._bases[i]
+        door = door_for(
+            getattr(self._env, "envs", [self._env])[i],
+            chosen.config,
+            inputs=self._inputs,
+            on_roads=self._frames and not self._inputs and has_crossings(base),
+            frames=self._frames,
+            perception=self._perception,
+        )
+        # After what is refused with frames as well.
+        if chosen.config.simulates and self._inputs and not self._frames:
+            raise ConfigError("Assumptions.exact() verifies throttle and steering at every frame: frames=True")
+        warm_up_door(door)
+        if self._recording:
+            door.record()
+        if i == 0:
+            chosen.announce()
+        return door
+
+    def record(self) -> None:
+        """Keep in each decision from now on what films and overlays draw, as with `ShieldConfig.record`."""
+        self._recording = True
+        for door in self._doors:
+            door.record()
+
+    @property
+    def doors(self) -> tuple[Door, ...]:
+        """What filters, in each environment: its class says what is verified and how."""
+        return tuple(self._doors)
+
+    @property
+    def config(self) -> ShieldConfig:
+        """The settings (of the first environment, where there are several)."""
+        return self._chosen[0].config
+
+    @property
+    def verification(self) -> Verification:
+        """What actions are verified against (in the first environment, where there are several)."""
+        return self._chosen[0].verification
+
+    @property
+    def promise(self) -> str:
+        """What that promises, in a sentence."""
+        return self._chosen[0].promise
+
+    @property
+    def last_decisions(self) -> list[Decision]:
+        """The record of the step since the last `predict`, of each environment: the decision and its frames so far
+        (`Decision.with_frames`)."""
+        return [each.with_frames(self.frame_decisions[i]) for i, each in enumerate(self.decisions)]
+
+    @property
+    def last_decision(self) -> Decision | None:
+        """The record of the first environment in `last_decisions`, which `report()` is read from; None before the first
+        `predict`."""
+        return self.last_decisions[0] if self.decisions else None
+
+    def report(self, i: int = 0) -> dict[str, Any]:
+        """What `ShieldedEnv` has in `info["shield"]`, of environment `i` since the last `predict`.
+
+        Raises
+        ------
+        ConfigError
+            If there has been none.
+        """
+        if not self.decisions:
+            raise ConfigError("report() is about the last decision; call predict() first")
+        base = self._bases[i]
+        same = base is not None and base.road is self._roads[i]
+        if same and base.steps >= self._decided[i] + frames_of(base):
+            # The decision has been driven, and none may come that judges the last frame of it.
+            self._doors[i].look()
+        offences = self._counted[i].since(self._doors[i])
+        told = report(self.decisions[i].with_frames(self.frame_decisions[i]), *offences)
+        return {**told, "verification": self._chosen[i].verification.value}
+
+    @property
+    def statistics(self) -> Statistics:
+        """What has been done since this shield was made, in all environments."""
+        statistics = deepcopy(self._statistics)
+        for i in range(len(self.decisions)):
+            statistics.add(self.report(i), self._latency(i))
+        return statistics
+
+    @property
+    def latency(self) -> float:
+        """All the time that the shield took since `predict` was called last, the policy's own excepted [s]."""
+        return sum(self._latency(i) for i in range(len(self.decisions)))
+
+    def _latency(self, i: int) -> float:
+        return sum(d.latency for d in (self.decisions[i], *self.frame_decisions[i]))
+
+    def reset(self) -> None:
+        """Forget everything; done by itself when an environment starts a new episode."""
+        self._statistics = self.statistics
+        for i, door in enumerate(self._doors):
+            door.reset()
+            self._unsupervise(i)
+        self.decisions = []
+
+    def _unsupervise(self, i: int) -> None:
+        supervision, self._supervisions[i] = self._supervisions[i], None
+        if supervision is not None:
+            supervision.remove()
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """SB3's `predict`, with the actions filtered.
+
+        Parameters
+        ----------
+        observation : one observation, or a batch with one row per environment.
+        state, episode_start, deterministic : passed through to the policy.
+
+        Returns
+        -------
+        The action (same shape as the policy's) and the policy's state.
+
+        Raises
+        ------
+        ConfigError
+            If there are several environments, and the policy returns another number of actions. The wrong shape for a
+            single environment is no action: the fallback acts, and the record says `bad_action`.
+        SceneError
+            If the observation has changed, and the environment that the shield reads has not moved; or its road is not
+            supported; or if it could not be read in more than `ShieldConfig.patience` decisions in a row.
+        PolicyError
+            If the policy has failed in as many.
+        """
+        for i, alive in enumerate(self._alive):
+            alive.check(_row(observation, i, len(self._alive)))
+        proposed = self._propose(observation, state, episode_start, deterministic)
+        size, whole = self._form
+        actions = ActionRows.of(proposed.actions, len(self._doors), None if whole else size, self._batched(observation))
+        ranking = Ranking(self.policy, observation)
+        for i in range(len(self._doors)):
+            self._begin(i, episode_start)
+        self._show(observation, episode_start is None)
+        self.decisions = [self._decide(i, row, ranking, proposed.reason) for i, row in enumerate(actions.rows)]
+        for patience, decision, door in zip(self._patience, self.decisions, self._doors, strict=True):
+            patience.check(decision, proposed.cause or door.cause)
+        self._action_warning.check(self.decisions, self._known[0] if self._known else self._bases[0])
+        if self._inputs and not whole and not any(decision.overridden for decision in self.decisions):
+            return proposed.actions, proposed.state
+        return actions.answer([decision.executed for decision in self.decisions]), proposed.state
+
+    @property
+    def _form(self) -> tuple[int, bool]:
+        """How many numbers an action has, and whether it is a whole one."""
+        first = self._doors[0]
+        if not isinstance(first, InputDoor | ExactInputDoor):
+            return 1, True
+        return first.actuators.entries, first.actuators.choices is not None
+
+    def _propose(self, observation: Any, state: Any, episode_start: Any, deterministic: bool) -> _Proposed:
+        """What the policy says. One that breaks must not take the car with it: the record says that it did."""
+        try:
+            actions, state = self.policy.predict(
+                observation, state=state, episode_start=episode_start, deterministic=deterministic
+            )
+        except Exception as error:
+            _log.debug("the policy raised", exc_info=True)
+            shape = (len(self._doors),) if self._batched(observation) else ()
+            nothing = np.full((*shape, self._form[0]) if self._inputs else shape, np.nan, np.float32)
+            return _Proposed(nothing, state, Reason.POLICY_FAILED, f"{type(error).__name__}: {error}")
+        numbers = None if self._inputs else as_numbers(actions)
+        broken = numbers is not None and numbers.dtype.kind == "f" and not np.isfinite(numbers).all()
+        return _Proposed(actions, state, Reason.POLICY_FAILED if broken else None)
+
+    def _decide(self, i: int, proposal: Any, ranking: Ranking, reason: Reason | None) -> Decision:
+        door, base = self._doors[i], self._bases[i]
+        wanted: Any = None
+        if not self._inputs:
+            proposed, many = action_index(proposal), self._actions(i)
+            wanted = lambda: ranking.order(i, proposed, many)  # noqa: E731
+        self._decided[i] = 0 if base is None else int(base.steps)
+        decision = door.decide(proposal, wanted)
+        if reason is not None and decision.reason is Reason.BAD_ACTION:
+            decision = replace(decision, reason=reason)
+        supervision = self._supervisions[i]
+        if self._frames and door.supervising and (supervision is None or not supervision.supervises(base.vehicle)):
+            self._supervisions[i] = Supervision(base, lambda: self._frame(i)).install()
+        return decision
+
+    def _begin(self, i: int, episode_start: Any) -> None:
+        """Count the last decision, and forget the last episode where this is another."""
+        door, base = self._doors[i], self._bases[i]
+        if len(self.decisions) > i:
+            self._statistics.add(self.report(i), self._latency(i))
+        if base is None:
+            if episode_start is not None and np.reshape(episode_start, -1)[i]:
+                door.reset()
+        elif base.road is not self._roads[i]:
+            self._roads[i] = base.road
+            chosen = self._chosen[i] if isinstance(self._given, ShieldConfig) else self._settings(i)
+            if chosen.config != self._chosen[i].config:
+                self._unsupervise(i)
+                self._chosen[i] = chosen
+                self._doors[i] = door = self._made(i)
+            door.reset()
+        self._counted[i], self.frame_decisions[i] = Offences(door), []
+
+    def _show(self, observation: Any, unsaid: bool) -> None:
+        """Hand each environment's observation to what makes a scene of it; `unsaid`, whether nobody says where an
+        episode begins."""
+        if not isinstance(self._doors[0], MetaDoor) or not self._doors[0].observing:
+            return
+        shown, n = as_shown(self._env, observation), len(self._doors)
+        if n > 1 and len(shown) != n:
+            raise ConfigError(f"there are {len(shown)} observations for {n} environments; a batch has one row for each")
+        for i, door in enumerate(self._doors):
+            assert isinstance(door, MetaDoor)
+            door.show(_row(shown, i, n))
+            if unsaid and door.begins():
+                door.reset()
+                self._counted[i] = Offences(door)
+                door.show(_row(shown, i, n))
+
+    def _actions(self, i: int) -> int:
+        return len(self._known[i].actions) if self._known else int(self._bases[i].action_space.n)
+
+    def _batched(self, observation: Any) -> bool:
+        """Whether an observation is of several environments, or one in a row of its own."""
+        space, seen = getattr(self._env, "observation_space", None), observation
+        if space is None:
+            return len(self._doors) > 1 or _dimensions(seen) > len(self._known[0].shape)
+        if isinstance(seen, dict) and seen:
+            key = next(iter(seen))
+            space, seen = space[key], seen[key]
+        return _dimensions(seen) > len(space.shape or ()) or hasattr(self._env, "single_action_space")
+
+    def _frame(self, i: int) -> Command:
+        door = self._doors[i]
+        assert not isinstance(door, ExactDoor)
+        command, decision = door.frame()
+        self.frame_decisions[i].append(decision)
+        return command
+
+
+def _dimensions(observation: Any) -> int:
+    """How many dimensions an observation has, 0 where its rows differ in length and it is no array."""
+    try:
+        return np.ndim(observation)
+    except (TypeError, ValueError):
+        return 0
+
+
+def _row(observation: Any, i: int, n: int) -> Any:
+    """What one environment of several has shown."""
+    if n == 1:
+        return observation
+    if isinstance(observation, dict):
+        return {key: value[i] for key, value in observation.items()}
+    return observation[i]

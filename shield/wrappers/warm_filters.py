@@ -1,0 +1,86 @@
+"""Compiling what a door calls before its first decision."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import gymnasium as gym
+import numpy as np
+
+from shield.compiling import announced, estimated_units
+from shield.config import ShieldConfig
+from shield.filters.network import RoadDoor
+from shield.filters.simulated.inputs import ExactInputDoor
+from shield.filters.simulated.meta_actions import ExactDoor
+from shield.filters.simulated.multi_agent import TeamDoor
+from shield.pipelines.warm_up import warm_up
+from shield.wrappers.filter_choice import Door
+
+__all__ = ["warm_up_door", "warm_up_exact", "warm_up_exact_inputs", "warm_up_explanations", "warm_up_roads"]
+
+_EXPLANATIONS = {True: "simulated explanations on networks", False: "simulated explanations on highways"}
+"""Parts, by whether the traffic is simulated as a network of roads."""
+
+
+def warm_up_door(door: Door | TeamDoor) -> None:
+    """Let no decision of a door wait for a compiler."""
+    if isinstance(door, TeamDoor):
+        warm_up_exact(True)
+    elif isinstance(door, ExactDoor):
+        warm_up_exact(door.on_network)
+    elif isinstance(door, ExactInputDoor):
+        warm_up_exact_inputs()
+    elif isinstance(door, RoadDoor):
+        warm_up_roads()
+    else:
+        warm_up()
+
+
+@cache
+def warm_up_exact(network: bool) -> None:
+    """What `warm_up` does for the other doors, on a straight highway or on a network of roads."""
+    with announced("simulated networks" if network else "simulated highways"):
+        env = gym.make("u-turn-v1") if network else gym.make("highway-fast-v0", config={"vehicles_count": 3})
+        env.reset(seed=0)
+        ExactDoor(env.unwrapped, ShieldConfig.exact()).rehearse()
+    _load_explanations(network)
+
+
+@cache
+def warm_up_exact_inputs() -> None:
+    """What `warm_up` does for the other doors."""
+    with announced("simulated throttle and steering"):
+        env = gym.make("highway-fast-v0", config={"vehicles_count": 3, "action": {"type": "ContinuousAction"}})
+        env.reset(seed=0)
+        door = ExactInputDoor(env.unwrapped, ShieldConfig.exact())
+        for action in ([0.0, 0.0], [1.0, 1.0], [np.nan, 0.0]):
+            door.decide(action)
+    # Throttle and steering are simulated as on a network, on a straight highway too.
+    _load_explanations(True)
+
+
+@cache
+def warm_up_explanations(network: bool) -> None:
+    """Compile what `Decision.explain` calls in simulated traffic, or read it from the disk."""
+    with announced(_EXPLANATIONS[network]):
+        env = gym.make("u-turn-v1") if network else gym.make("highway-fast-v0", config={"vehicles_count": 3})
+        env.reset(seed=0)
+        ExactDoor(env.unwrapped, ShieldConfig.exact()).source(1).rehearse()
+
+
+def _load_explanations(network: bool) -> None:
+    """Read the kernels of explanations where they are compiled already; the first explanation compiles them elsewhere,
+    and no decision waits for that."""
+    if not estimated_units(_EXPLANATIONS[network]):
+        warm_up_explanations(network)
+
+
+@cache
+def warm_up_roads() -> None:
+    """What `warm_up` does for the other doors."""
+    with announced("worst case on networks"):
+        env = gym.make("roundabout-v1")
+        env.reset(seed=0)
+        door = RoadDoor(env.unwrapped, ShieldConfig.for_roads())
+        door.decide(1)
+        door.frame()

@@ -1,0 +1,65 @@
+"""Everything that the shield compiles, in parts: `shield warm` compiles them all ahead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from types import MappingProxyType
+
+from dynamics.road_networks.episodes.simulator import RoadSimulator
+from shield.batch.highways import ShieldedHighways
+from shield.certificate.simulated.highways import ExactHighways
+from shield.certificate.simulated.roads import ExactRoads
+from shield.compiling import announced
+from shield.pipelines.warm_up import warm_up
+from shield.wrappers.warm_filters import warm_up_exact, warm_up_exact_inputs, warm_up_explanations, warm_up_roads
+
+__all__ = ["PARTS"]
+
+
+def _compiled_highway() -> None:
+    with announced("compiled highway"):
+        highways = ShieldedHighways("highway-fast-v0", 1)
+        highways.reset([0])
+        highways.masks()
+        highways.step([3])
+
+
+def _simulated_compiled_highway() -> None:
+    with announced("compiled highway, simulated traffic"):
+        highways = ExactHighways("highway-fast-v0", 1)
+        highways.reset([0])
+        highways.masks()
+        highways.step([3])
+
+
+def _compiled_networks() -> None:
+    with announced("compiled networks"):
+        RoadSimulator("merge-v0", 1).step([1])
+
+
+def _simulated_compiled_networks() -> None:
+    with announced("compiled networks, simulated traffic"):
+        roads = ExactRoads("merge-v0", 1)
+        roads.reset([0])
+        roads.masks()
+        roads.step([1])
+
+
+PARTS: Mapping[str, Callable[[], None]] = MappingProxyType(
+    {
+        "worst case on highways": warm_up,
+        "simulated highways": partial(warm_up_exact, False),
+        "simulated networks": partial(warm_up_exact, True),
+        "simulated throttle and steering": warm_up_exact_inputs,
+        "worst case on networks": warm_up_roads,
+        "simulated explanations on highways": partial(warm_up_explanations, False),
+        "simulated explanations on networks": partial(warm_up_explanations, True),
+        "compiled highway": _compiled_highway,
+        "compiled highway, simulated traffic": _simulated_compiled_highway,
+        "compiled networks": _compiled_networks,
+        "compiled networks, simulated traffic": _simulated_compiled_networks,
+    }
+)
+"""What compiles each part, or reads it from the disk. How long each takes is known by the same names in
+`shield.compiling`. Those that begin with "compiled" are for many environments at once."""

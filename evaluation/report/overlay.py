@@ -152,7 +152,7 @@ def _inside(env: Any) -> ShieldedEnv:
 
 def _filters(shield: Shield | ShieldedEnv) -> Any:
     """What filters the actions of the environment."""
-    return shield.door if isinstance(shield, ShieldedEnv) else shield.wrappers[0]
+    return shield.door if isinstance(shield, ShieldedEnv) else shield.doors[0]
 
 
 def _frames(shield: Shield | ShieldedEnv) -> list[Decision]:

@@ -1,5 +1,5 @@
-# One command each: `make demo`, `make cem-demo`, `make test`, `make test-slow`, `make decisions`, `make ray`,
-# `make mutants`, `make compat`, `make lint`, `make bench`, `make docs`, `make clean`.
+# One command each: `make demo`, `make cem-demo`, `make test`, `make test-slow`, `make test-browser`,
+# `make decisions`, `make ray`, `make mutants`, `make compat`, `make lint`, `make bench`, `make docs`, `make clean`.
 # PYTHON is the interpreter (3.11 or newer) that the virtual environment is made from.
 PYTHON ?= python3
 TORCH  ?= torch==2.13.0
@@ -13,7 +13,7 @@ export OMP_NUM_THREADS ?= 1
 export SDL_VIDEODRIVER ?= dummy
 export PYGAME_HIDE_SUPPORT_PROMPT ?= 1
 
-.PHONY: install demo cem-demo test test-slow decisions ray mutants compat lint bench docs clean
+.PHONY: install demo cem-demo test test-slow test-browser decisions ray mutants compat lint bench docs clean
 
 install: $(STAMP)
 
@@ -42,6 +42,10 @@ test: lint
 
 test-slow: $(STAMP)
 	HYPOTHESIS_PROFILE=explore $(BIN)/pytest -n auto -m slow
+
+# The replay page in Chromium: apt-get install chromium chromium-driver
+test-browser: $(STAMP)
+	$(BIN)/pytest -m browser
 
 # Decisions on every road, compared with those that were recorded; RECORD=--record writes the file anew.
 decisions: $(STAMP)

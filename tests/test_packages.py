@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -123,3 +125,23 @@ def test_a_file_of_the_working_directory_hides_no_installed_module(tmp_path, mon
     with pytest.raises(SystemExit):
         cli.main()
     assert importlib.util.find_spec("numpy").origin != str(tmp_path / "numpy.py")
+
+
+def test_what_the_default_suite_would_skip_for_is_part_of_the_extra_dev():
+    """`make install` installs each package that a test of the default suite is skipped without; Ray has a target of its
+    own."""
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    installed = {re.split(r"[^\w-]", each)[0] for each in extras["dev"]}
+    brings = {
+        "griffe": "mkdocstrings-python",
+        "material": "mkdocs-material",
+        "mkdocstrings_handlers": "mkdocstrings-python",
+    }
+    asked = set()
+    for path in (ROOT / "tests").rglob("test_*.py"):
+        source = path.read_text(encoding="utf-8")
+        asked |= set(re.findall(r'importorskip\("(\w+)', source))
+        for packages in re.findall(r"for package in \((.*?)\):\n +pytest.importorskip\(package", source):
+            asked |= {name.split(".")[0] for name in re.findall(r'"([\w.]+)"', packages)}
+    assert {"minari", "selenium", "mkdocs"} <= asked
+    assert {brings.get(name, name) for name in asked} - installed == {"ray"}

@@ -20,6 +20,8 @@ from selenium.webdriver.support.ui import Select, WebDriverWait
 from evaluation.replay.collect import collect
 from evaluation.replay.html import write_page
 
+pytestmark = pytest.mark.browser
+
 
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory):

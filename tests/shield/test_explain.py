@@ -76,12 +76,18 @@ def records(name, door, seed, ask=True):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("door", ["env", "policy", "actions"])
-@pytest.mark.parametrize("name", CELLS)
+@pytest.mark.parametrize(
+    ("name", "door"),
+    [
+        (name, door)
+        for name in CELLS
+        for door in ("env", "policy", "actions")
+        # `Shield` of actions alone is refused where every frame is verified.
+        if not (door == "actions" and name in ("roundabout", "merge", "highway, simulated inputs"))
+    ],
+)
 def test_every_override_names_its_vehicle_and_a_number(name, door):
     """Nothing said what a refused proposal was refused for: `clause` and `vehicle` are of what was executed instead."""
-    if door == "actions" and name in ("roundabout", "merge", "highway, simulated inputs"):
-        pytest.skip("refused: it is verified at every frame")
     told = 0
     for seed in range(912_100, 912_102):
         for record, why, base in records(name, door, seed):

@@ -18,10 +18,10 @@ _FLAGS = (
 
 
 def open_browser(profile: Path):
-    """A browser with a fresh profile; the test is skipped where Chromium or its driver is not found."""
+    """A browser with a fresh profile; the test fails where Chromium or its driver is not found."""
     found = [shutil.which(name) for name in ("chromium", "chromedriver")]
     if None in found:
-        pytest.skip("chromium and chromium-driver are not installed: the replay page is not driven")
+        pytest.fail("install chromium and chromium-driver: `make test-browser` drives the replay page in them")
     options = webdriver.ChromeOptions()
     options.binary_location = found[0]
     for flag in (*_FLAGS, f"--user-data-dir={profile}"):

@@ -117,12 +117,9 @@ def check(mutants: list[Mutant], jobs: int) -> Iterator[tuple[Mutant, str, float
             yield mutant, str(verdict), took
 
 
-_TABLE_HELP = f"Tables of mutants, of {', '.join(TABLES)}; all by default."
-
-
 def main(
     only: list[str] = typer.Option([], help="Mutants whose name contains this; all by default."),
-    table: list[str] = typer.Option([], help=_TABLE_HELP),
+    table: list[str] = typer.Option([], help="Tables of `mutants.TABLES`, all by default."),
     show: bool = typer.Option(False, "--list", help="Name the mutants and their tests, and run nothing."),
     jobs: int = typer.Option(1, min=1, help="How many to run at a time."),
 ) -> None:

@@ -1,8 +1,12 @@
 """The table of mutants fits the sources: each change still applies to one syntax node, and a program comes of it."""
 
 import ast
+import builtins
+import keyword
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mutants import MUTANTS, Mutant
 from mutants.nodes import StaleEditError, pattern_of, replaced
@@ -17,15 +21,21 @@ def far(gap, other):
 """
 
 
+def names(source: str) -> set[str]:
+    """The names in a piece of source that a renaming can change."""
+    return set(re.findall(r"\b[A-Za-z_]\w*", source)) - {*keyword.kwlist, *dir(builtins), *dir(np.ndarray)}
+
+
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
 def test_the_edits_of_a_mutant_apply_and_change_the_program(mutant: Mutant, tmp_path: Path) -> None:
-    """One after another, as `mutation_check.py` applies them; each names one node."""
+    """One after another, as `mutation_check.py` applies them; each names one node, and adds no name to the module."""
     for edit in mutant.edits:
         target = tmp_path.joinpath(*edit.module.split(".")).with_suffix(".py")
         if not target.exists():
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(ROOT.joinpath(*edit.module.split(".")).with_suffix(".py").read_bytes())
         before = target.read_text(encoding="utf-8")
+        assert names(edit.new) <= names(before)
         path, after = edit.apply(tmp_path)
         assert path == target
         assert ast.dump(ast.parse(after)) != ast.dump(ast.parse(before))

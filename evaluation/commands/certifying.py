@@ -27,6 +27,8 @@ from shield.config import ShieldConfig
 if TYPE_CHECKING:
     import pandas as pd
 
+    from evaluation.running.driver import DriverSpec
+
 __all__ = ["add_certifying"]
 
 _out, _err = Console(), Console(stderr=True, highlight=False)
@@ -110,7 +112,11 @@ def rare_command(
 
     shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)
     if sensor != "exact":
-        _rare_through(setting, policy, samples or 200, seed, shield_config, sensor, perception, jobs)
+        from evaluation.running.driver import DriverSpec
+        from evaluation.running.records import Variant
+
+        variant = Variant() if shield_config.mode == "none" else Variant("env", shield_config, perception)
+        _rare_through(DriverSpec(where, policy, variant, sensor=sensor), samples or 200, seed, jobs)
         return
     found = crash_probability(where, policy, shield_config, samples or 2_000, seed)
     table = Table("level", "time to collision [s]", "probability", "moves taken")
@@ -124,15 +130,10 @@ def rare_command(
     )
 
 
-def _rare_through(
-    setting: str, policy: str, paths: int, seed: int, config: ShieldConfig, sensor: str, perception: str, jobs: int
-) -> None:
+def _rare_through(spec: DriverSpec, paths: int, seed: int, jobs: int) -> None:
+    """Estimate it through a noisy sensor, and print the rounds."""
     from evaluation.falsification.sensor_noise_crashes import crash_probability_through
-    from evaluation.running.driver import DriverSpec
-    from evaluation.running.records import Variant
 
-    variant = Variant() if config.mode == "none" else Variant("env", config, perception)
-    spec = DriverSpec(get_setting(setting), policy, variant, sensor=sensor)
     found = crash_probability_through(spec, paths, seed=seed, jobs=jobs)
     table = Table("round", "time to collision [s]", "dropped")
     for k, (level, dropped) in enumerate(zip(found.levels, found.dropped, strict=True)):

@@ -23,17 +23,14 @@ from dynamics.roads.path_reader import read_network
 from dynamics.roads.straight import Road, StraightRoad
 from dynamics.state import BoolArray, FloatArray, wrap_to_pi
 from evaluation.measuring.jerk import jerk
-from evaluation.measuring.nearness import headways, times_to_collision
+from evaluation.measuring.nearest import least_clearance, least_headway, least_time_to_collision
 from evaluation.measuring.rectangles import separation
-from evaluation.measuring.tally import HORIZON
 
 __all__ = ["History", "Recorder", "Track", "is_off_road", "read_road"]
 
 
 _AWAY = (1e6, 0.0, 0.0, 0.0, 0.0, 0.0, False)
 """Who is not there."""
-_MEASURED = 32
-"""Pairs of bodies that are measured at first, the nearest by their circles."""
 
 
 class Track(IntEnum):
@@ -93,7 +90,8 @@ class History:
 
     def gaps(self, frame: int) -> FloatArray:
         """Clearance between the ego and each other vehicle in a frame [m], shape (vehicles - 1,)."""
-        return self._clearance(frame)
+        world = self._world()[frame, :, : Track.CRASHED]
+        return separation(world[:1], world[1:])
 
     def min_gap(self) -> float:
         """Smallest clearance between the ego and anybody, up to a crash [m]; inf when alone."""
@@ -101,36 +99,20 @@ class History:
             return float("inf")
         if self.crash_frame is not None:
             return 0.0
-        world = self._world()[..., : Track.CRASHED]
-        ego, others = np.broadcast_arrays(world[:, :1], world[:, 1:])
-        middles = np.hypot(*np.moveaxis(others[..., :2] - ego[..., :2], -1, 0))
-        across = [0.5 * np.hypot(box[..., Track.LENGTH], box[..., Track.WIDTH]) for box in (ego, others)]
-        # Nobody is nearer than its circle: only those that may be the nearest are measured.
-        least = (middles - across[0] - across[1]).ravel()
-        near = np.argsort(least)[:_MEASURED]
-        ego, others = ego.reshape(-1, Track.CRASHED), others.reshape(-1, Track.CRASHED)
-        gap = float(separation(ego[near], others[near]).min())
-        rest = np.flatnonzero(least < gap)
-        return min(gap, float(separation(ego[rest], others[rest]).min(initial=np.inf)))
-
-    def _clearance(self, frames: Any) -> FloatArray:
-        world = self._world()[frames]
-        return separation(*(world[..., part, : Track.CRASHED] for part in (slice(1), slice(1, None))))
+        return float(least_clearance(self._world()))
 
     def min_time_to_collision(self) -> float:
-        """Least time to a collision at constant velocities, see `times_to_collision`; 0 in a crash [s]."""
+        """Least time to a collision at constant velocities, see `least_time_to_collision`; 0 in a crash [s]."""
         if self.crash_frame is not None:
             return 0.0
-        world = self._world()[..., : Track.CRASHED]
-        return float(times_to_collision(world[:, :1], world[:, 1:]).min(initial=HORIZON))
+        return float(least_time_to_collision(self._world()))
 
     def min_headway(self) -> float:
-        """Least time headway to anybody ahead up to a crash, see `headways` [s]; NaN on a network that is no single
-        road, inf with nobody ahead."""
+        """Least time headway to anybody ahead up to a crash [s], see `least_headway`; NaN on a network that is no
+        single road, inf with nobody ahead."""
         if self.road is None:
             return float("nan")
-        states = self.states[: self.crash_frame, :, : Track.CRASHED]
-        return float(headways(states[:, :1], states[:, 1:]).min(initial=np.inf))
+        return float(least_headway(self.states[: self.crash_frame]))
 
     def mean_jerk(self) -> float:
         """Mean size of the jerk along the way, frame by frame up to a crash [m/s^3]; NaN in less than three frames."""

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from dynamics.state import BoolArray, FloatArray, IntArray
 from evaluation.measuring.side_by_side import SideBySide
 from evaluation.measuring.tally import SOON, Tallies, begin_tally, empty_tallies, tally
 from evaluation.policies import list_references
 from evaluation.running.decision_log import action_steps
+from evaluation.running.drivers_side_by_side import Blind, Drivers, ModelDrivers, Planned
 from evaluation.running.episodes import run_episode
 from evaluation.running.named_policies import ConstantPolicy, RandomPolicy, WeavingPolicy, make_policy, policy_label
 from evaluation.running.records import Variant, told, variant_for
@@ -57,64 +57,6 @@ class Chosen(NamedTuple):
     lost: BoolArray
 
 
-class _Drivers(Protocol):
-    """One policy in every environment."""
-
-    def begin(self, e: int, seed: int) -> None:
-        """An episode begins in environment `e`."""
-
-    def act(self, observations: NDArray[np.float32], steps: IntArray) -> tuple[IntArray, IntArray | None]:
-        """The action of each (e,), and the order of preference over the others, or None; `steps` (e,) is how many
-        decisions each episode has had."""
-
-
-class _Blind:
-    """Policies whose actions are known when the episode begins, (steps,)."""
-
-    def __init__(self, policy: ConstantPolicy | RandomPolicy | WeavingPolicy, envs: int, steps: int) -> None:
-        self._policy, self._actions = policy, np.zeros((envs, steps), np.intp)
-
-    def begin(self, e: int, seed: int) -> None:
-        """Draw all of them."""
-        self._actions[e] = self._policy.plan(seed, self._actions.shape[1])
-
-    def act(self, observations: NDArray[np.float32], steps: IntArray) -> tuple[IntArray, IntArray | None]:
-        """The next of each."""
-        return self._actions[np.arange(len(steps)), steps], None
-
-
-class _Planned:
-    """Actions that somebody has chosen, (e, steps)."""
-
-    def __init__(self, actions: IntArray) -> None:
-        self._actions = actions
-
-    def begin(self, e: int, seed: int) -> None:
-        """They are there."""
-
-    def act(self, observations: NDArray[np.float32], steps: IntArray) -> tuple[IntArray, IntArray | None]:
-        """The next of each."""
-        return self._actions[np.arange(len(steps)), np.minimum(steps, self._actions.shape[1] - 1)], None
-
-
-class _Model:
-    """An SB3 model, asked about all observations at once."""
-
-    def __init__(self, model: Any) -> None:
-        self._model = model
-
-    def begin(self, e: int, seed: int) -> None:
-        """It is the same in every episode."""
-
-    def act(self, observations: NDArray[np.float32], steps: IntArray) -> tuple[IntArray, IntArray | None]:
-        """Its actions, and its order of preference by their scores."""
-        actions = np.asarray(self._model.predict(observations, deterministic=True)[0])
-        scores = ranking_of(self._model, normalised(self._model, observations))
-        if scores is None:
-            return actions, None
-        return actions, orders_from_scores(scores, actions)
-
-
 class Many:
     """The shielded episodes of one setting and policy.
 
@@ -151,7 +93,7 @@ class Many:
             isinstance(made, ConstantPolicy | RandomPolicy | WeavingPolicy),
             isinstance(made, RandomPolicy),
         )
-        self._drivers: _Drivers = _Blind(made, envs, self.steps) if blind else _Model(made)  # type: ignore[arg-type]
+        self._drivers: Drivers = Blind(made, envs, self.steps) if blind else ModelDrivers(made)  # type: ignore[arg-type]
         if not blind and getattr(getattr(made, "policy", None), "lstm_actor", None) is not None:
             raise ConfigError(f"{policy!r} is recurrent; it drives one environment at a time")
 
@@ -240,7 +182,7 @@ class Many:
         drivers = self._drivers
         planned = np.zeros((self._highways.num_envs, 1 if actions is None else actions.shape[1]), np.intp)
         if actions is not None:
-            self._drivers = _Planned(planned)
+            self._drivers = Planned(planned)
         try:
             self._drive(count, begin_planned, end, True)
         finally:

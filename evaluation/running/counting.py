@@ -54,9 +54,11 @@ class Tally:
             self.violations = None
         else:
             self.violations += int(violations)
-        self.rules.update(shield["rules"])
-        if np.isfinite(shield["margin"]):
-            self.min_margin = float(np.fmin(self.min_margin, shield["margin"]))
+        if shield["rules"]:
+            self.rules.update(shield["rules"])
+        margin = float(shield["margin"])
+        if math.isfinite(margin) and not self.min_margin <= margin:  # the least so far is NaN at first
+            self.min_margin = margin
         self.reasons[Reason(shield["reason"]).value] += 1
         self.tiers[Tier(shield["tier"]).value] += 1
         self.latencies.append(float(shield["latency_ms"]))

@@ -20,7 +20,7 @@ import pandas as pd
 from dynamics.errors import ConfigError
 from evaluation.running.manifest import check_fits, extended, provenance
 from evaluation.running.parts import MANIFEST, Parts, replace_file
-from evaluation.running.store_rows import OPEN, lines_of, once, plain_number, read_lines, read_store
+from evaluation.running.store_rows import OPEN, line_of, lines_of, once, read_lines, read_store
 
 __all__ = ["Store", "discard"]
 
@@ -127,17 +127,17 @@ class Store:
     def add(self, rows: Iterable[Mapping[str, Any]]) -> None:
         """Write episodes to the file, where they outlive this process; at most once a second, wait for the disk."""
         # What comes back from the file and what went in are the same then.
-        plain = [json.loads(json.dumps(row, default=plain_number)) for row in rows]
-        self._rows += plain
+        lines = [line_of(row) for row in rows]
+        self._rows += [json.loads(line) for line in lines]
         if self.parts is None:
             return
         with (self.parts.folder / OPEN).open("ab") as file:
-            file.write(lines_of(plain))
+            file.write(b"".join(lines))
             file.flush()
             if time.monotonic() - self._synced >= _SYNC:
                 os.fsync(file.fileno())
                 self._synced = time.monotonic()
-        self._open += len(plain)
+        self._open += len(lines)
         if self._open >= _PART:
             self._close()
 

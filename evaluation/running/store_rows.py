@@ -12,7 +12,7 @@ import pandas as pd
 from dynamics.errors import ConfigError, DataError
 from evaluation.running.parts import MANIFEST, PARTS, Parts
 
-__all__ = ["KEY", "OPEN", "is_store", "lines_of", "once", "plain_number", "plain_rows", "read_lines", "read_store"]
+__all__ = ["KEY", "OPEN", "is_store", "line_of", "lines_of", "once", "plain_rows", "read_lines", "read_store"]
 
 KEY = ("setting", "policy", "door", "mode", "seed")
 """Columns that tell one episode from every other of a comparison."""
@@ -76,11 +76,16 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
         raise DataError(f"{path} is damaged: {error}; --force begins again") from None
 
 
+def line_of(row: Mapping[str, Any]) -> bytes:
+    """A row as a line of JSON."""
+    return json.dumps(row, default=_plain_number).encode() + b"\n"
+
+
 def lines_of(rows: Iterable[Mapping[str, Any]]) -> bytes:
     """A line of JSON for each row."""
-    return b"".join(json.dumps(row, default=plain_number).encode() + b"\n" for row in rows)
+    return b"".join(line_of(row) for row in rows)
 
 
-def plain_number(value: Any) -> Any:
+def _plain_number(value: Any) -> Any:
     """numpy's numbers as Python's."""
     return value.item()

@@ -1,4 +1,5 @@
-"""Times to collision are those of the compiled tally; headways are times to the rear of who is ahead."""
+"""Least clearances are those of polygons, least times to collision those of each pair, and headways times to the rear
+of a vehicle ahead."""
 
 import numpy as np
 import pytest
@@ -7,41 +8,50 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from evaluation import run_episode
-from evaluation.measuring.nearness import headways, times_to_collision
+from evaluation.measuring.nearest import least_clearance, least_headway, least_time_to_collision
+from evaluation.measuring.rectangles import separation
 from evaluation.measuring.tally import HORIZON, time_to_collision
 from evaluation.running.records import variant_for
 from shield import ShieldConfig
 
-ROWS = arrays(
-    float,
-    (5, 6),
-    elements=st.floats(-1.0, 1.0).map(lambda x: round(x, 3)),
-)
+FRAMES = arrays(float, (3, 5, 6), elements=st.floats(-1.0, 1.0).map(lambda x: round(x, 3)))
+"""Frames, bodies and columns, body 0 the ego."""
 SCALE = np.array([60.0, 8.0, 0.6, 35.0, 0.0, 0.0])
 SIZE = np.array([0.0, 0.0, 0.0, 0.0, 5.0, 2.0])
 
 
-@given(rows=ROWS)
-def test_times_to_collision_are_those_of_the_compiled_tally(rows):
-    rows = rows * SCALE + SIZE
-    found = times_to_collision(rows[:1], rows[1:])
-    for time, other in zip(found, rows[1:], strict=True):
-        single = time_to_collision(np.append(rows[0], 0.0), np.append(other, 0.0))
-        assert time == pytest.approx(single, abs=1e-9)
+@given(frames=FRAMES)
+def test_the_least_of_an_episode_is_that_of_each_pair_in_each_frame(frames):
+    """What is left out as too far away to be the least is not the least."""
+    frames = frames * SCALE + SIZE
+    pairs = [(frame[0], other) for frame in frames for other in frame[1:]]
+    gaps = [float(separation(ego, other)) for ego, other in pairs]
+    assert least_clearance(frames) == pytest.approx(min(gaps), abs=1e-9)
+    assert least_time_to_collision(frames) == min(time_to_collision(ego, other) for ego, other in pairs)
+    assert least_headway(frames) == min(least_headway(np.stack([ego, other])[None]) for ego, other in pairs)
 
 
-def test_a_headway_is_the_time_to_the_rear_of_who_is_ahead():
-    ego = np.array([[0.0, 0.0, 0.0, 20.0, 5.0, 2.0]])
-    others = np.array(
-        [
-            [45.0, 0.0, 0.0, 10.0, 5.0, 2.0],  # 40 m of room, 2 s at 20 m/s
-            [25.0, 4.0, 0.0, 10.0, 5.0, 2.0],  # beside its way
-            [-25.0, 0.0, 0.0, 10.0, 5.0, 2.0],  # behind
-            [4.0, 1.0, 0.0, 10.0, 5.0, 2.0],  # overlapping
-        ]
-    )
-    assert headways(ego, others).tolist() == [2.0, np.inf, np.inf, 0.0]
-    assert np.isinf(headways(ego * [1, 1, 1, 0, 1, 1], others)).all()
+def test_an_ego_alone_is_near_nobody():
+    alone = np.array([[[0.0, 0.0, 0.0, 20.0, 5.0, 2.0]]])
+    assert (least_clearance(alone), least_headway(alone)) == (np.inf, np.inf)
+    assert least_time_to_collision(alone) == HORIZON
+
+
+@pytest.mark.parametrize(
+    ("other", "headway"),
+    [
+        ([45.0, 0.0, 0.0, 10.0, 5.0, 2.0], 2.0),  # 40 m of room, 2 s at 20 m/s
+        ([25.0, 4.0, 0.0, 10.0, 5.0, 2.0], np.inf),  # beside its way
+        ([-25.0, 0.0, 0.0, 10.0, 5.0, 2.0], np.inf),  # behind
+        ([4.0, 1.0, 0.0, 10.0, 5.0, 2.0], 0.0),  # overlapping
+        ([25.0, 0.0, 0.0, 0.0, 0.0, 0.0], np.inf),  # not there: it has no size
+    ],
+)
+def test_a_headway_is_the_time_to_the_rear_of_a_vehicle_ahead(other, headway):
+    ego = [0.0, 0.0, 0.0, 20.0, 5.0, 2.0]
+    assert least_headway(np.array([[ego, other]])) == headway
+    ego[3] = 0.0
+    assert least_headway(np.array([[ego, other]])) == np.inf
 
 
 def test_an_episode_has_both_in_its_row():

@@ -1,6 +1,7 @@
 """What the evaluation suite costs beside a bare loop, and what a second process or node gives.
 
     python benchmarks/evaluation_overhead.py [loop] [processes] [ray] [--rounds 5] [--episodes 20] [--jobs-episodes 200]
+                                            [--only compiled]
 
 - loop: processor time of `Experiment.run` with a store on the disk, over that of a loop that resets, predicts, steps
   and nothing else; the same environments, models, shields and seeds, in turns.
@@ -81,9 +82,11 @@ def ratios(first: Callable[[range], None], second: Callable[[range], None], roun
     return np.array(found)
 
 
-def loop(rounds: int, episodes: int) -> None:
-    """Print the overhead over a bare loop."""
+def loop(rounds: int, episodes: int, only: str) -> None:
+    """Print the overhead over a bare loop, of the environments in whose name `only` is."""
     for name, (setting, policy, simulator) in SETTINGS.items():
+        if only not in name:
+            continue
         count = episodes if simulator == "highway-env" else FASTER * episodes
         for shield in ("none", "full"):
             variants = make_variants([shield], ["env"], None, ("simulator",), get_setting(setting))
@@ -170,9 +173,10 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--episodes", type=int, default=20, help="of a round, of the loop")
     parser.add_argument("--jobs-episodes", type=int, default=200, help="of a round, of processes and ray")
+    parser.add_argument("--only", default="", help="of loop: environments whose name contains this")
     asked = parser.parse_args()
     if "loop" in asked.what:
-        loop(asked.rounds, asked.episodes)
+        loop(asked.rounds, asked.episodes, asked.only)
     if "processes" in asked.what:
         speed_up("two processes", {"jobs": 1}, {"jobs": 2}, asked.rounds, asked.jobs_episodes)
     if "ray" in asked.what:

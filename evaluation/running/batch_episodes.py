@@ -23,7 +23,6 @@ from shield.batch.codes import FALLBACKS, rules_in
 from shield.certificate.simulated.batch_choice import batch_for
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
-from shield.wrappers.ranking import normalised, orders_from_scores, ranking_of
 
 __all__ = ["UNMEASURED", "Chosen", "Many"]
 

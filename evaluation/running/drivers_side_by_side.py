@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dynamics.state import IntArray
 from evaluation.running.named_policies import ConstantPolicy, RandomPolicy, WeavingPolicy
-from shield.doors.ranking import normalised, orders_from_scores, ranking_of
+from shield.wrappers.ranking import normalised, orders_from_scores, ranking_of
 
 __all__ = ["Blind", "Drivers", "ModelDrivers", "Planned"]
 

@@ -76,14 +76,14 @@ def test_whoever_comes_along_the_ring_has_not_to_wait():
 @pytest.mark.parametrize("env_id", ["roundabout-v1", "roundabout-generic-v1"])
 def test_who_is_ahead_on_a_ring_is_not_behind(env_id):
     """Where one looks beyond the end of its lane it comes up behind the ego as well, once around, and owes it its
-    distance there: not where it is."""
-    door = scene(env_id, RING, 3.0, 8.0, [(RING, 14.0, 4.0)], config=ShieldConfig.for_roads(looks_ahead=True))
-    alone = margin(door, 2.0, 8.0)
+    distance there: not where it is. The path stays in the lane of that one: in the next nobody owes anything."""
+    door = scene(env_id, RING, 2.0, 3.0, [(RING, 9.0, 1.0)], config=ShieldConfig.for_roads(looks_ahead=True))
+    alone = margin(door, 1.0, 3.0)
     assert alone < CLEAR
     margin(door, 0.0, 0.0)
     door._keep_distance(door.watch.last.who, True)
     assert door._others.owes.any()
-    assert margin(door, 2.0, 8.0, lenient=True) == alone
+    assert margin(door, 1.0, 3.0, lenient=True) == alone
 
 
 def test_those_behind_see_the_ego_in_their_own_lane_only():

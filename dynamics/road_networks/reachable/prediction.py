@@ -36,6 +36,7 @@ from dynamics.road_networks.reachable.strips import (
     half_of,
     keep_of,
     steepness,
+    stopping_way,
 )
 from dynamics.state import FloatArray, IntArray, Vehicle
 
@@ -150,12 +151,13 @@ def _lead_on(
     """The strips that strip j leads to; how many there are then. Whoever has a route keeps to it, until it is over or
     does not go on from here."""
     lane, row, route, numbers = strips.marks[j, 1], subject.row, subject.route, strips.numbers[j]
+    stop = stopping_way(row, conduct)
     keeps = strips.marks[j, 2] == -1 and max(numbers[HIGH], -numbers[LOW]) <= numbers[KEEP]
     if ways.over[lane] >= 0 and row[3] <= _STANDS and keeps:
         return count
     if ways.over[lane] >= 0:
         drive[3], drive[4] = _TURNS, _GAIN_OVER
-        count = add(strips, first, count, _comes_over(lanes, ways, conduct, row, strips, j))
+        count = add(strips, first, count, _comes_over(lanes, ways, conduct, row, strips, j), stop)
     known = subject.limited and route[lanes.ids[lane, ROAD]] < 2
     for anywhere in range(2):
         some = False
@@ -163,7 +165,7 @@ def _lead_on(
             after = ways.after[lane, k]
             if after >= 0 and not (known and anywhere == 0 and route[lanes.ids[after, ROAD]] == 0):
                 some = True
-                count = add(strips, first, count, _goes_on(lanes, ways, conduct, row, strips, j, k))
+                count = add(strips, first, count, _goes_on(lanes, ways, conduct, row, strips, j, k), stop)
         if some or not known:
             break
     return count

@@ -21,6 +21,7 @@ from dynamics.road_networks.reachable.strips import (
     add,
     front_of,
     half_of,
+    is_dead_end,
     keep_of,
 )
 from dynamics.state import FloatArray, IntArray, Vehicle
@@ -71,7 +72,8 @@ def _pose(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, lane: int
     body = Rectangle(0.0, math.cos(row[2]), math.sin(row[2]), 0.5 * row[_LENGTH], 0.5 * row[_WIDTH])
     extent = extent_of(lanes, lane, Place(row[0], row[1], s, r), body)
     half = max(extent.last - s, s - extent.first, half_of(lanes, lane, row, conduct))
-    front, within = max(extent.last - s, front_of(row)), ways.entries[lane, 0] - BEFORE <= s <= long
+    front, within = max(extent.last - s, front_of(row)), ways.entries[lane, 0] - BEFORE <= s
+    within = within and (s <= long or is_dead_end(ways, lane))
     return _Pose(s, r, angle, extent.low, extent.high, half, front, keep, within)
 
 
@@ -96,7 +98,7 @@ def _kept(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: 
             continue
         at = _pose(lanes, ways, conduct, subject.row, lane)
         if at.within and abs(at.angle) <= ALIGNED and max(at.high, -at.low) <= at.keep:
-            count = add(strips, first, count, _strip_of(subject, lane, at, -at.keep, at.keep, 0.0))
+            count = add(strips, first, count, _strip_of(subject, lane, at, -at.keep, at.keep, 0.0), 0.0)
             some = some or at.s >= 0.0
     return count if some else first
 
@@ -112,12 +114,12 @@ def _entered(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strip
         low, high = at.low, at.high
         if lane == subject.own:
             low, high = min(low, -at.keep), max(high, at.keep)
-            count = add(strips, first, count, _strip_of(subject, lane, at, low, high, SETTLED))
+            count = add(strips, first, count, _strip_of(subject, lane, at, low, high, SETTLED), 0.0)
             continue
         least, most = -at.keep + ways.entries[lane, 1], at.keep + ways.entries[lane, 2]
         if at.within and abs(at.angle) <= _TURNING and low >= least and high <= most:
             low, high = max(least, min(low - _SWEEP, -at.keep)), min(most, max(high + _SWEEP, at.keep))
-            count = add(strips, first, count, _strip_of(subject, lane, at, low, high, SETTLED))
+            count = add(strips, first, count, _strip_of(subject, lane, at, low, high, SETTLED), 0.0)
             some = True
     return count if some else first
 
@@ -142,7 +144,7 @@ def _touched(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strip
             elif not (abs(at.r) <= _OVERLAY and at.within and abs(at.angle) <= ALIGNED):
                 continue
         low, high = min(at.low, -at.keep), max(at.high, at.keep)
-        count = add(strips, first, count, _strip_of(subject, lane, at, low, high, SETTLED))
+        count = add(strips, first, count, _strip_of(subject, lane, at, low, high, SETTLED), 0.0)
     return count
 
 

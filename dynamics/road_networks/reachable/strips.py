@@ -43,8 +43,10 @@ __all__ = [
     "empty_strips",
     "front_of",
     "half_of",
+    "is_dead_end",
     "keep_of",
     "steepness",
+    "stopping_way",
 ]
 
 NEAR, FAR, LOW, HIGH, HALF, START, BACK, KEEP, FRONT = range(9)
@@ -62,7 +64,7 @@ BEFORE = 3.0
 
 _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
 _LAP = 250.0
-"""Within this a vehicle may come by a second time [m]."""
+"""Passes over a lane that begin within this are kept apart [m]."""
 _ROUNDING = 1e-11
 """Strips that differ by less are the same one [m]; less than `shield.certificate.network.monitor` permits a frame."""
 _DRIFT = 6.0
@@ -197,9 +199,35 @@ def half_of(lanes: Lanes, lane: int, row: FloatArray, conduct: Conduct) -> float
     return math.atan2(half, 1 / bend - 0.5 * wide - conduct.sway - bend * _DRIFT) / bend
 
 
+@inlined
+def is_dead_end(ways: Ways, lane: int) -> bool:
+    """Whether no lane goes on from the end of a lane. A vehicle that drives off that end goes on as the lane points, and
+    s counts on."""
+    return ways.after.shape[1] == 0 or ways.after[lane, 0] < 0
+
+
+@inlined
+def stopping_way(row: FloatArray, conduct: Conduct) -> float:
+    """No less than what a vehicle drives until it stands, braking as hard as it may [m], at any frame rate."""
+    v = max(row[3], 0.0)
+    return v * v / (2 * conduct.braking) + v
+
+
+@inlined
+def _repeats(row: FloatArray, strip: Strip, stop: float) -> bool:
+    """Whether a strip, a later pass over the lane of another, lies within that at all times: the vehicle never leaves
+    the start of the other for sure, since it may stop before."""
+    within = row[FAR] + row[START] >= stop and strip.near >= row[NEAR] and strip.start >= row[START] - _ROUNDING
+    within = within and row[LOW] <= strip.low + _ROUNDING and row[HIGH] >= strip.high - _ROUNDING
+    within = within and row[HALF] >= strip.half - _ROUNDING and row[FRONT] >= strip.front - _ROUNDING
+    centred = max(strip.high, -strip.low) <= row[KEEP] + _ROUNDING
+    return within and (centred or strip.back - strip.near <= row[BACK] - row[NEAR] + _ROUNDING)
+
+
 @uncounted
-def add(strips: Strips, first: int, count: int, strip: Strip) -> int:
-    """Write a strip down, where no other of the vehicle contains it; how many there are then."""
+def add(strips: Strips, first: int, count: int, strip: Strip, stop: float) -> int:
+    """Write a strip down, where no other of the vehicle contains it; how many there are then. `stop` is the
+    `stopping_way` of the vehicle."""
     marks, numbers = strips.marks, strips.numbers
     for j in range(first, min(count, len(marks))):
         if marks[j, 1] != strip.lane:
@@ -210,8 +238,7 @@ def add(strips: Strips, first: int, count: int, strip: Strip) -> int:
         same = same and row[HALF] >= strip.half - _ROUNDING
         if same and marks[j, 2] >= 0 and marks[j, 2] != strip.parent:
             marks[j, 2] = SEVERAL
-        # Who comes by after a lap has come by before.
-        if same or strip.near > _LAP:
+        if same or (strip.near > _LAP and _repeats(row, strip, stop)):
             return count
     if count < len(marks):
         marks[count, 0], marks[count, 1], marks[count, 2] = strip.vehicle, strip.lane, strip.parent

@@ -9,8 +9,9 @@ overlap.
 
 Who owes what: one that comes up from behind in the ego's own lane brakes for it, `Duty.braking` at least, once the ego
 has been visible there for `Duty.reaction` frames, and on a road where nobody looks beyond the end of the own lane no
-sooner than it has come into that lane itself. Who has yet to come over from a lane that ends owes nothing before it
-does: it may as well drive past, and the strip of that lane reaches over. With `Duty.gives_way`, one with less right of
+sooner than it has come into that lane itself. One that has yet to come over from a lane that ends may as well drive
+past, and the strip of that lane reaches over: it brakes, and owes its distance, where the ego is visible in the lane
+that ends, too. With `Duty.gives_way`, one with less right of
 way than the ego has does the same before any lane, from when the ego has it: if it can stay behind the ego's body by
 braking so, it does. Nobody else yields: who crosses, joins or comes the other way is where the strips say.
 """
@@ -39,6 +40,7 @@ from dynamics.road_networks.reachable.strips import (
     SEVERAL,
     START,
     curvature,
+    is_dead_end,
 )
 from dynamics.state import FloatArray, Vehicle
 from dynamics.traffic.rules_of_the_road import Ego, gap_between
@@ -167,6 +169,30 @@ def _followed(
 
 
 @uncounted
+def _may_come_over(others: Others, road: Road, j: int) -> bool:
+    """Whether some strip of the vehicle of strip j leads over to its lane."""
+    for k in range(others.found[0]):
+        if others.marks[k, 0] == others.marks[j, 0] and road.ways.over[others.marks[k, 1]] == others.marks[j, 1]:
+            return True
+    return False
+
+
+@uncounted
+def _is_seen(others: Others, road: Road, trial: Trial, j: int, k: int) -> bool:
+    """Whether the vehicle of strip j sees the ego in its lane in frame k. One that has yet to come over to it, from a
+    lane that ends, sees the ego there where it is visible in the lane that ends as well."""
+    marks, over = others.marks, road.ways.over
+    while trial.seen[marks[j, 1], k]:
+        lane, before = marks[j, 1], marks[j, 2]
+        if before < 0:
+            return not (before == SEVERAL and _may_come_over(others, road, j))
+        if over[marks[before, 1]] != lane:
+            return True
+        j = before
+    return False
+
+
+@uncounted
 def _is_owed(others: Others, road: Road, trial: Trial, j: int, since: int, contact: int) -> bool:
     """Whether the vehicle of strip j owes the ego its distance there up to frame `contact`, with the ego visible in its
     lane from frame `since` on. Before it has come into that lane it does as long as it owes it in the one before, and
@@ -176,7 +202,7 @@ def _is_owed(others: Others, road: Road, trial: Trial, j: int, since: int, conta
         lane, k = others.marks[j, 1], since
     elif before >= 0 and others.numbers[before, NEAR] <= 0:
         row, lane, k = others.numbers[before], others.marks[before, 1], 0
-        while k <= contact and trial.seen[lane, k]:
+        while k <= contact and _is_seen(others, road, trial, before, k):
             k += 1
         k = 0 if k > contact else 1
     else:
@@ -248,8 +274,8 @@ def judge(
     It [m], the vehicle that it is from (-1 for what stands), the first frame with less than 0, `count` for none; and
     the least separation from those who have broken no rule [m].
     """
-    path, boxes, seen, met, margins = trial.path, trial.boxes, trial.seen, trial.met, trial.margins
-    rows, after, body, dt = road.lanes.rows, road.ways.after, road.body, road.period
+    path, boxes, met, margins = trial.path, trial.boxes, trial.met, trial.margins
+    rows, body, dt = road.lanes.rows, road.body, road.period
     worst, who, when, innocent = np.inf, -1, count, np.inf
     margins[:] = np.inf
     for j in range(others.things.shape[0]):
@@ -268,7 +294,7 @@ def judge(
         others.shut[j], others.waits[j] = _is_shut(others, road, j), False
         if others.shut[j] or last < first:
             continue
-        end = rows[lane, LANE_LENGTH] if after.shape[1] > 0 and after[lane, 0] >= 0 else ALWAYS
+        end = ALWAYS if is_dead_end(road.ways, lane) else rows[lane, LANE_LENGTH]
         least, bad, contact, sag = np.inf, count, -1, _sag_of(others, road, j)
         there = rests and last == count - 1
         # Who has to stay behind the ego's body does not come to the next lane, where its rear is within this one. That
@@ -297,7 +323,7 @@ def judge(
                 contact, bad = k, min(bad, k)
         if least < 0:
             since = contact + 1
-            while since > 0 and seen[lane, since - 1]:
+            while since > 0 and _is_seen(others, road, trial, j, since - 1):
                 since -= 1
             # Who is behind, and sees the ego from some frame on.
             box = boxes[lane, bad]

@@ -266,11 +266,14 @@ def _inside(old: Others, j: int, new: Others, i: int) -> bool:
     count0, count = int(old.found[0]), int(new.found[0])
     mine, its = np.flatnonzero(old.marks[:count0, 0] == j), np.flatnonzero(new.marks[:count, 0] == i)
     least, most, owes, rearmost = old.least[j, 1], old.most[j, 1], old.owes[j].any(), new.least[i].min()
+    furthest = old.least[j].max()
     shifts = _shifts(old, mine, new, its)
     for k in its:
         row, same = new.numbers[k], mine[old.marks[mine, 1] == new.marks[k, 1]]
         rows = old.numbers[same]
-        along = (-row[FAR] >= least - rows[:, FAR] - _PLACE) & (-row[NEAR] <= most - rows[:, NEAR] + _PLACE)
+        # A later pass is contained in one whose start the vehicle never leaves for sure.
+        rear = (-row[FAR] >= least - rows[:, FAR] - _PLACE) | (furthest <= rows[:, FAR] + rows[:, START])
+        along = rear & (-row[NEAR] <= most - rows[:, NEAR] + _PLACE)
         along &= max(row[START], rearmost - row[FAR]) >= rows[:, START] - _PLACE
         across = (row[LOW] >= rows[:, LOW] - _PLACE) & (row[HIGH] <= rows[:, HIGH] + _PLACE)
         # Who is beside the middle has to be back there after as much way as before.

@@ -26,14 +26,14 @@ def _comes_over(others: Others, ways: Ways) -> BoolArray:
 
 def behind(others: Others, trial: Trial, road: Road) -> BoolArray:
     """Who is behind the ego in a lane where it is seen, (m, n), at the start of a path. Whoever owes it its distance
-    may come into the buffer, and owes it still, in the lane that its own leads to as well. Who has yet to come over is
-    not behind."""
+    may come into the buffer, and owes it still, in the lane that its own leads to as well. One that has yet to come
+    over to a lane is behind there where it is behind in the lane that ends, too."""
     (vehicles, lanes, before), numbers = others.marks.T, others.numbers
     owes = others.owes[vehicles, lanes] | ((before >= 0) & others.owes[vehicles, lanes[before]])
     rear = np.where(owes, trial.rears[lanes, 0] - CLEAR, trial.boxes[lanes, 0, 0])
-    there = trial.seen[lanes, 0] & (numbers[:, FRONT] - numbers[:, NEAR] <= rear) & ~_comes_over(others, road.ways)
+    there = trial.seen[lanes, 0] & (numbers[:, FRONT] - numbers[:, NEAR] <= rear)
     out = np.zeros(others.owes.shape, dtype=bool)
-    comes = there & (numbers[:, NEAR] > 0) & (not road.duty.ahead)
+    comes = there & (((numbers[:, NEAR] > 0) & (not road.duty.ahead)) | _comes_over(others, road.ways))
     there &= ~comes
     while there.any():
         out[vehicles[there], lanes[there]] = True

@@ -8,7 +8,7 @@ from dynamics.compiled import uncounted
 from dynamics.highway_simulator.layout import LANE_LENGTH
 from dynamics.road_networks.geometry.footprints import Place, Rectangle, extent_of
 from dynamics.road_networks.geometry.lanes import Lanes, heading_at, local, on_lane, unrolled
-from dynamics.road_networks.reachable.strips import steepness
+from dynamics.road_networks.reachable.strips import is_dead_end, steepness
 from dynamics.state import FloatArray
 from shield.certificate.network.workspace import Body, Others, Road, Trial
 
@@ -57,11 +57,13 @@ def survey(road: Road, body: Body, others: Others, path: FloatArray, count: int,
             # Both s and r may be off by the reach, and on a sine r changes with s.
             far = circles[lane, 2] + reach * (1 + math.hypot(1.0, steepness(lanes, lane)))
             dx, dy = x - circles[lane, 0], y - circles[lane, 1]
-            if dx * dx + dy * dy > far * far:
+            # Vehicles drive on beyond the end of a lane that leads nowhere.
+            endless = is_dead_end(road.ways, lane)
+            if not endless and dx * dx + dy * dy > far * far:
                 continue
             s, r = local(lanes, lane, x, y)
             at = Place(x, y, unrolled(lanes, lane, s), r)
-            if abs(r) > reach or at.s < -reach or at.s > row[LANE_LENGTH] + reach:
+            if abs(r) > reach or at.s < -reach or not (endless or at.s <= row[LANE_LENGTH] + reach):
                 continue
             _box(lanes, lane, at, pose, body, box)
             if k == 0 or k == count - 1:

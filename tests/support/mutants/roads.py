@@ -11,6 +11,7 @@ _FOUND, _AROUND = "tests/shield/test_found_on_roads.py", "tests/shield/test_arou
 _BANDS, _JOINTS = "tests/shield/test_bands_on_roads.py", "tests/shield/test_followers_at_joints.py"
 _LOOPHOLES = "tests/shield/test_road_loopholes.py"
 _TRANSITIONS = "tests/shield/test_road_transitions.py"
+_OWN = "tests/shield/test_own_road_networks.py"
 _JUDGING, _PREDICTION = "shield.certificate.network.clearance", "dynamics.road_networks.reachable.prediction"
 
 ROADS = (
@@ -67,9 +68,51 @@ ROADS = (
         "one behind owes its distance before it has come over from a lane that ends",
         "shield.certificate.network.obligations",
         "behind",
-        "_[_, 0] & (_[:, _] - _[:, _] <= _) & ~_(_, _)",
-        "{1}[{2}, 0] & ({3}[:, {4}] - {3}[:, {6}] <= {7})",
+        "_ & ((_[:, _] > 0) & (not _) | _(_, _))",
+        "{1} & ({2}[:, {3}] > 0) & (not {4})",
         _CLAUSES,
+    ),
+    off(
+        "one that has yet to come over brakes for an ego that it does not see in its own lane",
+        _JUDGING,
+        "_is_seen",
+        "_ = _",
+        "return True",
+        _OWN,
+    ),
+    off(
+        "nobody drives far off a lane that leads nowhere",
+        "shield.certificate.network.projection",
+        "survey",
+        "_(_, _)",
+        "False",
+        _OWN,
+        reads="is_dead_end",
+    ),
+    off(
+        "a vehicle off the end of a lane that leads nowhere has left it",
+        "dynamics.road_networks.reachable.standing",
+        "_pose",
+        "_ <= _ or _(_, _)",
+        "{1} <= {2}",
+        _OWN,
+    ),
+    off(
+        "a lane is passed over once",
+        "dynamics.road_networks.reachable.strips",
+        "add",
+        "_(_, _, _)",
+        "True",
+        _OWN,
+        reads="_repeats",
+    ),
+    off(
+        "a later pass is contained in no earlier one",
+        "shield.certificate.network.monitor",
+        "_inside",
+        "_ <= _[:, _] + _[:, _]",
+        "False",
+        _OWN,
     ),
     off(
         "who is ahead on a ring is behind",

@@ -1,0 +1,245 @@
+"""Networks that highway-env does not have: a lane that leads nowhere and points at the ego's road, a lane that ends
+close beside the ego's, and a loop by which a vehicle comes back. A plan that has verified stays verified, or somebody
+is named."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.lane import CircularLane, StraightLane
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Obstacle
+
+from dynamics.road_networks.reachable.strips import Strip, add, empty_strips
+from shield import ShieldedEnv
+from shield.certificate.network.monitor import _inside
+
+FASTER, SLOWER = 3, 4
+VERIFIED = ("passed", "governed")
+
+
+class Network(AbstractEnv):
+    """An ego on a network that a test builds, with nobody else."""
+
+    build, start, speed = None, None, 0.0
+
+    @classmethod
+    def default_config(cls):
+        own = {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 5, 10, 15]}, "duration": 1000}
+        return {**super().default_config(), **own, "observation": {"type": "Kinematics"}}
+
+    def _reset(self):
+        self.road = Road(network=RoadNetwork(), np_random=self.np_random)
+        type(self).build(self.road.network)
+        index, s = self.start
+        lane = self.road.network.get_lane(index)
+        ego = self.action_type.vehicle_class(self.road, lane.position(s, 0), lane.heading_at(s), self.speed)
+        self.controlled_vehicles = [ego]
+        self.road.vehicles.append(ego)
+
+    def _reward(self, action):
+        return 0.0
+
+    def _rewards(self, action):
+        return {}
+
+    def _is_terminated(self):
+        return self.vehicle.crashed
+
+    def _is_truncated(self):
+        return False
+
+
+class Scripted(Vehicle):
+    """Is after each frame where `place(frame)` says: x, y, heading, speed."""
+
+    place, frame, route = None, 0, None
+
+    def act(self, action=None):
+        pass
+
+    def step(self, dt):
+        if self.crashed:
+            super().step(dt)
+            return
+        self.frame += 1
+        x, y, self.heading, self.speed = self.place(self.frame)
+        self.position = np.array([x, y])
+        self.on_state_update()
+
+
+def shielded(builder, start, speed, frequency):
+    """An ego at (lane, s) of a network, decided on in each frame."""
+    kind = type("Built", (Network,), {"build": staticmethod(builder), "start": start, "speed": speed})
+    env = ShieldedEnv(kind({"simulation_frequency": frequency, "policy_frequency": frequency}), "worst-case")
+    env.reset(seed=0)
+    return env
+
+
+def scripted(env, place):
+    """A vehicle that goes where it is told."""
+    road = env.unwrapped.road
+    x, y, heading, speed = place(0)
+    vehicle = Scripted(road, [x, y], heading, speed)
+    vehicle.place = place
+    road.vehicles.append(vehicle)
+    return vehicle
+
+
+def drive(env, action, frames):
+    """The tiers of the decisions, until the ego crashes."""
+    tiers = []
+    while len(tiers) < frames and not env.unwrapped.vehicle.crashed:
+        env.step(action)
+        tiers.append(str(env.frame_decisions[-1].tier))
+    return tiers
+
+
+def dead_end(gap):
+    """A road to the east, and a lane to the north that ends so far before it [m]."""
+
+    def build(network):
+        network.add_lane("w", "e", StraightLane([-100, 0], [200, 0], speed_limit=20))
+        network.add_lane("d0", "d1", StraightLane([0, -100], [0, -gap], speed_limit=20))
+
+    return build
+
+
+def north(gap, away, speed, frequency):
+    """Along that lane and straight on, from so far before its end."""
+    return lambda frame: (0.0, -gap - away + frame * speed / frequency, math.pi / 2, speed)
+
+
+@pytest.mark.parametrize(("gap", "speed", "frequency"), [(11, 10.0, 10), (17, 20.0, 5), (40, 20.0, 15)])
+def test_a_vehicle_that_drives_off_a_lane_that_leads_nowhere_is_foreseen(gap, speed, frequency):
+    """It keeps its heading and its speed, and reaches an ego that cannot get away: nothing verified, and it has left no
+    way."""
+    env = shielded(dead_end(gap), (("w", "e", 0), 100.0), 0.0, frequency)
+    scripted(env, north(gap, 30.0, speed, frequency))
+    tiers = drive(env, SLOWER, 8 * frequency)
+    assert env.unwrapped.vehicle.crashed
+    assert set(env.door.by_rule) == {"crash"}
+    assert not set(tiers) & set(VERIFIED)
+
+
+@pytest.mark.parametrize("away", [2.0, 30.0])
+def test_an_ego_lets_a_vehicle_pass_that_drives_off_a_lane_that_leads_nowhere(away):
+    """Verified in each frame, and nobody is named."""
+    env = shielded(dead_end(25), (("w", "e", 0), 60.0), 10.0, 10)
+    vehicle = scripted(env, north(25, away, 10.0, 10))
+    tiers = drive(env, FASTER, 80)
+    assert set(tiers) <= set(VERIFIED)
+    assert not env.unwrapped.vehicle.crashed
+    assert not env.door.by_rule
+    assert vehicle.position[1] > 10.0
+
+
+def narrow(network):
+    """Two lanes 3 m apart, of which the right one ends."""
+    for k in range(2):
+        network.add_lane("a", "b", StraightLane([0, 3 * k], [300, 3 * k], width=3, speed_limit=20))
+    network.add_lane("b", "c", StraightLane([300, 0], [500, 0], width=3, speed_limit=20))
+
+
+def beside(away, speed, frequency, brakes_from=math.inf):
+    """In the lane that ends, so far behind an ego at 200 m, braking at 6 m/s^2 from a frame on."""
+
+    def place(frame):
+        x, v = 200.0 - away, speed
+        for k in range(frame):
+            x += v / frequency
+            v = max(v - 6 / frequency, 0.0) if k >= brakes_from else v
+        return x, 3.0, 0.0, v
+
+    return place
+
+
+@pytest.mark.parametrize("away", [45.0, 60.0])
+def test_who_sees_the_ego_in_a_lane_that_ends_owes_it_its_distance_in_the_one_beside(away):
+    """The ego rests in the lane beside, visible in both. A vehicle that has to come over may do so; one that drives on
+    has not kept its distance, one that brakes in time has."""
+    for brakes_from, rules in ((math.inf, {"distance"}), (1, set())):
+        env = shielded(narrow, (("a", "b", 0), 200.0), 0.0, 15)
+        scripted(env, beside(away, 18.0, 15, brakes_from))
+        tiers = drive(env, SLOWER, 50)
+        assert tiers[0] in VERIFIED
+        assert set(env.door.by_rule) == rules
+        if not rules:
+            assert set(tiers) <= set(VERIFIED)
+
+
+def loop(network):
+    """A road to the east, and a loop of 304 m across it."""
+    network.add_lane("w", "e", StraightLane([-100, 0], [200, 0], speed_limit=20))
+    network.add_lane("a", "b", StraightLane([0, -20], [0, 85], speed_limit=30))
+    network.add_lane("b", "c", CircularLane([15, 85], 15, np.pi, 0, clockwise=False, speed_limit=30))
+    network.add_lane("c", "d", StraightLane([30, 85], [30, -20], speed_limit=30))
+    network.add_lane("d", "a", CircularLane([15, -20], 15, 0, -np.pi, clockwise=False, speed_limit=30))
+
+
+LOOP = (("a", "b", 0), ("b", "c", 0), ("c", "d", 0), ("d", "a", 0))
+
+
+def around(network, start, way):
+    """Along the loop, `way(frame)` [m] and a speed [m/s] from a place on."""
+    lanes = [network.get_lane(index) for index in LOOP]
+
+    def place(frame):
+        driven, speed = way(frame)
+        s = (start + driven) % sum(lane.length for lane in lanes)
+        for lane in lanes:
+            if s < lane.length:
+                break
+            s -= lane.length
+        return *lane.position(s, 0), lane.heading_at(s), speed
+
+    return place
+
+
+def test_a_second_pass_over_a_lane_is_foreseen_however_far_ahead_it_is():
+    """A vehicle has just crossed the ego's road, and comes by again after a loop of more than 250 m: an ego that cannot
+    leave the crossing does not enter it."""
+    env = shielded(loop, (("w", "e", 0), 92.0), 0.0, 10)
+    base = env.unwrapped
+    base.road.objects.append(Obstacle(base.road, [6.8, 0]))
+    scripted(env, around(base.road.network, 44.0, lambda frame: (frame, 10.0)))
+    tiers = drive(env, FASTER, 60)
+    assert not env.door.by_rule
+    assert set(tiers) <= set(VERIFIED)
+    assert base.vehicle.position[0] < -5.0
+
+
+@pytest.mark.parametrize("rate", [0.0, 3.0, -6.0])
+def test_what_is_foreseen_around_a_loop_lies_in_what_was_foreseen_before(rate):
+    """A later pass is left out where an earlier one contains it, and is kept once that may be left: along the whole loop
+    whatever is foreseen lies within what was foreseen a frame before."""
+    env = shielded(loop, (("w", "e", 0), 0.0), 0.0, 10)
+    network, dt, passes = env.unwrapped.road.network, 0.1, set()
+    vehicle = scripted(env, around(network, 0.0, lambda frame: (0.0, 10.0)))
+    vehicle.act(), vehicle.step(0.0)
+    for start in range(0, 304, 2):
+        seen = []
+        for frame in range(2):
+            vehicle.place = around(network, start, lambda frame: (frame * 10.0 * dt, 10.0 + frame * rate * dt))
+            vehicle.frame = frame - 1
+            vehicle.step(dt)
+            seen.append(env.door._look().others)
+        assert _inside(seen[0], 0, seen[1], 0), start
+        passes |= {tuple(np.unique(others.marks[:, 1], return_counts=True)[1]) for others in seen}
+    assert len(passes) > 1
+
+
+def test_a_later_pass_is_left_out_only_where_an_earlier_one_contains_it():
+    """Not if the vehicle can leave the earlier one before it stands, nor if the later one is wider, longer or begins
+    sooner."""
+    strip = Strip(0, 5, 0, 60.0, 60.0, -1.6, 1.6, 2.7, -3.0, 0.0, 1.6, 2.7)
+    later, strips = strip._replace(near=300.0, far=302.0), empty_strips(8)
+    strips.marks[0] = [0, 4, -1]
+    assert add(strips, 0, 1, strip, 20.0) == 2
+    assert add(strips, 0, 2, later, 20.0) == 2
+    for change, stop in (({}, 80.0), ({"low": -1.7}, 20.0), ({"half": 2.8}, 20.0), ({"start": -4.0}, 20.0)):
+        assert add(strips, 0, 2, later._replace(**change), stop) == 3

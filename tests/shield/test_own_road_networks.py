@@ -215,8 +215,8 @@ def test_a_second_pass_over_a_lane_is_foreseen_however_far_ahead_it_is():
 
 @pytest.mark.parametrize("rate", [0.0, 3.0, -6.0])
 def test_what_is_foreseen_around_a_loop_lies_in_what_was_foreseen_before(rate):
-    """A later pass is left out where an earlier one contains it, and is kept once that may be left: along the whole loop
-    whatever is foreseen lies within what was foreseen a frame before."""
+    """A later pass is left out where an earlier one contains it, and is kept once that may be left. Along the
+    whole loop all that is foreseen lies within what was foreseen a frame before."""
     env = shielded(loop, (("w", "e", 0), 0.0), 0.0, 10)
     network, dt, passes = env.unwrapped.road.network, 0.1, set()
     vehicle = scripted(env, around(network, 0.0, lambda frame: (0.0, 10.0)))

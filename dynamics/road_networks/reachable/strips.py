@@ -201,8 +201,7 @@ def half_of(lanes: Lanes, lane: int, row: FloatArray, conduct: Conduct) -> float
 
 @inlined
 def is_dead_end(ways: Ways, lane: int) -> bool:
-    """Whether no lane goes on from the end of a lane. A vehicle that drives off that end goes on as the lane points, and
-    s counts on."""
+    """Whether no lane goes on from the end of a lane. A vehicle drives straight off that end, and s counts on."""
     return ways.after.shape[1] == 0 or ways.after[lane, 0] < 0
 
 

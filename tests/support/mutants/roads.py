@@ -87,7 +87,7 @@ ROADS = (
         "_(_, _)",
         "False",
         _OWN,
-        reads="is_dead_end",
+        which=3,
     ),
     off(
         "a vehicle off the end of a lane that leads nowhere has left it",

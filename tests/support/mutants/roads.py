@@ -73,14 +73,6 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "one that has yet to come over brakes for an ego that it does not see in its own lane",
-        _JUDGING,
-        "_is_seen",
-        "_ = _",
-        "return True",
-        _OWN,
-    ),
-    off(
         "nobody drives far off a lane that leads nowhere",
         "shield.certificate.network.projection",
         "survey",

@@ -7,8 +7,9 @@ latencies) are the same whatever the number of jobs.
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -92,6 +93,7 @@ def run_paired(
     simulator: str = "auto",
     sensor: str = "exact",
     run: RunOptions | None = None,
+    **deprecated: Any,
 ) -> pd.DataFrame:
     """Drive every variant on the same seeds; one row per episode, by variant and then seed.
 
@@ -102,14 +104,17 @@ def run_paired(
     seeds : seeds of the episodes.
     jobs : processes; -1 for one per core.
     run : how the episodes are carried out, and where they are stored; in memory by default.
+    deprecated : fields of `RunOptions` by name, in place of `run`, with a `DeprecationWarning`.
 
     Raises
     ------
+    TypeError
+        If a keyword is not one of these.
     ConfigError
         If there is nothing to run, `jobs` is 0, or a model is given that nothing drives with.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
-    run = run or RunOptions()
+    run = _with_deprecated(run or RunOptions(), deprecated)
     variants, seeds = list(variants), list(seeds)
     if not variants or not seeds:
         raise ConfigError(f"nothing to run: {len(variants)} variants, {len(seeds)} episodes")
@@ -119,6 +124,18 @@ def run_paired(
         raise ConfigError("a model is for mpc and for the shield's door env; none of the two drives here")
     specs = [DriverSpec(setting, policy, variant, algorithm, model, simulator, sensor) for variant in variants]
     return _run_specs(specs, seeds, Processes(jobs) if run.engine is None else run.engine, run)
+
+
+def _with_deprecated(run: RunOptions, keywords: dict[str, Any]) -> RunOptions:
+    """The options with the keywords that `run_paired` took itself before; to be removed after one release."""
+    if not keywords:
+        return run
+    valid = [field.name for field in fields(RunOptions)]
+    if unknown := sorted(set(keywords) - set(valid)):
+        raise TypeError(f"run_paired() has no keyword {', '.join(unknown)}; run=RunOptions() has {', '.join(valid)}")
+    named = ", ".join(f"{name}=..." for name in keywords)
+    warnings.warn(f"run_paired({named}) is deprecated: pass run=RunOptions({named})", DeprecationWarning, stacklevel=3)
+    return replace(run, **keywords)
 
 
 def _run_specs(specs: Sequence[DriverSpec], seeds: Sequence[int], engine: Engine, run: RunOptions) -> pd.DataFrame:

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from evaluation.running.episodes import run_episode, run_paired
+from evaluation.running.episodes import RunOptions, run_episode, run_paired
 from evaluation.running.records import Variant, make_variants
 from evaluation.settings import get_setting
 from shield import ShieldConfig
@@ -122,3 +122,12 @@ def test_nothing_to_run_and_unknown_names_are_refused():
         Variant("window")
     with pytest.raises(ConfigError, match="unknown shield mode"):
         make_variants(["fulll"], ["env"])
+
+
+def test_keywords_that_moved_to_the_run_options_work_and_warn():
+    drive = ("highway", "idle", [Variant()], [0])
+    with pytest.warns(DeprecationWarning, match=r"pass run=RunOptions\(steps=...\)"):
+        rows = run_paired(*drive, steps=True)
+    assert rows["decisions"].equals(run_paired(*drive, run=RunOptions(steps=True))["decisions"])
+    with pytest.raises(TypeError, match="no keyword stepz; run=RunOptions"):
+        run_paired(*drive, stepz=True)

@@ -18,7 +18,7 @@ from dynamics.vehicle.rollouts import Rollouts
 from mpc.filter.predictive_filter import PredictiveFilter
 from shield import Reason, Shield, ShieldConfig, ShieldedEnv, Tier
 from shield.alternatives.nearest_input import Search
-from shield.certificate.road.road import verify
+from shield.certificate.road import verify
 from shield.errors import ConfigError, SceneError
 
 NAN, INF = float("nan"), float("inf")

@@ -7,7 +7,7 @@ from faults import INF, NAN, SLOWER, Policy, kind, spied
 
 from dynamics.vehicle.rollouts import Rollouts
 from shield import Shield, ShieldedEnv
-from shield.certificate.road.road import verify
+from shield.certificate.road import verify
 from shield.decision import Reason, Tier
 from shield.errors import SceneError
 

@@ -64,14 +64,14 @@ __getattr__, _, _ = lazy_loader.attach(
         "callback": ["ShieldCallback"],
         "config": ["Assumptions", "Buffer", "ShieldConfig"],
         "decision": ["Decision", "Reason", "Tier"],
-        "wrappers.shielded_env": ["ShieldedEnv"],
-        "wrappers.shielded_policy": ["Shield"],
         "errors": ["ActionError", "ConfigError", "PolicyError", "SceneError", "ShieldError"],
         "perception.grid_spec": ["GridSpec"],
         "perception.known": ["Known"],
         "perception.perceiving": ["PerceptionConfig"],
         "perception.spec": ["ObservationSpec"],
         "perception.unseen": ["Unseen"],
+        "wrappers.shielded_env": ["ShieldedEnv"],
+        "wrappers.shielded_policy": ["Shield"],
     },
 )
 

@@ -11,9 +11,9 @@ Who owes what: one that comes up from behind in the ego's own lane brakes for it
 has been visible there for `Duty.reaction` frames, and on a road where nobody looks beyond the end of the own lane no
 sooner than it has come into that lane itself. One that has yet to come over from a lane that ends may as well drive
 past, and the strip of that lane reaches over: it brakes, and owes its distance, where the ego is visible in the lane
-that ends, too. With `Duty.gives_way`, one with less right of
-way than the ego has does the same before any lane, from when the ego has it: if it can stay behind the ego's body by
-braking so, it does. Nobody else yields: who crosses, joins or comes the other way is where the strips say.
+that ends, too. With `Duty.gives_way`, one with less right of way than the ego has does the same before any lane, from
+when the ego has it: if it can stay behind the ego's body by braking so, it does. Nobody else yields: who crosses, joins
+or comes the other way is where the strips say.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from dynamics.road_networks.reachable.strips import (
     curvature,
     is_dead_end,
 )
-from dynamics.state import FloatArray, Vehicle
+from dynamics.state import BoolArray, FloatArray, Vehicle
 from dynamics.traffic.rules_of_the_road import Ego, gap_between
 from shield.certificate.network.projection import FAR_OFF
 from shield.certificate.network.workspace import Others, Road, Trial
 
-__all__ = ["ASKED", "BELIEVED", "CLEAR", "MADE", "STRICT", "judge"]
+__all__ = ["ASKED", "BELIEVED", "CLEAR", "MADE", "STRICT", "find_coming_over", "judge"]
 
 _LENGTH, _SPEED = int(Vehicle.LENGTH), int(Vehicle.SPEED)
 STRICT, BELIEVED, ASKED = 0, 1, 2
@@ -169,26 +169,34 @@ def _followed(
 
 
 @uncounted
-def _may_come_over(others: Others, road: Road, j: int) -> bool:
-    """Whether some strip of the vehicle of strip j leads over to its lane."""
+def _comes_over(others: Others, road: Road, j: int) -> bool:
+    """Whether the vehicle of strip j has to come over to its lane, from one beside it that ends."""
+    marks, over = others.marks, road.ways.over
+    if marks[j, 2] != SEVERAL:
+        return marks[j, 2] >= 0 and over[marks[marks[j, 2], 1]] == marks[j, 1]
+    comes = False
     for k in range(others.found[0]):
-        if others.marks[k, 0] == others.marks[j, 0] and road.ways.over[others.marks[k, 1]] == others.marks[j, 1]:
-            return True
-    return False
+        comes = comes or (marks[k, 0] == marks[j, 0] and over[marks[k, 1]] == marks[j, 1])
+    return comes
+
+
+@uncounted
+def find_coming_over(others: Others, road: Road, found: BoolArray) -> None:
+    """Write for each strip whether its vehicle has to come over to its lane, from one beside it that ends, (k,)."""
+    for j in range(len(found)):
+        found[j] = _comes_over(others, road, j)
 
 
 @uncounted
 def _is_seen(others: Others, road: Road, trial: Trial, j: int, k: int) -> bool:
     """Whether the vehicle of strip j sees the ego in its lane in frame k. One that has yet to come over to it, from a
     lane that ends, sees the ego there where it is visible in the lane that ends as well."""
-    marks, over = others.marks, road.ways.over
-    while trial.seen[marks[j, 1], k]:
-        lane, before = marks[j, 1], marks[j, 2]
-        if before < 0:
-            return not (before == SEVERAL and _may_come_over(others, road, j))
-        if over[marks[before, 1]] != lane:
+    while trial.seen[others.marks[j, 1], k]:
+        if not _comes_over(others, road, j):
             return True
-        j = before
+        j = others.marks[j, 2]
+        if j == SEVERAL:
+            return False
     return False
 
 

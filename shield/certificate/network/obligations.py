@@ -7,21 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.road_networks.reachable.strips import FRONT, NEAR, SEVERAL, Ways
+from dynamics.road_networks.reachable.strips import FRONT, NEAR
 from dynamics.state import BoolArray, IntArray
-from shield.certificate.network.clearance import CLEAR
+from shield.certificate.network.clearance import CLEAR, find_coming_over
 from shield.certificate.network.workspace import Others, Road, Trial
 
 __all__ = ["Dues", "behind"]
-
-
-def _comes_over(others: Others, ways: Ways) -> BoolArray:
-    """Whether the vehicle of each strip has to come over to its lane, from one beside it that ends, (k,)."""
-    vehicles, lanes, before = others.marks.T
-    over = ways.over[lanes]
-    several = (vehicles[:, None] == vehicles) & (over == lanes[:, None])
-    found: BoolArray = np.where(before == SEVERAL, several.any(axis=1), (before >= 0) & (over[before] == lanes))
-    return found
 
 
 def behind(others: Others, trial: Trial, road: Road) -> BoolArray:
@@ -32,8 +23,9 @@ def behind(others: Others, trial: Trial, road: Road) -> BoolArray:
     owes = others.owes[vehicles, lanes] | ((before >= 0) & others.owes[vehicles, lanes[before]])
     rear = np.where(owes, trial.rears[lanes, 0] - CLEAR, trial.boxes[lanes, 0, 0])
     there = trial.seen[lanes, 0] & (numbers[:, FRONT] - numbers[:, NEAR] <= rear)
-    out = np.zeros(others.owes.shape, dtype=bool)
-    comes = there & (((numbers[:, NEAR] > 0) & (not road.duty.ahead)) | _comes_over(others, road.ways))
+    out, over = np.zeros(others.owes.shape, dtype=bool), np.empty(len(lanes), dtype=bool)
+    find_coming_over(others, road, over)
+    comes = there & (((numbers[:, NEAR] > 0) & (not road.duty.ahead)) | over)
     there &= ~comes
     while there.any():
         out[vehicles[there], lanes[there]] = True

@@ -68,7 +68,7 @@ ROADS = (
         "one behind owes its distance before it has come over from a lane that ends",
         "shield.certificate.network.obligations",
         "behind",
-        "_ & ((_[:, _] > 0) & (not _) | _(_, _))",
+        "_ & ((_[:, _] > 0) & (not _) | _)",
         "{1} & ({2}[:, {3}] > 0) & (not {4})",
         _CLAUSES,
     ),

@@ -1,22 +1,25 @@
 """Compiled loops: numba, with the machine code kept on disk.
 
 A *kernel* is a function of arrays and scalars that decides nothing: the loops over vehicles, candidates and frames.
-numba makes the machine code on disk again when the kernel's own file has changed, and only then. Here it is made again
-when anything has changed that went into it: its file, the files of the kernels that it calls, and the numbers that it
-takes from elsewhere. So kernels may call those of other files, and a copy of the sources finds its code again.
+numba compiles a kernel again when its file has changed, and only then. Here a kernel is compiled again when its own
+bytecode, a kernel that it calls, or a global value that it reads has changed. So kernels may call those of other files,
+a copy of the sources finds the machine code, and an edit of a comment or a docstring compiles nothing.
 """
 
 from __future__ import annotations
 
 import builtins
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dis import get_instructions
+from enum import EnumType
 from hashlib import sha256
-from inspect import getsource, getsourcefile, signature
+from inspect import getsourcefile, signature
 from pathlib import Path
 from pickle import UnpicklingError
+from types import CodeType, ModuleType
 from typing import Any, TypeVar, cast
 
+import numpy as np
 from numba import njit
 from numba.extending import overload
 from numba.np.unsafe.ndarray import to_fixed_tuple
@@ -76,8 +79,11 @@ def _kernel(function: F, **options: bool) -> F:
     try:
         kernel: Any = make(cache=True, error_model="numpy", **options)(function)
         file = kernel._cache._cache_file
-        # What numba compares with what it finds on the disk: by itself the time and size of the kernel's file.
+        # numba's stamp is the time and size of the kernel's file, and its file name on disk has the kernel's line.
         file._source_stamp, file._load_index = made, _readable(file._load_index)
+        line = f"-{function.__code__.co_firstlineno}.py"
+        file._index_path = file._index_path.replace(line, ".py")
+        file._data_name_pattern = file._data_name_pattern.replace(line, ".py")
     except (RuntimeError, AttributeError):  # there is no folder to keep it in, or it is kept in another way
         kernel = make(error_model="numpy", **options)(function)
     _MADE_FROM[kernel] = made
@@ -102,19 +108,50 @@ def made_from(kernel: Any) -> str:
 
 
 def _digest(function: Callable[..., Any]) -> str:
-    file = getsourcefile(function)
-    parts = [function.__qualname__, Path(file).read_text(encoding="utf-8") if file else getsource(function)]
     asked = {each.argval for each in get_instructions(function) if each.opname == "LOAD_GLOBAL"}
     later = asked - function.__globals__.keys() - vars(builtins).keys()
     if later - {function.__name__}:
         # What is not there yet could change without anybody noticing.
         raise NameError(f"kernel {function.__qualname__} needs {', '.join(sorted(later))}: define that before it")
-    for name in function.__code__.co_names:
-        value = function.__globals__.get(name)
-        if isinstance(value, bool | int | float | str | tuple):
-            parts.append(f"{name}={value!r}")
-        elif isinstance(value, type) and issubclass(value, tuple):
-            parts.append(f"{name}={getattr(value, '_fields', ())}")
-        elif callable(value) and isinstance(value, Hashable) and value in _MADE_FROM:
-            parts.append(f"{name}={_MADE_FROM[value]}")
+    parts = [function.__qualname__, repr(function.__defaults__), *_bytecode(function.__code__)]
+    for name in sorted(asked & function.__globals__.keys()):
+        parts.append(f"{name}={_value_digest(function.__globals__[name], function)}")
     return sha256("\0".join(parts).encode()).hexdigest()
+
+
+def _bytecode(code: CodeType) -> Iterator[str]:
+    """The bytecode of a function and of those inside it, without docstrings and line numbers."""
+    yield code.co_code.hex()
+    yield code.co_exceptiontable.hex()
+    yield repr((code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars, code.co_argcount, code.co_flags))
+    # The first constant of a function is its docstring or None; lambdas and comprehensions have neither.
+    is_named = not code.co_name.startswith("<")
+    for constant in code.co_consts[is_named:]:
+        if isinstance(constant, CodeType):
+            yield from _bytecode(constant)
+        else:
+            yield repr(sorted(constant, key=repr) if isinstance(constant, frozenset) else constant)
+
+
+def _value_digest(value: Any, function: Callable[..., Any]) -> str:
+    """A text that changes when a global value changes.
+
+    For an intrinsic: the text of the file that defines it. For an unknown kind of value: the text of the kernel's file.
+    """
+    if isinstance(value, Hashable) and value in _MADE_FROM:
+        return _MADE_FROM[value]
+    if isinstance(value, bool | int | float | str | tuple | np.generic):
+        return repr(value)
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
+    if isinstance(value, type) and issubclass(value, tuple):
+        return repr(getattr(value, "_fields", ()))
+    if isinstance(value, EnumType):
+        return repr({name: getattr(value, name).value for name in value.__members__})
+    if isinstance(value, ModuleType) or getattr(value, "__module__", "").partition(".")[0] in (
+        "numpy",
+        "numba",
+        "math",
+    ):
+        return str(value.__name__)
+    return Path(getsourcefile(getattr(value, "_defn", function)) or "").read_text(encoding="utf-8")

@@ -3,8 +3,10 @@
 import os
 import subprocess
 import sys
+from enum import IntEnum
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dynamics.compiled import compiled, made_from
@@ -66,6 +68,48 @@ def test_code_on_the_disk_is_found_again_and_never_stale(tmp_path, file, old, ne
     path = tmp_path / file
     path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
     assert run(tmp_path) == (then, 0)
+
+
+@pytest.mark.parametrize(("old", "new"), [
+    ("def outer(x):\n", 'def outer(x):\n    """A docstring."""\n'),
+    ("@compiled\n", "# A comment moves the kernel down by a line.\n@compiled\n"),
+])  # fmt: skip
+def test_an_edit_of_a_docstring_or_a_comment_compiles_nothing(tmp_path, old, new):
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    assert run(tmp_path) == (8.0, 0)
+    path = tmp_path / "outer.py"
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    assert run(tmp_path) == (8.0, 1)
+
+
+ARRAY = np.array([1.0, 2.0])
+
+
+class Kind(IntEnum):
+    """Members that a kernel reads."""
+
+    A = 1
+
+
+def reads_array(x):
+    return ARRAY[0] * x
+
+
+def reads_member(x):
+    return Kind.A * x
+
+
+def test_a_global_array_is_part_of_what_a_kernel_is_made_from(monkeypatch):
+    first = made_from(compiled(reads_array))
+    monkeypatch.setitem(globals(), "ARRAY", np.array([3.0, 2.0]))
+    assert made_from(compiled(reads_array)) != first
+
+
+def test_the_members_of_an_enumeration_are_part_of_what_a_kernel_is_made_from(monkeypatch):
+    first = made_from(compiled(reads_member))
+    monkeypatch.setitem(globals(), "Kind", IntEnum("Kind", {"A": 2}))
+    assert made_from(compiled(reads_member)) != first
 
 
 MOVED = """

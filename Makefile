@@ -55,7 +55,7 @@ decisions: $(STAMP)
 # needs, so `make test` does without.
 ray: $(STAMP)
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev,ray]"
-	$(BIN)/pytest -m "" tests/evaluation/test_ray.py
+	$(BIN)/pytest -m "" tests/evaluation/running/test_ray.py
 
 # Each clause of the certificate switched off: some test has to notice.
 mutants: $(STAMP)
@@ -65,9 +65,9 @@ mutants: $(STAMP)
 compat: $(STAMP)
 	for version in 1.10.1 1.10.2 1.11; do \
 		$(BIN)/python -m pip install -q --no-deps --upgrade --target $(VENV)/highway-env-$$version highway-env==$$version \
-		&& PYTHONPATH=$(VENV)/highway-env-$$version $(BIN)/pytest -q -n auto tests/shield/test_shielded_env.py \
-		tests/shield/test_policy_door.py tests/shield/test_lot_doors.py tests/dynamics/test_exactness.py \
-		tests/dynamics/test_road.py tests/dynamics/test_scene.py || exit 1; done
+		&& PYTHONPATH=$(VENV)/highway-env-$$version $(BIN)/pytest -q -n auto tests/shield/wrappers/test_shielded_env.py \
+		tests/shield/wrappers/test_shielded_policy.py tests/shield/wrappers/test_parking_lot.py \
+		tests/dynamics/vehicle/test_rollouts.py tests/dynamics/roads/test_straight.py tests/dynamics/scenes/test_scene.py || exit 1; done
 
 bench: $(STAMP)
 	$(BIN)/pytest benchmarks --benchmark-only -m ""

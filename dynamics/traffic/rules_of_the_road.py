@@ -26,7 +26,7 @@ rules are the same for it, but for what pushes it off an ego with which it has c
 alone. Of rules 3, 4, 7 and 9, and of headings, this module finds who has taken more room; whether the fail-safe suffers
 from it, and whether one that has come beside the ego (rule 5) leaves it the room, is for the shield to say. The first
 two make what they permit a matter of one frame: a bound that holds for a frame holds for all that follow, and
-`tests/dynamics/test_permits.py` has arbitrary inputs try to break that.
+`tests/dynamics/traffic/test_rules_of_the_road.py` has arbitrary inputs try to break that.
 """
 
 from __future__ import annotations

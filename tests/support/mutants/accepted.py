@@ -31,7 +31,7 @@ ACCEPTED = (
         "MetaActions.__init__",
         "_(_=True)",
         "{1}()",
-        "tests/shield/test_first_frame.py",
+        "tests/shield/pipelines/test_first_frame.py",
     ),
     off(
         "a vehicle counted by its centre",
@@ -39,7 +39,7 @@ ACCEPTED = (
         "in_reach",
         "abs(_[_]) - _[_]",
         "abs({1}[{2}])",
-        "tests/shield/test_unreadable_vehicles.py",
+        "tests/shield/certificate/road/test_unreadable_vehicles.py",
     ),
     off(
         "frame held back to -0.3 m",
@@ -95,7 +95,7 @@ ACCEPTED = (
         "_evade",
         "if _:",
         "if False:",
-        "tests/shield/test_batch.py",
+        "tests/shield/batch/test_decisions.py",
     ),
     off(
         "many frames evade by the worst case",
@@ -103,7 +103,7 @@ ACCEPTED = (
         "evade",
         "(_[_], _[_])",
         "(plans.lawful[{2}], {3}[{2}])",
-        "tests/shield/test_batch.py",
+        "tests/shield/batch/test_decisions.py",
         which=3,
     ),
     off(
@@ -112,7 +112,7 @@ ACCEPTED = (
         "least_bad_evasion",
         "(-_(len(_)), _, _, _)",
         "(-{1}(len({2})), {2}, {5})",
-        "tests/shield/test_batch.py",
+        "tests/shield/batch/test_decisions.py",
     ),
     off(
         "many frames evade without the worst case",
@@ -120,7 +120,7 @@ ACCEPTED = (
         "_least_bad",
         "(_[_], _[_], _)",
         "({1}[{2}], 0, {5})",
-        "tests/shield/test_batch.py",
+        "tests/shield/batch/test_decisions.py",
     ),
     off(
         "input evades at -0.3 m",

@@ -6,7 +6,7 @@ from mutants.kinds import BATCH, off
 
 __all__ = ["BATCHED"]
 
-_TESTS = "tests/shield/test_batch.py"
+_TESTS = "tests/shield/batch/test_decisions.py"
 
 BATCHED = (
     off(

@@ -55,7 +55,7 @@ CLEARANCE = (
         "lanes_touched",
         "_ > 1",
         "{1} > 9",
-        "tests/shield/test_kernels.py",
+        "tests/shield/certificate/road/clauses/test_kernels.py",
     ),
     off(
         "no way back to a lane left off",
@@ -63,7 +63,7 @@ CLEARANCE = (
         "lanes_touched",
         "_ and (not (_[_] and _[_])) or (_ and (not _[_]))",
         "{1} and (not ({2}[{3}] and {4}[{3}]))",
-        "tests/shield/test_kernels.py",
+        "tests/shield/certificate/road/clauses/test_kernels.py",
     ),
     off(
         "gaps of the map off",
@@ -79,7 +79,7 @@ CLEARANCE = (
         "Gaps.of",
         "_(_, _(_[_], _[_]))",
         "{2} + 0.05",
-        "tests/dynamics/test_gaps.py",
+        "tests/dynamics/roads/test_gaps.py",
         which=1,
     ),
     off(
@@ -106,7 +106,7 @@ CLEARANCE = (
         "_begins",
         "min(_ * _[1, _] ** 2, _)",
         "0.0",
-        "tests/shield/test_alongside.py",
+        "tests/shield/certificate/road/test_alongside.py",
     ),
     off(
         "one that slips in is held up as it is now",
@@ -114,7 +114,7 @@ CLEARANCE = (
         "_begins",
         "_[1, _] * (_ + 0.5 * _ * _ * _) + _ + _ * _",
         "{1}[1, {2}] * ({3} + 0.5 * {4} * {5} * {5}) + {7}",
-        "tests/evaluation/test_found_in_abz.py",
+        "tests/evaluation/running/test_found_in_abz.py",
     ),
     off(
         "who is still settling does not slip in",
@@ -122,7 +122,7 @@ CLEARANCE = (
         "may_slip",
         "_[_] > _[_]",
         "{1}[{2}] != {3}[{2}]",
-        "tests/evaluation/test_found_in_abz.py",
+        "tests/evaluation/running/test_found_in_abz.py",
     ),
     off(
         "who comes into a lane holds nobody up there yet",
@@ -130,7 +130,7 @@ CLEARANCE = (
         "_held_up",
         "_ + _",
         "{1}",
-        "tests/evaluation/test_found_in_abz.py",
+        "tests/evaluation/running/test_found_in_abz.py",
     ),
     off(
         "coming frame off",

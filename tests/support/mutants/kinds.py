@@ -75,7 +75,8 @@ PERMITS, GAPS, ROLLOUTS = (
     "dynamics.vehicle.rollout_kernels",
 )
 
-TESTS_OF_CLAUSES, TRAFFIC = "tests/shield/test_clauses.py", "tests/shield/test_clauses_of_traffic.py"
+TESTS_OF_CLAUSES = "tests/shield/certificate/road/clauses/test_judging.py"
+TRAFFIC = "tests/shield/certificate/road/clauses/test_traffic.py"
 TESTS = {
     "door": "test_nothing_verified_has_a_negative_margin",
     "evades": "test_whatever_evades_an_offender_clears_everybody_else",
@@ -143,9 +144,10 @@ def both(name: str, *edits: Edit, tests: tuple[str, ...]) -> Mutant:
     return Mutant(name, edits, at(*tests))
 
 
-TESTS_OF_PERMITS, TESTS_OF_MOBIL = "tests/dynamics/test_permits.py", "tests/dynamics/test_mobil.py"
-TESTS_OF_REACTION = "tests/dynamics/test_reaction.py"
-TESTS_OF_LOT = "tests/shield/test_lot.py"
+TESTS_OF_PERMITS = "tests/dynamics/traffic/test_rules_of_the_road.py"
+TESTS_OF_MOBIL = "tests/dynamics/traffic/test_mobil.py"
+TESTS_OF_REACTION = "tests/dynamics/traffic/test_reaction.py"
+TESTS_OF_LOT = "tests/shield/pipelines/test_parking_lot.py"
 
 
 def verified(kind: str, test: str) -> Mutant:

@@ -6,14 +6,14 @@ from mutants.kinds import off
 
 __all__ = ["OBSERVED"]
 
-_DECODING_TESTS = "tests/shield/test_perception_decoding.py"
-_TRACKING_TESTS = "tests/shield/test_perception_tracking.py"
-_UNSEEN_TESTS = "tests/shield/test_perception_unseen.py"
-_NOISE_TESTS = "tests/shield/test_perception_noise.py"
+_DECODING_TESTS = "tests/shield/perception/test_sighting.py"
+_TRACKING_TESTS = "tests/shield/perception/test_tracking.py"
+_UNSEEN_TESTS = "tests/shield/perception/test_unseen.py"
+_NOISE_TESTS = "tests/shield/perception/test_noise.py"
 _TRACKING, _KERNELS = "shield.perception.tracking", "shield.perception.filter_kernels"
 _UNSEEN, _PERCEIVING = "shield.perception.unseen", "shield.perception.perceiving"
 _LEARNED, _MONITOR = "shield.perception.learned", "shield.perception.sensor_monitor"
-_LEARNED_TESTS = "tests/shield/test_perception_learned.py"
+_LEARNED_TESTS = "tests/shield/perception/test_learned.py"
 _CHANGED = f"{_LEARNED_TESTS}::test_a_sensor_that_has_changed_is_answered_with_the_widest_bounds_and_no_guarantee"
 _FRAMES = "shield.pipelines.frames"
 _BODIES, _MEMORY = "shield.perception.bodies", "shield.certificate.road.memory"
@@ -58,7 +58,7 @@ OBSERVED = (
         "ObservationSpec.sight",
         "min(_, _)",
         "{1}",
-        "tests/evaluation/test_sensor_models.py::test_what_is_beyond_the_range_may_be_there",
+        "tests/evaluation/wrappers/test_sensor_model.py::test_what_is_beyond_the_range_may_be_there",
         which=1,
     ),
     off(
@@ -67,7 +67,7 @@ OBSERVED = (
         "ObservedScenes.check",
         "_(_, _=False, _=float(getattr(_, 'sensor_range', _)))",
         "{1}({2}, clip=False)",
-        "tests/evaluation/test_sensor_models.py::test_what_is_beyond_the_range_may_be_there",
+        "tests/evaluation/wrappers/test_sensor_model.py::test_what_is_beyond_the_range_may_be_there",
     ),
     off(
         "what wrappers have added is taken for what is shown",
@@ -75,7 +75,7 @@ OBSERVED = (
         "ObservedScenes.show",
         "_[..., :-_] if _ and _ > 1 else _",
         "{5}",
-        "tests/evaluation/test_channels.py::test_a_shield_decides_as_without_the_channels",
+        "tests/evaluation/wrappers/test_channels.py::test_a_shield_decides_as_without_the_channels",
     ),
     off(
         "shuffled rows are the nearest",
@@ -253,7 +253,7 @@ OBSERVED = (
         "_likeliest.clear",
         "_ & (_[-1]._ >= 0)",
         "{2}[-1].margin >= 0",
-        "tests/evaluation/test_splitting.py::test_crashes_that_splitting_has_found_are_avoided",
+        "tests/evaluation/falsification/test_splitting.py::test_crashes_that_splitting_has_found_are_avoided",
     ),
 )
 """Each of a line."""

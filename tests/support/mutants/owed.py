@@ -13,8 +13,8 @@ OWED = (
         "threats",
         "_, _ = (_[_] - _, _[_] + _)",
         "pass",
-        "tests/shield/test_plans_that_last.py",
-        "tests/shield/test_induction.py::test_no_follower_takes_a_plan_away_by_taking_less_room",
+        "tests/shield/certificate/road/test_plans_that_last.py",
+        "tests/shield/certificate/road/test_induction.py::test_no_follower_takes_a_plan_away_by_taking_less_room",
     ),
     off(
         "all the way that is left is one coming frame",
@@ -22,7 +22,7 @@ OWED = (
         "_front",
         "return _ * _ * _",
         "front[frames - 1] += {1} * {2} * {3}\nreturn 0.0",
-        "tests/shield/test_plans_that_last.py",
+        "tests/shield/certificate/road/test_plans_that_last.py",
     ),
     off(
         "blind merge off",
@@ -71,7 +71,7 @@ OWED = (
         "entrants",
         "_[_] > _",
         "{1}[{2}] > 0",
-        "tests/shield/test_kernels.py",
+        "tests/shield/certificate/road/clauses/test_kernels.py",
     ),
     off(
         "nobody comes where the ego is out of sight",
@@ -176,7 +176,7 @@ OWED = (
         "threats",
         "_ or _[_, _]",
         "{1}",
-        "tests/shield/test_found.py",
+        "tests/shield/certificate/road/test_found.py",
     ),
     off(
         "who enters may impose anything",

@@ -6,12 +6,13 @@ from mutants.kinds import off
 
 __all__ = ["ROADS"]
 
-_TESTS, _CLAUSES = "tests/shield/test_roads.py", "tests/shield/test_roads_clauses.py"
-_FOUND, _AROUND = "tests/shield/test_found_on_roads.py", "tests/shield/test_around_and_inside.py"
-_BANDS, _JOINTS = "tests/shield/test_bands_on_roads.py", "tests/shield/test_followers_at_joints.py"
-_LOOPHOLES = "tests/shield/test_road_loopholes.py"
-_TRANSITIONS = "tests/shield/test_road_transitions.py"
-_OWN = "tests/shield/test_own_road_networks.py"
+_TESTS, _CLAUSES = "tests/shield/filters/test_network.py", "tests/shield/certificate/network/test_clearance.py"
+_FOUND, _AROUND = "tests/shield/certificate/network/test_found.py", "tests/shield/wrappers/test_around_and_inside.py"
+_BANDS = "tests/shield/certificate/network/test_footprint_bands.py"
+_JOINTS = "tests/shield/certificate/network/test_followers_at_joints.py"
+_LOOPHOLES = "tests/shield/certificate/network/test_loopholes.py"
+_TRANSITIONS = "tests/shield/certificate/network/test_transitions.py"
+_OWN = "tests/shield/certificate/network/test_own_road_networks.py"
 _JUDGING, _PREDICTION = "shield.certificate.network.clearance", "dynamics.road_networks.reachable.prediction"
 
 ROADS = (

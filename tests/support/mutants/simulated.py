@@ -6,10 +6,11 @@ from mutants.kinds import EXACT, off
 
 __all__ = ["SIMULATED"]
 
-_TESTS, _NETWORKS = "tests/shield/test_exact.py", "tests/shield/test_exact_networks.py"
-_TRAFFIC = "tests/dynamics/test_networks.py"
-_TEAM = "tests/shield/test_team.py"
-_INPUTS, _HELD = "tests/shield/test_exact_inputs.py", "tests/dynamics/test_network_inputs.py"
+_TESTS = "tests/shield/certificate/simulated/test_meta_actions.py"
+_NETWORKS = "tests/shield/filters/simulated/test_predicted_scene.py"
+_TRAFFIC = "tests/dynamics/road_networks/simulation/test_simulator.py"
+_TEAM = "tests/shield/filters/simulated/test_multi_agent.py"
+_INPUTS, _HELD = "tests/shield/filters/simulated/test_inputs.py", "tests/dynamics/road_networks/traffic/test_inputs.py"
 
 SIMULATED = (
     off(
@@ -26,7 +27,7 @@ SIMULATED = (
         "must_go_on",
         "_[0] or not _(_, _)",
         "True",
-        "tests/shield/test_exact_roads.py",
+        "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
         "no buffer in what is simulated",
@@ -99,7 +100,7 @@ SIMULATED = (
         "_expand",
         "not _ < (_ if _ == _ else _[_])",
         "{3} != {4}",
-        "tests/shield/test_exact_closest.py",
+        "tests/shield/certificate/simulated/test_closest.py",
     ),
     off(
         "who asks for a side is driven as fast as can be",
@@ -107,7 +108,7 @@ SIMULATED = (
         "wish_of",
         "_, _ = (_, 0.0) if _ == 0 else (0.0, _)",
         "pass",
-        "tests/shield/test_exact_roads.py",
+        "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
         "a search that ends early is a plan",
@@ -123,7 +124,7 @@ SIMULATED = (
         "longest",
         "return (_, _)",
         "pass",
-        "tests/shield/test_exact_roads.py",
+        "tests/shield/certificate/simulated/test_roads.py",
         which=1,
     ),
     off(
@@ -132,7 +133,7 @@ SIMULATED = (
         "longest",
         "_ > 0",
         "False",
-        "tests/shield/test_exact_roads.py",
+        "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
         "what was planned is not gone on with",
@@ -140,7 +141,7 @@ SIMULATED = (
         "replace",
         "_ < 0 and _ > 0 and (not _)",
         "False",
-        "tests/shield/test_exact_roads.py",
+        "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
         "a search over lanes and speeds takes as long as it likes",
@@ -148,7 +149,7 @@ SIMULATED = (
         "may_go_on",
         "bool(_[0] < _[1])",
         "True",
-        "tests/shield/test_exact_roads.py",
+        "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
         "what was planned is not joined again",
@@ -156,7 +157,7 @@ SIMULATED = (
         "survives",
         "_ > 0 and (not _) and (not _)",
         "False",
-        "tests/shield/test_exact_roads.py",
+        "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
         "to join what was planned may take all of the budget",
@@ -164,7 +165,7 @@ SIMULATED = (
         "survives",
         "_ -= _",
         "{1} = 0",
-        "tests/shield/test_exact_roads.py",
+        "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
         "a search in depth takes as long as it likes",
@@ -172,7 +173,7 @@ SIMULATED = (
         "in_depth",
         "min(_[0] + _ - _, _[1])",
         "{1}[0] + {2} - {3}",
-        "tests/shield/test_exact_roads.py",
+        "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
         "a search in depth forgets what went on longest",
@@ -180,7 +181,7 @@ SIMULATED = (
         "in_depth",
         "_ > _",
         "{2} == 0 or {1} == bounds.depth",
-        "tests/shield/test_exact_roads.py",
+        "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
         "the mask asks more than a decision",

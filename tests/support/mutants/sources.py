@@ -6,8 +6,8 @@ from mutants.kinds import off
 
 __all__ = ["SOURCES"]
 
-_SOURCES, _GRID = "tests/shield/test_perception_sources.py", "tests/shield/test_perception_grid.py"
-_LAYERS, _UNREADABLE = "tests/shield/test_perception_layers.py", "tests/shield/test_perception_unreadable.py"
+_SOURCES, _GRID = "tests/shield/perception/test_environment_free.py", "tests/shield/perception/test_grid_perception.py"
+_LAYERS, _UNREADABLE = "tests/shield/perception/test_unwrapping.py", "tests/shield/perception/test_unreadable.py"
 _BLIND, _UNDOING, _SIGHTING = (
     "shield.perception.environment_free",
     "shield.perception.unwrapping",

@@ -22,7 +22,7 @@ from mutants.kinds import (
 
 __all__ = ["WATCHED"]
 
-_ASIDE = "tests/shield/test_followers_that_move_aside.py"
+_ASIDE = "tests/shield/certificate/road/test_followers_that_move_aside.py"
 
 WATCHED = (
     off(
@@ -98,7 +98,7 @@ WATCHED = (
         "judge_motions",
         "_ |= _",
         "{1} |= 0",
-        "tests/shield/test_turned_round.py",
+        "tests/shield/certificate/road/test_turned_round.py",
         which=6,
         reads="_WAY",
     ),
@@ -108,7 +108,7 @@ WATCHED = (
         "decide",
         "_ is _",
         "False",
-        "tests/shield/test_unreadable_vehicles.py",
+        "tests/shield/certificate/road/test_unreadable_vehicles.py",
     ),
     off(
         "what turning may cost off",
@@ -246,7 +246,7 @@ WATCHED = (
         "judge_motions",
         "_ |= _",
         "{1} |= 0",
-        "tests/shield/test_wrecks.py",
+        "tests/shield/certificate/road/test_wrecks.py",
         which=8,
         reads="_SIZE",
     ),
@@ -256,7 +256,7 @@ WATCHED = (
         "appeared",
         "(_, 0) if _ else (0, _)",
         "(0, 0)",
-        "tests/shield/test_identity.py",
+        "tests/shield/certificate/road/test_identity.py",
     ),
     off(
         "what is in the way now is not looked at",
@@ -264,7 +264,7 @@ WATCHED = (
         "Watch.next",
         "_(_, _, _, _, _)",
         "pass",
-        "tests/shield/test_darts.py",
+        "tests/shield/certificate/road/test_crossing_in_a_frame.py",
         which=4,
     ),
     off(
@@ -273,7 +273,7 @@ WATCHED = (
         "judge_motions",
         "max((_ - _) / _ + _, _)",
         "1000000000.0",
-        "tests/shield/test_wrecks.py",
+        "tests/shield/certificate/road/test_wrecks.py",
     ),
     off(
         "the last frame is not judged",
@@ -281,7 +281,7 @@ WATCHED = (
         "ShieldedEnv.step",
         "if _:",
         "if False:",
-        "tests/shield/test_last_frame.py",
+        "tests/shield/wrappers/test_last_frame.py",
         which=2,
     ),
     off(

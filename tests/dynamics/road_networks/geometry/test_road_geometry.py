@@ -174,7 +174,7 @@ def test_names_shapes_and_numbers_that_are_wrong_are_refused():
 
 
 def test_the_example_of_the_page_runs():
-    page = (Path(__file__).parents[2] / "docs" / "lab" / "roads.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[4] / "docs" / "lab" / "roads.md").read_text(encoding="utf-8")
     (block,) = (each for each in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "RoadGeometry" in each)
     names = {}
     exec(compile(block, "roads.md", "exec"), names)

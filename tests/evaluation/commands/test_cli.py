@@ -190,7 +190,7 @@ def test_every_road_that_the_docs_and_the_refusal_name_can_be_demonstrated():
     """What `make demo ENV=` is said to take."""
     for road in ROADS:
         check_road(setting_of(road), ShieldConfig.exact())
-    page = Path(__file__).parents[2] / "docs" / "reference" / "cli.md"
+    page = Path(__file__).parents[3] / "docs" / "reference" / "cli.md"
     (line,) = re.findall(r"make demo ENV=(.*);", page.read_text(encoding="utf-8"))
     assert {f"{name}-v0" for name in re.findall(r"[a-z-]+", line.replace("another road", ""))} == set(ROADS)
 

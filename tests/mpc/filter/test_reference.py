@@ -91,7 +91,7 @@ def test_every_difference_is_explained():
     [(SETTINGS, 0.0, 0.85), (STILL, 0.0, 0.91), *((STILL, nudge, 0.92) for nudge in (-0.01, -0.005, 0.005, 0.01))],
 )
 def test_over_many_questions(settings, nudge, share):
-    """Prints the shares: `pytest -m slow -s tests/mpc/test_filter_reference.py`."""
+    """Prints the shares: `pytest -m slow -s tests/mpc/filter/test_reference.py`."""
     rows = [row for seed in range(20, 24) for row in compared(settings, seed, nudge)]
     for kind in (*KINDS, "all"):
         near = [row[2] < 0.01 for row in rows if kind in ("all", row[0])]

@@ -21,7 +21,7 @@ from shield.wrappers import warm_filters as warm_doors
 from shield.wrappers import warm_parts
 from shield.wrappers.warm_parts import PARTS
 
-BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "compile_times.py"
+BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "compile_times.py"
 
 COMPILED = """
 import sys

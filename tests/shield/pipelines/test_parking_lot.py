@@ -276,3 +276,10 @@ def test_without_a_wheel_the_repair_leaves_it_alone():
     inputs, decision = core.filter(lot, np.array([5.0, 0.0]))
     assert decision.tier is Tier.GOVERNED
     assert inputs[1] == 0
+
+
+def test_nothing_verifies_in_a_parking_lot_within_the_clearance():
+    """At rest, 3 cm nearer to a wall ahead and to one behind than it should be."""
+    walls = np.array([[4.07 * i, 0.0, np.pi / 2, 0.0, 40.0, 3.0] for i in (-1, 1)])
+    lot = Lot(np.array([0.0, 0, 0, 0, 5, 2]), walls, DT)
+    assert not LotCore().filter(lot, np.array([1.0, 0.0]))[1].tier.verified

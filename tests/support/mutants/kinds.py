@@ -75,51 +75,71 @@ PERMITS, GAPS, ROLLOUTS = (
     "dynamics.vehicle.rollout_kernels",
 )
 
-TESTS_OF_CLAUSES = "tests/shield/certificate/road/clauses/test_judging.py"
-TRAFFIC = "tests/shield/certificate/road/clauses/test_traffic.py"
-TESTS = {
-    "door": "test_nothing_verified_has_a_negative_margin",
-    "evades": "test_whatever_evades_an_offender_clears_everybody_else",
-    "stops": "test_nobody_evades_one_who_stops_into_the_way_of_another",
-    "mended": "test_what_nearly_verifies_does_not_stand_in_the_way_of_what_does",
-    "first": "test_the_first_that_verifies_is_taken_and_else_the_best",
-    "lanes": "test_an_input_passes_in_whichever_lane_its_fail_safe_stops",
-    "lot": "test_nothing_is_verified_in_a_parking_lot_without_the_clearance",
-    "room": "test_a_plan_ends_inside_its_lane",
-    "road": "test_nothing_leads_off_the_road_or_backwards",
-    "verdict": "test_the_verdict_of_inputs",
-    "gap": "test_nothing_leads_through_a_gap_of_the_map",
-    "alarm": "test_a_violation_is_counted_and_the_stored_plan_outlives_it",
-    "margin": "test_a_stored_plan_is_recorded_with_its_own_margin",
-    "forgiven": "test_who_has_broken_a_rule_is_forgiven_once_a_plan_clears_everybody_again",
-    "twice": "test_one_instant_seen_twice_is_one",
-    "comes beside": "test_who_owes_the_ego_its_distance_does_not_come_beside_it",
-    "grown": "test_who_takes_more_room_has_to_leave_it_to_the_fail_safe",
+TESTS_OF_CLAUSES = {
+    "shield/certificate/road/clauses/test_all_clauses.py": {
+        "door": "test_no_verified_decision_has_a_negative_margin",
+        "mended": "test_a_plan_that_nearly_verifies_does_not_displace_one_that_does",
+        "first": "test_the_first_verified_plan_is_taken_or_else_the_largest_margin",
+        "lanes": "test_an_input_passes_if_its_fail_safe_stops_in_any_lane",
+        "bicycle": "test_the_fail_safe_of_inputs_is_the_motion_of_the_bicycle",
+    },
+    "shield/pipelines/test_evasion.py": {
+        "evades": "test_every_candidate_evasion_clears_all_other_vehicles",
+        "stops": "test_no_evasion_of_a_stopping_leader_blocks_the_vehicle_beside",
+    },
+    "shield/certificate/road/clauses/test_stopping_room.py": {
+        "room": "test_a_plan_ends_inside_its_lane",
+    },
+    "shield/certificate/road/clauses/test_edge.py": {
+        "road": "test_no_plan_leaves_the_road_or_reverses",
+        "verdict": "test_the_verdict_of_inputs",
+        "gap": "test_no_plan_crosses_a_gap_of_the_map",
+    },
+    "shield/certificate/road/test_monitor.py": {
+        "alarm": "test_a_violation_is_counted_and_the_stored_plan_outlives_it",
+        "forgiven": "test_violations_are_cleared_once_a_plan_clears_all_vehicles",
+        "twice": "test_a_scene_observed_twice_counts_as_one_frame",
+        "margin": "test_a_stored_plan_is_recorded_with_its_own_margin",
+        "grown": "test_a_vehicle_that_takes_more_room_is_a_violator_if_the_fail_safe_needs_it",
+        "comes beside": "test_a_follower_that_owes_distance_does_not_come_beside_the_ego",
+    },
+    "shield/certificate/road/clauses/test_separation.py": {
+        "leader": "test_a_leader_that_brakes_and_turns_within_its_limits_is_not_touched",
+        "buffer": "test_the_buffer_is_kept_along_and_across_the_road",
+        "queue": "test_a_vehicle_that_stands_in_a_queue_may_reverse",
+        "midline": "test_a_body_beyond_the_lane_marking_may_return",
+        "coming": "test_the_next_frame_at_constant_velocity_is_clear_too",
+    },
+    "dynamics/traffic/test_occupancy_bounds.py": {
+        "brakes": "test_the_rear_bound_is_that_of_a_braking_vehicle",
+        "last": "test_the_last_frame_of_the_bound_holds_for_all_later_frames",
+        "drift": "test_a_body_reaches_as_far_as_its_heading_leads",
+        "diagonal": "test_a_turned_body_extends_along_the_road_by_its_diagonal",
+    },
+    "shield/certificate/road/clauses/test_entering.py": {
+        "blind": "test_a_vehicle_beyond_the_entered_lane_may_enter_it_too",
+        "loses": "test_a_vehicle_that_loses_by_a_lane_change_does_not_enter",
+        "joins": "test_no_entrant_is_added_once_a_plan_stops_in_the_lane",
+        "turning": "test_a_vehicle_that_is_changing_lanes_may_enter_until_the_ego_has_been_visible_long_enough",
+        "anybody": "test_any_vehicle_may_enter_a_lane_from_which_the_ego_is_not_visible",
+    },
+    "shield/certificate/road/clauses/test_followers.py": {
+        "follower": "test_a_follower_that_accelerates_until_its_reaction_time_ends_does_not_touch",
+        "owes": "test_a_follower_owes_its_distance_in_the_lane_of_the_ego_only",
+        "left": "test_no_follower_owes_distance_in_a_lane_that_the_ego_left_and_entered_again",
+        "lasts": "test_a_follower_owes_its_distance_until_the_ego_has_left_its_strip",
+        "corner": "test_a_follower_is_behind_until_it_touches_the_buffer",
+        "owned": "test_a_lane_is_owned_only_with_a_verified_plan_and_while_the_ego_touches_it",
+    },
+    "shield/certificate/road/clauses/test_cut_in.py": {
+        "slip": "test_a_vehicle_alongside_may_cut_in_behind_a_passing_ego",
+    },
+    "shield/pipelines/test_parking_lot.py": {
+        "lot": "test_nothing_verifies_in_a_parking_lot_within_the_clearance",
+    },
 }
-TESTS_OF_TRAFFIC = {
-    "leader": "test_a_leader_that_brakes_and_turns_as_it_may_is_not_touched",
-    "follower": "test_a_follower_that_pushes_until_it_owes_its_braking_does_not_touch",
-    "brakes": "test_the_bound_along_the_road_is_that_of_one_that_brakes",
-    "bicycle": "test_the_fail_safe_of_inputs_is_what_the_bicycle_does",
-    "buffer": "test_the_buffer_is_kept_along_and_across",
-    "last": "test_the_last_frame_that_is_looked_at_stands_for_all_that_follow",
-    "queue": "test_one_that_stands_in_a_queue_may_reverse_into_the_ego",
-    "midline": "test_a_body_beyond_the_midline_may_go_back",
-    "drift": "test_a_body_counts_as_where_its_heading_leads",
-    "diagonal": "test_a_turned_body_reaches_along_the_road_by_its_diagonal",
-    "coming": "test_the_coming_frame_is_clear_too",
-    "blind": "test_a_vehicle_beyond_the_lane_that_is_entered_may_enter_it_as_well",
-    "loses": "test_who_loses_by_it_does_not_enter",
-    "joins": "test_nobody_joins_those_who_may_enter_once_there_is_a_plan_to_stop_there",
-    "turning": "test_one_that_is_on_its_way_may_still_come_until_the_ego_has_been_seen_for_long",
-    "owes": "test_who_owes_the_ego_its_distance",
-    "left": "test_nobody_owes_a_place_that_the_ego_has_left_and_comes_back_to",
-    "lasts": "test_one_that_owes_the_ego_its_distance_does_so_until_the_ego_has_left_its_strip",
-    "corner": "test_one_that_owes_the_ego_its_distance_is_behind_until_it_touches_the_buffer",
-    "anybody": "test_anybody_may_come_into_a_lane_out_of_whose_sight_the_ego_has_got",
-    "owned": "test_a_lane_is_owned_only_with_a_verified_plan_and_no_longer_than_it_is_touched",
-    "slip": "test_one_alongside_may_slip_in_behind_an_ego_that_passes_it",
-}
+"""Short names of the tests of single clauses, by file in `tests`."""
+TESTS = {short: f"tests/{file}::{test}" for file, tests in TESTS_OF_CLAUSES.items() for short, test in tests.items()}
 
 
 def at(*names: str) -> tuple[str, ...]:
@@ -127,9 +147,7 @@ def at(*names: str) -> tuple[str, ...]:
     found = []
     for name in names:
         short, bracket, case = name.partition("[")
-        for file, tests in ((TESTS_OF_CLAUSES, TESTS), (TRAFFIC, TESTS_OF_TRAFFIC)):
-            name = f"{file}::{tests[short]}{bracket}{case}" if short in tests else name
-        found.append(name)
+        found.append(f"{TESTS[short]}{bracket}{case}" if short in TESTS else name)
     return tuple(found)
 
 

@@ -1,4 +1,4 @@
-"""How things move: vehicles, roads, scenes and predictions, as pure functions of arrays."""
+"""Dynamics of vehicles, roads, scenes and traffic, and predictions of them, mostly as pure functions of arrays."""
 
 from __future__ import annotations
 

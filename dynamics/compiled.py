@@ -1,9 +1,9 @@
-"""Compiled loops: numba, with the machine code kept on disk.
+"""Compiled loops: numba, with the machine code cached on disk.
 
-A *kernel* is a function of arrays and scalars that decides nothing: the loops over vehicles, candidates and frames.
-numba compiles a kernel again when its file has changed, and only then. Here a kernel is compiled again when its own
-bytecode, a kernel that it calls, or a global value that it reads has changed. So kernels may call those of other files,
-a copy of the sources finds the machine code, and an edit of a comment or a docstring compiles nothing.
+A *kernel* is a compiled function of arrays and scalars: the loops over vehicles, candidates and frames. numba compiles
+a kernel again when its file has changed, and only then. Here a kernel is compiled again when its own bytecode, a kernel
+that it calls, or a global value that it reads has changed. So kernels may call kernels of other files, a copy of the
+sources finds the machine code, and an edit of a comment or a docstring compiles nothing.
 """
 
 from __future__ import annotations
@@ -28,36 +28,38 @@ __all__ = ["by_type", "compiled", "inlined", "made_from", "numbers_of", "uncount
 
 F = TypeVar("F", bound=Callable[..., Any])
 numbers_of: Any = to_fixed_tuple
-"""`numbers_of(row, n)` are the n numbers of an array as a tuple, inside a kernel: what a NamedTuple is made of."""
+"""`numbers_of(row, n)` returns the first n numbers of an array as a tuple, inside a kernel. It fills a NamedTuple."""
 _MADE_FROM: dict[Any, str] = {}
 
 
 def compiled(function: F) -> F:
-    """The function as machine code, made at its first call."""
+    """Compile a function with numba. The machine code is made at the first call and cached on disk."""
     return _kernel(function)
 
 
 def uncounted(function: F) -> F:
-    """The same for kernels that make no arrays: nobody counts who holds those that are handed in and on.
+    """Compile a kernel that allocates no arrays, without reference counts of its array arguments, and without the GIL.
 
-    Counting takes some 10 ns an array and call, which is more than the work of a small function of one vehicle. Other
-    threads go on meanwhile.
+    Reference counts take some 10 ns for each array and call, which is more than the work of a small kernel of one
+    vehicle. Other threads run meanwhile.
     """
     return _kernel(function, _nrt=False, nogil=True)
 
 
 def inlined(function: F) -> F:
-    """The same for what is small and called for every vehicle: it becomes a part of the kernels that call it."""
+    """Compile as `uncounted` does, and inline the kernel into its callers. For small kernels that run once for each
+    vehicle."""
     return _kernel(function, _nrt=False, nogil=True, forceinline=True)
 
 
 def by_type(kernels: Mapping[type, Any], field: str) -> Callable[[F], F]:
-    """What stands for several kernels of the same parameters: numba takes the one for the class of a field of the first
-    argument, which is a NamedTuple. There is nothing in the function itself.
+    """Dispatch to one of several kernels with the same parameters, by the class of a field of the first argument, a
+    NamedTuple. numba chooses the kernel when it compiles the caller. The decorated function itself has an empty body.
 
     Parameters
     ----------
-    kernels : by the class of the field, itself a NamedTuple. field : its name.
+    kernels : the kernel for each class of the field. The classes are NamedTuples.
+    field : name of the field.
     """
 
     def decorate(function: F) -> F:
@@ -65,7 +67,7 @@ def by_type(kernels: Mapping[type, Any], field: str) -> Callable[[F], F]:
             kernel = kernels[args[0].types[args[0].fields.index(field)].instance_class]
             return kernel.py_func
 
-        # numba compares the parameters of what chooses with those of what is chosen.
+        # numba requires that the chooser and the chosen kernel have the same signature.
         cast(Any, choose).__signature__ = signature(function)
         cast(Any, overload)(function, jit_options={"_nrt": False, "nogil": True, "error_model": "numpy"})(choose)
         _MADE_FROM[function] = "".join(_MADE_FROM[kernel] for kernel in kernels.values())
@@ -75,23 +77,29 @@ def by_type(kernels: Mapping[type, Any], field: str) -> Callable[[F], F]:
 
 
 def _kernel(function: F, **options: bool) -> F:
+    """Compile a function with numba's cache, stamped with the digest of its sources; without a cache where numba has
+    none."""
     made, make = _digest(function), cast(Any, njit)
     try:
         kernel: Any = make(cache=True, error_model="numpy", **options)(function)
         file = kernel._cache._cache_file
-        # numba's stamp is the time and size of the kernel's file, and its file name on disk has the kernel's line.
+        # By default numba stamps a cache file with the time and size of the source file, and names it by the kernel's
+        # line.
         file._source_stamp, file._load_index = made, _readable(file._load_index)
         line = f"-{function.__code__.co_firstlineno}.py"
         file._index_path = file._index_path.replace(line, ".py")
         file._data_name_pattern = file._data_name_pattern.replace(line, ".py")
-    except (RuntimeError, AttributeError):  # there is no folder to keep it in, or it is kept in another way
+    except (RuntimeError, AttributeError):  # no writable cache folder, or another cache class
         kernel = make(error_model="numpy", **options)(function)
     _MADE_FROM[kernel] = made
     return cast(F, kernel)
 
 
 def _readable(load: Callable[[], dict[Any, Any]]) -> Callable[[], dict[Any, Any]]:
-    """numba reads an index whole before it asks how old it is; an old one may name classes that have moved since."""
+    """Wrap numba's loader of a cache index, so that an index it cannot unpickle counts as empty.
+
+    numba unpickles the whole index before it compares the stamps. An old index may name classes that have moved since.
+    """
 
     def index() -> dict[Any, Any]:
         try:
@@ -103,15 +111,23 @@ def _readable(load: Callable[[], dict[Any, Any]]) -> Callable[[], dict[Any, Any]
 
 
 def made_from(kernel: Any) -> str:
-    """What tells whether the machine code of a kernel is that of the present sources."""
+    """Digest of the sources of a kernel [hex]. The machine code in the cache is current where its stamp equals this
+    digest."""
     return _MADE_FROM[kernel]
 
 
 def _digest(function: Callable[..., Any]) -> str:
+    """SHA-256 of the bytecode of a function, and of the kernels and global values that it reads [hex].
+
+    Raises
+    ------
+    NameError
+        If the function reads a global name that is not defined yet: a later change of its value would not be noticed.
+    """
     asked = {each.argval for each in get_instructions(function) if each.opname == "LOAD_GLOBAL"}
     later = asked - function.__globals__.keys() - vars(builtins).keys()
     if later - {function.__name__}:
-        # What is not there yet could change without anybody noticing.
+        # The value of a name that is not defined yet cannot be part of the digest.
         raise NameError(f"kernel {function.__qualname__} needs {', '.join(sorted(later))}: define that before it")
     parts = [function.__qualname__, repr(function.__defaults__), *_bytecode(function.__code__)]
     for name in sorted(asked & function.__globals__.keys()):
@@ -120,7 +136,7 @@ def _digest(function: Callable[..., Any]) -> str:
 
 
 def _bytecode(code: CodeType) -> Iterator[str]:
-    """The bytecode of a function and of those inside it, without docstrings and line numbers."""
+    """The bytecode of a function and of the functions inside it, without docstrings and line numbers."""
     yield code.co_code.hex()
     yield code.co_exceptiontable.hex()
     yield repr((code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars, code.co_argcount, code.co_flags))
@@ -136,7 +152,7 @@ def _bytecode(code: CodeType) -> Iterator[str]:
 def _value_digest(value: Any, function: Callable[..., Any]) -> str:
     """A text that changes when a global value changes.
 
-    For an intrinsic: the text of the file that defines it. For an unknown kind of value: the text of the kernel's file.
+    For an intrinsic, the text of the file that defines it. For an unknown kind of value, the text of the kernel's file.
     """
     if isinstance(value, Hashable) and value in _MADE_FROM:
         return _MADE_FROM[value]

@@ -1,4 +1,4 @@
-"""The error hierarchy of the project: one root, messages that list what would have been valid."""
+"""The error hierarchy of the project: one root class. Messages list the valid values."""
 
 from __future__ import annotations
 
@@ -20,11 +20,13 @@ __all__ = [
 
 
 _NEAR = 0.7
-"""How alike two names are that one may be meant for the other, of 1 (see `difflib.SequenceMatcher.ratio`)."""
+"""Least similarity of two names from which one is suggested for the other, from 0 to 1
+(`difflib.SequenceMatcher.ratio`)."""
 
 
 def perhaps(name: object, valid: Iterable[str]) -> str:
-    """What is added to a message about an unknown name: the valid name nearest to it, or nothing if none is near.
+    """Suggestion at the end of a message about an unknown name: the nearest valid name, or an empty text if none is
+    near.
 
     Examples
     --------
@@ -44,7 +46,7 @@ class ConfigError(ShieldError, ValueError):
 
 
 class MissingAttributeError(ConfigError, AttributeError):
-    """An attribute or a method that an object has not is asked of it by name; to `hasattr` it is not there."""
+    """An object lacks the named attribute or method. `hasattr` returns False for it."""
 
 
 class SceneError(ShieldError, ValueError):
@@ -60,12 +62,12 @@ class DataError(ShieldError, ValueError):
 
 
 class ModelError(ShieldError, ValueError):
-    """A dynamics model is given arrays that it cannot use, or a file that it cannot be read from."""
+    """A dynamics model received arrays that it cannot use, or cannot be read from a file."""
 
 
 class PolicyError(ShieldError, TypeError):
-    """An object handed in as a policy cannot be used as one."""
+    """An object given as a policy cannot be used as one."""
 
 
 class PlatformError(ShieldError, RuntimeError):
-    """This machine, or a library on it, is not as something exact needs it."""
+    """This machine, or a library on it, does not compute as an exact result requires."""

@@ -1,4 +1,4 @@
-"""The import packages of this project, and the user's files of the same name that hide one of them."""
+"""The import packages of this project, and files of the user that hide one of them by the same name."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _ROOT = Path(__file__).parents[1]
 
 
 def refuse_hidden(*names: str) -> None:
-    """Check that the packages of these names are this project's.
+    """Check that the packages of these names are those of this project.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def warn_of_hidden(*names: str) -> None:
 
 
 def hiding_file(name: str) -> Path | None:
-    """The file that `import name` finds in place of this project's package; None where it finds the package."""
+    """The file that `import name` finds instead of this project's package; None where it finds the package."""
     own = _ROOT / name / "__init__.py"
     loaded = sys.modules.get(name)
     if loaded is not None:

@@ -1,8 +1,9 @@
-"""Tuples of arrays that kernels hand on by where they are, and not word by word.
+"""Pass NamedTuples of arrays between kernels by pointer instead of by value.
 
-A kernel that is called with a NamedTuple of thirty arrays gets some 250 words, and each of them is written to the stack
-and read again, whether or not it is used. A tuple that is `lent` stays where it is for as long as the kernel that lends
-it has not returned; whoever is handed it reads of it what is `held` there, and that is what is used of it and no more.
+A kernel that is called with a NamedTuple of thirty arrays receives some 250 words. Each word is written to the stack
+and read again, whether or not it is used. `lent(x)` stores the tuple once and returns a pointer to it; `held(pointer)`
+dereferences it. The callee loads only the fields that it reads. The pointer is valid until the kernel that called
+`lent` returns.
 """
 
 from __future__ import annotations
@@ -19,14 +20,15 @@ __all__ = ["Lent", "held", "lent"]
 
 T = TypeVar("T")
 _built_in: Any = intrinsic
-"""What makes LLVM code of a call, for type checkers that do not know the decorator."""
+"""numba's `intrinsic` as `Any`: its type stubs do not describe the decorator."""
 
 
 class Lent(Generic[T]):
-    """Where a tuple is, for type checkers: in a kernel it is an address."""
+    """Pointer to a tuple of type T. For type checkers only: inside a kernel it is an address."""
 
 
 def _write(builder: Any, value: Any, place: Any) -> None:
+    """Store a value at an address, field by field for an aggregate."""
     if not isinstance(value.type, ir.Aggregate):
         builder.store(value, place)
         return
@@ -36,6 +38,8 @@ def _write(builder: Any, value: Any, place: Any) -> None:
 
 @_built_in
 def _lent(typingctx: Any, value: Any) -> Any:
+    """Allocate the tuple on the caller's stack, store it, and return its address."""
+
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         model = context.data_model_manager[signature.args[0]]
         place = cgutils.alloca_once(builder, model.get_data_type())
@@ -47,6 +51,8 @@ def _lent(typingctx: Any, value: Any) -> Any:
 
 @_built_in
 def _held(typingctx: Any, place: Any) -> Any:
+    """Load the tuple from its address."""
+
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return context.data_model_manager[signature.return_type].load_from_data_pointer(builder, args[0])
 
@@ -54,6 +60,7 @@ def _held(typingctx: Any, place: Any) -> Any:
 
 
 lent: Callable[[T], Lent[T]] = _lent
-"""`lent(x)` is where a tuple is that a kernel hands on, good until that kernel returns. In a loop it is one place."""
+"""`lent(x)` returns a pointer to a tuple, valid until the calling kernel returns. In a loop, all iterations share one
+stack slot."""
 held: Callable[[Lent[T]], T] = _held
-"""`held(x)` is the tuple itself."""
+"""`held(pointer)` dereferences a pointer that `lent` returned."""

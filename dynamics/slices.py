@@ -1,4 +1,4 @@
-"""Environments in slices, each of which a thread of its own steps."""
+"""Environments in slices, one thread for each slice."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ __all__ = ["Slices", "consecutive"]
 
 
 class Slices:
-    """So many environments for so many threads, one at least.
+    """Divides `count` environments into consecutive slices of nearly equal size, one for each of at most `threads`
+    threads.
 
     Attributes
     ----------
@@ -26,11 +27,13 @@ class Slices:
         self._pool = ThreadPoolExecutor(len(self.bounds)) if len(self.bounds) > 1 else None
 
     def run(self, part: Callable[[int, int, int], None], which: NDArray[np.int64] | None = None) -> None:
-        """Call `part` with the number of each slice and its bounds, all slices at once.
+        """Call `part` with the number of each slice and its bounds, all slices in parallel.
 
         Parameters
         ----------
-        which : of environments, in increasing order; `part` is called with each range of consecutive ones in a slice.
+        part : called as part(slice, first, last + 1).
+        which : environments, in increasing order; `part` is called for each range of consecutive ones within a slice.
+            By default all.
         """
         ranges = None if which is None else consecutive(which)
 

@@ -65,11 +65,12 @@ class Vehicle(IntEnum):
 
 LEAST = (-1e7, -1e7, -1e6, -1e4, 0.0, 0.0, 0.0)
 MOST = (1e7, 1e7, 1e6, 1e4, 1e4, 1e4, 1.0)
-"""Bounds of the columns of `Vehicle`: within them sums and squares of numbers, and loops over them, stay sound."""
+"""Bounds of the columns of `Vehicle`. Within them, sums and squares do not overflow and loops over them end."""
 
 
 def readable(rows: FloatArray) -> BoolArray:
-    """Which numbers of vehicle rows (..., 7) are those of a vehicle on a road: finite, and within wide bounds."""
+    """Whether each number of vehicle rows (..., 7) is finite and within `LEAST` and `MOST`; of the shape of the
+    rows."""
     return np.asarray((rows >= LEAST) & (rows <= MOST))
 
 

@@ -1,7 +1,7 @@
-"""What the shield assumes of the other road users, as data.
+"""The assumptions about other vehicles, as data.
 
-A certificate holds for every behaviour inside these bounds, and for none outside; `dynamics.traffic.rules_of_the_road`
-says of what a vehicle did in a frame whether it was inside. `Assumptions.rss()` takes the worst-case constants of
+A certificate holds for every behaviour within these bounds, and for none outside. `dynamics.traffic.rules_of_the_road`
+checks whether the motion of a vehicle in a frame was within them. `Assumptions.rss()` has the worst-case constants of
 Responsibility-Sensitive Safety, `Assumptions.idm()` those of highway-env's traffic.
 """
 
@@ -22,41 +22,44 @@ class Assumptions:
     Attributes
     ----------
     braking : greatest deceleration of any vehicle [m/s^2].
-    calm_braking : greatest deceleration of one whom nothing ahead asks for more (`dynamics.traffic.reaction`), as IDM
-        and MOBIL would have it [m/s^2]. It may brake harder where that leaves the room for the ego's fail-safe. With
-        `braking` itself, everybody may brake as hard as can be at any time.
+    calm_braking : greatest deceleration of a vehicle that needs no more for the vehicles ahead, by IDM and MOBIL
+        (`dynamics.traffic.reaction`) [m/s^2]. It may brake harder where the ego's fail-safe keeps its room. If equal to
+        `braking`, every vehicle may brake at `braking` at any time.
     acceleration : greatest acceleration of any vehicle [m/s^2].
-    power : the same for one that is fast already: no more than `power` / speed [m^2/s^3].
-    max_speed : greatest speed that a slower vehicle accelerates to [m/s]; one that is faster keeps its speed or slows.
-    min_speed : speed below which a moving vehicle does not brake on purpose [m/s]; 0 lets it stop.
-    turning_loss : way along the road that a car may lose by turning, at more than `slow_speed` [m]. A lane change of
-        highway-env's traffic costs 0.3 m at 25 m/s, 0.8 m at 10 m/s and 1.4 m at 6 m/s.
-    turning_action : speed times way that it may lose by turning [m^2/s]: half the square of the speed across the road,
-        over time. So one that is fast loses less.
-    turning_loss_back, turning_action_back : how fast they come back [m/s], [m^2/s^2].
-    turning_burst : speed times way that it may lose within any second [m^2/s]: one lane change, and not two; those of
-        highway-env's cars come to 10.2 at most.
-    slow_speed : speed below which nobody is counted on to get anywhere [m/s].
-    reversing_speed : greatest speed backwards [m/s]; 0 where nobody reverses.
-    queue_distance, queue_speed : a vehicle reverses only from one ahead in its lanes that is nearer than this, centre
-        to centre [m], and slower [m/s], or comes to rest within `runout_time` [s].
-    lean : how far a body may reach over a lane marking before it counts as being in the next lane as well [m].
-    waver : how far out of the middle of its lane the body of a vehicle comes that keeps to the middle [m].
-    follower_braking : deceleration that a follower owes to an ego that has entered its lane [m/s^2].
-    reaction_time : time after which the follower does so [s], counted from when the ego is visible in its lane.
-    visible_distance : distance from a lane's centre within which a vehicle counts as being in it [m].
-    settle_time : for so long after the ego has come into sight in a lane, a vehicle beside it that is already turning
-        towards it may still come in [s].
-    blind_merge : whether a vehicle beside the lane that the ego is about to enter may enter it as well, as long as
-        the ego is not visible there: one that gains by it (`dynamics.traffic.mobil`), or is on its way.
-    slip_in : whether a vehicle alongside may change into the ego's lane behind an ego that pulls away from it, or
-        before one that it pulls away from, as MOBIL does once IDM's desired gap has vanished
-        (`shield.certificate.road.clauses.cut_in`).
-    looks_ahead : on road networks, whether those behind look beyond the end of their own lane; highway-env's traffic
-        does not, but where its road is told to.
-    gives_way : on road networks, whether whoever has less right of way than the ego waits for it
-        (`dynamics.road_networks.reachable.rights`); highway-env's traffic does not always.
-    simulated : whether the others are highway-env's own and are simulated, so that nothing above is asked; see `exact`.
+    power : greatest product of acceleration and speed [m^2/s^3]; it limits the acceleration of a fast vehicle.
+    max_speed : greatest speed that a slower vehicle accelerates to [m/s]. A faster vehicle keeps its speed or slows
+        down.
+    min_speed : speed below which a moving vehicle does not brake on purpose [m/s]; with 0 it may stop.
+    turning_loss : distance along the road that a car may lose by turning, at more than `slow_speed` [m]. A lane change
+        of highway-env's traffic costs 0.3 m at 25 m/s, 0.8 m at 10 m/s and 1.4 m at 6 m/s.
+    turning_action : greatest speed times distance that it may lose by turning [m^2/s]: half the square of the lateral
+        speed, integrated over time. So a fast vehicle loses less distance.
+    turning_loss_back, turning_action_back : rates at which these two allowances recover [m/s], [m^2/s^2].
+    turning_burst : greatest speed times distance that it may lose within any second [m^2/s]. This covers one lane
+        change, but not two; those of highway-env's cars reach at most 10.2.
+    slow_speed : speed below which no progress of a vehicle is assumed [m/s].
+    reversing_speed : greatest speed backwards [m/s]; 0 if no vehicle reverses.
+    queue_distance, queue_speed : a vehicle reverses only behind a vehicle in its lanes that is nearer than
+        `queue_distance`, centre to centre [m], and slower than `queue_speed` [m/s]. Otherwise a reversing vehicle comes
+        to rest within `runout_time`.
+    runout_time : time within which a reversing vehicle comes to rest, where nothing ahead makes it reverse [s].
+    lean : how far a body may reach over a lane marking before it counts as in the next lane as well [m].
+    waver : greatest lateral deviation of a body from the centre of its lane while it keeps to the centre [m].
+    follower_braking : least deceleration of a follower behind an ego that has entered its lane [m/s^2].
+    reaction_time : time until the follower brakes [s], counted from when the ego is visible in its lane.
+    visible_distance : distance from a lane's centre within which a vehicle counts as in the lane [m].
+    settle_time : for this long after the ego became visible in a lane, a vehicle alongside that already turns towards
+        the lane may still enter it [s].
+    blind_merge : whether a vehicle beside the lane that the ego is about to enter may enter it as well, while the ego
+        is not visible there. It does so if it gains (`dynamics.traffic.mobil`) or is on its way.
+    slip_in : whether a vehicle alongside may cut in behind an ego that pulls away from it, or before an ego from which
+        it pulls away. MOBIL permits that once IDM's desired gap is zero (`shield.certificate.road.clauses.cut_in`).
+    looks_ahead : on road networks, whether vehicles behind the ego consider vehicles beyond the end of their own lane.
+        highway-env's traffic does so only if its road is configured to.
+    gives_way : on road networks, whether a vehicle with less right of way than the ego waits for it
+        (`dynamics.road_networks.reachable.rights`). highway-env's traffic does not always.
+    simulated : whether the other vehicles are highway-env's own traffic, which is simulated; then none of the bounds
+        above is used. See `exact`.
     """
 
     braking: float = 6.0
@@ -104,12 +107,13 @@ class Assumptions:
 
     @classmethod
     def idm(cls) -> Assumptions:
-        """highway-env's IDM and MOBIL traffic: |a| <= 6 m/s^2, a quick reaction, lane changes that pay."""
+        """highway-env's IDM and MOBIL traffic: |a| <= 6 m/s^2, reaction within 0.2 s, lane changes with an
+        incentive."""
         return cls()
 
     @classmethod
     def rss(cls) -> Assumptions:
-        """Worst case: leaders brake at 8 m/s^2, followers answer after 1 s with 4 m/s^2.
+        """Worst case: leaders brake at 8 m/s^2, followers brake at 4 m/s^2 after 1 s.
 
         Source: Shalev-Shwartz et al. 2017, with the constants customary on motorways.
         """
@@ -124,31 +128,38 @@ class Assumptions:
 
     @classmethod
     def moderate(cls) -> Assumptions:
-        """Traffic whose leaders do not brake harder than 3 m/s^2: what `Shield` assumes over its seconds of look-ahead.
+        """Traffic whose leaders brake at no more than 3 m/s^2: the default of `Shield` over its horizon of some
+        seconds.
 
-        An ego that cannot go below 20 m/s has no plan against a leader that may stop, so that the worst case would
-        leave it without any. highway-env's traffic seldom brakes harder; the monitor counts each time that it does.
+        An ego that cannot go below 20 m/s has no plan against a leader that may stop, so the worst case would refuse
+        every plan. highway-env's traffic seldom brakes harder; the monitor counts each time that it does.
         """
         return cls(braking=3.0)
 
     @classmethod
     def roads(cls) -> Assumptions:
-        """highway-env's IDM traffic on road networks: it accelerates at 3 m/s^2 at most, up to the limit of its lanes,
-        and yields to nobody who crosses or joins."""
+        """highway-env's IDM traffic on road networks. It accelerates at no more than 3 m/s^2, up to the speed limit of
+        its lanes, and does not yield to crossing or joining vehicles."""
         return cls(acceleration=3.0, max_speed=30.0, waver=0.6)
 
     @classmethod
     def exact(cls) -> Assumptions:
-        """The others do what highway-env's traffic does, to the bit: verification is by simulation of it.
+        """The others drive as highway-env's traffic does, to the bit; plans are verified by simulating it.
 
-        What it promises carries over to no other traffic, and it is refused where the traffic is not of a class that
-        is known. See `shield.certificate.simulated`.
+        The guarantee holds for no other traffic. Traffic of an unknown class is refused. See
+        `shield.certificate.simulated`.
         """
         return cls(simulated=True)
 
     @classmethod
     def profile(cls, name: str) -> Assumptions:
-        """A profile by name: "idm", "roads", "moderate", "rss" or "exact"."""
+        """A profile by name: "idm", "roads", "moderate", "rss" or "exact".
+
+        Raises
+        ------
+        ConfigError
+            If the name is unknown.
+        """
         profiles = {"idm": cls.idm, "roads": cls.roads, "moderate": cls.moderate, "rss": cls.rss, "exact": cls.exact}
         if name not in profiles:
             raise ConfigError(f"unknown assumptions {name!r}; valid are {', '.join(map(repr, profiles))}")

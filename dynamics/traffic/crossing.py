@@ -1,8 +1,8 @@
-"""Traffic of intersections that keeps to itself what they change.
+"""Traffic of intersections with parameters of its own.
 
-highway-env's `IntersectionEnv` sets `DISTANCE_WANTED`, `COMFORT_ACC_MAX` and `COMFORT_ACC_MIN` of the class of its
-traffic whenever it is reset, and so when it is made: in every other environment of the process vehicles of that class
-drive otherwise from then on. Where its traffic is of a class of its own, no other is changed.
+highway-env's `IntersectionEnv` sets `DISTANCE_WANTED`, `COMFORT_ACC_MAX` and `COMFORT_ACC_MIN` on the class of its
+traffic, at each reset and at construction. From then on vehicles of that class drive differently in every other
+environment of the process. With the classes of this module, no other environment is changed.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ _KEY, _STOCK = "other_vehicles_type", behavior.__name__
 
 
 class IDMVehicle(behavior.IDMVehicle):  # type: ignore[misc]
-    """highway-env's, at intersections."""
+    """highway-env's `IDMVehicle`, for intersections."""
 
 
 class LinearVehicle(behavior.LinearVehicle):  # type: ignore[misc]
-    """highway-env's, at intersections."""
+    """highway-env's `LinearVehicle`, for intersections."""
 
 
 class AggressiveVehicle(behavior.AggressiveVehicle):  # type: ignore[misc]
-    """highway-env's, at intersections."""
+    """highway-env's `AggressiveVehicle`, for intersections."""
 
 
 class DefensiveVehicle(behavior.DefensiveVehicle):  # type: ignore[misc]
-    """highway-env's, at intersections."""
+    """highway-env's `DefensiveVehicle`, for intersections."""
 
 
 def with_own_traffic(env_id: str, config: Mapping[str, Any]) -> dict[str, Any]:
-    """What an environment is made with: its configuration as given, and traffic of its own where it is an intersection
-    and would have one of highway-env's classes."""
+    """A copy of a configuration. At an intersection, a traffic class of highway-env is replaced by the class of the
+    same name in this module."""
     spec = gym.registry.get(env_id.rpartition(":")[2])
     return dict(config) if spec is None else _with_own_traffic(spec, config)
 
@@ -56,12 +56,12 @@ def _with_own_traffic(spec: EnvSpec, config: Mapping[str, Any]) -> dict[str, Any
 
 
 def make(env_id: str, config: Mapping[str, Any], **options: Any) -> gym.Env[Any, Any]:
-    """What `gym.make` makes, `with_own_traffic`; by what the id stands for: that there is a later version is no news to
-    who asks for this one.
+    """`gym.make` with the configuration of `with_own_traffic`, without Gymnasium's warning if a later version is
+    registered.
 
     As in `gym.make`, `config` replaces the configuration that the id is registered with
-    (`dynamics.scenes.registration.registered_config`). Nothing is passed where it is empty: an environment may be made
-    by a function that takes none. A `DiscreteAction` with two `actions_per_axis` is a grid of throttle and steering
+    (`dynamics.scenes.registration.registered_config`). An empty configuration is not passed on, as the entry point may
+    take none. A `DiscreteAction` with two `actions_per_axis` is a grid of throttle and steering
     (`dynamics.vehicle.action_grid`), which highway-env itself does not have.
     """
     spec = spec_of(env_id)
@@ -74,7 +74,7 @@ def make(env_id: str, config: Mapping[str, Any], **options: Any) -> gym.Env[Any,
 
 
 def _on_grid(spec: EnvSpec, config: dict[str, Any], options: dict[str, Any]) -> gym.Env[Any, Any]:
-    """An environment made with `ContinuousAction`, and put on the grid that its configuration asks for."""
+    """Make an environment with `ContinuousAction`, and put it on the grid of its configuration."""
     own = cast(Any, _kind(spec)).default_config().get("action", {})
     action = {**{key: value for key, value in own.items() if key in KEPT}, **config["action"]}
     rest = {key: value for key, value in action.items() if key not in ("type", "actions_per_axis")}
@@ -84,7 +84,8 @@ def _on_grid(spec: EnvSpec, config: dict[str, Any], options: dict[str, Any]) -> 
 
 
 def _makes_grids(spec: EnvSpec) -> bool:
-    """Whether what makes an environment takes grids of actions by itself: it says so, or is a function."""
+    """Whether an environment class supports grids of actions itself: it has `makes_grids`, or the entry point is a
+    function."""
     kind = _kind(spec)
     return not isinstance(kind, type) or bool(getattr(kind, "makes_grids", False))
 

@@ -10,27 +10,27 @@ __all__ = ["Mixed", "Truck", "WithTrucks"]
 
 
 class Truck(IDMVehicle):  # type: ignore[misc]
-    """Drives as a car does, and is 12 m long and 2.5 m wide."""
+    """A vehicle 12 m long and 2.5 m wide that drives as an `IDMVehicle` does."""
 
     LENGTH = 12.0
     WIDTH = 2.5
 
 
 class Mixed(IDMVehicle):  # type: ignore[misc]
-    """What `MIX` names, in turn.
+    """Vehicles of the classes in `MIX`, in turn.
 
-    Its classes drive in one way: they may differ in constants, but for those that are drawn.
+    The classes share the driving model. They may differ in constants, except in those that are drawn at random.
     """
 
     MIX: ClassVar[tuple[type[IDMVehicle], ...]] = (IDMVehicle,)
 
     @classmethod
     def create_random(cls, road: Any, *args: Any, **kwargs: Any) -> Any:
-        """The next vehicle on the road, whose first is the ego; see highway-env's `Vehicle.create_random`."""
+        """The next vehicle on a road whose first vehicle is the ego; see highway-env's `Vehicle.create_random`."""
         return cls.MIX[(len(road.vehicles) - 1) % len(cls.MIX)].create_random(road, *args, **kwargs)
 
 
 class WithTrucks(Mixed):
-    """Every third is a truck."""
+    """Traffic in which every third vehicle is a truck."""
 
     MIX = (IDMVehicle, IDMVehicle, Truck)

@@ -1,11 +1,11 @@
-"""Who gains by a lane change: what highway-env's traffic asks before it begins one.
+"""Lane-change incentive by MOBIL, as highway-env's traffic computes it before a lane change.
 
-MOBIL lets a vehicle change lanes where that lets it accelerate more, and its new follower need not brake too hard. Both
-are answered with the Intelligent Driver Model,
+MOBIL permits a lane change that increases the vehicle's own acceleration, unless the new follower has to brake too
+hard. Both accelerations come from the Intelligent Driver Model,
 
     a(v, leader) = a0 (1 - (v / v0)^4 - (d* / d)^2)        d* = d0 + T v + v (v - v_leader) / (2 sqrt(a b))
 
-where d is the distance of centres. The speed v0 that a vehicle wants is not known, and drops out of the gain.
+where d is the distance of centres. The desired speed v0 is not known, and cancels in the incentive.
 
 Sources: Treiber, Hennecke and Helbing 2000 (IDM); Kesting, Treiber and Helbing 2007 (MOBIL); the constants are those of
 highway-env 1.12's `IDMVehicle`.
@@ -25,38 +25,51 @@ __all__ = ["COMFORT", "GAP", "IMPOSED", "LEAST_GAIN", "TIME", "TWICE_ROOT", "des
 GAP, TIME, TWICE_ROOT = 10.0, 1.5, 2.0 * math.sqrt(15.0)
 """IDM's d0 [m], T [s] and 2 sqrt(a b) [m/s^2]."""
 IMPOSED = 1.3
-"""Multiple of the distance that d* of a new follower may be: it would brake at no more than 2 m/s^2."""
+"""Greatest ratio d* / d of the new follower: it brakes at no more than 2 m/s^2."""
 COMFORT = 3.0
 """IDM's a0 [m/s^2]."""
 _LEAVES = 1.0
-"""Who is out of a lane after so long as it is going now does not count there any more [s]."""
+"""Time for which the lateral motion is extrapolated: a vehicle outside a lane after it does not count as in the lane
+[s]."""
 LEAST_GAIN = 0.2
-"""Acceleration that a lane change has to gain [m/s^2]."""
+"""Least gain in acceleration of a lane change [m/s^2]."""
 
 
 @inlined
 def gap_by(distance: float, time: float, twice_root: float, v: float, closing: float) -> float:
-    """IDM's desired gap d* by a driver's own d0 [m], T [s] and 2 sqrt(a b) [m/s^2], at speed v, closing in on the
-    vehicle ahead [m]; negative where it pulls away."""
+    """IDM's desired gap d* to the leader [m], by a driver's d0 [m], T [s] and 2 sqrt(a b) [m/s^2].
+
+    Parameters
+    ----------
+    v : speed [m/s].
+    closing : speed minus the leader's speed [m/s]. Where it is very negative, so is the gap.
+    """
     return distance + v * time + v * closing / twice_root
 
 
 @inlined
 def desired_gap(v: float, closing: float) -> float:
-    """The same by the constants of `IDMVehicle`."""
+    """IDM's desired gap d* [m], by the constants of `IDMVehicle`, at speed `v` and closing speed `closing` [m/s]."""
     return gap_by(GAP, TIME, TWICE_ROOT, v, closing)
 
 
 @inlined
 def _held_up(v: float, closing: float, gap: float) -> float:
-    """d* / d of a vehicle behind another."""
+    """Ratio d* / d of a vehicle to its leader, at a distance of centres `gap` [m]."""
     return desired_gap(v, closing) / max(gap, 1e-2)
 
 
 @inlined
 def _pays(v: float, now: float, gap: float, speed: float, back: float, behind: float, slack: float) -> bool:
-    """MOBIL's answer: `now` is (d* / d)^2 of the old leader, the new one is at `gap` and `speed`, the new follower at
-    `back` and `behind`."""
+    """Whether MOBIL permits a lane change.
+
+    Parameters
+    ----------
+    v : speed of the vehicle [m/s]. now : (d* / d)^2 to the old leader.
+    gap, speed : distance [m] and speed [m/s] of the new leader.
+    back, behind : distance [m] and speed [m/s] of the new follower.
+    slack : as in `gains`.
+    """
     gain = COMFORT * (now - _held_up(v, v - speed, gap) ** 2)
     imposed = _held_up(behind, behind - v, back)
     return gain >= LEAST_GAIN - slack and imposed <= IMPOSED + slack
@@ -64,8 +77,8 @@ def _pays(v: float, now: float, gap: float, speed: float, back: float, behind: f
 
 @inlined
 def _stays(r: float, across: float, center: float, sight: float) -> bool:
-    """Whether a vehicle counts in a lane: one that is leaving it is nobody's leader there by the time that somebody
-    enters it."""
+    """Whether a vehicle at r [m], with lateral speed `across` [m/s], counts as in a lane: now, and after `_LEAVES`
+    seconds."""
     return abs(r - center) <= sight and abs(r + _LEAVES * across - center) <= sight
 
 
@@ -84,13 +97,14 @@ def gain_of(
     asked: BoolArray,
     out: BoolArray,
 ) -> None:
-    """Whether vehicle `j` would gain by a change into the lane below its own in r, and above, `out` (2,), where that is
-    `asked` (2,); see `gains`."""
+    """Whether vehicle `j` would gain by a change into the lane below its own in r, and into the one above, `out` (2,),
+    written. Only lanes `asked` for (2,) are computed; the others are False. The other parameters are those of
+    `gains`."""
     s, v, own = states[j, 0], states[j, 3], centers[lane[j]]
     now, ahead = 0.0, ego[0] - s
     if ahead >= 0 and (abs(ego[1] - own) <= sight or low[j] < ego[1] < high[j]):
         now = _held_up(v, v - ego[3], ahead) ** 2
-    # Of the lanes below and above: distance and speed of the next ahead, and of the next behind.
+    # Of the lanes below and above: distance and speed of the next vehicle ahead, and of the next behind.
     gap0, gap1, back0, back1 = np.inf, np.inf, np.inf, np.inf
     speed0, speed1, behind0, behind1 = 0.0, 0.0, 0.0, 0.0
     below, above = asked[0] and lane[j] > 0, asked[1] and lane[j] + 1 < centers.shape[0]
@@ -129,18 +143,22 @@ def gains(
     asked: BoolArray,
     out: BoolArray,
 ) -> None:
-    """Whether each vehicle would gain by a change into the lane below its own in r, and above, `out` (m, 2), where that
-    is `asked` (m, 2): False elsewhere.
+    """Whether each vehicle would gain by a change into the lane below its own in r, and into the one above, `out` (m,
+    2), written.
 
     Parameters
     ----------
-    states : road states (m, 4). across : speed of each across the road, (m,) [m/s].
-    lane : the nearest lane of each, (m,). centers : of the lanes [m].
-    low, high : edges of the lanes that each touches, (m,) [m]: whoever touches a vehicle's own may be its leader soon.
-    sight : how near to a lane's centre a vehicle counts as being in it [m].
-    slack : what the gain may lack [m/s^2]; and, as a share of the distance, what the new follower may.
-    ego : road state of one more, (4,), that holds others up and is in nobody's way where they want to go: they do not
-        see it there.
+    states : road states (m, 4).
+    across : lateral speed of each vehicle, (m,) [m/s].
+    lane : nearest lane of each vehicle, (m,). centers : of the lanes, (lanes,) [m].
+    low, high : edges of the lanes that each vehicle touches, (m,) [m]. A vehicle that touches the centre of another's
+        lane may soon be its leader.
+    sight : greatest distance from a lane's centre at which a vehicle counts as in the lane [m].
+    slack : by how much the gain may fall short [m/s^2]; and by how much d* / d of the new follower may exceed its
+        bound.
+    ego : road state (4,) of the ego. It counts as a leader in the old lane, but not as a vehicle in the new one: the
+        others do not see it there.
+    asked : which lane changes to compute, (m, 2); the others are False in `out`.
     """
     for j in range(states.shape[0]):
         out[j, 0] = out[j, 1] = False

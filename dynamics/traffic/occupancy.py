@@ -1,23 +1,22 @@
-"""Where the others can be: constant velocity, and worst-case occupancy under `Assumptions`.
+"""Where the other vehicles can be: constant velocity, and worst-case occupancy under `Assumptions`.
 
 Notation
 --------
-Road frame. Frame k = 1..K after the scene. The occupancy of a vehicle at frame k is the rectangle
-[rear_k, front_k] x [low, high]: the hull of every place that its body can be at. Positions follow the
-simulator's explicit Euler steps (s_{k+1} = s_k + v_k dt), so the bound is exact and not only nearly so.
+Road frame. Frame k = 1..K after the scene. The occupancy of a vehicle at frame k is the rectangle [rear_k, front_k] x
+[low, high]: the hull of all places that its body can reach. Positions follow the simulator's explicit Euler steps
+(s_{k+1} = s_k + v_k dt), so the bound holds exactly and not only approximately.
 
-Along the road: the rear is that of a vehicle that brakes from now on as hard as it may: at `calm_braking`, and at up to
-`braking` from when what is ahead of it may ask for that (`dynamics.traffic.reaction`). It loses what it may lose by
-turning (`turning_loss`), is not counted on to get anywhere below `slow_speed`, and may reverse from what stands ahead
-of it.
-The front is that of one that accelerates at `acceleration`, until it owes the ego its braking.
-Across: a vehicle stays in the lanes that its body touches, one frame ahead at constant velocity included. Where it is
-in them and how it is turned makes no difference, so that a lane change that is aborted late, a car that wavers and one
-that slides need no rule of their own. That it may touch a lane more is not in the bound: it has to leave the room for
-the ego's fail-safe then, and `dynamics.traffic.rules_of_the_road` says so.
+Along the road, the rear is that of a vehicle that brakes from now on as hard as it may. It brakes at `calm_braking`,
+and at up to `braking` from when a vehicle ahead may require that (`dynamics.traffic.reaction`). It loses what it may
+lose by turning (`turning_loss`), makes no progress below `slow_speed`, and may reverse behind a standing vehicle.
+The front is that of a vehicle that accelerates at `acceleration`, until it has to brake for the ego.
+Across the road, a vehicle stays in the lanes that its body touches now or, at constant velocity, one frame ahead. Its
+position and heading within them do not matter. So late aborts of a lane change, lateral wander and sliding need no
+rules of their own. The bound does not cover a further lane that the vehicle may come to touch. It may do so only where
+the ego's fail-safe keeps its room, see `dynamics.traffic.rules_of_the_road`.
 
-Source: Responsibility-Sensitive Safety (Shalev-Shwartz et al. 2017), set-based prediction (Althoff and Magdici
-2016), with the reaction of highway-env's own traffic.
+Source: Responsibility-Sensitive Safety (Shalev-Shwartz et al. 2017), set-based prediction (Althoff and Magdici 2016),
+with the reaction of highway-env's own traffic.
 """
 
 from __future__ import annotations
@@ -53,11 +52,12 @@ _STRAIGHT, _NO_GROWTH = np.zeros((2, 0)), np.zeros((0, 2))
 _NOBODY = np.zeros((0, 4))
 _LENGTH, _SIZE = int(Vehicle.LENGTH), [int(Vehicle.LENGTH), int(Vehicle.WIDTH)]
 _CAR = 6.0
-"""Length up to which a vehicle turns as a car does; a longer one swings further [m]."""
+"""Length up to which a vehicle turns as a car does [m]; a longer one loses more distance by turning."""
 _REACTING = 3.0
-"""Time for which it is looked at how hard each may brake; afterwards, it may as hard as anybody [s]."""
+"""Time over which the hardest braking of each vehicle is computed; afterwards it may brake at `braking` [s]."""
 _COARSE = 3.5
-"""By what share vehicles swing further for each second that a frame lasts: their controllers act once a frame."""
+"""Relative increase of the turning allowances for each second that a frame lasts: controllers act once a frame
+[1/s]."""
 
 
 def constant_velocity(states: FloatArray, frames: int, dt: float) -> FloatArray:
@@ -77,7 +77,7 @@ class Occupancy:
     Attributes
     ----------
     rear : least s of the body, (m, K) [m].
-    front : greatest s of the body without any duty to react, (m, K) [m].
+    front : greatest s of the body, without a reaction to the ego, (m, K) [m].
     low, high : lateral extent, (m,) [m].
     """
 
@@ -95,7 +95,7 @@ class Occupancy:
 
 @lru_cache(maxsize=16)
 def motion_settings(a: Assumptions, dt: float) -> tuple[Motion, FloatArray]:
-    """The bounds on the motion; and their numbers, with `lean` and `waver`."""
+    """The bounds on the motion; and their numbers, followed by `lean` and `waver`, (19,)."""
     motion = Motion(
         a.braking,
         a.acceleration,
@@ -120,16 +120,16 @@ def motion_settings(a: Assumptions, dt: float) -> tuple[Motion, FloatArray]:
 
 @uncounted
 def in_order(states: FloatArray, order: IntArray) -> None:
-    """The vehicles from the first along the road to the last, `order` (m,); those whose place is not known come
+    """The vehicles in decreasing order of s, `order` (m,), written. Vehicles with an unknown position (NaN) come
     last."""
-    # Most often the rows are from the last to the first.
+    # Insertion sort from the last row to the first: most often the rows are in increasing order of s.
     m = states.shape[0]
     for n in range(m):
         i, k = m - 1 - n, n
         s = states[i, 0]
         while k > 0:
             other = states[order[k - 1], 0]
-            # Of equals, and of those that are not known, the earlier row comes first.
+            # Among equals, and among unknown positions, the lower row comes first.
             if other > s or (s != s and other == other):
                 break
             order[k] = order[k - 1]
@@ -158,10 +158,16 @@ def look(
     order: IntArray,
     ways: FloatArray,
 ) -> None:
-    """Fill in the tables of `Surroundings` from what it is made of.
+    """Fill in the tables of `Surroundings`.
 
-    `states0`, `numbers0` and `recent0` are of the frame before, of no vehicles without one; `order` (m,) and `ways`
-    (`room_for`) are room that is written over; for the rest see `strips`, `spend`, `brakings` and `floors`.
+    Parameters
+    ----------
+    others, states : vehicle rows (m, 7) and road states (m, 4). growth, stretch : see `strips` and `rear_of`.
+    centers, width : of the lanes [m]. settings : the numbers of `motion_settings`.
+    lap, ego : see `brakings`.
+    states0, numbers0, recent0 : of the frame before; of no vehicles if there is none.
+    marks, numbers, brakes, recent : `Tables`, written.
+    order, ways : buffers, overwritten, (m,) and `room_for`.
     """
     motion, bodies, m = motion_of(settings), bodies_of(marks, numbers, brakes, recent), states.shape[0]
     strips(others, states, growth, Lanes(centers, width, settings[17], settings[18], motion.dt), bodies)
@@ -185,7 +191,7 @@ def look(
 
 
 def room_for(m: int, frames: int) -> tuple[int, int, int]:
-    """Shape of the room in which `look` works, for m vehicles and so many coming frames."""
+    """Shape of the buffer `ways` of `look`, for m vehicles and a number of coming frames."""
     return 7, max(frames, 3), max(frames, m, 2)
 
 
@@ -198,24 +204,24 @@ class Before(NamedTuple):
 
 
 class Surroundings:
-    """The others of one scene, and where they can come to be.
+    """The other vehicles of one scene, and where they can come to be.
 
     Parameters
     ----------
     others : vehicle rows (m, 7).
     states : the same in the road frame (m, 4).
     road : the road that they are on.
-    assumptions : what they keep to.
+    assumptions : bounds on their behaviour.
     dt : duration of a frame [s].
-    before : the same others a frame before, in the same order, from which follows what each may still lose of its way
-        by turning; without it, all of `assumptions.turning_loss`.
-    ego : where the ego is along the road, for whom those behind it may have to brake [m]; NaN without one.
+    before : the same vehicles a frame before, in the same order. From it follows what each may still lose by turning;
+        without it, all of `assumptions.turning_loss`.
+    ego : position of the ego along the road [m], NaN without one. Vehicles behind it may have to brake for it.
 
     Attributes
     ----------
-    tables : lanes that they touch, and bounds on where their bodies come to be; `bodies` gives the rows their names.
+    tables : lanes that they touch, and bounds on the reachable places of their bodies; `bodies` names the rows.
     stretch : least and greatest metres of s in a metre driven, (2, m); no columns on a straight road.
-    motion, settings : bounds on the motion, and as an array.
+    motion, settings : bounds on the motion, and the same as an array.
     lap : length of a closed road, 0 of an open one [m].
     """
 
@@ -251,7 +257,7 @@ class Surroundings:
 
     @cached_property
     def bodies(self) -> Bodies:
-        """The rows of the tables by their names."""
+        """The rows of the tables by name."""
         named: Any = bodies_of
         bodies: Bodies = named.py_func(*self.tables)
         return bodies
@@ -277,11 +283,11 @@ class Surroundings:
         return self.tables.marks[0]
 
     def rear(self, frames: int, hold: int = 0, rows: IntArray | None = None) -> FloatArray:
-        """Least s of each body after 1..K frames, (m, K) [m]; of those in `rows` only, where given. The last column
-        stands for all frames from then on.
+        """Least s of each body after 1..K frames, (m, K) [m]; of the vehicles in `rows` only, if given. The last column
+        bounds all later frames as well.
 
-        `hold` is a number of frames of constant speed that are *expected* before the worst case starts. With
-        `hold` > 0 the result is a forecast and not a bound.
+        `hold` is a number of frames of constant speed that are *expected* before the worst case starts. With `hold` > 0
+        the result is a forecast and not a bound.
         """
         rows = np.arange(len(self.states)) if rows is None else rows
         out = np.empty((len(rows), frames))
@@ -289,8 +295,8 @@ class Surroundings:
         return out
 
     def front(self, frames: int, hold: int = 0, rows: IntArray | None = None) -> FloatArray:
-        """Greatest s of each body after 1..K frames, with no duty to react, (m, K) [m]; of those in `rows` only, where
-        given."""
+        """Greatest s of each body after 1..K frames, without a reaction to the ego, (m, K) [m]; of the vehicles in
+        `rows` only, if given."""
         rows = np.arange(len(self.states)) if rows is None else rows
         out = np.empty((len(rows), frames))
         fronts(rows, self.states, self.stretch, self.motion, self.bodies, hold, out)
@@ -304,5 +310,5 @@ class Surroundings:
 
 @lru_cache(maxsize=16)
 def horizons(dt: float) -> tuple[int, int]:
-    """For how many coming frames it is looked at how hard each may brake, and how many there are in a second."""
+    """Number of coming frames for which the hardest braking is computed, and number of frames in a second."""
     return int(np.ceil(_REACTING / dt)), max(int(np.ceil(1 / dt - 1e-9)), 1)

@@ -1,6 +1,6 @@
-"""The loops of the occupancy: one pass over the vehicles, and one over vehicles and frames.
+"""Kernels of the occupancy: one pass over the vehicles, and one over vehicles and frames.
 
-`dynamics.traffic.occupancy` says what the quantities are and where they come from.
+`dynamics.traffic.occupancy` defines the quantities and gives their sources.
 """
 
 from __future__ import annotations
@@ -18,14 +18,18 @@ __all__ = ["Lanes", "apart", "coming_place", "floors", "front_of", "fronts", "re
 
 _SPEED, _LENGTH, _WIDTH, _CRASHED = int(Vehicle.SPEED), int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
 _ENDLESS = 1e6
-"""Way of a vehicle that is assumed never to stop [m]."""
+"""Distance covered by a vehicle that is assumed never to stop [m]."""
 
 
 class Lanes(NamedTuple):
-    """Lanes, and how far a body may reach over a marking before it counts as being in the next lane too.
+    """Lanes of a road, and tolerances at their markings.
 
-    `centers` (lanes,) [m], `width` [m], `lean` [m]; `waver` [m]: how far from the middle of its lane a body may come
-    that keeps to it; `dt`: duration of a frame [s].
+    Attributes
+    ----------
+    centers : (lanes,) [m]. width : of each lane [m].
+    lean : how far a body may reach over a marking before it counts as in the next lane too [m].
+    waver : greatest lateral deviation of a body that keeps to the centre of its lane [m].
+    dt : duration of a frame [s].
     """
 
     centers: FloatArray
@@ -37,10 +41,15 @@ class Lanes(NamedTuple):
 
 @uncounted
 def strips(others: FloatArray, states: FloatArray, growth: FloatArray, lanes: Lanes, bodies: Bodies) -> None:
-    """Fill in lane, first, last, low, high and reach from vehicle rows (m, 7), road states (m, 4) and what a bend adds
-    to each body along and across, (m, 2) [m], or no rows on a straight road; NaN for a vehicle whose row is."""
+    """Fill in `lane`, `first`, `last`, `low`, `high` and `reach` of `bodies`; NaN for a vehicle whose row is NaN.
+
+    Parameters
+    ----------
+    others : vehicle rows (m, 7). states : road states (m, 4).
+    growth : what a bend adds to each body along and across, (m, 2) [m]; no rows on a straight road.
+    """
     centers, count = lanes.centers, lanes.centers.shape[0]
-    # Out of a loop: it is slow to get an array out of a tuple.
+    # Before the loop, since it is slow to read an array from a tuple inside it.
     lane, starts, ends, lows, highs, reach = (
         bodies.lane,
         bodies.first,
@@ -59,7 +68,7 @@ def strips(others: FloatArray, states: FloatArray, growth: FloatArray, lanes: La
             continue
         sin = math.sin(psi)
         half = 0.5 * (length * abs(sin) + width * abs(math.cos(psi)))
-        # highway-env counts what constant velocity along the heading would bring within a frame.
+        # highway-env tests for crashes with the positions that constant velocity along the heading gives after a frame.
         drift = v * sin * lanes.dt
         low, high = r - half + min(drift, 0.0), r + half + max(drift, 0.0)
         here = int(min(max(np.rint((r - centers[0]) / lanes.width), 0), count - 1))
@@ -70,7 +79,8 @@ def strips(others: FloatArray, states: FloatArray, growth: FloatArray, lanes: La
                 first, last = min(first, j), max(last, j)
         lane[i], starts[i], ends[i] = here, first, last
         if first <= last:
-            # Up to the marking; or up to as far as one wavers that is in the middle of that lane, or on its way there.
+            # Up to the marking; or, for a body near the centre of the lane or on its way there, up to its deviation
+            # `waver`.
             least, most = centers[first] - side, centers[last] + side
             if low >= centers[first] - core:
                 least = centers[first] - core
@@ -79,7 +89,7 @@ def strips(others: FloatArray, states: FloatArray, growth: FloatArray, lanes: La
             low, high = min(low, least), max(high, most)
         along, across = (growth[i, 0], growth[i, 1]) if growth.shape[0] > 0 else (0.0, 0.0)
         lows[i], highs[i] = low - across, high + across
-        if length != shape[0] or width != shape[1]:  # most are alike
+        if length != shape[0] or width != shape[1]:  # most vehicles have the same size
             shape = (length, width, 0.5 * math.hypot(length, width))
         reach[i] = shape[2] + along
 
@@ -94,8 +104,14 @@ def spend(
     lap: float,
     bodies: Bodies,
 ) -> None:
-    """Fill in `budget`, `action` and `recent` from the frame before: what was left, and what has come back, less what
-    turning has taken of each vehicle's way. `lap` is the length of a closed road, 0 of an open one [m]."""
+    """Fill in `budget`, `action` and `recent` of `bodies` from the frame before: what was left, plus what has
+    recovered, less the distance lost by turning.
+
+    Parameters
+    ----------
+    states0, bodies0 : of the frame before. states : road states of this frame, (m, 4).
+    stretch : see `rear_of`. lap : length of a closed road, 0 of an open one [m].
+    """
     left, left_action, before = bodies0.budget, bodies0.action, bodies0.recent
     budgets, actions, recent, swings = bodies.budget, bodies.action, bodies.recent, bodies.swing
     for i in range(states.shape[0]):
@@ -104,7 +120,7 @@ def spend(
             ds = states[i, 0] - states0[i, 0]
             if lap > 0:
                 ds -= lap * np.rint(ds / lap)
-            # In metres driven, as the bounds take it: `stretch` makes metres of s of it.
+            # In metres driven, as are the bounds; `stretch` converts metres of s.
             lost = max(v * motion.dt - (ds / stretch[0, i] if stretch.shape[1] > 0 else ds), 0.0)
         budget, action = motion.loss_back * motion.dt, motion.action_back * motion.dt
         budgets[i] = min(max(left[i], 0.0) + budget, swing * motion.loss) - lost
@@ -120,7 +136,8 @@ def spend(
 
 @inlined
 def _lost(budget: float, action: float, slow: float, time: float, motion: Motion) -> float:
-    """What a vehicle can have lost by turning after `time` [s], at no less than `slow` [m/s], [m]."""
+    """Greatest distance that a vehicle can have lost by turning after `time` [s], at a speed of at least `slow` [m/s],
+    [m]."""
     budget = max(budget, 0.0) + motion.loss_back * time
     action = max(action, 0.0) + motion.action_back * time
     return min(budget, action / max(slow, motion.slow))
@@ -128,22 +145,24 @@ def _lost(budget: float, action: float, slow: float, time: float, motion: Motion
 
 @inlined
 def apart(first: IntArray, last: IntArray, low: FloatArray, high: FloatArray, i: int, j: int) -> bool:
-    """Whether two vehicles are in different lanes, by arrays of `Bodies`: in a loop it is slow to get these out."""
+    """Whether vehicles i and j are in different lanes, by arrays of `Bodies` (m,). The arrays are parameters, since it
+    is slow to read them from a tuple in a loop."""
     if first[i] > last[i] or first[j] > last[j]:
         return low[j] >= high[i] or high[j] <= low[i]
-    # Strips of neighbouring lanes overlap by what may lean.
+    # The bands `low` to `high` of neighbouring lanes overlap by `lean`.
     return first[j] > last[i] or last[j] < first[i]
 
 
 @inlined
 def _rate(brakes: FloatArray, i: int, k: int, motion: Motion) -> float:
-    """How hard a vehicle may brake at the coming frame k [m/s^2]."""
+    """Hardest braking of vehicle i at the coming frame k [m/s^2]."""
     return brakes[i, k] if k < brakes.shape[1] else motion.braking
 
 
 @uncounted
 def _braking_way(i: int, v: float, wrecked: bool, brakes: FloatArray, motion: Motion) -> tuple[float, float]:
-    """The way that a vehicle counts on before it stands, braking from now on [m], and for how long it does [s]."""
+    """Least distance that a vehicle covers until it is slower than `Motion.slow`, braking from now on [m], and the time
+    that it takes [s]."""
     way, time, least = 0.0, 0.0, min(v, 0.0 if wrecked else motion.min_speed)
     speed, k = v, 0
     while True:
@@ -162,8 +181,8 @@ def _braking_way(i: int, v: float, wrecked: bool, brakes: FloatArray, motion: Mo
 def floors(
     others: FloatArray, states: FloatArray, stretch: FloatArray, motion: Motion, order: IntArray, bodies: Bodies
 ) -> None:
-    """Fill in `floor`: where a vehicle's centre comes to rest at the least, or as far behind what is ahead in its lanes
-    as it may reverse to. A vehicle that reverses runs out within `motion.runout`."""
+    """Fill in `floor` of `bodies`: the least s at which a vehicle's centre comes to rest, or to which it may reverse
+    behind a vehicle in its lanes. Otherwise a reversing vehicle comes to rest within `motion.runout`."""
     m, brakes, floor = states.shape[0], bodies.brakes, bodies.floor
     first, last, low, high = bodies.first, bodies.last, bodies.low, bodies.high
     for n in range(m):
@@ -195,10 +214,13 @@ def rear_of(
     frames: int,
     out: FloatArray,
 ) -> None:
-    """Least s of the body of vehicle `j` after 1..`frames` frames, `out` (frames or more,) [m].
+    """Least s of the body of vehicle `j` after 1..`frames` frames, `out` (frames or more,) [m], written.
 
-    `stretch` (2, m) has the least and greatest metres of s in a metre driven; no columns on a straight road. `hold`
-    frames at constant speed are expected before the worst case starts; then the result is a forecast and no bound.
+    Parameters
+    ----------
+    stretch : least and greatest metres of s in a metre driven, (2, m); no columns on a straight road.
+    hold : number of frames at constant speed that are expected before the worst case starts. If above 0, the result is
+        a forecast and not a bound.
     """
     dt, brakes, recent = motion.dt, bodies.brakes, bodies.recent
     budget, action, swing, reach = bodies.budget[j], bodies.action[j], bodies.swing[j], bodies.reach[j]
@@ -207,7 +229,7 @@ def rear_of(
     way, time, back, lost = 0.0, 0.0, 0.0, 0.0
     burst, second, speed = 0.0, recent.shape[1], v
     for k in range(frames):
-        # What turning may take of a second that ends with this frame, and of those after it.
+        # What turning may take in the second that ends with this frame, and in the seconds after it.
         if k % second == 0:
             burst += swing * motion.burst
             for i in range(second - 1):
@@ -225,7 +247,7 @@ def rear_of(
         else:
             if slow >= motion.slow:
                 way, time = way + slow * dt, time + dt
-                # The least of both is divided by the speed, which is above `Motion.slow`.
+                # `_lost` written out: here the speed is at least `Motion.slow`, and `burst` bounds the action too.
                 gone = max(budget, 0.0) + motion.loss_back * time
                 lost = min(gone, min(max(action, 0.0) + motion.action_back * time, max(burst, 0.0)) / slow)
             else:
@@ -234,7 +256,7 @@ def rear_of(
         if stretch.shape[1] > 0:
             along = min(along * stretch[0, j], along * stretch[1, j])
         rear = start + along
-        # Once it stands it may reverse, as far as to its floor.
+        # At rest it may reverse, down to its floor.
         if hold == 0 and rear > floor - reach:
             rear = max(rear - back, floor - reach)
         out[k] = rear
@@ -242,7 +264,7 @@ def rear_of(
 
 @inlined
 def coming_place(j: int, states: FloatArray, stretch: FloatArray, motion: Motion, bodies: Bodies) -> float:
-    """Least s of the centre of vehicle `j` after one frame [m], as `rear_of` bounds its body."""
+    """Least s of the centre of vehicle `j` after one frame [m], by the bounds of `rear_of`."""
     v, floor, recent, along, back = states[j, 3], bodies.floor[j], bodies.recent, 0.0, 0.0
     if v >= motion.slow:
         burst = bodies.swing[j] * motion.burst
@@ -269,8 +291,8 @@ def rears(
     hold: int,
     out: FloatArray,
 ) -> None:
-    """`rear_of` vehicles `rows` (n,) after each frame, `out` (n, K) [m]; the last frame stands for all that follow
-    it."""
+    """`rear_of` the vehicles `rows` (n,) after each frame, `out` (n, K) [m], written. The last column bounds all later
+    frames as well."""
     frames = out.shape[1]
     for n in range(rows.shape[0]):
         j = rows[n]
@@ -290,13 +312,13 @@ def front_of(
     frames: int,
     out: FloatArray,
 ) -> None:
-    """Greatest s of the body of vehicle `j` after 1..`frames` frames, `out` (frames or more,) [m]; `stretch` and `hold`
-    as in `rear_of`."""
+    """Greatest s of the body of vehicle `j` after 1..`frames` frames, `out` (frames or more,) [m], written; `stretch`
+    and `hold` as in `rear_of`."""
     dt, start = motion.dt, states[j, 0] + bodies.reach[j]
     v, way = states[j, 3], 0.0
     top, most = max(v, motion.max_speed), stretch[1, j] if stretch.shape[1] > 0 else 1.0
     for k in range(frames):
-        # One that reverses may turn, and then gets back by less than its speed.
+        # A reversing vehicle may turn, and then moves back by less than its speed; so it counts as standing.
         way += max(v, 0.0) * dt * most
         out[k] = start + way
         if k >= hold:
@@ -307,6 +329,6 @@ def front_of(
 def fronts(
     rows: IntArray, states: FloatArray, stretch: FloatArray, motion: Motion, bodies: Bodies, hold: int, out: FloatArray
 ) -> None:
-    """`front_of` vehicles `rows` (n,) after each frame, `out` (n, K) [m]."""
+    """`front_of` the vehicles `rows` (n,) after each frame, `out` (n, K) [m], written."""
     for n in range(rows.shape[0]):
         front_of(rows[n], states, stretch, motion, bodies, hold, out.shape[1], out[n])

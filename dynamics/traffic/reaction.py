@@ -1,13 +1,15 @@
-"""How hard each vehicle may brake, and when: no harder than what is ahead of it asks for.
+"""How hard each vehicle may brake at each coming frame: no harder than the vehicles ahead require.
 
-Nobody brakes hard for nothing. The Intelligent Driver Model brakes at
+The Intelligent Driver Model brakes at
 
     a0 (d* / d)^2        d* = d0 + T v + v (v - v_leader) / (2 sqrt(a b))
 
-for what is at distance d ahead, and a lane change in front of another must not ask more of it than MOBIL lets. So the
-hardest braking of each vehicle at each coming frame follows from the hardest of those ahead: v as fast as may be, the
-leader as slow, and the distance as short. What has not come in yet counts from when it may, the other way round. Those
-extremes contain those of any later frame, and so the bound contains itself.
+for a leader at distance d. A lane change in front of a vehicle must not require more braking of it than MOBIL permits.
+So the hardest braking of each vehicle follows from that of the vehicles ahead. It takes the greatest speed of the
+vehicle, the least speed of the leader, and the shortest distance. A vehicle that may still move in ahead counts from
+the first frame at which MOBIL could permit that. That frame is found from the opposite extremes: the vehicle as slow,
+and the other as fast, as possible. These extremes contain the extremes of every later frame, so a bound of now covers
+the bounds of later frames.
 
 Sources: Treiber, Hennecke and Helbing 2000 (IDM); Kesting, Treiber and Helbing 2007 (MOBIL).
 """
@@ -28,15 +30,16 @@ __all__ = ["brakings"]
 
 _CRASHED = int(Vehicle.CRASHED)
 _FAR = 600.0
-"""What is further ahead asks for no braking beyond `Motion.calm` [m]."""
+"""Distance ahead beyond which a vehicle requires no braking beyond `Motion.calm` [m]."""
 _SCALE, _SLACK = 1.1, 0.5
-"""How much harder than IDM one may brake: as a share of it, and in addition [m/s^2]."""
+"""How much harder than IDM a vehicle may brake: as a factor, and in addition [m/s^2]."""
 _MORE = 0.2
-"""By how much MOBIL's bound on what a lane change imposes may be exceeded, as a multiple of the distance."""
+"""By how much d* / d of a new follower may exceed MOBIL's bound `IMPOSED`."""
 _PER_TWICE_ROOT, _PER_SCALE, _ROUNDING = 1 / TWICE_ROOT, 1 / (_SCALE * COMFORT), 1e-9
-"""Reciprocals, and more than what comes of taking them for divisors, relatively."""
+"""Reciprocals, and a relative bound on the rounding error of multiplying by them instead of dividing."""
 _LANE, _TOWARDS = 5.0, 14.0
-"""Two that are further apart across the road than this [m] have to come nearer first, at this speed at most [m/s]."""
+"""Two vehicles further apart across the road than `_LANE` [m] first have to approach, at no more than `_TOWARDS`
+[m/s]."""
 
 
 @uncounted
@@ -51,8 +54,14 @@ def _slowest(
     speeds: FloatArray,
     ways: FloatArray,
 ) -> None:
-    """Least speed at each of the coming frames of one that brakes at `brakes` (K,), down to `backwards` [m/s], and how
-    far that has led, at between `least` and `most` metres of the road in a metre driven."""
+    """Least speed and least distance driven, at each of the coming frames, of a vehicle that brakes at `brakes` (K,).
+
+    Parameters
+    ----------
+    v : its speed [m/s]. backwards : least speed [m/s]. wrecked : whether it has crashed.
+    least, most : least and greatest metres of s in a metre driven.
+    speeds, ways : (K,) [m/s] and [m], written.
+    """
     way, dt = 0.0, motion.dt
     for k in range(speeds.shape[0]):
         speeds[k], ways[k] = v, min(way * least, way * most)
@@ -63,7 +72,7 @@ def _slowest(
 
 @inlined
 def _asked(d: float, fast: float, slow: float, motion: Motion) -> float:
-    """Braking at speed `fast` for what is at distance d ahead, and at speed `slow` [m/s^2]."""
+    """Braking by IDM at speed `fast`, for a leader at distance d and at speed `slow` [m/s^2]."""
     share = desired_gap(fast, max(fast - slow, 0.0)) / d
     rate = min(_SCALE * COMFORT * (share * share) + _SLACK, motion.braking)
     return rate if d > 1.0 else motion.braking
@@ -71,7 +80,7 @@ def _asked(d: float, fast: float, slow: float, motion: Motion) -> float:
 
 @inlined
 def _asks(d: float, fast: float, slow: float, motion: Motion) -> bool:
-    """Whether `_asked` is more than `Motion.calm`: without a division, but where rounding could tell."""
+    """Whether `_asked` exceeds `Motion.calm`. It divides only where rounding could change the answer."""
     if d > 1.0:
         wanted = GAP + TIME * fast + fast * max(fast - slow, 0.0) * _PER_TWICE_ROOT
         square, limit = wanted * wanted, (motion.calm - _SLACK) * _PER_SCALE * (d * d)
@@ -84,7 +93,8 @@ def _asks(d: float, fast: float, slow: float, motion: Motion) -> bool:
 
 @inlined
 def _lets_in(v: float, closing: float, far: float) -> bool:
-    """Whether MOBIL lets one in that is `far` ahead [m] of another at speed v, which closes in on it: likewise."""
+    """Whether MOBIL permits a vehicle to move in at distance `far` [m] ahead of another at speed v, whose closing speed
+    is `closing` [m/s]. It divides only where rounding could change the answer."""
     most, term = (IMPOSED + _MORE) * far, v * closing * _PER_TWICE_ROOT
     over = GAP + TIME * v + term - most
     band = _ROUNDING * (GAP + TIME * abs(v) + abs(term) + abs(most))
@@ -94,8 +104,9 @@ def _lets_in(v: float, closing: float, far: float) -> bool:
 
 
 class _Extremes(NamedTuple):
-    """Speeds of each vehicle at each of the coming frames, and how far they have led by then, each (K, m) or larger: as
-    fast, and as slow, as it may be; and as slow as anybody could be that goes forwards."""
+    """Speeds [m/s] of each vehicle at each of the coming frames, and distances driven by then [m], each (K, m) or
+    larger: `fast`, as fast as it may be; `slow`, as slow as it may be; `slowest`, as slow as any vehicle that moves
+    forwards could be."""
 
     fast: FloatArray
     fast_way: FloatArray
@@ -107,7 +118,7 @@ class _Extremes(NamedTuple):
 
 @inlined
 def _little(d: float, fast: float, slow: float, braking: float) -> bool:
-    """Whether `_asked` is less than a braking for sure [m/s^2], by more than rounding could take from it."""
+    """Whether `_asked` is certainly less than `braking` [m/s^2], by more than the rounding error."""
     wanted = GAP + TIME * fast + fast * max(fast - slow, 0.0) * _PER_TWICE_ROOT
     return d > 1.0 and wanted * wanted < (braking - _SLACK) * _PER_SCALE * (d * d) * (1 - _ROUNDING)
 
@@ -124,24 +135,32 @@ def _press(
     brakes: FloatArray,
     end: int,
 ) -> int:
-    """Raise `brakes` (K,) of vehicle i to what vehicle j may ask for that is `ahead` of it, and no nearer than `near`
-    [m]: at once where `first` is negative, and else from the frame at which it may move in, no sooner than `first`.
+    """Raise `brakes` (K,) of vehicle i to the braking that vehicle j may require.
 
-    Returns how many frames there are before i may brake as hard as can be, `end` at most.
+    Parameters
+    ----------
+    ahead : distance from i to j [m]. near : the least distance, after what j may lose by turning [m].
+    first : negative if j is in the lanes of i already; else the first frame at which it may move in.
+    x : extremes of all vehicles. end : number of frames before i may brake at `Motion.braking` anyway.
+
+    Returns
+    -------
+    The number of frames before i may brake at `Motion.braking`, at most `end`.
     """
     back, begin = motion.loss_back * motion.dt, 0
     if first >= 0:
         begin = end
         for k in range(first, end):
             far, v = ahead + x.fast_way[k, j] - x.slowest_way[k, i], x.slowest[k, i]
-            # One from beyond the next lane looks out for those who are in that lane now, and not for who enters it too.
+            # MOBIL of a vehicle from beyond the next lane considers the vehicles in that lane now, not those that enter
+            # it too.
             if far > 0 and (first > 0 or _lets_in(v, v - x.fast[k, j], far)):
                 begin = k
                 break
     for k in range(begin, end):
         d = near + x.slow_way[k, j] - x.fast_way[k, i] - back * k
         if _little(d, x.fast[k, i], x.slow[k, j], brakes[k]):
-            continue  # somebody else asks for more
+            continue  # another vehicle requires more
         rate = _asked(d, x.fast[k, i], x.slow[k, j], motion)
         brakes[k] = max(brakes[k], rate)
         if rate >= motion.braking:
@@ -153,11 +172,11 @@ def _press(
 def _extremes(
     others: FloatArray, states: FloatArray, stretch: FloatArray, motion: Motion, frames: int, ways: FloatArray
 ) -> None:
-    """Fill in so many frames of `_Extremes`, the first six of `ways` (see `brakings`), where everybody may brake as
-    hard as can be at once.
+    """Fill in `frames` rows of `_Extremes`, the first six arrays of `ways` (see `brakings`), as if each vehicle could
+    brake at `Motion.braking` at once.
 
-    It goes frame by frame over all vehicles, one quantity at a time and in contiguous rows: so the compiler takes
-    several vehicles at once.
+    The loops go over frames, then over vehicles, one quantity at a time and in contiguous rows, so that the compiler
+    vectorises them.
     """
     m, dt, curved = states.shape[0], motion.dt, stretch.shape[1] > 0
     fast, fast_way, slow, slow_way, slowest, slowest_way = ways[0], ways[1], ways[2], ways[3], ways[4], ways[5]
@@ -206,15 +225,16 @@ def brakings(
     bodies: Bodies,
     ways: FloatArray,
 ) -> None:
-    """Fill in `brakes` from vehicle rows (m, 7), road states (m, 4), and the least and greatest metres of s in a metre
-    driven, (2, m), or no columns on a straight road.
+    """Fill in `brakes` of `bodies`, the hardest braking of each vehicle at each coming frame.
 
     Parameters
     ----------
+    others : vehicle rows (m, 7). states : road states (m, 4).
+    stretch : least and greatest metres of s in a metre driven, (2, m); no columns on a straight road.
     lap : length of a closed road, 0 of an open one [m].
-    ego : where the ego is along the road [m]; whoever is behind it may have it to brake for. NaN without one.
-    order : the vehicles from the first along the road to the last, (m,).
-    ways : room that is written over, (7, K or 3, at least m and K).
+    ego : position of the ego along the road [m], NaN without one. A vehicle behind it may brake at `Motion.braking`.
+    order : the vehicles in the order of `dynamics.traffic.occupancy.in_order`, (m,).
+    ways : buffer, overwritten, (7, K or 3, at least m and K).
     """
     m, frames, last = states.shape[0], bodies.brakes.shape[1], bodies.brakes.shape[1] - 1
     curved, all_brakes, budget = stretch.shape[1] > 0, bodies.brakes, bodies.budget
@@ -242,26 +262,27 @@ def brakings(
         for k in range(frames):
             brakes[k] = motion.calm
         least, most, fast = x.slowest_way[last, i], gets[i], x.fast[last, i]
-        # The nearest first: what may make it brake as hard as can be leaves less to be looked at in the others.
+        # The nearest first: once the vehicle may brake at `Motion.braking` at an earlier frame, fewer frames of the
+        # others count.
         for other in range(m):
             j = order[n - 1 - other] if other < n else order[other]
             ahead = states[j, 0] - states[i, 0]
             if lap > 0:
                 ahead -= lap * np.rint(ahead / lap)
             if other >= n and lap == 0 and ahead + furthest - least <= 0:
-                break  # nor does anybody get ahead who is further behind
+                break  # nor do vehicles further behind get ahead
             if i == j or not abs(ahead) <= _FAR:
                 continue
             if ahead <= 0 and ahead + gets[j] - least <= 0:
                 continue  # it does not get ahead
-            # The distance is least at one of its ends: it falls ever faster. What is wanted grows.
+            # The distance is concave in time, so it is least at the first or the last frame. The desired gap grows.
             near, k = ahead - max(budget[j], 0.0), end - 1
             d = near + x.slow_way[k, j] - x.fast_way[k, i] - back * k
             if _little(min(near, d), x.fast[k, i], x.slow[k, j], motion.calm):
-                continue  # it asks for nothing before this one may brake as hard as can be anyway
+                continue  # it requires nothing before frame `end`
             d = near + goes[j] - most - back * last
             if not _asks(min(near, d), fast, slows[j], motion):
-                continue  # nor does it ask for anything
+                continue  # it requires nothing
             first = -1
             if apart(starts, ends, low, high, i, j):
                 first = max(int((abs(states[j, 1] - states[i, 1]) - _LANE) / (_TOWARDS * motion.dt)), 0)
@@ -271,7 +292,7 @@ def brakings(
                     break
         for k in range(end, frames):
             brakes[k] = motion.braking
-        # Those behind count on it.
+        # The vehicles behind take these speeds as those of their leader.
         v, shortest, longest = states[i, 3], stretch[0, i] if curved else 1.0, stretch[1, i] if curved else 1.0
         speeds, way = x.slow[:frames, i], x.slow_way[:frames, i]
         _slowest(v, min(v, -motion.reversing), brakes, False, shortest, longest, motion, speeds, way)

@@ -1,32 +1,32 @@
-"""Whether what a vehicle did in a frame was permitted: the one predicate that the certificate rests on.
+"""The rules of the road: whether the motion of a vehicle in a frame was permitted. The certificate rests on this
+predicate.
 
-The occupancy (`dynamics.traffic.occupancy`) bounds everything that this predicate permits, for all time. What a vehicle
-may do, from one frame to the next:
+The occupancy (`dynamics.traffic.occupancy`) bounds everything that this predicate permits, for all time. From one frame
+to the next, a vehicle may:
 
-1. *speed*: change by no more than `braking` and `acceleration` allow, rise no further than to `max_speed`, and reverse
-   no faster than `reversing_speed`;
-2. *way*: get on along the road as its speed says, but for what turning takes from it (`turning_loss` and
-   `turning_action`, which comes back at `turning_rate`), and sideways no further than its speed says. Its heading may
-   take more of the coming frame's way than that where it leaves the room for the ego's fail-safe;
-3. *lanes*: stay in the lanes that its body touches. It may touch another one where that leaves the room for the ego's
-   fail-safe;
-4. *reversing*: only from what is ahead in its lanes, and as far as `queue_distance` from it; further where that leaves
-   the room for the ego's fail-safe;
-5. *distance*: whoever is behind the ego with its buffer, in a lane that the ego owns, stays behind it, and comes beside
-   it where that leaves the room for the ego's fail-safe;
-6. *no crash* with another than the ego;
-7. *braking*: harder than at `calm_braking` only as what is ahead asks for, or may come to ask for once it has moved in
-   before it (`dynamics.traffic.reaction`); harder where that leaves the room for the ego's fail-safe;
-8. *appearing*: only where that leaves the room for the ego's fail-safe and its buffer. What a newcomer did before is
-   not known, so this is judged by the shield alone (`shield.certificate.road.monitor`);
-9. *size*: its body grows only where that leaves the room for the ego's fail-safe.
+1. *speed*: change its speed within `braking` and `acceleration`, up to `max_speed`, and reverse no faster than
+   `reversing_speed`;
+2. *way*: advance along the road by its speed, less what turning takes (`turning_loss`, `turning_action` and the rates
+   at which they recover), and move sideways by no more than its speed. Its heading may take more from the coming
+   frame's distance where the ego's fail-safe keeps its room;
+3. *lanes*: stay in the lanes that its body touches. It may touch another lane where the ego's fail-safe keeps its room;
+4. *reversing*: reverse behind a vehicle ahead in its lanes, to at most `queue_distance` from it; further where the
+   ego's fail-safe keeps its room;
+5. *distance*: stay behind the ego and its buffer, if it is behind the ego in a lane that the ego owns. It may come
+   beside the ego where the ego's fail-safe keeps its room;
+6. *crash*: not crash with a vehicle other than the ego;
+7. *braking*: brake harder than `calm_braking` only as needed for a vehicle ahead, or for one that may move in ahead
+   (`dynamics.traffic.reaction`); harder where the ego's fail-safe keeps its room;
+8. *appearing*: appear only where the ego's fail-safe keeps its room and its buffer. The past of a new vehicle is not
+   known, so only the shield checks this rule (`shield.certificate.road.monitor`);
+9. *size*: grow in size only where the ego's fail-safe keeps its room.
 
-A wreck may brake at 1/s times its speed, as highway-env has it brake, where that is more than `braking`; otherwise the
-rules are the same for it, but for what pushes it off an ego with which it has crashed. Rules 1 and 2 are judged here
-alone. Of rules 3, 4, 7 and 9, and of headings, this module finds who has taken more room; whether the fail-safe suffers
-from it, and whether one that has come beside the ego (rule 5) leaves it the room, is for the shield to say. The first
-two make what they permit a matter of one frame: a bound that holds for a frame holds for all that follow, and
-`tests/dynamics/traffic/test_rules_of_the_road.py` has arbitrary inputs try to break that.
+A crashed vehicle may brake at 1/s times its speed, as in highway-env, where that is more than `braking`. Otherwise the
+rules are the same for it, except for the displacement by which highway-env separates it from an ego that it has crashed
+into. Rules 1 and 2 are decided here. For rules 3, 4, 7 and 9, and for headings, this module finds the vehicles that
+have taken more room. The shield checks whether the fail-safe still holds, and whether a vehicle that has come beside
+the ego (rule 5) leaves it the room. Rules 1 and 2 refer to single frames: a bound that holds for one frame holds for
+all that follow. `tests/dynamics/traffic/test_rules_of_the_road.py` tests this with arbitrary inputs.
 """
 
 from __future__ import annotations
@@ -50,19 +50,20 @@ __all__ = ["Ego", "Motions", "Rule", "footprint", "gap_between", "judge_motions"
 _LENGTH, _WIDTH, _CRASHED = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
 _SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH, _BRAKING, _APPEARED, _SIZE = 1, 2, 4, 8, 16, 32, 64, 128, 256
 _TOUCHING = 2.0
-"""Bodies nearer than this have crashed into one another: highway-env moves them apart in the frame of a crash [m]."""
+"""Distance below which two bodies count as crashed into one another: highway-env moves them apart in the frame of a
+crash [m]."""
 _ROUNDING = 1e-9
-"""What rounding may add to an acceleration, a speed or a way [m/s^2, m/s, m]. Real growth of a bound is no smaller in
-highway-env's own traffic, and none is granted: whatever is granted in each frame adds up. So the fail-safe is asked
-however little a bound has grown."""
+"""Bound on rounding errors of an acceleration, a speed or a distance [m/s^2, m/s, m]. No tolerance beyond it is given,
+as tolerances of single frames would add up: the fail-safe is checked for every growth of a bound above it."""
 _STRAIGHT = 1e-6
-"""Share of the coming frame's way that a heading may always take."""
+"""Share of the coming frame's distance that a heading may always take."""
 _SIDEWAYS = 1.0001
-"""Ways across the road may exceed what the speed says by this factor, for bends; no bound rests on it (rule 3 does)."""
+"""Factor by which the lateral displacement may exceed speed times time, for bends. No bound rests on it (rule 3
+does)."""
 
 
 class Rule(IntFlag):
-    """The rules that a vehicle can break, as bits; as text what each is reported by.
+    """The rules of the road, as bits. The text of a rule is its name in reports.
 
     Examples
     --------
@@ -81,17 +82,18 @@ class Rule(IntFlag):
     SIZE = _SIZE
 
     def __str__(self) -> str:
-        """The name that one rule is reported by."""
+        """Name of the rule in reports."""
         return str(self.name).lower()
 
 
 class Motions(NamedTuple):
-    """What the vehicles did in a frame.
+    """The rules that the vehicles violated in a frame.
 
     Attributes
     ----------
-    broken : rules 1, 2, 5 and 6 that each broke, (m,) of `Rule` bits.
-    grown : rules 2, 3, 4, 7 and 9 that each broke unless it leaves the room, (m,) of `Rule` bits.
+    broken : violations of rules 1, 2, 5 and 6 by each vehicle, (m,) of `Rule` bits.
+    grown : of rules 2, 3, 4, 7 and 9, which count as violations only where the ego's fail-safe loses its room, (m,) of
+        `Rule` bits.
     """
 
     broken: IntArray
@@ -99,8 +101,15 @@ class Motions(NamedTuple):
 
 
 class Ego(NamedTuple):
-    """The ego in the world frame: x, y [m], heading [rad], speed [m/s]; half extents of its footprint with the buffer
-    and of its body alone, along and across [m]; whether it has crashed in this frame, and in this one or before."""
+    """The ego in the world frame, for the check of the other vehicles.
+
+    Attributes
+    ----------
+    x, y : position [m]. heading [rad]. speed [m/s].
+    along, across : half extents of its footprint with the buffer [m].
+    body_along, body_across : half extents of its body alone [m].
+    crashed : whether it has crashed in this frame. wrecked : in this frame or before.
+    """
 
     x: float
     y: float
@@ -115,6 +124,9 @@ class Ego(NamedTuple):
 
 
 class _Limits(NamedTuple):
+    """The limits that `judge_motions` checks, with the rounding tolerance: accelerations [m/s^2], power [m^2/s^3],
+    speeds [m/s], `period` between the scenes [s], length of the `lap` [m], and `frames` in the period."""
+
     braking: float
     acceleration: float
     power: float
@@ -129,13 +141,18 @@ class _Limits(NamedTuple):
 @uncounted
 def gap_between(ego: Ego, along: float, across: float, rows: FloatArray, i: int, dt: float) -> float:
     """Greatest gap along the directions of the sides of two rectangles [m], see `dynamics.scenes.rectangles`, while
-    both move for `dt` along their headings [s]: the ego with half extents `along`, `across` [m], and vehicle `i` of
-    `rows` (m, 7)."""
+    both move for `dt` along their headings [s].
+
+    Parameters
+    ----------
+    ego : the first rectangle, with half extents `along` and `across` [m].
+    rows, i : vehicle rows (m, 7), and the index of the other vehicle.
+    """
     dx, dy = ego.x - rows[i, 0], ego.y - rows[i, 1]
     ux, uy, wx, wy = math.cos(ego.heading), math.sin(ego.heading), math.cos(rows[i, 2]), math.sin(rows[i, 2])
     c, s = abs(ux * wx + uy * wy), abs(uy * wx - ux * wy)
     length, width = 0.5 * rows[i, _LENGTH], 0.5 * rows[i, _WIDTH]
-    # Half of the way of the one as the other sees it.
+    # Half of the ego's displacement relative to the vehicle.
     px, py = 0.5 * dt * (ego.speed * ux - rows[i, 3] * wx), 0.5 * dt * (ego.speed * uy - rows[i, 3] * wy)
     dx, dy = dx + px, dy + py
     mine = abs(dx * ux + dy * uy) - abs(px * ux + py * uy) - along - length * c - width * s
@@ -167,8 +184,16 @@ def judge_motions(
     broken: IntArray,
     grown: IntArray,
 ) -> None:
-    """`permits`, filled in: vehicle rows, road states and `Tables` of the scene before and of this one, the numbers of
-    the limits, `row`, and the result, `broken` and `grown` (m,). `settings` are the numbers of `Motion`."""
+    """`permits` as a kernel: fill in `broken` and `grown`, (m,).
+
+    Parameters
+    ----------
+    rows0, states0, marks0, numbers0, brakes0, recent0 : vehicle rows (m, 7), road states (m, 4) and `Tables` of the
+        scene before.
+    rows, states, marks, numbers, brakes, recent : the same of this scene.
+    stretch : see `dynamics.traffic.occupancy_kernels.rear_of`. settings : the numbers of `Motion`.
+    behind, ego : see `permits`. row : the limits, of `limits_of`.
+    """
     limits, motion = _Limits(*numbers_of(row, 9)), motion_of(settings)
     bodies0, bodies = bodies_of(marks0, numbers0, brakes0, recent0), bodies_of(marks, numbers, brakes, recent)
     frames = int(limits.frames)
@@ -191,7 +216,7 @@ def judge_motions(
             drop -= limits.lap * np.rint(drop / limits.lap)
         most = stretch[1, i] if stretch.shape[1] > 0 else 1.0
         way, wrecked = v0 * limits.period, rows0[i, _CRASHED] > 0
-        # Whoever the ego has run into has broken no rule by it.
+        # A vehicle that the ego has crashed into has violated no rule by the crash.
         pushed = ego.crashed or (ego.wrecked and wrecked)
         pushed = pushed and gap_between(ego, ego.body_along, ego.body_across, rows, i, 0.0) < _TOUCHING
         if rows[i, _CRASHED] > 0 and not wrecked and not (ego.crashed and pushed):
@@ -215,10 +240,11 @@ def judge_motions(
                 bits |= _WAY
         if behind[i]:
             touches = gap_between(ego, ego.along, ego.across, rows, i, 0.0) < 0
-            # highway-env counts what constant velocities would bring in the coming frame.
+            # highway-env tests for crashes with the positions that constant velocities give in the coming frame.
             if touches or gap_between(ego, ego.body_along, ego.body_across, rows, i, limits.period) <= 0:
                 bits |= _DISTANCE
-        # highway-env counts what constant velocity along the heading would bring in the coming frame.
+        # highway-env tests for crashes with the positions that constant velocity along the heading gives in the coming
+        # frame.
         coming = v * math.cos(states[i, 2]) * motion.dt
         if not (1 - _STRAIGHT) * v * motion.dt <= coming <= max(v, 0.0) * motion.dt:
             forth = coming <= max(v, 0.0) * motion.dt + _ROUNDING
@@ -248,7 +274,12 @@ def judge_motions(
 
 @lru_cache(maxsize=16)
 def limits_of(a: Assumptions, period: float, lap: float, frames: int) -> FloatArray:
-    """The numbers that `judge_motions` judges by, (9,)."""
+    """The limits that `judge_motions` checks, (9,).
+
+    Parameters
+    ----------
+    period : time between the scenes [s], of `frames` frames. lap : length of a closed road, 0 of an open one [m].
+    """
     limits = _Limits(
         a.braking + _ROUNDING,
         a.acceleration + _ROUNDING,
@@ -264,20 +295,20 @@ def limits_of(a: Assumptions, period: float, lap: float, frames: int) -> FloatAr
 
 
 def footprint(ego: FloatArray, longitudinal: float, lateral: float, crashed: bool = False) -> Ego:
-    """The ego of a vehicle row (7,) and its buffer along and across its heading [m]."""
+    """The ego as `permits` takes it, from a vehicle row (7,) and its buffer along and across its heading [m]."""
     x, y, heading, speed, length, width = ego[: Vehicle.CRASHED].tolist()
     along, across = 0.5 * length, 0.5 * width
     return Ego(x, y, heading, speed, along + longitudinal, across + lateral, along, across, crashed)
 
 
 def permits(before: Surroundings | Before, after: Surroundings, period: float, behind: BoolArray, ego: Ego) -> Motions:
-    """What the vehicles did between two scenes, `period` seconds apart; they are matched by their order.
+    """Which rules the vehicles violated between two scenes, `period` seconds apart.
 
     Parameters
     ----------
-    before, after : the others in both scenes, the same in the same order; `after` knows `before`.
-    period : time between them [s]. Over more than a frame, the way (rule 2) is not judged.
-    behind : who owed the ego its distance in the scene before, (m,).
+    before, after : the other vehicles in both scenes, in the same order; `after` is built with `before`.
+    period : time between them [s]. Over more than one frame, the distance travelled (rule 2) is not checked.
+    behind : vehicles that had to keep their distance from the ego in the scene before, (m,).
     ego : the ego after the frame.
 
     Examples

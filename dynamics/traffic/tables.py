@@ -1,7 +1,7 @@
-"""What is known of the vehicles of a scene, as few arrays, and as names for their rows.
+"""Derived quantities of the vehicles of a scene, as a few arrays, and as NamedTuples of their rows.
 
-A compiled call takes a tenth of a microsecond for each array that it is handed, and three times as long for one inside
-a tuple. So arrays with many rows go from call to call, and inside they get their names: `bodies_of`, `motion_of`.
+A compiled call takes a tenth of a microsecond for each array argument, and three times as long for an array inside a
+tuple. So kernels pass arrays with many rows. Inside a kernel, `bodies_of` and `motion_of` give the rows their names.
 """
 
 from __future__ import annotations
@@ -17,16 +17,21 @@ __all__ = ["Bodies", "Motion", "Tables", "bodies_of", "motion_of"]
 
 
 class Bodies(NamedTuple):
-    """Where each vehicle's body is and can come to be across the road, each (m,).
+    """Reachable places of the bodies of m vehicles across and along the road.
 
-    `lane`: the nearest; `first`, `last`: the lanes that the body touches (first > last where it touches none);
-    `low`, `high` [m]: outer edges of the lanes touched and of the body; `reach` [m]: half the length that the body
-    covers along the road at any heading; `budget` [m], `action` [m^2/s]: what it may still lose of its way
-    by turning, as such and times its speed, negative where it has lost more; `recent` [m^2/s]: what it has lost of
-    the latter in each frame of the last second, (m, frames), the newest first; `swing`: how much more than a car it may
-    lose; `brakes` (m, K) [m/s^2]: how hard it may brake at each of the coming frames, see `dynamics.traffic.reaction`;
-    `floor` [m]: least s that its centre ever comes to; `noses` (2, m) [m]: greatest s of the body after one frame, and
-    after two.
+    Attributes
+    ----------
+    lane : nearest lane, (m,).
+    first, last : the lanes that the body touches, (m,); first > last if it touches none.
+    low, high : outer edges of the lanes touched and of the body, (m,) [m].
+    reach : half the length that the body covers along the road at any heading, (m,) [m].
+    budget : distance that it may still lose by turning, (m,) [m]; negative if it has lost more than it may.
+    action : the same, times its speed, (m,) [m^2/s].
+    swing : factor on both allowances: 1 for a car, more for a longer vehicle, (m,).
+    brakes : hardest braking at each of the coming frames, (m, K) [m/s^2]; see `dynamics.traffic.reaction`.
+    recent : speed times distance lost in each frame of the last second, newest first, (m, frames) [m^2/s].
+    floor : least s that its centre ever reaches, (m,) [m].
+    noses : greatest s of the body after one frame, and after two, (2, m) [m].
     """
 
     lane: IntArray
@@ -47,13 +52,22 @@ class Bodies(NamedTuple):
 class Motion(NamedTuple):
     """Bounds on the motion along the road.
 
-    `braking`, `acceleration` [m/s^2]; `power` [m^2/s^3]: acceleration times speed at most; `max_speed` [m/s] up to
-    which anybody accelerates; `min_speed` [m/s] below which nobody brakes on purpose; `slow` [m/s] below which way is
-    not counted; `loss` [m] and `action` [m^2/s]: what turning may cost a car, `loss_back` [m/s] and `action_back`
-    [m^2/s^2]: how fast that comes back, and `burst` [m^2/s]: action within a second at most; `calm` [m/s^2]: braking
-    that needs no reason; `reversing` [m/s]: greatest speed backwards; `queue` [m], `queue_speed` [m/s]: one reverses
-    only from what is nearer than this ahead, centre to centre, and slower; `runout` [s], within which one that
-    reverses comes to rest otherwise; `dt` [s].
+    Attributes
+    ----------
+    braking, acceleration : greatest [m/s^2].
+    power : greatest product of acceleration and speed [m^2/s^3].
+    max_speed : greatest speed that a vehicle accelerates to [m/s].
+    min_speed : speed below which no vehicle brakes on purpose [m/s].
+    slow : speed below which no progress is assumed [m/s].
+    loss, action : what turning may cost a car: distance [m], and speed times distance [m^2/s].
+    loss_back, action_back : rates at which these recover [m/s], [m^2/s^2].
+    burst : greatest `action` within a second [m^2/s].
+    calm : braking that needs no reason [m/s^2].
+    reversing : greatest speed backwards [m/s].
+    queue, queue_speed : a vehicle reverses only behind one that is nearer than this, centre to centre [m], and slower
+        than this [m/s].
+    runout : time within which a vehicle that reverses otherwise comes to rest [s].
+    dt : duration of a frame [s].
     """
 
     braking: float
@@ -76,7 +90,8 @@ class Motion(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """The arrays that `Bodies` are rows of: `marks` (3, m) of integers, `numbers` (9, m), `brakes` and `recent`."""
+    """The arrays that hold the fields of `Bodies`: `marks` (3, m) of integers, `numbers` (9, m), `brakes` and
+    `recent`."""
 
     marks: IntArray
     numbers: FloatArray
@@ -85,13 +100,13 @@ class Tables(NamedTuple):
 
     @classmethod
     def empty(cls, m: int, coming: int, past: int) -> Tables:
-        """For m vehicles, with room for `coming` frames of braking and `past` frames of what was lost."""
+        """Tables for m vehicles, with `coming` frames of braking and `past` frames of `recent`."""
         return cls(np.empty((3, m), np.intp), np.empty((9, m)), np.empty((m, coming)), np.zeros((m, past)))
 
 
 @inlined
 def bodies_of(marks: IntArray, numbers: FloatArray, brakes: FloatArray, recent: FloatArray) -> Bodies:
-    """The rows of `Tables` by their names."""
+    """Name the rows of `Tables`."""
     lane, first, last = marks[0], marks[1], marks[2]
     low, high, reach, budget, action = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
     swing, floor, noses = numbers[5], numbers[6], numbers[7:9]
@@ -100,5 +115,5 @@ def bodies_of(marks: IntArray, numbers: FloatArray, brakes: FloatArray, recent: 
 
 @inlined
 def motion_of(row: FloatArray) -> Motion:
-    """The numbers of a `Motion`, (17,), by their names."""
+    """Name the numbers of a `Motion`, (17,)."""
     return Motion(*numbers_of(row, 17))

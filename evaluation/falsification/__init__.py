@@ -1,1 +1,1 @@
-"""Rare events: how often what hardly ever happens does, and the worst that can."""
+"""Falsification and rare events: search for the worst episode, and estimation of small crash probabilities."""

@@ -1,11 +1,15 @@
-"""Traffic on straight highways that keeps to every rule and is as reckless as the rules permit, in highway-env itself.
+"""Worst-case compliant traffic on straight highways, in highway-env itself.
 
-highway-env's own traffic uses little of what the certificate permits. These drivers use it: they brake for nothing as
-hard as anybody may who is not asked to, accelerate as hard as can be, close in on the ego until they can just stop
-behind it, straddle lanes, turn in before it with the least room that they owe, and change lanes as MOBIL has it. They
-know `Assumptions.idm()` and nothing of what the shield is told. So a shield that is told the truth has nothing to name
-and nothing to fear; one that is told too little has: a crash or a breach of the buffer with nobody named is a hole,
-and somebody named who has done no wrong is a wrong assumption.
+highway-env's own traffic uses little of what the certificate permits. The drivers of this module use it:
+
+- without cause they brake as hard as the rules allow, and they accelerate as hard as they can;
+- they close in on the ego until they can just stop behind it;
+- they straddle lanes, cut in before the ego with the smallest permitted gap, and change lanes by MOBIL.
+
+They keep to `Assumptions.idm()` and do not read the shield's own assumptions. A shield with these assumptions should
+record no violation and no breach of the buffer. With weaker assumptions it fails in one of two ways. A crash or a
+breach without a recorded violation is a hole in the certificate. A violation recorded for a compliant driver shows a
+wrong assumption.
 """
 
 from __future__ import annotations
@@ -31,54 +35,56 @@ from shield.filters.meta_actions import MetaDoor
 __all__ = ["Bold", "BoldEpisode", "drive_bold", "drive_bold_many", "man_highway"]
 
 RULES = Assumptions.idm()
-"""What they keep to, whatever the shield is told."""
+"""Assumptions that the drivers keep to, independent of the shield's."""
 BUFFER = Buffer()
-"""Whoever comes nearer to the ego has breached it."""
+"""Buffer of the ego in this search; a vehicle inside it has breached it."""
 FAIL_SAFE = 9.8
-"""How hard the ego may brake at any time [m/s^2]."""
+"""Hardest braking of the ego in its fail-safe [m/s^2]."""
 _OFTEN = {"LANE_LEFT": 3.0, "LANE_RIGHT": 3.0, "FASTER": 2.0}
-"""How often the ego proposes what, against 1 of the rest."""
+"""Weights of the ego's random proposals; every other action has the weight 1."""
 _HELD = 2, 12
-"""For how many frames what is held is held."""
+"""Range of frames for which a drawn acceleration is kept; the end is exclusive."""
 _TOUCHES = 2.0
 """Half the width of a lane [m]."""
 _REST = 2.5
-"""How long one rests from going across the road: turning costs way, and nobody may lose much within a second [s]."""
+"""Pause after a lateral manoeuvre: turning shortens the way forward, and the rules bound that loss within a second [s].
+"""
 _HASTE = 0.5, 2.0
-"""They steer for no more than this at once: inside a lane, and from one to the next [m]."""
+"""Largest lateral error that the steering tracks: inside a lane, and during a lane change [m]."""
 _ALIKE = 5.0
-"""Whose speeds differ by less are about as fast [m/s]."""
+"""Speed difference up to which two vehicles count as equally fast [m/s]."""
 _CRAWL = 12.0
-"""They brake for nothing no further than to here: queues have rules of their own [m/s]."""
+"""Below this speed there is no braking without cause, because queues have rules of their own [m/s]."""
 _HUNTS = 90.0
-"""From so far behind the ego they mostly push [m]."""
+"""Distance behind the ego within which a driver mostly accelerates [m]."""
 _SETTLED = 0.3
-"""Nearer to where they want to be across than this they are there [m]."""
+"""Lateral error below which a driver has reached its offset [m]."""
 _SPARE = 2.0, 5.0
-"""What they keep to the ego's buffer beyond the ways to a standstill: behind it, and before it, where a lane change of
-theirs may cost them way [m]."""
+"""Gap to the ego's buffer beyond the stopping distances: behind the ego, and ahead of it, where a lane change of the
+driver may shorten its way [m]."""
 _AROUND = -90.0, 80.0
-"""Where they start, from the ego [m]."""
+"""Range of initial positions along the road, relative to the ego [m]."""
 _SPEEDS = (15.0, 30.0), (20.0, 36.0)
-"""How fast they are at first, ahead of the ego and behind it [m/s]."""
+"""Ranges of initial speed, ahead of the ego and behind it [m/s]."""
 _APART = 16.0
-"""Two in one lane start no nearer than this, centre to centre, and with a second between them [m]."""
+"""Least initial distance of two vehicles in one lane, centre to centre, beside two seconds of their closing speed [m].
+"""
 
 
 class Bold(IDMVehicle):  # type: ignore[misc]
-    """As reckless as the rules permit; where they ask for more it brakes as IDM does, which they always permit."""
+    """Worst-case compliant driver. Where the rules demand more it brakes by IDM, which they always permit."""
 
     target_lane_index: Any
     position: Any
 
     def take(self, draw: np.random.Generator, ego: Any, dt: float) -> None:
-        """Be driven by these numbers, around this ego, in frames of so long [s]."""
+        """Set the random generator, the ego, and the duration of a frame [s]."""
         self.draw, self.ego, self.dt, self.left = draw, ego, dt, 0
         self.held, self.offset, self.rest = 0.0, 0.0, 0
         self.target_speed = RULES.max_speed
 
     def act(self, action: Any = None) -> None:
-        """For the coming frame."""
+        """Set acceleration and steering for the coming frame; `action` is ignored."""
         if self.crashed:
             return
         if self.left == 0:
@@ -95,7 +101,7 @@ class Bold(IDMVehicle):  # type: ignore[misc]
         Vehicle.act(self, {"acceleration": self._acceleration(), "steering": wheel})
 
     def _choose(self) -> None:
-        """What to do for a while: how hard to push or brake, and where to be across."""
+        """Draw an acceleration and the number of frames for which it is kept."""
         self.left = int(self.draw.integers(*_HELD))
         calm = RULES.calm_braking
         self.held = float(self.draw.choice([-calm, -calm, -0.5 * calm, 0.0, RULES.acceleration, RULES.acceleration]))
@@ -103,7 +109,7 @@ class Bold(IDMVehicle):  # type: ignore[misc]
             self.held = RULES.acceleration
 
     def _go_across(self) -> None:
-        """Where to be across: in another lane as MOBIL has it, or wherever there is room, or astride."""
+        """Choose a lateral target: a lane change by MOBIL or to any free lane, or an offset across a marking."""
         if self.target_lane_index != self.lane_index or abs(self._across() - self.offset) > _SETTLED:
             return
         if self.offset == 0.0:
@@ -120,19 +126,19 @@ class Bold(IDMVehicle):  # type: ignore[misc]
             self.offset = 0.0
 
     def _change_as_mobil(self) -> None:
-        """Whether or not that leaves the ego room, as long as both are about as fast: so does highway-env's traffic."""
+        """Change lanes by MOBIL. At about the ego's speed without a check of its gap, like highway-env's traffic."""
         self.change_lane_policy()
         if abs(self.speed - self.ego.speed) > _ALIKE and not self._leaves_room(self.target_lane_index[2]):
             self.target_lane_index = self.lane_index
 
     def _change(self, side: int) -> None:
-        """Go to the next lane, where there is one, and room for everybody."""
+        """Change to the next lane, if it exists and has room."""
         start, end, k = self.target_lane_index
         if self._lets_in(k + side):
             self.target_lane_index = (start, end, k + side)
 
     def _lets_in(self, lane: int) -> bool:
-        """Whether there is such a lane, in which nobody has to brake hard for it, nor it for anybody."""
+        """Whether the lane exists, and a change into it makes no vehicle but the ego brake hard."""
         if not 0 <= lane < self._lanes or not self._leaves_room(lane):
             return False
         first, last = self.road.neighbour_vehicles(self, (*self.lane_index[:2], lane))
@@ -142,7 +148,7 @@ class Bold(IDMVehicle):  # type: ignore[misc]
         return bool(min(asked) >= -self.LANE_CHANGE_MAX_BRAKING_IMPOSED)
 
     def _hold_on(self) -> None:
-        """Take back what would leave the ego no room, as long as no other lane is touched."""
+        """Cancel a lateral target that would leave the ego too little room, while no other lane is touched."""
         _, _, k = self.lane_index
         at = self._across()
         across = self.speed * np.sin(self.heading) * self.dt
@@ -156,7 +162,7 @@ class Bold(IDMVehicle):  # type: ignore[misc]
             self.target_lane_index, self.offset = self.lane_index, 0.0
 
     def _leaves_room(self, lane: int) -> bool:
-        """Whether the ego could still stop behind it there, or it behind the ego."""
+        """Whether the ego could still stop behind the driver in that lane, or the driver behind the ego."""
         ego = self.ego
         start, end, _ = self.lane_index
         across = float(self.road.network.get_lane((start, end, lane)).local_coordinates(ego.position)[1])
@@ -173,7 +179,7 @@ class Bold(IDMVehicle):  # type: ignore[misc]
         return bool(gap > _SPARE[0] + self._closing(mine, yours))
 
     def _closing(self, mine: float, yours: float) -> float:
-        """How much of a gap behind the ego is lost until both stand, where it pushes for two more frames [m]."""
+        """Length by which a gap behind the ego shrinks until both stand, after two more frames of acceleration [m]."""
         pushed = mine + 2 * RULES.acceleration * self.dt
         return 2 * self.dt * pushed + pushed**2 / (2 * RULES.follower_braking) - yours**2 / (2 * FAIL_SAFE)
 
@@ -193,18 +199,18 @@ class Bold(IDMVehicle):  # type: ignore[misc]
                 asked = self.acceleration(self, first)
                 off = abs(float(self.road.network.get_lane(lane).local_coordinates(first.position)[1]))
                 touches = off - 0.5 * first.WIDTH < _TOUCHES - RULES.lean
-                # Who only comes near the lane is nobody to brake hard for.
+                # A vehicle that only comes near the lane is no reason for hard braking.
                 a = min(a, asked if touches else max(asked, -RULES.calm_braking))
         return float(np.clip(a, max(-RULES.braking, -v / self.dt), RULES.acceleration))
 
     def _leaning(self) -> Any:
-        """The lane that it straddles into, or its own."""
+        """Index of the lane that the driver straddles into, or of its own lane."""
         start, end, k = self.lane_index
         other = k + int(np.sign(self.offset))
         return (start, end, other) if self.offset and 0 <= other < self._lanes else self.lane_index
 
     def _across(self) -> float:
-        """How far it is from the middle of its lane [m]."""
+        """Lateral offset from the centre line of its lane [m]."""
         return float(self.lane.local_coordinates(self.position)[1])
 
     @property
@@ -213,7 +219,7 @@ class Bold(IDMVehicle):  # type: ignore[misc]
         return len(self.road.network.graph[start][end])
 
     def _wheel(self) -> float:
-        """highway-env's own steering; astride a marking, to the offset from the middle of the lane, without haste."""
+        """Steering angle of highway-env's controller, with a bounded lateral error to the offset [rad]."""
         here, lane = self.position, self.road.network.get_lane(self.target_lane_index)
         along, at = lane.local_coordinates(here)
         haste = _HASTE[self.target_lane_index != self.lane_index]
@@ -227,14 +233,16 @@ class Bold(IDMVehicle):  # type: ignore[misc]
 
 @dataclass(frozen=True, slots=True)
 class BoldEpisode:
-    """What came of one episode, as far as the first breach or offence.
+    """Result of one episode, up to the first breach or violation.
 
     Attributes
     ----------
-    seed : to drive it again. frames : how many there were.
-    started : whether the first decision was verified; nothing counts where it was not.
-    clearance : the least separation of the ego with its `BUFFER` from anybody [m]; negative in a breach.
-    crashed : whether the ego was. named : the rules that the monitor saw broken by then.
+    seed : seed of the episode, to repeat it.
+    frames : number of frames.
+    started : whether the first decision was verified; otherwise the episode does not count.
+    clearance : least distance of another vehicle from the ego with its `BUFFER` [m]; negative in a breach.
+    crashed : whether the ego crashed.
+    named : violations that the monitor recorded by then, by rule.
     """
 
     seed: int
@@ -246,22 +254,22 @@ class BoldEpisode:
 
     @property
     def breached(self) -> bool:
-        """Whether the ego crashed or somebody was in its buffer."""
+        """Whether the ego crashed or another vehicle was inside its buffer."""
         return self.started and (self.crashed or self.clearance < 0)
 
     @property
     def unnamed(self) -> bool:
-        """Whether it was breached and the monitor has named nobody: a hole."""
+        """Whether there was a breach without a recorded violation: a hole in the certificate."""
         return self.breached and not self.named
 
     @property
     def told(self) -> bool:
-        """Whether it tells of a wrong assumption: somebody named who keeps to the rules, or a hole."""
+        """Whether the episode shows a wrong assumption, by a violation of a compliant driver, or a hole."""
         return self.started and (bool(self.named) or self.unnamed)
 
 
 class _Referee:
-    """Sees every frame of an episode: how near the ego comes, and whom the monitor has named by then."""
+    """Observes every frame of an episode: the ego's clearance, and the violations recorded by then."""
 
     def __init__(self, base: Any, door: MetaDoor) -> None:
         self._base, self._door, self._step = base, door, base.road.step
@@ -270,14 +278,14 @@ class _Referee:
         base.road.step = self._watched
 
     def look(self) -> None:
-        """Whom the monitor has named in what it has seen; the episode is over with the first."""
+        """Read the violations that the monitor has recorded; the episode is over with the first."""
         if not self.over:
             watch: Any = self._door.core.memory.watch
             self.named = {rule.name or str(rule): n for rule, n in watch.by_rule.items()}
             self.over = bool(self.named) or self.crashed or self.clearance < 0
 
     def _watched(self, dt: float) -> None:
-        # By now the shield has seen what the last frame came to.
+        # By now the monitor has checked the previous frame.
         self.look()
         self._step(dt)
         if self.over:
@@ -292,7 +300,14 @@ class _Referee:
 
 
 def man_highway(base: Any, vehicles: int, seed: int) -> None:
-    """Put so many bold drivers around the ego, in the place of whoever is there."""
+    """Replace the other vehicles by worst-case compliant drivers around the ego.
+
+    Parameters
+    ----------
+    base : the unwrapped environment, changed in place.
+    vehicles : number of drivers; fewer where there is no room.
+    seed : seed of their positions and of their choices.
+    """
     ego, road, draw = base.vehicle, base.road, np.random.default_rng([seed, 0])
     dt, lanes = 1 / base.config["simulation_frequency"], base.config["lanes_count"]
     road.vehicles, placed = [ego], [(ego.lane_index[2], float(ego.position[0]), float(ego.speed))]
@@ -300,7 +315,7 @@ def man_highway(base: Any, vehicles: int, seed: int) -> None:
         lane, off = int(draw.integers(lanes)), draw.uniform(*_AROUND)
         speed = draw.uniform(*(_SPEEDS[0] if off > 0 else _SPEEDS[1]))
         if k == 0:
-            # One comes up fast beside the ego's lane: whoever turns in before it counts on its brakes.
+            # One vehicle approaches fast in the lane beside the ego's: a cut-in before it relies on its braking.
             lane, off, speed = (ego.lane_index[2] + 1) % lanes, draw.uniform(-50.0, -15.0), draw.uniform(30.0, 40.0)
         at = ego.position[0] + off
         near = [(x - at, v) for line, x, v in placed if line == lane]
@@ -319,17 +334,22 @@ def man_highway(base: Any, vehicles: int, seed: int) -> None:
 def drive_bold(
     setting: Setting, seed: int, config: ShieldConfig | None = None, vehicles: int = 8, decisions: int = 10
 ) -> BoldEpisode:
-    """One episode of a shielded ego with actions at random among bold drivers, as far as the first breach or offence.
+    """Drive one episode of a shielded ego with random actions among worst-case compliant drivers.
+
+    The episode ends with the first breach or violation.
 
     Parameters
     ----------
-    setting : a straight highway with meta-actions. seed : of everything. config : the shield's settings.
-    vehicles : how many drivers. decisions : how many at most.
+    setting : a straight highway with meta-actions.
+    seed : seed of the scene, the drivers and the actions.
+    config : the shield's settings.
+    vehicles : number of drivers.
+    decisions : largest number of decisions.
 
     Raises
     ------
     ConfigError
-        If it is no straight highway with meta-actions, or the shield judges no others.
+        If the setting is no straight highway with meta-actions, or the shield has no monitor.
     """
     with one_thread():
         env = ShieldedEnv(setting.make(), config)
@@ -356,7 +376,7 @@ def _drive(env: ShieldedEnv, setting: Setting, seed: int, vehicles: int, decisio
         if referee.over or terminated or truncated or not started:
             break
     if not referee.over:
-        # The last frame has not been looked at.
+        # The monitor has not checked the last frame yet.
         door.frame()
         referee.look()
     return BoldEpisode(seed, referee.frames, started, referee.clearance, referee.crashed, referee.named)
@@ -370,5 +390,5 @@ def drive_bold_many(
     decisions: int = 10,
     jobs: int = -1,
 ) -> list[BoldEpisode]:
-    """`drive_bold` on each of the seeds, in so many processes (-1: one for each core)."""
+    """Call `drive_bold` on each of the seeds, in `jobs` processes (-1: one for each core)."""
     return list(Parallel(n_jobs=jobs)(delayed(drive_bold)(setting, s, config, vehicles, decisions) for s in seeds))

@@ -1,8 +1,8 @@
-"""The search for the worst episode: over the scenes that a reset can make, and over what a policy can propose.
+"""Search for the worst episode: over the scenes that a reset can make, and over the actions of a policy.
 
-On a straight highway nothing is drawn after the reset, so an episode is a function of the numbers that its scene is
-made from, and of the actions. Both are searched at once by subset simulation, for the smallest true clearance. On a
-network of roads a scene is that of a seed, which has no neighbours: most moves keep it and change the actions.
+On a straight highway nothing is random after the reset. An episode is a function of the random numbers of its scene
+and of the actions. Subset simulation searches both at once for the smallest true clearance. On a road network a scene
+is determined by a seed, and similar seeds give unrelated scenes. There most moves keep the seed and change the actions.
 """
 
 from __future__ import annotations
@@ -28,26 +28,28 @@ __all__ = ["TRAFFIC", "Met", "Searched", "crash_probability", "falsify", "falsif
 
 _FREE = (ANY, "random")
 _SCENES = 100_000
-"""So many seeds, from one on, are the scenes of a search on a network of roads."""
+"""Number of consecutive seeds that are the scenes of a search on a road network."""
 _ACTIONS = 40
-"""So many actions of an episode are searched at most; what follows is the last of them."""
+"""Largest number of actions that are searched; the last one is repeated until the episode ends."""
 _LOST = 1e3
-"""The clearance of an episode whose first decision finds nothing that verifies [m]: nothing was promised of it."""
+"""Clearance for an episode whose first decision is not verified, and for which nothing is guaranteed [m]."""
 _AT_ONCE = 16
-"""Episodes among bold drivers, in several processes, before it is asked whether anything was found."""
+"""Episodes among compliant traffic that run in parallel before the results are checked for a find."""
 
 
 @dataclass(frozen=True, slots=True)
 class Searched:
-    """What a search has found.
+    """Result of a search.
 
     Attributes
     ----------
-    find : the worst episode. episodes : how many were driven. median : of the clearances in the first of them, which
-        were drawn as a reset draws them [m]. crashed : how many of the last level crashed.
-    offended : the share of the first in which the traffic broke the assumptions.
-    lost : on networks of roads, the share of the first whose first decision found nothing that verifies; of them
-        nothing is promised, and they are no finds. None elsewhere.
+    find : the worst episode.
+    episodes : number of episodes driven.
+    median : median clearance of the first level, which has the distribution of a reset [m].
+    crashed : number of crashes in the last level.
+    offended : share of the first level in which the traffic violated the assumptions.
+    lost : on road networks, the share of the first level whose first decision is not verified. Nothing is guaranteed
+        for these episodes, and they are no finds. None elsewhere.
     """
 
     find: Find
@@ -60,14 +62,17 @@ class Searched:
 
 @dataclass(frozen=True, slots=True)
 class Met:
-    """What a search among bold drivers has met.
+    """Result of a search among worst-case compliant drivers.
 
     Attributes
     ----------
-    find : the episode that is to be looked at: the first hole, or else the first with somebody named who has done no
-        wrong, or else the one with the least clearance. episodes : how many were driven, and how many of them `began`
-        with a decision that was verified. named : in how many the monitor named somebody, and by_rule for what.
-    holes : seeds of those with a crash or a breach of the buffer and nobody named.
+    find : the episode to inspect: the first hole, else the first with a violation by a compliant driver, else the one
+        with the least clearance.
+    episodes : number of episodes driven.
+    began : number of episodes that began with a verified decision.
+    named : number of episodes in which the monitor recorded a violation.
+    by_rule : number of violations by rule.
+    holes : seeds of the episodes with a crash or a breach of the buffer and no recorded violation.
     """
 
     find: Find
@@ -79,7 +84,7 @@ class Met:
 
 
 class _Episodes:
-    """Points of a standard normal as episodes."""
+    """Episodes as points of a standard normal distribution."""
 
     def __init__(self, setting: Setting, policy: str, config: ShieldConfig, seed: int = 0) -> None:
         self._free = policy in _FREE
@@ -91,17 +96,17 @@ class _Episodes:
         self._first = seed
 
     def of(self, points: FloatArray) -> tuple[FloatArray, IntArray | None]:
-        """The numbers that the scenes are made from (n, draws), and the actions (n, steps)."""
+        """Random numbers of the scenes (n, draws), and the actions (n, steps) or None, from points (n, dimensions)."""
         shares = np.minimum(ndtr(points), MOST_SHARE)
         actions = (shares[:, self.scene :] * self.labels).astype(np.intp) if self._free else None
         return shares[:, : self.scene], actions
 
     def seeds(self, shares: FloatArray) -> IntArray:
-        """Of scenes on a network of roads, (n,)."""
+        """Seeds of the scenes on a road network, (n,)."""
         return self._first + (shares[:, 0] * _SCENES).astype(np.intp)
 
     def drive(self, points: FloatArray) -> Chosen:
-        """What happens in each."""
+        """Drive the episode of each point, and return the results of all."""
         shares, actions = self.of(points)
         if self.seeded:
             return self._many.run_seeds(self.seeds(shares), actions)
@@ -116,21 +121,22 @@ def crash_probability(
     seed: int = 0,
     share: float = 0.1,
 ) -> Subset:
-    """The probability that an episode ends in a crash.
+    """Estimate the probability that an episode ends in a crash.
 
-    What leads there is the least time to a collision at constant velocities: two that pass one another side by side are
-    near, and in no danger.
+    The levels are of the least time to a collision at constant velocities. A distance would not lead to crashes: two
+    vehicles side by side are near and in no danger.
 
     Parameters
     ----------
-    setting, policy : the environment, and the policy by name or as the path of a zip file; or `ANY`.
-    config : the shield's settings; of mode "none" without a shield.
+    setting : the environment, a straight highway.
+    policy : name of a policy, path of a zip file, or `ANY`.
+    config : the shield's settings; mode "none" for no shield.
     samples, seed, share : see `subset_simulation`.
 
     Raises
     ------
     ConfigError
-        If it is a network of roads, whose scenes are those of seeds.
+        If the setting is a road network, where seeds determine the scenes.
     """
     if on_roads(setting.env_id):
         raise ConfigError(
@@ -151,20 +157,20 @@ def falsify(
     seed: int = 0,
     samples: int = 500,
 ) -> Searched:
-    """Search for the episode with the smallest true clearance, and see whether the traffic keeps to what is assumed of
-    it.
+    """Search for the episode with the smallest true clearance, and count violations of the assumptions by the traffic.
 
     Parameters
     ----------
-    setting, config : as in `crash_probability`; or a network of roads, and settings that simulate. policy : likewise,
-        or `ANY`.
-    episodes : to drive, about. samples : of each level.
-    seed : of the search; on a network of roads the scenes are those of the `_SCENES` seeds from here on.
+    setting, config : as in `crash_probability`; or a road network, with settings that simulate the traffic.
+    policy : as in `crash_probability`; on a road network also `ANY`.
+    episodes : approximate number of episodes.
+    seed : seed of the search; on a road network also the first of the `_SCENES` seeds of its scenes.
+    samples : episodes of each level.
 
     Raises
     ------
     ConfigError
-        If there are too few episodes for a level, or what drives side by side cannot drive these.
+        If there are too few episodes for a level, or the batch simulator does not support the setting.
     """
     if episodes < samples:
         raise ConfigError(f"have at least {samples} episodes, a level's, not {episodes}")
@@ -208,15 +214,24 @@ def falsify(
 def falsify_among(
     setting: Setting, config: ShieldConfig, episodes: int = 5_000, seed: int = 0, lanes: int = 2, jobs: int = 1
 ) -> Met:
-    """Drive among bold drivers in highway-env itself until they have found something out, or for so many episodes.
+    """Drive among worst-case compliant drivers in highway-env itself, until the first find or the limit of episodes.
 
-    They keep to `Assumptions.idm()`. So whoever is named shows that the shield was told something else, and a breach
-    with nobody named is a hole in what it makes of it.
+    The drivers keep to `Assumptions.idm()`. A recorded violation shows that the shield has other assumptions. A breach
+    without a recorded violation is a hole in the certificate.
 
     Parameters
     ----------
-    setting : a straight highway with meta-actions. config : the shield's settings. episodes : at most.
-    seed : of the first; the others follow. lanes : of the road. jobs : processes, -1 for one per core.
+    setting : a straight highway with meta-actions.
+    config : the shield's settings.
+    episodes : largest number of episodes.
+    seed : seed of the first episode; the others follow.
+    lanes : number of lanes of the road.
+    jobs : processes, -1 for one per core.
+
+    Raises
+    ------
+    ConfigError
+        If `episodes` is less than 1, or no episode began with a verified decision.
     """
     if episodes < 1:
         raise ConfigError(f"have at least 1 episode, not {episodes}")

@@ -1,9 +1,9 @@
-"""The claim of `shield.certificate.network`, checked frame by frame: which vehicle comes how near to a shielded ego.
+"""Check of the guarantee of `shield.certificate.network` in every frame: which vehicle came how near to the ego.
 
-Whatever the others do is named by the monitor in the frame in which it breaks a rule, or brings nobody nearer to the
-ego than its buffer. So what counts is how near those come whom the monitor has not named, from when something is
-verified, and as long as nobody named has been in the way of it, nor a wreck that was none before or is being pushed.
-Whoever owes the ego its distance may come into its buffer; of it the bodies count.
+The guarantee: a vehicle either breaks a rule, and the monitor records that in the same frame, or it stays outside the
+ego's buffer. So the oracle counts the clearance of vehicles without a recorded violation. Counting starts with the
+first verified decision. It pauses after a disturbance: a violator in the way of the verified plan, a new wreck, or a
+wreck that is being pushed. A vehicle that owes the ego its distance may enter the buffer; for it the bodies count.
 """
 
 from __future__ import annotations
@@ -24,14 +24,20 @@ from shield.filters.network import RoadDoor
 __all__ = ["BUFFER", "Referee"]
 
 BUFFER = Buffer()
-"""Whoever comes nearer to the ego has breached it, whatever the shield is told."""
+"""Buffer of the ego in this check, independent of the shield's; a vehicle inside it has breached it."""
 _RULES = Assumptions.roads()
 _SHRINKS = 1e-6
-"""By so much a margin has become less, and not by rounding [m]."""
+"""Decrease of a margin beyond rounding [m]."""
 
 
 class Referee:
-    """Sees every frame: how near whom comes, and whom the monitor has named of them, a frame later."""
+    """Observes every frame: the clearance of each vehicle, and one frame later the violators among them.
+
+    Parameters
+    ----------
+    base : the unwrapped environment; its road's `step` is replaced.
+    door : the filter on road networks; its `frame` is replaced.
+    """
 
     def __init__(self, base: Any, door: RoadDoor) -> None:
         self._base, self._door, self._step, self._ask = base, door, base.road.step, door.frame
@@ -44,11 +50,11 @@ class Referee:
 
     @property
     def over(self) -> bool:
-        """Whether there is nothing more to be seen."""
+        """Whether nothing that follows can count."""
         return bool(self._base.vehicle.crashed) or self.clearance < 0 or Breach.UNFORESEEN in self._door.watch.by_rule
 
     def settle(self, named: set[Any]) -> None:
-        """Count those who were near when last seen and have not been named."""
+        """Count the vehicles that were near in the last frame, except the violators in `named`."""
         for body, place, gap, left in self._near:
             if body in named:
                 continue
@@ -68,8 +74,8 @@ class Referee:
             self.shrunk += bool(innocent)
             self.margin = min(self.margin, *(less[body] for body in innocent), np.inf)
         crashes = self._door.by_rule.get(Breach.CRASH, 0)
-        # Two that have crashed into one another slide, and are pushed as long as they overlap: they are no longer among
-        # those who offend.
+        # Two vehicles that have crashed slide, and push each other while they overlap. The monitor no longer counts
+        # them as violators.
         pushed = any(body.crashed and body.impact is not None for body in self._base.road.vehicles)
         disturbed = self._door.disturbed or crashes > self._crashes or pushed
         if decision.tier.verified or disturbed:
@@ -103,13 +109,13 @@ def _row(body: Any) -> list[float]:
 
 
 def _gap(rows: FloatArray, i: int, owing: bool) -> float:
-    """Of the ego, the first of the rows, with its buffer or without, from vehicle i [m]."""
+    """Distance of vehicle i from the ego, row 0, with the ego's buffer unless `owing` [m]."""
     buffer = Buffer(0.0, 0.0) if owing else BUFFER
     mine = footprint(rows[0], buffer.longitudinal, buffer.lateral)
     return float(gap_between(mine, mine.along, mine.across, rows, i, 0.0))
 
 
 def _left(gap: float, speed: float, ego: float) -> float:
-    """What is left of a gap when one that follows the ego brakes as it owes it, and the ego as hard as it can [m]."""
+    """Rest of a gap once a follower has braked as it must, and the ego as hard as it can [m]; speeds [m/s]."""
     v = max(speed, 0.0)
     return gap - v * _RULES.reaction_time - v**2 / (2 * _RULES.follower_braking) + ego**2 / (2 * FAIL_SAFE)

@@ -1,4 +1,4 @@
-"""Finds of a search: one episode each, in a file, to be driven again in highway-env itself."""
+"""Finds of a search: one episode each, stored in a file and repeatable in highway-env itself."""
 
 from __future__ import annotations
 
@@ -27,20 +27,23 @@ __all__ = ["ANY", "Find", "changed", "made_with", "replay"]
 
 @dataclass(frozen=True, slots=True)
 class Find:
-    """One episode, to be driven again.
+    """One repeatable episode.
 
     Attributes
     ----------
-    env_id, config : the environment. shield : the shield's settings, TOML; "" for those of the road's own traffic.
-    shares : the numbers that its scene is made from (see `Simulator.reset_to`).
-    policy : that proposes; of `ANY`, `actions` are what it proposes.
-    clearance : the smallest to anybody [m], 0 in a crash; among other drivers than highway-env's own that of the ego
-        with its buffer, negative where somebody was in it; see `RoadEpisode` on networks of roads.
-    drivers : of `evaluation.falsification.falsify.TRAFFIC`. Among bold ones on straight highways `seed` says
-        everything, and there are no shares and actions. On networks of roads it says the scene, where highway-env's
-        own traffic drives; among other drivers `shares` say everything, and it is the first of the seeds
-        (`RoadNumbers`).
-    made : of the environment, of the policy, and versions (see `made_with`); nothing in older files.
+    env_id, config : the environment.
+    shield : the shield's settings, TOML; "" for the defaults on a road network.
+    shares : random numbers of the scene (see `Simulator.reset_to`), or all numbers of an episode among adversaries on a
+        road network (`RoadNumbers`).
+    policy : the policy that proposes; with `ANY` the proposals are `actions`.
+    actions : the proposals, if the policy is `ANY`.
+    clearance : least distance of the ego from another vehicle [m], 0 in a crash. Among other drivers than highway-env's
+        own it includes the ego's buffer, and is negative in a breach; see `RoadEpisode` on road networks.
+    drivers : one of `evaluation.falsification.falsify.TRAFFIC`. `"bold"` on a straight highway is determined by `seed`
+        alone, without shares and actions.
+    seed : seed of the scene on a road network with highway-env's own traffic; among other drivers there, the first of
+        the seeds (`RoadNumbers`).
+    made : identity of the environment and the policy, and versions (see `made_with`); empty in older files.
     """
 
     env_id: str
@@ -60,12 +63,12 @@ class Find:
 
     @classmethod
     def load(cls, path: str | Path) -> Find:
-        """Read what `save` wrote.
+        """Read a file that `save` wrote.
 
         Raises
         ------
         ConfigError
-            If it is not such a file.
+            If the file has another format.
         """
         try:
             data = json.loads(Path(path).read_text(encoding="utf-8"))
@@ -75,22 +78,22 @@ class Find:
 
 
 def made_with(setting: Setting, policy: str) -> dict[str, Any]:
-    """What determines an episode beside the find's own numbers: see `evaluation.running.identity`."""
+    """Identity of the environment and the policy, and versions: see `evaluation.running.identity`."""
     return {"environment": of_environment(setting), "policy": of_policy(policy), "version of": versions()}
 
 
 def changed(find: Find) -> list[str]:
-    """Which versions of the libraries are others than those that a find was made with."""
+    """Names of the libraries whose versions differ from those at the time of the find."""
     return differences({"version of": find.made.get("version of", {})}, {"version of": versions()})
 
 
 def replay(find: Find) -> Find:
-    """Drive a find again in highway-env itself; its clearance is what is found there.
+    """Drive a find again in highway-env itself, and return it with the clearance measured there.
 
     Raises
     ------
     ConfigError
-        If the environment or the files of the policy are others than those that it was found with.
+        If the environment or the files of the policy have changed since the find.
     """
     setting, shield = Setting("find", find.env_id, find.config), ShieldConfig.from_toml(find.shield)
     if find.made:
@@ -128,7 +131,7 @@ def replay(find: Find) -> Find:
 
 
 class _Told:
-    """Proposes what it is told to, and then the last of it."""
+    """Policy that proposes a given sequence of actions, and then repeats the last."""
 
     def __init__(self, actions: tuple[int, ...]) -> None:
         self._actions, self._step = actions, -1
@@ -136,6 +139,6 @@ class _Told:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
-        """The next."""
+        """The next action of the sequence; `observation` is ignored."""
         self._step += 1
         return np.asarray(self._actions[min(self._step, len(self._actions) - 1)]), state

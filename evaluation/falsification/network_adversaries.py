@@ -1,9 +1,9 @@
-"""Drivers that take the places of highway-env's traffic on road networks, to attack the certificate.
+"""Drivers that replace highway-env's traffic on road networks, to attack the certificate.
 
-*Wild* ones are vehicles with throttle and steering at random, and break every rule there is. *Bold* ones keep to every
-rule that `shield.certificate.network.monitor` knows and are otherwise as reckless as the rules permit: from one moment
-to the next they brake or accelerate as hard as the assumptions allow, turn wherever the road leads, come over from a
-lane that ends wherever they like, and answer to nobody but to whoever is before them in their own lane.
+`Wild` is an unconstrained adversary: random throttle and steering, without any rule. `Bold` is a worst-case compliant
+driver: it keeps to every rule of `shield.certificate.network.monitor` and uses all that the rules permit. It brakes and
+accelerates as hard as the assumptions allow, turns at random, and leaves a lane that ends at a random place. It reacts
+only to the vehicle ahead in its own lane.
 """
 
 from __future__ import annotations
@@ -23,31 +23,37 @@ __all__ = ["DRIVERS", "FAIL_SAFE", "man"]
 
 DRIVERS = ("wild", "bold", "mixed")
 FAIL_SAFE = 9.8
-"""How hard the ego may brake at any time [m/s^2]."""
+"""Hardest braking of the ego in its fail-safe [m/s^2]."""
 Draw = Any
-"""A numpy generator, or what stands for one."""
+"""A numpy generator, or an object with the same methods, such as `Script`."""
 Lane = tuple[str, str, int]
 _HELD = 2, 20
 _CAUTION = 1.0
-"""What a bold driver keeps to the one before it beside its own way to a standstill [m]."""
+"""Gap of a compliant driver to the vehicle ahead, beyond its own stopping distance [m]."""
 
 
 class Ways(NamedTuple):
-    """The lanes that each lane leads to, and the one that one has to come over to from each that ends."""
+    """Connections of lanes.
+
+    Attributes
+    ----------
+    ahead : the lanes that each lane leads to.
+    over : for each lane that ends, the neighbour that its traffic has to merge into.
+    """
 
     ahead: dict[Lane, list[Lane]]
     over: dict[Lane, Lane]
 
 
 class Wild(Vehicle):  # type: ignore[misc]
-    """Throttle and steering at random, each held for a while; nothing else decides what it does."""
+    """Unconstrained adversary: throttle and steering at random, each kept for some frames."""
 
     def take(self, draw: Draw, turns: Draw, door: RoadDoor, period: float, ways: Ways) -> None:
-        """Be driven by these numbers, and turn by these, in frames of so long [s]."""
+        """Set the random generator of inputs; the other parameters are those of `Bold.take`."""
         self.draw, self.left, self.route = draw, 0, ()
 
     def act(self, action: Any = None) -> None:
-        """For the coming frame."""
+        """Set throttle and steering for the coming frame; `action` is ignored."""
         if self.left == 0:
             self.left = int(self.draw.integers(*_HELD))
             hard = self.draw.random() < 0.2
@@ -60,18 +66,18 @@ class Wild(Vehicle):  # type: ignore[misc]
 
 
 class Bold(ControlledVehicle):  # type: ignore[misc]
-    """As reckless as the rules permit."""
+    """Worst-case compliant driver."""
 
     target_lane_index: Any
 
     def take(self, draw: Draw, turns: Draw, door: RoadDoor, period: float, ways: Ways) -> None:
-        """Be driven by these numbers, and turn by these, in frames of so long [s]."""
+        """Set the random generators of inputs and of turns, the filter, the duration of a frame [s] and the lanes."""
         self.draw, self.left, self.held, self.period = draw, 0, 0.0, period
         self.turns, self.ways, self.until = turns, ways, -1.0
         self.door, self.assumptions, self.route = door, door.config.assumptions, None
 
     def act(self, action: Any = None) -> None:
-        """For the coming frame."""
+        """Set throttle and steering for the coming frame; `action` is ignored."""
         if self.left == 0:
             self.left = int(self.draw.integers(*_HELD))
             a = self.assumptions
@@ -96,7 +102,9 @@ class Bold(ControlledVehicle):  # type: ignore[misc]
                 self.target_lane_index = self.ways.over[self.target_lane_index]
 
     def _permitted(self) -> float:
-        """No faster than its lane, and no nearer to the one before it than it can stop behind."""
+        """Acceleration within the speed limit, with a gap in which the driver can stop behind the vehicle ahead
+        [m/s^2].
+        """
         rules, dt = self.assumptions, self.period
         limit = self.lane.speed_limit or rules.max_speed
         held = min(self.held, max(limit - self.speed, -rules.braking * dt) / dt)
@@ -115,16 +123,20 @@ class Bold(ControlledVehicle):  # type: ignore[misc]
 def man(
     env: ShieldedEnv, drivers: str, vehicles: int, seed: int, told: Sequence[tuple[Draw, Draw]] | None = None
 ) -> None:
-    """Put drivers into the first so many of the others.
+    """Replace the first vehicles of the traffic by adversaries, in place.
 
     Parameters
     ----------
-    drivers : of `DRIVERS`. seed : of what they do. told : instead, what says so of each, and where it turns.
+    env : a shielded environment on a road network, after `reset`.
+    drivers : one of `DRIVERS`.
+    vehicles : number of vehicles to replace.
+    seed : seed of the drivers' choices.
+    told : for each driver, a source of numbers for its inputs and one for its turns, in place of the seed.
 
     Raises
     ------
     ConfigError
-        If there are none of that name.
+        If `drivers` is unknown.
     """
     if drivers not in DRIVERS:
         raise ConfigError(f"unknown drivers {drivers!r}; have {', '.join(DRIVERS)}")

@@ -1,7 +1,7 @@
-"""Traffic that is driven against the certificate on road networks, in highway-env itself.
+"""Adversarial traffic against the certificate on road networks, in highway-env itself.
 
-What comes of wild drivers (`evaluation.falsification.network_adversaries`) has to be flagged; of bold ones there is
-nothing to flag, and nothing may happen.
+Violations of unconstrained adversaries (`evaluation.falsification.network_adversaries`) have to be recorded. Worst-case
+compliant drivers may cause neither a recorded violation nor a crash.
 """
 
 from __future__ import annotations
@@ -26,21 +26,23 @@ from shield.filters.network import RoadDoor
 __all__ = ["Attack", "attack", "attack_many", "watch_for_a_crash"]
 
 _HIT = 8.0
-"""Whoever has crashed and is nearer to the ego was in it [m]."""
+"""Distance up to which a crashed vehicle counts as part of the ego's crash [m]."""
 _FRESH = 3.0
-"""A wreck of fewer seconds counts as its own doing [s]."""
+"""Age up to which a wreck counts as the cause of a crash by its own motion [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Attack:
-    """What came of one episode.
+    """Result of one episode.
 
     Attributes
     ----------
-    env_id, seed, drivers : to drive it again. frames : how many there were.
-    crashed : whether the ego was. blameless : whether something had been verified, and nobody that it crashed with had
-        broken a rule, nor had anybody else come into the way of what was verified last.
-    by_rule : how often each was broken.
+    env_id, seed, drivers : identify the episode, to repeat it.
+    frames : number of frames.
+    crashed : whether the ego crashed.
+    blameless : whether the ego crashed after a verified decision, no vehicle in the crash had broken a rule, and no
+        violator had disturbed the last verified plan.
+    by_rule : number of violations by rule.
     """
 
     env_id: str
@@ -53,12 +55,17 @@ class Attack:
 
     @property
     def unforeseen(self) -> bool:
-        """Whether the certificate had a hole: who broke no rule made the fail-safe suffer, or the ego crash."""
+        """Whether the certificate had a hole: without a violation the fail-safe lost its margin or the ego crashed."""
         return Breach.UNFORESEEN in self.by_rule or self.blameless
 
 
 def watch_for_a_crash(base: Any, door: RoadDoor) -> list[bool]:
-    """Whether the ego was `Attack.blameless`, in a list that is empty until it crashes."""
+    """Observe an episode until the ego crashes, by replacing the road's `step` and the filter's `frame`.
+
+    Returns
+    -------
+    A list that is empty until the ego crashes, and then holds `Attack.blameless`.
+    """
     found: list[bool] = []
     wrecks: dict[Any, int] = {}
     step, ego, frame, ask = base.road.step, base.vehicle, count(), door.frame
@@ -79,9 +86,9 @@ def watch_for_a_crash(base: Any, door: RoadDoor) -> list[bool]:
         if ego.crashed and not found:
             near = [b for b in base.road.vehicles if b is not ego and np.hypot(*(b.position - ego.position)) < _HIT]
             hit = [body for body in near if body.crashed]
-            # Who had its crash just before has slid into the way; what has lain there for long was to be seen.
+            # A fresh wreck has slid into the way; an older one was visible before the decision.
             fresh = any(now - wrecks.get(body, -np.inf) <= _FRESH / dt for body in hit)
-            # Where nothing has been verified since the reset, nothing has been promised.
+            # Without a verified decision since the reset there is no guarantee.
             found.append(promised and not (fresh or door.disturbed or door.culprits(hit)))
 
     base.road.step = watched
@@ -97,18 +104,21 @@ def attack(
     decisions: int = 20,
     config: ShieldConfig | None = None,
 ) -> Attack:
-    """One episode of a shielded ego with actions at random among such drivers.
+    """Drive one episode of a shielded ego with random actions among adversaries.
 
     Parameters
     ----------
-    drivers : of `evaluation.falsification.network_adversaries.DRIVERS`. vehicles : how many of the others they take.
-        decisions : how many at most.
-    config : settings; the worst case of the road's traffic by default.
+    setting : a road network with meta-actions.
+    seed : seed of the scene, the drivers and the actions.
+    drivers : one of `evaluation.falsification.network_adversaries.DRIVERS`.
+    vehicles : number of vehicles that are replaced by adversaries.
+    decisions : largest number of decisions.
+    config : the shield's settings; the worst case of the road's traffic by default.
 
     Raises
     ------
     ConfigError
-        If there are none of that name, or the environment is none of a road network with meta-actions.
+        If `drivers` is unknown, or the environment is no road network with meta-actions.
     """
     with one_thread():
         env = ShieldedEnv(setting.make(), config or WORST_CASE)
@@ -138,6 +148,6 @@ def attack_many(
     jobs: int = -1,
     config: ShieldConfig | None = None,
 ) -> list[Attack]:
-    """So many episodes of `attack`, on the seeds from one on, in so many processes (-1: one for each core)."""
+    """Call `attack` on `episodes` consecutive seeds from `seed` on, in `jobs` processes (-1: one for each core)."""
     seeds = range(seed, seed + episodes)
     return list(Parallel(n_jobs=jobs)(delayed(attack)(setting, s, drivers, vehicles, config=config) for s in seeds))

@@ -1,8 +1,7 @@
-"""One episode on a network of roads in which every choice is a number that is handed in: a search can move in it.
+"""One episode on a road network as a function of numbers, so that a search can vary every choice in it.
 
-The numbers say which scene it is, what the ego proposes, and what each driver of
-`evaluation.falsification.network_adversaries` does and where it turns. What counts is what
-`evaluation.falsification.fault_oracle` says.
+The numbers determine the scene, the ego's proposals, and the inputs and turns of each driver of
+`evaluation.falsification.network_adversaries`. `evaluation.falsification.fault_oracle` evaluates the episode.
 """
 
 from __future__ import annotations
@@ -28,13 +27,17 @@ from shield.filters.network import RoadDoor
 __all__ = ["SCENES", "RoadEpisode", "RoadNumbers", "Script", "drive_numbers"]
 
 SCENES = 100_000
-"""So many seeds, from one on, are the scenes of a search."""
+"""Number of consecutive seeds that are the scenes of a search."""
 _HOLDS, _TURNS = {"bold": 60, "wild": 120, "mixed": 120}, 12
-"""So many numbers say what a driver holds and for how long, and where it turns; after the last they begin again."""
+"""Numbers of a driver for its inputs and their durations, and for its turns; they repeat after the last."""
 
 
 class Script:
-    """Numbers in the place of a generator's, shares from 0 to 1; after the last they begin again.
+    """Replays given numbers with the methods of a random generator; they repeat after the last.
+
+    Parameters
+    ----------
+    shares : numbers from 0 to 1.
 
     Examples
     --------
@@ -49,42 +52,44 @@ class Script:
         self._shares, self._next = shares, 0
 
     def random(self) -> float:
-        """The next share."""
+        """The next number, from 0 to 1."""
         share = float(self._shares[self._next % len(self._shares)])
         self._next += 1
         return share
 
     def integers(self, low: int, high: int | None = None) -> int:
-        """Of those from `low` up to `high`, or from 0 up to `low`; without the last."""
+        """An integer from `low` to `high`, or from 0 to `low`; the upper end is exclusive."""
         first, last = (0, low) if high is None else (low, high)
         return first + int(self.random() * (last - first))
 
     def choice(self, values: Sequence[float]) -> float:
-        """One of these."""
+        """One of the values."""
         return values[self.integers(len(values))]
 
     def uniform(self, low: float, high: float) -> float:
-        """Between these."""
+        """A number between `low` and `high`."""
         return low + (high - low) * self.random()
 
     def normal(self, mean: float, deviation: float) -> float:
-        """Of that distribution, no further out than 4 deviations."""
+        """A normally distributed number, at most 4 deviations from the mean."""
         return mean + deviation * float(np.clip(ndtri(self.random()), -4.0, 4.0))
 
 
 @dataclass(frozen=True, slots=True)
 class RoadNumbers:
-    """What the numbers of an episode stand for.
+    """Meaning of the numbers of an episode.
 
     Attributes
     ----------
-    drivers : of `evaluation.falsification.network_adversaries.DRIVERS`. first : the first of the `SCENES` seeds.
-    vehicles : how many of the others are driven. decisions : of the ego, at most.
+    drivers : one of `evaluation.falsification.network_adversaries.DRIVERS`.
+    first : first of the `SCENES` seeds.
+    vehicles : number of vehicles that are replaced by adversaries.
+    decisions : largest number of decisions of the ego.
 
     Raises
     ------
     ConfigError
-        If there are no drivers of that name.
+        If `drivers` is unknown.
     """
 
     drivers: str
@@ -98,39 +103,44 @@ class RoadNumbers:
 
     @property
     def count(self) -> int:
-        """How many numbers there are: one for the scene, those of the ego, and those of each driver."""
+        """Total of numbers: one for the scene, one for each decision of the ego, and those of each driver."""
         return 1 + self.decisions + self.vehicles * self.each
 
     @property
     def each(self) -> int:
-        """How many numbers a driver has."""
+        """Numbers of a driver."""
         return _HOLDS[self.drivers] + _TURNS
 
     def seed(self, shares: FloatArray) -> int:
-        """Of the scene."""
+        """Seed of the scene."""
         return self.first + int(shares[0] * SCENES)
 
     def scripts(self, shares: FloatArray) -> list[tuple[Script, Script]]:
-        """What each driver holds, and where it turns."""
+        """For each driver, the numbers of its inputs and of its turns."""
         rows = shares[1 + self.decisions :].reshape(self.vehicles, self.each)
         return [(Script(row[:-_TURNS]), Script(row[-_TURNS:])) for row in rows]
 
 
 @dataclass(frozen=True, slots=True)
 class RoadEpisode:
-    """What came of one episode.
+    """Result of one episode.
 
     Attributes
     ----------
-    seed : of its scene. frames : how many there were. counted : in how many the clearance counts.
-    clearance : the least separation of the ego with its `BUFFER` from what stands and from whoever is no wreck and has
-        not been named; of those who owe it their distance, of the bodies [m]. Infinite where nothing counts.
-    near : the same, but of those who owe the ego their distance what is left of it once both have braked [m].
-    shrunk : in how many frames the margin of what was verified became less because of one who has broken no rule then,
-        and has not been named.
-    margin : the least that it became so [m]; infinite where it never did.
-    crashed : whether the ego was. by_rule : how often each rule was broken.
-    who, when : from whom the clearance is, a place in the road's list, -1 for what stands or nobody; and the frame.
+    seed : seed of its scene.
+    frames : number of frames.
+    counted : number of frames in which the clearance counts.
+    clearance : least distance from the ego with its `BUFFER` to an obstacle, or to a vehicle that is no wreck and has
+        no recorded violation [m]. For vehicles that owe the ego their distance, the distance of the bodies. Infinite
+        where nothing counts.
+    near : like `clearance`, but for vehicles that owe the ego their distance the gap that is left after both have
+        braked [m].
+    shrunk : number of frames in which a vehicle without a violation reduced the margin of the verified plan.
+    margin : least margin after such a reduction [m]; infinite without one.
+    crashed : whether the ego crashed.
+    by_rule : number of violations by rule.
+    who : index in the road's list of the vehicle with the clearance; -1 for an obstacle or none.
+    when : frame of the clearance.
     """
 
     seed: int
@@ -147,17 +157,17 @@ class RoadEpisode:
 
     @property
     def hole(self) -> bool:
-        """Whether one whom nobody has named came nearer than it may, or made the fail-safe suffer."""
+        """Whether a vehicle without a recorded violation came too near, or took the margin of the fail-safe."""
         return self.clearance < 0 or Breach.UNFORESEEN in self.by_rule
 
     @property
     def performance(self) -> float:
-        """What a search makes small: not positive where there is a hole.
+        """Objective of the search, to be minimised; not positive for a hole.
 
-        What is verified holds because from one frame to the next its margin from nobody becomes less who keeps to what
-        is assumed. Where it does, that is half a hole, and how little is left says how far it is to a whole one. The
-        clearance says less: whoever stands at the edge of the buffer is near, and in no danger. It decides where no
-        margin has shrunk, with what those have left who owe the ego their distance.
+        A verified plan stays verified because no vehicle that keeps to the assumptions can reduce its margin from one
+        frame to the next. A reduction is a partial hole, and the remaining margin measures the distance to a hole. The
+        clearance is a weaker measure, since a vehicle at rest beside the buffer is near and in no danger. It decides
+        only where no margin has shrunk, in the form of `near`.
         """
         if self.hole:
             return -1.0
@@ -167,17 +177,19 @@ class RoadEpisode:
 def drive_numbers(
     setting: Setting, numbers: RoadNumbers, shares: FloatArray, config: ShieldConfig | None = None
 ) -> RoadEpisode:
-    """One episode of a shielded ego among such drivers, as far as the first hole.
+    """Drive one episode of a shielded ego among adversaries, up to the first hole.
 
     Parameters
     ----------
+    setting : a road network with meta-actions.
+    numbers : meaning of the numbers.
     shares : numbers from 0 to 1, (`numbers.count`,).
-    config : settings; the worst case of the road's traffic by default.
+    config : the shield's settings; the worst case of the road's traffic by default.
 
     Raises
     ------
     ConfigError
-        If there are not as many numbers, or the environment is none of a road network with meta-actions.
+        If the shape is wrong, or the environment is no road network with meta-actions.
     """
     if shares.shape != (numbers.count,):
         raise ConfigError(f"have {numbers.count} numbers for an episode, not shape {shares.shape}")
@@ -203,7 +215,7 @@ def _drive(env: ShieldedEnv, setting: Setting, numbers: RoadNumbers, shares: Flo
         if ended or referee.over:
             break
     if not referee.over:
-        # The last frame has not been looked at.
+        # The monitor has not checked the last frame yet.
         door.frame()
     return RoadEpisode(
         seed=seed,

@@ -1,7 +1,7 @@
-"""The search for the worst that drivers and the ego's own policy can do to the certificate on networks of roads.
+"""Search for the worst case of the certificate on road networks, over scenes, adversaries and proposals.
 
-In highway-env itself an episode takes a second, so hundreds of them are what there is: levels of 50, of which a fifth
-goes on, and an end with the first hole.
+An episode in highway-env itself takes about a second, so a search has some hundred of them. A level has 50 episodes, a
+fifth of which goes on to the next. The search ends with the first hole.
 """
 
 from __future__ import annotations
@@ -28,21 +28,23 @@ __all__ = ["LEVEL", "RoadSearched", "has_network", "search_roads"]
 LEVEL = 50
 """Episodes of a level."""
 _SHARE = 0.2
-"""So many of a level go on to the next."""
+"""Share of a level that goes on to the next."""
 
 
 @dataclass(frozen=True, slots=True)
 class RoadSearched:
-    """What a search has met.
+    """Result of a search.
 
     Attributes
     ----------
     find : the first hole, or else the episode that came nearest to one (`RoadEpisode.performance`).
-    episodes : how many were driven. hole : whether the find is one.
-    median : of the clearances in the first level, which was drawn at random [m].
-    crashed : in how many the ego did. by_rule : how often each rule was broken.
-    frames : how many the clearance counted in. shrunk : in how many of them the margin of what was verified became
-        less because of one who kept to the rules (`RoadEpisode`).
+    episodes : number of episodes driven.
+    hole : whether the find is a hole.
+    median : median clearance of the first level, which was drawn at random [m].
+    crashed : number of episodes in which the ego crashed.
+    by_rule : number of violations by rule.
+    frames : number of frames in which the clearance counted.
+    shrunk : number of them in which a vehicle without a violation reduced the margin of the verified plan.
     """
 
     find: Find
@@ -56,7 +58,7 @@ class RoadSearched:
 
 
 def has_network(setting: Setting) -> bool:
-    """Whether the scenes of a setting are on a network of several roads, with meta-actions or not."""
+    """Whether the scenes of a setting are on a network of several roads, with any kind of action."""
     env = setting.make()
     try:
         env.reset(seed=0)
@@ -66,7 +68,7 @@ def has_network(setting: Setting) -> bool:
 
 
 class _Found(Exception):
-    """The search is at its end."""
+    """Signals the end of the search."""
 
 
 def search_roads(
@@ -78,20 +80,24 @@ def search_roads(
     jobs: int = 1,
     drawn: bool = False,
 ) -> RoadSearched:
-    """Search scenes, drivers and proposals by subset simulation for one whom nobody has named, and who comes nearer to
-    the ego than it may; until there is one, or for about so many episodes.
+    """Search by subset simulation for a vehicle that comes too near to the ego without a recorded violation.
+
+    The search varies scenes, drivers and proposals. It ends with the first hole, or at the limit of episodes.
 
     Parameters
     ----------
-    setting : a network of roads with meta-actions. drivers : of `evaluation.falsification.network_adversaries.DRIVERS`.
-    config : the shield's settings; those for the road's traffic by default. episodes : at most, from `LEVEL` on.
-    seed : of the search, and the first of the seeds of its scenes. jobs : processes, -1 for one per core.
-    drawn : whether all are drawn at random instead, for comparison.
+    setting : a road network with meta-actions.
+    drivers : one of `evaluation.falsification.network_adversaries.DRIVERS`.
+    config : the shield's settings; the worst case of the road's traffic by default.
+    episodes : largest number of episodes, at least `LEVEL`.
+    seed : seed of the search, and the first of the seeds of its scenes.
+    jobs : processes, -1 for one per core.
+    drawn : whether all episodes are drawn at random instead, for comparison.
 
     Raises
     ------
     ConfigError
-        If there are too few episodes for a level, no drivers of that name, or it is no such network.
+        If there are too few episodes for a level, `drivers` is unknown, or the environment is no such network.
     """
     if episodes < LEVEL:
         raise ConfigError(f"have at least {LEVEL} episodes, a level's, not {episodes}")

@@ -1,8 +1,8 @@
-"""Crashes that a bad sensor leads to: episodes whose noise is drawn anew from some decision on.
+"""Crashes caused by a noisy sensor: episodes that are repeated with other noise from some decision on.
 
-On a straight highway the traffic is a function of the scene, but what a noisy sensor shows is random at every frame. So
-paths split: an episode that has come near a crash is driven again from there with other noise. An episode is made again
-from its seeds, from the start, as the whole shield would have to be copied otherwise.
+On a straight highway the traffic is a function of the scene, but sensor noise is random in every frame. So paths can be
+split: an episode that came near a crash is repeated with other noise from there on. The episode is driven again from
+its seeds and from the start. The alternative would be a copy of the whole state of the shield.
 """
 
 from __future__ import annotations
@@ -30,8 +30,13 @@ __all__ = ["NoisyEpisodes", "crash_probability_through"]
 
 @uncounted
 def _nearest(states: FloatArray, out: FloatArray) -> None:
-    """The least time to a collision of the ego with anybody in each frame, at constant velocities, from states (frames,
-    vehicles, 8), to `out` (frames,) [s]; 0 once it has crashed."""
+    """Least time to a collision of the ego in each frame, at constant velocities.
+
+    Parameters
+    ----------
+    states : states of all vehicles, the ego first, (frames, vehicles, 8).
+    out : result, (frames,) [s]; 0 from a crash on.
+    """
     for k in range(states.shape[0]):
         out[k] = HORIZON
         for i in range(1, states.shape[1]):
@@ -41,11 +46,11 @@ def _nearest(states: FloatArray, out: FloatArray) -> None:
 
 
 class NoisyEpisodes:
-    """Episodes by `Path`: seeds of the scene and of the noise.
+    """Episodes as functions of a `Path`: seeds of the scene and of the noise.
 
     Parameters
     ----------
-    spec : what drives, and where; its sensor is noisy (see `evaluation.wrappers.split_sensor`).
+    spec : the environment, the policy and the shield, with a noisy sensor (see `evaluation.wrappers.split_sensor`).
 
     Raises
     ------
@@ -65,8 +70,10 @@ class NoisyEpisodes:
         self._sensor = env
 
     def drive(self, path: Path) -> FloatArray:
-        """Minus the least time to a collision at the reset and within each decision, (decisions + 1,) [s]; 0 in a
-        crash."""
+        """Negative of the least time to a collision, at the reset and within each decision, (decisions + 1,) [s].
+
+        It is 0 in a crash.
+        """
         forks = dict(path.forks)
 
         def before(decision: int) -> None:
@@ -95,9 +102,9 @@ def crash_probability_through(
     most: int | None = None,
     jobs: int = 1,
 ) -> Split:
-    """The probability that an episode through a noisy sensor ends in a crash, by splitting paths that come near one.
+    """Estimate the probability that an episode with a noisy sensor ends in a crash, by splitting paths near a crash.
 
-    What leads there is the least time to a collision at constant velocities, as in
+    The score is the least time to a collision at constant velocities, as in
     `evaluation.falsification.falsify.crash_probability`.
 
     Parameters
@@ -105,6 +112,11 @@ def crash_probability_through(
     spec : see `NoisyEpisodes`.
     paths, share, seed, most : see `multilevel_splitting`; the first scenes have the seeds from `seed` on.
     jobs : processes; -1 for one per core.
+
+    Raises
+    ------
+    ConfigError
+        If the sensor is exact, or a policy object would have to drive in several processes.
     """
     if joblib.effective_n_jobs(jobs) == 1:
         episodes = NoisyEpisodes(spec)
@@ -124,7 +136,7 @@ def crash_probability_through(
 
 @lru_cache(maxsize=1)
 def _kept(spec: DriverSpec, files: str) -> NoisyEpisodes:
-    """Kept while `files`, the hashes of what the policy is read from, are the same."""
+    """Episodes of a spec, cached while `files`, the hashes of the policy's files, stay the same."""
     check_files(_policy(spec), None, files)
     return NoisyEpisodes(spec)
 
@@ -134,7 +146,7 @@ def _drive(spec: DriverSpec, files: str, path: Path) -> FloatArray:
 
 
 def _policy(spec: DriverSpec) -> str:
-    """The policy of the spec, by name or as a path: an object has no files to compare."""
+    """Policy of the spec, by name or path; a policy object has no files to compare, and raises `ConfigError`."""
     if not isinstance(spec.policy, str):
         raise ConfigError(
             f"a {type(spec.policy).__name__} drives in one process only; have a policy by name or a zip file"

@@ -1,14 +1,14 @@
-r"""Adaptive multilevel splitting: the probability of a rare event along paths that are random all the way.
+r"""Adaptive multilevel splitting: the probability of a rare event along paths that are random in every step.
 
 Notation
 --------
-A path has a score xi_t after each step, and its level is the greatest of them, S = max_t xi_t. The event is S >= b. Of
-n paths, those with the lowest levels are dropped, K of them, Z the highest level among these; each takes the way of one
-that is left up to the first step with xi_t > Z, and is drawn anew from there. With K_q dropped in round q,
+A path has a score xi_t after each step. Its level is the greatest of them, S = max_t xi_t. The event is S >= b. In each
+round the K paths with the lowest levels of n are dropped; Z is the highest level among these. Each dropped path copies
+a surviving path up to the first step with xi_t > Z, and is drawn anew from there. With K_q dropped in round q,
 
     P(S >= b) = prod_q (1 - K_q / n) * (share of the last paths with S >= b)
 
-It is unbiased, whatever the score, where all that are level with the highest of the dropped are dropped with them.
+The estimate is unbiased for every score, if all paths with the level Z are dropped together.
 
 Sources: Cerou and Guyader 2007; Brehier, Gazeau, Goudenege, Lelievre and Rousset 2016 (levels that tie).
 """
@@ -31,34 +31,37 @@ _MOST_ROUNDS = 1000
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """What a path is made from.
+    """Seeds of a path.
 
     Attributes
     ----------
-    seed : that it begins with. forks : from which step on (the first is 1) what is random goes by which other seed.
+    seed : seed of the path from its start.
+    forks : pairs of a step, counted from 1, and the seed that replaces the former one from that step on.
     """
 
     seed: int
     forks: tuple[tuple[int, int], ...] = ()
 
     def fork(self, step: int, seed: int) -> Path:
-        """The same before a step, and drawn by another seed from there on."""
+        """A copy that is the same before the step and uses another seed from there on."""
         return Path(self.seed, (*(each for each in self.forks if each[0] < step), (step, seed)))
 
 
 Drive = Callable[[Sequence[Path]], Sequence[FloatArray]]
-"""The scores of paths, before the first step and after each, (steps + 1,) of each path."""
+"""Function that returns the scores of each path, before the first step and after each, (steps + 1,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Split:
-    """What was found.
+    """Result of multilevel splitting.
 
     Attributes
     ----------
-    probability : the estimate; 0 where all paths that were left were level. variation : its coefficient of variation if
-        all paths were independent of one another: a lower bound.
-    evaluations : paths that were driven. levels : Z of each round, and dropped : K.
+    probability : the estimate; 0 if all remaining paths had the same level.
+    variation : coefficient of variation for independent paths, a lower bound.
+    evaluations : number of paths driven.
+    levels : Z of each round.
+    dropped : K of each round.
     paths, reached : the last paths and their levels, the highest first.
     """
 
@@ -78,15 +81,18 @@ def multilevel_splitting(
 
     Parameters
     ----------
-    drive : gives the scores. event : b.
-    paths : n; the first have the seeds from `seed` on. share : of the paths that are dropped in a round, at least one.
-    seed : of what is drawn. most : paths driven after which no further round is begun; then the estimate is of what has
-        been reached, 0 if that is not the event.
+    drive : returns the scores of paths.
+    event : b.
+    paths : n; the first paths have the seeds from `seed` on.
+    share : share of the paths that are dropped in a round, at least one path.
+    seed : seed of the random choices.
+    most : number of driven paths after which no further round begins. The estimate is then that of the last level, 0 if
+        no path has reached the event.
 
     Raises
     ------
     ConfigError
-        If the numbers do not fit, or a score is NaN.
+        If the numbers are out of range, or a score is NaN.
 
     Examples
     --------

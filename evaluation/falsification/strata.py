@@ -1,16 +1,16 @@
-r"""Stratified counting: the probability of a rare event on the highway, by how many share the ego's lane.
+r"""Stratified estimate of the probability of a rare event on the highway, by the number of vehicles in the ego's lane.
 
 Notation
 --------
-Lanes are drawn as whole numbers, and a crash of one kind is not near one of another. So scenes are sorted by K, how
-many of the m others start in the ego's lane: binomial, with m and one over the number of lanes. Inside each stratum the
-rest is drawn as it comes,
+Lanes are integers, and a crash of one kind is not near a crash of another kind. So scenes are sorted by K, the number
+of the m other vehicles that start in the ego's lane. K is binomial, with m trials of probability one over the number of
+lanes. Inside each stratum the rest is drawn as in a reset,
 
     P(F) = sum_k P(K = k) P(F | K = k)
 
-A pilot of as many episodes in each says where the others are worth most: in proportion to P(K = k) sqrt(P(F | K = k)),
-and a share of them evenly, so that no stratum is without. The estimate is made of those others alone, so it is
-unbiased, whatever the pilot saw.
+A pilot with the same number of episodes in each stratum sets the allocation of the main sample. It is proportional to
+P(K = k) sqrt(P(F | K = k)), plus an even share so that no stratum is empty. The estimate uses the main sample alone, so
+it is unbiased for every result of the pilot.
 
 Source: Neyman 1934 (allocation); Cochran 1977, chapter 5.
 """
@@ -29,13 +29,13 @@ from dynamics.state import BoolArray, FloatArray, IntArray
 __all__ = ["Strata", "Stratified", "stratified"]
 
 _EVEN = 0.15
-"""Share of the episodes that are spread evenly."""
+"""Share of the main sample that is spread evenly over the strata."""
 _MOST = float(np.nextafter(1.0, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
 class Strata:
-    """Scenes of so many others on so many lanes, by how many of them share the ego's (see `Simulator.draws`)."""
+    """Scenes with `others` vehicles on `lanes` lanes, by how many share the ego's lane (see `Simulator.draws`)."""
 
     others: int
     lanes: int
@@ -46,12 +46,12 @@ class Strata:
 
     @property
     def probabilities(self) -> FloatArray:
-        """Of each stratum, (others + 1,)."""
+        """Probability of each stratum, (others + 1,)."""
         found: FloatArray = binom.pmf(np.arange(self.others + 1), self.others, 1 / self.lanes)
         return found
 
     def draw(self, stratum: int, count: int, rng: np.random.Generator) -> FloatArray:
-        """The numbers that so many scenes of a stratum are made from, (count, draws)."""
+        """Random numbers of `count` scenes of a stratum, (count, draws)."""
         shares = rng.random((count, 2 + 4 * self.others))
         ego = (shares[:, 0] * self.lanes).astype(np.intp)
         same = rng.permuted(np.tile(np.arange(self.others) < stratum, (count, 1)), axis=1)
@@ -63,13 +63,15 @@ class Strata:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stratified:
-    """What was found.
+    """Result of a stratified estimate.
 
     Attributes
     ----------
-    probability : the estimate. error : its standard error, as the counts tell.
-    evaluations : episodes, the pilot's included. counted, met : of each stratum, without the pilot: episodes, and those
-        with the event.
+    probability : the estimate.
+    error : its standard error, from the counts.
+    evaluations : number of episodes, with the pilot.
+    counted : episodes of each stratum, without the pilot, (others + 1,).
+    met : episodes with the event among them, (others + 1,).
     """
 
     probability: float
@@ -82,18 +84,20 @@ class Stratified:
 def stratified(
     happens: Callable[[FloatArray], BoolArray], strata: Strata, pilot: int = 600, last: int = 12_000, seed: int = 0
 ) -> Stratified:
-    """Estimate how often something happens in scenes as a reset draws them.
+    """Estimate the probability of an event in scenes with the distribution of a reset.
 
     Parameters
     ----------
-    happens : whether it does, (n,), in scenes made from numbers (n, draws).
-    pilot : episodes in each stratum that only say where to count. last : those that are counted, about.
-    seed : of what is drawn.
+    happens : whether the event occurs, (n,), in scenes made from random numbers (n, draws).
+    strata : the strata of the scenes.
+    pilot : episodes of each stratum in the pilot, which only sets the allocation.
+    last : approximate number of episodes of the main sample.
+    seed : seed of the random numbers.
 
     Raises
     ------
     ConfigError
-        If there are too few of either.
+        If the pilot or the main sample is too small.
     """
     of_each = strata.probabilities
     k = len(of_each)

@@ -6,11 +6,11 @@ x ~ N(0, I) of d numbers, a performance g(x), and the event F = {g <= 0}. With l
 
     P(F) = P(g <= b_1) * prod_k P(g <= b_k | g <= b_{k-1})
 
-Each level is the p0-quantile of the samples of the one before, and each conditional probability is estimated from
-Markov chains that start at those samples. A move proposes x' = sqrt(1 - s^2) x + s xi, xi ~ N(0, I), which leaves
-N(0, I) as it is, and is taken where g(x') <= b; s adapts until 44 % are taken. What stands for something without
-neighbours, such as a seed, has no small moves: it is kept in most, and drawn anew in the others, which leaves N(0, I)
-as it is too.
+Each level is the p0-quantile of the samples of the level before. Each conditional probability is estimated from Markov
+chains that start at those samples. A move proposes x' = sqrt(1 - s^2) x + s xi, xi ~ N(0, I), which preserves N(0, I),
+and is accepted where g(x') <= b. The step s adapts until 44 % of the moves are accepted. A dimension without a notion
+of nearness, such as a seed, has no small moves: most moves keep it and the others draw it anew, which preserves N(0, I)
+too.
 
 Sources: Au and Beck 2001 (subset simulation); Papaioannou, Betz, Zwirglmaier and Straub 2015 (conditional sampling and
 how s adapts); Cotter, Roberts, Stuart and White 2013 (the move).
@@ -29,15 +29,15 @@ from dynamics.state import BoolArray, FloatArray
 __all__ = ["MOST_SHARE", "Level", "Subset", "subset_simulation"]
 
 Performance = Callable[[FloatArray], FloatArray]
-"""g of points (n, d), (n,): the event is where it is not positive."""
+"""g of points (n, d), (n,): the event occurs where it is not positive."""
 
 _ACCEPTED, _FIRST_STEP = 0.44, 0.6
-"""Share of moves that are to be taken, and the first s."""
+"""Target acceptance rate, and the first s."""
 _MOST_LEVELS = 20
 _JUMPS = 0.1
-"""Share of the moves that draw anew what has no neighbours."""
+"""Share of the moves that draw the dimensions without nearness anew."""
 MOST_SHARE = float(np.nextafter(1.0, 0.0))
-"""The greatest number below 1: what a normal comes to as a share at most."""
+"""The greatest number below 1: upper limit for the normal distribution function of a point."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +46,9 @@ class Level:
 
     Attributes
     ----------
-    bound : b, 0 at the last. probability : of the samples of the level before that are within.
-    accepted : share of the moves that led here which were taken; NaN of the first.
+    bound : b, 0 at the last level.
+    probability : share of the samples of the level before that are within the bound.
+    accepted : acceptance rate of the moves that led to this level; NaN for the first.
     """
 
     bound: float
@@ -57,14 +58,15 @@ class Level:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Subset:
-    """What was found.
+    """Result of a subset simulation.
 
     Attributes
     ----------
-    probability : the estimate. variation : its coefficient of variation, with the correlation within chains, but not
-        that between levels: a lower bound.
-    evaluations : of the performance. levels : in order.
-    points, performance : the samples of the last level, (n, d) and (n,), the worst first.
+    probability : the estimate.
+    variation : its coefficient of variation, with the correlation within chains but not between levels: a lower bound.
+    evaluations : number of evaluations of the performance.
+    levels : the levels, in order.
+    points, performance : samples of the last level, (n, d) and (n,), the worst first.
     """
 
     probability: float
@@ -84,20 +86,21 @@ def subset_simulation(
     most: int | None = None,
     jumps: int = 0,
 ) -> Subset:
-    """Estimate P(g <= 0) for a standard normal of so many dimensions.
+    """Estimate P(g <= 0) for a standard normal distribution of `dimensions` numbers.
 
     Parameters
     ----------
     performance : g.
-    samples : of each level. share : p0; `samples` times it has to be a whole number, and so has its reciprocal.
-    seed : of what is drawn.
-    most : evaluations after which no further level is begun; then the estimate is 0 if the event was not met.
-    jumps : how many of the dimensions, the first, have no neighbours.
+    samples : samples of each level.
+    share : p0; `samples * share` and `1 / share` have to be whole numbers.
+    seed : seed of the random numbers.
+    most : number of evaluations after which no further level begins. The estimate is then 0 without the event.
+    jumps : number of leading dimensions without nearness.
 
     Raises
     ------
     ConfigError
-        If the numbers do not fit.
+        If the numbers are inconsistent.
 
     Examples
     --------
@@ -116,7 +119,7 @@ def subset_simulation(
     evaluations, probability, variance, step = samples, 1.0, 0.0, _FIRST_STEP
     levels: list[Level] = []
     taken = np.nan
-    of_chains = np.arange(samples)[None]  # of the first level: each is a chain of one
+    of_chains = np.arange(samples)[None]  # in the first level each sample is a chain of one
     while True:
         order = np.argsort(g, kind="stable")
         points, g = points[order], g[order]
@@ -130,13 +133,13 @@ def subset_simulation(
         variance += _variance(inside[of_chains], within)
         if last:
             return Subset(probability, float(np.sqrt(variance)), evaluations, tuple(levels), points, g)
-        # Of the samples within, as many as are needed: the chains start at the event's own distribution.
+        # The best samples start the chains: they have the conditional distribution of this level already.
         x, at = points[:chains].copy(), g[:chains].copy()
         runs_x, runs_g, moved = [x.copy()], [at.copy()], 0
         for _ in range(length - 1):
             proposed = np.sqrt(1 - step**2) * x + step * rng.standard_normal(x.shape)
             if jumps:
-                # A move that would change nothing else jumps.
+                # If all dimensions jump, every move draws anew: otherwise it would change nothing.
                 kept = rng.random(chains) >= (_JUMPS if jumps < dimensions else 1.0)
                 proposed[:, :jumps] = np.where(kept[:, None], x[:, :jumps], rng.standard_normal((chains, jumps)))
             found = _asked(performance, proposed)

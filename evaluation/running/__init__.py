@@ -1,1 +1,1 @@
-"""Driving episodes: settings, policies by name, records."""
+"""Running of episodes: settings, policies by name, records and the store."""

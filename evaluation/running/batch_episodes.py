@@ -1,4 +1,4 @@
-"""Very many shielded episodes, side by side: the rows that `run_paired` gives, a hundred times as fast."""
+"""Batches of shielded episodes: the rows of `run_paired`, a hundred times as fast."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ UNMEASURED = (
     *("acceleration_distance", "steering_distance", "mean_confidence", "latency_p50_ms", "latency_p99_ms"),
     *("latency_max_ms", "peak_jerk", "mean_normalised_jerk", "peak_normalised_jerk"),
 )
-"""Columns of an episode that are NaN where many are driven at once: the decisions of all environments are timed
-together, no frames are kept, meta-actions have no inputs, and sensors are exact."""
+"""Columns of an episode that are NaN in a batch. The decisions of all environments are timed together, no frames are
+kept, meta-actions have no inputs, and sensors are exact."""
 
 _ENVS = 50
-"""Side by side by default: so many go into the parts of `shield certify` without a rest."""
+"""Default number of environments in a batch; the parts of `shield certify` are a multiple of it."""
 _NAMED = ("faster", "idle", "slower", "random", "weaving", "left", "right")
-"""Baselines that look at nothing."""
+"""Baseline policies that ignore the observation."""
 
 
 class Chosen(NamedTuple):
-    """What happened in episodes of one's own choice.
+    """Results of a batch of chosen episodes.
 
     Attributes
     ----------
-    clearance : the smallest of each (n,) [m]. time_to_collision : the least at constant velocities, (n,) [s]; both are
-        0 in a crash, and positive elsewhere.
-    offences : of the traffic against the assumptions, (n,).
-    lost : whether the first decision found nothing that verifies, and a fallback acted, (n,).
+    clearance : least clearance of each episode, (n,) [m]; 0 in a crash, positive elsewhere.
+    time_to_collision : least time to a collision at constant velocities, (n,) [s]; 0 in a crash, positive elsewhere.
+    offences : number of violations of the assumptions by the traffic, (n,).
+    lost : whether the first decision was a fallback because no plan verified, (n,).
     """
 
     clearance: FloatArray
@@ -57,19 +57,21 @@ class Chosen(NamedTuple):
 
 
 class Many:
-    """The shielded episodes of one setting and policy.
+    """Runner of shielded episodes of one setting and policy, in a batch.
 
     Parameters
     ----------
-    setting, policy : the environment, and the policy by name or as the path of a zip file.
+    setting : the environment.
+    policy : name of a policy, or path of a zip file.
     config : the shield's settings.
-    envs : environments side by side. chosen : whether scenes are chosen, with `run_chosen`.
+    envs : number of environments in the batch.
+    chosen : whether scenes are chosen with `run_chosen`.
 
     Raises
     ------
     ConfigError
-        If they cannot be driven side by side: an environment that is not compiled, other settings of the shield than
-        are compiled, or a policy that reads more than its observation.
+        If the batch does not support the environment, the shield's settings, or a policy that reads more than its
+        observation.
     """
 
     def __init__(
@@ -98,14 +100,16 @@ class Many:
 
     @property
     def exact(self) -> bool:
-        """Whether this machine's numpy sums as is known here (see `Simulator.exact`)."""
+        """Whether numpy sums in the supported order on this machine, so that results are exact (`Simulator.exact`)."""
         return bool(self._highways.simulator.exact)
 
     def run(self, seeds: Sequence[int]) -> pd.DataFrame:
-        """A row for each seed, in order: the columns of `run_paired` that say what happened, and `fallbacks`, the
-        decisions in which a fallback acted.
+        """Drive the episodes of the seeds.
 
-        The columns `UNMEASURED` are NaN.
+        Returns
+        -------
+        A row for each seed, in order: the columns of `run_paired` about the result, and `fallbacks`, the number of
+        decisions with a fallback. The columns `UNMEASURED` are NaN.
         """
         rows: list[dict[str, Any]] = [{}] * len(seeds)
 
@@ -121,30 +125,30 @@ class Many:
 
     @property
     def actions(self) -> int:
-        """How many meta-actions there are."""
+        """Number of meta-actions."""
         return self._highways.actions
 
     @property
     def draws(self) -> int:
-        """How many numbers a scene is made from (see `Simulator.draws`)."""
+        """Number of random numbers of a scene (see `Simulator.draws`)."""
         return int(self._highways.simulator.draws)
 
     def run_chosen(self, shares: FloatArray, actions: IntArray | None = None) -> Chosen:
-        """Episodes in scenes of one's own choice.
+        """Drive episodes in chosen scenes.
 
         Parameters
         ----------
-        shares : the numbers that each is made from, (n, `draws`), see `Simulator.reset_to`.
-        actions : what is proposed in each, (n, steps); by default the policy says it.
+        shares : random numbers of each scene, (n, `draws`), see `Simulator.reset_to`.
+        actions : proposals of each episode, (n, steps); those of the policy by default.
 
         Returns
         -------
-        What happened in each.
+        The results of the n episodes.
 
         Raises
         ------
         ConfigError
-            If the policy draws its actions by the seed of an episode, which a scene of one's own choice has not.
+            If the policy draws its actions from the seed of an episode, since a chosen scene has no seed.
         """
         if actions is None and self._draws:
             raise ConfigError("random actions go by an episode's seed; in scenes of one's own choice have actions=")
@@ -156,7 +160,7 @@ class Many:
         return self._run(len(shares), begin, actions)
 
     def run_seeds(self, seeds: Sequence[int] | IntArray, actions: IntArray | None = None) -> Chosen:
-        """Episodes in the scenes of these seeds; `actions` and what is returned as in `run_chosen`."""
+        """Drive the episodes of the seeds (n,); `actions` and the result are those of `run_chosen`."""
 
         def begin(i: int, k: int) -> None:
             self._highways.reset([int(seeds[k])], [i])
@@ -191,8 +195,14 @@ class Many:
     def _drive(
         self, count: int, begin: Callable[[int, int], None], end: Callable[[int, int, Tallies, bool], None], times: bool
     ) -> None:
-        """Drive so many episodes: `begin` starts one in an environment, `end` takes what it has added up to, with the
-        times to collision or without, and whether it was lost from the first (`Chosen`)."""
+        """Drive `count` episodes.
+
+        Parameters
+        ----------
+        begin : called with an environment and the index of the episode that starts in it.
+        end : called with the environment, the index, the tallies, and whether the first decision was a fallback.
+        times : whether times to a collision are measured.
+        """
         highways, e = self._highways, self._highways.num_envs
         seen, tallies = highways.simulator.seen, empty_tallies(e)
         place, going, left = np.full(e, -1), np.zeros(e, np.bool_), 0
@@ -233,7 +243,7 @@ class Many:
     def _row(self, seed: int, tallies: Tallies, i: int) -> dict[str, Any]:
         crashed, attribution = bool(tallies.crashed[i]), "none"
         if crashed:
-            # Rare enough to be driven again, one frame at a time.
+            # Crashes are rare enough to be driven again, one frame at a time.
             variant = Variant() if self._config.mode == "none" else variant_for(self._config)
             attribution = run_episode(self._setting, self._policy, variant, seed, simulator="compiled").attribution
         steps, frames = int(tallies.steps[i]), int(tallies.frames[i])

@@ -1,4 +1,4 @@
-"""Very many shielded episodes: driven in parts that are kept as they finish, and the bound that they give."""
+"""Batches of shielded episodes in parts that are stored as they finish, and the bound on the crash rate."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from shield.errors import ConfigError
 __all__ = ["Asked", "certify", "page"]
 
 _PART = 1_000
-"""Episodes of a part: what is lost at most when a run is killed, for each of its processes."""
+"""Episodes of a part: the most that each process loses if a run is killed."""
 COLUMNS = (
     "setting",
     "policy",
@@ -64,12 +64,14 @@ _SHOWN = 20
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What is driven.
+    """Specification of a run.
 
     Attributes
     ----------
-    setting, policy : the environment, and the policy by name or as the path of a zip file.
-    episodes, seed : how many, and the seed of the first.
+    setting : the environment.
+    policy : name of a policy, or path of a zip file.
+    episodes : number of episodes.
+    seed : seed of the first episode.
     config : the shield's settings.
     simulator : one of `SIMULATORS`.
     """
@@ -83,11 +85,11 @@ class Asked:
 
     @property
     def variant(self) -> Variant:
-        """What stands between the policy and the environment."""
+        """The variant of the shield between the policy and the environment."""
         return variant_for(self.config, self.setting)
 
     def told(self) -> dict[str, Any]:
-        """As plain values, in the words of `evaluation.running.comparing.Comparison.asked`."""
+        """The specification as plain values, with the keys of `evaluation.running.comparing.Comparison.asked`."""
         shield = f"{self.setting.name}, {self.variant.place}, {self.variant.mode}"
         return {
             "settings": {self.setting.name: of_environment(self.setting)},
@@ -100,11 +102,11 @@ class Asked:
 
     @property
     def models(self) -> dict[str, str]:
-        """The hash of each model file, by its name."""
+        """Hash of each model file, by its name."""
         return model_hashes([self.policy])
 
     def _policy(self) -> dict[str, Any]:
-        """What the policy is read from; a model is tried in the environment."""
+        """Identity of the policy's files; a model is loaded and checked in the environment."""
         if not is_model(self.policy):
             return of_policy(self.policy)
         env = self.setting.make()
@@ -114,18 +116,18 @@ class Asked:
             env.close()
 
     def parts(self) -> list[tuple[int, int]]:
-        """Seed of the first episode of each part, and how many it has."""
+        """Seed of the first episode of each part, and number of its episodes."""
         last = self.seed + self.episodes
         return [(first, min(_PART, last - first)) for first in range(self.seed, last, _PART)]
 
 
 def certify(asked: Asked, folder: str | Path, jobs: int = 1, progress: Any = None) -> pd.DataFrame:
-    """Drive the episodes that are not in the folder yet, and put all together.
+    """Drive the episodes that are not in the folder yet, and return all of them.
 
     Parameters
     ----------
-    folder : where the parts are kept (see `evaluation.running.parts.Parts`). A run with more episodes goes on from one
-        with fewer.
+    asked : specification of the run.
+    folder : folder of the parts (see `evaluation.running.parts.Parts`). A run can extend one with fewer episodes.
     jobs : processes; -1 for one per core.
     progress : called with the table of each part as it finishes.
 
@@ -133,14 +135,14 @@ def certify(asked: Asked, folder: str | Path, jobs: int = 1, progress: Any = Non
     -------
     A row for each episode, by seed: setting, policy, mode, seed, crashed, off_road, attribution, return, steps,
     mean_speed [m/s], overridden, held_back, frames, frames_overridden, violations, min_margin and min_gap [m],
-    simulator, rules (how often each was broken, as a text), `fallbacks`, the decisions in which a fallback acted, and
-    the columns `evaluation.running.decision_log.MEASURED`, NaN where many are driven at once and it is not measured
-    (see `evaluation.running.batch_episodes.UNMEASURED`).
+    simulator, rules (number of violations by rule, as a text), and `fallbacks`, the number of decisions with a
+    fallback. Then the columns `evaluation.running.decision_log.MEASURED`; those in
+    `evaluation.running.batch_episodes.UNMEASURED` are NaN for episodes of a batch.
 
     Raises
     ------
     ConfigError
-        If the folder holds the parts of another run, or cannot be written.
+        If `episodes` is less than 1, or the folder holds the parts of another run or cannot be written.
     """
     if asked.episodes < 1:
         raise ConfigError(f"have at least one episode, not {asked.episodes}")
@@ -161,7 +163,7 @@ def certify(asked: Asked, folder: str | Path, jobs: int = 1, progress: Any = Non
 
 
 def _claim(parts: Parts, asked: Asked) -> None:
-    """Note in the folder what is driven, and refuse one that holds something else."""
+    """Write the specification into the folder, or raise `ConfigError` if the folder belongs to another run."""
     _adopt(parts, asked)
     made = provenance(json.loads(json.dumps(asked.told())), models=asked.models)
     before = parts.manifest
@@ -178,7 +180,7 @@ def _claim(parts: Parts, asked: Asked) -> None:
 
 
 def _adopt(parts: Parts, asked: Asked) -> None:
-    """Make a store of the folder of an earlier version: the parts beside asked.json, with other words in it."""
+    """Convert a folder of an earlier version, with parts beside asked.json and other keys in it, to a store."""
     note = parts.folder / "asked.json"
     if not note.is_file():
         return
@@ -216,8 +218,8 @@ def _driven(
 
 @lru_cache(maxsize=1)
 def _side_by_side(asked: Asked, files: str) -> Many | None:
-    """What drives many episodes at once, where that can be done; kept while `files`, the hashes of what the policy is
-    read from, are the same."""
+    """The batch runner, or None where it is not supported; cached while `files`, the hashes of the policy's files, stay
+    the same."""
 
     def compiled() -> tuple[Many, bool]:
         many = Many(asked.setting, asked.policy, asked.config)
@@ -226,11 +228,11 @@ def _side_by_side(asked: Asked, files: str) -> Many | None:
     try:
         return compiled_where_it_serves(asked.simulator, compiled)
     except ConfigError:
-        return None  # one at a time it may be had, or says what is missing
+        return None  # `run_paired` may support the run, or raises an error that names what is missing
 
 
 def _drive(asked: Asked, folder: Path, files: str, first: int, count: int) -> pd.DataFrame:
-    """One part, written whole or not at all; `files` are the hashes of what the policy is read from."""
+    """Drive one part and write it atomically; `files` are the hashes of the policy's files."""
     seeds = range(first, first + count)
     check_files(asked.policy, None, files)
     many = _side_by_side(asked, files)
@@ -246,7 +248,7 @@ def _drive(asked: Asked, folder: Path, files: str, first: int, count: int) -> pd
 
 
 def _broken(episodes: pd.DataFrame) -> str:
-    """How often each rule was broken in all episodes, as `told` has it."""
+    """Number of violations by rule in all episodes, in the format of `told`."""
     rules: Counter[str] = Counter()
     for text in episodes["rules"].dropna():
         for rule, count in (each.rsplit(" ", 1) for each in text.split(", ") if each):
@@ -255,7 +257,7 @@ def _broken(episodes: pd.DataFrame) -> str:
 
 
 def page(episodes: pd.DataFrame) -> str:
-    """What the episodes show, in Markdown: the bound, the distribution of clearances, and the seeds to look at."""
+    """Markdown report of the episodes: the bound, the distribution of clearances, and seeds to inspect."""
     n, crashes = len(episodes), int(episodes["crashed"].sum())
     bound, mean = clopper_pearson(crashes, n), bootstrap_mean(episodes["return"].to_numpy()[:100_000])
     gaps = episodes["min_gap"].astype(float)

@@ -1,4 +1,4 @@
-"""A comparison: policies in settings, through sensors, behind variants of the shield, all on the same seeds."""
+"""A comparison: policies in settings, with sensors and variants of the shield, all on the same seeds."""
 
 from __future__ import annotations
 
@@ -26,15 +26,16 @@ __all__ = ["Comparison"]
 
 @dataclass(frozen=True)
 class Comparison:
-    """What is driven.
+    """Specification of a comparison.
 
     Attributes
     ----------
-    settings : each with what stands between the policy and the environment there.
-    policies : by name, or as paths of zip files. sensors : through which they see.
-    seeds : of the episodes of each row.
-    algorithm, model, simulator : as of `evaluation.running.episodes.run_episode`. steps : as of
-        `RunOptions` there.
+    settings : each setting with its variants of the shield.
+    policies : names of policies, or paths of zip files.
+    seeds : seeds of the episodes of each row.
+    sensors : sensors of the policies.
+    algorithm, model, simulator : as in `evaluation.running.episodes.run_episode`.
+    steps : as in `evaluation.running.episodes.RunOptions`.
 
     Raises
     ------
@@ -62,7 +63,7 @@ class Comparison:
             named[label] = each
 
     def asked(self) -> dict[str, Any]:
-        """What determines the rows, as plain values (see `evaluation.running.store.Store`).
+        """The values that determine the rows, as plain values (see `evaluation.running.store.Store`).
 
         Raises
         ------
@@ -79,7 +80,7 @@ class Comparison:
         }
 
     def shields(self) -> dict[str, Any]:
-        """The settings of each shield, as plain values, by what it stands between."""
+        """The settings of each shield, as plain values, by setting, place and mode."""
         return {
             f"{setting.name}, {variant.place}, {variant.mode}": tomllib.loads(variant.config.to_toml())
             for setting, variants in self.settings
@@ -88,11 +89,11 @@ class Comparison:
 
     @property
     def models(self) -> dict[str, str]:
-        """The hash of each model file, by its name."""
+        """Hash of each model file, by its name."""
         return model_hashes(self.policies)
 
     def drive(self, store: Store, engine: Engine, progress: bool = True) -> pd.DataFrame:
-        """Drive what is not in the store; all rows, those of earlier runs that were not asked for again first."""
+        """Drive the episodes that are not in the store, and return all rows; rows outside this comparison come first."""
         run = RunOptions(engine, store, self.steps, progress)
         parts = [
             run_paired(
@@ -116,7 +117,7 @@ class Comparison:
         return pd.concat([pd.DataFrame(others), driven], ignore_index=True) if others else driven
 
     def _policies(self) -> Mapping[str, Any]:
-        """What each policy is read from; each model is tried in each environment."""
+        """Identity of each policy's files; each model is loaded and checked in each environment."""
         found = {policy_name(each, self.model): of_policy(each, model=self.model) for each in self.policies}
         models = [each for each in self.policies if is_model(each)]
         for setting, _ in self.settings if models else ():

@@ -1,4 +1,4 @@
-"""What the record of an episode is counted from: what the shield did in each decision, and how the ego drove."""
+"""Counts for the record of an episode: what the shield did in each decision, and how the ego drove."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ UNSHIELDED: dict[str, Any] = {
     "reason": Reason.NONE.value,
     "tier": Tier.OFF.value,
 }
-"""What stands for a report of the shield where there is none."""
+"""Report of a decision without a shield."""
 
 
 @dataclass(slots=True)
 class Tally:
-    """Counts that an episode adds up, decision by decision."""
+    """Counts of an episode, added up over its decisions."""
 
     overridden: int = 0
     held_back: int = 0
@@ -45,7 +45,7 @@ class Tally:
     latencies: list[float] = field(default_factory=list)
 
     def add(self, shield: Mapping[str, Any]) -> None:
-        """Count a decision: `info["shield"]`, and `latency_ms`."""
+        """Add a decision; `shield` holds `info["shield"]` and `latency_ms`."""
         self.overridden += bool(shield["overridden"])
         self.held_back += shield["intervention"] == Intervention.HELD_BACK
         self.frames_overridden += int(shield["frames_overridden"])
@@ -65,7 +65,10 @@ class Tally:
 
 
 def arrival(info: Mapping[str, Any], env: gym.Env[Any, Any], history: History) -> dict[str, Any]:
-    """Whether the goal was reached, and how fast; a crash on arrival is no success. An intersection says it itself."""
+    """Whether the ego reached the goal, and its speed there [m/s]; an arrival with a crash is no success.
+
+    Success comes from `info`, or from the intersection's own method. Other environments have None and NaN.
+    """
     base = cast(Any, env.unwrapped)
     if "is_success" in info:
         reached = bool(np.all(info["is_success"]))
@@ -79,7 +82,7 @@ def arrival(info: Mapping[str, Any], env: gym.Env[Any, Any], history: History) -
 
 
 def driving(history: History) -> dict[str, Any]:
-    """Speed, way and lanes of the ego, up to a crash."""
+    """Duration [s], speed [m/s], distance [m], lane changes and laps of the ego, up to a crash."""
     crash, road = history.crash_frame, history.road
     ego = history.ego if crash is None else history.ego[: crash + 1]
     driving = {"duration": (len(ego) - 1) * history.dt, "mean_speed": float(ego[:, Track.SPEED].mean())}

@@ -1,4 +1,4 @@
-"""What is noted at each decision of an episode: the columns that an episode has of it, and the rows of `--steps`."""
+"""Log of the decisions of an episode: the episode's columns that come from it, and the rows of `--steps`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MEASURED = (
     *("mean_confidence", "latency_p50_ms", "latency_p99_ms", "latency_max_ms", "mean_reward", "peak_reward"),
     *("peak_speed", "mean_normalised_speed", "peak_jerk", "mean_normalised_jerk", "peak_normalised_jerk"),
 )
-"""Columns of an episode that `DecisionLog.columns` gives; see `evaluation.running.records.EpisodeRecord`."""
+"""Columns of an episode from `DecisionLog.columns`; see `evaluation.running.records.EpisodeRecord`."""
 _STEPS = {
     "LANE_LEFT": (-1, 0),
     "LANE_RIGHT": (1, 0),
@@ -33,13 +33,13 @@ _STEPS = {
     "FASTER": (0, 1),
     "SLOWER": (0, -1),
 }
-"""Of each meta-action: by how many lanes it moves the target lane, and by how many steps the target speed."""
+"""For each meta-action, the change of the target lane in lanes and of the target speed in steps."""
 _SLOW = 0.1
-"""Below this speed the yaw rate does not tell the steering angle [m/s]."""
+"""Below this speed the steering angle cannot be inferred from the yaw rate [m/s]."""
 
 
 def action_steps(labels: Mapping[int, str]) -> FloatArray:
-    """Of each meta-action the steps by which it moves the target lane and the target speed, (actions, 2).
+    """Change of the target lane and of the target speed by each meta-action, in steps, (actions, 2).
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def action_steps(labels: Mapping[int, str]) -> FloatArray:
 
 
 class DecisionLog:
-    """Notes the decisions of one episode.
+    """Log of the decisions of one episode.
 
     Parameters
     ----------
@@ -79,24 +79,27 @@ class DecisionLog:
     def add(
         self, observation: Any, action: Any, reward: float, shield: Mapping[str, Any], decision: Decision | None
     ) -> None:
-        """Note a decision.
+        """Add a decision.
 
         Parameters
         ----------
-        observation : what it was made from. action : what went into the environment, or into the shield around it.
-        reward : that it brought. shield : `info["shield"]`, and `latency_ms`.
-        decision : the shield's own decision about the action; None without a shield.
+        observation : observation of the decision.
+        action : action that the environment, or the shield around it, received.
+        reward : reward of the step.
+        shield : `info["shield"]` and `latency_ms`.
+        decision : the shield's decision about the action; None without a shield.
         """
         proposed, executed = (action, action) if decision is None else (decision.proposed, decision.executed)
-        # What comes of it is computed at the end: there are far more decisions than episodes.
+        # Derived values are computed at the end of the episode.
         self._rows.append((reward, proposed, executed, shield, self._believed(observation)))
 
     def columns(self, history: History, latencies: bool) -> dict[str, Any]:
-        """The columns `MEASURED` of an episode that is over.
+        """The columns `MEASURED` of an episode that has ended.
 
         Parameters
         ----------
-        history : its frames. latencies : whether there is a shield that takes time.
+        history : frames of the episode.
+        latencies : whether there is a shield, so that latencies exist.
         """
         rewards, _, _, shields, believed = zip(*self._rows, strict=True)
         times = np.array([each["latency_ms"] for each in shields if latencies], float)
@@ -120,11 +123,11 @@ class DecisionLog:
             "mean_normalised_jerk": _mean(changes),
             "peak_normalised_jerk": float(np.nanmax(changes)) if np.isfinite(changes).any() else float("nan"),
         }
-        # One NaN, so that records of the same episode are equal.
+        # The same NaN object, so that records of the same episode are equal.
         return {key: math.nan if math.isnan(value) else value for key, value in found.items()}
 
     def steps(self, history: History) -> dict[str, list[Any]]:
-        """A list of each column of the decisions of an episode that is over: what is noted, and where it ended."""
+        """Columns of the decisions of an episode that has ended: the log, and the ego's state at each decision's end."""
         ends, inputs = self._ends(history), self._inputs(history)
         rewards, proposed, executed, shields, believed = zip(*self._rows, strict=True)
         return {
@@ -144,7 +147,7 @@ class DecisionLog:
         }
 
     def distances(self) -> FloatArray:
-        """Between what was proposed and executed in each decision: normalised, [m/s^2] and [rad], (decisions, 3)."""
+        """Distance between proposal and executed action: normalised, [m/s^2] and [rad], (decisions, 3)."""
         return np.array([self._distances(proposed, executed) for _, proposed, executed, _, _ in self._rows])
 
     def _ends(self, history: History) -> FloatArray:
@@ -152,7 +155,7 @@ class DecisionLog:
         return history.ego[self._frames :: self._frames]
 
     def _distances(self, proposed: Any, executed: Any) -> tuple[float, float, float]:
-        """Between two actions: normalised, [m/s^2] and [rad]; NaN where they are no inputs of one ego."""
+        """Distance between two actions: normalised, [m/s^2] and [rad]; NaN if they are no inputs of one ego."""
         nothing = math.nan
         if proposed is executed and self._actuators is None:
             return (nothing if self._meta is None else 0.0), nothing, nothing
@@ -173,7 +176,7 @@ class DecisionLog:
         return self._meta[int(number)] if number == int(number) and 0 <= number < len(self._meta) else None
 
     def _believed(self, observation: Any) -> float:
-        """The mean confidence of the rows that are not empty; NaN without that column."""
+        """Mean confidence of the observation's rows that are not empty; NaN without that column."""
         if self._confidence is None:
             return float("nan")
         rows = np.asarray(observation, float)
@@ -181,8 +184,13 @@ class DecisionLog:
         return float(rows[there, self._confidence].mean()) if there.any() else float("nan")
 
     def _inputs(self, history: History) -> FloatArray:
-        """What the ego's motion says of the last frame of each decision: acceleration [m/s^2] and front wheel angle
-        [rad] of highway-env's bicycle, (decisions, 2); NaN from a crash on, and the angle at a standstill."""
+        """Inputs in the last frame of each decision, inferred from the ego's motion by highway-env's bicycle model.
+
+        Returns
+        -------
+        Acceleration [m/s^2] and front wheel angle [rad], (decisions, 2). NaN from a crash on; the angle is NaN at a
+        standstill.
+        """
         last = np.arange(self._frames, len(history.states), self._frames)
         before, after = history.moved[last - 1], history.moved[last]
         speed, dt = before[:, Track.SPEED], history.dt
@@ -208,7 +216,7 @@ _OF_SHIELD = (
 
 
 def _confidence_column(env: gym.Env[Any, Any]) -> int | None:
-    """The column of an observation that a channel has put a confidence in, counted from the end; None without one."""
+    """Index of the confidence column in an observation, counted from the end; None without one."""
     after = 0
     while isinstance(env, gym.Wrapper):
         added = getattr(env, "added_features", ())
@@ -220,7 +228,7 @@ def _confidence_column(env: gym.Env[Any, Any]) -> int | None:
 
 
 def _listed(action: Any) -> list[float]:
-    """An action as numbers; none where it is no action."""
+    """An action as numbers; empty if it is no action."""
     try:
         return [float(each) for each in np.ravel(np.asarray(action, float))]
     except (TypeError, ValueError, OverflowError):

@@ -1,4 +1,4 @@
-"""One variant of the shield, ready to drive episode after episode in the same environment."""
+"""One variant of the shield that drives one episode after another in the same environment."""
 
 from __future__ import annotations
 
@@ -25,17 +25,18 @@ __all__ = ["Driver", "DriverSpec", "policy_name"]
 
 
 class DriverSpec(NamedTuple):
-    """What drives, and where.
+    """Specification of a driver.
 
     Attributes
     ----------
-    setting : the environment. policy : by name, as the path of an SB3 zip file, or an object with `predict`.
-    variant : the shield between the two.
-    algorithm : the SB3 algorithm of a zip file without a manifest.
-    model : what `mpc` and the predictive filter of door "env" plan with (see
+    setting : the environment.
+    policy : name, path of an SB3 zip file, or an object with `predict`.
+    variant : the shield between policy and environment.
+    algorithm : SB3 algorithm of a zip file without a manifest.
+    model : dynamics model of `mpc` and of the predictive filter in a `ShieldedEnv` (see
         `evaluation.running.driving_model.driving_model`).
-    simulator : one of `SIMULATORS`. sensor : a name in `evaluation.wrappers.SENSORS`, and channels. For both see
-        `evaluation.running.simulators.environment`.
+    simulator : one of `SIMULATORS`; see `evaluation.running.simulators.environment`.
+    sensor : a name in `evaluation.wrappers.SENSORS`, and channels; see `evaluation.running.simulators.environment`.
     """
 
     setting: Setting
@@ -48,16 +49,18 @@ class DriverSpec(NamedTuple):
 
 
 class Driver:
-    """One variant, ready to drive episode after episode in the same environment.
+    """One variant of the shield that drives one episode after another in the same environment.
 
     Parameters
     ----------
-    spec : what drives, and where.
+    spec : specification of the driver.
 
     Attributes
     ----------
-    env : with the shield around it, where that is its door. policy : bare. driver : what proposes, with the shield
-        around it where that is its door. recorder, log : of the last episode.
+    env : the environment, as a `ShieldedEnv` if the variant says so.
+    policy : the policy without a shield.
+    driver : the policy that drives, as a `Shield` if the variant says so.
+    recorder, log : records of the last episode.
     """
 
     recorder: Recorder
@@ -82,7 +85,7 @@ class Driver:
             self.shield = Shield(self.policy, self.env, variant.config, frames, variant.perception)
             self.driver = self.shield
         self._taken: tuple[Any, Any] = (None, None)
-        """The last observation, and the action that was taken on it."""
+        """The last observation, and the action of the policy for it."""
         self.rules = AttributionRules(assumptions=variant.config.assumptions, braking=variant.config.braking)
 
     @property
@@ -104,7 +107,8 @@ class Driver:
 
         Parameters
         ----------
-        after : called after each step with the time at which it began [s] and the shield's record of it.
+        seed : seed of the episode.
+        after : called after each step with the time of its start [s] and the shield's decision.
         before : see `decisions`.
         """
         tally, total, steps, info = Tally(), 0.0, 0, dict[str, Any]()
@@ -154,17 +158,18 @@ class Driver:
         )
 
     def steps(self) -> dict[str, list[Any]]:
-        """The decisions of the last episode, a list of each column (see `DecisionLog.steps`)."""
+        """Columns of the decisions of the last episode (see `DecisionLog.steps`)."""
         return self.log.steps(self.recorder.history())
 
     def decisions(
         self, seed: int, before: Callable[[int], None] | None = None
     ) -> Iterator[tuple[float, dict[str, Any]]]:
-        """Drive the episode with this seed to its end: the reward and the info of each decision.
+        """Drive the episode with this seed to its end, and yield the reward and the info of each decision.
 
         Parameters
         ----------
-        before : called with the number of each decision, from 1 on, once it is taken and before it is carried out.
+        seed : seed of the episode.
+        before : called with the number of each decision, from 1 on, between the choice of the action and its execution.
         """
         env = self.env
         obs, _ = env.reset(seed=seed)
@@ -192,12 +197,12 @@ class Driver:
 
 
 def _plain(action: Any) -> Any:
-    """A single integer out of its array; any other action as it is."""
+    """A single integer out of its array; any other action unchanged."""
     array = np.asarray(action)
     return int(array.item()) if array.size == 1 and array.dtype.kind in "iu" else action
 
 
 def policy_name(policy: str | Policy, model: str | None) -> str:
-    """The name that the episodes of a policy are reported under."""
+    """Name of a policy in the reports of its episodes."""
     label = policy_label(policy) if isinstance(policy, str) else type(policy).__name__
     return label if model in (None, "bicycle") else f"{label}-{Path(str(model)).name}"

@@ -1,4 +1,4 @@
-"""One policy in many environments side by side: actions that are known beforehand, and those of a model."""
+"""Drivers of a batch of environments: actions fixed in advance, and those of a model."""
 
 from __future__ import annotations
 
@@ -15,56 +15,65 @@ __all__ = ["Blind", "Drivers", "ModelDrivers", "Planned"]
 
 
 class Drivers(Protocol):
-    """One policy in every environment."""
+    """One policy that drives every environment of a batch."""
 
     def begin(self, e: int, seed: int) -> None:
-        """An episode begins in environment `e`."""
+        """Prepare for a new episode in environment `e`."""
 
     def act(self, observations: NDArray[np.float32], steps: IntArray) -> tuple[IntArray, IntArray | None]:
-        """The action of each (e,), and the order of preference over the others, or None; `steps` (e,) is how many
-        decisions each episode has had."""
+        """Actions of one step.
+
+        Parameters
+        ----------
+        observations : observations of all environments.
+        steps : number of past decisions of each episode, (e,).
+
+        Returns
+        -------
+        The action of each environment (e,), and the order of preference over the others, or None.
+        """
 
 
 class Blind:
-    """Policies whose actions are known when the episode begins, (steps,)."""
+    """Policies without observations: all actions of an episode are fixed at its start, (steps,)."""
 
     def __init__(self, policy: ConstantPolicy | RandomPolicy | WeavingPolicy, envs: int, steps: int) -> None:
         self._policy, self._actions = policy, np.zeros((envs, steps), np.intp)
 
     def begin(self, e: int, seed: int) -> None:
-        """Draw all of them."""
+        """Draw the actions of the episode."""
         self._actions[e] = self._policy.plan(seed, self._actions.shape[1])
 
     def act(self, observations: NDArray[np.float32], steps: IntArray) -> tuple[IntArray, IntArray | None]:
-        """The next of each."""
+        """The next action of each environment."""
         return self._actions[np.arange(len(steps)), steps], None
 
 
 class Planned:
-    """Actions that somebody has chosen, (e, steps)."""
+    """Given sequences of actions, (e, steps); the last one is repeated."""
 
     def __init__(self, actions: IntArray) -> None:
         self._actions = actions
 
     def begin(self, e: int, seed: int) -> None:
-        """They are there."""
+        """Nothing to prepare."""
 
     def act(self, observations: NDArray[np.float32], steps: IntArray) -> tuple[IntArray, IntArray | None]:
-        """The next of each."""
+        """The next action of each environment."""
         return self._actions[np.arange(len(steps)), np.minimum(steps, self._actions.shape[1] - 1)], None
 
 
 class ModelDrivers:
-    """An SB3 model, asked about all observations at once."""
+    """An SB3 model with one prediction for the observations of all environments."""
 
     def __init__(self, model: Any) -> None:
         self._model = model
 
     def begin(self, e: int, seed: int) -> None:
-        """It is the same in every episode."""
+        """Nothing to prepare."""
 
     def act(self, observations: NDArray[np.float32], steps: IntArray) -> tuple[IntArray, IntArray | None]:
-        """Its actions, and its order of preference by their scores."""
+        """The model's actions, and its order of preference by scores, if it has scores."""
         actions = np.asarray(self._model.predict(observations, deterministic=True)[0])
         scores = ranking_of(self._model, normalised(self._model, observations))
         if scores is None:

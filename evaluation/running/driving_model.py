@@ -1,7 +1,8 @@
-"""Learned models of throttle and steering on a highway, by setting: how they are made, measured and found.
+"""Learned models of throttle and steering on a highway, by setting: collection, training, evaluation and loading.
 
-A model is of one simulation frequency and so many frames under one input. A setting has one of 0.2 s, the predictive
-filter's stage, and where its frames are shorter, one of a single frame. Each is a folder "driving-FREQUENCYhz-FRAMES".
+A model belongs to one simulation frequency and a number of frames under one input. A setting has a model of 0.2 s, the
+stage of the predictive filter. Where its frames are shorter, it has a second one of a single frame. Each model is a
+folder "driving-FREQUENCYhz-FRAMES".
 """
 
 from __future__ import annotations
@@ -46,16 +47,16 @@ __all__ = [
 ]
 
 STAGE = 0.2
-"""Duration of a decision of the longer model [s]."""
+"""Duration of a decision of the model with several frames [s]."""
 BRAKING = -10.0
-"""Least acceleration that is driven with [m/s^2]: the shield's filter plans with 9.8 (`ShieldConfig.braking`)."""
+"""Least acceleration in the data [m/s^2]: the shield's filter plans with 9.8 (`ShieldConfig.braking`)."""
 
 BUNDLED = Path(__file__).parent.parent / "policies"
 """Folder of the bundled models."""
 TRANSITIONS = 4000
-"""Random decisions that a model is fitted to."""
+"""Default number of random decisions in the data of a model."""
 _EPISODE, _HOLD = 10.0, 5
-"""Longest episode [s]; decisions for which an input is held at most."""
+"""Longest episode [s], and the largest number of decisions with the same input."""
 _HORIZON = 15
 _TOP = 38.0
 """Greatest speed at the start of an episode [m/s]."""
@@ -65,7 +66,17 @@ _HIDDEN = (16, 16)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trained:
-    """A model of so many frames at one frequency, its data, and the processor time that both took [s]."""
+    """A trained model, its data, and the processor time of collection and training [s].
+
+    Attributes
+    ----------
+    model : the model.
+    data : its training data.
+    actuators : actuators of its actions.
+    frequency : simulation frequency [Hz].
+    frames : simulation frames under one input.
+    seconds : processor time [s].
+    """
 
     model: LinearStructuredModel
     data: Transitions
@@ -76,19 +87,19 @@ class Trained:
 
     @property
     def name(self) -> str:
-        """The folder's."""
+        """Name of the model's folder."""
         return _name(self.frequency, self.frames)
 
 
 class _AnySpeed(gym.Wrapper[Any, Any, Any, Any]):
-    """Episodes begin at a random speed between 0 and `_TOP`."""
+    """Starts episodes at a random speed between 0 and `_TOP`."""
 
     def __init__(self, env: gym.Env[Any, Any], generator: np.random.Generator) -> None:
         super().__init__(env)
         self._generator = generator
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset, and another speed."""
+        """Reset, and draw another speed."""
         _, info = self.env.reset(seed=seed, options=options)
         base: Any = self.env.unwrapped
         base.vehicle.speed = float(self._generator.uniform(0.0, _TOP))
@@ -102,14 +113,16 @@ def collect_driving(
     seed: int = 0,
     policy: type[Any] | None = None,
 ) -> tuple[Transitions, Actuators]:
-    """Drive, `frames` simulation frames under each input.
+    """Collect transitions of driving, with `frames` simulation frames under each input.
 
     Parameters
     ----------
-    setting : whose road and simulation frequency; with `ContinuousAction`.
+    setting : the road and the simulation frequency; with `ContinuousAction`.
+    frames : simulation frames under each input.
     transitions, seed : as in `dynamics.learned.data.collect.collect`.
-    policy : made with the environment, drives among the setting's traffic from its starts and with its throttle;
-        without one there is no traffic, starts are at any speed, and inputs are random, down to `BRAKING`.
+    policy : class of a policy that is made with the environment. It drives among the setting's traffic, from the
+        setting's starts and with its throttle. Without a policy there is no traffic, starts are at any speed, and
+        inputs are random, down to `BRAKING`.
 
     Raises
     ------
@@ -158,9 +171,11 @@ def train_driving(
 
     Parameters
     ----------
-    setting : with `ContinuousAction`, throttle and steering.
-    seed : of everything random; episodes are reset with seeds below 10,000.
-    folder : where to write a folder for each model, if anywhere. progress : whether to show bars.
+    setting : a setting with `ContinuousAction`, throttle and steering.
+    seed : seed of all random numbers; episodes are reset with seeds below 10,000.
+    folder : where to write a folder for each model; None to write nothing.
+    transitions : number of random decisions in the data.
+    progress : whether to show bars.
 
     Raises
     ------
@@ -191,9 +206,9 @@ def measure(
     transitions: int = 600,
     policy: type[Any] | None = None,
 ) -> OpenLoop:
-    """Open-loop position error [m] after 1 to 15 decisions, in fresh driving (see `collect_driving`).
+    """Open-loop position error [m] after 1 to 15 decisions, in new data (see `collect_driving`).
 
-    `actuators` are those of the model's actions; another throttle's are expressed in them.
+    `actuators` are those of the model's actions; actions of another throttle are converted to them.
     """
     data, driven = collect_driving(setting, frames, transitions, 900_001, policy)
     if driven != actuators:
@@ -202,12 +217,12 @@ def measure(
 
 
 def load_driving(frequency: int, root: str | Path = BUNDLED) -> LearnedSteps:
-    """The models for a simulation frequency [Hz] in a folder; the bundled ones by default.
+    """Load the models for a simulation frequency [Hz] from a folder; the bundled ones by default.
 
     Raises
     ------
     ModelError
-        If there is none, or one cannot be read.
+        If there is no such model, or a file cannot be read.
     """
     folders = sorted(Path(root).glob(f"driving-{frequency}hz-*"))
     if not folders:
@@ -223,7 +238,7 @@ _bundled = lru_cache(maxsize=4)(load_driving)
 
 
 def driving_model(name: str | None, env: Any) -> LearnedSteps | None:
-    """What the predictive filter plans with in an environment.
+    """Dynamics model of the predictive filter in an environment.
 
     Parameters
     ----------
@@ -247,7 +262,7 @@ def driving_model(name: str | None, env: Any) -> LearnedSteps | None:
 
 
 def _frequency(setting: Setting) -> int:
-    """Its simulation frequency [Hz]."""
+    """Simulation frequency of a setting [Hz]; raises `ConfigError` for other actions than throttle and steering."""
     env = setting.make()
     try:
         base: Any = env.unwrapped

@@ -1,1 +1,1 @@
-"""Results for people: tables and moving pictures."""
+"""Reports: tables, figures, pages and films."""

@@ -1,4 +1,4 @@
-"""Takes highway-env's own picture at each simulation frame, off-screen."""
+"""Camera that takes highway-env's own picture in each simulation frame, off-screen."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ __all__ = ["Camera"]
 
 
 class Camera:
-    """Watches one episode of a shielded environment that was made with `render_mode="rgb_array"`.
+    """Records one episode of a shielded environment that was made with `render_mode="rgb_array"`.
 
     Parameters
     ----------
-    env : the environment, after `reset`. On a network of roads plans and areas are in the world's frame.
+    env : the environment, after `reset`. On a road network plans and areas are in the world frame.
     """
 
     def __init__(self, env: ShieldedEnv) -> None:
@@ -56,7 +56,7 @@ class Camera:
         self._base.road.step = step
 
     def start(self, keep: bool) -> None:
-        """Call before each step; with `keep` its frames are pictured."""
+        """Prepare for a step; with `keep` its frames are recorded. Call before each step."""
         self._taken, self._keep = [], keep
         self._ego = ego_copy(self._base)
 
@@ -78,7 +78,7 @@ class Camera:
         )
 
     def _middle(self, ego: Any) -> FloatArray:
-        """What is drawn in the middle: the ego, or on a straight road the middle of the road beside it [m]."""
+        """Centre of the picture: the ego, or on a straight road the road's centre line beside it [m]."""
         state = np.array([*ego.position, ego.heading, ego.speed])
         if isinstance(self._road, StraightRoad):
             state = self._road.to_road(state)
@@ -87,7 +87,7 @@ class Camera:
         return np.asarray(state[: State.Y + 1])
 
     def develop(self) -> list[Shot]:
-        """The shots of the last step, with the decisions that were taken in it."""
+        """The shots of the last step, with its decisions."""
         env, frames = self._env, self._env.frame_decisions
         actions = action_labels(self._base.action_type)
         record = env.last_decision

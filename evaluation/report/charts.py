@@ -1,4 +1,4 @@
-"""Charts as SVG for pages: their colours are the page's, by CSS classes, so that they follow light and dark."""
+"""Charts as SVG for pages; CSS classes of the page set the colours, in light and dark mode."""
 
 from __future__ import annotations
 
@@ -15,17 +15,20 @@ _WIDTH, _HEIGHT = 560, 300
 _LEFT, _RIGHT, _TOP, _BOTTOM = 58, 14, 12, 42
 _ROW = 26
 _KINDS = 10
-"""Classes of marks, `kind-0` to `kind-9`; more share them."""
+"""Number of colour classes of marks, `kind-0` to `kind-9`; they repeat for more marks."""
 _LETTER = 6.4
-"""Width of a letter of a label."""
+"""Width of a letter of a label [px]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mark:
     """A point with its intervals, or a row with its quantiles.
 
-    `label` is told in words beside it; `kind` chooses its colour. `x` and `y` are (estimate, low, high); a row has no
-    `y`.
+    Attributes
+    ----------
+    label : text beside the mark.
+    kind : index of its colour.
+    x, y : (estimate, low, high); a row has no `y`.
     """
 
     label: str
@@ -48,7 +51,7 @@ def _finite(values: Sequence[float]) -> list[float]:
 
 
 def _scale(values: Sequence[float], start: float, end: float) -> tuple[list[float], float, float]:
-    """Ticks of an axis, and the slope and offset that take a value to its place."""
+    """Ticks of an axis, and slope and offset from a value to its position."""
     known = _finite(values) or [0.0, 1.0]
     ticks = _ticks(min(known), max(max(known), min(known) + 1e-6))
     slope = (end - start) / (ticks[-1] - ticks[0])
@@ -72,11 +75,16 @@ def _picture(height: float, title: str, parts: Sequence[str]) -> str:
 
 
 def crosses(marks: Sequence[Mark], across: str, upward: str) -> str:
-    """Points with the intervals of both coordinates, and an axis each.
+    """Chart of points with intervals in both coordinates.
 
     Parameters
     ----------
-    marks : the points. across, upward : what the axes show, with units.
+    marks : the points.
+    across, upward : labels of the axes, with units.
+
+    Returns
+    -------
+    The SVG element.
     """
     bottom = _HEIGHT - _BOTTOM
     xs, kx, x0 = _scale([v for mark in marks for v in mark.x] + [0.0], _LEFT, _WIDTH - _RIGHT)
@@ -103,18 +111,23 @@ def crosses(marks: Sequence[Mark], across: str, upward: str) -> str:
 
 
 def _shortened(label: str, width: float) -> str:
-    """A label that fits; its middle is left out where it does not."""
+    """The label, with its middle replaced by an ellipsis if it is too long for `width` [px]."""
     most = int((width - 16.0) / _LETTER)
     half = (most - 1) // 2
     return label if len(label) <= most else f"{label[:half]}…{label[-half:]}"
 
 
 def ranges(marks: Sequence[Mark], across: str) -> str:
-    """A row for each mark: a line from its lower to its upper end, and its middle.
+    """Chart with a row for each mark: a line from its lower to its upper end, and its middle.
 
     Parameters
     ----------
-    marks : rows, with (middle, low, high) as `x`. across : what the axis shows, with its unit.
+    marks : rows, with (middle, low, high) as `x`.
+    across : label of the axis, with its unit.
+
+    Returns
+    -------
+    The SVG element.
     """
     left = min(16.0 + _LETTER * max(len(mark.label) for mark in marks), 0.6 * _WIDTH)
     height = _TOP + _ROW * len(marks) + _BOTTOM

@@ -1,4 +1,4 @@
-"""A picture of a whole course, as highway-env draws it."""
+"""A picture of a whole track, as highway-env draws it."""
 
 from __future__ import annotations
 
@@ -19,26 +19,30 @@ from shield.errors import ConfigError
 __all__ = ["draw_course"]
 
 _MARGIN = 15.0
-"""Around the roads [m]."""
+"""Margin around the roads [m]."""
 _DOT = 6.0
 """Radius of the dot over a vehicle [px]."""
 _EGO, _OTHER = (50, 200, 0), (100, 200, 255)
 
 
 def draw_course(path: str | Path, config: Mapping[str, Any] | None = None, seed: int = 0, width: int = 1600) -> Path:
-    """Draw all of the roads of ComplexRoads-v0 and the vehicles on them.
+    """Draw all roads of ComplexRoads-v0 and the vehicles on them.
 
     Parameters
     ----------
-    path : the .png to write.
-    config : what differs from the environment's configuration.
-    seed : of the episode.
-    width : of the picture [px].
+    path : path of the .png file.
+    config : changes to the environment's configuration.
+    seed : seed of the episode.
+    width : width of the picture [px].
+
+    Returns
+    -------
+    The path.
 
     Raises
     ------
     ConfigError
-        If the file does not end in .png, or the picture has no width.
+        If the file does not end in .png, or the width is less than 1.
     """
     path = picture_path(path)
     if width < 1:
@@ -67,7 +71,7 @@ def draw_course(path: str | Path, config: Mapping[str, Any] | None = None, seed:
 
 
 def _mark(picture: Image.Image, places: FloatArray) -> None:
-    """A dot over each vehicle, the ego first: at this scale its body is hardly seen."""
+    """Draw a dot over each vehicle, the ego first, because bodies are hardly visible at this scale."""
     pen = ImageDraw.Draw(picture)
     for i, (x, y) in reversed(list(enumerate(places))):
         pen.ellipse((x - _DOT, y - _DOT, x + _DOT, y + _DOT), fill=_EGO if i == 0 else _OTHER)

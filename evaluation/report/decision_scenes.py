@@ -1,6 +1,6 @@
-"""Five small scenes, and what the shield makes of them: what the figures of the decision are drawn from.
+"""Five small scenes and the shield's decisions in them: the data of the figures about the decision.
 
-Everything is computed by the certificate and the procedures themselves; `evaluation.report.figures` draws it.
+The certificate and the decision pipelines compute all values; `evaluation.report.figures` draws them.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ __all__ = [
 ]
 
 CONFIG = ShieldConfig()
-"""The defaults."""
+"""The default settings."""
 LENGTH, WIDTH = 5.0, 2.0
-"""Of every vehicle [m]."""
+"""Length and width of every vehicle [m]."""
 _DT, _FINE = 1 / 15, 1 / 60
-"""Duration of a frame, and one that draws a smooth curve [s]."""
+"""Duration of a frame, and of a shorter one for smooth curves [s]."""
 
 Row = tuple[float, float, float, float]
-"""x, y [m], heading [rad], speed [m/s]."""
+"""A vehicle: x, y [m], heading [rad], speed [m/s]."""
 
 
 def _scene(ego: Row, *others: Row, lanes: int, lane: int | None = None, dt: float = _DT) -> Scene:
@@ -62,8 +62,13 @@ def _scene(ego: Row, *others: Row, lanes: int, lane: int | None = None, dt: floa
 
 
 def _stop(now: Instant, lane: int, speed: float) -> tuple[FloatArray, float, FloatArray, FloatArray]:
-    """One frame on the way to a lane and a speed [m/s], then braking to a stop there: its path (K, 4), its margin [m],
-    and its least separations from each vehicle, and from each that may slip in, (m,) and (q,) [m]."""
+    """Plan of one frame towards a lane and a speed [m/s], then braking to a stop in that lane.
+
+    Returns
+    -------
+    The path (K, 4), the margin [m], and the least separations from each vehicle (m,) and from each possible cut-in (q,)
+    [m].
+    """
     candidates = brake_candidates(now.scene, [lane], [speed], [lane], 1, now.config.braking)
     paths, result = now.judge(candidates)
     return paths[0], float(result.margin[0]), now.survey.of_each(result), result.slipping[0]
@@ -78,15 +83,15 @@ def extents(states: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tube:
-    """A proposal for one frame and its fail-safe, behind a slower vehicle.
+    """Plan behind a slower vehicle: a proposal for one frame and its fail-safe.
 
     Attributes
     ----------
-    scene : the ego, and its leader.
+    scene : the ego and its leader.
     path : road states of the ego after frames 1..K, (K, 4).
-    occupancy : of the leader over the same frames.
+    occupancy : reachable intervals of the leader in the same frames.
     front : foremost s of the ego with its buffer, (K,) [m].
-    margin : of the plan [m].
+    margin : margin of the plan [m].
     """
 
     scene: Scene
@@ -97,13 +102,13 @@ class Tube:
 
     @property
     def gaps(self) -> FloatArray:
-        """From the ego's buffer to the leader's least place, (K,) [m]."""
+        """Distance from the ego's buffer to the rear end of the leader's reachable interval, (K,) [m]."""
         found: FloatArray = self.occupancy.rear[0] - self.front
         return found
 
 
 def tube() -> Tube:
-    """FASTER behind a slower vehicle, in the middle of a lane change."""
+    """FASTER behind a slower vehicle, during a lane change."""
     scene = _scene((0.0, 5.3, -0.06, 25.0), (18.0, 4.0, 0.0, 20.0), lanes=3, lane=1)
     now = observe(Memory(), scene, CONFIG)
     path, margin, *_ = _stop(now, 1, 30.0)
@@ -113,16 +118,16 @@ def tube() -> Tube:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bounds:
-    """Where vehicles can be, along the road and across.
+    """Reachable intervals of vehicles, along and across the road.
 
     Attributes
     ----------
-    speeds : of one on its own, and of one behind another that stands, (2,) [m/s].
-    moving, queueing : (rear, front) of their bodies after 1..K frames, each (K,) [m].
-    time : of the frames, (K,) [s].
-    stands : rear of the one that stands [m].
+    speeds : speed of a vehicle without a leader, and of one behind a vehicle at rest, (2,) [m/s].
+    moving, queueing : (rear, front) of these vehicles' bodies after 1..K frames, each (K,) [m].
+    time : time of the frames, (K,) [s].
+    stands : rear of the vehicle at rest [m].
     across : a road with a vehicle in the middle of its lane, one off the middle, and one across a marking.
-    around : where these can be.
+    around : reachable intervals of these three.
     """
 
     speeds: tuple[float, float]
@@ -135,7 +140,7 @@ class Bounds:
 
 
 def bounds() -> Bounds:
-    """One at 20 m/s, one at 4 m/s that comes up to a standing vehicle, and three across a road."""
+    """A vehicle at 20 m/s, one at 4 m/s that approaches a vehicle at rest, and three at different lateral positions."""
     frames = round(4.0 / _DT)
 
     def along(*rows: Row) -> tuple[FloatArray, FloatArray]:
@@ -156,7 +161,7 @@ def bounds() -> Bounds:
 
 
 class Duty(Enum):
-    """What a vehicle owes an ego that is about to enter a lane."""
+    """Right-of-way obligation of a vehicle towards an ego that is about to enter a lane."""
 
     DISTANCE = "behind, in a lane that the ego owns: owes it its distance"
     NOT_YET = "behind, in the lane that the ego enters: owes nothing yet"
@@ -166,16 +171,17 @@ class Duty(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Duties:
-    """A lane change, and what each of the others owes.
+    """A lane change, and the obligation of each other vehicle.
 
     Attributes
     ----------
-    scene : the scene. goal : the lane that the ego enters.
+    scene : the scene.
+    goal : the lane that the ego enters.
     path : road states of the ego after frames 1..K, (K, 4).
-    owes : of each vehicle, (m,).
-    separations : of the plan from each, (m,) [m]; +inf from one that owes its distance.
-    margin : of the plan [m].
-    survey : the judge that all of this was asked of.
+    owes : obligation of each vehicle, (m,).
+    separations : separation of the plan from each vehicle, (m,) [m]; +inf for one that owes its distance.
+    margin : margin of the plan [m].
+    survey : the surveyor that computed these values.
     """
 
     scene: Scene
@@ -189,7 +195,7 @@ class Duties:
 
 def duties() -> Duties:
     """The ego changes from lane 1 to lane 2 of four."""
-    # Beside one in the lane that the ego goes to, it gains nothing by going there too.
+    # A vehicle beside one in the ego's target lane has no incentive to change into that lane too.
     behind, leader, alongside = (-47.0, 4.0, 0.0, 27.0), (42.0, 4.0, 0.0, 22.0), (3.0, 0.0, 0.0, 25.0)
     entered, ahead = (-44.0, 8.0, 0.0, 24.0), (55.0, 8.0, 0.0, 20.0)
     held_up, slow = (10.0, 12.0, 0.0, 24.0), (32.0, 12.0, 0.0, 16.0)
@@ -213,14 +219,15 @@ def duties() -> Duties:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlipIn:
-    """An ego that passes a slower vehicle which is held up by its leader.
+    """An ego that passes a slower vehicle which its leader obstructs, so that it may cut in.
 
     Attributes
     ----------
-    ahead : places of the ego's centre, seen from that of the slower vehicle, (n,) [m].
-    offsets : of the ego from the middle of its lane, (2,) [m].
-    separations : what the clause leaves at each place, (2, n) [m]; +inf where nobody may slip in.
-    at : index of the place where the two differ most. shown : the scene there, for the second offset.
+    ahead : positions of the ego's centre relative to the slower vehicle's, (n,) [m].
+    offsets : lateral offsets of the ego from the centre line of its lane, (2,) [m].
+    separations : separations of the cut-in clause, (2, n) [m]; +inf where no vehicle may cut in.
+    at : index of the position with the greatest difference between the two offsets.
+    shown : the scene there, with the second offset.
     """
 
     ahead: FloatArray
@@ -231,12 +238,12 @@ class SlipIn:
 
 
 def passing(ahead: float, offset: float) -> Scene:
-    """The ego in lane 0, `offset` [m] off its middle and so far `ahead` [m] of a slower vehicle in lane 1."""
+    """The ego in lane 0, `offset` [m] off its centre line and `ahead` [m] of a slower vehicle in lane 1."""
     return _scene((ahead, offset, 0.0, 30.0), (0.0, 4.0, 0.0, 18.0), (24.0, 4.0, 0.0, 17.0), lanes=2, dt=_FINE)
 
 
 def slip_in(step: float = 0.25) -> SlipIn:
-    """Places that are `step` [m] apart."""
+    """Separations of the cut-in clause at positions `step` [m] apart."""
     ahead, offsets = np.arange(-4.0, 10.0 + step, step), (0.0, 0.7)
     separations = np.full((2, ahead.size), np.inf)
     for i, offset in enumerate(offsets):
@@ -254,10 +261,13 @@ class Searched:
 
     Attributes
     ----------
-    scene, proposal : what it starts from, the proposal (2,) [m/s^2, rad].
-    decision : what came of it.
-    linearised, strewn : inputs that were judged to linearise the certificate, and all others, (n, 2).
-    accelerations, wheels : axes of a grid [m/s^2], [rad]. margins : over them, (accelerations, wheels) [m].
+    scene : the scene.
+    proposal : the proposed input (2,) [m/s^2, rad].
+    decision : the decision.
+    linearised : inputs that were verified to linearise the certificate, (n, 2).
+    strewn : all other inputs that were verified, (n, 2).
+    accelerations, wheels : axes of a grid [m/s^2], [rad].
+    margins : margins over the grid, (accelerations, wheels) [m].
     """
 
     scene: Scene
@@ -271,7 +281,7 @@ class Searched:
 
 
 class _Noted(Inputs):
-    """Keeps what it was asked to judge."""
+    """Pipeline of inputs that records the inputs it verifies."""
 
     def __init__(self) -> None:
         super().__init__(CONFIG, predictive=False)
@@ -281,7 +291,7 @@ class _Noted(Inputs):
     def judge(
         self, now: Instant, inputs: FloatArray, stops: list[int], parts: bool = False, survey: Surveyor | None = None
     ) -> Judged:
-        """The same, noted."""
+        """Record the inputs, and verify them."""
         (self.linearised if parts else self.strewn).append(inputs)
         return super().judge(now, inputs, stops, parts, survey)
 

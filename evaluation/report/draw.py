@@ -1,11 +1,13 @@
-"""One picture of a decision: highway-env's own drawing, and over it what the shield saw and did.
+"""Picture of a decision: highway-env's own drawing, with an overlay of the shield's prediction and decision.
 
-Until the next decision the ego's path is a solid line: green while the proposal passes, orange where the shield changed
-it, red where a fallback acts. The dotted line after it is the fail-safe in reserve, which is driven only if nothing
-better verifies by then: the time at its end says when it would be there, and by then the others are elsewhere. Dashed
-and yellow is what was proposed instead. The shaded areas are where the others can be within the next second, the later
-the fainter. Where the traffic is simulated the dotted line is how the plan goes on, and the areas are where the others
-will be.
+- Solid line: the ego's path until the next decision. It is green for a passed proposal, orange for a changed one, and
+  red for a fallback.
+- Dotted line: the fail-safe in reserve, with the time at its end. It is executed only if no better plan verifies by
+  then, and the other vehicles move on in the meantime.
+- Dashed yellow line: the proposal, if another plan is executed.
+- Shaded areas: reachable intervals of the other vehicles within the next second, fainter at later times.
+
+In simulated traffic the dotted line is the rest of the plan, and the areas are the predicted positions of the others.
 """
 
 from __future__ import annotations
@@ -46,17 +48,17 @@ _BAR = 112
 """Height of the caption [px]."""
 _OVERSAMPLING = 2
 _LINES = 2
-"""Lines of the caption for what happened and why."""
+"""Number of lines of the caption for the explanation."""
 _OUTLINES = 0.25
 """Time between two outlines of the ego along its path [s]."""
 AHEAD = (1.0, 2 / 3, 1 / 3, 0.0)
-"""Times ahead at which the areas are drawn [s], the last on top."""
+"""Times ahead at which the areas are drawn [s]; the last is drawn on top."""
 _UNVERIFIED = "nothing was found that begins with it and keeps the buffer, the others as they are simulated"
-"""`Reason.UNVERIFIED` where nothing is assumed of the others."""
+"""Text of `Reason.UNVERIFIED` for simulated traffic, which has no assumptions."""
 
 
 class World:
-    """No road: plans and areas that are in the world's frame already."""
+    """Stands in for a road if plans and areas are in the world frame already."""
 
     def to_world(self, states: FloatArray) -> FloatArray:
         """The same states, (..., 4)."""
@@ -69,25 +71,25 @@ class World:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """A simulation frame, before it is played, and the decision about it.
+    """A simulation frame before it is executed, and its decision.
 
     Attributes
     ----------
     image : highway-env's picture, (height, width, 3) uint8.
     origin, scaling : world position of the upper left pixel [m], and pixels per metre.
-    road : the road that plans and areas refer to.
+    road : road of the frame of plans and areas.
     dt : duration of a simulation frame [s].
     time, speed : time since reset [s], and the ego's speed [m/s].
-    size : the ego's length and width [m].
-    actions : label of each action index; none where actions are throttle and steering.
-    decision, frame : the record of the step, and the decision about this frame (None in modes without).
-    age : frames since `decision` was made.
-    period : frames from one decision to the next.
-    proposal : road states (period + 1, 4) of what was proposed, from the decision on, or None.
-    simulated : whether the traffic is, so that plan and areas are foretold and no bounds.
-    areas : where the others can be on a network of roads, at each of the times of `AHEAD`: outlines (n, 2) in the frame
-        of `road` [m]. Where there are none, the decision's `occupancy` is drawn.
-    words : why the proposal was refused, where it was (`Decision.explain`).
+    size : length and width of the ego [m].
+    actions : label of each action index; empty for throttle and steering.
+    decision, frame : record of the step, and decision about this frame (None in modes without).
+    age : number of frames since `decision` was made.
+    period : number of frames from one decision to the next.
+    proposal : road states (period + 1, 4) of the proposal from the decision on, or None.
+    simulated : whether the traffic is simulated, so that plan and areas are predictions and not bounds.
+    areas : reachable areas of the others on a road network, at each of the times `AHEAD`: outlines (n, 2) in the frame
+        of `road` [m]. Without them the decision's `occupancy` is drawn.
+    words : explanation of a refused proposal (`Decision.explain`); "" otherwise.
     """
 
     image: NDArray[np.uint8]
@@ -110,29 +112,30 @@ class Shot:
 
     @property
     def acting(self) -> Decision:
-        """The decision that this frame is driven by, see `acting_decision`."""
+        """The decision that determines this frame, see `acting_decision`."""
         return acting_decision(self.decision, self.frame, bool(self.actions))
 
     @property
     def status(self) -> str:
-        """What is done in this frame, see `status_of`."""
+        """Status of this frame, see `status_of`."""
         return status_of(self.decision, self.frame, bool(self.actions))
 
     @property
     def color(self) -> tuple[int, int, int]:
-        """Green, orange or red: passed, overridden or held back, fallback."""
+        """Colour of the status: green for passed, orange for overridden or held back, red for a fallback."""
         return {"PASSED": GREEN, "FALLBACK": RED}.get(self.status, ORANGE)
 
 
 def acting_decision(decision: Decision, frame: Decision | None, meta: bool) -> Decision:
-    """The decision that a frame is driven by.
+    """The decision that determines a frame.
 
-    It is that about the action where another action was taken, else that about the frame.
+    It is the decision about the action if another action was executed, else the decision about the frame.
 
     Parameters
     ----------
-    decision : the record of the step. frame : the decision about the frame, None in modes without. meta : whether
-        actions are meta-actions.
+    decision : record of the step.
+    frame : decision about the frame; None in modes without.
+    meta : whether actions are meta-actions.
     """
     if frame is None or (_other_action(decision, frame, meta) and not frame.overridden):
         return decision
@@ -140,9 +143,15 @@ def acting_decision(decision: Decision, frame: Decision | None, meta: bool) -> D
 
 
 def status_of(decision: Decision, frame: Decision | None, meta: bool) -> str:
-    """What is done in a frame: "PASSED"; "HELD BACK", where the action is the proposed one and the frame got other
-    inputs than it leads to; "OVERRIDE", where the action is another one; or "FALLBACK". Parameters as of
-    `acting_decision`."""
+    """Status of a frame.
+
+    Parameters are those of `acting_decision`.
+
+    Returns
+    -------
+    "PASSED"; "HELD BACK" for the proposed action with other inputs in this frame; "OVERRIDE" for another action; or
+    "FALLBACK".
+    """
     acting = acting_decision(decision, frame, meta)
     if (acting if frame is None else frame).tier.fallback:
         return "FALLBACK"
@@ -152,12 +161,12 @@ def status_of(decision: Decision, frame: Decision | None, meta: bool) -> str:
 
 
 def _other_action(decision: Decision, frame: Decision | None, meta: bool) -> bool:
-    """Whether another action lasts for the whole step; throttle and steering are decided about frame by frame."""
+    """Whether another action holds for the whole step; throttle and steering are decided frame by frame."""
     return decision.intervention is Intervention.OTHER_ACTION and (meta or frame is None)
 
 
 def draw(shot: Shot) -> Image.Image:
-    """The finished picture."""
+    """Draw the picture of a shot, with its caption."""
     height, width, _ = shot.image.shape
     canvas = Image.new("RGB", (width, height + _BAR), _PAPER)
     base = Image.fromarray(shot.image).convert("RGBA")
@@ -171,7 +180,7 @@ def draw(shot: Shot) -> Image.Image:
 
 
 def without_decision(image: NDArray[np.uint8]) -> Image.Image:
-    """A picture of the same size, of a scene that nothing has been decided about."""
+    """A picture of the same size without a decision."""
     height, width, _ = image.shape
     canvas = Image.new("RGB", (width, height + _BAR), _PAPER)
     canvas.paste(Image.fromarray(image), (0, 0))
@@ -179,7 +188,7 @@ def without_decision(image: NDArray[np.uint8]) -> Image.Image:
 
 
 def _pixels(shot: Shot, points: FloatArray) -> list[tuple[float, float]]:
-    """Road positions (n, 2) [m] to pixels of the oversampled overlay."""
+    """Convert road positions (n, 2) [m] to pixels of the oversampled overlay."""
     states = np.zeros((len(points), 4))
     states[:, : RoadState.R + 1] = points
     world = shot.road.to_world(states)[:, : State.Y + 1]
@@ -188,7 +197,7 @@ def _pixels(shot: Shot, points: FloatArray) -> list[tuple[float, float]]:
 
 
 def _draw_areas(overlay: Image.Image, shot: Shot) -> None:
-    """Where the others can be, from this frame on."""
+    """Draw the reachable areas of the others from this frame on."""
     for rank, outlines in enumerate(shot.areas or _rectangles(shot)):
         layer = Image.new("RGBA", overlay.size, (0, 0, 0, 0))
         pen = ImageDraw.Draw(layer)
@@ -198,7 +207,7 @@ def _draw_areas(overlay: Image.Image, shot: Shot) -> None:
 
 
 def _rectangles(shot: Shot) -> list[list[FloatArray]]:
-    """The occupancy of the decision at each of the times that are drawn, as outlines (4, 2)."""
+    """Occupancy of the decision at each drawn time, as outlines (4, 2)."""
     areas = shot.decision.occupancy
     if areas is None:
         return []
@@ -214,7 +223,7 @@ def _rectangles(shot: Shot) -> list[list[FloatArray]]:
 
 
 def _draw_plan(overlay: Image.Image, shot: Shot) -> None:
-    """The ego's path, its footprint every quarter of a second until the next decision, and the proposal's."""
+    """Draw the ego's path, its footprint every quarter of a second until the next decision, and the proposal's path."""
     plan, first = (shot.acting.plan, 0) if shot.acting is shot.frame else (None, 0)
     if plan is None:
         plan, first = shot.decision.plan, shot.age
@@ -240,7 +249,7 @@ def _draw_plan(overlay: Image.Image, shot: Shot) -> None:
 
 
 def _draw_outline(pen: ImageDraw.ImageDraw, shot: Shot, state: FloatArray, fill: tuple[int, ...]) -> None:
-    """The ego's footprint at a road state."""
+    """Draw the ego's footprint at a road state."""
     length, width = shot.size
     box = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * (length / 2, width / 2)
     heading = state[RoadState.HEADING]
@@ -251,7 +260,7 @@ def _draw_outline(pen: ImageDraw.ImageDraw, shot: Shot, state: FloatArray, fill:
 def _draw_dashes(
     pen: ImageDraw.ImageDraw, path: list[tuple[float, float]], fill: tuple[int, ...], width: int, dash: float
 ) -> None:
-    """A line of dashes, as long as the gaps between them."""
+    """Draw a line of dashes, as long as the gaps between them."""
     if len(path) < 2:
         return
     points = np.array(path)
@@ -264,7 +273,7 @@ def _draw_dashes(
 
 @lru_cache(maxsize=8)
 def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """The typeface of all captions; size in pixels."""
+    """The typeface of all captions; `size` in pixels."""
     weight = "bold" if bold else "normal"
     path = font_manager.findfont(font_manager.FontProperties(family="DejaVu Sans", weight=weight))
     return ImageFont.truetype(path, size)
@@ -275,7 +284,7 @@ def _label(shot: Shot, action: Any) -> str:
         values = np.ravel(action)
         if values.dtype.kind in "iu":
             return "number " + ", ".join(map(str, values))
-        # Throttle and steering as the policy gives them: shares of the ranges, whatever these are.
+        # Throttle and steering as shares of their ranges, in the units of the policy.
         return (", ".join(f"{x:+.2f}" for x in values) + " of ±1").replace("-", "−")
     try:
         return shot.actions[int(action)]
@@ -284,7 +293,7 @@ def _label(shot: Shot, action: Any) -> str:
 
 
 def _executed(shot: Shot) -> str:
-    """What the ego does: the action, and what it was replaced with where the frame was held back."""
+    """Text of the executed action, with the inputs that replaced it if the frame was held back."""
     if not shot.actions and shot.frame is not None and shot.frame.overridden:
         acceleration, wheel = np.ravel(shot.frame.executed)
         return f"{acceleration:+.1f} m/s², {np.degrees(wheel):+.1f}°".replace("-", "−")
@@ -319,7 +328,7 @@ def _draw_caption(pen: ImageDraw.ImageDraw, shot: Shot, top: int, width: int) ->
 
 
 def _lines(pen: ImageDraw.ImageDraw, text: str, width: int) -> list[str]:
-    """A text in two lines at most that are no wider than so many pixels, cut off where it is longer."""
+    """Break a text into at most two lines of `width` pixels, and cut off the rest."""
     lines: list[str] = [""]
     for word in text.split():
         longer = f"{lines[-1]} {word}".strip()
@@ -338,7 +347,7 @@ def _text(shot: Shot, reason: Reason) -> str:
 
 
 def _draw_legend(pen: ImageDraw.ImageDraw, shot: Shot, width: int, y: int) -> None:
-    """From the right: what each colour and line stands for."""
+    """Draw the legend of colours and lines, from the right."""
     right, small = width - 16, font(12)
     for text, colors, dash in (
         ("others, foretold for 1 s" if shot.simulated else "others within 1 s", (AREA,), 0),

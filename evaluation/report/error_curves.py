@@ -1,4 +1,4 @@
-"""How far learned dynamics are off, against how far ahead they look."""
+"""Open-loop error of learned dynamics against the horizon."""
 
 from __future__ import annotations
 
@@ -15,14 +15,18 @@ __all__ = ["plot_errors"]
 
 
 def plot_errors(trials: Sequence[Trial], path: str | Path) -> Path:
-    """Position error against the horizon, random driving on the left, on-policy on the right.
+    """Plot the position error against the horizon, random driving on the left, on-policy driving on the right.
 
-    Lines are medians over all windows and seeds, areas reach up to the 95 % quantile.
+    Lines are medians over all windows and seeds. Areas reach up to the 95 % quantile.
 
     Parameters
     ----------
-    trials : of `evaluation.measuring.dynamics_study.study`.
-    path : the file, ending as in `evaluation.report.plots.PLOT_ENDINGS`; folders are made.
+    trials : results of `evaluation.measuring.dynamics_study.study`.
+    path : path of the file, ending as in `evaluation.report.plots.PLOT_ENDINGS`; folders are created.
+
+    Returns
+    -------
+    The path.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""The five figures of how the shield decides, drawn from `evaluation.report.decision_scenes`.
+"""The five figures about the shield's decision, drawn from `evaluation.report.decision_scenes`.
 
-Top views are in the road frame, the first lane on top. Green is the ego and what verifies, violet where others can be,
-red what does not verify, orange what is taken instead.
+Top views are in the road frame, with the first lane on top. Green: the ego, and what verifies. Violet: reachable
+intervals of the others. Red: what does not verify. Orange: the alternative.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from evaluation.report.draw import AREA, GREEN, ORANGE, RED
 __all__ = ["FIGURES", "write_figures"]
 
 _DPI, _WIDTH = 110, 7.3
-"""Pixels per inch, and inches: some 800 pixels."""
+"""Resolution [pixels per inch] and width [inches]: about 800 pixels."""
 _COLORS = 96
-"""Of the palette: pictures of flat colours need no more."""
+"""Size of the palette, enough for pictures of flat colours."""
 
 
 def _hex(color: tuple[int, int, int]) -> str:
@@ -42,7 +42,7 @@ _DUTIES = {Duty.DISTANCE: _OWES, Duty.NOT_YET: "#a0522d", Duty.ENTERS: _ANSWER, 
 
 
 def write_figures(folder: Path) -> list[Path]:
-    """Draw all of them as `folder`/NAME.png."""
+    """Draw all figures as `folder`/NAME.png, and return the paths."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, draw in FIGURES.items():
@@ -67,7 +67,7 @@ def _figure(height: float, rows: list[float], columns: list[float] | None = None
 
 
 def _top_view(axes: Any, road: Road, low: float, high: float) -> None:
-    """An empty road from s = low to high [m]."""
+    """Draw an empty road from s = low to high [m]."""
     side = 0.5 * road.width
     axes.add_patch(Rectangle((low, -side), high - low, road.width * road.centers.size, color=_ROAD, lw=0, zorder=0))
     for i, center in enumerate([*road.centers, road.centers[-1] + road.width]):
@@ -99,13 +99,13 @@ def _buffered(axes: Any, state: FloatArray, **style: Any) -> None:
 
 
 def _between(axes: Any, start: tuple[float, float], end: tuple[float, float], color: str = _INK) -> None:
-    """A dimension line."""
+    """Draw a dimension line."""
     arrow = {"arrowstyle": "<->", "color": color, "lw": 1.1, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", end, start, arrowprops=arrow, zorder=5)
 
 
 def _pointed(axes: Any, text: str, to: tuple[float, float], at: tuple[float, float]) -> None:
-    """A text, and a thin line from it to a point."""
+    """Draw a text, and a thin line from it to a point."""
     line = {"arrowstyle": "-", "lw": 0.7, "color": _INK, "shrinkB": 0}
     axes.annotate(text, to, at, ha="center", va="center", fontsize=9, arrowprops=line, zorder=5)
 
@@ -270,4 +270,4 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "slip-in": _slip_in,
     "search": _search,
 }
-"""Each by its name."""
+"""Functions that draw the figures, by name."""

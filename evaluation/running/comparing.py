@@ -93,7 +93,7 @@ class Comparison:
         return model_hashes(self.policies)
 
     def drive(self, store: Store, engine: Engine, progress: bool = True) -> pd.DataFrame:
-        """Drive the episodes that are not in the store, and return all rows; rows outside this comparison come first."""
+        """Drive the episodes that are not stored, and return all rows; rows outside this comparison come first."""
         run = RunOptions(engine, store, self.steps, progress)
         parts = [
             run_paired(

@@ -127,7 +127,7 @@ class DecisionLog:
         return {key: math.nan if math.isnan(value) else value for key, value in found.items()}
 
     def steps(self, history: History) -> dict[str, list[Any]]:
-        """Columns of the decisions of an episode that has ended: the log, and the ego's state at each decision's end."""
+        """Columns of the decisions of an episode that has ended: the log, and the ego's state after each decision."""
         ends, inputs = self._ends(history), self._inputs(history)
         rewards, proposed, executed, shields, believed = zip(*self._rows, strict=True)
         return {

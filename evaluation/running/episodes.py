@@ -1,7 +1,7 @@
-"""Driving episodes: one record each, paired over the same seeds, in parallel.
+"""Run of episodes: one record each, paired over the same seeds, in parallel.
 
-A seed fixes the traffic and everything random in the policy, so the records (but for the
-latencies) are the same whatever the number of jobs.
+A seed determines the traffic and all random choices of the policy. So the records, except their latencies, do not
+depend on the number of jobs.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ from shield.errors import ConfigError
 __all__ = ["RunOptions", "run_episode", "run_paired"]
 
 _CHUNK = 25
-"""Episodes of one call where rows are not stored as they finish."""
+"""Episodes of one call if rows are not stored as they finish."""
 
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How `run_paired` carries its episodes out, and where they are stored.
+    """How `run_paired` executes its episodes, and where they are stored.
 
     Attributes
     ----------
-    engine : what makes the calls, instead of `jobs` processes.
-    store : where each episode is written as it finishes; what is there is not driven again.
+    engine : executes the calls, instead of `jobs` processes.
+    store : store of each episode as it finishes; stored episodes are not driven again.
     steps : whether each row has a column "decisions", see `evaluation.running.driver.Driver.steps`.
-    progress : whether to show a bar; where the output is no terminal, a line now and then.
+    progress : whether to show a bar; if the output is no terminal, a line for each tenth of the episodes.
     """
 
     engine: Engine | None = None
@@ -67,7 +67,7 @@ def run_episode(
     Parameters
     ----------
     setting, policy : by name or as objects; a policy may also be the path of an SB3 zip file.
-    variant : what stands between the two; nothing by default.
+    variant : the shield between the two; none by default.
     seed : seed of the traffic and of the policy.
     algorithm, model, simulator, sensor : see `evaluation.running.driver.DriverSpec`.
     after : see `evaluation.running.driver.Driver.run`.
@@ -100,10 +100,10 @@ def run_paired(
     Parameters
     ----------
     setting, policy, algorithm, model, simulator, sensor : as in `run_episode`.
-    variants : what to compare.
+    variants : variants of the shield to compare.
     seeds : seeds of the episodes.
     jobs : processes; -1 for one per core.
-    run : how the episodes are carried out, and where they are stored; in memory by default.
+    run : execution and storage of the episodes; in memory by default.
     deprecated : fields of `RunOptions` by name, in place of `run`, with a `DeprecationWarning`.
 
     Raises
@@ -111,7 +111,7 @@ def run_paired(
     TypeError
         If a keyword is not one of these.
     ConfigError
-        If there is nothing to run, `jobs` is 0, or a model is given that nothing drives with.
+        If there is nothing to run, `jobs` is 0, or neither the policy nor a shield uses the given model.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
     run = _with_deprecated(run or RunOptions(), deprecated)
@@ -127,7 +127,7 @@ def run_paired(
 
 
 def _with_deprecated(run: RunOptions, keywords: dict[str, Any]) -> RunOptions:
-    """The options with the keywords that `run_paired` took itself before; to be removed after one release."""
+    """The options, updated by keywords that `run_paired` took before `RunOptions`; to be removed after one release."""
     if not keywords:
         return run
     valid = [field.name for field in fields(RunOptions)]
@@ -139,7 +139,7 @@ def _with_deprecated(run: RunOptions, keywords: dict[str, Any]) -> RunOptions:
 
 
 def _run_specs(specs: Sequence[DriverSpec], seeds: Sequence[int], engine: Engine, run: RunOptions) -> pd.DataFrame:
-    """The rows of specs that differ in their variants."""
+    """Rows of the episodes of specs that differ only in their variants."""
     rows = [] if run.store is None else _stored_rows(specs, seeds, run.store)
     calls = _calls(specs, seeds, {_key(row) for row in rows}, engine, run)
     with EpisodeProgress(specs[0].setting.name, len(seeds) * len(specs), run.progress) as progress:
@@ -161,7 +161,7 @@ def _key(row: dict[str, Any]) -> tuple[str, str, int]:
 
 
 def _stored_rows(specs: Sequence[DriverSpec], seeds: Sequence[int], store: Store) -> list[dict[str, Any]]:
-    """The rows of the store that are asked for."""
+    """Stored rows of these specs and seeds."""
     whose = specs[0].setting.name, policy_name(specs[0].policy, specs[0].model)
     asked = {(each.variant.place, each.variant.mode, seed) for each in specs for seed in seeds}
     return [row for row in store.rows if (row["setting"], row["policy"]) == whose and _key(row) in asked]
@@ -170,8 +170,8 @@ def _stored_rows(specs: Sequence[DriverSpec], seeds: Sequence[int], store: Store
 def _calls(
     specs: Sequence[DriverSpec], seeds: Sequence[int], done: set[tuple[str, str, int]], engine: Engine, run: RunOptions
 ) -> list[tuple[_Chunk, list[int]]]:
-    """The calls of `_run_chunk` for the seeds that are not done."""
-    # Few episodes a call where each is stored as it finishes: the driver is kept, too.
+    """Calls of `_run_chunk` for the seeds that are not done."""
+    # Calls are short if each episode is stored as it finishes. The driver is cached between them.
     size = min(_CHUNK if run.store is None else engine.most, -(-len(seeds) // engine.workers))
     policy, model = specs[0].policy, specs[0].model
     files = hash_of_files(policy, model) if isinstance(policy, str) else ""
@@ -188,8 +188,10 @@ class _Chunk(NamedTuple):
 
     Attributes
     ----------
-    files : hashes of the files that the policy is read from. steps : whether decisions are written down.
-    kept : whether the driver is kept from one call to the next.
+    spec : specification of the driver.
+    files : hashes of the policy's files.
+    steps : whether the decisions are recorded.
+    kept : whether the driver is cached between calls.
     """
 
     spec: DriverSpec
@@ -198,7 +200,7 @@ class _Chunk(NamedTuple):
     kept: bool
 
     def driver(self) -> Driver:
-        """A driver of the spec.
+        """Make a driver of the spec.
 
         Raises
         ------
@@ -224,12 +226,12 @@ def _run_chunk(chunk: _Chunk, seeds: list[int]) -> list[dict[str, Any]]:
 
 
 def _row(driver: Driver, seed: int, steps: bool) -> dict[str, Any]:
-    """The row of an episode."""
+    """Row of an episode."""
     row = driver.run(seed).row()
     return {**row, "decisions": json.dumps(driver.steps())} if steps else row
 
 
 @lru_cache(maxsize=4)
 def _kept(chunk: _Chunk) -> Driver:
-    """A driver that is kept from one episode to the next, while the files that its policy is read from are the same."""
+    """A driver, cached between calls while the policy's files stay the same."""
     return chunk.driver()

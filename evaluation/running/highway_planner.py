@@ -1,4 +1,4 @@
-"""The planner over meta-actions among traffic, by name, and how its model is made: `cem` on a highway."""
+"""The planner `cem` over meta-actions on a highway: training of its model, and the policy."""
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ _SPEEDS = (20.0, 25.0, 30.0)
 
 
 def train_traffic(seed: int = 0, folder: str | Path | None = None, progress: bool = False) -> LinearStructuredModel:
-    """Collect 600 random and 300 on-policy decisions in highway-fast, and fit the model of a pair.
+    """Collect 600 random and 300 on-policy decisions in highway-fast, and fit the model of a pair of vehicles.
 
     Parameters
     ----------
-    seed : of everything random; episodes are reset with seeds below 10,000.
-    folder : where to write the model, if anywhere. progress : whether to show bars.
+    seed : seed of all random numbers; episodes are reset with seeds below 10,000.
+    folder : where to write the model; None to write nothing.
+    progress : whether to show bars.
     """
     begin = perf_counter()
     env, settings = get_setting("highway-fast").make(), FitConfig(seed=seed, **_FIT)  # type: ignore[arg-type]
@@ -49,7 +50,7 @@ def train_traffic(seed: int = 0, folder: str | Path | None = None, progress: boo
 
 @lru_cache(maxsize=4)
 def load_traffic(folder: str | Path = _FOLDER) -> LinearStructuredModel:
-    """The bundled model of a pair."""
+    """Load the model of a pair of vehicles; the bundled one by default."""
     return load_model(folder)
 
 
@@ -59,7 +60,7 @@ def highway_policy(env: gym.Env[Any, Any], folder: str | Path = _FOLDER) -> CEMP
     Raises
     ------
     ConfigError
-        If its meta-actions mean something else than those that the model was learned with.
+        If the environment's meta-actions or observations differ from those in the model's training.
     """
     base: Any = env.unwrapped
     kind = type(base.action_type).__name__

@@ -1,7 +1,6 @@
-"""What determines a row of results: the environment as it is driven, the policy's files, the source of both, versions.
+"""Identity of a row of results: the environment's configuration, the policy's files, the source of both, versions.
 
-All values are plain (JSON), so that they can be written down beside the rows, and compared before rows are added to
-them.
+All values are plain (JSON). They are stored beside the rows, and compared before rows are added.
 """
 
 from __future__ import annotations
@@ -44,13 +43,13 @@ _VERSIONED = {
     *("builtins", "dynamics", "mpc", "shield", "evaluation"),
     *("highway_env", "gymnasium", "stable_baselines3", "sb3_contrib", "torch", "numpy"),
 }
-"""Top-level modules that need no hash of their source: `versions` says which they are."""
+"""Top-level modules whose source is not hashed, because `versions` identifies them."""
 _SHORT = 40
-"""Longer values are not shown in a message."""
+"""Longest value that is shown in a message [characters]."""
 
 
 def versions() -> dict[str, str]:
-    """The versions of the libraries that take part in driving."""
+    """Versions of the installed libraries that can change a result."""
     found = {}
     for name in _PACKAGES:
         try:
@@ -61,7 +60,7 @@ def versions() -> dict[str, str]:
 
 
 def of_environment(setting: Setting) -> dict[str, Any]:
-    """How an environment is registered, its whole configuration, and hashes of the source that is the user's own."""
+    """Registration and configuration of an environment, and hashes of source that belongs to the user."""
     spec = spec_of(setting.env_id)
     env = setting.make()
     try:
@@ -86,16 +85,17 @@ def of_environment(setting: Setting) -> dict[str, Any]:
 
 
 def policy_files(name: str, model: str | None = None) -> dict[str, Any]:
-    """Hashes of the files that a policy is read from.
+    """Hashes of the files of a policy.
 
     Parameters
     ----------
-    name : as of `evaluation.running.named_policies.make_policy`. model : what it plans with, or a folder.
+    name : as in `evaluation.running.named_policies.make_policy`.
+    model : dynamics model of the policy, by name or as a folder.
 
     Returns
     -------
-    `file`, of the zip file, `statistics`, of those beside it, and `model`, of what lies in the folder; those that there
-    are.
+    `file` for the zip file, `statistics` for its normalisation statistics, and `model` for the folder's files; each
+    only if it exists.
     """
     found = {}
     path = Path(name) if name.endswith(".zip") else reference_file(name) if name in list_references() else None
@@ -110,38 +110,40 @@ def policy_files(name: str, model: str | None = None) -> dict[str, Any]:
 
 
 def model_hashes(policies: Iterable[str]) -> dict[str, str]:
-    """The hash of each file that some policies, by name or as paths of zip files, are read from, by its name."""
+    """Hash of each policy file by its name, of policies by name or as paths of zip files."""
     files = [Path(each) if each.endswith(".zip") else reference_file(each) for each in policies if _is_file(each)]
     return {each.name: file_hash(each) for each in files}
 
 
 def hash_of_files(name: str, model: str | None = None) -> str:
-    """The hashes of `policy_files` as one text."""
+    """Hashes of `policy_files` as one text."""
     return json.dumps(policy_files(name, model))
 
 
 def check_files(name: str, model: str | None, before: str) -> None:
-    """Raise where the files that a policy is read from are not those of before.
+    """Check that the files of a policy have not changed.
 
     Parameters
     ----------
-    name, model : as of `policy_files`. before : what `hash_of_files` gave.
+    name, model : as in `policy_files`.
+    before : earlier result of `hash_of_files`.
 
     Raises
     ------
     PolicyError
-        If one of them has been written since.
+        If one of the files has changed since.
     """
     if hash_of_files(name, model) != before:
         raise PolicyError(f"the files of policy {name} have changed while it was driven; begin again")
 
 
 def of_policy(name: str, policy: Any = None, model: str | None = None) -> dict[str, Any]:
-    """What a policy is read from (see `policy_files`), and hashes of the source of its networks that is the user's own.
+    """Hashes of a policy's files (see `policy_files`), and of source of its networks that belongs to the user.
 
     Parameters
     ----------
-    name, model : as of `policy_files`. policy : the policy itself, of one that is read from a file.
+    name, model : as in `policy_files`.
+    policy : the loaded policy, if it comes from a file.
     """
     actor: Any = getattr(getattr(policy, "model", policy), "policy", None)
     networks = actor.modules() if hasattr(actor, "modules") else []
@@ -150,12 +152,12 @@ def of_policy(name: str, policy: Any = None, model: str | None = None) -> dict[s
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Where two of these differ, in words; nothing where they are the same.
+    """Differences of two mappings, in words; empty if they are equal.
 
     Parameters
     ----------
-    before : what was written down. now : what would be driven.
-
+    before : the stored values.
+    now : the values of the present run.
     Examples
     --------
     >>> differences({"seed": 5, "policy": {"file": "ab"}}, {"seed": 6, "policy": {"file": "cd"}})
@@ -173,7 +175,7 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 
 def _layers(env: gym.Env[Any, Any]) -> list[gym.Env[Any, Any]]:
-    """The wrappers of an environment, from outside to inside."""
+    """Wrappers of an environment, from the outermost to the innermost."""
     found: list[gym.Env[Any, Any]] = []
     while isinstance(env, gym.Wrapper):
         found.append(env)
@@ -182,7 +184,7 @@ def _layers(env: gym.Env[Any, Any]) -> list[gym.Env[Any, Any]]:
 
 
 def _sources(modules: Iterable[str]) -> dict[str, str]:
-    """A hash of the source of each module that no known version tells: of its file, or of all files of its package."""
+    """Hash of the source of each module without a known version: of its file, or of all files of its package."""
     found: dict[str, str] = {}
     for name in sorted(set(modules)):
         top = name.partition(".")[0]
@@ -205,7 +207,7 @@ def file_hash(path: Path) -> str:
 
 
 def _hash(files: Iterable[Path]) -> str:
-    """A hash of the names and contents of files."""
+    """Hash of the names and contents of files."""
     total = hashlib.sha256()
     for each in files:
         total.update(each.name.encode() + b"\0" + bytes.fromhex(file_hash(each)))
@@ -217,7 +219,7 @@ def _name(kind: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """A value of a configuration as one that JSON has, the same in every process."""
+    """A configuration value as a JSON value, the same in every process."""
     if isinstance(value, Mapping):
         return {str(key): _plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple | set):

@@ -1,4 +1,4 @@
-"""The manifest of a run: what made its rows, and whether others may be added to them."""
+"""The manifest of a run: the origin of its rows, and the check whether another run may add to them."""
 
 from __future__ import annotations
 
@@ -18,26 +18,27 @@ from evaluation.running.identity import differences, versions
 __all__ = ["SECTIONS", "check_fits", "commit", "extended", "provenance"]
 
 SECTIONS = {"settings": "setting", "policies": "policy", "shields": "shield"}
-"""What is asked for by name: a run that goes on may have others, and those of the same name have to be the same."""
+"""Sections with named entries. A continued run may have other entries; entries of the same name have to be equal."""
 _FREE = ("episodes", *SECTIONS)
-"""What a run that goes on may have more of."""
+"""Sections that a continued run may extend."""
 _SHOWN = 6
-"""So many differences are listed."""
+"""Largest number of differences that are listed."""
 
 
 def provenance(
     asked: Mapping[str, Any], earlier: Iterable[str] = (), models: Mapping[str, str] | None = None
 ) -> dict[str, Any]:
-    """The manifest of a run.
+    """Make the manifest of a run.
 
     Parameters
     ----------
-    asked : what determines the rows, as plain values. earlier : the command lines of the runs that this one goes on
-        with. models : of each model file, by name, its hash (see `evaluation.running.identity.file_hash`).
+    asked : values that determine the rows, as plain values.
+    earlier : command lines of the runs that this one continues.
+    models : hash of each model file, by name (see `evaluation.running.identity.file_hash`).
 
     Returns
     -------
-    These, the command line, the date, the versions of what took part, the commit of the library's source, and the
+    The parameters, the command line, the date, versions of the libraries, the commit of the library's source, and the
     machine.
     """
     return {
@@ -55,7 +56,7 @@ def provenance(
 
 @lru_cache(maxsize=1)
 def commit() -> str:
-    """The commit that the library's source is at, with "+" where files have been changed since; "" without git."""
+    """Commit of the library's source, with "+" if files have changed since; "" without git."""
     folder = Path(__file__).parent
     told = []
     for command in (("rev-parse", "HEAD"), ("status", "--porcelain", "--untracked-files=no")):
@@ -68,17 +69,19 @@ def commit() -> str:
 
 
 def check_fits(name: str, before: Mapping[str, Any], now: Mapping[str, Any], instead: str) -> None:
-    """Raise where rows of one run cannot be added to those of another.
+    """Check that rows of a run may be added to those of another.
 
     Parameters
     ----------
-    name : of what holds the rows that are there. before, now : the manifests of those rows, and of the run.
-    instead : what can be done where they do not fit.
+    name : name of the store of the rows.
+    before : manifest of the rows.
+    now : manifest of the run.
+    instead : advice for the message, if the manifests differ.
 
     Raises
     ------
     ConfigError
-        That says where they differ: in what was asked for, of what has a name where both have it, or in the versions.
+        With the differences, in the specification, in entries of the same name, or in the versions.
     """
     was = before.get("asked")
     if was is None:
@@ -93,7 +96,7 @@ def check_fits(name: str, before: Mapping[str, Any], now: Mapping[str, Any], ins
 
 
 def extended(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
-    """The manifest of a run that goes on with another, which fits (see `check_fits`): what was asked for in both."""
+    """Manifest of a run that continues another (see `check_fits`): the specifications of both together."""
     was, asked = before["asked"], now["asked"]
     whole = {**asked, **{key: {**was.get(key, {}), **asked[key]} for key in SECTIONS if key in asked}}
     if "episodes" in was and "episodes" in asked:
@@ -104,7 +107,7 @@ def extended(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any
 
 
 def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Where what was asked for differs from what is, in words: of what has a name, where both have it."""
+    """Differences of two specifications, in words; named entries are compared if both have them."""
     found = differences(*({key: value for key, value in each.items() if key not in _FREE} for each in (before, now)))
     for key, word in SECTIONS.items():
         one, two = before.get(key, {}), now.get(key, {})

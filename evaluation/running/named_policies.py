@@ -56,7 +56,7 @@ _WEAVING = ("LANE_LEFT", "FASTER", "LANE_RIGHT", "FASTER")
 
 
 class Policy(Protocol):
-    """What an episode is driven with: SB3's `predict`."""
+    """A policy with the `predict` of Stable-Baselines3."""
 
     def predict(
         self,
@@ -87,7 +87,7 @@ class ConstantPolicy:
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
-        """The one action; nothing else is looked at."""
+        """The constant action; the observation is ignored."""
         return np.array(self.action), state
 
     def plan(self, seed: int, steps: int) -> NDArray[np.intp]:
@@ -119,7 +119,7 @@ class RandomPolicy:
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
-        """An action drawn uniformly, also when `deterministic` is asked for."""
+        """An action drawn uniformly, for every value of `deterministic`."""
         space = self._space
         if isinstance(space, gym.spaces.Discrete):
             return np.asarray(space.start + self._generator.integers(space.n)), state
@@ -129,7 +129,7 @@ class RandomPolicy:
         raise ConfigError(f"random actions need a Discrete or a Box action space, not {space}{several}")
 
     def plan(self, seed: int, steps: int) -> NDArray[np.intp]:
-        """The actions of the first `steps` decisions of an episode, of a Discrete action space."""
+        """The actions of the first `steps` decisions of an episode, for a Discrete action space."""
         space = self._space
         assert isinstance(space, gym.spaces.Discrete)
         found: NDArray[np.intp] = space.start + np.random.default_rng(seed).integers(space.n, size=steps)
@@ -137,11 +137,11 @@ class RandomPolicy:
 
 
 class WeavingPolicy:
-    """LANE_LEFT, FASTER, LANE_RIGHT, FASTER, and again: as fast as can be from lane to lane, whoever is there.
+    """Repeats LANE_LEFT, FASTER, LANE_RIGHT, FASTER: lane changes at the highest speed, without regard to the traffic.
 
     Parameters
     ----------
-    actions : these four by their index.
+    actions : indices of these four meta-actions.
     """
 
     def __init__(self, actions: Sequence[int]) -> None:
@@ -149,7 +149,7 @@ class WeavingPolicy:
         self.reset(0)
 
     def reset(self, seed: int) -> None:
-        """Start an episode with the first of them."""
+        """Start an episode with the first action."""
         self._step = 0
 
     def predict(
@@ -159,7 +159,7 @@ class WeavingPolicy:
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
-        """The next of them."""
+        """The next action of the sequence."""
         self._step += 1
         return np.asarray(self.actions[(self._step - 1) % len(self.actions)]), state
 
@@ -174,7 +174,7 @@ def is_model(name: str) -> bool:
 
 
 def start_episode(policy: Policy, seed: int) -> None:
-    """Tell a policy that an episode with this seed begins; `RandomPolicy` and `WeavingPolicy` listen."""
+    """Start an episode of a policy with this seed; only `RandomPolicy` and `WeavingPolicy` have such a state."""
     if isinstance(policy, RandomPolicy | WeavingPolicy):
         policy.reset(seed)
 
@@ -182,23 +182,23 @@ def start_episode(policy: Policy, seed: int) -> None:
 def make_policy(
     name: str, env: gym.Env[Any, Any], algorithm: str | None = None, model: StageModel | None = None
 ) -> Policy:
-    """A policy by name, or from an SB3 zip file.
+    """Make a policy by name, or load it from an SB3 zip file.
 
     Parameters
     ----------
-    name : a name in `BASELINES`, a reference policy, or the path of a zip file. Where the file of its `VecNormalize`
-        lies beside it, observations are normalised (see `evaluation.learning.normalised_model.statistics_beside`).
-    env : the environment that it is to act in.
-    algorithm : the SB3 algorithm of a zip file; by default the manifest beside the file, or the file, says it.
-    model : what `mpc` plans with (see `evaluation.running.driving_model`); the others have no use for it.
+    name : a name in `BASELINES`, a reference policy, or the path of a zip file. If the file of its `VecNormalize` lies
+        beside it, observations are normalised (see `evaluation.learning.normalised_model.statistics_beside`).
+    env : the environment of the policy.
+    algorithm : SB3 algorithm of a zip file; by default from the manifest beside the file, or from the file.
+    model : dynamics model of `mpc` (see `evaluation.running.driving_model`); the other policies ignore it.
 
     Raises
     ------
     ConfigError
         On an unknown name, or a zip file of unknown algorithm; the message lists what is valid.
     PolicyError
-        If a file cannot be read (see `evaluation.learning.algorithms.load_model`), or holds a model for other
-        observations or actions than the environment's.
+        If a file cannot be read (see `evaluation.learning.algorithms.load_model`), or its observation or action space
+        differs from the environment's.
     """
     if name in _META or name in _INPUTS:
         return ConstantPolicy(_constant(name, env))
@@ -229,7 +229,7 @@ def make_policy(
 
 
 def _constant(name: str, env: gym.Env[Any, Any]) -> int | NDArray[np.float32]:
-    """The action that a constant policy stands for in an environment."""
+    """The action of a constant policy in an environment."""
     kind = env.unwrapped.action_type  # type: ignore[attr-defined]
     label = type(kind).__name__
     if isinstance(kind, ContinuousAction):
@@ -256,7 +256,7 @@ def _meta_action(label: str, env: gym.Env[Any, Any]) -> int:
 
 
 def _inputs(name: str, actuators: Actuators) -> Any:
-    """The action of a constant policy for throttle and steering: normalised, or the number of the nearest."""
+    """Action of a constant policy for throttle and steering: normalised, or the index of the nearest action."""
     valid = _INPUTS if actuators.longitudinal else _INPUTS - {"throttle"}
     if name not in _INPUTS:
         raise ConfigError(f"{name!r} is a meta-action; this environment takes ContinuousAction; have {_list(valid)}")

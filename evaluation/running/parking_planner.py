@@ -1,8 +1,12 @@
-"""Planners for parking by name, and how their models are made.
+"""Planners for parking by name, and training of their models.
 
-`cem` plans on a learned model, `cem-fast` on the same in half the time, `cem-oracle` on the true bicycle, and
-`cem-notebook` is HighwayEnv's parking notebook; `cem-mppi` searches as `mpc.sampling.mppi` does, and `cem-cautious`
-pays where the members of the model disagree. The bundled models are those of training seed 0; `train` makes others.
+- `cem` plans with a learned model, `cem-fast` with the same model in half the time.
+- `cem-oracle` plans with the true bicycle model.
+- `cem-notebook` is HighwayEnv's parking notebook.
+- `cem-mppi` searches with `mpc.sampling.mppi`.
+- `cem-cautious` penalises disagreement among the members of the model.
+
+The bundled models have training seed 0; `train` makes others.
 """
 
 from __future__ import annotations
@@ -59,12 +63,14 @@ _DISTILL = DistillConfig(holds=(1, 4))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainedParking:
-    """A learned model of parking, and what it was made from.
+    """A learned model of parking, and its data.
 
     Attributes
     ----------
-    model : the network. fast : its macro-steps, which the planner uses.
-    data : the transitions that it was fitted to. seconds : that collecting, fitting and distilling took.
+    model : the network.
+    fast : its macro-steps, which the planner uses.
+    data : the transitions of its fit.
+    seconds : time for collecting, fitting and distilling [s].
     """
 
     model: LinearStructuredModel
@@ -78,7 +84,8 @@ def train(seed: int = 0, progress: bool = False) -> TrainedParking:
 
     Parameters
     ----------
-    seed : of everything random. progress : whether to show bars.
+    seed : seed of all random numbers.
+    progress : whether to show bars.
     """
     begin = perf_counter()
     env = gym.make("parking-v0")
@@ -110,7 +117,7 @@ def train_notebook(seed: int = 0) -> NotebookModel:
 
 
 def save(trained: TrainedParking, notebook: NotebookModel, folder: str | Path = BUNDLED) -> None:
-    """Write both models where `load` finds them."""
+    """Write both models in the layout that `load` reads."""
     notes = {"transitions": len(trained.data), "seconds": round(trained.seconds, 1)}
     save_model(trained.model, Path(folder, _MODEL), notes)
     trained.data.save(Path(folder, _MODEL, _DATA))
@@ -120,7 +127,7 @@ def save(trained: TrainedParking, notebook: NotebookModel, folder: str | Path = 
 
 @lru_cache(maxsize=4)
 def load(folder: str | Path = BUNDLED) -> tuple[DistilledModel, NotebookModel]:
-    """The macro-steps of the learned model, and the notebook's model."""
+    """Load the macro-steps of the learned model, and the notebook's model."""
     model, data = load_model(Path(folder, _MODEL)), Transitions.load(Path(folder, _MODEL, _DATA))
     notebook = NotebookModel()
     with np.load(Path(folder, f"{_NOTEBOOK}.npz"), allow_pickle=False) as arrays:
@@ -130,7 +137,7 @@ def load(folder: str | Path = BUNDLED) -> tuple[DistilledModel, NotebookModel]:
 
 @lru_cache(maxsize=4)
 def network(folder: str | Path = BUNDLED) -> LinearStructuredModel:
-    """The learned model itself, which knows where its members disagree."""
+    """Load the learned model itself, an ensemble with a measure of disagreement."""
     return load_model(Path(folder, _MODEL))
 
 
@@ -140,7 +147,7 @@ def parking_policy(name: str, env: gym.Env[Any, Any]) -> CEMPolicy | NotebookPol
     Parameters
     ----------
     name : one of `PARKING_POLICIES`.
-    env : the environment that it is to act in.
+    env : the environment of the policy.
 
     Raises
     ------

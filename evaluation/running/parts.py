@@ -1,4 +1,4 @@
-"""Parquet parts in a folder, each written whole or not at all, and the manifest that says what made them."""
+"""A folder of Parquet parts, each written atomically, with a manifest of their origin."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Parts:
 
     Parameters
     ----------
-    folder : which need not be there.
+    folder : the folder; `claim` creates it.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -31,12 +31,12 @@ class Parts:
 
     @property
     def manifest(self) -> dict[str, Any] | None:
-        """What made the rows; None where nothing is there yet.
+        """The manifest of the rows; None before the first `claim`.
 
         Raises
         ------
         DataError
-            If it is no JSON.
+            If the file is no JSON.
         """
         path = self.folder / MANIFEST
         if not path.is_file():
@@ -48,12 +48,12 @@ class Parts:
         return found
 
     def claim(self, made: Mapping[str, Any]) -> None:
-        """Write the manifest; the folder is made.
+        """Write the manifest, and create the folder if it does not exist.
 
         Raises
         ------
         ConfigError
-            If it cannot be written.
+            If the folder cannot be written.
         """
         try:
             (self.folder / PARTS).mkdir(parents=True, exist_ok=True)
@@ -63,26 +63,26 @@ class Parts:
 
     @property
     def names(self) -> list[str]:
-        """Of the parts that are there, in order."""
+        """Names of the parts, in order."""
         return sorted(path.stem for path in (self.folder / PARTS).glob("*.parquet"))
 
     def has(self, name: str) -> bool:
-        """Whether a part is there."""
+        """Whether a part exists."""
         return self._path(name).is_file()
 
     def read(self, name: str) -> pd.DataFrame:
-        """A part, with what was kept in its `attrs`."""
+        """Read a part, with its `attrs`."""
         return pd.read_parquet(self._path(name))
 
     def record(self, name: str) -> dict[str, Any] | None:
-        """What made a part, where it says so itself; None where it does not, and without the part."""
+        """Origin of a part (see `write`); None if the part has none or does not exist."""
         if not self.has(name):
             return None
         found: dict[str, Any] | None = pd.read_parquet(self._path(name), columns=["seed"]).attrs.get("made")
         return found
 
     def write(self, name: str, frame: pd.DataFrame, made: Mapping[str, Any] | None = None) -> None:
-        """Write a part, whole or not at all; `made` is kept in it (see `record`)."""
+        """Write a part atomically; `made` is stored in it (see `record`)."""
         path = self._path(name)
         path.parent.mkdir(parents=True, exist_ok=True)
         if made is not None:
@@ -99,7 +99,7 @@ class Parts:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file, whole or not at all."""
+    """Write a file atomically."""
     partial = path.with_name(path.name + ".partial")
     with partial.open("wb") as file:
         file.write(content)

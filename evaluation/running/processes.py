@@ -1,5 +1,7 @@
-"""Calls of a function in several processes: of this machine, which end with the one that started them, or of a Ray
-cluster."""
+"""Calls of a function in several processes: of this machine, or of a Ray cluster.
+
+Processes of this machine end when the process that started them ends.
+"""
 
 from __future__ import annotations
 
@@ -19,22 +21,22 @@ __all__ = ["Engine", "Processes", "RayTasks", "engine_of", "in_processes"]
 
 T = TypeVar("T")
 _WAITING = 2
-"""So many calls for each core of a cluster are handed over at a time."""
+"""Number of calls for each core of a cluster that are submitted at a time."""
 
 
 class Engine(Protocol):
-    """What makes calls."""
+    """Executes calls in parallel."""
 
     @property
     def workers(self) -> int:
-        """How many calls are made at a time."""
+        """Number of calls at a time."""
 
     @property
     def most(self) -> int:
-        """How many episodes a call may have where each is kept as it finishes."""
+        """Largest number of episodes of a call, if each episode is stored as it finishes."""
 
     def spread(self, function: Callable[..., T], calls: Sequence[tuple[Any, ...]]) -> Iterator[T]:
-        """What each call gives; each once, in any order."""
+        """Yield the result of each call once, in any order."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Processes:
 
     Attributes
     ----------
-    jobs : how many; -1 for one per core.
+    jobs : number of processes; -1 for one per core.
     """
 
     jobs: int = 1
@@ -51,22 +53,22 @@ class Processes:
 
     @property
     def workers(self) -> int:
-        """How many."""
+        """Number of processes."""
         return int(joblib.effective_n_jobs(self.jobs))
 
     def spread(self, function: Callable[..., T], calls: Sequence[tuple[Any, ...]]) -> Iterator[T]:
-        """What each call gives, in their order."""
+        """Yield the result of each call, in order."""
         return in_processes(function, calls, self.workers)
 
 
 @dataclass(frozen=True)
 class RayTasks:
-    """Tasks of a Ray cluster, a call each. What a node that is lost was working on is done again on another.
+    """Tasks of a Ray cluster, one for each call. The tasks of a node that fails are repeated on another node.
 
     Attributes
     ----------
-    address : of the cluster, "auto" for the one that this machine belongs to; "local" starts one here.
-    most : episodes of a task, all of which are kept when it is done.
+    address : address of the cluster; "auto" for the one of this machine, "local" to start one here.
+    most : episodes of a task, which are stored together at its end.
 
     Raises
     ------
@@ -79,11 +81,11 @@ class RayTasks:
 
     @property
     def workers(self) -> int:
-        """Cores of the cluster."""
+        """Number of cores of the cluster."""
         return max(1, int(self._ray().cluster_resources().get("CPU", 1)))
 
     def spread(self, function: Callable[..., T], calls: Sequence[tuple[Any, ...]]) -> Iterator[T]:
-        """What each call gives, as they finish; no more are under way than the cores can begin soon."""
+        """Yield the result of each call as it finishes; at most `_WAITING` calls for each core are pending."""
         ray = self._ray()
         task = ray.remote(function).options(max_retries=-1, num_cpus=1)
         left = iter(calls)
@@ -98,7 +100,7 @@ class RayTasks:
                 try:
                     found = ray.get(first)
                 except ray.exceptions.RayTaskError as error:
-                    # What was raised there, by its own class.
+                    # Raise the original exception instead of Ray's.
                     raise error.cause from None
                 yield found
         finally:
@@ -106,7 +108,7 @@ class RayTasks:
                 ray.cancel(each, force=True)
 
     def _ray(self) -> Any:
-        """Ray, connected."""
+        """The module `ray`, connected to the cluster."""
         try:
             import ray
         except ImportError:
@@ -115,7 +117,7 @@ class RayTasks:
             ) from None
         if not ray.is_initialized():
             where = None if self.address == "local" else self.address
-            # Workers that thread only get in each other's way; the library has to be importable by them.
+            # One thread for each worker; the library has to be importable in it.
             paths = os.pathsep.join(dict.fromkeys([*_paths(), os.environ.get("PYTHONPATH", "")])).strip(os.pathsep)
             variables = {"OMP_NUM_THREADS": "1", "PYTHONPATH": paths, "SDL_VIDEODRIVER": "dummy"}
             try:
@@ -126,11 +128,13 @@ class RayTasks:
 
 
 def engine_of(name: str, jobs: int, address: str | None) -> Engine:
-    """An engine by name.
+    """Make an engine by name.
 
     Parameters
     ----------
-    name : one of `evaluation.names.ENGINES`. jobs : of processes. address : of a Ray cluster; "auto" without.
+    name : one of `evaluation.names.ENGINES`.
+    jobs : number of processes.
+    address : address of a Ray cluster; "auto" by default.
 
     Raises
     ------
@@ -145,18 +149,18 @@ def engine_of(name: str, jobs: int, address: str | None) -> Engine:
 
 
 def in_processes(function: Callable[..., T], calls: Sequence[tuple[Any, ...]], workers: int) -> Iterator[T]:
-    """What each call gives, in their order; with one worker in this process."""
+    """Yield the result of each call, in order; with one worker in this process."""
     if workers == 1:
         yield from (function(*call) for call in calls)
         return
-    # Workers that were started before the library was asked not to thread would still do so.
+    # Loky may reuse workers, which need the limit on threads too.
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
         pool = joblib.Parallel(n_jobs=workers, return_as="generator")
         yield from pool(joblib.delayed(_in_worker)(function, os.getpid(), *call) for call in calls)
 
 
 def _paths() -> list[str]:
-    """Where this process finds modules of the user's: working directories and PYTHONPATH, and not what is installed."""
+    """Import paths of the user: working directories and PYTHONPATH, without installed packages."""
     import sys
 
     return [path for path in sys.path if path and "site-packages" not in path and not path.startswith(sys.base_prefix)]
@@ -169,7 +173,7 @@ def _in_worker(function: Callable[..., T], parent: int, *call: Any) -> T:
 
 @lru_cache(maxsize=1)
 def _end_with(parent: int) -> None:
-    """A worker whose parent was killed has nobody to work for."""
+    """End this worker once its parent process has ended."""
 
     def watch() -> None:
         while os.getppid() == parent:

@@ -13,11 +13,13 @@ __all__ = ["EpisodeProgress"]
 
 
 class EpisodeProgress:
-    """A progress bar; where the output is no terminal, a line for each tenth of the episodes.
+    """A progress bar; if the output is no terminal, a line for each tenth of the episodes.
 
     Parameters
     ----------
-    name : of what is driven. total : episodes. shown : whether anything is printed.
+    name : name of the comparison.
+    total : number of episodes.
+    shown : whether anything is printed.
     """
 
     def __init__(self, name: str, total: int, shown: bool) -> None:
@@ -39,12 +41,12 @@ class EpisodeProgress:
         self._bar.stop()
 
     def begin(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Count episodes that were driven before; prints nothing."""
+        """Count stored episodes, without printing."""
         self._count(rows)
         self._bar.update(self._task, completed=self._finished)
 
     def add(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Count episodes that have just been driven, and print."""
+        """Count new episodes, and print."""
         if not self._shown:
             return
         self._count(rows)
@@ -64,5 +66,5 @@ class EpisodeProgress:
             self._finished += 1
 
     def _crashes(self) -> str:
-        """Crashes of each variant so far."""
+        """Crashes of each variant so far, as a text."""
         return ", ".join(f"{name}: {crashed} of {count} crashed" for name, (crashed, count) in self._counts.items())

@@ -1,4 +1,4 @@
-"""What is compared, and what is written down of an episode."""
+"""Variants of the shield, and the record of an episode."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from shield.wrappers.defaults import Given, Place, choose_settings
 __all__ = ["DOORS", "EpisodeRecord", "Variant", "config_on", "make_variants", "told", "variant_for"]
 
 DOORS = ("none", "env", "policy", "actions")
-"""No shield; `ShieldedEnv`; `Shield`; `Shield` with actions alone, `frames=False`."""
+"""Values of `Variant.door`: no shield; `ShieldedEnv`; `Shield`; `Shield` with `frames=False`, without frames."""
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """What stands between the policy and the environment.
+    """The shield between the policy and the environment.
 
     Attributes
     ----------
     door : one of `DOORS`.
-    config : the shield's settings; not looked at without a shield.
-    perception : one of `shield.config.PERCEPTIONS`, what it reads scenes from.
-    note : what tells it from another variant of the same mode, such as "buffer 4 m".
+    config : the shield's settings; ignored without a shield.
+    perception : source of the shield's scenes, one of `shield.config.PERCEPTIONS`.
+    note : distinguishes variants of the same mode, such as "buffer 4 m".
     """
 
     door: str = "none"
@@ -45,18 +45,18 @@ class Variant:
 
     @property
     def place(self) -> str:
-        """The door, and what scenes are read from where that is not the simulator's state: "env, observation"."""
+        """`door`, followed by the perception unless that is the simulator's state: "env, observation"."""
         return self.door if self.perception == "simulator" else f"{self.door}, {self.perception}"
 
     @property
     def mode(self) -> str:
-        """The shield's mode and the note, "none" without a shield."""
+        """The shield's mode and the note; "none" without a shield."""
         if self.door == "none":
             return "none"
         return f"{self.config.mode}, {self.note}" if self.note else self.config.mode
 
     def with_buffers(self, lengths: Sequence[float]) -> list[Variant]:
-        """The same with each of these buffers along the road [m]; without a shield, or without lengths, itself alone.
+        """Copies with each of these buffers along the road [m]; only itself without a shield or without lengths.
 
         Examples
         --------
@@ -73,19 +73,21 @@ class Variant:
 
 
 def variant_for(config: ShieldConfig, setting: Setting | None = None) -> Variant:
-    """The shield that a configuration is made for: `ShieldedEnv`, or `Shield` with actions alone where the traffic is
-    simulated and the policy decides about meta-actions.
+    """The variant for a configuration.
+
+    `ShieldedEnv`; or `Shield` with `frames=False` if the traffic is simulated and the actions are meta-actions.
 
     Parameters
     ----------
-    setting : what is driven; meta-actions without.
+    config : the shield's settings.
+    setting : the environment; meta-actions by default.
     """
     alone = config.assumptions.simulated and not (setting is not None and _decides_inputs(setting))
     return Variant("actions" if alone else "env", config)
 
 
 def _decides_inputs(setting: Setting) -> bool:
-    """Whether the policy decides about throttle and steering."""
+    """Whether the actions are throttle and steering."""
     env = setting.make()
     try:
         base: Any = env.unwrapped
@@ -97,12 +99,14 @@ def _decides_inputs(setting: Setting) -> bool:
 
 
 def config_on(setting: Setting, given: Given = None, door: str = "env", observes: bool = False) -> ShieldConfig:
-    """The settings that a shield has in an environment.
+    """The settings of a shield in an environment.
 
     Parameters
     ----------
-    given : settings, "simulated" or "worst-case"; None for those that the shield takes by itself.
-    door : one of `DOORS`. observes : whether its scenes are made from observations.
+    setting : the environment.
+    given : settings, "simulated" or "worst-case"; None for the shield's default.
+    door : one of `DOORS`.
+    observes : whether scenes come from observations.
     """
     env = setting.make()
     try:
@@ -122,14 +126,16 @@ def make_variants(
     perceptions: Sequence[str] = ("simulator",),
     setting: Setting | None = None,
 ) -> list[Variant]:
-    """Each mode behind each door, with scenes from each of `perceptions`; the mode "none" stands for driving without
-    any shield.
+    """Make the variants of each mode, door and perception; the mode "none" is one variant without a shield.
 
     Parameters
     ----------
-    config : settings, "simulated" or "worst-case"; by default each door has those that it takes by itself in the
-        environment of `setting`, or without one on a straight highway.
-
+    modes : shield modes.
+    doors : values from `DOORS`.
+    config : settings, "simulated" or "worst-case"; by default those that the shield chooses in the environment of
+        `setting`, or without one on a straight highway.
+    perceptions : values from `shield.config.PERCEPTIONS`.
+    setting : the environment.
     Examples
     --------
     >>> [(v.door, v.mode) for v in make_variants(["none", "full"], ["env", "policy"])]
@@ -152,7 +158,7 @@ def make_variants(
 
 
 def told(rules: Mapping[str, int]) -> str:
-    """How often each rule was broken, as a text.
+    """Number of violations by rule, as a text.
 
     Examples
     --------
@@ -164,56 +170,58 @@ def told(rules: Mapping[str, int]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeRecord:
-    """What happened in one episode.
+    """Result of one episode.
 
     Attributes
     ----------
     setting, policy : names.
-    door, mode : what stood between the two (see `Variant`; the door is its `place`).
+    door, mode : `place` and `mode` of the `Variant`.
     seed : seed of the episode.
     crashed : whether the ego crashed.
     off_road : whether the ego's centre left the road.
-    attribution : the `Cause` of it, judged from the simulator's state.
+    attribution : the `Cause` of the crash, from the simulator's state.
     return_ : undiscounted sum of rewards (column "return").
-    steps : decisions taken.
+    steps : number of decisions.
     duration : time driven, up to a crash [s].
-    mean_speed : mean of the ego's speed over it [m/s].
-    distance : way along the road [m]; on a network that is no single road, the way that was driven.
-    lane_changes : how often the nearest lane changed; NaN on a network that is no single road.
-    laps : share of a closed road that was driven, 1 for a lap; NaN on any other.
-    mean_jerk : mean size of the jerk along the way, frame by frame [m/s^3].
-    mean_lateral_acceleration : mean size of speed times yaw rate, frame by frame [m/s^2].
-    overridden : decisions in which something else than the proposal was done, in part or whole; held_back : those of
-        them whose action was the proposed one, and that had frames replaced only.
-    reasons, tiers : decisions by `Reason` and `Tier` (columns "reason_…", "tier_…").
-    frames, frames_overridden : simulation frames, and those in which the shield acted.
-    violations : how often the traffic broke the assumptions; None where the door does not count it.
-    rules : how often each of them was broken (column "rules", see `told`).
-    min_margin : smallest margin of what was executed [m]; NaN where none was computed.
-    min_gap : smallest clearance to anybody [m]; 0 in a crash.
-    min_time_to_collision, min_headway : least time to a collision at constant velocities, 0 in a crash, and to the rear
-        of anybody ahead; NaN where it is not defined (see `evaluation.measuring.recorder.History`) [s].
-    latencies : time that the shield took at each decision [ms] (column "latencies_ms").
-    success : whether the goal was reached; None where there is none.
-    arrival_speed : the ego's speed then [m/s]; NaN where it was not.
-    simulator : "highway-env", or "compiled", its copy.
+    mean_speed : mean speed of the ego, up to a crash [m/s].
+    distance : distance along the road [m]; on a road network the length of the path driven.
+    lane_changes : number of changes of the nearest lane; NaN on a road network.
+    laps : driven share of a closed road, 1 for a lap; NaN on other roads.
+    mean_jerk : mean magnitude of the jerk along the path, frame by frame [m/s^3].
+    mean_lateral_acceleration : mean magnitude of speed times yaw rate, frame by frame [m/s^2].
+    overridden : number of decisions in which the proposal was not executed as it was, wholly or for some frames.
+    held_back : number of them in which the action was the proposal and only frames were replaced.
+    reasons, tiers : number of decisions by `Reason` and `Tier` (columns "reason_…", "tier_…").
+    frames, frames_overridden : number of simulation frames, and of those in which the shield acted.
+    violations : number of violations of the assumptions by the traffic; None if the variant does not count them.
+    rules : number of violations by rule (column "rules", see `told`).
+    min_margin : least margin of the executed plans [m]; NaN if none was computed.
+    min_gap : least clearance to another vehicle [m]; 0 in a crash.
+    min_time_to_collision : least time to a collision at constant velocities [s]; 0 in a crash.
+    min_headway : least time headway to the rear of a vehicle ahead [s]. Both are NaN if undefined (see
+        `evaluation.measuring.recorder.History`).
+    latencies : computing time of the shield for each decision [ms] (column "latencies_ms").
+    success : whether the goal was reached; None without a goal.
+    arrival_speed : speed of the ego at the goal [m/s]; NaN without success.
+    simulator : "highway-env", or "compiled" for the compiled copy.
     verification : what actions were verified against, a `shield.decision.Verification`.
     frame_override_share : share of the frames in which the shield acted.
-    input_distance : mean over the decisions of the distance between the proposed and the executed action, 0 where they
-        are the same. Of throttle and steering: Euclidean, each input over its range. Of meta-actions: lanes plus
-        steps of speed between the two targets, so that LANE_LEFT to SLOWER is 2. An action is what the environment got:
-        frames in which the shield drove otherwise are in `frame_override_share`. NaN of several egos.
-    acceleration_distance, steering_distance : the same of throttle [m/s^2] and front wheel angle [rad]; NaN of
-        meta-actions, which ask for targets.
-    on_lane_share : share of the decisions at whose end the ego's centre was on the road.
-    mean_confidence : mean over the decisions of the mean confidence of the rows that are not empty; NaN without such a
+    input_distance : mean over the decisions of the distance between proposed and executed action, 0 if they are equal.
+        For throttle and steering: Euclidean, each input over its range. For meta-actions: lanes plus steps of speed
+        between the two targets, so LANE_LEFT to SLOWER is 2. The executed action is the one that the environment
+        received; frames with other inputs are in `frame_override_share`. NaN for several egos.
+    acceleration_distance, steering_distance : the same for throttle [m/s^2] and front wheel angle [rad]; NaN for
+        meta-actions, which set targets.
+    on_lane_share : share of the decisions with the ego's centre on the road at their end.
+    mean_confidence : mean over the decisions of the mean confidence of rows that are not empty; NaN without such a
         channel.
-    latency_p50_ms, latency_p99_ms, latency_max_ms : of `latencies`; NaN without a shield.
-    mean_reward, peak_reward : of a decision. peak_speed : over the frames up to a crash [m/s].
+    latency_p50_ms, latency_p99_ms, latency_max_ms : statistics of `latencies`; NaN without a shield.
+    mean_reward, peak_reward : mean and greatest reward of a decision.
+    peak_speed : greatest speed of the ego, up to a crash [m/s].
     mean_normalised_speed : mean over the ends of decisions of the speed over `Vehicle.MAX_SPEED`, within 0 and 1.
-    peak_jerk : as `mean_jerk`. mean_normalised_jerk, peak_normalised_jerk : see
-        `evaluation.measuring.jerk.normalised_jerk`, of the inputs that the ego's motion tells of the last frame of each
-        decision; NaN where it stands, and from a crash on.
+    peak_jerk : greatest magnitude of the jerk, up to a crash, as in `mean_jerk` [m/s^3].
+    mean_normalised_jerk, peak_normalised_jerk : see `evaluation.measuring.jerk.normalised_jerk`, for the inputs
+        inferred from the ego's motion in the last frame of each decision; NaN at a standstill, and from a crash on.
     """
 
     setting: str

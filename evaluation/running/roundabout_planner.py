@@ -1,4 +1,4 @@
-"""The planner over meta-actions in a roundabout, by name, and how its models are made: `cem` in `roundabout`."""
+"""The planner `cem` over meta-actions in `roundabout`: training of its models, and the policy."""
 
 from __future__ import annotations
 
@@ -35,8 +35,9 @@ def train_roundabout(
 
     Parameters
     ----------
-    seed : of everything random; episodes are reset with seeds below 10,000.
-    folder : where to write the two models, if anywhere. progress : whether to show bars.
+    seed : seed of all random numbers; episodes are reset with seeds below 10,000.
+    folder : where to write the two models; None to write nothing.
+    progress : whether to show bars.
     """
     begin = perf_counter()
     env, first = get_setting("roundabout").make(), 1000 * (seed % 8)
@@ -67,7 +68,7 @@ def _fit(
 
 @lru_cache(maxsize=4)
 def load_roundabout(folder: str | Path = _FOLDER) -> tuple[LinearStructuredModel, LinearStructuredModel]:
-    """The bundled models of the ego and of the others."""
+    """Load the models of the ego and of the others; the bundled ones by default."""
     ego, others = (load_model(Path(folder) / name) for name in _NAMES)
     return ego, others
 
@@ -78,7 +79,7 @@ def roundabout_policy(env: gym.Env[Any, Any], folder: str | Path = _FOLDER) -> C
     Raises
     ------
     ConfigError
-        If it is another environment, or its meta-actions mean something else than those the models were learned with.
+        If the environment's meta-actions differ from those in the models' training.
     """
     base: Any = env.unwrapped
     speeds = tuple(float(v) for v in getattr(base.action_type, "target_speeds", ()))

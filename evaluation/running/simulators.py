@@ -1,5 +1,7 @@
-"""What episodes are driven in: highway-env, or its compiled copy where that serves; on networks of roads highway-env
-with its frames compiled."""
+"""Choice of the simulator: highway-env, or its compiled copy where supported.
+
+On road networks the compiled variant is highway-env itself with compiled frames.
+"""
 
 from __future__ import annotations
 
@@ -23,28 +25,32 @@ _READY = (
     *("faster", "idle", "slower", "throttle", "random", "weaving", "left", "right"),
     *("lookahead", "lookahead-shielded"),
 )
-"""Baselines that look at nothing but the observation, as models do, or know the compiled copy; the others read
-highway-env's own objects."""
+"""Baselines that read only the observation, as models do, or support the compiled copy. The others read highway-env's
+objects."""
 
 
 def environment(
     setting: Setting, policy: Any, variant: Variant, model: str | None, simulator: str, sensor: str = "exact"
 ) -> tuple[str, gym.Env[Any, Any]]:
-    """The environment of a setting, and the name of what simulates it.
+    """Make the environment of a setting.
 
     Parameters
     ----------
-    setting, policy, variant, model : what is to be driven (see `evaluation.running.episodes.run_episode`).
-    simulator : one of `SIMULATORS`; "auto" for the compiled copy where it serves, which is the same bit for bit.
-    sensor : through what the policy, and a shield that reads observations, see it, as in
-        `evaluation.wrappers.channels.split_sensor`; in highway-env itself on networks of roads unless it is "exact".
+    setting, policy, variant, model : specification of the episode (see `evaluation.running.episodes.run_episode`).
+    simulator : one of `SIMULATORS`; "auto" for the compiled copy where supported, which is equal to the last bit.
+    sensor : sensor of the policy, and of a shield that reads observations, as in
+        `evaluation.wrappers.channels.split_sensor`. On road networks every sensor but "exact" needs highway-env itself.
+
+    Returns
+    -------
+    The name of the simulator, and the environment.
 
     Raises
     ------
     ConfigError
-        If there is no such simulator, or the compiled one is asked for and cannot do it.
+        If the simulator is unknown, or "compiled" is required and not supported.
     PlatformError
-        If it is asked for, and numpy's own loops cannot be had here.
+        If "compiled" is required, and numpy's own loops are not accessible on this machine.
     """
 
     split_sensor(sensor)
@@ -68,7 +74,7 @@ def environment(
 
 
 def _with_compiled_frames(made: gym.Env[Any, Any], variant: Variant) -> tuple[gym.Env[Any, Any], bool]:
-    """An environment on a network of roads where nobody has a say between two decisions."""
+    """An environment on a road network with compiled frames; raises `ConfigError` if the shield supervises frames."""
     meta = made.unwrapped.config["action"]["type"] == "DiscreteMetaAction"  # type: ignore[attr-defined]
     if variant.door == "policy" or (variant.door == "env" and not (meta and variant.config.simulates)):
         raise ConfigError("frames are supervised one by one in highway-env itself")
@@ -77,7 +83,7 @@ def _with_compiled_frames(made: gym.Env[Any, Any], variant: Variant) -> tuple[gy
 
 
 def _check(policy: Any, variant: Variant, model: str | None) -> None:
-    """Raise where something reads more of highway-env than there is of it in the compiled copy."""
+    """Raise `ConfigError` if the policy or the shield reads more of highway-env than the compiled copy has."""
     if variant.door not in ("none", "env") and variant != variant_for(variant.config):
         raise ConfigError(f"door {variant.door!r} stands around highway-env; the compiled highway has none and env")
     if model not in (None, "bicycle"):

@@ -17,23 +17,30 @@ from shield.errors import ConfigError
 __all__ = ["DECISIONS", "check_steps", "is_steps", "keep_steps", "merge_steps", "steps_of", "write_steps"]
 
 DECISIONS = "decisions"
-"""The column of an episode's row that has its decisions, until they are written."""
+"""Column of an episode's row that holds its decisions, until they are written."""
 
 
 def steps_of(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
-    """The decisions of episodes, a row each, by episode and then in time.
+    """The decisions of episodes, one row each, by episode and then in time.
 
     Parameters
     ----------
-    rows : of episodes that were driven with `steps`.
+    rows : rows of episodes that were driven with `steps`.
 
     Returns
     -------
-    After the columns `KEY` of the episode: `step`; `time`, at which it begins [s]; `reward`; `proposed` and
-    `executed`, lists of numbers; the three distances of `evaluation.running.records.EpisodeRecord`; what the shield's
-    report says (`overridden`, `intervention`, `reason`, `tier`, `margin` [m], `frames_overridden`, `violations`) and
-    `latency_ms`; `confidence`, the mean of the rows shown; and where it ended: `speed` [m/s], `acceleration` [m/s^2]
-    and `steering` [rad] in its last frame, as the ego's motion tells, `on_lane`, `crashed`.
+    The columns `KEY` of the episode, and then:
+
+    - `step`, and `time`, its start [s];
+    - `reward`;
+    - `proposed` and `executed`, lists of numbers, and the three distances of
+      `evaluation.running.records.EpisodeRecord`;
+    - from the shield's report `overridden`, `intervention`, `reason`, `tier`, `margin` [m], `frames_overridden`,
+      `violations`, and `latency_ms`;
+    - `confidence`, the mean of the observed rows;
+    - at the decision's end `speed` [m/s], `acceleration` [m/s^2] and `steering` [rad], inferred from the ego's motion
+    in
+      the last frame, `on_lane` and `crashed`.
     """
     parts = []
     for row in rows:
@@ -45,12 +52,12 @@ def steps_of(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def check_steps(path: Path, earlier: Iterable[Mapping[str, Any]]) -> None:
-    """Raise where episodes that are there already have no decisions, neither in their rows nor in the file.
+    """Check that all earlier episodes have decisions, in their rows or in the file.
 
     Raises
     ------
     ConfigError
-        That says how many.
+        With the number of episodes without decisions.
     """
     lacking = {_key(row) for row in earlier if not isinstance(row.get(DECISIONS), str)}
     if lacking and path.is_file():
@@ -63,11 +70,12 @@ def check_steps(path: Path, earlier: Iterable[Mapping[str, Any]]) -> None:
 
 
 def write_steps(path: Path, episodes: pd.DataFrame) -> pd.DataFrame:
-    """Write the decisions of episodes to a Parquet file, after those of other episodes that are in it.
+    """Write the decisions of episodes to a Parquet file, after those of other episodes in it.
 
     Parameters
     ----------
-    path : of the file. episodes : with the column `DECISIONS`.
+    path : path of the file.
+    episodes : episodes with the column `DECISIONS`.
 
     Returns
     -------
@@ -85,7 +93,7 @@ def write_steps(path: Path, episodes: pd.DataFrame) -> pd.DataFrame:
 
 
 def keep_steps(path: Path, steps: pd.DataFrame) -> None:
-    """Write a table of decisions to a Parquet file, whole or not at all; its folder is made."""
+    """Write a table of decisions to a Parquet file, atomically; its folder is created."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(path.name + ".partial")
     steps.to_parquet(partial, index=False)
@@ -103,20 +111,21 @@ def is_steps(path: Path) -> bool:
 
 
 def merge_steps(paths: Iterable[Path], episodes: pd.DataFrame) -> pd.DataFrame:
-    """The decisions of all episodes of an experiment, from the files of its shards.
+    """Merge the decisions of all episodes of an experiment from the files of its shards.
 
     Parameters
     ----------
-    paths : of the files. episodes : of the whole experiment (see `evaluation.experiments.result.merge`).
+    paths : paths of the files.
+    episodes : episodes of the whole experiment (see `evaluation.experiments.result.merge`).
 
     Returns
     -------
-    As of `steps_of`, in the order of `episodes`.
+    A table as from `steps_of`, in the order of `episodes`.
 
     Raises
     ------
     ConfigError
-        If a file is no table of decisions, or the decisions are not those of the episodes, each once.
+        If a file is no table of decisions, or the decisions are not exactly those of the episodes.
     """
     frame = pd.concat([_read(path) for path in paths], ignore_index=True)
     names = list(KEY)

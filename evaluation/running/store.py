@@ -1,8 +1,9 @@
-"""Episodes on disk as they finish: neither Ctrl-C nor `kill -9` loses one, and a power cut those of the last second.
+"""Storage of episodes on disk as they finish. A killed process loses none; a power cut loses those of the last second.
 
-A store is a folder: `manifest.json` says what made the rows, `parts/NAME.parquet` has episodes, each part written whole
-or not at all, and `open.jsonl` those since the last part, a line of JSON each. `shield evaluate`, `shield certify` and
-`shield reproduce` write it; the table that `shield evaluate --output` writes at its end has the manifest in it.
+A store is a folder. `manifest.json` holds the origin of the rows. `parts/NAME.parquet` holds episodes, and each part is
+written atomically. `open.jsonl` holds the episodes since the last part, one line of JSON each. `shield evaluate`,
+`shield certify` and `shield reproduce` write a store; the final table of `shield evaluate --output` contains the
+manifest.
 """
 
 from __future__ import annotations
@@ -26,36 +27,36 @@ __all__ = ["Store", "discard"]
 
 _AGAIN = "--force begins again, another --output keeps both"
 _PART = 1_000
-"""Episodes that are kept a line each before they become a part."""
+"""Number of open episodes, one line each, after which a part is written."""
 _SYNC = 1.0
-"""At least so much time lies between two waits for the disk [s]; one takes milliseconds, as long as a compiled episode.
-Until then the operating system has what was written, which outlives the process."""
+"""Least time between two calls of `fsync` [s]; one takes milliseconds, as long as a compiled episode. Data between two
+calls is in the operating system's cache, which outlives the process."""
 
 
 class Store:
-    """The episodes of one comparison that have been driven so far.
+    """The episodes of a comparison driven so far.
 
     Parameters
     ----------
-    path : of the table that is to come; the episodes are in the folder PATH.episodes until then. None keeps them in
-        memory.
-    asked : what determines the rows, as plain values: mappings by name under the keys in
-        `evaluation.running.manifest.SECTIONS`, and whatever else is the same for all rows.
-    resume : whether to go on where one that was stopped has left off, or to extend one that is finished.
-    finished : of one that is finished, its manifest, and its rows.
+    path : path of the final table; until then the episodes are in the folder PATH.episodes. None keeps them in memory.
+    asked : values that determine the rows, as plain values: mappings by name under the keys in
+        `evaluation.running.manifest.SECTIONS`, and values that all rows share.
+    resume : whether to continue a stopped run, or to extend a finished one.
+    finished : manifest and rows of a finished run.
     models : see `provenance`.
 
     Raises
     ------
     ConfigError
-        If episodes of another comparison are there: what determines their rows, or the versions of the libraries,
-        differ. Or if there are some and it is not to be resumed.
+        If the folder holds episodes of another comparison: the values that determine the rows, or the versions of the
+        libraries, differ. Also if it holds episodes and `resume` is false.
     DataError
-        If they cannot be read.
+        If the episodes cannot be read.
 
     Attributes
     ----------
-    made : the manifest. parts : where the episodes are; None in memory.
+    made : the manifest.
+    parts : the folder of the episodes; None in memory.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class Store:
         elif finished is not None:
             self._go_on(path.name, *finished)
         else:
-            # Without a manifest nothing that lies there is known.
+            # Without a manifest the origin of files in the folder is unknown.
             discard(path)
             self.parts.claim(self.made)
 
@@ -94,16 +95,18 @@ class Store:
     def in_folder(
         cls, folder: Path, asked: Mapping[str, Any], models: Mapping[str, str] | None = None, instead: str = _AGAIN
     ) -> Store:
-        """A store that stays a folder, gone on with where it is one already.
+        """A store that remains a folder; an existing one is continued.
 
         Parameters
         ----------
-        asked, models : as of the class. instead : what can be done where something else is there, for a message.
+        folder : the folder.
+        asked, models : as in the class.
+        instead : advice for the message, if the folder holds something else.
 
         Raises
         ------
         ConfigError
-            If episodes of another comparison are there, or some of which nothing is known, or it cannot be written.
+            If the folder holds episodes of another comparison, or of unknown origin, or cannot be written.
         """
         store = cls(None, asked, models=models)
         store.parts = Parts(folder)
@@ -117,16 +120,16 @@ class Store:
 
     @property
     def rows(self) -> list[dict[str, Any]]:
-        """The episodes so far, as `EpisodeRecord.row` made them."""
+        """The episodes so far, as rows of `EpisodeRecord.row`."""
         return list(self._rows)
 
     def table(self) -> pd.DataFrame:
-        """The episodes so far."""
+        """The episodes so far, as a table."""
         return pd.DataFrame(self._rows)
 
     def add(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Write episodes to the file, where they outlive this process; at most once a second, wait for the disk."""
-        # What comes back from the file and what went in are the same then.
+        """Append episodes to the file, which outlives this process; call `fsync` at most once a second."""
+        # Rows are read back from JSON, so that they equal those of a later read.
         lines = [line_of(row) for row in rows]
         self._rows += [json.loads(line) for line in lines]
         if self.parts is None:
@@ -142,47 +145,49 @@ class Store:
             self._close()
 
     def note(self, told: Mapping[str, Any]) -> None:
-        """Add to the manifest what does not determine the rows."""
+        """Add values to the manifest that do not determine the rows."""
         self.made = {**self.made, **told}
         if self.parts is not None:
             self.parts.claim(self.made)
 
     def finish(self) -> None:
-        """Remove the folder: the table is written."""
+        """Remove the folder, once the table is written."""
         if self.parts is not None:
             shutil.rmtree(self.parts.folder, ignore_errors=True)
 
     def _go_on(
         self, name: str, before: Mapping[str, Any], rows: Iterable[dict[str, Any]], instead: str = _AGAIN
     ) -> None:
-        """Take the rows that are there, and add what is asked for to what was asked for."""
+        """Take over the existing rows, and merge both specifications."""
         assert self.parts is not None
         check_fits(name, before, self.made, instead)
         self.made = extended(before, self.made)
         self._rows = once(rows)
         kept = sum(len(self.parts.read(each)) for each in self.parts.names)
-        # Of the rows that are in no part, the last may have been cut off.
+        # The last open row may be incomplete.
         self._open = len(self._rows) - kept
         self._rewrite(self._rows[kept:])
         self.parts.claim(self.made)
 
     def _close(self) -> None:
-        """Make a part of the episodes that are in none. One that is killed in between has them twice: they are read
-        once."""
+        """Write the open episodes as a part.
+
+        A process killed between the two writes leaves them in both files; `once` drops the duplicates.
+        """
         assert self.parts is not None
         self.parts.write(f"{len(self.parts.names):06d}", pd.DataFrame(self._rows[-self._open :]))
         self._rewrite([])
         self._open = 0
 
     def _rewrite(self, rows: list[dict[str, Any]]) -> None:
-        """The rows that are in no part."""
+        """Replace the file of open rows."""
         assert self.parts is not None
         self.parts.folder.mkdir(parents=True, exist_ok=True)
         replace_file(self.parts.folder / OPEN, lines_of(rows))
 
 
 def discard(path: Path) -> None:
-    """Remove the episodes of a table that is to be begun again."""
+    """Remove the stored episodes of a table, for a new start."""
     folder = _folder(path)
     for each in (folder, _partial(folder)):
         if each.is_dir():
@@ -200,8 +205,7 @@ def _partial(folder: Path) -> Path:
 
 
 def _adopt(folder: Path) -> None:
-    """Make a folder of the file that earlier versions kept episodes in: the manifest in its first line, and a line
-    each."""
+    """Convert the file of earlier versions to a folder: its first line is the manifest, every other line an episode."""
     partial = _partial(folder)
     if not folder.exists() and partial.is_dir():
         partial.rename(folder)

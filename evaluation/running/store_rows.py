@@ -1,4 +1,4 @@
-"""The rows of a store as they are read from its folder, and the line of JSON that each open row is."""
+"""Rows of a store as read from its folder, and the JSON line of an open row."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from evaluation.running.parts import MANIFEST, PARTS, Parts
 __all__ = ["KEY", "OPEN", "is_store", "line_of", "lines_of", "once", "plain_rows", "read_lines", "read_store"]
 
 KEY = ("setting", "policy", "door", "mode", "seed")
-"""Columns that tell one episode from every other of a comparison."""
+"""Columns that identify an episode within a comparison."""
 OPEN = "open.jsonl"
-"""Name of the file of the rows that are in no part yet."""
+"""Name of the file of open rows, which are in no part yet."""
 
 
 def is_store(path: str | Path) -> bool:
@@ -26,15 +26,18 @@ def is_store(path: str | Path) -> bool:
 
 
 def read_store(folder: str | Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """The manifest of a store, and its rows: those of its parts, by name, and those after. An episode that stands twice
-    is there once.
+    """Read a store.
+
+    Returns
+    -------
+    The manifest, and the rows: those of the parts, by name, then the open rows. Duplicates of an episode are dropped.
 
     Raises
     ------
     ConfigError
-        If there is none.
+        If the folder is no store.
     DataError
-        If it cannot be read.
+        If a file cannot be read.
     """
     parts = Parts(folder)
     made = parts.manifest
@@ -48,7 +51,7 @@ def read_store(folder: str | Path) -> tuple[dict[str, Any], list[dict[str, Any]]
 
 
 def plain_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
-    """Rows of a table as `EpisodeRecord.row` made them: what is unknown is None or "", and not NaN."""
+    """Rows of a table in the form of `EpisodeRecord.row`, with None or "" instead of NaN for unknown values."""
     empty = {"violations": None, "success": None, "rules": ""}
     rows = []
     for row in frame.to_dict("records"):
@@ -60,7 +63,7 @@ def plain_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def once(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows, each episode once; those of other experiments than comparisons as they are."""
+    """The rows without duplicates of an episode; rows of experiments other than comparisons are unchanged."""
     found: dict[Any, dict[str, Any]] = {}
     for number, row in enumerate(rows):
         found.setdefault(tuple(row[name] for name in KEY) if row.keys() >= set(KEY) else number, row)
@@ -68,7 +71,7 @@ def once(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
-    """What each line says, without one that was not written to its end."""
+    """Parse each line of JSON; an incomplete last line is dropped."""
     whole, _, _torn = path.read_bytes().rpartition(b"\n")
     try:
         return [json.loads(line) for line in whole.split(b"\n")] if whole else []
@@ -87,5 +90,5 @@ def lines_of(rows: Iterable[Mapping[str, Any]]) -> bytes:
 
 
 def _plain_number(value: Any) -> Any:
-    """numpy's numbers as Python's."""
+    """A numpy number as a Python number."""
     return value.item()

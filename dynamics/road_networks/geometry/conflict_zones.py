@@ -1,9 +1,9 @@
-"""Where the lanes of different roads meet: they cross, join, part, or lead against one another.
+"""Conflict zones: places where lanes of different roads overlap. They cross, join, part, or oppose one another.
 
 Notation
 --------
-The *strip* of a lane is what is no further from its middle than half of its width, from its start to its end. A zone is
-a connected part of where two strips overlap.
+The *strip* of a lane is the set of points within half its width of its centre line, from its start to its end. A zone
+is a connected part of the overlap of two strips.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from dynamics.state import FloatArray, wrap_to_pi
 __all__ = ["ConflictZone", "Meeting", "conflict_zones"]
 
 _LEAST = 0.01
-"""Lanes side by side have no more in common [m^2]: chords stand for the arcs of their edges."""
+"""Least area of a zone [m^2]. Adjacent lanes overlap by less, because chords approximate the arcs of their edges."""
 _NEAR = 0.5
-"""A zone that comes so near to an end of a lane reaches it [m]."""
+"""A zone that comes this near to an end of a lane reaches it [m]."""
 _FROM, _TO = 0, 1
 """Columns of `Network.roads`."""
 _Interval = tuple[float, float]
@@ -40,11 +40,11 @@ class Meeting(StrEnum):
 
 
 class ConflictZone(NamedTuple):
-    """A part of two lanes of different roads that both have in common.
+    """A connected part of the overlap of two lanes of different roads.
 
-    Lanes *join* where their roads lead to the same node and one of them ends in the zone, and *part* where they leave
-    the same node and one of them begins there. Others are *oncoming* where their directions are opposed and their
-    middles do not cross, and *cross* elsewhere.
+    Lanes *join* where their roads lead to the same node and one of them ends in the zone. They *part* where they leave
+    the same node and one of them begins in the zone. Other lanes are *oncoming* if their directions oppose and their
+    centre lines do not cross, and else *cross*.
 
     Attributes
     ----------
@@ -61,14 +61,14 @@ class ConflictZone(NamedTuple):
     outline: FloatArray
 
     def mirrored(self) -> ConflictZone:
-        """The same, seen from the other lane."""
+        """The same zone with the two lanes exchanged."""
         return ConflictZone(self.other, self.lane, self.kind, self.other_interval, self.interval, self.outline)
 
 
 def conflict_zones(geometry: RoadGeometry) -> tuple[ConflictZone, ...]:
-    """Every zone of a network twice, seen from either lane, in the order of the lanes' numbers and of s.
+    """Every zone of a network twice, once for either lane, sorted by lane number and then s.
 
-    Lanes of one road are not compared, nor one with what follows it where it ends.
+    Lanes of the same road are not compared. The overlap of a lane with the lane that continues it is no zone.
     """
     strips = shapely.make_valid([shapely.Polygon(geometry.outline(lane)) for lane in range(len(geometry.names))])
     roads = geometry.network.ids[:, ROAD]
@@ -84,7 +84,7 @@ def conflict_zones(geometry: RoadGeometry) -> tuple[ConflictZone, ...]:
 
 
 def _zone(geometry: RoadGeometry, a: int, b: int, part: shapely.Polygon) -> ConflictZone | None:
-    """A connected part as a zone; None where one lane follows the other there."""
+    """A connected part as a zone; None if one lane continues the other there."""
     outline = shapely.get_coordinates(part.exterior)[:-1]
     own, other = (_interval(geometry, lane, outline) for lane in (a, b))
     if _follows(geometry, a, b, own) or _follows(geometry, b, a, other):
@@ -94,7 +94,7 @@ def _zone(geometry: RoadGeometry, a: int, b: int, part: shapely.Polygon) -> Conf
 
 
 def _interval(geometry: RoadGeometry, lane: int, points: FloatArray) -> _Interval:
-    """The least and the greatest s of points of a lane [m]."""
+    """The least and the greatest s of points on a lane [m]."""
     s, _ = geometry.project(lane, points[:, 0], points[:, 1])
     length = float(geometry.lengths[lane])
     if geometry.network.ids[lane, SHAPE] == CIRCULAR:
@@ -105,7 +105,7 @@ def _interval(geometry: RoadGeometry, lane: int, points: FloatArray) -> _Interva
 
 
 def _node(geometry: RoadGeometry, lane: int, end: int) -> int:
-    """The node that the road of a lane leads from or to."""
+    """The node at one end of the road of a lane, `_FROM` or `_TO`."""
     return int(geometry.network.roads[geometry.network.ids[lane, ROAD], end])
 
 
@@ -115,11 +115,12 @@ def _agreement(geometry: RoadGeometry, a: int, s: float, b: int, t: float) -> fl
 
 
 def _at_end(geometry: RoadGeometry, lane: int, interval: _Interval) -> bool:
+    """Whether an interval reaches the end of a lane."""
     return bool(interval[1] > geometry.lengths[lane] - _NEAR)
 
 
 def _follows(geometry: RoadGeometry, a: int, b: int, interval: _Interval) -> bool:
-    """Whether a zone is where lane `b` goes on from the end of lane `a`, on which it has an interval."""
+    """Whether lane `b` continues lane `a` at a zone, which has an interval on lane `a`."""
     joint = _node(geometry, a, _TO) == _node(geometry, b, _FROM) and _at_end(geometry, a, interval)
     return joint and _agreement(geometry, a, float(geometry.lengths[a]), b, 0.0) > 0
 
@@ -127,7 +128,7 @@ def _follows(geometry: RoadGeometry, a: int, b: int, interval: _Interval) -> boo
 def _meeting_at_node(
     geometry: RoadGeometry, lanes: tuple[int, int], intervals: tuple[_Interval, _Interval]
 ) -> Meeting | None:
-    """How lanes meet that lead to one node, or leave one, and do it in the zone."""
+    """How two lanes meet that join at a node or part at a node in the zone; None for others."""
     starts, ends = ([_node(geometry, lane, end) for lane in lanes] for end in (_FROM, _TO))
     if ends[0] == ends[1] and any(map(partial(_at_end, geometry), lanes, intervals)):
         return Meeting.JOIN
@@ -139,7 +140,7 @@ def _meeting_at_node(
 def _meeting_between(
     geometry: RoadGeometry, lanes: tuple[int, int], intervals: tuple[_Interval, _Interval], part: shapely.Polygon
 ) -> Meeting:
-    """How other lanes meet."""
+    """How lanes meet that neither join nor part in the zone."""
     (a, b), (s, t) = lanes, (sum(each) / 2 for each in intervals)
     middles = [shapely.LineString(geometry.outline(lane, low=0.0, high=0.0)) for lane in lanes]
     points = shapely.intersection(shapely.intersection(*middles), part)

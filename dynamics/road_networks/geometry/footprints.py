@@ -1,9 +1,9 @@
-"""What a rectangle fills of a lane: the least and the greatest s and r of all of its points.
+"""The extent of a rectangle on a lane: the least and the greatest s and r of its points.
 
 Notation
 --------
-As in `dynamics.road_networks.geometry.lanes`. A rectangle is given about a *place*, of which s and r are known. On a
-sine, r is measured across the line that the sine winds around, so that it grows with the slope of the lane.
+As in `dynamics.road_networks.geometry.lanes`. A rectangle is given relative to a *place* with known s and r. On a sine,
+r is measured across the line that the sine winds around, so it grows with the slope of the lane.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ __all__ = ["Extent", "Place", "Rectangle", "extent_of"]
 
 
 class Place(NamedTuple):
-    """A point of the world, and where it is on a lane [m]."""
+    """A point in the world frame, and its s and r on a lane [m]."""
 
     x: float
     y: float
@@ -44,7 +44,8 @@ class Place(NamedTuple):
 
 
 class Rectangle(NamedTuple):
-    """A rectangle: how far its middle is ahead of a place [m], its direction, and half of its sides [m]."""
+    """A rectangle: how far its centre is ahead of a place [m], the cosine and sine of its heading, and half of its
+    sides [m]."""
 
     ahead: float
     cos: float
@@ -64,13 +65,14 @@ class Extent(NamedTuple):
 
 @inlined
 def _direction(row: FloatArray, body: Rectangle) -> tuple[float, float]:
-    """How far a metre along a rectangle leads along a line, and across it [m]."""
+    """Components of a rectangle's direction along and across a line."""
     along = body.cos * row[ALONG_X] + body.sin * row[ALONG_Y]
     return along, body.cos * row[ACROSS_X] + body.sin * row[ACROSS_Y]
 
 
 @inlined
 def _on_line(row: FloatArray, at: Place, body: Rectangle) -> Extent:
+    """The extent on a straight lane."""
     along, across = _direction(row, body)
     ds = abs(along) * body.length + abs(across) * body.width
     dr = abs(across) * body.length + abs(along) * body.width
@@ -80,10 +82,12 @@ def _on_line(row: FloatArray, at: Place, body: Rectangle) -> Extent:
 
 @uncounted
 def _on_arc(row: FloatArray, at: Place, body: Rectangle) -> Extent:
-    """Angles are extreme at corners, and so is the greatest distance from the centre; the least may be on a side."""
+    """The extent on an arc. Angles and the greatest distance from the centre are extreme at corners. The least distance
+    may be on a side."""
     sign, radius = row[DIRECTION], row[RADIUS]
     dx, dy = row[ORIGIN_X] - at.x, row[ORIGIN_Y] - at.y
-    # The centre of the arc, as seen from the place along and across the rectangle, and from its middle.
+    # The centre of the arc relative to the place, along and across the rectangle; w is relative to the rectangle's
+    # centre.
     u, v = dx * body.cos + dy * body.sin, dy * body.cos - dx * body.sin
     w = u - body.ahead
     near = math.hypot(max(abs(w) - body.length, 0.0), max(abs(v) - body.width, 0.0))
@@ -96,7 +100,7 @@ def _on_arc(row: FloatArray, at: Place, body: Rectangle) -> Extent:
             a, b = (body.length if k < 2 else -body.length) - w, (body.width if k % 2 == 0 else -body.width) - v
             off, cosine = v * a - u * b, -u * a - v * b
             wide = wide or not cosine > 0.0
-            # As it grows with the angle, up to a right one, but without one.
+            # The tangent is monotonic in the angle below a right angle, and cheaper than the angle.
             low, high = min(low, off / cosine), max(high, off / cosine)
         low, high = math.atan(low), math.atan(high)
     if wide:
@@ -112,8 +116,13 @@ def _on_arc(row: FloatArray, at: Place, body: Rectangle) -> Extent:
 
 @uncounted
 def _bulges(row: FloatArray, s: float, q: float, ds: float, dq: float) -> tuple[float, float]:
-    """The least and the greatest r where a segment is as steep as a sine: it begins at s and, across the line that the
-    sine winds around, q, and leads so much further [m]. Infinite where it is so nowhere."""
+    """The least and the greatest r at which a segment is parallel to a sine; infinite where there is none.
+
+    Parameters
+    ----------
+    s, q : start of the segment, along and across the line that the sine winds around [m].
+    ds, dq : vector to its end [m].
+    """
     swing, rate, phase, low, high = row[AMPLITUDE], row[PULSATION], row[PHASE], math.inf, -math.inf
     if abs(dq) < abs(swing * rate * ds):
         cosine = dq / (swing * rate * ds)
@@ -130,7 +139,7 @@ def _bulges(row: FloatArray, s: float, q: float, ds: float, dq: float) -> tuple[
 
 @uncounted
 def _on_sine(row: FloatArray, at: Place, body: Rectangle) -> Extent:
-    """r is extreme at a corner, or where a side is as steep as the sine."""
+    """The extent on a sine: r is extreme at a corner, or where a side is parallel to the sine."""
     along, across = _direction(row, body)
     swing, rate, phase = row[AMPLITUDE], row[PULSATION], row[PHASE]
     s = at.s + along * body.ahead
@@ -141,7 +150,7 @@ def _on_sine(row: FloatArray, at: Place, body: Rectangle) -> Extent:
         a, b = (1.0 if k < 2 else -1.0), (1.0 if k % 3 == 0 else -1.0)
         corner_s, corner_q = s + a * long_s + b * wide_s, q + a * long_q + b * wide_q
         r = corner_q - swing * math.sin(rate * corner_s + phase)
-        # From corner to corner, around the rectangle: across it and along it in turn.
+        # Sides of the rectangle in order, alternately across and along it.
         ds, dq = (-2 * b * wide_s, -2 * b * wide_q) if k % 2 == 0 else (-2 * a * long_s, -2 * a * long_q)
         least, most = _bulges(row, corner_s, corner_q, ds, dq)
         low, high = min(low, min(r, least)), max(high, max(r, most))
@@ -151,7 +160,7 @@ def _on_sine(row: FloatArray, at: Place, body: Rectangle) -> Extent:
 
 @uncounted
 def extent_of(lanes: Lanes, lane: int, at: Place, body: Rectangle) -> Extent:
-    """What a rectangle fills of a lane. Where it contains the centre of an arc, that is all of its length."""
+    """The extent of a rectangle on a lane. If it contains the centre of an arc, s spans the whole circle."""
     row, shape = lanes.rows[lane], lanes.ids[lane, SHAPE]
     if shape == CIRCULAR:
         return _on_arc(row, at, body)

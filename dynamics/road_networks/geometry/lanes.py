@@ -1,9 +1,9 @@
-"""Where a body is on a lane: highway-env's `StraightLane`, `SineLane` and `CircularLane`.
+"""Positions on a lane: highway-env's `StraightLane`, `SineLane` and `CircularLane`.
 
 Notation
 --------
-On a lane, s [m] is the way along its centre line from its start, negative before it, and r [m] the distance across,
-positive to the right in the direction of travel (highway-env's y points down).
+On a lane, s [m] is the distance along its centre line from its start, negative before it, and r [m] the distance
+across, positive to the right in the direction of travel (highway-env's y points down).
 """
 
 from __future__ import annotations
@@ -59,11 +59,12 @@ __all__ = [
 
 _ARCTAN, _COS, _SIN, _ARCTAN2 = 1, 3, 4, 7
 _ROUNDING = 1e-9
-"""More than rounding makes of a distance [m]."""
+"""Bound on the rounding error of a distance [m]."""
 
 
 class Lanes(NamedTuple):
-    """The lanes of a network, and how numpy computes here (see `dynamics.highway_simulator.step_kernels.Machine`).
+    """The lanes of a network, and how numpy computes on this machine (see
+    `dynamics.highway_simulator.step_kernels.Machine`).
 
     Attributes
     ----------
@@ -87,21 +88,21 @@ def _on_arc(row: FloatArray, radius: float, polar: float) -> tuple[float, float]
 
 @inlined
 def straight(sums: int, row: FloatArray, x: float, y: float) -> tuple[float, float]:
-    """(s, r) of a place on a straight lane, and along and beside the line that a sine winds around [m]."""
+    """(s, r) of a point on a straight lane; for a sine, along and across the line that it winds around [m]."""
     dx, dy = x - row[ORIGIN_X], y - row[ORIGIN_Y]
     return dot2(sums, dx, row[ALONG_X], dy, row[ALONG_Y]), dot2(sums, dx, row[ACROSS_X], dy, row[ACROSS_Y])
 
 
 @inlined
 def _polar(lanes: Lanes, dx: float, dy: float) -> tuple[float, float]:
-    """Polar coordinates of a place, from a centre [m, rad]."""
+    """Polar coordinates of a point relative to a centre [m, rad]."""
     radius = math.sqrt(dot2(lanes.sums, dx, dx, dy, dy))
     return radius, at_two(lanes.loops[_ARCTAN2, 0], lanes.loops[_ARCTAN2, 1], dy, dx)
 
 
 @uncounted
 def local(lanes: Lanes, lane: int, x: float, y: float) -> tuple[float, float]:
-    """(s, r) of a place on a lane [m]."""
+    """(s, r) of a point on a lane [m]."""
     row = lanes.rows[lane]
     if lanes.ids[lane, SHAPE] == CIRCULAR:
         radius, polar = _polar(lanes, x - row[ORIGIN_X], y - row[ORIGIN_Y])
@@ -114,8 +115,8 @@ def local(lanes: Lanes, lane: int, x: float, y: float) -> tuple[float, float]:
 
 @inlined
 def unrolled(lanes: Lanes, lane: int, s: float) -> float:
-    """The same place on a lane as s, no further from the middle of an arc than half of its circle [m]: highway-env's s
-    leaps back by the circle half of it after the start, where the lane of a u-turn ends."""
+    """The same place with s within half a circle of the middle of an arc [m]. highway-env's s jumps back by a circle at
+    half a circle after the start, where the lane of a u-turn ends."""
     if lanes.ids[lane, SHAPE] != CIRCULAR:
         return s
     half = math.pi * lanes.rows[lane, RADIUS]
@@ -124,7 +125,7 @@ def unrolled(lanes: Lanes, lane: int, s: float) -> float:
 
 @uncounted
 def least_across(lanes: Lanes, lane: int, x: float, y: float) -> float:
-    """No more than |r| of a place on a lane [m], and without an angle."""
+    """Lower bound on |r| of a point on a lane [m], without computing an angle."""
     row = lanes.rows[lane]
     dx, dy = x - row[ORIGIN_X], y - row[ORIGIN_Y]
     if lanes.ids[lane, SHAPE] == CIRCULAR:
@@ -135,7 +136,7 @@ def least_across(lanes: Lanes, lane: int, x: float, y: float) -> float:
 
 @inlined
 def heading_at(lanes: Lanes, lane: int, s: float) -> float:
-    """Direction of a lane [rad]."""
+    """Heading of a lane at s [rad]."""
     row = lanes.rows[lane]
     if lanes.ids[lane, SHAPE] == CIRCULAR:
         return row[DIRECTION] * s / row[RADIUS] + row[PHASE] + row[QUARTER]
@@ -187,30 +188,30 @@ def after_end(rows: FloatArray, lane: int, s: float) -> bool:
 
 @uncounted
 def distance(lanes: Lanes, lane: int, x: float, y: float) -> float:
-    """highway-env's distance from a place to a lane [m]: across, and along beyond its ends."""
+    """highway-env's distance from a point to a lane [m]: across, and along beyond its ends."""
     s, r = local(lanes, lane, x, y)
     return abs(r) + max(s - lanes.rows[lane, LANE_LENGTH], 0.0) + max(0.0 - s, 0.0)
 
 
 @inlined
 def _away(lanes: Lanes, lane: int, s: float, r: float, heading: float) -> float:
-    """highway-env's `distance_with_heading` of a lane, from a place on it."""
+    """highway-env's `distance_with_heading` from a place on a lane."""
     angle = abs(wrap_to_pi(heading - heading_at(lanes, lane, s)))
     return abs(r) + max(s - lanes.rows[lane, LANE_LENGTH], 0.0) + max(0.0 - s, 0.0) + 1.0 * angle
 
 
 @inlined
 def _within(row: FloatArray, x: float, y: float, limit: float) -> bool:
-    """Whether a place is no further than that from the box around a lane."""
+    """Whether a point is within `limit` of the bounding box of a lane [m]."""
     across = row[LEAST_X] - limit <= x <= row[MOST_X] + limit
     return across and row[LEAST_Y] - limit <= y <= row[MOST_Y] + limit
 
 
 @inlined
 def closest(lanes: Lanes, x: float, y: float, heading: float, guess: int) -> tuple[int, float, float]:
-    """The lane nearest in position and heading, the first of equals, and (s, r) on it [m]; a good guess saves most of
-    the work."""
-    # Arcs of one roundabout have one centre, and a place has one angle around it.
+    """The lane nearest in position and heading, the first among equals, and (s, r) on it [m]. A good guess saves most
+    of the work."""
+    # Arcs of one roundabout share a centre, and so the polar coordinates of the point.
     known, radius, polar, center_x, center_y = False, 0.0, 0.0, math.nan, math.nan
     row = lanes.rows[guess]
     if lanes.ids[guess, SHAPE] == CIRCULAR:
@@ -221,14 +222,14 @@ def closest(lanes: Lanes, x: float, y: float, heading: float, guess: int) -> tup
         along, across = local(lanes, guess, x, y)
     guessed = limit = _away(lanes, guess, along, across, heading)
     best, least, guess_along, guess_across = guess, math.inf, along, across
-    # A place no further than that from the box of a lane is no nearer to one that is not near that lane.
+    # If the point is within `REACH` of the box of the guessed lane, only lanes near that lane can be nearer.
     known_near = limit <= REACH and _within(lanes.rows[guess], x, y, REACH)
     for j in range(lanes.near.shape[1] if known_near else len(lanes.rows)):
         lane = lanes.near[guess, j] if known_near else j
         if lane < 0:
             break
         row = lanes.rows[lane]
-        # No place is nearer to a lane than to a box around it.
+        # The distance to the bounding box of a lane is a lower bound on the distance to the lane.
         if not _within(row, x, y, limit):
             continue
         if lane == guess:

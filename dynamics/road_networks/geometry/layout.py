@@ -1,4 +1,4 @@
-"""Where everything is in the arrays, beyond what `dynamics.highway_simulator.layout` says."""
+"""Columns and rows of the arrays of road networks, in addition to those of `dynamics.highway_simulator.layout`."""
 
 from __future__ import annotations
 
@@ -75,35 +75,45 @@ __all__ = [
     MOST_X,
     MOST_Y,
 ) = range(20)
-"""Columns of the lanes' numbers, those of `dynamics.highway_simulator.layout` among them.
+"""Columns of the lanes' numbers, including those of `dynamics.highway_simulator.layout`.
 
-ALONG and ACROSS are unit vectors of a straight lane, and of the line that a sine winds around; ORIGIN is its start, or
-the centre of a circle; DIRECTION is 1 clockwise and -1 otherwise, QUARTER a quarter of a turn in it [rad]. PHASE is
-that of the sine, or where the arc starts. LEAST and MOST are a box around the centre line.
+ALONG and ACROSS are unit vectors of a straight lane, and of the line that a sine winds around. ORIGIN is its start, or
+the centre of a circle. DIRECTION is 1 clockwise and -1 otherwise, QUARTER a quarter turn in it [rad]. PHASE is the
+phase of a sine, or the angle at which an arc starts [rad]. LEAST and MOST bound the box around the centre line [m].
 """
 COLUMNS = 20
 
 SHAPE, ROAD, ID, COUNT, FIRST, TO, FORBIDDEN, PRIORITY, ENDS, LEAVES, CROSSES = range(11)
-"""Columns of the lanes' integers: the road that a lane belongs to, its index in it, how many there are, the first of
-them, and the node that the road leads to; ENDS: no road goes on from its end, or only one that leads back; LEAVES:
-vehicles vanish near its end; CROSSES: it leads from where roads part to where roads join, so that ways cross there."""
+"""Columns of the lanes' integers.
+
+ROAD: the road of the lane; ID: the lane's index in it; COUNT: number of its lanes; FIRST: its first lane; TO: the node
+that it leads to.
+FORBIDDEN, PRIORITY: as in highway-env. ENDS: no road continues it, or only one that leads back.
+LEAVES: vehicles vanish near its end. CROSSES: it leads from a node where roads part to a node where roads join, so that
+ways cross there.
+"""
 IDS = 11
 
 STRAIGHT, SINE, CIRCULAR = range(3)
 """Shapes of lanes."""
 
 ALONG, ACROSS, LATERAL_SPEED, YAW_RATE = range(layout.F, layout.F + 4)
-"""Rows of `f` beyond those of a straight highway: where a vehicle is on its own lane, s and r [m]; and of one with
-tyres that slip, how fast it goes sideways [m/s] and turns [rad/s]."""
+"""Rows of `f` beyond those of a straight highway: s and r of a vehicle on its own lane [m]; and for a bicycle with tyre
+slip, its lateral speed [m/s] and yaw rate [rad/s]."""
 F = layout.F + 4
 
 ROUTE, ROUTE_END, YIELDS, FRAMES, LAW, DYNAMICAL = range(layout.G, layout.G + 6)
-"""Rows of `g` beyond those of a straight highway: the next entry of a vehicle's route, and the one after its last, -1
-without a route; whether it yields; in the first column, the frames that the road has seen; and of an ego with throttle
-and steering, whether it follows a law of its own instead of inputs that are held, and whether its tyres slip."""
+"""Rows of `g` beyond those of a straight highway.
+
+ROUTE, ROUTE_END: the next entry of a vehicle's route, and the one after its last, -1 without a route. YIELDS: whether
+it yields. FRAMES: in the first column, the number of frames of the road.
+LAW: whether an ego with throttle and steering follows controllers instead of constant inputs. DYNAMICAL: whether it has
+tyre slip.
+"""
 G = layout.G + 6
 
 REACH = 4.0
-"""How far from the box around its lane a body is looked for among the lanes near that one alone [m]."""
+"""Distance from the box around its lane within which a body's closest lane is searched among the nearby lanes only
+[m]."""
 
 assert (_WIDTH, _LENGTH, _LIMIT) == (layout.LANE_WIDTH, layout.LANE_LENGTH, layout.LANE_LIMIT)

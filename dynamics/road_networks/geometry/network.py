@@ -1,4 +1,4 @@
-"""A road network of highway-env as arrays: its lanes, and how they hang together."""
+"""A road network of highway-env as arrays: its lanes and their connections."""
 
 from __future__ import annotations
 
@@ -49,21 +49,21 @@ __all__ = ["Network", "has_crossing_ways", "index_of", "network_of"]
 Leaves = Callable[[tuple[str, str, int]], bool]
 _SHAPES = {StraightLane: STRAIGHT, SineLane: SINE, CircularLane: CIRCULAR}
 _SLACK = 1e-6
-"""What boxes around lanes are larger by, so that rounding does not matter [m]."""
+"""Margin of the boxes around lanes, for rounding [m]."""
 
 
 class Network(NamedTuple):
-    """n lanes, in highway-env's order, in roads, which lead from node to node.
+    """n lanes, in highway-env's order, grouped into roads, which lead from node to node.
 
     Attributes
     ----------
     lanes : (n, COLUMNS) float64, see `layout`. ids : (n, IDS) integers.
-    roads : the node that each road leaves, the one that it leads to, its first lane and how many it has, (roads, 4).
+    roads : start node, end node, first lane and number of lanes of each road, (roads, 4).
     outs : the roads that leave each node, in highway-env's order, (nodes, most); -1 for none.
-    linked : lanes on which others are neighbours too, (n, most, 2): the lane, -1 for none, and 1 where it follows, -1
-        where it leads here. No columns where highway-env looks at one lane at a time.
-    near : for each lane those whose boxes are no more than 2 `REACH` from its own, itself too, in order, (n, most); -1
-        for none.
+    linked : further lanes on which the neighbours of a vehicle are searched, (n, most, 2): the lane, -1 for none, and 1
+        if it follows, -1 if it precedes. No columns if highway-env searches one lane at a time.
+    near : for each lane, the lanes whose boxes are within 2 `REACH` of its own, including itself, in order, (n, most);
+        -1 for none.
     """
 
     lanes: FloatArray
@@ -75,7 +75,7 @@ class Network(NamedTuple):
 
 
 def index_of(network: Any) -> dict[tuple[str, str, int], int]:
-    """The number of each lane by highway-env's index of it."""
+    """The number of each lane, by highway-env's index of it."""
     return {key: number for number, key in enumerate(network.lanes_dict())}
 
 
@@ -84,8 +84,9 @@ def network_of(network: Any, connected: bool = False, leaves: Leaves | None = No
 
     Parameters
     ----------
-    connected : whether neighbours are looked for on the lanes before and after a lane too.
-    leaves : whether vehicles vanish near the end of a lane, of highway-env's index of it; by default they do not.
+    network : highway-env's `RoadNetwork`.
+    connected : whether neighbours are searched on the lanes before and after a lane too.
+    leaves : whether vehicles vanish near the end of a lane, by highway-env's index of it; by default they do not.
 
     Raises
     ------
@@ -117,7 +118,8 @@ def network_of(network: Any, connected: bool = False, leaves: Leaves | None = No
 
 
 def has_crossing_ways(network: Any) -> bool:
-    """Whether some lane of a `RoadNetwork` leads from where roads part to where roads join, so that ways cross there.
+    """Whether ways cross on a `RoadNetwork`: whether a lane leads from a node where roads part to a node where roads
+    join.
 
     Intersections and roundabouts have such lanes; merges, exits, two-way roads and u-turns have none.
     """
@@ -125,16 +127,17 @@ def has_crossing_ways(network: Any) -> bool:
 
 
 def _crosses(graph: Any, a: str, b: str) -> bool:
-    """Whether the road from node a to node b leads from where roads part to where roads join."""
+    """Whether the road from node a to node b leads from a node where roads part to a node where roads join."""
     return len(graph[a]) > 1 and sum(b in outs for outs in graph.values()) > 1
 
 
 def _leads_back(lane: Any, road: list[Any]) -> bool:
-    """Whether a road that begins where a lane ends goes the other way."""
+    """Whether a road that begins at the end of a lane leads in the opposite direction."""
     return bool(np.cos(road[0].heading_at(0.0) - lane.heading_at(lane.length)) < 0)
 
 
 def _table(rows: list[list[int]]) -> IntArray:
+    """Rows of different lengths as an array, filled with -1."""
     out = np.full((len(rows), max(map(len, rows), default=0)), -1, np.int64)
     for k, row in enumerate(rows):
         out[k, : len(row)] = row
@@ -142,12 +145,14 @@ def _table(rows: list[list[int]]) -> IntArray:
 
 
 def _near(lanes: FloatArray) -> IntArray:
+    """The table `Network.near`."""
     low, high = lanes[:, LEAST_X : LEAST_X + 2] - REACH, lanes[:, MOST_X : MOST_X + 2] + REACH
     x, y = ((low[:, None, axis] <= high[:, axis]) & (low[:, axis] <= high[:, None, axis]) for axis in range(2))
     return _table([np.flatnonzero(row).tolist() for row in x & y])
 
 
 def _pairs(rows: list[list[tuple[int, int]]]) -> IntArray:
+    """Rows of pairs as an array, filled with -1."""
     out = np.full((len(rows), max(map(len, rows), default=0), 2), -1, np.int64)
     for k, row in enumerate(rows):
         for j, pair in enumerate(row):
@@ -156,7 +161,8 @@ def _pairs(rows: list[list[tuple[int, int]]]) -> IntArray:
 
 
 def _linked(graph: Any, numbers: dict[tuple[str, str, int], int], key: tuple[str, str, int]) -> list[tuple[int, int]]:
-    """What highway-env's `neighbour_vehicles` looks at beside a lane: one of each road after it and before it."""
+    """The further lanes that highway-env's `neighbour_vehicles` searches: one of each road after a lane and before
+    it."""
     start, end, k = key
     after = [(end, to, len(lanes)) for to, lanes in graph.get(end, {}).items()]
     before = [(name, start, len(outs[start])) for name, outs in graph.items() if start in outs]
@@ -187,7 +193,7 @@ def _numbers(lane: Any) -> FloatArray:
 
 
 def _outline(lane: Any) -> FloatArray:
-    """Points whose box has the centre line inside, and all that it winds through, (k, 2) [m]."""
+    """Points whose bounding box contains the centre line of a lane, (k, 2) [m]."""
     if isinstance(lane, CircularLane):
         turned = lane.direction * lane.length / lane.radius
         first, last = sorted((lane.start_phase, lane.start_phase + turned))

@@ -1,4 +1,4 @@
-"""Where many points are on the lanes of a network: loops over arrays of one length, (k,)."""
+"""Positions of many points on the lanes of a network: loops over arrays of equal length, (k,)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from dynamics.state import FloatArray, IntArray
 __all__ = ["circles_of", "closest_all", "curvature_all", "heading_all", "position_all", "project_all"]
 
 _SAMPLES = 9
-"""Points of a lane from which the circle around it is made."""
+"""Number of points of a lane from which its enclosing circle is computed."""
 
 
 @uncounted
@@ -40,13 +40,13 @@ def circles_of(lanes: Lanes, circles: FloatArray) -> None:
             x, y = place(lanes, lane, length * k / (_SAMPLES - 1))
             low_x, low_y, high_x, high_y = min(low_x, x), min(low_y, y), max(high_x, x), max(high_y, y)
         circles[lane, 0], circles[lane, 1] = 0.5 * (low_x + high_x), 0.5 * (low_y + high_y)
-        # No point of the lane is further from a sample than half of the way between two of them.
+        # Every point of the lane is within half the spacing of a sample.
         circles[lane, 2] = 0.5 * math.hypot(high_x - low_x, high_y - low_y) + 0.6 * length / (_SAMPLES - 1)
 
 
 @uncounted
 def project_all(lanes: Lanes, numbers: IntArray, x: FloatArray, y: FloatArray, s: FloatArray, r: FloatArray) -> None:
-    """(s, r) of places on lanes [m], written."""
+    """(s, r) of points on lanes [m], written."""
     for k in range(numbers.size):
         s[k], r[k] = local(lanes, numbers[k], x[k], y[k])
 
@@ -59,7 +59,7 @@ def position_all(lanes: Lanes, numbers: IntArray, s: FloatArray, r: FloatArray, 
         x[k], y[k] = place(lanes, numbers[k], s[k])
         across_x, across_y = row[ACROSS_X], row[ACROSS_Y]
         if lanes.ids[numbers[k], SHAPE] == CIRCULAR:
-            # The right is where the centre is, of who goes around it clockwise.
+            # For a vehicle that drives clockwise, the centre of the arc is to the right.
             across_x = row[DIRECTION] * (row[ORIGIN_X] - x[k]) / row[RADIUS]
             across_y = row[DIRECTION] * (row[ORIGIN_Y] - y[k]) / row[RADIUS]
         x[k] += r[k] * across_x
@@ -68,14 +68,14 @@ def position_all(lanes: Lanes, numbers: IntArray, s: FloatArray, r: FloatArray, 
 
 @uncounted
 def heading_all(lanes: Lanes, numbers: IntArray, s: FloatArray, out: FloatArray) -> None:
-    """Directions of lanes at s [rad], written."""
+    """Headings of lanes at s [rad], written."""
     for k in range(numbers.size):
         out[k] = heading_at(lanes, numbers[k], s[k])
 
 
 @uncounted
 def curvature_all(lanes: Lanes, numbers: IntArray, s: FloatArray, out: FloatArray) -> None:
-    """Curvatures of lanes at s [rad/m], written: by the length of the centre line itself, also of a sine."""
+    """Curvatures of lanes at s [rad/m], written: per length of the centre line itself, for a sine too."""
     for k in range(numbers.size):
         row, shape = lanes.rows[numbers[k]], lanes.ids[numbers[k], SHAPE]
         out[k] = 0.0
@@ -98,7 +98,7 @@ def closest_all(
     s: FloatArray,
     r: FloatArray,
 ) -> None:
-    """The lanes nearest in place and heading, and (s, r) on them [m], written."""
+    """The lanes nearest in position and heading, and (s, r) on them [m], written."""
     guess = 0
     for k in range(found.size):
         guess, s[k], r[k] = closest(lanes, x[k], y[k], heading[k], guess)

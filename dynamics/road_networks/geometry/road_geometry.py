@@ -1,12 +1,12 @@
-"""`RoadGeometry`: places, headings and curvatures on the lanes of a road network, for many points at once.
+"""`RoadGeometry`: positions, headings and curvatures on the lanes of a road network, for many points at once.
 
 Notation
 --------
-On a lane, s [m] is the way along it from its start, negative before it, and r [m] the distance across, positive to the
-right in the direction of travel; x, y [m] and heading [rad] are highway-env's, whose y points down, so that angles grow
-clockwise. On a sine s is along the line that it winds around and r is across that line, as in highway-env.
+On a lane, s [m] is the distance along it from its start, negative before it, and r [m] the distance across, positive to
+the right in the direction of travel. x, y [m] and heading [rad] are highway-env's; its y points down, so angles grow
+clockwise. On a sine, s is along the line that it winds around and r across that line, as in highway-env.
 
-A lane is known by its number, from 0 in highway-env's order, or by its name, highway-env's index of it.
+A lane has a number, from 0 in highway-env's order, and a name, highway-env's index of it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ __all__ = ["Closest", "LaneName", "Neighbours", "RoadGeometry"]
 LaneName = tuple[str, str, int]
 """highway-env's index of a lane: the nodes that its road leads from and to, and its number on the road."""
 _SAMPLE = 0.5
-"""Between two points of an outline, where it bends [m]."""
+"""Distance between two points of an outline on a curved lane [m]."""
 
 
 class Neighbours(NamedTuple):
@@ -57,18 +57,18 @@ class Closest(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RoadGeometry:
-    """The lanes of a road network of highway-env, of straight, sine and circular lanes; see `of`.
+    """The lanes of a road network of highway-env, with straight, sine and circular lanes; see `of`.
 
-    What is asked of many points takes arrays that broadcast against one another, and gives arrays of their shape. The
-    numbers are highway-env's own, to the bit but for `position` beside the centre line. Nothing follows the network
-    when it is changed.
+    Methods for many points take arrays that broadcast against one another, and return arrays of their common shape. The
+    results equal highway-env's to the bit, except `position` beside the centre line. Later changes of the network are
+    not followed.
 
     Attributes
     ----------
     names : highway-env's index of each lane, (n,). network, lanes : their arrays, see
         `dynamics.road_networks.geometry.network`.
-    after : the numbers of the lanes that each leads to. over : the neighbour that one has to come over to from a lane
-        that ends, (n,), -1 for none.
+    after : the numbers of the lanes that follow each lane. over : for a lane that ends, the neighbouring lane that a
+        vehicle has to change to, (n,), -1 for none.
 
     Examples
     --------
@@ -87,14 +87,14 @@ class RoadGeometry:
 
     @classmethod
     def of(cls, source: RoadNetwork | gym.Env[Any, Any]) -> RoadGeometry:
-        """Read a `RoadNetwork`, or that of an environment of highway-env as it is now.
+        """Read a `RoadNetwork`, or that of an environment of highway-env in its present state.
 
         Raises
         ------
         ConfigError
             If it is neither.
         SceneError
-            If a lane is neither straight nor a sine nor an arc, or there is none.
+            If a lane is neither straight nor a sine nor an arc, or the network has no lanes.
         """
         found: Any = source.unwrapped if isinstance(source, gym.Env) else source
         road = found.road.network if isinstance(found, AbstractEnv) else found
@@ -109,7 +109,7 @@ class RoadGeometry:
 
     @property
     def widths(self) -> FloatArray:
-        """Of each lane, (n,) [m]."""
+        """The width of each lane, (n,) [m]."""
         return self.network.lanes[:, LANE_WIDTH].copy()
 
     @property
@@ -131,12 +131,12 @@ class RoadGeometry:
             raise ConfigError(f"there is no lane {name}; have {', '.join(map(str, self.names))}") from None
 
     def project(self, lane: ArrayLike, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """(s, r) of places on lanes [m]. On an arc s is less than half a circle from 0.
+        """(s, r) of points on lanes [m]. On an arc, s is within half a circle of 0.
 
         Raises
         ------
         ConfigError
-            If a lane has another number, or the shapes do not go together.
+            If a lane number does not exist, or the shapes do not broadcast.
         """
         s, r = self._filled(project_all, 2, lane, x, y)
         return s, r
@@ -147,38 +147,38 @@ class RoadGeometry:
         Raises
         ------
         ConfigError
-            If a lane has another number, or the shapes do not go together.
+            If a lane number does not exist, or the shapes do not broadcast.
         """
         x, y = self._filled(position_all, 2, lane, s, r)
         return x, y
 
     def heading(self, lane: ArrayLike, s: ArrayLike) -> FloatArray:
-        """Direction of the centre lines at s [rad], not wrapped.
+        """Heading of the centre lines at s [rad], not wrapped.
 
         Raises
         ------
         ConfigError
-            If a lane has another number, or the shapes do not go together.
+            If a lane number does not exist, or the shapes do not broadcast.
         """
         return self._filled(heading_all, 1, lane, s)[0]
 
     def curvature(self, lane: ArrayLike, s: ArrayLike) -> FloatArray:
-        """Change of the heading with the way along the centre line [rad/m], positive where it turns right.
+        """Change of the heading per distance along the centre line [rad/m], positive where it turns right.
 
         Raises
         ------
         ConfigError
-            If a lane has another number, or the shapes do not go together.
+            If a lane number does not exist, or the shapes do not broadcast.
         """
         return self._filled(curvature_all, 1, lane, s)[0]
 
     def closest(self, x: ArrayLike, y: ArrayLike, heading: ArrayLike) -> Closest:
-        """The lanes that are nearest in place and heading: highway-env's `get_closest_lane_index`.
+        """The lanes nearest in position and heading: highway-env's `get_closest_lane_index`.
 
         Raises
         ------
         ConfigError
-            If something is not finite, or the shapes do not go together.
+            If a number is not finite, or the shapes do not broadcast.
         """
         shape, numbers, (xs, ys, headings) = self._together(0, x, y, heading)
         if not np.isfinite([xs, ys, headings]).all():
@@ -188,13 +188,13 @@ class RoadGeometry:
         return Closest(found.reshape(shape), s.reshape(shape), r.reshape(shape))
 
     def successors(self, lane: int) -> tuple[int, ...]:
-        """The lanes that one may go on to from the end of a lane: on each road that goes on from there those that begin
-        within 2.5 m, or the nearest.
+        """The lanes that follow a lane: of each road that continues it, those that begin within 2.5 m of its end, or
+        the nearest.
 
         Raises
         ------
         ConfigError
-            If the lane has another number.
+            If the lane number does not exist.
         """
         return self.after[self._checked(lane)]
 
@@ -204,7 +204,7 @@ class RoadGeometry:
         Raises
         ------
         ConfigError
-            If the lane has another number.
+            If the lane number does not exist.
         """
         lane, sides = self._checked(lane), dict[bool, int]()
         own, count = (int(self.network.ids[lane, k]) for k in (ID, COUNT))
@@ -215,12 +215,12 @@ class RoadGeometry:
         return Neighbours(sides.get(False), sides.get(True))
 
     def merges_into(self, lane: int) -> int | None:
-        """The neighbour that one has to come over to, because a lane ends; None where it goes on.
+        """The neighbouring lane that a vehicle has to change to because a lane ends; None where it continues.
 
         Raises
         ------
         ConfigError
-            If the lane has another number.
+            If the lane number does not exist.
         """
         over = int(self.over[self._checked(lane)])
         return None if over < 0 else over
@@ -233,13 +233,13 @@ class RoadGeometry:
         low: float | None = None,
         high: float | None = None,
     ) -> FloatArray:
-        """Corners around what a lane has from `first` to `last` along it and from `low` to `high` across, (k, 2) [m];
-        by default all of it. Chords stand for arcs, half a metre apart.
+        """Corners of a part of a lane, from `first` to `last` along it and from `low` to `high` across, (k, 2) [m]. By
+        default the whole lane. Chords approximate arcs, half a metre apart.
 
         Raises
         ------
         ConfigError
-            If the lane has another number.
+            If the lane number does not exist.
         """
         lane = self._checked(lane)
         half, end = self.widths[lane] / 2, float(self.lengths[lane]) if last is None else last
@@ -249,17 +249,19 @@ class RoadGeometry:
         return np.column_stack(self.position(lane, np.concatenate([s, s[::-1]]), r))
 
     def _checked(self, lane: int) -> int:
+        """The lane number as an int, checked."""
         return int(self._together(lane)[1][0])
 
     def _filled(self, kernel: Any, count: int, lane: ArrayLike, *values: ArrayLike) -> list[FloatArray]:
-        """What a kernel of `points` writes, in so many arrays of the shape of what it is asked about."""
+        """Call a kernel of `points` that writes `count` arrays, and return them in the common shape of the
+        arguments."""
         shape, numbers, given = self._together(lane, *values)
         written = [np.empty(numbers.size) for _ in range(count)]
         kernel(self.lanes, numbers, *given, *written)
         return [each.reshape(shape) for each in written]
 
     def _together(self, lane: ArrayLike, *values: ArrayLike) -> tuple[tuple[int, ...], IntArray, list[FloatArray]]:
-        """The shape that everything has together, and each in one row."""
+        """The common shape of the arguments, and each argument broadcast and flattened."""
         numbers: NDArray[Any] = np.asarray(lane)
         wrong = numbers.dtype.kind not in "iu" or bool(((numbers < 0) | (numbers >= len(self.names))).any())
         if wrong:

@@ -1,4 +1,4 @@
-"""What drives on a network, and which lane comes next: highway-env's `follow_road` and `next_lane`."""
+"""The traffic of a scene on a network, and the choice of the next lane: highway-env's `follow_road` and `next_lane`."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ class Traffic(NamedTuple):
 
     Attributes
     ----------
+    lanes, network : the road.
     f, g, p : (F, m), (G, m) and (P, m), see `layout`.
     routes : (m, entries, 2): roads, and their lanes or -1.
-    bodies : how many of the m there are.
+    bodies : number of bodies present, at most m.
     """
 
     lanes: Lanes
@@ -35,7 +36,7 @@ class Traffic(NamedTuple):
 
 @inlined
 def on_lane_of(traffic: Traffic, i: int, lane: int) -> tuple[float, float]:
-    """(s, r) of a body on a lane [m]; on its own it is known."""
+    """(s, r) of a body on a lane [m]; stored values for its own lane."""
     f = traffic.f
     if lane == traffic.g[LANE, i]:
         return f[ALONG, i], f[ACROSS, i]
@@ -44,8 +45,8 @@ def on_lane_of(traffic: Traffic, i: int, lane: int) -> tuple[float, float]:
 
 @uncounted
 def _entered(traffic: Traffic, lane: int, road: int, wanted: int, x: float, y: float) -> tuple[int, float]:
-    """The lane of the next road that follows a lane, and how far it is from a place [m]: the same of as many, the one
-    that is `wanted` (-1 for none), or the closest."""
+    """The lane of the next road that follows a lane, and its distance from a point [m]. If both roads have as many
+    lanes, it is the lane of the same index, or the `wanted` one (-1 for none); else the closest lane."""
     lanes, roads = traffic.lanes, traffic.network.roads
     first, count = roads[road, 2], roads[road, 3]
     if lanes.ids[lane, COUNT] == count:
@@ -61,7 +62,7 @@ def _entered(traffic: Traffic, lane: int, road: int, wanted: int, x: float, y: f
 
 @uncounted
 def _follow_on(traffic: Traffic, i: int, lane: int, s: float) -> None:
-    """`follow_road` of a vehicle that is at the end of its lane."""
+    """`follow_road` for a vehicle at the end of its target lane."""
     lanes, network, g, routes = traffic.lanes, traffic.network, traffic.g, traffic.routes
     node, following, wanted = lanes.ids[lane, TO], -1, -1
     if g[ROUTE, i] < g[ROUTE_END, i]:
@@ -86,7 +87,7 @@ def _follow_on(traffic: Traffic, i: int, lane: int, s: float) -> None:
 
 @inlined
 def follow_road(traffic: Traffic, i: int) -> None:
-    """At the end of the lane that a vehicle is bound for, the next one: of its route, or the closest."""
+    """At the end of a vehicle's target lane, choose the next one: that of its route, or the closest."""
     lane = traffic.g[TARGET, i]
     s = on_lane_of(traffic, i, lane)[0]
     if after_end(traffic.lanes.rows, lane, s):

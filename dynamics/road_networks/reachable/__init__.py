@@ -1,1 +1,1 @@
-"""Where others can be on a network of roads, whatever they do, and who of two waits."""
+"""Reachable lanes of other vehicles on a road network, and right of way between two vehicles."""

@@ -1,4 +1,4 @@
-"""Where one can go on from a lane: all that a road network offers, whatever a vehicle's route says."""
+"""Lanes that follow each lane: all that a road network offers, independent of a vehicle's route."""
 
 from __future__ import annotations
 
@@ -12,19 +12,25 @@ from dynamics.state import FloatArray, IntArray
 __all__ = ["SETTLED", "continuations_of", "leads_over"]
 
 SETTLED = 25.0
-"""Who has come into a lane from beside it is back in the middle once it has driven so far [m]."""
+"""Distance after which a vehicle that has entered a lane from beside it is back at the centre of the lane [m]."""
 _SLACK, _STRAIGHT, _BESIDE, _PASSES = 1.0, 0.1, 0.3, 3
 _TOUCH = 2.5
-"""Lanes that begin within this of where another ends go on from it [m]; of a road without such a lane, the nearest."""
+"""A lane that begins within this distance of the end of another continues it [m]. If no lane of a road does, the
+nearest one continues it."""
 
 
 def continuations_of(network: Any) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The lanes that each lane of a `RoadNetwork` leads to, (n, most), -1 for none; where on them it ends, s and r,
-    and how much more room it takes to come over, (n, most, 3) [m]; and the least s, the least and the greatest r at
-    which one comes into each, (n, 3) [m].
+    """The lanes that follow each lane of a `RoadNetwork`.
 
-    Lanes are numbered as by `dynamics.road_networks.geometry.network.index_of`. A road that begins where a lane ends
-    and leads back the other way does not go on from it.
+    Lanes are numbered as by `dynamics.road_networks.geometry.network.index_of`. A road that begins at the end of a lane
+    and leads back in the opposite direction does not continue it.
+
+    Returns
+    -------
+    after : the lanes that follow each lane, (n, most), -1 for none.
+    ends : s and r on the following lane at which the lane ends, and the additional room where the joint is not
+        smooth, (n, most, 3) [m].
+    entries : least s, least r and greatest r at which vehicles enter each lane, (n, 3) [m].
     """
     graph, numbers = network.graph, index_of(network)
     found: list[list[tuple[int, tuple[float, float, float]]]] = []
@@ -49,14 +55,14 @@ def continuations_of(network: Any) -> tuple[IntArray, FloatArray, FloatArray]:
 
 
 def _joint(lane: Any, end: FloatArray, heading: float) -> tuple[float, float, float]:
-    """Where on a lane another one ends, s and r, and how much more room it takes to come over [m]."""
+    """s and r on a lane at which another lane ends, and the additional room where the joint is not smooth [m]."""
     s, r = lane.local_coordinates(end)
     smooth = abs(r) < _BESIDE and abs(np.sin(heading - lane.heading_at(min(max(s, 0.0), lane.length)))) < _STRAIGHT
     return float(s), float(r), 0.0 if smooth else _SLACK
 
 
 def leads_over(network: Any) -> IntArray:
-    """The neighbour that one has to come over to from a lane that ends, (n,), or -1."""
+    """For each lane that ends, the neighbouring lane that a vehicle has to change to, (n,); -1 for other lanes."""
     graph, numbers = network.graph, index_of(network)
     over = np.full(len(numbers), -1, np.int64)
     for (a, b, k), number in numbers.items():
@@ -73,8 +79,9 @@ def leads_over(network: Any) -> IntArray:
 
 
 def _entries(table: IntArray, ends: FloatArray, lengths: FloatArray) -> FloatArray:
-    """The least s, the least and the greatest r at which one comes into each lane, (n, 3) [m]: beside it where the one
-    before ends there, or where one was beside that and has not driven far since."""
+    """The least s, the least r and the greatest r at which vehicles enter each lane, (n, 3) [m]. They enter where the
+    preceding lane ends, beside the centre; or beside it because they entered a short preceding lane beside its
+    centre."""
     entries = np.zeros((len(table), 3))
     for _ in range(_PASSES):
         for k, row in enumerate(table):

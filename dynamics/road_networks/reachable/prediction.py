@@ -1,9 +1,9 @@
-"""Where others can be on a road network: any of the ways that it offers them, within bounds on how they drive.
+"""Reachable places of other vehicles on a road network: all lanes that it offers them, within bounds on how they drive.
 
-Whoever is on a lane, or reaches into it, may follow it to its end, and any lane that goes on from there; whoever is
-known to follow a route, only that. Nobody turns into a neighbouring lane that it does not touch yet: who does has
-taken more room, and that is for `shield.certificate.network.monitor` to judge. Each lane that one may come to is a
-strip (`dynamics.road_networks.reachable.strips`, with the notation).
+A vehicle that is on a lane, or reaches into it, may follow it to its end, and then any lane that continues it. A
+vehicle with a known route follows only the route. No vehicle turns into a neighbouring lane that it does not touch yet.
+A vehicle that does so has taken more room, which `shield.certificate.network.monitor` checks. Each lane that a vehicle
+may reach is a strip (`dynamics.road_networks.reachable.strips`, with the notation).
 """
 
 from __future__ import annotations
@@ -45,15 +45,18 @@ __all__ = ["reach", "spread"]
 _WIDTH = int(Vehicle.WIDTH)
 _STRAIGHT = math.cos(ALIGNED)
 _STANDS = 0.5
-"""Who keeps to a lane that ends and is slower than that waits there until those beside it have gone by [m/s]."""
+"""A vehicle slower than this that keeps to a lane that ends waits there until the vehicles beside it have passed
+[m/s]."""
 _CREEPS, _GAIN = 3.0, 0.34
-"""Who is slower than that [m/s] can steer so hard that it gains this share of what others do, along its lane."""
+"""Below the speed `_CREEPS` [m/s] a vehicle can steer so hard that only the share `_GAIN` of the distance driven is
+along its lane."""
 _TURNS, _GAIN_OVER = 16.0, 0.1
-"""The same of who may come over to the lane beside."""
+"""The same for a vehicle that may change to the neighbouring lane."""
 
 
 @uncounted
 def _swap(strips: Strips, j: int, k: int) -> None:
+    """Exchange two strips."""
     marks, numbers = strips.marks, strips.numbers
     for c in range(marks.shape[1]):
         marks[j, c], marks[k, c] = marks[k, c], marks[j, c]
@@ -63,7 +66,8 @@ def _swap(strips: Strips, j: int, k: int) -> None:
 
 @uncounted
 def _chain(ways: Ways, strips: Strips, first: int, count: int) -> None:
-    """Who is just before a lane, and in one that leads to it, comes into it from there."""
+    """Link the strips of a vehicle that is just before a lane: where it is also on a lane that leads there, that is the
+    parent. Such strips are moved to the end."""
     marks, numbers = strips.marks, strips.numbers
     last = count
     for j in range(count - 1, first - 1, -1):
@@ -79,15 +83,16 @@ def _chain(ways: Ways, strips: Strips, first: int, count: int) -> None:
 
 @uncounted
 def _half_on(lanes: Lanes, conduct: Conduct, row: FloatArray, strips: Strips, j: int, lane: int) -> float:
-    """Half of a body along a lane that it comes to from strip j [m]: one that is askew now may be so there."""
+    """Half of a body's length along a lane that it reaches from strip j [m]. A body that is at an angle to its lane now
+    may still be so there."""
     askew = strips.numbers[j, HALF] - half_of(lanes, strips.marks[j, 1], row, conduct)
     return half_of(lanes, lane, row, conduct) + max(askew, 0.0)
 
 
 @uncounted
 def _comes_over(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, strips: Strips, j: int) -> Strip:
-    """The strip of the lane beside one that ends, into which one may come from it anywhere; the strip of that which
-    ends is given the room for it."""
+    """The strip of the lane beside one that ends, strip j. A vehicle may change to it at any place, and strip j is
+    widened by the room for that."""
     lane, numbers = strips.marks[j, 1], strips.numbers[j]
     beside = ways.over[lane]
     x, y = place(lanes, lane, 0.0)
@@ -111,24 +116,24 @@ def _goes_on(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, strips
     keep = keep_of(lanes, after, row, conduct)
     low, high = -keep, keep
     if numbers[FAR] + long < back and ways.over[lane] < 0:
-        # Who is beside the middle of its lane is as far beside that of the next; its body is what it is now.
+        # A vehicle beside the centre of its lane is as far beside the centre of the next one. Its body keeps its size.
         less = numbers[KEEP] - keep
         if strips.marks[j, 2] == -1:
             less = min(less, 0.0)
         low, high = min(low, numbers[LOW] + less), max(high, numbers[HIGH] - less)
     if slack > 0:
-        # Who has to come over from beside a lane does so in the course of it.
+        # A vehicle that is beside a lane reaches its centre while it drives along it.
         low, high = low + min(r, 0.0) - slack, high + max(r, 0.0) + slack
         back = numbers[FAR] + long + SETTLED
     half = _half_on(lanes, conduct, row, strips, j, after)
-    # Who is about to come into it from any lane is on it from there on.
+    # A vehicle that is about to enter the lane, from any lane, counts as on it from there on.
     start = ways.entries[after, 0] - BEFORE
     return Strip(strips.marks[j, 0], after, j, near, far, low, high, half, start, back, keep, numbers[FRONT])
 
 
 @uncounted
 def _pace(lanes: Lanes, conduct: Conduct, lane: int, off: float, drive: FloatArray) -> None:
-    """What a lane, so far `off` the middle of which one may be [m], adds to a row of `drive`, see `spread`."""
+    """Update a row of `drive` (see `spread`) for a lane on which the vehicle may be `off` beside the centre [m]."""
     limit, share = lanes.rows[lane, LANE_LIMIT], min(curvature(lanes, lane) * off, 0.5)
     drive[0] = max(drive[0], limit if limit < math.inf else conduct.top)
     drive[1], drive[2] = min(drive[1], _STRAIGHT / (1 + share)), max(drive[2], 1 / (1 - share))
@@ -148,8 +153,13 @@ def _lead_on(
     count: int,
     j: int,
 ) -> int:
-    """The strips that strip j leads to; how many there are then. Whoever has a route keeps to it, until it is over or
-    does not go on from here."""
+    """Add the strips that strip j leads to. A vehicle with a route follows it, until the route ends or does not
+    continue from here.
+
+    Returns
+    -------
+    The number of strips.
+    """
     lane, row, route, numbers = strips.marks[j, 1], subject.row, subject.route, strips.numbers[j]
     stop = stopping_way(row, conduct)
     keeps = strips.marks[j, 2] == -1 and max(numbers[HIGH], -numbers[LOW]) <= numbers[KEEP]
@@ -186,16 +196,16 @@ def spread(
 
     Parameters
     ----------
-    rows : of the vehicles, (m, 7). own : the lane that each is on, (m,).
-    routes : for each road, 1 where it is on a vehicle's route, 2 where it is the last of it, (m, roads); all 0 of whom
-        no route is known.
+    rows : vehicle rows, (m, 7). own : the lane that each vehicle is on, (m,).
+    routes : for each road, 1 if it is on a vehicle's route, 2 if it is the last road of it, (m, roads); all 0 for a
+        vehicle without a known route.
     strips : written.
-    drive : speed that it accelerates to [m/s], the least and the greatest metres of s in a metre driven, and the speed
-        below which it may gain only a part of that [m/s], and which, (m, 5); written.
+    drive : (m, 5), written. Speed that the vehicle accelerates to [m/s]; least and greatest metres of s in a metre
+        driven; the speed below which only a share of the distance driven may be along the lane [m/s]; and that share.
 
     Returns
     -------
-    How many there are; more than there is room for if there was not enough.
+    The number of strips; more than the buffer holds if it was too small.
     """
     count, room = 0, strips.marks.shape[0]
     marks, numbers = strips.marks, strips.numbers
@@ -222,7 +232,8 @@ def spread(
 def reach(
     conduct: Conduct, rows: FloatArray, drive: FloatArray, dt: float, least: FloatArray, most: FloatArray
 ) -> None:
-    """How far each vehicle may have got by each frame, in metres of s: `least` and `most`, (m, K), from now on."""
+    """Least and greatest distance that each vehicle may have driven by each frame, in metres of s: `least` and `most`,
+    (m, K), written."""
     for i in range(rows.shape[0]):
         slow, fast, back, ahead = rows[i, 3], max(rows[i, 3], 0.0), 0.0, 0.0
         cap = max(drive[i, 0], fast)

@@ -1,4 +1,5 @@
-"""Who has the right of way on a road network: highway-env's priorities, or what the shape of the roads says."""
+"""Right of way on a road network: highway-env's priorities, or else an order that follows from the shape of the
+roads."""
 
 from __future__ import annotations
 
@@ -13,15 +14,15 @@ from dynamics.state import IntArray
 __all__ = ["ranks_of", "rights_of"]
 
 _LEAST = -(1 << 20)
-"""Less right of way than there is."""
+"""Less than any right of way."""
 
 
 def rights_of(priorities: IntArray, ways: Ways) -> IntArray:
-    """How much right of way one has in each lane of a network, (n,): of two who meet, the one with less waits.
+    """Right of way in each lane of a network, (n,): of two vehicles that would meet, the one with less waits.
 
-    These are the lanes' `priorities`, (n,), as `RegulatedRoad` has them, where they differ. Where all are the same, a
-    lane of a ring, from which one may come back to it, has 1, one that ends and has to be left for its neighbour -1,
-    and the rest have 0: who enters a roundabout waits for those in it, and who merges for those who stay.
+    Where the lanes' `priorities`, (n,), as `RegulatedRoad` uses them, differ, they are the result. Where all are equal,
+    lanes of a ring get 1, lanes that end beside a neighbouring lane get -1, and all others 0. So a vehicle that enters
+    a roundabout waits for those in it, and a merging vehicle waits for those on the main road.
     """
     if np.ptp(priorities) > 0:
         return priorities
@@ -34,6 +35,7 @@ def rights_of(priorities: IntArray, ways: Ways) -> IntArray:
 
 @uncounted
 def _best_before(ways: Ways, marks: IntArray, ranks: IntArray, j: int) -> int:
+    """The greatest right of way of the strips of the same vehicle that lead to strip j."""
     best = _LEAST
     for k in range(marks.shape[0]):
         if marks[k, 0] == marks[j, 0]:
@@ -47,8 +49,8 @@ def _best_before(ways: Ways, marks: IntArray, ranks: IntArray, j: int) -> int:
 
 @uncounted
 def ranks_of(ways: Ways, rights: IntArray, marks: IntArray, ranks: IntArray) -> None:
-    """The right of way that a vehicle has before each strip, (count,), written: the least of the lanes on its way;
-    where several ways lead there, that of the best one."""
+    """Right of way of a vehicle at each strip, (count,), written: the least of the lanes on its way there. If several
+    ways lead there, the best of them counts."""
     for j in range(marks.shape[0]):
         ranks[j] = rights[marks[j, 1]] if marks[j, 2] == -1 else _LEAST
     changed = True

@@ -1,4 +1,4 @@
-"""The lanes that a vehicle is on now: those that it keeps to, is coming into, or else touches."""
+"""The lanes that a vehicle is on now: those that it keeps to, or else is entering, or else touches."""
 
 from __future__ import annotations
 
@@ -30,15 +30,21 @@ __all__ = ["ALIGNED", "Subject", "stand"]
 
 _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
 ALIGNED, _TURNING, _OVERLAY = 0.5, 0.9, 2.0
-"""A vehicle may follow a lane of another road if its heading is off by less than this [rad], or while it comes over to
-it by less than that, and it is this near to the middle [m]: where roads part, that is true of several."""
+"""A vehicle may follow a lane of another road if its heading deviates from it by less than `ALIGNED` [rad], or by less
+than `_TURNING` [rad] while it enters it. A vehicle between lanes also has to be within `_OVERLAY` of the centre [m].
+Where roads part, several lanes satisfy this."""
 _SWEEP = 0.5
-"""How much further a body may reach that turns into a lane from beside it [m]."""
+"""How much further a body may reach while it turns into a lane from beside it [m]."""
 
 
 class Subject(NamedTuple):
-    """A vehicle: its number, its row (7,), the lane that it is on, and which roads its route has, (roads,), where it is
-    `limited` to them."""
+    """A vehicle.
+
+    Attributes
+    ----------
+    number : its index. row : its vehicle row, (7,). own : the lane that it is on.
+    route : which roads are on its route, (roads,), see `prediction.spread`. limited : whether it keeps to them.
+    """
 
     number: int
     row: FloatArray
@@ -48,9 +54,16 @@ class Subject(NamedTuple):
 
 
 class _Pose(NamedTuple):
-    """A body on a lane: s and r of its middle [m], its angle to the lane [rad], the least and the greatest r of it,
-    half of what it takes of the lane's length, how far its front is ahead, and how far it reaches to either side once
-    it keeps to the middle [m]; and whether it is where one may be in that lane, or about to come into it."""
+    """A body relative to a lane.
+
+    Attributes
+    ----------
+    s, r : of its centre [m]. angle : to the lane [rad].
+    low, high : least and greatest r [m]. half : half of its extent along the lane [m].
+    front : how far its front is ahead of its centre [m].
+    keep : how far it reaches to either side once it keeps to the centre [m].
+    within : whether it is within the lane, or about to enter it.
+    """
 
     s: float
     r: float
@@ -65,6 +78,7 @@ class _Pose(NamedTuple):
 
 @uncounted
 def _pose(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, lane: int) -> _Pose:
+    """The pose of a vehicle (7,) on a lane."""
     s, r = local(lanes, lane, row[0], row[1])
     s = unrolled(lanes, lane, s)
     long, keep = lanes.rows[lane, LANE_LENGTH], keep_of(lanes, lane, row, conduct)
@@ -79,6 +93,7 @@ def _pose(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, lane: int
 
 @inlined
 def _off_route(lanes: Lanes, subject: Subject, lane: int) -> bool:
+    """Whether a lane is off the route of a vehicle that keeps to its route."""
     return subject.limited and subject.route[lanes.ids[lane, ROAD]] == 0
 
 
@@ -90,8 +105,13 @@ def _strip_of(subject: Subject, lane: int, at: _Pose, low: float, high: float, b
 
 @uncounted
 def _kept(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: Strips, first: int) -> int:
-    """The lanes to which a vehicle keeps: of its route, or any; how many strips there are then. Who keeps to none but
-    such as it has not come to is still between lanes."""
+    """Add the lanes to which a vehicle keeps, of its route or of all. If it has reached none of them yet it is between
+    lanes, and none counts.
+
+    Returns
+    -------
+    The number of strips.
+    """
     count, some = first, False
     for lane in range(lanes.rows.shape[0]):
         if _off_route(lanes, subject, lane):
@@ -105,7 +125,8 @@ def _kept(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: 
 
 @uncounted
 def _entered(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: Strips, first: int) -> int:
-    """The lanes into which a vehicle is coming from beside them, and with any such the one that it is on; likewise."""
+    """Add the lanes that a vehicle is entering from beside them, and then also the lane that it is on. See `_kept` for
+    the result."""
     count, some = first, False
     for lane in range(lanes.rows.shape[0]):
         if _off_route(lanes, subject, lane):
@@ -126,14 +147,14 @@ def _entered(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strip
 
 @uncounted
 def _chosen(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: Strips, first: int) -> int:
-    """The lanes to which a vehicle keeps, or else those into which it is coming; likewise."""
+    """Add the lanes to which a vehicle keeps, or else those that it is entering. See `_kept` for the result."""
     count = _kept(lanes, ways, conduct, subject, strips, first)
     return count if count > first else _entered(lanes, ways, conduct, subject, strips, first)
 
 
 @uncounted
 def _touched(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: Strips, first: int) -> int:
-    """The lanes that a vehicle touches, which is between them; likewise."""
+    """Add the lanes that a vehicle between lanes touches. See `_kept` for the result."""
     count = first
     for lane in range(lanes.rows.shape[0]):
         at = _pose(lanes, ways, conduct, subject.row, lane)
@@ -150,7 +171,12 @@ def _touched(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strip
 
 @uncounted
 def stand(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: Strips, first: int) -> int:
-    """The strips of the lanes that a vehicle is on, those of its route before all others; how many there are then."""
+    """Add the strips of the lanes that a vehicle is on. Lanes of its route come before all others.
+
+    Returns
+    -------
+    The number of strips.
+    """
     anywhere = Subject(subject.number, subject.row, subject.own, subject.route, False)
     count = first
     if subject.limited:

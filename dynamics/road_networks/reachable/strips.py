@@ -1,9 +1,9 @@
-"""Strips: the lanes that a vehicle may come to be on, and the band across each in which its body is.
+"""Strips: the lanes that a vehicle may reach, each with the band across the lane in which its body is.
 
 Notation
 --------
-x [m] is the way that a vehicle has driven from where it is now; at the start of the strip's lane it is between `NEAR`
-and `FAR`, which are negative where that lies behind, and which differ where lanes do not meet in a point. So the
+x [m] is the distance that a vehicle has driven from its present place. At the start of the strip's lane, x is between
+`NEAR` and `FAR`. They are negative if the start lies behind, and differ where lanes do not meet in a point. So the
 vehicle is on the lane at an s between x_least - FAR and x_most - NEAR.
 """
 
@@ -50,37 +50,43 @@ __all__ = [
 ]
 
 NEAR, FAR, LOW, HIGH, HALF, START, BACK, KEEP, FRONT = range(9)
-"""Columns of the strips' numbers [m]: the way to the start of the lane, at least and at most; the band across it; half
-of the body along it, wherever in the band it comes to be; the least s of the middle of the body; the way after which it
-is back in the middle of its lanes, which has come from beside them; half of the band in which it is then; and how far
-the front is before the middle, as the body is now and somewhat askew: so far it stays behind where it owes that."""
+"""Columns of the strips' numbers [m].
+
+NEAR, FAR: least and greatest distance to the start of the lane. LOW, HIGH: the band across the lane.
+HALF: half of the body's extent along the lane, anywhere in the band. START: least s of the centre of the body.
+BACK: distance after which a vehicle that entered from beside the lanes is back at their centre; KEEP: half of the band
+in which it is then.
+FRONT: how far the front is ahead of the centre, the greater of its present value and `front_of`. A vehicle that has to
+wait stays behind by this distance.
+"""
 STRIP = 9
 SEVERAL = -2
-"""Stands for several strips that lead to one."""
+"""Parent of a strip to which several strips lead."""
 ALWAYS = 1e9
-"""Stands for as far as the road goes [m]."""
+"""Stands for the whole length of the road [m]."""
 BEFORE = 3.0
-"""So far before the start of the next lane one may begin to turn into it [m]."""
+"""Distance before the start of the next lane at which a vehicle may begin to turn into it [m]."""
 
 _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
 _LAP = 250.0
-"""Passes over a lane that begin within this are kept apart [m]."""
+"""Passes over a lane that begin within this distance are kept as separate strips [m]."""
 _ROUNDING = 1e-11
-"""Strips that differ by less are the same one [m]; less than `shield.certificate.network.monitor` permits a frame."""
+"""Strips that differ by less count as the same [m]. It is less than `shield.certificate.network.monitor` permits in a
+frame."""
 _DRIFT = 6.0
-"""How far out of the middle of an arc one drifts, times its radius [m^2]."""
+"""Lateral deviation of a vehicle from the centre of an arc, times the radius of the arc [m^2]."""
 _ASKEW = 0.2
-"""How far the heading of a body in its lane is off, at most, when it is reckoned with later [rad]."""
+"""Greatest later deviation of a body's heading from that of its lane [rad]."""
 
 
 class Conduct(NamedTuple):
-    """How others drive.
+    """Bounds on how the others drive.
 
     Attributes
     ----------
-    braking, acceleration : the hardest [m/s^2]. top : the fastest where a lane has no limit [m/s].
-    sway : how far out of the middle of its lane a body comes, beyond its own half width [m]. lean : how far it may
-        reach over a marking before it counts as being in the next lane [m].
+    braking, acceleration : greatest [m/s^2]. top : greatest speed on a lane without a limit [m/s].
+    sway : greatest deviation of a body from the centre of its lane, beyond its own half width [m].
+    lean : how far it may reach over a marking before it counts as in the next lane [m].
     """
 
     braking: float
@@ -91,15 +97,16 @@ class Conduct(NamedTuple):
 
 
 class Ways(NamedTuple):
-    """Where one can go on a network of n lanes.
+    """How the n lanes of a network continue.
 
     Attributes
     ----------
-    after : lanes that each leads to, (n, most), -1 for none. ends : where on them it ends, s and r, and how
-        much more room it takes to come over, (n, most, 3) [m].
-    entries : the least s, the least and the greatest r at which one comes into each, (n, 3) [m].
-    over : the neighbour that one has to come over to from a lane that ends, (n,), -1 for none; who does that waits for
-        nobody.
+    after : the lanes that follow each lane, (n, most), -1 for none.
+    ends : s and r on the following lane at which the lane ends, and the additional room where the joint is not
+        smooth, (n, most, 3) [m].
+    entries : least s, least r and greatest r at which vehicles enter each lane, (n, 3) [m].
+    over : for a lane that ends, the neighbouring lane that a vehicle has to change to, (n,), -1 for none. A vehicle
+        that changes there waits for no other.
     """
 
     after: IntArray
@@ -109,13 +116,13 @@ class Ways(NamedTuple):
 
 
 class Strips(NamedTuple):
-    """Room for strips.
+    """Buffer of strips.
 
     Attributes
     ----------
-    marks : vehicle, lane, and the strip that leads to it, -1 where a vehicle is there now and `SEVERAL` where several
-        do, (room, 3).
-    numbers : (room, STRIP).
+    marks : vehicle, lane, and parent strip, (room, 3). The parent is -1 for a lane that the vehicle is on now, and
+        `SEVERAL` if several strips lead to this one.
+    numbers : (room, STRIP), see `NEAR`.
     """
 
     marks: IntArray
@@ -123,7 +130,7 @@ class Strips(NamedTuple):
 
 
 class Strip(NamedTuple):
-    """One strip: what `Strips.marks` and `Strips.numbers` have of it."""
+    """One strip: a row of `Strips.marks` and of `Strips.numbers`."""
 
     vehicle: int
     lane: int
@@ -140,29 +147,29 @@ class Strip(NamedTuple):
 
 
 def empty_strips(count: int) -> Strips:
-    """Room for so many."""
+    """A buffer of `count` strips."""
     return Strips(np.zeros((count, 3), np.int64), np.zeros((count, STRIP)))
 
 
 @uncounted
 def curvature(lanes: Lanes, lane: int) -> float:
-    """Of an arc, 0 of other lanes [1/m]."""
+    """Curvature of an arc, 0 for other lanes [1/m]."""
     return 1 / lanes.rows[lane, RADIUS] if lanes.ids[lane, SHAPE] == CIRCULAR else 0.0
 
 
 @uncounted
 def steepness(lanes: Lanes, lane: int) -> float:
-    """The greatest slope of a sine against the line that it winds around, 0 of other lanes."""
+    """Greatest slope of a sine relative to the line that it winds around; 0 for other lanes."""
     return abs(lanes.rows[lane, AMPLITUDE] * lanes.rows[lane, PULSATION]) if lanes.ids[lane, SHAPE] == SINE else 0.0
 
 
 @uncounted
 def bulge(lanes: Lanes, lane: int, row: FloatArray) -> float:
-    """How much further a body reaches across a lane that bends than across a straight one, if it points along it [m].
+    """How much further a body that points along a curved lane reaches across it than across a straight one [m].
 
-    On an arc that is by its corners. On a sine with the greatest slope m and the pulsation w it is by half its width
-    times sqrt(1 + m^2 (1 - u^2)) - 1, since r is measured across the line that the sine winds around, and by its
-    corners m w u L^2 / 8, where u is between 0 at the steepest place and 1 where the sine turns.
+    On an arc the corners reach further. On a sine with greatest slope m and pulsation w, half the width grows by the
+    factor sqrt(1 + m^2 (1 - u^2)), since r is measured across the line that the sine winds around. The corners add m w
+    u L^2 / 8. Here u is 0 at the steepest place and 1 where the sine turns.
     """
     slope, long, half = steepness(lanes, lane), row[_LENGTH], 0.5 * row[_WIDTH]
     if slope == 0.0:
@@ -174,21 +181,23 @@ def bulge(lanes: Lanes, lane: int, row: FloatArray) -> float:
 
 @uncounted
 def keep_of(lanes: Lanes, lane: int, row: FloatArray, conduct: Conduct) -> float:
-    """How far a body reaches to either side that keeps to the middle of a lane; on an arc it drifts, too [m]."""
+    """How far a body reaches to either side while it keeps to the centre of a lane, with the drift on an arc [m]."""
     return 0.5 * row[_WIDTH] + conduct.sway + bulge(lanes, lane, row) + curvature(lanes, lane) * _DRIFT
 
 
 @inlined
 def front_of(row: FloatArray) -> float:
-    """How far ahead of its middle a body reaches on a straight road, as askew as it may be later [m]."""
+    """How far a body reaches ahead of its centre on a straight road, at the greatest angle that it may have later
+    [m]."""
     return 0.5 * (row[_LENGTH] + row[_WIDTH] * _ASKEW)
 
 
 @uncounted
 def half_of(lanes: Lanes, lane: int, row: FloatArray, conduct: Conduct) -> float:
-    """How far ahead of its middle, or behind it, a body reaches along a lane, at most, that keeps to its middle [m].
+    """Greatest distance that a body at the centre of a lane reaches ahead of its own centre, or behind it, along the
+    lane [m].
 
-    On an arc a body near the edge towards the centre takes more of the lane's length than of its own.
+    On an arc, a body on the inner side covers more of the lane's length than its own.
     """
     long, wide = row[_LENGTH], row[_WIDTH]
     askew = min(_ASKEW + math.atan(steepness(lanes, lane)), math.atan2(wide, long))
@@ -201,21 +210,22 @@ def half_of(lanes: Lanes, lane: int, row: FloatArray, conduct: Conduct) -> float
 
 @inlined
 def is_dead_end(ways: Ways, lane: int) -> bool:
-    """Whether no lane goes on from the end of a lane. A vehicle drives straight off that end, and s counts on."""
+    """Whether no lane continues a lane. A vehicle drives straight off its end, and s increases further."""
     return ways.after.shape[1] == 0 or ways.after[lane, 0] < 0
 
 
 @inlined
 def stopping_way(row: FloatArray, conduct: Conduct) -> float:
-    """No less than what a vehicle drives until it stands, braking as hard as it may [m], at any frame rate."""
+    """Upper bound on the distance that a vehicle drives until it stands, at its hardest braking and any frame rate
+    [m]."""
     v = max(row[3], 0.0)
     return v * v / (2 * conduct.braking) + v
 
 
 @inlined
 def _repeats(row: FloatArray, strip: Strip, stop: float) -> bool:
-    """Whether a strip, a later pass over the lane of another, lies within that at all times: the vehicle never leaves
-    the start of the other for sure, since it may stop before."""
+    """Whether a strip, a later pass over the lane of another, lies within that one at all times. The vehicle may stop
+    before it leaves the start of the other, so that one remains reachable."""
     within = row[FAR] + row[START] >= stop and strip.near >= row[NEAR] and strip.start >= row[START] - _ROUNDING
     within = within and row[LOW] <= strip.low + _ROUNDING and row[HIGH] >= strip.high - _ROUNDING
     within = within and row[HALF] >= strip.half - _ROUNDING and row[FRONT] >= strip.front - _ROUNDING
@@ -225,8 +235,12 @@ def _repeats(row: FloatArray, strip: Strip, stop: float) -> bool:
 
 @uncounted
 def add(strips: Strips, first: int, count: int, strip: Strip, stop: float) -> int:
-    """Write a strip down, where no other of the vehicle contains it; how many there are then. `stop` is the
-    `stopping_way` of the vehicle."""
+    """Store a strip, unless another strip of the vehicle contains it. `stop` is the `stopping_way` of the vehicle.
+
+    Returns
+    -------
+    The number of strips.
+    """
     marks, numbers = strips.marks, strips.numbers
     for j in range(first, min(count, len(marks))):
         if marks[j, 1] != strip.lane:

@@ -1,4 +1,4 @@
-"""What vehicles do in a frame: which lane they are bound for, their wheel and throttle; highway-env's `Road.act`."""
+"""Lane choice, steering and acceleration of all vehicles in a frame: highway-env's `Road.act`."""
 
 from __future__ import annotations
 
@@ -57,12 +57,13 @@ from dynamics.state import FloatArray, IntArray
 __all__ = ["act"]
 
 _PURSUIT = 0.5 * 0.2
-"""`ControlledVehicle.TAU_PURSUIT`: how far ahead the lane's direction is taken [s]."""
+"""`ControlledVehicle.TAU_PURSUIT`: time ahead at which the lane's heading is taken [s]."""
 
 
 @inlined
 def _neighbours(traffic: Traffic, i: int, lane: int) -> tuple[int, int]:
-    """Who is next ahead and behind of a body on a lane, -1 for nobody; see `dynamics.highway_simulator.neighbours`."""
+    """The next bodies ahead of and behind a body on a lane, -1 for none; see
+    `dynamics.highway_simulator.neighbours`."""
     lanes, f, linked = traffic.lanes, traffic.f, traffic.network.linked
     s = on_lane_of(traffic, i, lane)[0]
     front, rear, ahead, behind = -1, -1, 0.0, 0.0
@@ -96,17 +97,18 @@ def _neighbours(traffic: Traffic, i: int, lane: int) -> tuple[int, int]:
 
 @inlined
 def _ahead(traffic: Traffic, i: int, j: int) -> float:
-    """How far body j is ahead of body i on the lane of i [m]."""
+    """Distance from body i to body j along the lane of i [m]."""
     return on_lane_of(traffic, j, traffic.g[LANE, i])[0] - traffic.f[ALONG, i]
 
 
 @inlined
 def _acceleration(traffic: Traffic, judge: int, body: int, leader: int, free: float) -> float:
-    """The acceleration of a body behind a leader by the model and the constants of a judge [m/s^2]; -1 is nobody.
+    """Acceleration of a body behind a leader, by the model and the constants of vehicle `judge` [m/s^2].
 
     Parameters
     ----------
-    free : that of the judge on an empty road, where it is the body; else it is found here.
+    body, leader : -1 for none.
+    free : acceleration of `judge` on an empty road. For another body it is computed here.
     """
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
     if g[KIND, judge] == LINEAR:
@@ -128,7 +130,8 @@ def _sign(x: int) -> int:
 
 @uncounted
 def _mobil(traffic: Traffic, i: int, lane: int, free: float) -> bool:
-    """Whether a vehicle changes to a lane: nobody has to brake hard for it, and it gains, or its route leads there."""
+    """Whether a vehicle changes to a lane: no vehicle has to brake hard for it, and it gains or its route leads
+    there."""
     ids, g, p, routes = traffic.lanes.ids, traffic.g, traffic.p, traffic.routes
     leader, follower = _neighbours(traffic, i, lane)
     imposed = _acceleration(traffic, i, follower, i, free)
@@ -151,7 +154,7 @@ def _mobil(traffic: Traffic, i: int, lane: int, free: float) -> bool:
 
 @uncounted
 def _go_on_changing(traffic: Traffic, i: int, vehicles: int) -> None:
-    """A vehicle that is changing lanes goes back where somebody ahead of it changes to the same."""
+    """Abort a lane change if a vehicle ahead is changing to the same lane."""
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
     ids, lane, target = lanes.ids, g[LANE, i], g[TARGET, i]
     if ids[lane, ROAD] != ids[target, ROAD]:
@@ -166,7 +169,7 @@ def _go_on_changing(traffic: Traffic, i: int, vehicles: int) -> None:
 
 @uncounted
 def _choose_lane(traffic: Traffic, i: int, free: float) -> None:
-    """A vehicle's choice of a lane, when it is time for one."""
+    """Choose a target lane by MOBIL, when the vehicle's timer is due."""
     lanes, f, g = traffic.lanes, traffic.f, traffic.g
     ids, lane = lanes.ids, g[LANE, i]
     f[TIMER, i] = 0.0
@@ -182,7 +185,7 @@ def _choose_lane(traffic: Traffic, i: int, free: float) -> None:
 
 @inlined
 def _change_lanes(traffic: Traffic, i: int, vehicles: int, free: float) -> None:
-    """A vehicle's decision about its lane, in place: those after it see what it has decided."""
+    """Update the target lane of a vehicle in place. Vehicles with a higher index see the result."""
     if traffic.g[LANE, i] != traffic.g[TARGET, i]:
         _go_on_changing(traffic, i, vehicles)
     elif traffic.p[DELAY, i] < traffic.f[TIMER, i]:
@@ -191,7 +194,7 @@ def _change_lanes(traffic: Traffic, i: int, vehicles: int, free: float) -> None:
 
 @uncounted
 def _steer(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) -> None:
-    """Steering towards the lane that each vehicle is bound for [rad]."""
+    """Steering of each vehicle towards its target lane [rad]."""
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
     asked, ahead, n = work[1], work[0], 0
     for i in range(vehicles):
@@ -214,11 +217,11 @@ def _steer(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) ->
 
 @uncounted
 def act(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) -> None:
-    """Decide lanes, in turn, and then steering and acceleration of all vehicles.
+    """Target lanes of all vehicles, one after the other; then steering and acceleration.
 
     Parameters
     ----------
-    work, busy : (4, m) and (m,), written.
+    work, busy : buffers, (4, m) and (m,), written.
     """
     lanes, f, g, p, free = traffic.lanes, traffic.f, traffic.g, traffic.p, work[0]
     free_flow_of_all(lanes.loops, f, g, p, lanes.rows, work, vehicles)

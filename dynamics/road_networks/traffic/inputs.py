@@ -1,4 +1,4 @@
-"""An ego with throttle and steering, as highway-env moves it: inputs that are held, on either of its bicycles."""
+"""Motion of an ego with constant throttle and steering, on either of highway-env's bicycle models."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ def _rates(
 
 @inlined
 def _sum(dt: float, a: float, b: float, c: float, d: float) -> float:
-    """What Runge and Kutta add to a state."""
+    """Increment of a state in a fourth-order Runge-Kutta step."""
     return (dt / 6) * (a + (2 * b) + (2 * c) + d)
 
 
 @uncounted
 def slide(loops: IntArray, products: int, f: FloatArray, i: int, dt: float) -> None:
-    """A frame of `BicycleVehicle`, whose tyres slip; highway-env's own fourth-order Runge-Kutta step."""
+    """A frame of `BicycleVehicle`, a bicycle with tyre slip, by highway-env's own fourth-order Runge-Kutta step."""
     f[STEERING, i] = clip(f[STEERING, i], -math.pi / 2, math.pi / 2)
     f[YAW_RATE, i] = clip(f[YAW_RATE, i], -_FASTEST_TURN, _FASTEST_TURN)
     wheel, a = f[STEERING, i], f[ACCELERATION, i]
@@ -93,12 +93,13 @@ def foresee(
     step: float,
     path: FloatArray,
 ) -> None:
-    """Where highway-env takes it to be at each instant: the wheel held, no throttle; the state is left as it is.
+    """The positions that highway-env predicts for the ego: constant steering, zero throttle. The state is left
+    unchanged.
 
     Parameters
     ----------
-    work, busy : (4, m) and (m,), written. step : between two instants [s].
-    path : (instants, 6), written: x, y [m], heading [rad], its cosine and sine, and that these are known.
+    work, busy : buffers, (4, m) and (m,), written. step : time between two instants [s].
+    path : (instants, 6), written: x, y [m], heading [rad], its cosine and sine, and 1 as these two are known.
     """
     x, y, heading, speed, c, s = f[X, i], f[Y, i], f[HEADING, i], f[SPEED, i], f[COS, i], f[SIN, i]
     wheel, throttle, u, w = f[STEERING, i], f[ACCELERATION, i], f[LATERAL_SPEED, i], f[YAW_RATE, i]

@@ -12,22 +12,22 @@ from highway_env.vehicle.controller import ControlledVehicle
 __all__ = ["HORIZON", "REACH", "PriorityRoad"]
 
 HORIZON = 3
-"""How far ahead two vehicles are compared [s]."""
+"""Time ahead over which two vehicles are compared [s]."""
 REACH = 20.0
-"""More than the bodies, the lanes and the stretching of curves add to the way that is driven [m]."""
+"""Upper bound on what bodies, lanes and the stretching of curves add to the distance driven [m]."""
 
 
 class PriorityRoad(RegulatedRoad):  # type: ignore[misc]
-    """A `RegulatedRoad` on which who follows another yields to it, whatever the priorities of their lanes.
+    """A `RegulatedRoad` on which a vehicle yields to the one that it follows, whatever the priorities of their lanes.
 
-    Priorities are for ways that cross. Where the lane ahead has a lower one than the lane behind, highway-env stops
-    whoever leads. Who is too far away to be met in time is not compared: highway-env takes a vehicle whose route is
-    ahead of its lane, near the end of a road, to be somewhere else altogether, and has others stop for it.
+    Priorities are for ways that cross. Where the lane ahead has a lower priority than the lane behind, highway-env
+    stops the leader. Vehicles too far apart to meet in time are not compared. For a vehicle near the end of a road
+    whose route is ahead of its lane, highway-env predicts a wrong position, and other vehicles stop for it.
     """
 
     @staticmethod
     def respect_priorities(v1: Any, v2: Any) -> Any:
-        """The one of the two that yields."""
+        """The one of two vehicles that yields."""
         for one, other in ((v1, v2), (v2, v1)):
             if one.lane_index[1] == other.lane_index[0]:
                 return one
@@ -35,8 +35,8 @@ class PriorityRoad(RegulatedRoad):  # type: ignore[misc]
 
     @staticmethod
     def is_conflict_possible(v1: Any, v2: Any, horizon: int = HORIZON, step: float = 0.25) -> bool:
-        """Whether the two come to overlap within the horizon [s]: as highway-env has it, but who cannot meet is left
-        out first, and no vehicle's copy takes the road with it."""
+        """Whether two vehicles come to overlap within the horizon [s]. As in highway-env, but vehicles that cannot meet
+        are excluded first, and the copy of a vehicle does not include its road."""
         apart = np.hypot(*(v1.position - v2.position))
         if apart > horizon * (abs(v1.speed) + abs(v2.speed)) + REACH:
             return False
@@ -44,8 +44,8 @@ class PriorityRoad(RegulatedRoad):  # type: ignore[misc]
 
 
 def _alone(vehicle: Any) -> Any:
-    """The vehicle itself where it predicts along its route, else a copy that is on no road: to predict, highway-env
-    copies it with everything that it refers to. What stands in the place of its `act` would act on the vehicle."""
+    """The vehicle itself if it predicts along its route, else a copy without a road. highway-env deep-copies a vehicle
+    to predict it. An `act` set on the instance is left out of the copy, since it would act on the vehicle itself."""
     if isinstance(vehicle, ControlledVehicle):
         return vehicle
     probe = copy.copy(vehicle)

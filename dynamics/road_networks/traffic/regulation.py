@@ -1,8 +1,8 @@
-"""Who yields at an intersection, and who has left it: highway-env's `RegulatedRoad` and `IntersectionEnv`.
+"""Right of way at intersections, and vehicles that leave: highway-env's `RegulatedRoad` and `IntersectionEnv`.
 
-Every half second those of the traffic who yielded are set free, each two vehicles are compared over the next three
-seconds, each at its present speed along its route, and of two who would meet the one of lower priority, or else the one
-behind, wants to stop.
+Every half second, vehicles of the traffic that yielded are released. Then each pair of vehicles is compared over the
+next three seconds, each at its present speed along its route. If the two would meet, the one of lower priority, or else
+the one behind, gets a target speed of 0.
 """
 
 from __future__ import annotations
@@ -56,25 +56,26 @@ from dynamics.state import FloatArray, IntArray
 __all__ = ["INSTANTS", "Customs", "clear", "regulate"]
 
 INSTANTS = 11
-"""Moments at which two vehicles are compared, `_STEP` apart."""
+"""Number of instants at which two vehicles are compared, `_STEP` apart [s]."""
 _STEP = 0.25
 _LONG, _WIDE = 1.5, 0.9
-"""How much longer and narrower than they are they are compared."""
+"""Factors on length and width of the vehicles in the comparison."""
 _COS, _SIN = 3, 4
 _GONE = 1e6
-"""Where a vehicle that has left is kept [m]."""
+"""Coordinate at which a vehicle that has left is kept [m]."""
 
 
 class Customs(NamedTuple):
-    """What happens on a road beside driving.
+    """Rules of a road that act on vehicles beside their driving.
 
     Attributes
     ----------
-    period : frames after which it is settled anew who yields; 0 for never.
-    ways_cross : whether it is a `PriorityRoad`, where priorities are for ways that cross: who follows another onto the
-        next road yields to it, and who is too far away to be met is not compared.
-    stay, phase : where vehicles vanish from lanes that leave the road, and those without a route, the frames after
-        which they do, and how many of the road's had passed when the environment counted none; 0 where nobody does.
+    period : frames between two updates of which vehicles yield; 0 for none.
+    ways_cross : whether the road is a `PriorityRoad`. On it, a vehicle that follows another onto the next road yields
+        to it, and vehicles too far apart to meet are not compared.
+    stay : number of frames after which vehicles vanish that are near the end of a lane that leaves the road, or have no
+        route; 0 for never.
+    phase : number of frames of the road when the environment's count was 0.
     """
 
     period: int
@@ -85,7 +86,7 @@ class Customs(NamedTuple):
 
 @inlined
 def _entry(traffic: Traffic, i: int, k: int) -> int:
-    """The lane that entry k of a route means: where it names none, the one of the same index as the vehicle's."""
+    """The lane of entry k of a route. If it names none, the lane with the same index as the vehicle's."""
     lanes, network, own = traffic.lanes, traffic.network, traffic.g[LANE, i]
     road, wanted = traffic.routes[i, k, 0], traffic.routes[i, k, 1]
     if wanted < 0:
@@ -95,8 +96,8 @@ def _entry(traffic: Traffic, i: int, k: int) -> int:
 
 @uncounted
 def _foresee(traffic: Traffic, i: int, path: FloatArray) -> None:
-    """Where a vehicle is at each instant if it keeps its speed, (INSTANTS, 6): x, y [m], heading [rad], its cosine and
-    sine; the sixth says that these are known."""
+    """Positions of a vehicle at each instant at constant speed, (INSTANTS, 6), written: x, y [m], heading [rad], its
+    cosine and sine; the sixth is 0 as long as these two are not computed."""
     lanes, f, g, last = traffic.lanes, traffic.f, traffic.g, traffic.g[ROUTE_END, i] - 1
     for n in range(INSTANTS):
         k, s = g[ROUTE, i], f[ALONG, i] + f[SPEED, i] * (_STEP + n * _STEP)
@@ -111,7 +112,7 @@ def _foresee(traffic: Traffic, i: int, path: FloatArray) -> None:
 
 @uncounted
 def _reaches_into(traffic: Traffic, products: int, one: FloatArray, i: int, other: FloatArray, j: int) -> bool:
-    """highway-env's `has_corner_inside`, its way of turning a point into the frame of the other included."""
+    """highway-env's `has_corner_inside`, with its way of transforming a point into the frame of the other vehicle."""
     p, sums = traffic.p, traffic.lanes.sums
     length, width = _LONG * p[LENGTH, i] / 2, _WIDE * p[WIDTH, i] / 2
     far, wide = _LONG * p[LENGTH, j] / 2, _WIDE * p[WIDTH, j] / 2
@@ -128,6 +129,7 @@ def _reaches_into(traffic: Traffic, products: int, one: FloatArray, i: int, othe
 
 @inlined
 def _turn(traffic: Traffic, at_instant: FloatArray) -> None:
+    """Compute the cosine and the sine of the heading at an instant, if they are not known."""
     loops = traffic.lanes.loops
     if at_instant[5] == 0.0:
         at_instant[3] = at(loops[_COS, 0], loops[_COS, 1], at_instant[2])
@@ -152,20 +154,21 @@ def _meet(traffic: Traffic, products: int, paths: FloatArray, i: int, j: int) ->
 
 @inlined
 def _far(f: FloatArray, i: int, j: int) -> bool:
+    """Whether two vehicles are too far apart to meet within the horizon."""
     reach = HORIZON * (abs(f[SPEED, i]) + abs(f[SPEED, j])) + REACH
     return math.hypot(f[X, i] - f[X, j], f[Y, i] - f[Y, j]) > reach
 
 
 @inlined
 def _follows(traffic: Traffic, i: int, j: int) -> bool:
-    """Whether the road of a vehicle leads to where that of another begins."""
+    """Whether the road of vehicle i leads to the node at which the road of vehicle j begins."""
     ids, g = traffic.lanes.ids, traffic.g
     return ids[g[LANE, i], TO] == traffic.network.roads[ids[g[LANE, j], ROAD], 0]
 
 
 @uncounted
 def _who_yields(traffic: Traffic, ways_cross: bool, i: int, j: int) -> int:
-    """The one of lower priority; else the one that has the other further ahead of it."""
+    """The vehicle of lower priority; with equal priorities, the one that has the other further ahead of it."""
     ids, f, g, sums = traffic.lanes.ids, traffic.f, traffic.g, traffic.lanes.sums
     if ways_cross and (_follows(traffic, i, j) or _follows(traffic, j, i)):
         return i if _follows(traffic, i, j) else j
@@ -187,11 +190,11 @@ def regulate(
     paths: FloatArray,
     vehicles: int,
 ) -> None:
-    """Set those free who yielded, and find out who yields now.
+    """Release the vehicles that yielded, and determine which vehicles yield now.
 
     Parameters
     ----------
-    work, busy, paths : (4, m), (m,) and (m, INSTANTS, 6), written.
+    work, busy, paths : buffers, (4, m), (m,) and (m, INSTANTS, 6), written.
     """
     lanes, f, g = traffic.lanes, traffic.f, traffic.g
     for i in range(vehicles):
@@ -216,8 +219,8 @@ def regulate(
 
 @uncounted
 def clear(traffic: Traffic, customs: Customs, vehicles: int) -> None:
-    """Where it is time to, take those of the traffic off the road who are near the end of a lane that leaves it, or
-    have no route: they stand far away."""
+    """When `customs.stay` frames have passed, remove vehicles of the traffic that are near the end of a lane that
+    leaves the road, or have no route. They are moved far away."""
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
     if customs.stay == 0 or (g[FRAMES, 0] - customs.phase) % customs.stay != 0:
         return

@@ -1,1 +1,1 @@
-"""The certificate on road networks: lanes that cross, join and part, and others who may take any way on them."""
+"""Certificate on road networks: lanes cross, merge and diverge, and the other vehicles may take any way on them."""

@@ -1,4 +1,4 @@
-"""Which course the ego takes: the first of several whose path stays clear of everybody until it stands."""
+"""Choice among candidate manoeuvres: the first whose path stays clear of the other vehicles until the ego stands."""
 
 from __future__ import annotations
 
@@ -19,13 +19,15 @@ _OFF, _SAME = 1e3, 1e-6
 
 
 class Choice(NamedTuple):
-    """A course that is taken.
+    """A judged candidate manoeuvre.
 
     Attributes
     ----------
-    course : which of those handed in. margin : least separation [m]. vehicle : from whom, -1 for what stands or nobody.
-    clear : frames until it is negative. innocent : least separation from those who have broken no rule [m].
-    speed : of the ego then, 0 where it never is [m/s].
+    course : index of the candidate. margin : least separation [m].
+    vehicle : vehicle with the least separation; -1 for a standing body, or if there is none.
+    clear : number of frames before the first negative separation.
+    innocent : least separation from standing bodies and vehicles without a violation [m].
+    speed : speed of the ego at the first negative separation, 0 if there is none [m/s].
     """
 
     course: int
@@ -38,7 +40,7 @@ class Choice(NamedTuple):
 
 @uncounted
 def _follow(alone: Alone, road: Road, others: Others, row: FloatArray, trial: Trial) -> int:
-    """Drive a course, a row of `Course`, and survey its path; what `drive` returns."""
+    """Roll out a candidate, a row of `Course`, and project its path to the lanes. Return what `drive` returns."""
     course = Course(int(row[0]), row[1], row[2], int(row[3]), int(row[4]), row[5])
     found = drive(alone, course, road.ways.over, trial.path, trial.first, trial.bound, trial.own)
     survey(road, road.body, others, trial.path, abs(found), trial)
@@ -47,12 +49,12 @@ def _follow(alone: Alone, road: Road, others: Others, row: FloatArray, trial: Tr
 
 @uncounted
 def _weigh(road: Road, others: Others, found: int, trust: int, trial: Trial, bodies: Trial) -> Choice:
-    """What becomes of the course that `_follow` has driven."""
+    """Judge the candidate that `_follow` has rolled out; `found` is what `_follow` returned."""
     count = abs(found)
     rests = found > 0 and abs(trial.path[count - 1, 3]) < 1e-6
     margin, who, when, innocent = judge(others, road, trial, bodies.boxes, count, rests, trust)
     if found < 0:
-        # It leaves the road, at that speed.
+        # The path leaves the road, at that speed.
         when = min(when, count - 1)
         return Choice(0, -_OFF - trial.path[when, 3], -1, when, -_OFF, trial.path[when, 3])
     return Choice(0, margin, who, when, innocent, abs(trial.path[when, 3]) if when < count else 0.0)
@@ -60,30 +62,34 @@ def _weigh(road: Road, others: Others, found: int, trust: int, trial: Trial, bod
 
 @uncounted
 def _ask(road: Road, body: Body, others: Others, found: int, trial: Trial, bodies: Trial) -> Choice:
-    """The same, where those who owe the ego their distance brake at once: they have to stay behind its body."""
+    """The same for `ASKED`: vehicles with a distance obligation brake at once, and have to stay behind the ego's
+    body."""
     survey(road, body, others, trial.path, abs(found), bodies)
     return _weigh(road, others, found, ASKED, trial, bodies)
 
 
 @uncounted
 def try_course(alone: Alone, road: Road, others: Others, row: FloatArray, lenient: bool, trial: Trial) -> Choice:
-    """What comes of one course, a row of `Course`; `lenient` where those who owe the ego their distance are believed to
-    keep it."""
+    """Roll out and judge one candidate, a row of `Course`; if `lenient`, vehicles with a distance obligation are
+    assumed to keep their distance."""
     trust = BELIEVED if lenient else STRICT
     return _weigh(road, others, _follow(alone, road, others, row, trial), trust, trial, trial)
 
 
 @uncounted
 def ask(alone: Alone, road: Road, body: Body, others: Others, row: FloatArray, trial: Trial, bodies: Trial) -> Choice:
-    """What comes of one course where those who owe the ego their distance brake at once; see `choose`."""
+    """Roll out and judge one candidate, a row of `Course`, where vehicles with a distance obligation brake at once; see
+    `choose`."""
     return _ask(road, body, others, _follow(alone, road, others, row, trial), trial, bodies)
 
 
 @inlined
 def _better(a: Choice, b: Choice) -> bool:
-    """Whether a course is to be preferred to another: one that is clear of all, or else of all who have broken no rule;
-    that is clear for longer; that is slower when it is no longer; or has the larger margin. Of two that are clear of
-    all the margin decides."""
+    """Whether candidate a is preferred to candidate b.
+
+    If either is clear of everything, the larger margin decides. Otherwise, in this order: clear of everything except
+    violators, clear for longer, slower at the first negative separation, larger margin.
+    """
     if a.margin >= CLEAR or b.margin >= CLEAR:
         return a.margin > b.margin
     if (a.innocent >= CLEAR) != (b.innocent >= CLEAR):
@@ -97,6 +103,7 @@ def _better(a: Choice, b: Choice) -> bool:
 
 @inlined
 def _at(found: Choice, k: int) -> Choice:
+    """The same result as candidate k."""
     return Choice(k, found.margin, found.vehicle, found.clear, found.innocent, found.speed)
 
 
@@ -104,14 +111,15 @@ def _at(found: Choice, k: int) -> Choice:
 def choose(
     alone: Alone, road: Road, body: Body, others: Others, courses: FloatArray, trial: Trial, bodies: Trial
 ) -> Choice:
-    """The first of the courses, rows (c, 6), whose path stays clear of everybody; else the first that does of all but
-    those who owe the ego their distance, who stay behind its body there if they brake at once; else the best of them,
-    see `_better`.
+    """The first candidate whose path stays clear of everything. If there is none, the best by `_better`, where vehicles
+    with a distance obligation brake at once and have to stay behind the ego's body.
 
     Parameters
     ----------
-    body : of the ego, without its buffer. bodies : room for where that is.
-    trial : what comes of the course that is taken, written; those who owe their distance are believed to keep it.
+    body : extents of the ego without its buffer. courses : rows of `Course`, (c, 6).
+    trial : rollout buffer; it is left with the rollout of the chosen candidate, with distance obligations assumed to be
+        kept.
+    bodies : rollout buffer for the ego without its buffer.
     """
     best, owed = Choice(-1, -np.inf, -1, -1, -np.inf, np.inf), others.owes.any()
     for k in range(courses.shape[0]):

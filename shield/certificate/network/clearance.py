@@ -1,19 +1,24 @@
-"""How far a path of the ego stays from every place where the others can be, on a network of roads.
+"""Least separation of a path of the ego from every place that the other vehicles can reach, on a road network.
 
 Notation
 --------
-As in `dynamics.road_networks.reachable.strips`. The ego's body with its buffer takes s from `box[0]` to `box[1]` of a
-lane, and r from `box[2]` to `box[3]`. Whoever is at x on the way to that lane has its body between x - FAR - HALF and
-x - NEAR + HALF, within its band. The *separation* is the greater of the gaps along and across, negative where both
-overlap.
+As in `dynamics.road_networks.reachable.strips`: a *reachable interval* is a row of `Others.marks` and `Others.numbers`.
+The ego's footprint with its buffer covers s from `box[0]` to `box[1]` of a lane, and r from `box[2]` to `box[3]`. A
+vehicle that has driven x towards that lane covers s between x - FAR - HALF and x - NEAR + HALF, within its band. The
+*separation* is the greater of the gaps along and across the lane. It is negative where the footprints overlap in both.
 
-Who owes what: one that comes up from behind in the ego's own lane brakes for it, `Duty.braking` at least, once the ego
-has been visible there for `Duty.reaction` frames, and on a road where nobody looks beyond the end of the own lane no
-sooner than it has come into that lane itself. One that has yet to come over from a lane that ends may as well drive
-past, and the strip of that lane reaches over: it brakes, and owes its distance, where the ego is visible in the lane
-that ends, too. With `Duty.gives_way`, one with less right of way than the ego has does the same before any lane, from
-when the ego has it: if it can stay behind the ego's body by braking so, it does. Nobody else yields: who crosses, joins
-or comes the other way is where the strips say.
+Followers. A vehicle that approaches from behind in the ego's lane brakes for the ego at `Duty.braking` or harder. It
+begins `Duty.reaction` frames after the ego has become visible in the lane. Unless `Duty.ahead` is set, no vehicle looks
+beyond the end of its lane: the follower begins only after it has entered the lane of the ego.
+
+Merging. A vehicle whose lane ends has to move over to the lane beside it, but may first pass the ego: the reachable
+interval of the ending lane extends into the lane beside. Such a vehicle has an obligation only where the ego is visible
+in the ending lane too.
+
+Right of way. With `Duty.gives_way`, a vehicle with less right of way than the ego brakes in the same way before any
+lane, from when the ego has the right of way. It counts as waiting if it can stay behind the ego's body by braking so.
+
+No other vehicle yields: crossing, merging and oncoming vehicles may be anywhere in their reachable intervals.
 """
 
 from __future__ import annotations
@@ -51,23 +56,28 @@ __all__ = ["ASKED", "BELIEVED", "CLEAR", "MADE", "STRICT", "find_coming_over", "
 
 _LENGTH, _SPEED = int(Vehicle.LENGTH), int(Vehicle.SPEED)
 STRICT, BELIEVED, ASKED = 0, 1, 2
-"""What those who owe the ego their distance are trusted with: to answer to its buffer, with time to react, as anybody
-behind it; to keep their distance; to brake at once, where that keeps them behind its body."""
+"""What is assumed of vehicles with a distance obligation:
+
+- `STRICT`: as any follower, they react after the reaction time and have to stay behind the buffer.
+- `BELIEVED`: they keep their distance.
+- `ASKED`: they brake at once, and have to stay behind the ego's body by braking so.
+"""
 
 CLEAR = -1e-6
-"""The least margin of a path that is clear [m]; less is more than rounding."""
+"""Least margin of a path that counts as clear [m]; a smaller one is more than a rounding error."""
 MADE = -1e-9
-"""The least margin of a path that is taken anew [m]. The difference to `CLEAR` is a budget: what rounding and the
-tolerances of `shield.certificate.network.monitor` take from a path, frame by frame, adds up."""
+"""Least margin of a newly chosen path [m]. The difference to `CLEAR` is a budget for rounding and for the tolerances of
+`shield.certificate.network.monitor`, which reduce the margin of a path frame by frame and add up."""
 _NEARLY = 1e-3
-"""Ways to one lane that differ by less are taken to be the same one [m]."""
+"""Distances to one lane that differ by less count as equal [m]."""
 _ENDLESS = 100_000
-"""Frames: whoever has not come to rest by then is not counted on to."""
+"""Frame limit; a follower that still moves after this many frames is taken as unable to stop."""
 
 
 @uncounted
 def _sag(lanes: Lanes, lane: int, length: float, way: float) -> float:
-    """How far across a lane the front of a body moves that points along it and goes straight on for some way [m]."""
+    """Displacement of the front of a body across the lane [m], if the body points along the lane and moves straight on
+    for `way` [m]; `length` is that of the body [m]."""
     bend = curvature(lanes, lane)
     if lanes.ids[lane, SHAPE] == SINE:
         bend = abs(lanes.rows[lane, AMPLITUDE]) * lanes.rows[lane, PULSATION] * lanes.rows[lane, PULSATION]
@@ -76,7 +86,7 @@ def _sag(lanes: Lanes, lane: int, length: float, way: float) -> float:
 
 @uncounted
 def _sag_of(others: Others, road: Road, j: int) -> float:
-    """`_sag` of the body of strip j in a frame, at most [m]."""
+    """Upper bound on `_sag` [m] within one frame, for the vehicle of reachable interval j."""
     i = others.marks[j, 0]
     row = others.rows[i]
     way = max(others.drive[i, 0], row[_SPEED], 0.0) * road.period
@@ -85,9 +95,12 @@ def _sag_of(others: Others, road: Road, j: int) -> float:
 
 @uncounted
 def _aside(road: Road, lane: int, its: float, speed: float) -> float:
-    """How much further apart than the ego's buffer its body and another have to be across a lane [m], with the other's
-    `_sag_of` and the ego at some speed: highway-env moves both straight on for the coming frame, and has them collide
-    if they meet. On a lane that bends the inner one of the two comes nearer so, the outer one does not."""
+    """Lateral separation [m] that the ego's body and another body need beyond the ego's buffer.
+
+    highway-env moves both bodies straight on for the coming frame and counts a collision if they meet. On a curved lane
+    this brings the inner one of the two bodies nearer, and not the outer one. `its` is the other's `_sag_of` [m],
+    `speed` the ego's [m/s].
+    """
     body = road.body
     own = _sag(road.lanes, lane, 2 * body.length, max(speed, 0.0) * road.period)
     return max(max(its, own) - (body.across - body.width), 0.0)
@@ -95,8 +108,8 @@ def _aside(road: Road, lane: int, its: float, speed: float) -> float:
 
 @inlined
 def _beside(box: FloatArray, row: FloatArray, aside: float) -> float:
-    """The gap across a strip [m], less what is kept `aside`: where one gets to it that has come from beside, it is back
-    in the middle by then."""
+    """Gap across the lane between the ego's box and a reachable interval, less `aside` [m]. Beyond `BACK`, a vehicle
+    that came from beside the centre is back within `KEEP` of it."""
     if box[0] - row[HALF] + row[NEAR] >= row[BACK]:
         return max(box[2] - row[KEEP], -row[KEEP] - box[3]) - aside
     return max(box[2] - row[HIGH], row[LOW] - box[3]) - aside
@@ -104,10 +117,18 @@ def _beside(box: FloatArray, row: FloatArray, aside: float) -> float:
 
 @inlined
 def _arrival(v: float, way: float, drive: FloatArray, acceleration: float, dt: float) -> float:
-    """How fast one can be at most in its first frame beyond so much way [m/s], wherever between two frames it comes
-    there. With the least share of the way that it gets along its lanes, v (v - a dt) + 2 a way / share becomes greater
-    in no frame, however it drives: so neither does this. One that creeps and steers hard may get less of the way: it is
-    taken to be as fast as it can be when it has come to creep no more."""
+    """Upper bound on the speed [m/s] of a vehicle in its first frame beyond a distance `way` [m], wherever between two
+    frames it gets there.
+
+    With the least share of the distance that it gains along its lanes, v (v - a dt) + 2 a way / share increases in no
+    frame, however the vehicle drives. So this bound does not increase either. A vehicle that creeps and steers hard may
+    gain less of the distance: it is taken to have the greatest speed that it can have when it stops creeping.
+
+    Parameters
+    ----------
+    v : speed now [m/s]. way : distance along the lanes [m]. drive : row of `Others.drive`, (5,).
+    acceleration : greatest acceleration [m/s^2]. dt : frame [s].
+    """
     step, most = acceleration * dt, drive[2] / drive[1]
     v = max(v, drive[3] + step)
     reserve = max(v * (v - step), 0.0) + 2 * acceleration * max(way, 0.0) / drive[1]
@@ -116,10 +137,16 @@ def _arrival(v: float, way: float, drive: FloatArray, acceleration: float, dt: f
 
 
 class _Brakes(NamedTuple):
-    """How one brakes for the ego: `delay` frames after it sees it, which it does from frame `since` on, `anywhere` or
-    as `Duty.ahead` says; and how far its front is ahead of its middle [m]. That is `FRONT`, as the body is now, of who
-    owes the ego its distance, which may not move it further ahead. Of others it is `HALF`: on an arc the front moves
-    ahead where a body shifts towards the centre, and that is permitted."""
+    """How a vehicle brakes for the ego.
+
+    Attributes
+    ----------
+    since : frame from which it sees the ego. delay : frames from then until it brakes.
+    anywhere : whether it brakes in any lane, or only where `Duty.ahead` permits.
+    front : distance from its centre to its front [m]. That is `FRONT`, with the present pose, for a vehicle with a
+        distance obligation, which may not move its front further ahead. For others it is `HALF`: on an arc the front
+        moves ahead when the body drifts towards the centre of the arc, which is permitted.
+    """
 
     since: int
     delay: int
@@ -131,9 +158,16 @@ class _Brakes(NamedTuple):
 def _followed(
     others: Others, road: Road, trial: Trial, rears: FloatArray, j: int, brakes: _Brakes, rests: bool
 ) -> float:
-    """The least separation of the ego from one that comes up behind it in strip j and brakes for it [m]; anything
-    negative where it is. `rears` are boxes like the trial's: it stays behind their rear where it is not beside the
-    trial's."""
+    """Least separation of the ego from a follower in reachable interval j that brakes for it [m]; a negative value
+    where the follower cannot stay behind.
+
+    Parameters
+    ----------
+    trial : rollout of the ego. j : row of the reachable interval. brakes : how the follower brakes.
+    rears : boxes like those of `trial`, (n, K, 4) [m]. Where the follower is not beside the boxes of `trial`, it has to
+        stay behind the rear of these.
+    rests : whether the ego stays at its last place for good.
+    """
     conduct, duty, dt = road.conduct, road.duty, road.period
     i, row, lane = others.marks[j, 0], others.numbers[j], others.marks[j, 1]
     boxes, first, last = trial.boxes, trial.met[lane, 0], trial.met[lane, 1]
@@ -146,7 +180,7 @@ def _followed(
             return -1.0
         m = min(k, last)
         box, rear = boxes[lane, m], rears[lane, m, 0]
-        # Both move between two frames.
+        # Both vehicles move between two frames.
         ahead = x + v * most * dt - row[NEAR]
         if k >= first and box[0] < FAR_OFF and ahead >= row[START]:
             if not rear < FAR_OFF:
@@ -157,7 +191,7 @@ def _followed(
                 return least
         there = brakes.anywhere or x >= row[NEAR]
         if there and not brakes.anywhere and not within:
-            # One that is slower may be further into the lane in its first frame there, and faster.
+            # A slower vehicle may be further into the lane in its first frame there, and faster.
             v = max(v, min(_arrival(v0, row[NEAR], others.drive[i], conduct.acceleration, dt), top))
             x = row[NEAR] + v * most * dt
             within = True
@@ -170,7 +204,8 @@ def _followed(
 
 @uncounted
 def _comes_over(others: Others, road: Road, j: int) -> bool:
-    """Whether the vehicle of strip j has to come over to its lane, from one beside it that ends."""
+    """Whether the vehicle of reachable interval j has to move over to the lane of j, from a lane beside it that
+    ends."""
     marks, over = others.marks, road.ways.over
     if marks[j, 2] != SEVERAL:
         return marks[j, 2] >= 0 and over[marks[marks[j, 2], 1]] == marks[j, 1]
@@ -182,15 +217,16 @@ def _comes_over(others: Others, road: Road, j: int) -> bool:
 
 @uncounted
 def find_coming_over(others: Others, road: Road, found: BoolArray) -> None:
-    """Write for each strip whether its vehicle has to come over to its lane, from one beside it that ends, (k,)."""
+    """For each reachable interval, whether its vehicle has to move over to the lane from one beside it that ends;
+    written to `found`, (k,)."""
     for j in range(len(found)):
         found[j] = _comes_over(others, road, j)
 
 
 @uncounted
 def _is_seen(others: Others, road: Road, trial: Trial, j: int, k: int) -> bool:
-    """Whether the vehicle of strip j sees the ego in its lane in frame k. One that has yet to come over to it, from a
-    lane that ends, sees the ego there where it is visible in the lane that ends as well."""
+    """Whether the vehicle of reachable interval j sees the ego in its lane in frame k. A vehicle that has yet to move
+    over from an ending lane sees the ego only where it is visible in the ending lane as well."""
     while trial.seen[others.marks[j, 1], k]:
         if not _comes_over(others, road, j):
             return True
@@ -202,9 +238,12 @@ def _is_seen(others: Others, road: Road, trial: Trial, j: int, k: int) -> bool:
 
 @uncounted
 def _is_owed(others: Others, road: Road, trial: Trial, j: int, since: int, contact: int) -> bool:
-    """Whether the vehicle of strip j owes the ego its distance there up to frame `contact`, with the ego visible in its
-    lane from frame `since` on. Before it has come into that lane it does as long as it owes it in the one before, and
-    the ego stays visible there."""
+    """Whether the vehicle of reachable interval j has a distance obligation in that lane up to frame `contact`, with
+    the ego visible in the lane from frame `since` on.
+
+    Before the vehicle has entered that lane, the obligation lasts as long as it has one in the lane before, and the ego
+    stays visible there.
+    """
     i, row, before = others.marks[j, 0], others.numbers[j], others.marks[j, 2]
     if row[NEAR] <= 0 or road.duty.ahead:
         lane, k = others.marks[j, 1], since
@@ -215,7 +254,7 @@ def _is_owed(others: Others, road: Road, trial: Trial, j: int, since: int, conta
         k = 0 if k > contact else 1
     else:
         return False
-    # It was behind a frame ago. On a ring one that is ahead of the ego comes up behind it as well.
+    # It was behind the ego a frame ago. On a ring, a vehicle ahead of the ego also approaches from behind.
     came = row[FRONT] - row[NEAR] - max(others.rows[i, 3], 0.0) * road.period
     return k == 0 and others.owes[i, lane] and came + CLEAR <= trial.rears[lane, 0] < FAR_OFF
 
@@ -224,8 +263,16 @@ def _is_owed(others: Others, road: Road, trial: Trial, j: int, since: int, conta
 def _waits(
     others: Others, road: Road, trial: Trial, j: int, contact: int, bad: int, there: bool, lenient: bool
 ) -> float:
-    """The least separation from one with less right of way that waits before strip j [m]; negative where it need not or
-    cannot."""
+    """Least separation from a vehicle with less right of way that waits before reachable interval j [m]; negative where
+    it need not or cannot wait.
+
+    Parameters
+    ----------
+    contact, bad : last and first frame with a negative separation if it does not wait.
+    there : whether the ego stays in the lane for good.
+    lenient : whether the frames for which the vehicle has already been expected to wait count towards its reaction
+        time.
+    """
     i, row, lane = others.marks[j, 0], others.numbers[j], others.marks[j, 1]
     since = contact + 1
     while since > 0 and road.rights[trial.own[since - 1]] > others.ranks[j]:
@@ -240,8 +287,8 @@ def _waits(
 
 @uncounted
 def _is_shut(others: Others, road: Road, j: int) -> bool:
-    """Whether the ego stands in every way that leads to strip j. Where several do, each has to be shut, and to have
-    been judged before."""
+    """Whether the ego blocks every way that leads to reachable interval j. If several lead there, each has to be
+    blocked, and to have been judged before j."""
     marks, numbers, ways, before = others.marks, others.numbers, road.ways, others.marks[j, 2]
     if before >= 0:
         return others.shut[before]
@@ -268,19 +315,20 @@ def _is_shut(others: Others, road: Road, j: int) -> bool:
 def judge(
     others: Others, road: Road, trial: Trial, bodies: FloatArray, count: int, rests: bool, trust: int
 ) -> tuple[float, int, int, float]:
-    """The least separation from anybody along the first `count` places of a path, surveyed before.
+    """Least separation from the other vehicles along the first `count` places of a path that has been projected to the
+    lanes (`shield.certificate.network.projection.survey`).
 
     Parameters
     ----------
-    trial : the path, and where it is on the lanes; its `margins`, from each vehicle, are written.
-    bodies : boxes of the ego without its buffer, surveyed like the trial's; looked at where it is `ASKED`.
-    rests : whether the ego stays at the last of them for good.
+    trial : path and its boxes on the lanes. Its `margins`, one a vehicle, are written (m,) [m].
+    bodies : boxes of the ego's body without its buffer, (n, K, 4) [m]; read only with trust `ASKED`.
+    count : places of the path to judge. rests : whether the ego stays at the last of them for good.
     trust : `STRICT`, `BELIEVED` or `ASKED`.
 
     Returns
     -------
-    It [m], the vehicle that it is from (-1 for what stands), the first frame with less than 0, `count` for none; and
-    the least separation from those who have broken no rule [m].
+    The least separation [m]; its vehicle, -1 for a standing body; the first frame with a negative separation, `count`
+    if there is none; and the least separation from standing bodies and vehicles without a violation [m].
     """
     path, boxes, met, margins = trial.path, trial.boxes, trial.met, trial.margins
     rows, body, dt = road.lanes.rows, road.body, road.period
@@ -305,21 +353,22 @@ def judge(
         end = ALWAYS if is_dead_end(road.ways, lane) else rows[lane, LANE_LENGTH]
         least, bad, contact, sag = np.inf, count, -1, _sag_of(others, road, j)
         there = rests and last == count - 1
-        # Who has to stay behind the ego's body does not come to the next lane, where its rear is within this one. That
-        # holds for any size, with the buffer and without: a frame later it may owe its distance to the body alone. And
-        # it holds where the ego takes the middle, which is in any band: a frame later the band may be a narrower one.
+        # A follower that has to stay behind the ego's body does not reach the next lane while the ego's rear is within
+        # this one. This has to hold for any size, with the buffer and without it: a frame later the obligation may
+        # refer to the body alone. The ego also has to cover the centre of the lane, which lies in every band: a frame
+        # later the band may be narrower.
         closes = there and trial.rears[lane, 1] <= end and boxes[lane, last, 2] < 0.0 < boxes[lane, last, 3]
         for k in range(first, last + 1):
             box = boxes[lane, k]
             if not box[0] < FAR_OFF:
                 continue
             beside = _beside(box, row, _aside(road, lane, sag, path[k, 3]))
-            # Both move between two frames: of one that rolls back the later frame counts.
+            # Both vehicles move between two frames: of one that rolls back the later frame counts.
             back = min(others.least[i, max(k - 1, 0)], others.least[i, k + 1]) - row[FAR]
             ahead = others.most[i, k + 1] - row[NEAR]
             if rests and k == count - 1:
                 ahead = ALWAYS
-                # Whoever rolls back does so until it stands.
+                # A vehicle that rolls back does so until it stands.
                 back = min(back, others.least[i, others.least.shape[1] - 1] - row[FAR])
             back, ahead = max(back, row[START]), min(ahead, max(end, -row[NEAR]))
             if back > ahead:
@@ -333,7 +382,7 @@ def judge(
             since = contact + 1
             while since > 0 and _is_seen(others, road, trial, j, since - 1):
                 since -= 1
-            # Who is behind, and sees the ego from some frame on.
+            # Followers that see the ego from frame `since` on.
             box = boxes[lane, bad]
             if since <= contact:
                 start = -row[NEAR] + row[HALF] <= box[0]

@@ -1,4 +1,5 @@
-"""Who owed the ego its distance on a road network, could have kept it by braking, and no longer can."""
+"""Late braking: vehicles with a distance obligation that could have kept their distance by braking, and no longer
+can."""
 
 from __future__ import annotations
 
@@ -20,12 +21,13 @@ __all__ = ["Braking"]
 
 @dataclass(slots=True, eq=False)
 class Braking:
-    """How far those who owe the ego their distance stay from its body, if they brake at once.
+    """Separation of the vehicles with a distance obligation from the ego's body, if they brake at once.
 
     Attributes
     ----------
-    alone, road : of the ego. body : of it without its buffer. trial, bodies : room, see `choose`.
-    stays : of each who owed it when `remember` was called [m].
+    alone, road : of the ego. body : extents of the ego without its buffer.
+    trial, bodies : rollout buffers, see `choose`.
+    stays : separation of each vehicle that had an obligation when `remember` was called [m].
     """
 
     alone: Alone
@@ -37,30 +39,39 @@ class Braking:
 
     @classmethod
     def on(cls, alone: Alone, road: Road, frames: int, stays: dict[Any, float]) -> Braking:
-        """On a road, for paths of so many frames; what is known of who owed before."""
+        """Braking on a road, with rollout buffers for paths of at most `frames` frames; `stays` comes from the road
+        before."""
         lanes = len(road.ways.over)
         return cls(alone, road, bare(road).body, empty_trial(frames, lanes, 0), empty_trial(frames, lanes, 0), stays)
 
     def remember(self, course: Course, who: list[Any], others: Others) -> None:
-        """Where the ego goes on with a course, who owes it its distance, and how far they stay."""
+        """Store the separation of each vehicle in `who` with a distance obligation, if the ego continues with
+        `course`."""
         margins = self._margins(course, others)
         self.stays = {who[i]: float(margins[i]) for i in np.flatnonzero(others.owes.any(axis=1))}
 
     def now(self, course: Course, seen: Seen) -> tuple[FloatArray, set[Any]]:
-        """How far that course, a frame later, stays from each of the others, (m,) [m]; and who could have kept its
-        distance when it was remembered, and no longer can: nobody is believed to keep what it cannot."""
+        """Judge that candidate a frame later.
+
+        Returns
+        -------
+        The separation of its path from each vehicle, (m,) [m]; and the vehicles that could keep their distance by
+        braking when `remember` was called, and no longer can. No vehicle is assumed to keep a distance that it cannot
+        keep.
+        """
         at_once = self._margins(course, seen.others)
         self._fit(seen.others)
         try_course(self.alone, self.road, seen.others, np.array(course, float), True, self.trial)
         believed = self.trial.margins
-        # Who is in the way although it is believed to keep its distance is so elsewhere. It is late before the plan
-        # suffers: what the tolerances of a frame take from the distance of one that brakes comes after.
+        # A vehicle that is in the way even if it keeps its distance is in the way elsewhere. The braking is late before
+        # the plan loses its room: the tolerances of a frame reduce the distance of a braking vehicle only afterwards.
         too_near = (at_once < MADE) & (believed >= CLEAR)
         late = {b for i, b in enumerate(seen.who) if too_near[i] and self.stays.get(b, -1.0) >= CLEAR}
         return np.where(at_once < CLEAR, at_once, believed), late
 
     def _margins(self, course: Course, others: Others) -> FloatArray:
-        """How far those who owe the ego their distance stay from it on a course, (m,) [m]; inf of the rest."""
+        """Separation of the vehicles with a distance obligation from the path of a candidate, if they brake at once,
+        (m,) [m]; inf for the others."""
         owing, out = np.flatnonzero(others.owes.any(axis=1)), np.full(len(others.owes), np.inf)
         if owing.size:
             self._fit(others)
@@ -70,6 +81,6 @@ class Braking:
         return out
 
     def _fit(self, others: Others) -> None:
-        """Room for as many."""
+        """Enlarge or reduce the rollout buffer to the number of vehicles."""
         if len(self.trial.margins) != len(others.owes):
             self.trial = empty_trial(len(self.trial.path) - 1, len(self.trial.boxes), len(others.owes))

@@ -1,4 +1,4 @@
-"""What the ego may do on a road network: the courses that are tried for a decision, in order."""
+"""Candidate manoeuvres of the ego on a road network, in the order in which they are tried."""
 
 from __future__ import annotations
 
@@ -12,36 +12,36 @@ from shield.decision import Tier
 __all__ = ["COMMITTED", "Wish", "courses_of", "frames_of", "gone_on_with", "stopping"]
 
 COMMITTED = 1e3
-"""Stands for highway-env's own speed controller, which brakes as hard as it likes [m/s^2]."""
+"""Deceleration that stands for highway-env's own speed controller, which has no limit [m/s^2]."""
 _ON = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0)
-"""For how long a course may be kept beyond the coming frame before the ego brakes [s]."""
+"""Durations for which a candidate is continued after the coming frame before the ego brakes [s]."""
 _SPEEDS = 8
-"""Speeds between that of a decision and standing still that are tried in its place."""
+"""Number of speeds, from the target speed of the decision down to 0, that are tried in its place."""
 _STOP = 5.0
-"""Longer than it takes to brake to a standstill [s]."""
+"""Upper bound on the time to brake to a standstill [s]."""
 _GAIN = 5.0
-"""No speed is tried in place of a decision's that is further above the present one [m/s]."""
+"""Greatest speed above the present one that is tried in place of the target speed [m/s]."""
 
 
 class Wish(NamedTuple):
-    """What a decision asks for: a lane, and a speed [m/s]."""
+    """Target command of a decision: a lane, and a speed [m/s]."""
 
     lane: int
     speed: float
 
 
 def frames_of(frequency: float) -> int:
-    """How many frames a course takes at most, at so many a second."""
+    """Upper bound on the number of frames of a candidate, at `frequency` frames a second."""
     return math.ceil((max(_ON) + _STOP) * frequency)
 
 
 def stopping(lane: int, braking: float) -> Course:
-    """Braking at once, in a lane."""
+    """Candidate that brakes at once in a lane, at `braking` [m/s^2]."""
     return Course(lane, 0.0, COMMITTED, 0, 0, braking)
 
 
 def gone_on_with(course: Course, bound: int) -> Course:
-    """What is left of a course after a frame, in which the ego has come to be bound for a lane."""
+    """Remainder of a candidate after a frame, in which the ego's target lane has become `bound`."""
     aside = 0 if course.frames < 1 else course.aside
     return course._replace(lane=bound, frames=max(course.frames - 1, 0), aside=aside)
 
@@ -55,14 +55,14 @@ def courses_of(
     frequency: float,
     braking: float,
 ) -> Iterator[tuple[Course, Tier]]:
-    """What is tried, with the tier that it has where it is clear: first what is wished, then what comes near to it.
+    """Candidates in order, each with its tier if it is clear: the target command first, then those close to it.
 
     Parameters
     ----------
-    stored : what was verified a frame before, if anything. speed : of the ego now [m/s]. bound : the lane that it is
-        bound for, and those that it may stay in instead. several : whether the wish is for a road of several lanes, so
-        that one can turn aside.
-    frequency : frames in a second [Hz]. braking : of the fail-safe [m/s^2].
+    wish : target command of the decision. stored : remainder of the candidate verified a frame before, if any.
+    speed : of the ego now [m/s]. bound : target lane of the ego, and the lanes that it may keep to instead.
+    several : whether the target lane belongs to a road of several lanes, so that the ego can move aside.
+    frequency : frames per second [Hz]. braking : deceleration of the fail-safe [m/s^2].
     """
     frames = [1 + round(seconds * frequency) for seconds in _ON]
     if stored is not None and stored[:3] == (*wish, COMMITTED) and stored.frames >= 1:

@@ -1,26 +1,29 @@
-"""Whether the others keep to what is assumed of them on a network of roads, frame by frame.
+"""Monitor: whether the other vehicles keep to the rules of the road on a network, frame by frame.
 
-What a vehicle may do from one frame to the next (`dynamics.road_networks.reachable.prediction` bounds what comes of it
-for all time):
+From one frame to the next, a vehicle may do the following. `dynamics.road_networks.reachable.prediction` bounds what
+follows from that for all time.
 
-1. *speed*: brake and accelerate no harder than `Conduct` says, and no further than to the limit of the lanes before it;
-2. *ways*: be where one of its strips says, along it and across, with its body no further out, and on the way back to
-   the middle. It may take another lane where that leaves the room for the ego's fail-safe;
-3. *reversing*: not go backwards where the ego's fail-safe suffers;
-4. *no crash*;
-5. *distance*: who is behind the ego in its lane, and owes it its distance, brakes for it as long as that helps: at the
-   duty's braking it stays behind the ego's body, on its fail-safe;
-6. *right of way*: where that is assumed, whoever has been counted on to wait for the ego, and has had the time to
-   react, brakes for it where the fail-safe suffers otherwise.
+1. *speed*: brake and accelerate within `Conduct`, up to the limit of the lanes ahead of it;
+2. *ways*: be inside one of its reachable intervals, along and across the lane, with its body no further out, and on its
+way back to the centre. It may take another lane where the ego's fail-safe keeps its room;
+3. *reversing*: reverse only where the ego's fail-safe keeps its room;
+4. *crash*: not crash;
+5. *distance*: with a distance obligation, brake for the ego as long as that helps. By braking at `Duty.braking` it
+stays behind the ego's body on its fail-safe;
+6. *right of way*: where that is assumed, a vehicle that has been expected to wait for the ego, for longer than its
+reaction time, brakes where the fail-safe would lose its room otherwise.
 
-Whoever points so far out of its lanes that it collides with the ego's body in the coming frame, as highway-env counts
-collisions, has left its ways (`shield.certificate.network.next_frame`). A body with a number that is not finite breaks
-the rule that the number is judged by.
-Rules 1, 4 and 5 are judged alone, the others where the ego's fail-safe suffers; so are bodies that have *appeared* or
-*grown*. A wreck or an object never may appear, nor *move*: it stays inside the rectangle that it was taken to fill a
-frame before, which for a wreck is all of the way that it slides, and for an object that of the coming frame if it has a
-speed. A vehicle that becomes an object has appeared. `UNFORESEEN` is for the sake of honesty: the
-fail-safe has come to suffer from one who has broken no rule. That is a hole in the certificate, and a test fails.
+Rule 2 is also violated by a vehicle whose heading leaves its lanes so far that it collides with the ego's body in the
+coming frame, as highway-env counts collisions (`shield.certificate.network.next_frame`). A body with a number that is
+not finite violates the rule that checks this number.
+
+Rules 1, 4 and 5 are checked always. The others are checked where the ego's fail-safe loses its room. The same holds for
+vehicles that have *appeared* or *grown*. A wreck or an object may never appear, nor *move*: it stays inside the
+rectangle that it was taken to fill a frame before. For a wreck that is its whole sliding distance; for an object with a
+speed, the distance of the coming frame. A vehicle that becomes an object has appeared.
+
+`UNFORESEEN` reports a gap in the certificate: the fail-safe has lost its room to a vehicle without a violation. Then a
+test fails.
 """
 
 from __future__ import annotations
@@ -41,18 +44,19 @@ from shield.certificate.network.workspace import Others, Road
 __all__ = ["Breach", "Seen", "Watch", "check_readable"]
 
 _SLACK, _PLACE, _SAME = 1e-10, 1e-10, 1e-10
-"""What rounding may add in a frame to a speed [m/s], a place and a size [m]. It adds up: a path begins with `MADE`, the
-rules are judged below that, and what is left to `CLEAR` is enough for some hundred frames, each of which may take 10 s
-times the first of these and a few times the second."""
+"""Bounds on the rounding errors of a frame in a speed [m/s], a place [m] and a size [m]. They add up: a path begins
+with `MADE` and the rules are checked below that. The rest to `CLEAR` is enough for some hundred frames: each may take
+10 s times the first of these and a few times the second."""
 _SHARE = 1e-12
-"""The same of a row of `Others.drive`, which is multiplied by all of the way of a path."""
+"""The same for a row of `Others.drive`, which is multiplied by the whole length of a path."""
 _STILL = 1e-6
 """A body whose band moves by less in a frame has not moved across its lane [m]; rounding on arcs is less."""
 _CORNERS = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
+"""Corners of a rectangle, as shares of its length and width, (4, 2)."""
 
 
 class Breach(StrEnum):
-    """The rules that a vehicle can break."""
+    """The rules that a vehicle can violate. The value is the name of the rule in reports."""
 
     SPEED = "speed"
     WAYS = "ways"
@@ -68,9 +72,16 @@ class Breach(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A scene: who was there, where they could be, what stood there, wrecks included; which bodies could not be read,
-    with the columns of `Vehicle` that are not readable; and who collides with the ego's body in the coming frame, see
-    `shield.certificate.network.next_frame.collisions`."""
+    """A scene as the monitor keeps it.
+
+    Attributes
+    ----------
+    who : the simulator's vehicle objects, which identify them, (m,). others : where they can be.
+    stand : standing bodies, including wrecks, (b,).
+    unreadable : bodies that could not be read, with the columns of `Vehicle` that are not readable.
+    colliding : vehicles that collide with the ego's body in the coming frame, see
+        `shield.certificate.network.next_frame.collisions`.
+    """
 
     who: list[Any]
     others: Others
@@ -80,12 +91,12 @@ class Seen:
 
 
 def check_readable(seen: Seen) -> None:
-    """Raise where some body could not be read.
+    """Raise if a body could not be read.
 
     Raises
     ------
     SceneError
-        That says what is not readable, and of which body.
+        Its message names the quantity and the type of the body.
     """
     for body, columns in seen.unreadable.items():
         names = ", ".join(column.name.lower() for column in sorted(columns))
@@ -94,14 +105,15 @@ def check_readable(seen: Seen) -> None:
 
 @dataclass(slots=True, eq=False)
 class Watch:
-    """What has been seen of the others in an episode.
+    """Monitor of the other vehicles in one episode.
 
     Attributes
     ----------
-    last : the scene seen last; None before the first.
-    breaking : who was breaking which rule in it. offenders : who has broken one, and is in the way of the fail-safe.
-    by_rule : how often each rule has been broken; frame after frame by the same vehicle counts once.
-    culprits : who has ever broken one.
+    last : scene of the last frame; None before the first.
+    breaking : rules that each vehicle violated in it.
+    offenders : violators that the ego's fail-safe has lost its room to.
+    by_rule : number of violations of each rule; a violation that lasts for several frames counts once.
+    culprits : vehicles with any violation in this episode.
     """
 
     last: Seen | None = None
@@ -112,17 +124,19 @@ class Watch:
 
     @property
     def count(self) -> int:
-        """How often a rule has been broken."""
+        """Number of violations in this episode."""
         return sum(self.by_rule.values())
 
     def next(self, now: Seen, clear: set[Any], margins: FloatArray | None, road: Road, late: set[Any]) -> None:
-        """Take in the scene one frame later.
+        """Check the motions from the last scene to the one a frame later.
 
         Parameters
         ----------
-        clear : of whom the ego's fail-safe stayed clear when it was chosen, and those who owed it their distance.
-        margins : how far it stays from each now, (m,) [m]; None without one.
-        late : who could have kept its distance by braking in the scene before, and no longer can.
+        now : the later scene.
+        clear : vehicles that the ego's fail-safe was clear of when it was chosen, and those with a distance obligation.
+        margins : separation of the fail-safe from each vehicle now, (m,) [m]; None if there is no fail-safe.
+        road : road and assumptions.
+        late : vehicles that could keep their distance by braking in the last scene, and no longer can.
         """
         last, breaking = self.last, {body: set(map(_of_column, columns)) for body, columns in now.unreadable.items()}
         self.last = now
@@ -163,14 +177,14 @@ class Watch:
         self.breaking = breaking
 
     def _name(self, body: Any, rules: set[Breach]) -> None:
-        """Count the rules that somebody has come to break."""
+        """Count the rules that a vehicle begins to violate."""
         self.culprits.add(body)
         for rule in rules:
             self.by_rule[rule] = self.by_rule.get(rule, 0) + 1
 
     def judge(self, now: Seen, who: set[Any], road: Road, late: set[Any]) -> set[Any]:
-        """Who of these has broken a rule so far, or does from the scene seen last to this one, wherever it is; `late`
-        as in `next`."""
+        """Those of the vehicles `who` that have violated a rule so far, or do so from the last scene to this one,
+        whether or not the fail-safe loses its room; `late` as in `next`."""
         found = who & self.culprits
         if self.last is not None:
             before = {body: i for i, body in enumerate(self.last.who)}
@@ -183,6 +197,11 @@ class Watch:
         return found
 
     def _broken(self, old: Others, j: int, new: Others, i: int, road: Road, suffers: bool, late: bool) -> set[Breach]:
+        """Rules that vehicle j of the last scene has violated on its way to being vehicle i of the new one.
+
+        `suffers` is whether the fail-safe loses its room to it, `late` whether it can no longer keep its distance by
+        braking.
+        """
         broken, conduct, dt = set(), road.conduct, road.period
         v0, v = float(old.rows[j, 3]), float(new.rows[i, 3])
         slowest = v0 - conduct.braking * dt
@@ -204,15 +223,15 @@ class Watch:
 
 
 def _of_column(column: Vehicle) -> Breach:
-    """The rule that a body breaks with a number that is not finite."""
+    """The rule that a body violates if this column of its row is not finite."""
     if column is Vehicle.SPEED:
         return Breach.SPEED
     return Breach.GROWN if column in (Vehicle.LENGTH, Vehicle.WIDTH) else Breach.WAYS
 
 
 def _of_standing(last: Seen, now: Seen) -> Iterator[tuple[Any, set[Breach]]]:
-    """Wrecks and objects that have appeared, or moved or grown out of the rectangles that they filled. A vehicle that
-    has become a wreck has crashed, which is named elsewhere."""
+    """Violations by standing bodies that have appeared, or left the rectangles that they filled. A vehicle that has
+    become a wreck has crashed, which `Watch.next` counts."""
     before, driving = {body: i for i, body in enumerate(last.stand)}, set(last.who)
     for i, body in enumerate(now.stand):
         if body not in before:
@@ -223,7 +242,7 @@ def _of_standing(last: Seen, now: Seen) -> Iterator[tuple[Any, set[Breach]]]:
 
 
 def _leaves(old: FloatArray, new: FloatArray) -> bool:
-    """Whether one rectangle reaches out of another; both are vehicle rows (7,)."""
+    """Whether the rectangle `new` extends beyond the rectangle `old`; both are vehicle rows, (7,)."""
     corners = new[4:6] * _CORNERS @ _axes(new[2]) + new[:2] - old[:2]
     return bool((np.abs(corners @ _axes(old[2]).T) > 0.5 * old[4:6] + _SAME).any())
 
@@ -235,30 +254,33 @@ def _axes(heading: float) -> FloatArray:
 
 
 def _inside(old: Others, j: int, new: Others, i: int) -> bool:
-    """Whether what is foreseen of vehicle i now begins inside what was foreseen of it as vehicle j a frame before.
+    """Whether the reachable intervals of vehicle i begin inside those that were predicted for it a frame before, as
+    vehicle j.
 
     `shield.certificate.network.clearance.judge` reads the quantities below. None of them may become worse for the ego
-    from one frame to the next while no rule is broken. Each is bounded by the rule beside it; "here" is this function:
+    from one frame to the next while no rule is violated. The right column names the rule that bounds each; "here" is
+    this function:
 
     ====================================  ==============================================================================
     speed                                 *speed*; *reversing* where it is negative
     length, width                         *grown*
-    x, y, heading                         the strips; the heading in the coming frame also
-    `shield.certificate.network.next_frame` `least`, `most`                       they follow from the speed and `drive`
+    x, y, heading                         the reachable intervals; `next_frame` also checks the heading
+    `least`, `most`                       they follow from the speed and `drive`
     `drive`, all columns                  here
     `marks`: lane                         here
-    `marks`: the strip before             here, as it is read: whether the ego stands in every way there (`shut`), where
-                                          the body has moved across its lane; else the ego's own judgement has changed,
-                                          and a plan that is lost so is *unforeseen*
-    `NEAR`, `FAR`                         here: the way of a frame is between `least` and `most`
+    `marks`: the interval before          here, as it is read: whether the ego blocks every way there (`shut`), if the
+                                          body has moved across its lane. Otherwise the judgement of the ego's own path
+                                          has changed, and the loss of a plan is *unforeseen*
+    `NEAR`, `FAR`                         here: the distance of a frame is between `least` and `most`
     `LOW`, `HIGH`, `HALF`                 here
-    `FRONT`                               here; it is read only of who owes the ego its distance
+    `FRONT`                               here; it is read only for vehicles with a distance obligation
     `START`                               here, where the vehicle is so far back, or may roll back so far
     `BACK`                                here, as `BACK - NEAR`, where the band is wider than `KEEP`
-    `KEEP`                                *grown*: on one lane it grows with the length and the width alone
+    `KEEP`                                *grown*: on one lane it depends on the length and the width alone
     `ranks`                               here
-    `owes`, `gives`                       *distance*, *right of way*: the door counts them
-    (`shield.certificate.network.obligations`) `things`                              *appeared*, *moved*
+    `owes`, `gives`                       *distance*, *right of way*: the filter keeps them
+                                          (`shield.certificate.network.obligations`)
+    `things`                              *appeared*, *moved*
     ====================================  ==============================================================================
     """
     if not _is_no_faster(old.drive[j], new.drive[i]):
@@ -271,18 +293,19 @@ def _inside(old: Others, j: int, new: Others, i: int) -> bool:
     for k in its:
         row, same = new.numbers[k], mine[old.marks[mine, 1] == new.marks[k, 1]]
         rows = old.numbers[same]
-        # A later pass is contained in one whose start the vehicle never leaves for sure.
+        # A later pass is contained in one whose start the vehicle is not certain to have left.
         rear = (-row[FAR] >= least - rows[:, FAR] - _PLACE) | (furthest <= rows[:, FAR] + rows[:, START])
         along = rear & (-row[NEAR] <= most - rows[:, NEAR] + _PLACE)
         along &= max(row[START], rearmost - row[FAR]) >= rows[:, START] - _PLACE
         across = (row[LOW] >= rows[:, LOW] - _PLACE) & (row[HIGH] <= rows[:, HIGH] + _PLACE)
-        # Who is beside the middle has to be back there after as much way as before.
+        # A vehicle beside the centre has to be back there after the same distance as before.
         settles = (max(row[HIGH], -row[LOW]) <= row[KEEP]) | (
             row[BACK] - row[NEAR] <= rows[:, BACK] - rows[:, NEAR] + _PLACE
         )
-        # The front as it is now counts of who has to stay behind the ego.
+        # The front in its present pose matters for vehicles that have to stay behind the ego.
         fits = (row[HALF] <= rows[:, HALF] + _PLACE) & (~owes | (row[FRONT] <= rows[:, FRONT] + _PLACE))
-        # What the plan skips, since the ego stands in the way to it, stays so where the body has moved across its lane.
+        # The plan skips intervals whose ways the ego blocks. They stay blocked where the body has moved across its
+        # lane.
         kept = (new.ranks[k] <= old.ranks[same]) & (~old.shut[same] | new.shut[k] | ~shifts)
         if not (along & across & settles & fits & kept).any():
             return False
@@ -290,7 +313,8 @@ def _inside(old: Others, j: int, new: Others, i: int) -> bool:
 
 
 def _shifts(old: Others, mine: IntArray, new: Others, its: IntArray) -> bool:
-    """Whether a body has moved across a lane that it is on, or come onto another; its strips are `mine`, then `its`."""
+    """Whether a body has moved across a lane that it is on, or onto another lane. `mine` and `its` are the rows of its
+    reachable intervals, before and now."""
     for k in its[new.marks[its, 2] < 0]:
         same = mine[old.marks[mine, 1] == new.marks[k, 1]]
         sides = np.abs(old.numbers[same][:, [LOW, HIGH]] - new.numbers[k, [LOW, HIGH]])
@@ -300,10 +324,10 @@ def _shifts(old: Others, mine: IntArray, new: Others, its: IntArray) -> bool:
 
 
 def _is_no_faster(old: FloatArray, new: FloatArray) -> bool:
-    """Whether a vehicle gets no further by a row of `Others.drive` than by the one of the frame before, whatever its
+    """Whether a vehicle advances no further by a row of `Others.drive` than by that of the frame before, at any
     speed."""
-    # The speed that it accelerates to, the most metres of s in a metre, and the speed below which it gains less.
+    # The speed that it accelerates to; the greatest share of s gained per metre; the speed below which it gains less.
     more = new[[0, 2, 3]] <= old[[0, 2, 3]] + _SHARE
-    # The least metres of s in a metre, and what it gains then.
+    # The least share of s gained per metre, and the share gained below that speed.
     less = new[[1, 4]] >= old[[1, 4]] - _SHARE
     return bool(more.all() and less.all())

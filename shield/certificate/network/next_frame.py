@@ -1,8 +1,8 @@
-"""Who collides with the ego in the coming frame, as highway-env counts collisions: both keep their velocities.
+"""Collisions with the ego in the coming frame as highway-env counts them: with both velocities constant.
 
-highway-env counts it as a crash where two bodies that go straight on along their headings would touch before the next
-frame (`are_polygons_intersecting`), however they drive then. What is foreseen of a vehicle goes along its lanes. So a
-body that stays in its band, and points out of it, makes the ego crash without having come nearer.
+highway-env counts a crash where two bodies would touch before the next frame if they moved straight on along their
+headings (`are_polygons_intersecting`), whatever they then do. The prediction of a vehicle follows its lanes instead. So
+a vehicle that stays in its band, with a heading out of the band, causes a crash without coming nearer.
 """
 
 from __future__ import annotations
@@ -21,24 +21,27 @@ __all__ = ["collisions"]
 
 @uncounted
 def _fill_gaps(ego: Ego, rows: FloatArray, dt: float, out: FloatArray) -> None:
-    """The gap of the ego's body from each vehicle, rows (m, 7), where both keep their velocity for `dt`, (m,) [m]."""
+    """Write the gap between the ego's body and each vehicle, rows (m, 7), with both velocities constant for `dt` [s],
+    to `out`, (m,) [m]."""
     for i in range(len(rows)):
         out[i] = gap_between(ego, ego.body_along, ego.body_across, rows, i, dt)
 
 
 def _gaps(ego: Ego, rows: FloatArray, dt: float) -> FloatArray:
+    """The gaps of `_fill_gaps`, (m,) [m]."""
     out = np.empty(len(rows))
     _fill_gaps(ego, rows, dt, out)
     return out
 
 
 def collisions(base: Any, seen: Traffic, marks: IntArray, names: list[tuple[str, str, int]]) -> dict[Any, bool]:
-    """The vehicles that collide with the ego's body in the coming frame of an environment, unwrapped; and whether that
-    is for their heading: pointing along any of the lanes that they are on, they would not.
+    """The vehicles that collide with the ego's body in the coming frame, in an unwrapped environment. The value is
+    whether the heading causes the collision: with the direction of any of its lanes, the vehicle would not collide.
 
     Parameters
     ----------
-    marks : of the vehicles' strips, see `dynamics.road_networks.reachable.strips.Strips`.
+    seen : the other vehicles.
+    marks : of their reachable intervals, (k, 3), see `dynamics.road_networks.reachable.strips.Strips`.
     names : highway-env's indices of the lanes.
     """
     vehicle, dt, found = base.vehicle, 1 / base.config["simulation_frequency"], {}

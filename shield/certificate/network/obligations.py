@@ -1,4 +1,5 @@
-"""What others owe the ego on a road network, from one frame to the next: their distance, and the right of way."""
+"""Right-of-way obligations of other vehicles towards the ego on a road network, from frame to frame: to keep their
+distance, and to wait."""
 
 from __future__ import annotations
 
@@ -16,9 +17,13 @@ __all__ = ["Dues", "behind"]
 
 
 def behind(others: Others, trial: Trial, road: Road) -> BoolArray:
-    """Who is behind the ego in a lane where it is seen, (m, n), at the start of a path. Whoever owes it its distance
-    may come into the buffer, and owes it still, in the lane that its own leads to as well. One that has yet to come
-    over to a lane is behind there where it is behind in the lane that ends, too."""
+    """For each vehicle and lane, whether the vehicle is behind the ego in that lane and the ego is visible there, at
+    the start of a path, (m, n).
+
+    A vehicle with a distance obligation may enter the buffer and keeps the obligation, also in the lane that its own
+    lane leads to. A vehicle that has yet to move over to a lane is behind there only where it is behind in the ending
+    lane too.
+    """
     (vehicles, lanes, before), numbers = others.marks.T, others.numbers
     owes = others.owes[vehicles, lanes] | ((before >= 0) & others.owes[vehicles, lanes[before]])
     rear = np.where(owes, trial.rears[lanes, 0] - CLEAR, trial.boxes[lanes, 0, 0])
@@ -35,12 +40,12 @@ def behind(others: Others, trial: Trial, road: Road) -> BoolArray:
 
 @dataclass(slots=True, eq=False)
 class Dues:
-    """Who owes the ego what, by vehicle.
+    """Obligations towards the ego, by vehicle.
 
     Attributes
     ----------
-    distance : the lanes in which each owes the ego its distance, because it is behind it there.
-    waits : before which lanes each is counted on to wait for the ego, and for how many frames it has been.
+    distance : lanes in which each vehicle has to keep its distance, because it is behind the ego there.
+    waits : lanes before which each vehicle is expected to wait for the ego, and for how many frames it has been.
     """
 
     distance: dict[Any, set[int]] = field(default_factory=dict)
@@ -56,16 +61,19 @@ class Dues:
         return owes, gives
 
     def counts_on(self, body: Any, reaction: int) -> bool:
-        """Whether a vehicle has been counted on to wait for more than so many frames."""
+        """Whether a vehicle has been expected to wait for more than `reaction` frames."""
         return max(self.waits.get(body, {}).values(), default=0) > reaction
 
     def is_owed_by(self, body: Any) -> bool:
-        """Whether a vehicle owes the ego its distance."""
+        """Whether a vehicle has a distance obligation towards the ego."""
         return bool(self.distance.get(body))
 
     def keep_distance(self, who: list[Any], others: Others, trial: Trial, road: Road, verified: bool) -> None:
-        """Who owes the ego its distance from now on: whoever did, and is still behind it in a lane where it is seen;
-        where its path is `verified`, all who are. `trial` begins where the ego is; `Others.owes` is written."""
+        """Update the distance obligations, and write them to `Others.owes`.
+
+        A vehicle keeps its obligation while it is behind the ego in a lane where the ego is visible. If the path of the
+        ego is `verified`, every such vehicle gets one. `trial` begins where the ego is.
+        """
         there = behind(others, trial, road)
         if not verified:
             there &= others.owes
@@ -73,8 +81,8 @@ class Dues:
         self.distance = {body: set(np.flatnonzero(there[i]).tolist()) for i, body in enumerate(who) if there[i].any()}
 
     def give_way(self, who: list[Any], others: Others, trial: Trial, road: Road, verified: bool) -> None:
-        """Who is counted on to wait from now on: `Others.waits` is of the path that is taken. Where it is not
-        `verified`, nobody is of whom it was not known before."""
+        """Update the vehicles that are expected to wait; `Others.waits` refers to the chosen path. If the path is not
+        `verified`, no vehicle is added."""
         self.waits = {}
         for j in np.flatnonzero(others.waits & (others.ranks < road.rights[trial.own[0]])):
             i, lane = others.marks[j, :2]

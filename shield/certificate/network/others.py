@@ -1,4 +1,4 @@
-"""The others on a live highway-env's road network, as a certificate sees them."""
+"""Reads the other vehicles and objects of a live highway-env road network."""
 
 from __future__ import annotations
 
@@ -15,19 +15,21 @@ from shield.config import ShieldConfig
 __all__ = ["Traffic", "default_on", "has_crossings", "read_traffic"]
 
 _PUSHED = 0.5
-"""How much wider a wreck is taken than it is: those that crash are pushed apart [m]."""
+"""Width added to a wreck [m], since highway-env pushes crashed vehicles apart."""
 
 
 class Traffic(NamedTuple):
-    """The others.
+    """The other vehicles and objects, for m vehicles and b standing bodies.
 
     Attributes
     ----------
-    who : what they are, to know them again. rows : vehicle rows, (m, 7). own : the lane that each is on, (m,).
-    routes : see `dynamics.road_networks.reachable.prediction.spread`, (m, roads). stand : what stands and the wrecks,
-        to know them again. things : rows of these, of wrecks with all of the way that they slide, and of objects with
-        that of the coming frame, (b, 7).
-    unreadable : bodies left out of all this, with the columns of `Vehicle` that are not readable.
+    who : the simulator's vehicle objects, which identify them, (m,).
+    stand : standing bodies: the objects, then the wrecks, (b,).
+    rows : vehicle rows, (m, 7). own : index of each vehicle's lane, (m,).
+    routes : (m, roads), see `dynamics.road_networks.reachable.prediction.spread`.
+    things : rows of the standing bodies, (b, 7). A wreck is extended by its whole sliding distance, an object by the
+        distance of the coming frame.
+    unreadable : bodies left out of the arrays, with the columns of `Vehicle` that are not readable.
     """
 
     who: list[Any]
@@ -40,13 +42,12 @@ class Traffic(NamedTuple):
 
 
 def has_crossings(base: Any) -> bool:
-    """Whether an environment, unwrapped, has a network of several roads."""
+    """Whether an unwrapped environment has a network of several roads."""
     return base.road is not None and sum(map(len, base.road.network.graph.values())) > 1
 
 
 def default_on(base: Any) -> ShieldConfig:
-    """The settings that an environment, unwrapped, gets where none are given: on a network of roads those for its
-    traffic."""
+    """Default settings for an unwrapped environment; on a network of several roads, those for its traffic."""
     if not has_crossings(base):
         return ShieldConfig()
     hardest = [float(getattr(type(body), "COMFORT_ACC_MAX", 0.0)) for body in base.road.vehicles]
@@ -55,6 +56,7 @@ def default_on(base: Any) -> ShieldConfig:
 
 
 def _row(body: Any) -> list[float]:
+    """Row of a body, with the columns of `Vehicle`."""
     return [
         *body.position,
         body.heading,
@@ -66,8 +68,8 @@ def _row(body: Any) -> list[float]:
 
 
 def _standing(body: Any, period: float) -> list[float]:
-    """Where an object is, with the way that its speed, if it has one, would have it go in the coming frame: highway-env
-    counts a collision by that, though objects stay where they are."""
+    """Row of an object, extended by the distance that its speed would take it in the coming frame. highway-env counts
+    collisions by that distance, though objects do not move. `period` is the frame [s]."""
     x, y, heading, speed, length, width, crashed = _row(body)
     way = speed * period
     at = x + 0.5 * way * np.cos(heading), y + 0.5 * way * np.sin(heading)
@@ -75,7 +77,8 @@ def _standing(body: Any, period: float) -> list[float]:
 
 
 def _sliding(body: Any) -> list[float]:
-    """Where a wreck may slide to: it does not steer, and brakes at -1 * speed per second."""
+    """Row of a wreck, extended by its sliding distance: a wreck does not steer, and decelerates at its speed per
+    second."""
     x, y, heading, speed, length, width, crashed = _row(body)
     way = 0.5 * speed
     at = x + way * np.cos(heading), y + way * np.sin(heading)
@@ -83,8 +86,8 @@ def _sliding(body: Any) -> list[float]:
 
 
 def _lane_of(body: Any, network: Any, lanes: Mapping[tuple[str, str, int], int]) -> tuple[str, str, int]:
-    """The lane that a vehicle is on: the one that it names, where it is there, or else highway-env's closest: a vehicle
-    that is placed by hand may name one that it has left."""
+    """Lane of a vehicle: the one that it names, if it is on it, otherwise the one closest to it by highway-env. A
+    vehicle placed by hand may name a lane that it has left."""
     start, end, lane = body.lane_index or (None, None, None)
     named: Any = (start, end, lane or 0)
     if named in lanes and network.get_lane(named).on_lane(body.position):
@@ -95,7 +98,12 @@ def _lane_of(body: Any, network: Any, lanes: Mapping[tuple[str, str, int], int])
 
 
 def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int], int]) -> Traffic:
-    """Read the simulator's state of an environment, unwrapped."""
+    """Read the simulator's state of an unwrapped environment.
+
+    Parameters
+    ----------
+    network : the environment's roads, as arrays. lanes : index of each highway-env lane.
+    """
     bodies = [body for body in (*base.road.vehicles, *base.road.objects) if body is not base.vehicle]
     read = readable(np.array([_row(body) for body in bodies], float).reshape(-1, len(Vehicle)))
     unreadable = {
@@ -119,6 +127,6 @@ def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int
         for k, (a, b, _) in enumerate(route):
             routes[i, network.ids[lanes[a, b, 0], ROAD]] = 2 if k == len(route) - 1 else 1
         if route and route[0][0] == key[1]:
-            # highway-env forgets the road that a vehicle is on a little before its end.
+            # highway-env drops a road from the route a little before its end.
             routes[i, network.ids[own[i], ROAD]] = 1
     return Traffic(who, (*objects, *wrecks), rows, own, routes, things, unreadable)

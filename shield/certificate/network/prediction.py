@@ -1,4 +1,5 @@
-"""An episode's road as a certificate needs it, and the others on it with all places where they can be."""
+"""The road of an episode as the certificate reads it, and the prediction of every place that the other vehicles can
+reach."""
 
 from __future__ import annotations
 
@@ -28,13 +29,13 @@ from shield.config import ShieldConfig
 __all__ = ["Outlook", "road_of"]
 
 _STRIPS = 1024
-"""Room for so many at first."""
+"""Initial capacity, in reachable intervals."""
 _BENT = 1.0
-"""How much further the ego may reach in s and r than in metres, on a lane that bends [m]."""
+"""Bound on how much further the ego may reach in s and r than in metres, on a curved lane [m]."""
 
 
 def road_of(base: Any, alone: Alone, config: ShieldConfig) -> Road:
-    """The road of an environment, unwrapped, and who drives on it how."""
+    """Lanes, assumptions and extents of the ego, for an unwrapped environment."""
     a, buffer, frequency = config.assumptions, config.buffer, base.config["simulation_frequency"]
     network, machine = alone.rules.network, alone.machine
     lanes = Lanes(machine.sums, machine.loops, network.lanes, network.ids, network.near)
@@ -55,8 +56,8 @@ def road_of(base: Any, alone: Alone, config: ShieldConfig) -> Road:
 
 
 def _rooms(marks: IntArray, numbers: FloatArray, lengths: FloatArray) -> FloatArray:
-    """`Others.rooms` of strips, on lanes of so many metres: all that may be overlapped, so that what is judged of one
-    vehicle does not depend on who else is there."""
+    """`Others.rooms` of reachable intervals, on lanes of these `lengths` [m]. They cover all that the intervals may
+    overlap, so that the judgement of one vehicle does not depend on the other vehicles present."""
     lanes, rooms = marks[:, 1], np.zeros(len(lengths))
     beyond = np.maximum(-numbers[:, START], -numbers[:, NEAR] - lengths[lanes])
     along = numbers[:, HALF] + np.maximum(beyond, 0.0)
@@ -65,11 +66,11 @@ def _rooms(marks: IntArray, numbers: FloatArray, lengths: FloatArray) -> FloatAr
 
 
 class Outlook:
-    """Looks at the others on one road, scene after scene.
+    """Predicts the other vehicles on one road, scene after scene.
 
     Parameters
     ----------
-    base : the environment, unwrapped. alone, road : its road, see `road_of`. frames : how far to look ahead.
+    base : the environment, unwrapped. alone, road : its road, see `road_of`. frames : horizon of the prediction.
     """
 
     def __init__(self, base: Any, alone: Alone, road: Road, frames: int) -> None:
@@ -79,7 +80,7 @@ class Outlook:
         self._strips = empty_strips(_STRIPS)
 
     def look(self, dues: Dues) -> Seen:
-        """The others now, and where they can be."""
+        """The other vehicles now, and where they can be. `dues` are their obligations towards the ego."""
         seen, road = read_traffic(self._base, self._network, self._index), self._road
         drive = np.zeros((len(seen.rows), 5))
         while True:

@@ -1,4 +1,4 @@
-"""Where the ego's body is on each lane of a network, frame by frame along a path."""
+"""Projection of the ego's footprint to the lanes of a network, frame by frame along a path."""
 
 from __future__ import annotations
 
@@ -15,18 +15,23 @@ from shield.certificate.network.workspace import Body, Others, Road, Trial
 __all__ = ["FAR_OFF", "survey"]
 
 FAR_OFF = 1e6
-"""The least s of a body that is nowhere near a lane [m]."""
+"""Stands for the least s of a body that is not near the lane [m]."""
 _WITH = 0.9
-"""Cosine of the angle within which the ego drives in the direction of a lane, and counts as being in it."""
+"""Cosine of the greatest angle between the ego's heading and a lane's at which the ego counts as driving in that
+lane."""
 _NEAR = 6.0
-"""How far from a lane's centre line the ego is looked at, at least, beyond its own half diagonal [m]."""
+"""Least distance from a lane's centre line, beyond the ego's half diagonal, within which the ego is projected to it
+[m]."""
 
 
 @uncounted
 def _box(lanes: Lanes, lane: int, at: Place, pose: tuple[float, float, float], body: Body, box: FloatArray) -> None:
-    """Write the box of the body with its buffer, and of what it is without it so much further on: highway-env counts a
-    collision that constant velocities would bring within the coming frame. `pose` is the cosine and the sine of the
-    heading, and that way [m]."""
+    """Write the extents of the ego's footprint along and across a lane to `box`, (4,) [m].
+
+    They cover the body with its buffer, and the body alone moved straight on by the coming frame's distance:
+    highway-env counts a collision that constant velocities would cause within that frame. `pose` is the cosine and the
+    sine of the heading, and that distance [m].
+    """
     cos, sin, way = pose
     wide = extent_of(lanes, lane, at, Rectangle(0.0, cos, sin, body.along, body.across))
     bare = extent_of(lanes, lane, at, Rectangle(way, cos, sin, body.length, body.width))
@@ -36,13 +41,13 @@ def _box(lanes: Lanes, lane: int, at: Place, pose: tuple[float, float, float], b
 
 @uncounted
 def survey(road: Road, body: Body, others: Others, path: FloatArray, count: int, trial: Trial) -> None:
-    """Where the ego with its buffer is on the lanes of the others, at the first `count` places of a path (K, 4).
+    """Project the ego with its buffer to the lanes of the other vehicles, at the first `count` places of a path (K, 4).
 
     Parameters
     ----------
-    body : of the ego, with the buffer that is asked for.
-    trial : written: `boxes`, the least and the greatest s and r of it, whose first is `FAR_OFF` where no body on that
-        lane comes near it; `seen`, `met` and `rears`.
+    body : extents of the ego. path : x, y [m], heading [rad], speed [m/s] at each place.
+    trial : written: `seen`, `met`, `rears`, and `boxes`. A box is the least and greatest s, then the least and greatest
+        r; its first number is `FAR_OFF` where no body on that lane can come near the ego.
     """
     lanes, circles, boxes, seen, met, rears = road.lanes, road.circles, trial.boxes, trial.seen, trial.met, trial.rears
     half = math.hypot(body.along, body.across)

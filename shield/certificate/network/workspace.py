@@ -1,4 +1,4 @@
-"""What a judgement of paths is made from on a network of roads, and the room that it works in."""
+"""Tuples that the judgement of paths on a road network reads, and the buffers that it writes."""
 
 from __future__ import annotations
 
@@ -13,12 +13,18 @@ from dynamics.state import BoolArray, FloatArray, IntArray
 __all__ = ["Body", "Duty", "Foreseen", "Others", "Road", "Trial", "empty_trial", "foreseen"]
 
 _STANDS = 1e-6
-"""Slower is standing [m/s]."""
+"""A slower vehicle counts as standing [m/s]."""
 
 
 class Body(NamedTuple):
-    """Half length and half width of the ego, and the same with its buffer; how near to a lane's centre it is visible in
-    it [m]."""
+    """Extents of the ego.
+
+    Attributes
+    ----------
+    length, width : half length and half width of the body [m].
+    along, across : the same with the buffer [m].
+    visible : distance from a lane's centre line within which the ego is visible in that lane [m].
+    """
 
     length: float
     width: float
@@ -28,8 +34,14 @@ class Body(NamedTuple):
 
 
 class Duty(NamedTuple):
-    """How those behind answer to the ego in their lane: deceleration [m/s^2], frames until then, whether they look
-    beyond the end of their lane; and whether those with less right of way answer likewise."""
+    """Follower response model: how vehicles behind the ego in its lane brake for it.
+
+    Attributes
+    ----------
+    braking : deceleration [m/s^2]. reaction : frames until they brake.
+    ahead : whether they look beyond the end of their lane.
+    gives_way : whether vehicles with less right of way respond to the ego in the same way.
+    """
 
     braking: float
     reaction: int
@@ -38,22 +50,24 @@ class Duty(NamedTuple):
 
 
 class Others(NamedTuple):
-    """Where the others can be.
+    """Where the other vehicles can be, for m vehicles, b standing bodies, k reachable intervals, n lanes and K frames.
 
     Attributes
     ----------
-    rows : vehicle rows, (m, 7). things : rows of what stands, (b, 7).
-    marks, numbers : strips, see `dynamics.road_networks.reachable.prediction.spread`; found : how many there are, (1,).
-    drive : (m, 5). least, most : (m, K), see `reach`.
-    owes : whether each vehicle owes the ego its distance in each lane, (m, n).
-    offends : who has broken a rule, (m,).
-    gives : for how many frames each vehicle has been counted on to wait for an ego with more right of way before each
-        lane, (m, n).
-    ranks : the right of way on the way to each strip, (count,). waits : whether a path counts on its vehicle to wait
-        before it, (count,), written by `judge`.
-    shut : room for whether the ego stands in the way to what comes after a strip, (count,).
-    lanes : that have strips. rooms : how far from the centre line of each lane its strips reach, and beyond its ends,
-        at most, (n,) [m].
+    rows : vehicle rows, (m, 7). things : rows of the standing bodies, (b, 7).
+    marks, numbers : reachable intervals, (k, 3) and (k, 9), see `dynamics.road_networks.reachable.strips.Strips`.
+    found : number of reachable intervals, (1,).
+    drive : bounds on the motion of each vehicle, (m, 5). least, most : distances by frame, (m, K) [m]. See
+        `dynamics.road_networks.reachable.prediction`.
+    owes : whether each vehicle has a distance obligation in each lane, (m, n).
+    offends : violators that the fail-safe has lost its room to, (m,).
+    gives : number of frames for which each vehicle has been expected to wait before each lane, for an ego with more
+        right of way, (m, n).
+    ranks : right of way on the way to each interval, (k,).
+    waits : whether the chosen path expects the vehicle to wait before the interval, (k,); written by `judge`.
+    shut : buffer: whether the ego blocks the way to what follows an interval, (k,).
+    lanes : indices of the lanes that have intervals.
+    rooms : greatest distance that the intervals of each lane extend from its centre line and beyond its ends, (n,) [m].
     """
 
     rows: FloatArray
@@ -75,15 +89,17 @@ class Others(NamedTuple):
 
 
 class Foreseen(NamedTuple):
-    """What a decision has gone by, for m vehicles, k strips and K frames.
+    """The prediction that a decision was based on, for m vehicles, k reachable intervals and K frames.
 
     Attributes
     ----------
-    rows : vehicle rows of the others, (m, 7). path : the ego in the world after each frame, at rest in the end, (K, 4).
-    vehicles, lanes : whose each strip is, and of which lane, (k,).
-    least, most : between what s of its lane a body can be at each frame, (k, K) [m]; beyond its ends where it is not
-        there. low, high : between what r, (k,) [m].
-    waits : whether its vehicle is counted on to wait before it, (k,).
+    rows : vehicle rows of the others, (m, 7).
+    path : x, y [m], heading [rad] and speed [m/s] of the ego after each frame, at rest in the end, (K, 4).
+    vehicles, lanes : vehicle and lane of each interval, (k,).
+    least, most : bounds on s of the body in its lane at each frame, (k, K) [m]; beyond the lane's ends where the body
+        is not in the lane.
+    low, high : bounds on r, (k,) [m].
+    waits : whether the vehicle is expected to wait before the interval, (k,).
     """
 
     rows: FloatArray
@@ -98,8 +114,14 @@ class Foreseen(NamedTuple):
 
 
 class Road(NamedTuple):
-    """What is the same in all scenes of an episode: its lanes and circles around them, how much right of way one has in
-    each, and who drives on them how."""
+    """What is constant in an episode: lanes and assumptions.
+
+    Attributes
+    ----------
+    lanes : geometry. circles : circle around each lane, (n, 3) [m]. rights : right of way in each lane, (n,).
+    ways : which lane leads to which. conduct : bounds on the motion of the others. duty : their response to the ego.
+    body : extents of the ego. period : duration of a frame [s].
+    """
 
     lanes: Lanes
     circles: FloatArray
@@ -112,14 +134,19 @@ class Road(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """Room for what comes of a course, for K frames, n lanes and m vehicles: see `drive`, `survey` and `judge`.
+    """Rollout buffer of one candidate manoeuvre, for K frames, n lanes and m vehicles; written by `drive`, `survey` and
+    `judge`.
 
     Attributes
     ----------
-    boxes : of the ego with its buffer on each lane, (n, K, 4) [m]. seen : whether it drives in the lane, in its
-        direction, where others in it see it, (n, K). met : the first and the last frame in which it is near, (n, 2);
-        the last before the first for never. rears : the least s of the body without its buffer at the first and at the
-        last place, (n, 2) [m].
+    path : x, y [m], heading [rad] and speed [m/s] of the ego, (K + 1, 4).
+    first : acceleration [m/s^2] and front wheel angle [rad] in the first frame, (2,).
+    bound, own : target lane and own lane of the ego in each frame, (K + 1,).
+    boxes : extents of the ego with its buffer on each lane, (n, K + 1, 4) [m].
+    seen : whether the ego drives in the lane and in its direction, so that other vehicles there see it, (n, K + 1).
+    met : first and last frame in which the ego is near the lane, (n, 2); the last is before the first if there is none.
+    rears : least s of the body without its buffer, at the first and at the last place, (n, 2) [m].
+    margins : least separation from each vehicle, (m,) [m].
     """
 
     path: FloatArray
@@ -134,7 +161,7 @@ class Trial(NamedTuple):
 
 
 def empty_trial(frames: int, lanes: int, vehicles: int) -> Trial:
-    """Room for paths of so many frames."""
+    """Rollout buffer for paths of at most `frames` frames."""
     return Trial(
         np.zeros((frames + 1, 4)),
         np.zeros(2),
@@ -149,7 +176,8 @@ def empty_trial(frames: int, lanes: int, vehicles: int) -> Trial:
 
 
 def foreseen(others: Others, trial: Trial, names: list[tuple[str, str, int]]) -> Foreseen:
-    """What a decision has gone by, of what `trial` holds; `names` are highway-env's of the lanes."""
+    """The prediction behind a decision, from the rollout buffer of its path; `names` are highway-env's names of the
+    lanes."""
     vehicles, lanes, _ = others.marks.T
     numbers, path = others.numbers, trial.path
     stands = np.flatnonzero(np.abs(path[1:, 3]) < _STANDS)

@@ -1,4 +1,4 @@
-"""Who comes to an intersection and who leaves it: highway-env's `IntersectionEnv`, draw by draw."""
+"""Vehicles that enter and leave an intersection: highway-env's `IntersectionEnv`, in the same order of random draws."""
 
 from __future__ import annotations
 
@@ -42,21 +42,22 @@ __all__ = ["Coming", "leave_and_come", "populate"]
 
 _ARMS = 4
 _FIRST, _FAST, _ROOM, _EGO_ROOM = 5.0, 8.0, 15.0, 20.0
-"""Where somebody comes in [m] and how fast [m/s], and how far from all others; and how far from the ego, at first."""
+"""Position [m] and speed [m/s] of a new vehicle, and its least distance to all others; and at the reset, to the ego
+[m]."""
 _SECONDS = 3
-"""How long the traffic drives before the ego is there."""
+"""Time for which the traffic drives before the ego is placed [s]."""
 _EGO_PLACE, _CHALLENGER_PLACE = 60.0, 60.0
 
 
 class Coming(NamedTuple):
-    """Who comes, and when.
+    """New vehicles of an intersection.
 
     Attributes
     ----------
-    arms : (4,), the lane that each arm comes in by; its goal has the same number. None where nobody comes.
-    places : (n,), where along their lanes those of the beginning are looked for [m]. frames : of a second.
-    odds : that somebody comes at a decision.
-    goal : the ego's, -1 for one that is drawn.
+    arms : (4,), the entrance lane of each arm; its goal has the same number. Empty on other roads.
+    places : (n,), positions along the entrances at which vehicles of the reset are placed [m]. frames : per second.
+    odds : probability of a new vehicle at a decision.
+    goal : of the ego, -1 to draw it.
     """
 
     arms: IntArray
@@ -78,7 +79,12 @@ def _come(
     odds: float,
     straight: bool,
 ) -> int:
-    """highway-env's `_spawn_vehicle`, into column `i`; how many columns are taken then."""
+    """Place a new vehicle in column `i`, if drawn and if there is room: highway-env's `_spawn_vehicle`.
+
+    Returns
+    -------
+    The column after the last vehicle.
+    """
     f, lanes = traffic.f, traffic.lanes
     if uniform(row, 0.0, 1.0) > odds:
         return i
@@ -100,6 +106,7 @@ def _come(
 
 @uncounted
 def _move_column(traffic: Traffic, source: int, goal: int) -> None:
+    """Copy a vehicle to another column."""
     f, g, p, routes = traffic.f, traffic.g, traffic.p, traffic.routes
     frames = g[FRAMES, 0]
     for k in range(F):
@@ -115,7 +122,7 @@ def _move_column(traffic: Traffic, source: int, goal: int) -> None:
 
 @uncounted
 def _count(worlds: NetworkWorlds, e: int, n: int) -> None:
-    """Note how many vehicles there are; nothing stands on an intersection."""
+    """Store the number of vehicles. There are no obstacles on an intersection."""
     worlds.counts[e, 0] = worlds.counts[e, 1] = n
     for i in range(n):
         worlds.order[e, i] = i
@@ -123,7 +130,7 @@ def _count(worlds: NetworkWorlds, e: int, n: int) -> None:
 
 @uncounted
 def _keep(worlds: NetworkWorlds, traffic: Traffic, e: int, gone: IntArray) -> None:
-    """Take those off the road that are marked."""
+    """Remove the vehicles that are marked in `gone`."""
     n = 0
     for i in range(worlds.counts[e, 0]):
         if gone[i] == 0:
@@ -135,7 +142,7 @@ def _keep(worlds: NetworkWorlds, traffic: Traffic, e: int, gone: IntArray) -> No
 
 @uncounted
 def _enter(row: Row, scene: Scene, coming: Coming, traffic: Traffic, i: int) -> None:
-    """Put the ego into column `i`."""
+    """Place the ego into column `i`."""
     lanes, f = traffic.lanes, traffic.f
     lane, goal = coming.arms[0], coming.goal
     if goal < 0:
@@ -159,7 +166,8 @@ def populate(
     row: Row,
     e: int,
 ) -> None:
-    """A fresh scene: the traffic, which drives for a while, who comes across the ego's way, and the ego."""
+    """Draw the scene of a reset: traffic, which drives for some seconds; a vehicle that crosses the ego's way; and the
+    ego. Vehicles too near to the ego are removed."""
     n, busy = 0, work.busy
     worlds.g[e, FRAMES, 0] = 0
     for k in range(len(coming.places)):
@@ -195,8 +203,13 @@ def leave_and_come(
     row: Row,
     e: int,
 ) -> bool:
-    """What happens between two decisions: those near the end of a lane that leaves, or without a route, go, and then
-    somebody may come. Whether there was room for that."""
+    """Changes between two decisions: vehicles near the end of a lane that leaves the road, or without a route, vanish.
+    Then a vehicle may enter.
+
+    Returns
+    -------
+    Whether there was room for it.
+    """
     lanes, g, p, busy = rules.network.lanes, worlds.g[e], worlds.p[e], work.busy
     for i in range(worlds.counts[e, 0]):
         lane = g[LANE, i]

@@ -1,6 +1,6 @@
-"""What environments on road networks draw, as numpy's `Generator` draws it: normal numbers, and two of several.
+"""Random draws of environments on road networks, as numpy's `Generator` makes them: normal numbers, and two of several.
 
-The ziggurat of Marsaglia and Tsang (2000) as numpy has it; numba carries its tables.
+The ziggurat of Marsaglia and Tsang (2000) as in numpy, with the tables that numba contains.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ _FAR, _OVER_FAR = float(ziggurat_nor_r), float(ziggurat_nor_inv_r)
 
 @inlined
 def _share(row: Row) -> float:
+    """A number from 0 to 1."""
     return uniform(row, 0.0, 1.0)
 
 
@@ -53,7 +54,7 @@ def normal(row: Row) -> float:
 
 @inlined
 def two_of(row: Row, n: int) -> tuple[int, int]:
-    """`Generator.choice(n, size=2, replace=False)`: Floyd's way, and a shuffle."""
+    """`Generator.choice(n, size=2, replace=False)`: Floyd's algorithm, and a shuffle."""
     one = below(row, n - 1)
     two = below(row, n)
     if two == one:

@@ -1,4 +1,4 @@
-"""What highway-env says of a decision beside the observation: `info`."""
+"""highway-env's `info` of a decision."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from dynamics.road_networks.episodes.simulator import RoadSimulator
 __all__ = ["info_of"]
 
 _YES_OR_NO = frozenset({"collision_reward", "lane_change_reward", "goal_reward", "on_road_reward"})
-"""Parts of a reward that are booleans in highway-env, but for intersections, where they are means over the egos."""
+"""Terms of a reward that are booleans in highway-env, except at intersections, where they are means over the egos."""
 
 
 def info_of(simulator: RoadSimulator, e: int, action: Any) -> dict[str, Any]:
-    """highway-env's `info` of the last decision of one of a simulator's copies, for the action that was taken."""
+    """highway-env's `info` of the last decision of one copy, for the executed action."""
     scenario, seen = simulator.scenario, simulator.seen
     crossing = scenario.kind == CROSSING
     parts = dict(zip(scenario.names, seen.parts[e].tolist(), strict=False))

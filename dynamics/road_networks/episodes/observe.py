@@ -1,4 +1,4 @@
-"""What the ego sees on a road network: highway-env's Kinematics and Exit observations."""
+"""Observations of the ego on a road network: highway-env's Kinematics and Exit observations."""
 
 from __future__ import annotations
 
@@ -20,26 +20,27 @@ from dynamics.state import FloatArray, IntArray
 __all__ = ["AHEAD", "EXIT", "KINEMATICS", "View", "kinematics"]
 
 KINEMATICS, EXIT, AHEAD = range(3)
-"""Kinds of observation; AHEAD is `TimeToCollision` (see `ahead`)."""
+"""Kinds of observation; AHEAD is `TimeToCollision` (see `time_to_collision`)."""
 _SIGHT = 200.0
 """`PERCEPTION_DISTANCE` [m]."""
 _RELATIVE = 5
-"""The features before this one are taken relative to the ego's, but for presence."""
+"""Features with a lower index than this, except presence, are relative to the ego."""
 _TO_GOAL = 8
-"""The first of the two features that are the direction to the end of the route."""
+"""Index of the first of the two features with the direction to the end of the route."""
 
 
 class View(NamedTuple):
-    """What is observed.
+    """The configuration of an observation.
 
     Attributes
     ----------
     kind : KINEMATICS, EXIT or AHEAD.
     features : indices in `dynamics.highway_simulator.observe.FEATURES`.
-    ranges : (features, 2), what is mapped to -1 and 1; NaN for what is not.
-    switches : absolute, normalised, clipped, behind as well, shuffled, obstacles too, sorted, and where the others go.
-    exit_lane : from which on the ego's x is taken, of EXIT.
-    steps, step : of time ahead, of AHEAD; and how long each is [s].
+    ranges : (features, 2), the values mapped to -1 and 1; NaN for features that are not normalised.
+    switches : absolute, normalised, clipped, vehicles behind, shuffled, obstacles, sorted, and destinations of the
+        others.
+    exit_lane : for EXIT, the lane along which the ego's x is measured.
+    steps, step : for AHEAD, number of time steps and their duration [s].
     """
 
     kind: int
@@ -60,11 +61,16 @@ def _near(
     near: IntArray,
     away: FloatArray,
 ) -> int:
-    """The bodies within sight, by their distance along the ego's lane, at most so many; how many there are.
+    """Up to `most` bodies within sight, by distance along the ego's lane if they are to be sorted.
 
     Parameters
     ----------
-    near, away : (m,), written: the bodies, and how far along the lane each is [m].
+    switches : as of `View`.
+    near, away : (m,), written: the bodies, and the distance of each along the lane [m].
+
+    Returns
+    -------
+    The number of bodies.
     """
     f, g, sums = traffic.f, traffic.g, traffic.lanes.sums
     _, _, _, behind, _, obstacles, ordered, _ = switches
@@ -92,7 +98,7 @@ def _near(
 
 @uncounted
 def _to_goal(traffic: Traffic, i: int) -> tuple[float, float]:
-    """The direction from a vehicle to the end of its route, as a unit vector; zero where it has none."""
+    """Unit vector from a vehicle to the end of its route; zero without a route."""
     lanes, f, g, routes = traffic.lanes, traffic.f, traffic.g, traffic.routes
     if g[KIND, i] == OBSTACLE or not g[ROUTE, i] < g[ROUTE_END, i]:
         return 0.0, 0.0
@@ -142,7 +148,7 @@ def _feature(traffic: Traffic, i: int, feature: int) -> float:
 
 @inlined
 def _value(traffic: Traffic, view: View, ego: int, i: int, feature: int) -> float:
-    """A feature of a body as the ego sees it."""
+    """A feature of a body as observed by the ego."""
     absolute, goals = view.switches[0], view.switches[7]
     if i == ego:
         if view.kind == EXIT and feature == 1:
@@ -167,12 +173,12 @@ def kinematics(
     seen: FloatArray,
     out: NDArray[np.float32],
 ) -> None:
-    """The ego and those near it, nearest first, to `out`, (bodies, features).
+    """Write the ego and the bodies near it, nearest first, to `out`, (bodies, features).
 
     Parameters
     ----------
-    row : the generator, for a shuffled order.
-    near, away, seen : (m,), (m,) and (bodies, features), written.
+    row : the random generator, for a shuffled order.
+    near, away, seen : buffers, (m,), (m,) and (bodies, features), written.
     """
     _, normalised, clipped, _, shuffled, _, _, _ = view.switches
     bodies, features, ranges = len(out), view.features, view.ranges

@@ -1,4 +1,4 @@
-"""Who each of highway-env's environments on roads puts where, as the tables that a scene is made from."""
+"""Initial positions of vehicles in highway-env's environments on road networks, as tables for `placing.Scene`."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ __all__ = ["Places", "places_of"]
 Lane = tuple[str, str, int]
 _NAN = math.nan
 _DEPARTURES = ("we", "sx"), ("sx", "se"), ("ee", "nx"), ("nx", "ne"), ("eer", "ees"), ("ner", "nes"), ("wer", "wes")
-"""The roads of roundabout-generic on which traffic is put."""
+"""The roads of roundabout-generic on which traffic is placed."""
 
 
 @dataclass(frozen=True)
 class Places:
-    """The tables of `placing.Scene` that differ from environment to environment.
+    """The tables of `placing.Scene` that differ between environments.
 
     Attributes
     ----------
-    rows : for each the numbers and the integers, see `tables`.
-    goals : the nodes that somebody goes to, in the order of their numbers.
-    roads : over which vehicles are scattered: the first lane and how many. stretches : lane to where it is done [m].
+    rows : numbers and integers of each row, see `tables`.
+    goals : names of the goal nodes, in the order of their numbers.
+    roads : over which vehicles are scattered: first lane and number of lanes. stretches : s of scattered vehicles, by
+        lane [m].
     apart, along, odds, packed : as of `Scene`.
     """
 
@@ -200,7 +201,7 @@ _PLACES: tuple[tuple[type, Callable[[Any, Mapping[Lane, int]], Places]], ...] = 
 
 
 def places_of(base: Any, numbers: Mapping[Lane, int]) -> Places | None:
-    """The tables of an environment, unwrapped and reset; None of an intersection, which has none (see `coming`).
+    """The tables of an environment, unwrapped and reset; None for an intersection, which has none (see `arrivals`).
 
     Parameters
     ----------

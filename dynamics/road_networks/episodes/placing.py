@@ -1,7 +1,7 @@
-"""A fresh scene on a road network: who is put where, draw by draw, from tables.
+"""Initial scene on a road network: vehicles placed by random draws from tables, in highway-env's order of draws.
 
-A scene is made of rows, in turn. A row puts vehicles *at* a place of a lane, *scattered* over roads with room between
-them, or in a *queue*, each ahead of all that are there.
+A scene consists of rows, processed in order. A row places vehicles *at* a position of a lane, *scattered* over roads
+with a least distance, or in a *queue*, each ahead of all vehicles present.
 """
 
 from __future__ import annotations
@@ -71,21 +71,22 @@ _COS, _SIN = 3, 4
 
 
 class Scene(NamedTuple):
-    """What a reset makes.
+    """The tables of a reset.
 
     Attributes
     ----------
     rows, choices : (n, NUMBERS) and (n, INTEGERS), see `tables`.
     constants : (2, P), of the ego and of the traffic. kind : of the traffic, IDM or LINEAR.
-    ranges : (6, 2), what its parameters are drawn from (see `dynamics.highway_simulator.kinds.ranges_of`).
-    ego : its kind, and whether its tyres slip.
+    ranges : (6, 2), of the parameters that are drawn (see `dynamics.highway_simulator.kinds.ranges_of`).
+    ego : its kind, and whether it has tyre slip.
     target_speeds : of the ego [m/s].
     ways : (nodes, goals, entries), the roads from a node to a goal, -1 after the last.
-    roads : (k, 2), the first lane of each road over which vehicles are scattered, and how many it has.
-    stretches : (lanes, 2), between where and where along each lane they are [m].
-    apart : how far from one another [m]. along : whether that is along the lane that was drawn, not as the crow flies.
-    odds : (lanes,), up to where the draw of a lane of a queue goes. packed : its spacing as a share of the usual one.
-    standing, standing_ids, standing_sizes : (F, k), (G, k) and (P, k), what stands on the road.
+    roads : (k, 2), the first lane of each road over which vehicles are scattered, and its number of lanes.
+    stretches : (lanes, 2), least and greatest s of scattered vehicles on each lane [m].
+    apart : least distance between them [m]. along : whether it is measured along the drawn lane, not in a straight
+        line.
+    odds : (lanes,), cumulative probabilities of the lanes of a queue. packed : factor on the usual spacing of a queue.
+    standing, standing_ids, standing_sizes : (F, k), (G, k) and (P, k), the obstacles on the road.
     """
 
     rows: FloatArray
@@ -109,6 +110,7 @@ class Scene(NamedTuple):
 
 @inlined
 def _drawn(row: Row, law: int, middle: float, spread: float) -> float:
+    """A number drawn from the distribution `law` (STEADY, UNIFORM or NORMAL) around `middle`."""
     if law == UNIFORM:
         return middle + uniform(row, -spread, spread)
     if law == NORMAL:
@@ -118,8 +120,8 @@ def _drawn(row: Row, law: int, middle: float, spread: float) -> float:
 
 @uncounted
 def put(scene: Scene, traffic: Traffic, i: int, ego: bool, x: float, y: float, heading: float, speed: float) -> None:
-    """Put the ego, or one of the traffic, into column `i`: on the closest lane and bound for it, at the speed that it
-    has, without a route."""
+    """Place the ego, or a vehicle of the traffic, into column `i`: on the closest lane, which is also its target lane,
+    without a route. Its target speed is its speed."""
     f, g, p, lanes = traffic.f, traffic.g, traffic.p, traffic.lanes
     for k in range(F):
         f[k, i] = 0.0
@@ -144,7 +146,7 @@ def put(scene: Scene, traffic: Traffic, i: int, ego: bool, x: float, y: float, h
 
 @uncounted
 def plan(scene: Scene, traffic: Traffic, i: int, goal: int) -> None:
-    """Give a vehicle a route to a goal from the lane that it is on."""
+    """Set the route of a vehicle from its lane to a goal."""
     ids, g, routes = traffic.lanes.ids, traffic.g, traffic.routes
     lane, n = g[LANE, i], 1
     routes[i, 0, 0], routes[i, 0, 1] = ids[lane, ROAD], ids[lane, ID]
@@ -159,7 +161,7 @@ def plan(scene: Scene, traffic: Traffic, i: int, goal: int) -> None:
 
 @uncounted
 def _settle(row: Row, scene: Scene, traffic: Traffic, i: int, k: int) -> None:
-    """What row k has of a vehicle beside its place and speed."""
+    """Set the route, parameters, target speed and target lane of a vehicle by row k."""
     f, g, choices = traffic.f, traffic.g, scene.choices[k]
     if choices[GOAL] >= 0 and (choices[WHOSE] != EGO_ROW or g[KIND, i] == EGO):
         plan(scene, traffic, i, choices[GOAL] + below(row, choices[GOALS]))
@@ -174,6 +176,7 @@ def _settle(row: Row, scene: Scene, traffic: Traffic, i: int, k: int) -> None:
 
 @uncounted
 def _at(row: Row, scene: Scene, traffic: Traffic, spots: FloatArray, i: int, k: int) -> None:
+    """Place a vehicle at the position of row k."""
     numbers, choices, lanes = scene.rows[k], scene.choices[k], traffic.lanes
     lane = choices[FIRST_LANE] + below(row, choices[LANES])
     s = _drawn(row, choices[DRAWN], numbers[PLACE], numbers[PLACE_SPREAD])
@@ -188,7 +191,7 @@ def _at(row: Row, scene: Scene, traffic: Traffic, spots: FloatArray, i: int, k: 
 
 @uncounted
 def _free(scene: Scene, traffic: Traffic, spots: FloatArray, i: int, lane: int, s: float, x: float, y: float) -> bool:
-    """Whether a spot is far enough from those of the first `i` vehicles."""
+    """Whether a position is far enough from those of the first `i` vehicles."""
     f = traffic.f
     for j in range(i):
         if scene.along:
@@ -203,7 +206,7 @@ def _free(scene: Scene, traffic: Traffic, spots: FloatArray, i: int, lane: int, 
 
 @uncounted
 def _scattered(row: Row, scene: Scene, traffic: Traffic, spots: FloatArray, i: int, k: int) -> bool:
-    """Whether a spot was found."""
+    """Place a vehicle at a random free position by row k, and return whether one was found."""
     numbers, choices, lanes = scene.rows[k], scene.choices[k], traffic.lanes
     for _ in range(choices[TRIES]):
         road = below(row, len(scene.roads))
@@ -222,7 +225,7 @@ def _scattered(row: Row, scene: Scene, traffic: Traffic, spots: FloatArray, i: i
 
 @uncounted
 def _queue(row: Row, scene: Scene, traffic: Traffic, i: int, k: int) -> None:
-    """highway-env's `create_random` on a road of straight lanes."""
+    """Place a vehicle ahead of all others: highway-env's `create_random` on a road of straight lanes."""
     numbers, choices, lanes, f = scene.rows[k], scene.choices[k], traffic.lanes, traffic.f
     lane = choices[FIRST_LANE]
     if choices[LANES] > 1:
@@ -243,11 +246,15 @@ def _queue(row: Row, scene: Scene, traffic: Traffic, i: int, k: int) -> None:
 
 @uncounted
 def put_row(row: Row, scene: Scene, traffic: Traffic, spots: FloatArray, i: int, k: int) -> int:
-    """Put the vehicles of row k into the columns from `i` on; the column after the last.
+    """Place the vehicles of row k into the columns from `i` on.
 
     Parameters
     ----------
-    row : the generator. spots : (2 or more, m), written: the lane that was drawn for each, and where on it [m].
+    row : the random generator. spots : (2 or more, m), written: the drawn lane of each vehicle, and its s there [m].
+
+    Returns
+    -------
+    The column after the last vehicle.
     """
     choices = scene.choices[k]
     for _ in range(choices[MANY]):

@@ -1,4 +1,4 @@
-"""What a decision is worth and whether it was the last: the rewards and ends of highway-env's environments on roads."""
+"""Rewards and ends of episodes of highway-env's environments on road networks."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ NAMES = (
     ("collision_reward", "left_lane_reward", "high_speed_reward", "on_road_reward"),
     ("collision_reward", "high_speed_reward", "arrived_reward", "on_road_reward"),
 )
-"""What each reward is made of, in highway-env's order."""
+"""The terms of each reward, in highway-env's order."""
 _DEFAULT_SPEEDS = 3
-"""How many `MDPVehicle.DEFAULT_TARGET_SPEEDS` there are."""
+"""Number of `MDPVehicle.DEFAULT_TARGET_SPEEDS`."""
 _ARRIVED = 25.0
-"""How far along a lane that leaves the intersection one has arrived [m]."""
+"""Distance along a lane that leaves the intersection from which the ego has arrived [m]."""
 
 
 class Worth(NamedTuple):
-    """How an environment rewards and ends.
+    """Parameters of rewards and ends of episodes.
 
     Attributes
     ----------
     kind : MERGING to CROSSING.
-    weights : (5,), of the parts, in the order of `NAMES`.
-    speeds : those that are mapped to 0 and 1 [m/s]. rewards : those that are.
-    normalised, strict : whether they are, and whether leaving the road is the end (of an intersection).
-    lanes : the merging lane, or those that are the exit; -1 for none.
-    end : the x beyond which an episode is over [m]. duration, decisions : after how long it is cut off [s], or
-        after how many decisions, 0 for never.
+    weights : (5,), of the terms, in the order of `NAMES`.
+    speeds : mapped to 0 and 1 [m/s]. rewards : mapped to 0 and 1.
+    normalised : whether rewards are normalised. strict : whether leaving the road ends an episode of an intersection.
+    lanes : the merging lane, or the exit lanes; -1 for none.
+    end : x beyond which an episode ends [m].
+    duration, decisions : time [s] and number of decisions after which it is truncated, 0 decisions for never.
     """
 
     kind: int
@@ -59,13 +59,13 @@ class Worth(NamedTuple):
 
 @inlined
 def _share(x: float, ends: tuple[float, float]) -> float:
-    """highway-env's `lmap` of a number to 0 at the first of two and 1 at the second."""
+    """highway-env's `lmap`: linear, with 0 at the first of `ends` and 1 at the second."""
     return 0.0 + (x - ends[0]) * 1.0 / (ends[1] - ends[0])
 
 
 @inlined
 def index_of_speed(target_speeds: FloatArray, speed: float) -> int:
-    """Which of the target speeds the ego has."""
+    """Index of the ego's target speed."""
     index = 0
     while index < len(target_speeds) - 1 and target_speeds[index] != speed:
         index += 1
@@ -74,7 +74,7 @@ def index_of_speed(target_speeds: FloatArray, speed: float) -> int:
 
 @uncounted
 def _held_up(traffic: Traffic, lane: int, vehicles: int) -> float:
-    """How much those on the merging lane are slower than they want to be, as shares of that."""
+    """Sum over the vehicles on the merging lane of their shortfall from the target speed, as a share of it."""
     f, g, total = traffic.f, traffic.g, 0.0
     for i in range(vehicles):
         if g[LANE, i] == lane and g[KIND, i] != OBSTACLE:
@@ -93,7 +93,7 @@ def _parts(
     on_road: float,
     parts: FloatArray,
 ) -> None:
-    """What the reward is made of, in the order of `NAMES`, to `parts`, (5,)."""
+    """The terms of the reward, in the order of `NAMES`, to `parts`, (5,)."""
     f, g, ids = traffic.f, traffic.g, traffic.lanes.ids
     lane, target, kind = g[LANE, ego], g[TARGET, ego], worth.kind
     crashed, speed, beside = float(g[CRASHED, ego]), f[SPEED, ego], 1.0 if action == 0 or action == 2 else 0.0
@@ -131,7 +131,7 @@ def judge(
     action: int,
     parts: FloatArray,
 ) -> tuple[float, bool]:
-    """The reward of a decision, and whether it ends the episode; what it is made of to `parts`, (5,)."""
+    """The reward of a decision, and whether it ends the episode; the terms of the reward to `parts`, (5,)."""
     f, g, kind = traffic.f, traffic.g, worth.kind
     on = on_lane(traffic.lanes.rows, g[LANE, ego], f[ALONG, ego], f[ACROSS, ego], 0.0)
     on_road = 1.0 if on else 0.0

@@ -1,4 +1,4 @@
-"""What the compiled episodes run: an environment on a road network as arrays."""
+"""An environment on a road network as arrays, for the compiled episodes."""
 
 from __future__ import annotations
 
@@ -61,23 +61,23 @@ from dynamics.traffic.crossing import make
 __all__ = ["RoadScenario", "on_roads", "road_scenario_of"]
 
 _MOST = 64
-"""As many vehicles as may come to an intersection."""
+"""Greatest number of vehicles that may enter an intersection in an episode."""
 _LAW = (9.8, 5.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoadScenario:
-    """An environment as the kernels take it.
+    """An environment in the form of the kernels.
 
     Attributes
     ----------
-    env_id, config : what it is of, with all of its configuration.
+    env_id, config : its id, and its whole configuration.
     rules : for the kernels.
     lanes : the number of each lane by highway-env's index.
-    inputs : of continuous actions; None for meta-actions.
-    observation_space, action_space : of one environment. shape : of an observation as the kernels have it.
-    bodies, entries : how many bodies, and how long routes, there may be.
-    names : what the reward is made of.
+    inputs : conversion of continuous actions; None for meta-actions.
+    observation_space, action_space : of one environment. shape : of an observation in the kernels.
+    bodies, entries : greatest number of bodies, and of entries of a route.
+    names : of the terms of the reward.
     """
 
     env_id: str
@@ -104,14 +104,14 @@ def road_scenario_of(env_id: str, config: Mapping[str, Any] | None = None) -> Ro
     Parameters
     ----------
     env_id : merge, roundabout, exit, two-way, u-turn or intersection, in any version.
-    config : what differs from its default configuration.
+    config : changes of the default configuration.
 
     Raises
     ------
     ConfigError
-        If it needs what the compiled episodes cannot do; the message lists all of it.
+        If the compiled episodes do not support the configuration; the message lists all unsupported entries.
     PlatformError
-        If another version of highway-env is installed than the one that it is a copy of.
+        If the installed version of highway-env is not the one that this is a copy of.
     """
     installed = version("highway-env")
     if not installed.startswith(f"{COPIED}."):
@@ -171,7 +171,7 @@ def on_roads(env_id: str) -> bool:
 
 
 def _class_of(env_id: str) -> tuple[Any, Any]:
-    """How an environment is registered, and what makes it."""
+    """The registration of an environment, and the class or function that makes it."""
     try:
         spec = spec_of(env_id)
     except (gym.error.Error, ImportError) as error:
@@ -202,7 +202,7 @@ def _made(env_id: str, config: Mapping[str, Any] | None) -> Any:
 
 
 def _ways(roads: Any, network: Network, lanes: Mapping[tuple[str, str, int], int], goals: tuple[str, ...]) -> IntArray:
-    """The roads from each node to each goal, as highway-env plans routes."""
+    """The roads from each node to each goal, by highway-env's planning of routes."""
     nodes = list(dict.fromkeys([*roads.graph, *(to for outs in roads.graph.values() for to in outs)]))
     found: dict[tuple[int, int], list[int]] = {}
     for n, node in enumerate(nodes):
@@ -219,7 +219,7 @@ def _ways(roads: Any, network: Network, lanes: Mapping[tuple[str, str, int], int
 
 
 def _bodies(base: Any, places: Places | None) -> int:
-    """How many bodies there may be."""
+    """Greatest number of bodies."""
     if places is not None:
         return sum(integers[2] for _, integers in places.rows) + len(base.road.objects)
     comers = math.ceil(base.config["duration"] * base.config["policy_frequency"]) + 2

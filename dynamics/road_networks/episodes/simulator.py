@@ -34,33 +34,34 @@ __all__ = ["RoadSimulator"]
 
 
 class RoadSimulator:
-    """So many copies of an environment on a road network, stepped together; the same to the last bit.
+    """`num_envs` copies of an environment on a road network, stepped together, equal to highway-env to the last bit.
 
     Parameters
     ----------
     env_id : merge, merge-generic, roundabout, roundabout-generic, exit, two-way, u-turn or intersection, any version.
-    num_envs : how many copies.
-    config : what differs from its default configuration.
-    threads : how many of them share the environments of a step.
+    num_envs : number of copies.
+    config : changes of the default configuration.
+    threads : number of threads that share the environments of a step.
 
     Raises
     ------
     ConfigError
-        If the environment needs what the simulator cannot do.
+        If the simulator does not support the environment's configuration.
     PlatformError
-        If numpy's own loops are not where they are known to be, or another version of highway-env is installed.
+        If numpy's own loops are not found where expected, or another version of highway-env is installed.
 
     Attributes
     ----------
-    scenario : what is simulated.
-    episodes : the state of all copies (see `engine.Episodes`).
-    seen : what the last call found (see `engine.RoadsSeen`). flat : the same, observations as rows of features.
-    exact : whether this machine's numpy makes sums of products in a way that is known here.
+    scenario : the environment as arrays.
+    episodes : the state of all copies (see `step_kernels.Episodes`).
+    seen : results of the last call (see `step_kernels.RoadsSeen`). flat : the same, with observations as rows of
+        features.
+    exact : whether the way in which this machine's numpy computes sums of products is known.
 
     Notes
     -----
-    The constants of the traffic's class are those that it has when the simulator is made. highway-env's intersections
-    change them, for all environments of the process that have the same class.
+    The constants of the traffic's class are read when the simulator is built. highway-env's intersections change them,
+    for all environments of the process with traffic of the same class.
 
     Examples
     --------
@@ -105,19 +106,19 @@ class RoadSimulator:
 
     @property
     def rules(self) -> NetworkRules:
-        """Of what drives."""
+        """The constants of the motion, for the kernels."""
         return self.scenario.rules.drive
 
     def new_worlds(self, count: int) -> NetworkWorlds:
-        """Room for so many more scenes."""
+        """Buffers for `count` further scenes."""
         return new_worlds(count, self.scenario.bodies, self.scenario.entries, 0)
 
     def new_work(self) -> NetworkWork:
-        """Room for the frames of one more thread."""
+        """Buffers for the frames of one further thread."""
         return new_work(self.scenario.bodies)
 
     def episode_work(self) -> EpisodeWork:
-        """Room for the episodes of one more thread."""
+        """Buffers for the episodes of one further thread."""
         scenario = self.scenario
         network, bodies = scenario.rules.drive.network, scenario.bodies
         lanes = int(network.ids[:, COUNT].max())
@@ -137,12 +138,12 @@ class RoadSimulator:
 
         Parameters
         ----------
-        seeds : one for each environment, as of `env.reset(seed=...)`; None goes on with the generators that there are.
+        seeds : one for each environment, as of `env.reset(seed=...)`; with None, the present generators continue.
         which : the environments to reset; all by default.
 
         Returns
         -------
-        The observations of all environments, (e, *shape) float32; the array is written over by the next call.
+        The observations of all environments, (e, *shape) float32. The next call overwrites the array.
         """
         chosen, numbers = resets_asked(self.num_envs, seeds, which)
         self.flat.full[chosen] = False
@@ -157,24 +158,22 @@ class RoadSimulator:
         Parameters
         ----------
         actions : (e,) meta-actions, or (e, size) throttle and steering.
-        again : whether episodes that end are followed by new ones at once; `seen.terminal` has their last
-            observations then.
-        which : the environments that make one, in increasing order; all by default. The arrays keep what they had of
-            the others.
+        again : whether an episode that ends is followed by a new one at once. `seen.terminal` then holds its last
+            observation.
+        which : the environments to step, in increasing order; all by default. The entries of the others stay unchanged.
 
         Returns
         -------
-        Observations (e, *shape), rewards (e,), terminated (e,) and truncated (e,): arrays that the next call writes
-        over.
+        Observations (e, *shape), rewards (e,), terminated (e,) and truncated (e,). The next call overwrites the arrays.
 
         Raises
         ------
         ActionError
-            If there is not an action for each environment, or one is none of the action space.
+            If there is not one action for each environment, or one is not in the action space.
         ConfigError
-            If `which` is not in increasing order, or there is no such environment.
+            If `which` is not in increasing order, or an environment does not exist.
         SceneError
-            If more vehicles came to an intersection than there is room for.
+            If more vehicles entered an intersection than there is room for.
         """
         given, seen = self._given(actions), self.seen
 
@@ -187,7 +186,13 @@ class RoadSimulator:
         return seen.observations, seen.reward, seen.terminated, seen.truncated
 
     def check_room(self) -> None:
-        """Raise SceneError where more vehicles came to an intersection than there is room for."""
+        """Check that all vehicles that entered an intersection had room.
+
+        Raises
+        ------
+        SceneError
+            If one had none.
+        """
         if self.seen.full.any():
             raise SceneError(f"{self.scenario.env_id} has room for {self.scenario.bodies} vehicles, and more came")
 
@@ -196,8 +201,11 @@ class RoadSimulator:
 
         Raises
         ------
+        ConfigError
+            If there is no copy `e`.
         SceneError
-            If it has more bodies or longer routes than there is room for, or vehicles that drive in another way.
+            If the configuration differs, there is no room for its bodies or routes, or a vehicle has an unknown driving
+            model.
         """
         if not 0 <= e < self.num_envs:
             raise ConfigError(f"there are environments 0 to {self.num_envs - 1}, not {e}")
@@ -209,5 +217,5 @@ class RoadSimulator:
         self.episodes.decisions[e] = base.steps // scenario.rules.drive.numbers[0]
 
     def _given(self, actions: Any) -> FloatArray:
-        """Actions as the kernels take them, (e, 2)."""
+        """Actions in the form of the kernels, (e, 2)."""
         return actions_given(actions, self.num_envs, len(self.scenario.rules.drive.labels), self.scenario.inputs)

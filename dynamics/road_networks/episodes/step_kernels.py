@@ -1,4 +1,4 @@
-"""Many episodes on one road network: reset and step as one compiled call over environments."""
+"""Kernels for many episodes on one road network: reset and step as one compiled call over environments."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ __all__ = [
 
 
 class Episodes(NamedTuple):
-    """The state of all environments: the roads, the generators, (e, 6), and the decisions since the reset, (e,)."""
+    """The state of all environments: roads, random generators (e, 6), and number of decisions since the reset (e,)."""
 
     worlds: NetworkWorlds
     rows: NDArray[np.uint64]
@@ -51,7 +51,7 @@ class Episodes(NamedTuple):
 
 
 class EpisodeRules(NamedTuple):
-    """What is the same in all environments."""
+    """The constants of all environments."""
 
     drive: NetworkRules
     scene: Scene
@@ -61,7 +61,7 @@ class EpisodeRules(NamedTuple):
 
 
 class EpisodeWork(NamedTuple):
-    """Room that is written over: of the frames, and of an observation."""
+    """Buffers of the kernels, overwritten: of the frames, and of an observation."""
 
     drive: NetworkWork
     near: IntArray
@@ -72,15 +72,15 @@ class EpisodeWork(NamedTuple):
 
 
 class RoadsSeen(NamedTuple):
-    """What a step returns, an entry for each environment.
+    """Results of a step, one entry for each environment.
 
     Attributes
     ----------
     observations : (e, rows, features). terminal : the same at the end of an episode, before a reset.
     reward, terminated, truncated : (e,).
-    parts : (e, 5), what the reward is made of (`rewards.NAMES`).
-    speed : (e,), the ego's [m/s]. crashed : (e,), whether it has.
-    full : (e,), whether somebody may have come for whom there was no room.
+    parts : (e, 5), terms of the reward (`rewards.NAMES`).
+    speed : (e,), of the ego [m/s]. crashed : (e,), whether the ego has crashed.
+    full : (e,), whether a vehicle may not have entered for lack of room.
     """
 
     observations: NDArray[np.float32]
@@ -143,7 +143,7 @@ def _show(
 
 @uncounted
 def begin(machine: Machine, episodes: Episodes, rules: EpisodeRules, e: int, action: FloatArray) -> None:
-    """Begin a decision in one environment: what its action changes at once."""
+    """Begin a decision in one environment: apply its action."""
     worlds = episodes.worlds
     worlds.clock[e] += rules.drive.times[1]
     episodes.decisions[e] += 1
@@ -164,8 +164,8 @@ def finish(
     e: int,
     action: FloatArray,
 ) -> None:
-    """End a decision in one environment: observation, reward, and whether the episode is over; then who comes and who
-    goes."""
+    """End a decision in one environment: observation, reward, and whether the episode ends; then vehicles leave and
+    enter."""
     worlds, worth = episodes.worlds, rules.worth
     _show(machine, episodes, rules, work, e, seen.observations[e])
     ego, traffic = ego_of(worlds.g[e]), traffic_of(machine, worlds, rules.drive.network, e)
@@ -190,7 +190,7 @@ def reset_all(
     which: IntArray,
     seeds: IntArray,
 ) -> None:
-    """Reset environments; a negative seed goes on with the environment's generator."""
+    """Reset environments. With a negative seed, the environment's generator continues."""
     for k in range(len(which)):
         e = which[k]
         if seeds[k] >= 0:
@@ -204,7 +204,7 @@ def reset_all(
 def again_at(
     machine: Machine, episodes: Episodes, rules: EpisodeRules, work: EpisodeWork, seen: RoadsSeen, e: int
 ) -> None:
-    """Follow an episode by a new one; `seen.terminal` has what was seen last."""
+    """Start the next episode in one environment; `seen.terminal` gets the last observation."""
     for k in range(seen.observations.shape[1]):
         for c in range(seen.observations.shape[2]):
             seen.terminal[e, k, c] = seen.observations[e, k, c]
@@ -224,7 +224,8 @@ def step_all(
     last: int,
     again: bool,
 ) -> None:
-    """A decision in each of the environments from `first` to `last`; with `again`, those that are over are reset."""
+    """One decision in each of the environments from `first` to `last`, `last` excluded; with `again`, ended episodes
+    are reset."""
     for e in range(first, last):
         begin(machine, episodes, rules, e, actions[e])
         for _ in range(rules.drive.numbers[0]):

@@ -1,4 +1,4 @@
-"""What the compiled episodes cannot do, found before anything is made of it."""
+"""Check of a configuration for features that the compiled episodes do not support."""
 
 from __future__ import annotations
 
@@ -37,27 +37,27 @@ _WORLDS: dict[type, int] = {
     intersection_env.ContinuousIntersectionEnv: CROSSING,
 }
 _READ_ELSEWHERE = ("reward_speed_range",)
-"""Keys of some roads that change nothing on the others, in highway-env as here."""
+"""Keys that are read on some roads, and have no effect on others, in highway-env as here."""
 _VIEWS = ("Kinematics", "ExitObservation", "TimeToCollision")
 
 
 def worlds_known() -> str:
-    """The classes of environments that are compiled."""
+    """The names of the supported environment classes."""
     return ", ".join(kind.__name__ for kind in _WORLDS)
 
 
 def is_world(kind: object) -> bool:
-    """Whether it is a class of environments whose episodes are compiled."""
+    """Whether an object is an environment class whose episodes are compiled."""
     return isinstance(kind, type) and kind in _WORLDS
 
 
 def kind_of_world(kind: type) -> int:
-    """MERGING to CROSSING, for a class of environments.
+    """MERGING to CROSSING, for an environment class.
 
     Raises
     ------
     ConfigError
-        If it is another.
+        If the class is not supported.
     """
     if kind not in _WORLDS:
         raise ConfigError(f"the episodes of {kind.__name__} are not compiled; those of {worlds_known()} are")
@@ -65,7 +65,7 @@ def kind_of_world(kind: type) -> int:
 
 
 def refusals(kind: type[Any], config: Mapping[str, Any]) -> list[str]:
-    """All that is refused of the whole configuration of an environment; nothing where it can be run."""
+    """All unsupported entries of a whole configuration; an empty list if it is supported."""
     known = {*kind.default_config(), *NAMES[kind_of_world(kind)], *_READ_ELSEWHERE}
     refused = [f"{key}={config[key]!r}" for key in sorted(config.keys() - known)]
     if config.get("controlled_vehicles", 1) != 1:

@@ -1,4 +1,4 @@
-"""Where everything is in the tables that a scene is made from."""
+"""Columns of the tables from which an initial scene is drawn."""
 
 from __future__ import annotations
 
@@ -34,16 +34,25 @@ __all__ = [
 ]
 
 PLACE, PLACE_SPREAD, FAST, FAST_SPREAD, FACING, WANTED = range(6)
-"""Numbers of a row: where along the lane [m] and how fast [m/s] a vehicle is, and how far a draw takes that; where
-along the lane its heading is taken, NaN for where it is; the speed that it wants if not its own, NaN for that. FAST is
-NaN for the limit of its lane. In a queue PLACE is the spacing, and nothing is drawn of it."""
+"""Numbers of a row.
+
+PLACE, FAST: position along the lane [m] and speed [m/s] of a vehicle; PLACE_SPREAD, FAST_SPREAD: their half range or
+standard deviation. FACING: position along the lane at which the heading is taken, NaN for the vehicle's own.
+WANTED: target speed, NaN for its speed. FAST is NaN for the speed limit of its lane. In a queue PLACE is the spacing,
+without a random draw.
+"""
 NUMBERS = 6
 
 WHOSE, LAW, MANY, TRIES, FIRST_LANE, LANES, DRAWN, HEADED, GOAL, GOALS, VARIES, MAY_CHANGE, BOUND_FOR = range(13)
-"""Integers of a row: EGO_ROW or 1 for the traffic; AT, SCATTERED or QUEUE; how many vehicles, and how often a place is
-looked for for each; the first lane, and of how many it is drawn; STEADY, UNIFORM or NORMAL, what is drawn; whether it
-is headed along its lane, not along x; the first goal, -1 without a route, and of how many it is drawn; whether its
-parameters are drawn; whether it may change lanes; the lane that it is bound for, -1 for its own."""
+"""Integers of a row.
+
+WHOSE: EGO_ROW, or 1 for the traffic. LAW: AT, SCATTERED or QUEUE. MANY: number of vehicles; TRIES: attempts to place
+each. FIRST_LANE, LANES: first lane, and number of lanes that it is drawn from. DRAWN: distribution, STEADY, UNIFORM or
+NORMAL.
+HEADED: whether the heading is along the lane, not along x. GOAL, GOALS: first goal, -1 without a route, and number of
+goals that it is drawn from. VARIES: whether parameters are drawn. MAY_CHANGE: whether it may change lanes. BOUND_FOR:
+its target lane, -1 for its own.
+"""
 INTEGERS = 13
 
 EGO_ROW = 0

@@ -1,4 +1,4 @@
-"""When the ego would meet whom in each lane at each speed: highway-env's `TimeToCollision` observation."""
+"""Time to collision of the ego in each lane at each target speed: highway-env's `TimeToCollision` observation."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from dynamics.state import FloatArray, IntArray
 __all__ = ["ROWS", "time_ahead"]
 
 ROWS = 9
-"""Of what is observed: three speeds by three lanes."""
+"""Number of rows of the observation: three speeds by three lanes."""
 _DEPTH = 3
-"""How many roads ahead are looked at."""
+"""Number of roads ahead that are searched."""
 
 
 @uncounted
 def _leads(network: Network, route: IntArray, at: int, end: int, road: int, other: int, stack: IntArray) -> bool:
-    """highway-env's `is_connected_road` of two roads, given entries `at` to `end` of a route from the first.
+    """highway-env's `is_connected_road` of two roads, given entries `at` to `end` of a route from the first road.
 
     Parameters
     ----------
-    stack : (3 times the roads that leave a node + 1 or more, 3), written.
+    stack : buffer, (3 times the roads that leave a node + 1 or more, 3), written.
     """
     roads, n = network.roads, 1
     stack[0, 0], stack[0, 1], stack[0, 2] = road, at, _DEPTH
@@ -57,7 +57,7 @@ def _leads(network: Network, route: IntArray, at: int, end: int, road: int, othe
 
 @uncounted
 def _note(grid: FloatArray, lane: int, time: float, cost: float) -> None:
-    """Note a collision at a step of time in a lane, or in all of them, -1."""
+    """Mark a collision at a time step in a lane, or in all lanes if `lane` is -1."""
     if not 0 <= time < grid.shape[1]:
         return
     for k in range(grid.shape[0]):
@@ -69,7 +69,7 @@ def _note(grid: FloatArray, lane: int, time: float, cost: float) -> None:
 def _fill(
     traffic: Traffic, view: View, ego: int, target_speed: float, vehicles: int, stack: IntArray, grid: FloatArray
 ) -> None:
-    """The collisions of the ego at a speed, (lanes, steps), written."""
+    """The collisions of the ego at a target speed, (lanes, steps), written."""
     f, g, p, ids, sums = traffic.f, traffic.g, traffic.p, traffic.lanes.ids, traffic.lanes.sums
     lane = g[LANE, ego]
     grid[:] = 0.0
@@ -108,12 +108,12 @@ def time_ahead(
     room: FloatArray,
     out: NDArray[np.float32],
 ) -> None:
-    """The collisions at the ego's target speed and those next to it, in its lane and those next to it, to `out`, (ROWS,
-    steps); where there is no lane they are certain.
+    """Write the collisions at the ego's target speed and the next lower and higher, in its lane and those beside it, to
+    `out`, (ROWS, steps). Where there is no lane, the value is 1.
 
     Parameters
     ----------
-    stack : of `_leads`. room : (lanes of a road at most, steps), written.
+    stack : buffer of `_leads`. room : buffer, (greatest number of lanes of a road, steps), written.
     """
     ids, lane = traffic.lanes.ids, traffic.g[LANE, ego]
     count, index = ids[lane, COUNT], ids[lane, ID]

@@ -13,10 +13,10 @@ __all__ = ["RoadVectorEnv"]
 
 
 class RoadVectorEnv(CompiledVectorEnv):
-    """So many environments on one road network in one Gymnasium vector environment.
+    """`num_envs` environments on one road network as a Gymnasium vector environment.
 
-    An episode that ends is followed by the next in the same step: `infos["final_obs"]` and `infos["final_info"]` have
-    what was last seen of it, as with Gymnasium's own vector environments in the mode `SAME_STEP`.
+    An episode that ends is followed by the next in the same step. `infos["final_obs"]` and `infos["final_info"]` hold
+    its last observation and info, as with Gymnasium's own vector environments in the mode `SAME_STEP`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""`CompiledFrames`: a live highway-env on a network of roads, of which only the frames are compiled."""
+"""`CompiledFrames`: a live highway-env on a road network with compiled frames."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ from dynamics.state import BoolArray, FloatArray
 __all__ = ["CompiledFrames", "Watcher"]
 
 Watcher = Callable[[list[Any], FloatArray, BoolArray], None]
-"""Gets the bodies of the road, where they are after each frame of a decision, (frames, m, 7) as of
-`NetworkSimulator.step`, and whether the ego is on the road, (frames,)."""
+"""A function called with the bodies of the road, their rows after each frame of a decision, (frames, m, 7) as of
+`NetworkSimulator.step`, and whether the ego is on the road after each frame, (frames,)."""
 
 
 class CompiledFrames(gym.Wrapper[Any, Any, Any, Any]):
-    """The frames of each decision compiled, the rest as it is: resets, observations, rewards and what an environment
-    changes between two decisions are its own (but that Kinematics is observed without a data frame). The same to the
-    last bit (where `exact`), but that vehicles of the linear model collect no `data` for a regression.
+    """Compiles the frames of each decision. Resets, observations, rewards and changes between two decisions remain the
+    environment's own, except that Kinematics is observed without a data frame. The results are the same to the last bit
+    (if `exact`). Vehicles of the linear model collect no `data` for a regression.
 
-    Any actions, and several egos with meta-actions. What looks at single frames (a film) finds only those in which a
-    decision is made. Where somebody has a hand in the frames of a vehicle, as a shield that supervises them has, the
-    decision is driven by highway-env itself, no faster than without.
+    It takes any actions, and several egos with meta-actions. A film shows only the frames in which a decision is made.
+    If `act` of a vehicle is replaced on the instance, as a shield that supervises frames does, highway-env itself
+    simulates the decision, without a speed-up.
 
     Parameters
     ----------
-    env : one of highway-env's environments on a network of roads; racetracks too.
+    env : one of highway-env's environments on a road network; racetracks too.
 
     Raises
     ------
     ConfigError
-        If its traffic is not known to follow from its state, it keeps the trajectories of its vehicles, or it is driven
-        by hand; at the reset, if its actions are not known.
+        If the traffic is not known to follow from its state, the environment stores trajectories, or it has manual
+        control. At the reset, if its actions are not supported.
     SceneError
-        At the reset, if its lanes or its vehicles are not known.
+        At the reset, if its lanes or its vehicles are not supported.
     PlatformError
-        At the reset, if numpy's own loops cannot be had here.
+        At the reset, if numpy's own loops are not found.
 
     Attributes
     ----------
-    exact : whether this machine's numpy computes in a way that is known here.
-    watchers : called after each decision's frames; a reset forgets them.
+    exact : whether the way in which this machine's numpy computes sums of products is known.
+    watchers : called after the frames of each decision; a reset clears them.
 
     Examples
     --------
@@ -68,22 +68,22 @@ class CompiledFrames(gym.Wrapper[Any, Any, Any, Any]):
         self.exact = Sums.OTHER not in sums_of_numpy()
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """As of the environment."""
+        """Reset the environment and clear the watchers."""
         self._simulators, self.watchers = {}, []
         result = self.env.reset(**kwargs)
         self._read()
         without_data_frames(self._base.observation_type)
-        # An attribute of the instance hides the method that drives the frames.
+        # An attribute of the instance hides the method of the class that simulates the frames.
         self._base._simulate = self._simulate
         return result
 
     def close(self) -> None:
-        """Give the environment its own frames back, and close it."""
+        """Restore the environment's own method for frames, and close it."""
         vars(self._base).pop("_simulate", None)
         super().close()
 
     def _simulate(self, action: Any = None) -> None:
-        """What stands in for highway-env's `AbstractEnv._simulate`."""
+        """Replacement of highway-env's `AbstractEnv._simulate`."""
         base, config = self._base, self._base.config
         if any("act" in vars(vehicle) for vehicle in base.road.vehicles):
             self._by_itself(action)
@@ -100,7 +100,7 @@ class CompiledFrames(gym.Wrapper[Any, Any, Any, Any]):
             watch([*base.road.vehicles, *base.road.objects], rows, on_road)
 
     def _by_itself(self, action: Any) -> None:
-        """The frames as highway-env drives them, with whoever has a hand in them."""
+        """Simulate the frames with highway-env, so that a replaced `act` of a vehicle is called."""
         if self.watchers:
             raise ConfigError("frames that a shield supervises are not compiled, so there is nothing to be watched")
         base, drive = self._base, vars(self._base).pop("_simulate")
@@ -110,7 +110,7 @@ class CompiledFrames(gym.Wrapper[Any, Any, Any, Any]):
             base._simulate = drive
 
     def _read(self) -> NetworkSimulator:
-        """The scene as it is, in a simulator that has room for it."""
+        """The present scene in a simulator with a fitting number of bodies."""
         base = self._base
         bodies = len(base.road.vehicles) + len(base.road.objects)
         simulator = self._simulators.get(bodies)

@@ -1,6 +1,6 @@
-"""The ego by itself on a road network: where highway-env's controllers, and braking, would take it.
+"""The ego alone on a road network: its path under highway-env's controllers and under braking.
 
-It answers to nobody, so that what it does follows from what it is told, whatever the others do.
+These controllers do not react to other vehicles, so the path follows from the target command alone.
 """
 
 from __future__ import annotations
@@ -47,13 +47,19 @@ from dynamics.state import FloatArray, IntArray
 __all__ = ["Alone", "Course", "alone_on", "drive"]
 
 _REST = 1e-9
-"""Who is no faster stands [m/s]."""
+"""Speed up to which a vehicle counts as standing [m/s]."""
 
 
 class Course(NamedTuple):
-    """What the ego is told: to steer for a lane at a speed [m/s], braking for that no harder than `gentle` [m/s^2], for
-    so many frames; and then to steer for the lane `aside` lanes to the right of the one it is bound for, and to brake
-    as hard as `hard` [m/s^2] until it stands."""
+    """A candidate manoeuvre of the ego.
+
+    Attributes
+    ----------
+    lane, speed : target lane, and target speed [m/s], for `frames` frames.
+    gentle : greatest deceleration in these frames [m/s^2].
+    aside : the target lane afterwards, counted to the right from the present target lane.
+    hard : deceleration afterwards, until the ego stands [m/s^2].
+    """
 
     lane: int
     speed: float
@@ -64,7 +70,7 @@ class Course(NamedTuple):
 
 
 class Alone(NamedTuple):
-    """The ego and its road; scene 0 is the present, and scene 1 what is tried."""
+    """The ego and its road. Scene 0 is the present, scene 1 the simulated manoeuvre."""
 
     machine: Machine
     worlds: NetworkWorlds
@@ -78,9 +84,9 @@ def alone_on(base: Any) -> Alone:
     Raises
     ------
     ConfigError
-        If it takes other actions.
+        If the ego takes other actions.
     SceneError
-        If its road has lanes of another shape.
+        If the road has lanes of an unknown shape, or the way in which numpy computes sums is unknown.
     """
     labels = getattr(base.action_type, "actions", None)
     if labels is None or not isinstance(base.vehicle, MDPVehicle):
@@ -108,20 +114,20 @@ def alone_on(base: Any) -> Alone:
 def drive(
     alone: Alone, course: Course, over: IntArray, path: FloatArray, first: FloatArray, bound: IntArray, own: IntArray
 ) -> int:
-    """Follow a course from the present.
+    """Simulate a manoeuvre from the present scene.
 
     Parameters
     ----------
-    over : for each lane the one that one has to come over to, because it ends, -1 for none (`Ways`); nobody turns
-        aside into one that ends.
+    over : for each lane that ends, the neighbouring lane that a vehicle has to change to, -1 for other lanes (`Ways`).
+        The ego does not turn aside into a lane that ends.
     path : (K + 1, 4), written: x, y [m], heading [rad], speed [m/s].
     first : acceleration [m/s^2] and front wheel angle [rad] in the first frame, (2,), written.
-    bound, own : the lane that it is bound for in each frame, and the one that it is on, (K + 1,), written.
+    bound, own : target lane and present lane in each frame, (K + 1,), written.
 
     Returns
     -------
-    How many rows there are until the ego stands, or its road has ended; negative, if it left the road, the number
-    with a minus.
+    Number of rows until the ego stands or its road ends, K + 1 if neither happens; the negative of that number if it
+    left the road.
     """
     worlds, rules, dt = alone.worlds, alone.rules, alone.rules.times[0]
     f, g, f0, g0 = worlds.f[1], worlds.g[1], worlds.f[0], worlds.g[0]

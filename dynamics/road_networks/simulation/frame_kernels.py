@@ -1,4 +1,4 @@
-"""A frame of many scenes on one road network, as compiled calls."""
+"""Kernels for one frame of many scenes on one road network."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class NetworkWorlds(NamedTuple):
     order : (e, m), bodies by x.
     routes : (e, m, entries, 2): roads, and their lanes or -1.
     clock : (e,), time since the reset [s].
-    counts : (e, 2), how many vehicles there are, and how many bodies: what stands comes after them, and then nothing.
+    counts : (e, 2), number of vehicles, and number of bodies. Obstacles come after the vehicles, then unused columns.
     """
 
     f: FloatArray
@@ -82,15 +82,15 @@ class NetworkWorlds(NamedTuple):
 
 
 class NetworkRules(NamedTuple):
-    """What is the same in all scenes.
+    """The constants of all scenes.
 
     Attributes
     ----------
-    network : the road.
-    numbers : frames of a decision, vehicles that a scene is loaded with, -1 for any number.
+    network : the road. customs : its rules beside driving.
+    numbers : frames of a decision; number of vehicles of a scene, -1 for any number.
     times : duration of a frame and of a decision [s].
     target_speeds : of the ego [m/s]. labels : of each action: 0 left, 1 none, 2 right, 3 faster, 4 slower.
-    law : how hard the law of an ego with throttle and steering brakes and accelerates [m/s^2].
+    law : greatest deceleration and acceleration of an ego with throttle and steering that follows controllers [m/s^2].
     """
 
     network: Network
@@ -103,7 +103,7 @@ class NetworkRules(NamedTuple):
 
 
 class NetworkWork(NamedTuple):
-    """Room that is written over."""
+    """Buffers of the kernels, overwritten."""
 
     numbers: FloatArray
     busy: IntArray
@@ -113,7 +113,8 @@ class NetworkWork(NamedTuple):
 
 
 def new_worlds(count: int, bodies: int, entries: int, vehicles: int) -> NetworkWorlds:
-    """Room for so many scenes of so many bodies, of which so many are vehicles, with routes of so many entries."""
+    """Buffers for `count` scenes of `bodies` bodies, of which `vehicles` are vehicles, with routes of up to `entries`
+    entries."""
     return NetworkWorlds(
         np.zeros((count, F, bodies)),
         np.zeros((count, G, bodies), np.int64),
@@ -126,7 +127,7 @@ def new_worlds(count: int, bodies: int, entries: int, vehicles: int) -> NetworkW
 
 
 def new_work(bodies: int) -> NetworkWork:
-    """Room for the kernels of one thread."""
+    """Buffers for the kernels of one thread."""
     return NetworkWork(
         np.zeros((4, bodies)),
         np.zeros(bodies, np.int64),
@@ -147,7 +148,7 @@ def ego_of(g: IntArray) -> int:
 
 @inlined
 def hold(worlds: NetworkWorlds, e: int, throttle: float, wheel: float) -> None:
-    """Let the ego of a scene keep an acceleration [m/s^2] and a front wheel angle [rad] from now on."""
+    """Set a constant acceleration [m/s^2] and front wheel angle [rad] of the ego of a scene, from now on."""
     f, g = worlds.f[e], worlds.g[e]
     ego = ego_of(g)
     f[ACCELERATION, ego], f[STEERING, ego], g[LAW, ego] = throttle, wheel, 0
@@ -160,14 +161,14 @@ def _lanes(machine: Machine, network: Network) -> Lanes:
 
 @inlined
 def traffic_of(machine: Machine, worlds: NetworkWorlds, network: Network, e: int) -> Traffic:
-    """What drives in one scene."""
+    """The road and the bodies of one scene."""
     lanes, bodies = _lanes(machine, network), worlds.counts[e, 1]
     return Traffic(lanes, network, worlds.f[e], worlds.g[e], worlds.p[e], worlds.routes[e], bodies)
 
 
 @uncounted
 def command(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, ego: int, action: int) -> None:
-    """What a meta-action changes at once of the ego in a column, or of an ally."""
+    """Apply a meta-action to the target command of an ego, given by its column."""
     f, g, network, label = worlds.f[e], worlds.g[e], rules.network, rules.labels[action]
     traffic = traffic_of(machine, worlds, network, e)
     if g[KIND, ego] == CONTINUOUS and not g[LAW, ego]:
@@ -184,10 +185,10 @@ def command(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int
 
 @uncounted
 def begin(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, action: FloatArray) -> None:
-    """Begin a decision in one scene: what its action changes at once.
+    """Begin a decision in one scene: apply the action to the target command.
 
-    An ego with throttle and steering, for which there are no meta-actions in highway-env, follows them by a law of its
-    own from then on: highway-env's controllers, from the lane and the speed that it has.
+    highway-env has no meta-actions for an ego with throttle and steering. Here such an ego then follows highway-env's
+    controllers, starting from its present lane and speed.
     """
     worlds.clock[e] += rules.times[1]
     command(machine, worlds, rules, e, ego_of(worlds.g[e]), int(action[0]))
@@ -195,7 +196,7 @@ def begin(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, 
 
 @uncounted
 def intend(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int) -> None:
-    """What everybody in one scene is about to do in the coming frame."""
+    """Compute the controls of all vehicles in one scene for the coming frame."""
     g, vehicles = worlds.g[e], worlds.counts[e, 0]
     traffic = traffic_of(machine, worlds, rules.network, e)
     clear(traffic, rules.customs, vehicles)
@@ -207,7 +208,7 @@ def intend(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: N
 
 @inlined
 def _go_straight(f: FloatArray, p: FloatArray, i: int, dt: float) -> None:
-    """`bicycle` with the wheel straight: the heading, its cosine and its sine stay, signs of zeros apart."""
+    """`bicycle` with zero steering: the heading, its cosine and its sine stay the same, except for signs of zeros."""
     speed, wheel = f[SPEED, i], f[STEERING, i]
     course = f[HEADING, i] + wheel
     f[X, i] += speed * f[COS, i] * dt
@@ -220,7 +221,7 @@ def _go_straight(f: FloatArray, p: FloatArray, i: int, dt: float) -> None:
 
 @uncounted
 def move(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int) -> None:
-    """Move everybody in one scene by a frame."""
+    """Move all vehicles in one scene by a frame."""
     f, g, p, vehicles, dt = worlds.f[e], worlds.g[e], worlds.p[e], worlds.counts[e, 0], rules.times[0]
     lanes, order, n = _lanes(machine, rules.network), worlds.order[e][: worlds.counts[e, 1]], 0
     for i in range(vehicles):

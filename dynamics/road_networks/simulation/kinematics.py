@@ -15,10 +15,10 @@ _RELATIVE = ("x", "y", "vx", "vy")
 
 
 def without_data_frames(observation_type: Any) -> None:
-    """Have a live observation type, and whatever it is made of, observe in the quick way.
+    """Replace `observe` of a live observation type, and of the types that it contains, by the fast version.
 
-    Of Kinematics only; any other is left as it is, and so is one that has a quick way of its own. One that wraps
-    another has it as `_inner`.
+    Only Kinematics types are changed, unless `observe` is already replaced on the instance. A type that wraps another
+    has it as `_inner`.
     """
     for kind in _kinematics_in(observation_type):
         if "observe" not in vars(kind):
@@ -26,6 +26,7 @@ def without_data_frames(observation_type: Any) -> None:
 
 
 def _kinematics_in(kind: Any) -> Iterator[Any]:
+    """The Kinematics observation types in an observation type."""
     if type(kind) is KinematicObservation:
         yield kind
     for part in kind.agents_observation_types if type(kind) is MultiAgentObservation else ():
@@ -35,7 +36,7 @@ def _kinematics_in(kind: Any) -> Iterator[Any]:
 
 
 def _observer(kind: Any) -> Callable[[], Any]:
-    """What takes the place of `KinematicObservation.observe`."""
+    """The replacement of `KinematicObservation.observe`."""
     features, count, dtype = list(kind.features), kind.vehicles_count, kind.space().dtype
     columns = {feature: [k for k, each in enumerate(features) if each == feature] for feature in features}
 
@@ -60,7 +61,7 @@ def _observer(kind: Any) -> Callable[[], Any]:
             rows.append([seen.get(feature, np.nan) for feature in features])
         observed = np.array(rows, float)
         if kind.normalize:
-            kind.normalize_obs({})  # settles the ranges, of nothing
+            kind.normalize_obs({})  # sets `features_range`; nothing is normalised
             for feature, (least, most) in kind.features_range.items():
                 for k in columns.get(feature, ()):
                     column = utils.lmap(observed[:, k], [least, most], [-1, 1])

@@ -1,4 +1,4 @@
-"""A live highway-env on any road network, in and out of the arrays."""
+"""Copy a live highway-env on any road network into the arrays of the simulator, and back."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ Lanes = Mapping[tuple[str, str, int], int]
 
 
 def longest_route(env: Any) -> int:
-    """How many entries the longest of the vehicles' routes has."""
+    """Number of entries of the longest route of the vehicles."""
     return max((len(getattr(v, "route", None) or ()) for v in bodies_of(env, first=False, team=True)[0]), default=0)
 
 
 def length_of_route(base: Any) -> int:
-    """How many entries the route of the ego of an environment, unwrapped, has, whatever else is on the road.
+    """Number of entries of the route of the ego of an environment, unwrapped. The other vehicles are not read.
 
     Raises
     ------
@@ -74,17 +74,18 @@ def length_of_route(base: Any) -> int:
 
 
 def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: int) -> None:
-    """Copy a live environment, between two decisions, into one of the scenes; one with throttle and steering, between
-    two frames.
+    """Copy a live environment into one of the scenes: between two decisions, or between two frames if the ego has
+    throttle and steering.
 
     Parameters
     ----------
     lanes : the number of each lane by highway-env's index (see `network.index_of`).
+    worlds, e : the scenes, and the index of the one that is written.
 
     Raises
     ------
     SceneError
-        If it has other bodies than there is room for, or vehicles that drive in a way that is not known.
+        If the number of bodies does not fit, or a vehicle has an unknown driving model.
     """
     base = env.unwrapped
     vehicles, obstacles = bodies_of(env, first=False, team=True)
@@ -131,8 +132,8 @@ def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: 
 
 
 def store(base: Any, keys: Sequence[tuple[str, str, int]], worlds: NetworkWorlds, e: int) -> None:
-    """Copy one of the scenes back into the environment, unwrapped, that it was loaded from: the same bodies, and nobody
-    else has touched them since.
+    """Write one of the scenes back into the environment, unwrapped, that it was loaded from. Its bodies must be the
+    same and unchanged since.
 
     Parameters
     ----------
@@ -163,6 +164,7 @@ def store(base: Any, keys: Sequence[tuple[str, str, int]], worlds: NetworkWorlds
 
 
 def _store_yielding(road: Any, body: Any, yields: bool) -> None:
+    """Mark a body as yielding, with the colour of highway-env, or remove the mark."""
     if yields:
         body.color, body.is_yielding, body.yield_timer = road.YIELDING_COLOR, True, 0
     elif getattr(body, "is_yielding", False):
@@ -171,12 +173,12 @@ def _store_yielding(road: Any, body: Any, yields: bool) -> None:
 
 
 def load_ego(base: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds) -> None:
-    """Copy the ego of an environment, unwrapped, alone into the first scene; it takes meta-actions.
+    """Copy the ego of an environment, unwrapped, alone into the first scene. The ego takes meta-actions.
 
     Raises
     ------
     SceneError
-        If its route is longer than there is room for, or something about it is not finite.
+        If the ego is no `MDPVehicle`, its route does not fit, or one of its numbers is not finite.
     """
     ego, f, g = base.vehicle, worlds.f[0], worlds.g[0]
     if type(ego) is not MDPVehicle:
@@ -193,13 +195,13 @@ def load_ego(base: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds
 
 
 def _load_inputs(base: Any, i: int, rules: NetworkRules, f: Any, g: Any, p: Any) -> None:
-    """What is particular to an ego with throttle and steering."""
+    """Load the columns that only an ego with throttle and steering has."""
     if hasattr(base.action_type, "agents_action_types"):
         raise SceneError("several egos with throttle and steering are not simulated")
     g[ROUTE_END, i] = -1
     p[[ACC_MAX, COMFORT], i] = rules.law
     if base.action_type.speed_range:
-        # highway-env gives the ego its range of speeds with its first action.
+        # highway-env sets the range of speeds of the ego at its first action.
         p[[MIN_SPEED, MAX_SPEED], i] = base.action_type.speed_range
     if isinstance(base.vehicle, BicycleVehicle):
         g[DYNAMICAL, i] = 1
@@ -207,6 +209,7 @@ def _load_inputs(base: Any, i: int, rules: NetworkRules, f: Any, g: Any, p: Any)
 
 
 def _key(index: Any) -> tuple[str, str, int]:
+    """highway-env's index of a lane, with 0 for an unknown number on its road."""
     return index[0], index[1], int(index[2] or 0)
 
 

@@ -37,35 +37,35 @@ from dynamics.state import BoolArray, FloatArray
 __all__ = ["NetworkSimulator"]
 
 _FASTEST = 30.0
-"""Where no lane has a limit [m/s]."""
+"""Greatest target speed where no lane has a speed limit [m/s]."""
 
 
 class NetworkSimulator:
-    """Copies of a live environment as it is now, between two decisions.
+    """Copies of a live environment in its present state, between two decisions.
 
-    It does not end, observe or reward: that is the environment's. What appears or vanishes
-    during an episode is not in it.
+    It simulates motion only. Observations, rewards and the end of an episode remain with the environment. So do
+    vehicles that appear or vanish during an episode.
 
     Parameters
     ----------
-    env : a highway-env environment, reset. Of several egos, with meta-actions, `step` moves the first; the others
-        drive on as they were told.
-    num_envs : how many copies.
-    law : for an ego with throttle and steering, how hard the law that carries out meta-actions brakes and accelerates
-        [m/s^2], and the time for which it carries out each [s].
-    like : another of the same environment since its reset, whose road is not read again.
+    env : a highway-env environment, reset. Of several egos with meta-actions, `step` moves the first; the others
+        continue with their present target commands.
+    num_envs : number of copies.
+    law : for an ego with throttle and steering: greatest deceleration and acceleration of the controllers that carry
+        out meta-actions [m/s^2], and the duration of each meta-action [s].
+    like : another simulator of the same environment since its reset; its arrays of the road are reused.
 
     Raises
     ------
     ConfigError
-        If its actions are neither meta-actions nor throttle and steering.
+        If the actions are neither meta-actions nor throttle and steering.
     SceneError
-        If its road has lanes of another shape, or its vehicles drive in another way.
+        If the road has lanes of an unknown shape, or a vehicle has an unknown driving model.
 
     Attributes
     ----------
-    rules, worlds : for the kernels (see `engine`).
-    exact : whether this machine's numpy makes sums of products in a way that is known here.
+    rules, worlds : for the kernels (see `frame_kernels`).
+    exact : whether the way in which this machine's numpy computes sums of products is known.
     """
 
     def __init__(
@@ -118,12 +118,11 @@ class NetworkSimulator:
             self.load(env, e)
 
     def is_on(self, env: gym.Env[Any, Any]) -> bool:
-        """Whether an environment has the road that this one was made of."""
+        """Whether an environment has the road from which this simulator was built."""
         return cast(Any, env.unwrapped).road.network is self._network
 
     def fits(self, env: gym.Env[Any, Any]) -> bool:
-        """Whether an environment has the road, the frequencies and as many bodies as this one, so that `load` takes
-        it."""
+        """Whether `load` accepts an environment: same road, same frequencies and as many bodies."""
         base = cast(Any, env.unwrapped)
         road, config = base.road, base.config
         same = road is not None and road.network is self._network and len(road.vehicles) == self.rules.numbers[1]
@@ -132,31 +131,42 @@ class NetworkSimulator:
         return same and len(road.objects) + len(road.vehicles) == self._bodies and longest_route(env) <= self._entries
 
     def load(self, env: gym.Env[Any, Any], e: int = 0) -> None:
-        """Copy the environment, as it is now, into copy `e`; see `live.load`."""
+        """Copy the environment, in its present state, into copy `e`; see `live.load`.
+
+        Raises
+        ------
+        SceneError
+            If the environment has another road, or see `live.load`.
+        """
         if cast(Any, env.unwrapped).road.network is not self._network:
             raise SceneError("the environment has another road than the simulator; make a new one")
         load(env, self.rules, self._lanes, self.worlds, e)
 
     def store(self, env: gym.Env[Any, Any], e: int = 0) -> None:
-        """Copy copy `e` back into the environment that it was loaded from, of which nobody has changed anything
-        since; its clock and its decisions' frames are not counted on."""
+        """Write copy `e` back into the environment that it was loaded from, which must not have changed since. Its
+        clock and its count of frames are left unchanged."""
         store(env.unwrapped, self._keys, self.worlds, e)
 
     def new_worlds(self, count: int) -> NetworkWorlds:
-        """Room for so many more scenes of the same bodies."""
+        """Buffers for `count` further scenes of the same bodies."""
         return new_worlds(count, self._bodies, self._entries, self.rules.numbers[1])
 
     def new_work(self) -> NetworkWork:
-        """Room for the kernels of one more thread."""
+        """Buffers for the kernels of one further thread."""
         return new_work(self._bodies)
 
     def step(self, action: int, e: int = 0) -> FloatArray:
-        """A meta-action, and all of its frames.
+        """Execute a meta-action for all of its frames.
 
         Returns
         -------
-        The bodies after each frame, (frames, m, 7): x, y [m], heading [rad], speed [m/s], length, width [m], crashed;
-        the array is written over by the next call.
+        The bodies after each frame, (frames, m, 7): x, y [m], heading [rad], speed [m/s], length, width [m], crashed.
+        The next call overwrites the array.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such action.
         """
         if not 0 <= action < len(self.rules.labels):
             raise ConfigError(f"have actions 0 to {len(self.rules.labels) - 1}, not {action}")
@@ -165,22 +175,28 @@ class NetworkSimulator:
         return self._rows
 
     def go_on(self, frames: int, e: int = 0) -> tuple[FloatArray, BoolArray]:
-        """So many frames in which everybody drives as it was told, or by itself.
+        """Simulate frames in which all vehicles continue: egos with their present target commands, traffic by its
+        driving models.
 
         Returns
         -------
-        As of `step`, (frames, m, 7), and whether the ego is on the road after each, (frames,).
+        As of `step`, (frames, m, 7), and whether the ego is on the road after each frame, (frames,).
         """
         rows, on_road = np.zeros((frames, self._bodies, 7)), np.zeros(frames, np.bool_)
         _go_on(self.machine, self.worlds, self.rules, self._work, e, rows, on_road)
         return rows, on_road
 
     def hold(self, throttle: float, wheel: float, frames: int, e: int = 0) -> FloatArray:
-        """So many frames of an ego that keeps an acceleration [m/s^2] and a front wheel angle [rad].
+        """Simulate frames in which the ego keeps an acceleration [m/s^2] and a front wheel angle [rad].
 
         Returns
         -------
         As of `step`, (frames, m, 7).
+
+        Raises
+        ------
+        ConfigError
+            If the ego takes meta-actions.
         """
         if not self._inputs:
             raise ConfigError("the ego takes meta-actions; use step")
@@ -189,7 +205,7 @@ class NetworkSimulator:
 
 
 def _speeds(network: Any) -> FloatArray:
-    """Four speeds from standing still to the highest limit of a network's lanes [m/s]."""
+    """Four target speeds at equal distances from 0 to the highest speed limit of a network [m/s]."""
     limits = [lane.speed_limit for lane in network.lanes_list() if lane.speed_limit is not None]
     return np.linspace(0.0, max(limits, default=_FASTEST), 4)
 
@@ -204,6 +220,7 @@ def _go_on(
     rows: FloatArray,
     on_road: BoolArray,
 ) -> None:
+    """`NetworkSimulator.go_on` as a kernel."""
     f, g, p = worlds.f[e], worlds.g[e], worlds.p[e]
     ego = ego_of(g)
     for k in range(rows.shape[0]):
@@ -224,5 +241,6 @@ def _step(
     rows: FloatArray,
     on_road: BoolArray,
 ) -> None:
+    """`NetworkSimulator.step` as a kernel."""
     begin(machine, worlds, rules, e, action)
     _go_on(machine, worlds, rules, work, e, rows, on_road)

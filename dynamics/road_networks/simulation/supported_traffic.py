@@ -1,4 +1,4 @@
-"""Which of highway-env's environments have traffic on a network that follows from its state alone."""
+"""The highway-env environments on road networks whose traffic follows from its present state alone."""
 
 from __future__ import annotations
 
@@ -28,29 +28,32 @@ from dynamics.road_networks.traffic.regulation import Customs
 __all__ = ["check_network", "customs_of", "exits_of", "may_have_spawned", "on_network"]
 
 _KNOWN = (ExitEnv, IntersectionEnv, LaneKeepingEnv, MergeEnv, RacetrackEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv)
-"""Nothing of their traffic is drawn after the reset, but for who comes to an intersection."""
+"""After the reset, no random draws affect the traffic of these environments, except for new vehicles at an
+intersection."""
 _AT_CROSSINGS = ("_clear_vehicles", "_spawn_vehicle")
-"""What `IntersectionEnv` changes between two decisions: vehicles leave near their exits, and others come."""
+"""Methods by which `IntersectionEnv` changes the traffic between two decisions: vehicles leave near their exits, and
+new ones enter."""
 _SPAWNED_WITHIN = 15.0
-"""How far along its entrance `IntersectionEnv` puts a vehicle at the most [m]: 5 m, and a normal deviation of 1 m."""
+"""Greatest distance along its entrance at which `IntersectionEnv` spawns a vehicle [m]: 5 m, plus a normal deviation of
+1 m."""
 
 
 def on_network(base: Any) -> bool:
-    """Whether an environment, unwrapped, has another road than a straight highway."""
+    """Whether an environment, unwrapped, has a road other than a straight highway."""
     return isinstance(base, ExitEnv) or not isinstance(base, HighwayEnv)
 
 
 def check_network(base: Any) -> None:
-    """Raise where the traffic of an environment, unwrapped, is not known.
+    """Check that the motion of the traffic of an environment, unwrapped, is known.
 
-    Its class may be anybody's: what moves its traffic has to be highway-env's own (`check_moves`), and
-    what is on its road is checked where the scene is read.
+    The environment may be of any class. The methods that move its traffic have to be highway-env's own (`check_moves`).
+    The objects on its road are checked when the scene is read.
 
     Raises
     ------
     ConfigError
-        That names the method that is not highway-env's own; or if its vehicles drive in a way that is not known there,
-        or it is no environment of highway-env's, or a parking lot.
+        If a method is not highway-env's own (the message names it), a vehicle class has an unknown driving model, or
+        the environment is a parking lot or none of highway-env's.
     """
     if not isinstance(base, AbstractEnv) or isinstance(base, ParkingEnv):
         raise ConfigError(
@@ -64,15 +67,16 @@ def check_network(base: Any) -> None:
 
 
 def exits_of(base: Any) -> Callable[[tuple[str, str, int]], bool] | None:
-    """Which lanes vehicles vanish from near their end, by highway-env's index of them; None for nowhere."""
+    """A function that tells near the ends of which lanes vehicles vanish, by highway-env's index of a lane; None if
+    they vanish nowhere."""
     if not isinstance(base, IntersectionEnv):
         return None
     return lambda key: "il" in key[0] and "o" in key[1]
 
 
 def may_have_spawned(base: Any, body: Any) -> bool:
-    """Whether highway-env itself may have put a body where it is now, between two decisions: at an entrance of an
-    intersection."""
+    """Whether highway-env itself may have placed a body at its present position between two decisions: at an entrance
+    of an intersection."""
     if not isinstance(base, IntersectionEnv) or body not in base.road.vehicles or body.lane_index is None:
         return False
     start, end, _ = body.lane_index
@@ -81,12 +85,12 @@ def may_have_spawned(base: Any, body: Any) -> bool:
 
 
 def customs_of(base: Any) -> Customs:
-    """What happens on the road of an environment beside driving.
+    """The rules of an environment's road that act on vehicles beside their driving.
 
     Raises
     ------
     ConfigError
-        If those who yield do it for longer than until it is settled anew, or it is settled in another way.
+        If the class of the road is unknown, or vehicles yield for longer than until the next update.
     """
     road, frames = base.road, int(base.config["simulation_frequency"] // base.config["policy_frequency"])
     stay = frames if isinstance(base, IntersectionEnv) else 0

@@ -1,1 +1,1 @@
-"""What makes an action safe: manoeuvres, clauses, memory, monitor."""
+"""Certificate on straight highways and racetracks: manoeuvres, clauses, memory and monitor."""

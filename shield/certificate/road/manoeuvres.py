@@ -1,7 +1,7 @@
-"""Candidate manoeuvres, as commands and not yet as paths: no judgement.
+"""Candidate manoeuvres, as commands that are not yet rolled out or judged.
 
-A candidate commits to a target for some frames and then carries out the fail-safe manoeuvre: brake to a stop in
-a lane. With meta-actions only, the fail-safe is a sequence of meta-actions instead.
+A candidate commits to a target for some frames and then executes the fail-safe manoeuvre: brake to a stop in a lane.
+With meta-actions only, the fail-safe is a sequence of meta-actions instead.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["Brakes", "Candidates", "Manoeuvres", "brake_candidates", "meta_candi
 
 
 class Manoeuvres(Protocol):
-    """n manoeuvres, with the lane that each commits to, and stops in, (n,)."""
+    """n manoeuvres, with the lanes that each commits to and stops in, (n,)."""
 
     @property
     def lanes(self) -> Any: ...
@@ -55,12 +55,12 @@ class Candidates:
 
 @dataclass(frozen=True, slots=True)
 class Brakes:
-    """n targets that are tracked for some frames, and then braking to a stop.
+    """n targets that are tracked for some frames, followed by braking to a stop.
 
     Attributes
     ----------
-    centers : of the road's lanes [m]. lanes, fails : lane that each commits to, and stops in, (n,).
-    speeds : that each commits to, (n,) [m/s]. commit, frames : of commitment, and in all.
+    centers : of the road's lanes [m]. lanes, fails : lanes that each commits to and stops in, (n,).
+    speeds : target speeds, (n,) [m/s]. commit, frames : number of frames of commitment, and in total.
     braking : deceleration afterwards [m/s^2].
     """
 
@@ -91,7 +91,8 @@ def brake_candidates(
     """
     lanes, fails = np.asarray(target_lanes, np.intp), np.asarray(fail_lanes, np.intp)
     speeds, v0 = np.asarray(target_speeds, dtype=float), float(scene.ego[State.SPEED])
-    # The speed after the commitment follows the controller's geometric law exactly, and grows with the target's.
+    # After the commitment, the error of the speed has decayed geometrically under the controller; the speed increases
+    # with the target speed.
     most = float(speeds.max())
     top = max(v0, most + (v0 - most) * (1 - KP_SPEED * scene.dt) ** commit, 0.0)
     frames = commit + math.ceil(top / (braking * scene.dt)) + 1
@@ -101,13 +102,13 @@ def brake_candidates(
 def meta_candidates(scene: Scene, actions: list[int], horizon: float) -> tuple[Candidates, list[tuple[int, ...]]]:
     """Sequences of meta-actions: each action, then SLOWER to the end.
 
-    A lane change later in a sequence would be no fail-safe: until it has begun, nobody knows of it, and another
-    vehicle may take the place first.
+    A lane change later in the sequence would be no fail-safe: until it has begun, no vehicle can react to it, and
+    another vehicle may take the place first.
 
     Parameters
     ----------
-    actions : the first actions.
-    horizon : how far to look where the ego cannot stop [s]; otherwise until it stands.
+    scene : the scene. actions : the first actions.
+    horizon : duration of the sequences if the ego cannot stop [s]; otherwise they last until it stands.
 
     Returns
     -------

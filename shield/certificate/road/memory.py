@@ -1,4 +1,4 @@
-"""What one decision leaves to the next, and one instant as it is seen with it."""
+"""The memory between decisions, and the observation of one scene with it."""
 
 from __future__ import annotations
 
@@ -27,23 +27,24 @@ __all__ = ["FailSafe", "Instant", "Memory", "observe"]
 
 S = TypeVar("S")
 _FIRST = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=bool), np.zeros(0, dtype=bool), np.zeros((0, 0), dtype=bool)
-"""What is known of the lanes before the first scene."""
+"""State of the lanes before the first scene."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Memory(Generic[S]):
-    """What is remembered of an episode. A new one is a new episode.
+    """State that persists between the decisions of an episode. A new episode starts with a new one.
 
     Attributes
     ----------
-    frame : index of the simulation frame that was seen last; None where it is not known.
-    stored : what plays the fail-safe on that was verified last: the lane that it stops in, the wheel angle that it
-        holds [rad], or the actions that are left of it. None without one. entered : the lane beside the ego's own and
-        the last that it enters on the way; None without one.
-    survey : who judged plans in the scene that was seen last; it knows the lanes that the ego owns, for how long it has
-        been visible in each, and who may enter which.
-    watch : what has been seen of the others.
-    plan : the predictive filter's last plan, inputs (N, 2), for the next one to start from.
+    frame : index of the last simulation frame; None if it is not known.
+    stored : the fail-safe verified last: the lane that it stops in, the wheel angle that it holds [rad], or its
+        remaining actions. None if there is none.
+    survey : judge of the last scene, with the lanes that the ego owns, the number of frames for which it has been
+        visible in each, and the vehicles that may enter each.
+    watch : state of the monitor.
+    plan : last plan of the predictive filter, inputs (N, 2), from which the next one starts.
+    entered : lane that the stored fail-safe enters on the way, besides the ego's own and the last; None if there is
+        none.
     """
 
     frame: int | None = None
@@ -56,8 +57,8 @@ class Memory(Generic[S]):
 
 @dataclass(frozen=True, slots=True)
 class FailSafe:
-    """The stored fail-safe played on from now: the lane that it stops in, its path (K, 4), its margin [m], and what
-    that comes from."""
+    """The stored fail-safe from now on: the lane that it stops in, its path (K, 4), its margin [m], and the binding
+    clause."""
 
     lane: int
     path: FloatArray
@@ -67,12 +68,12 @@ class FailSafe:
 
 @dataclass(frozen=True, eq=False)
 class Instant:
-    """One scene as it is seen with a memory: what each stage of a procedure judges with.
+    """One scene as observed with a memory: the input of each stage of a decision pipeline.
 
     Attributes
     ----------
-    scene, config : what is looked at, and the shield's settings.
-    memory : as it is after looking.
+    scene, config : the scene, and the shield's settings.
+    memory : after the observation.
     rollouts : of the ego.
     survey : judges plans in this scene.
     """
@@ -85,12 +86,13 @@ class Instant:
 
     @cached_property
     def lawful(self) -> Surveyor:
-        """Judges plans in view of those who have broken no rule."""
+        """Judges plans against the vehicles without a violation."""
         assert isinstance(self.memory.watch, Watch)
         return self.survey.without(self.memory.watch.offenders)
 
     def narrowed(self, share: float) -> Surveyor:
-        """Judges plans in the scene with bounds on the others that are a share as wide; see `Scene.narrowed`."""
+        """Judges plans in the scene with shrunk bounds on the other vehicles: `share` of their width, see
+        `Scene.narrowed`."""
         assert isinstance(self.memory.watch, Watch)
         scene, last, watch, lane = self.scene.narrowed(share), self.survey, self.memory.watch, self.memory.stored
         stored = lane if isinstance(lane, int) else None
@@ -113,12 +115,13 @@ class Instant:
         return int(self.scene.road.lane_at(float(self.scene.ego_road[RoadState.R])))
 
     def judge(self, candidates: Manoeuvres, hold: int = 0) -> tuple[FloatArray, Clearance]:
-        """Paths (n, K, 4) of some candidates, and what there is to say against them; see `Surveyor.clearance`."""
+        """Paths (n, K, 4) of the candidates, and the result for them; see `Surveyor.clearance`."""
         paths = candidates.paths(self.rollouts, self.scene.ego_road)
         return paths, self.survey.clearance(paths, candidates.lanes, candidates.fails, hold)
 
     def fail_safe(self, lawful: bool = False) -> FailSafe:
-        """The stored fail-safe from now on, judged without precautions; without one, that of the ego's own lane."""
+        """The stored fail-safe from now on, judged without precautions; if there is none, braking in the ego's own
+        lane. With `lawful`, violators are left out."""
         lane = self.here if self.memory.stored is None else int(self.memory.stored)
         survey = (self.lawful if lawful else self.survey).without_cut_ins()
         path, result = _brake(self.scene, lane, self.config.braking, self.rollouts, survey, self.memory.entered)
@@ -132,13 +135,14 @@ def observe(
     frames: int = 1,
     fail_safe: Callable[[Surveyor], FloatArray] | None = None,
 ) -> Instant:
-    """Take in a scene; one whose frame has been seen already is the same instant.
+    """Observe a scene. If its frame has been observed already, the result is the same instant.
 
     Parameters
     ----------
-    frames : simulation frames between two scenes.
-    fail_safe : how far the ego's fail-safe stays from where each vehicle can be, (m,) [m]; that of braking in the
-        stored lane by default.
+    memory : of the scene before. scene : the scene. config : the shield's settings.
+    frames : number of simulation frames between the two scenes.
+    fail_safe : separation of the ego's fail-safe from the places that each vehicle can reach, (m,) [m]; by default that
+        of braking in the stored lane.
     """
     rollouts = Rollouts(scene.dt, scene.road)
     if memory.survey is not None and scene.frame is not None and scene.frame == memory.frame:
@@ -152,7 +156,7 @@ def observe(
     before: Surroundings | Before | None = None
     if last is not None and not scene.blurred:
         before = last.around if same is None else _before(last.around, same, scene, config, ego)
-    # Over more than a frame it is not known what turning has taken of each vehicle's way.
+    # Over more than one frame, the distance that each vehicle has lost by turning is not known.
     frame_before = before if frames == 1 else None
     around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, frame_before, ego)
     watch = watch.of(same, len(scene.others))
@@ -175,8 +179,8 @@ def observe(
 
 
 def _same(last: Scene, scene: Scene) -> IntArray | None:
-    """Which of the others in the last scene each is now, (m,), -1 for newcomers; None where they are the same in the
-    same order. Without ids nobody is known again where their number is another."""
+    """Index of each vehicle in the last scene, (m,), -1 for new ones; None if the vehicles and their order are the
+    same. Without ids, all vehicles count as new where their number has changed."""
     if scene.ids is None or last.ids is None:
         if scene.ids is last.ids and len(last.others) == len(scene.others):
             return None
@@ -190,7 +194,8 @@ def _same(last: Scene, scene: Scene) -> IntArray | None:
 
 
 def _followers(last: Surveyor | None, same: IntArray | None) -> tuple[BoolArray, BoolArray] | None:
-    """Who was behind the ego in the last scene, and in a lane that it owned, (m,) bool in the order of this one."""
+    """Vehicles that were behind the ego in the last scene, and vehicles in a lane that it owned, (m,) bool in the order
+    of this scene."""
     if last is None or same is None:
         return None if last is None else (last.behind, last.held)
     flags, known = np.zeros((2, len(same)), dtype=bool), same >= 0
@@ -199,7 +204,8 @@ def _followers(last: Surveyor | None, same: IntArray | None) -> tuple[BoolArray,
 
 
 def _before(last: Surroundings, same: IntArray, scene: Scene, config: ShieldConfig, ego: float) -> Before:
-    """The others in the last scene; newcomers have kept their speed, and lost nothing by turning."""
+    """The other vehicles in the last scene. New vehicles are taken to have kept their speed, and lost no distance by
+    turning."""
     fresh = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, None, ego)
     known = np.flatnonzero(same >= 0)
     rows, states, tables = scene.others.copy(), scene.others_road.copy(), fresh.tables
@@ -222,8 +228,8 @@ def _lanes(
     owing: BoolArray,
     same: IntArray | None,
 ) -> Any:
-    """Frames for which the ego has been visible in each lane, which it owns, and who could enter which before: any
-    newcomer."""
+    """Number of frames for which the ego has been visible in each lane; the lanes that it owns; and the vehicles that
+    might enter each lane in the last scene. Every new vehicle might."""
     before: Any = _FIRST
     if last is not None and last.visible is not None and last.visible.shape == scene.road.centers.shape:
         comes = last.comes
@@ -242,8 +248,8 @@ def _lanes(
 def _brake(
     scene: Scene, lane: int, braking: float, rollouts: Rollouts, survey: Surveyor, entered: int | None
 ) -> tuple[FloatArray, Clearance]:
-    """Braking to a stop in a lane from now on: its path (K, 4), and what there is to say against it. `entered`: the
-    lane that the plan entered on the way, None without one."""
+    """Braking to a stop in a lane from now on: its path (K, 4), and the result for it. `entered` is the lane that the
+    plan entered on the way, None if there is none."""
     speed = float(scene.ego[State.SPEED]) - braking / KP_SPEED
     candidates = brake_candidates(scene, [lane], [speed], [lane], 1, braking)
     paths = candidates.paths(rollouts, scene.ego_road)

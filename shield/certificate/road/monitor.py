@@ -1,4 +1,4 @@
-"""Watches whether the others keep to the assumptions, frame by frame.
+"""Monitor: whether the other vehicles keep to the assumptions, frame by frame.
 
 Traffic has to keep to `dynamics.traffic.rules_of_the_road`; in a parking lot everything has to stand still.
 """
@@ -26,18 +26,31 @@ _DISTANCE, _APPEARED = int(Rule.DISTANCE), int(Rule.APPEARED)
 
 
 def _nobody() -> BoolArray:
+    """An empty mask of vehicles."""
     return np.zeros(0, dtype=bool)
 
 
 Separations = Callable[[], FloatArray]
-"""How far the ego's fail-safe stays from where each vehicle can be now, (m,) [m]; negative where it does not."""
+"""Separation of the ego's fail-safe from the places that each vehicle can reach now, (m,) [m]; negative where they
+overlap."""
 
 
 @uncounted
 def stayed(owed: Any, counted: Any, behind: Any, held: Any, broken: Any, grown: Any, owing: Any) -> tuple[bool, bool]:
-    """Fill in who owes the ego its distance now, `owing`, and add to `grown` who has not kept it: who owed it and has
-    come beside the ego in its own lane, and whom the stored plan has `counted` on to brake. Returns whether anybody has
-    broken a rule, and taken more room."""
+    """Update the distance obligations, `owing`, and add violations of the distance rule to `grown`.
+
+    A vehicle violates it if it had an obligation and has come beside the ego in the ego's lane. A vehicle that the
+    stored plan relies on to brake, `counted`, violates it if the fail-safe loses its room.
+
+    Parameters
+    ----------
+    owed : vehicles with an obligation in the scene before, (m,). counted : see `Surveyor.counted`, (m,).
+    behind, held : see `Others`, (m,). broken, grown : see `Motions`, (m,). owing : obligations now, (m,), written.
+
+    Returns
+    -------
+    Whether any vehicle has violated a rule, and whether any has taken more room.
+    """
     some, more = False, False
     for i in range(owed.shape[0]):
         owing[i] = behind[i] and held[i]
@@ -49,8 +62,8 @@ def stayed(owed: Any, counted: Any, behind: Any, held: Any, broken: Any, grown: 
 
 @uncounted
 def in_the_way_now(ego: Ego, rows: FloatArray, period: float, grown: IntArray, broken: IntArray) -> bool:
-    """Add to `broken` what is `grown` of those that touch the ego's buffer now, or its body in the coming frame, which
-    lasts `period` [s]: the fail-safe is judged from the next frame on. Whether there is anybody."""
+    """Add the rules in `grown` to `broken` for vehicles that touch the ego's buffer now, or its body in the coming
+    frame of `period` [s]: the fail-safe is judged from the next frame on. Return whether there is any."""
     some = False
     for i in range(grown.shape[0]):
         if grown[i] == 0:
@@ -63,15 +76,15 @@ def in_the_way_now(ego: Ego, rows: FloatArray, period: float, grown: IntArray, b
 
 
 def appeared(new: BoolArray, rows: FloatArray, ego: Ego, broken: IntArray, grown: IntArray) -> None:
-    """Judge newcomers, (m,) bool: each has to leave the fail-safe its room, and breaks a rule if it touches the ego's
-    buffer; what it did before it was there is not known. `broken` and `grown` are written."""
+    """Check the new vehicles, (m,) bool: each has to leave the fail-safe its room, and violates a rule if it touches
+    the ego's buffer. Its motion before is not known. `broken` and `grown` are written."""
     for i in np.flatnonzero(new).tolist():
         touches = gap_between(ego, ego.along, ego.across, rows, i, 0.0) < 0
         broken[i], grown[i] = (_APPEARED, 0) if touches else (0, _APPEARED)
 
 
 def _rule_of(column: Vehicle) -> Rule:
-    """The rule that a vehicle breaks with a number that is not finite."""
+    """The rule that a vehicle violates if this column of its row is not finite."""
     if column is Vehicle.SPEED:
         return Rule.SPEED
     return Rule.SIZE if column in (Vehicle.LENGTH, Vehicle.WIDTH) else Rule.WAY
@@ -79,17 +92,17 @@ def _rule_of(column: Vehicle) -> Rule:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Watch:
-    """What has been seen of the others up to one scene.
+    """State of the monitor after one scene, for its m vehicles.
 
     Attributes
     ----------
-    owing : who of them owed the ego its distance, (m,) bool.
+    owing : vehicles with a distance obligation towards the ego, (m,) bool.
     crashed : whether the ego had crashed.
-    breaking : who was breaking a rule in that very frame, (m,) bool.
-    offenders : who has broken a rule and may still be in the way of the ego's fail-safe, (m,) bool.
-    count : violations so far; a vehicle that breaks rules frame after frame counts once until it keeps to them again.
-    by_rule : the same by the rule that was broken.
-    unreadable : ids of those whose numbers were not all readable; they are in none of the arrays.
+    breaking : vehicles that violated a rule in that frame, (m,) bool.
+    offenders : violators that may still be in the way of the ego's fail-safe, (m,) bool.
+    count : number of violations so far. A vehicle that violates rules in consecutive frames counts once.
+    by_rule : the same by rule.
+    unreadable : ids of the vehicles with numbers that are not readable; they are in none of the arrays.
     """
 
     owing: BoolArray = field(default_factory=_nobody)
@@ -102,7 +115,7 @@ class Watch:
 
     @property
     def violated(self) -> bool:
-        """Whether anybody who has broken a rule may still be in the way."""
+        """Whether a violator may still be in the way."""
         return bool(self.offenders.any())
 
     @property
@@ -111,16 +124,16 @@ class Watch:
         return {str(rule): count for rule, count in self.by_rule.items()}
 
     def forgiven(self) -> Watch:
-        """The same once a plan clears everybody again."""
+        """The state without violators, for when a plan clears every vehicle again."""
         return replace(self, offenders=np.zeros(self.offenders.shape, dtype=bool)) if self.violated else self
 
     def with_unreadable(self, ids: IntArray, read: BoolArray, known: frozenset[int]) -> Watch:
-        """The same with vehicles whose numbers are not all readable: each breaks the rules that these are judged by.
+        """The state with vehicles that are not readable: each violates the rules that check its unreadable numbers.
 
         Parameters
         ----------
-        ids : of those vehicles, (n,). read : which of their numbers are readable, (n, 7). known : the ids of those that
-            were unreadable in the scene before, which have been counted.
+        ids : of these vehicles, (n,). read : which of their numbers are readable, (n, 7).
+        known : ids of those that were unreadable in the scene before, and have been counted.
         """
         count, by_rule = self.count, dict(self.by_rule)
         for i, row in zip(ids.tolist(), read, strict=True):
@@ -132,11 +145,11 @@ class Watch:
         return replace(self, count=count, by_rule=by_rule, unreadable=frozenset(ids.tolist()))
 
     def of(self, same: IntArray | None, m: int) -> Watch:
-        """The same of the m others of the next scene, in their order.
+        """The state for the m vehicles of the next scene, in their order.
 
         Parameters
         ----------
-        same : which of the others each was in the scene seen last, (m,), -1 for newcomers; None for the same order.
+        same : index of each vehicle in the last scene, (m,), -1 for new ones; None if the order is the same.
         """
         if same is None and len(self.owing) == m:
             return self
@@ -155,15 +168,16 @@ class Watch:
         period: float,
         fail_safe: Separations,
     ) -> Watch:
-        """The watch one scene later; this one is already `of` its others.
+        """State of the monitor one scene later; this state already has the vehicles of that scene, see `of`.
 
         Parameters
         ----------
-        survey : the scene, and what is known of the others in it; its surroundings know those of the scene before.
-        before : the others in the scene before; None in the first, and where their states are estimates.
-        new : who was not there then, (m,) bool; None where everybody was.
-        counted : whom the stored plan has counted on to brake, (m,) bool. period : time since the scene before [s].
-        fail_safe : asked where somebody has taken more room than before.
+        survey : the scene, with what has been computed for its vehicles. Its surroundings refer to those of the scene
+            before.
+        before : the other vehicles in the scene before; None in the first scene, and where their states are estimates.
+        new : vehicles that were not in the scene before, (m,) bool; None if there are none.
+        counted : vehicles that the stored plan relies on to brake, (m,) bool. period : time since the scene before [s].
+        fail_safe : called if a vehicle has taken more room than before.
         """
         behind, held, ego = survey.behind, survey.held, survey.seen
         crashed = bool(survey.scene.ego[Vehicle.CRASHED] > 0)
@@ -178,7 +192,7 @@ class Watch:
         owing = np.empty(len(broken), dtype=bool)
         some, more = stayed(self.owing, counted, behind, held, broken, grown, owing)
         if more:
-            # Who takes more room than before has to leave it to the ego's fail-safe.
+            # A vehicle that takes more room than before has to leave the ego's fail-safe its room.
             in_the_way_now(ego, survey.scene.others, survey.scene.dt, grown, broken)
             broken |= np.where(fail_safe() >= 0, 0, grown)
             some = bool(broken.any())
@@ -195,12 +209,13 @@ class Watch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stillness:
-    """What has been seen of a lot where everything is assumed to stand; a `Watch` that forgives nothing.
+    """State of the monitor of a parking lot, where everything is assumed to stand. Unlike `Watch`, it clears no
+    violation.
 
     Attributes
     ----------
-    count : how often something has begun to move. violated : whether something moves now.
-    moving : which obstacles did in the lot seen last, (m,) bool; they are matched by their order.
+    count : number of times that an obstacle has begun to move. violated : whether an obstacle moves now.
+    moving : obstacles that moved in the last scene, (m,) bool, identified by their order.
     """
 
     count: int = 0
@@ -213,11 +228,11 @@ class Stillness:
         return {"moving": self.count} if self.count else {}
 
     def next(self, moving: BoolArray) -> Stillness:
-        """The same one lot later."""
+        """State of the monitor one scene later; `moving` as in the attributes."""
         known = self.moving is not None and self.moving.shape == moving.shape
         begun = moving & ~self.moving if known else moving  # type: ignore[operator]
         return Stillness(self.count + int(begun.sum()), bool(moving.any()), moving)
 
     def forgiven(self) -> Stillness:
-        """The same."""
+        """The same state."""
         return self

@@ -1,10 +1,10 @@
-"""Bounds on what is seen through a sensor that is not exact, no wider than what was known before leaves room for.
+"""Shrinks the bounds from an inexact sensor to what the scene before leaves possible.
 
-Where a scene's rows are bounds and not states, the next sensor reading may put a body a little nearer than the last
-plan was verified against, by nothing but noise. But that body has moved by the assumptions: ahead of the ego, its rear
-is no further back, and it is no slower, than the worst case of the scene before said of this one; behind, its front is
-no further ahead, and it is no faster. What is known is what both say (set-membership estimation, Schweppe 1968), so
-that a plan that was verified stays so.
+The rows of a scene may be bounds instead of states. Then noise alone may put a vehicle nearer in the next reading than
+the last plan was verified against. But the vehicle has moved within the assumptions. Ahead of the ego, its rear is no
+further back, and its speed no lower, than the worst case of the scene before. Behind the ego, its front is no further
+ahead, and its speed no higher. Both bounds hold, so their intersection does (set-membership estimation, Schweppe 1968).
+With it, a plan that was verified stays verified.
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ _S, _V = int(RoadState.S), int(RoadState.SPEED)
 
 
 def nested(last: Scene, around: Surroundings, same: IntArray, scene: Scene) -> Scene:
-    """A scene a frame later, with bounds that are no wider than what `last` and its surroundings leave.
+    """A scene a frame later, with bounds no wider than `last` and its surroundings permit.
 
     Parameters
     ----------
-    same : which of the others in the last scene each is, (m,); -1 for newcomers.
+    last : the scene before. around : its surroundings.
+    same : index of each vehicle in the last scene, (m,); -1 for new ones. scene : the new scene.
     """
     known = np.flatnonzero(same >= 0)
     if not known.size:
@@ -38,7 +39,7 @@ def nested(last: Scene, around: Surroundings, same: IntArray, scene: Scene) -> S
     place, speed, speed_before = states[known, _S].copy(), states[known, _V].copy(), last.others_road[before, _V]
     ahead = (place > ego) & (last.others_road[before, _S] > ego_before)
     behind = (place < ego) & (last.others_road[before, _S] < ego_before)
-    # What is not known of the far end of a body makes no difference to the ego.
+    # The uncertainty of the far end of a body does not matter to the ego.
     rear, slowest = around.rear(1)[before, 0], speed_before - around.tables.brakes[before, 0] * scene.dt
     front, fastest = around.front(1)[before, 0], speed_before + around.assumptions.acceleration * scene.dt
     place[ahead] = np.maximum(place, rear + half)[ahead]

@@ -1,20 +1,20 @@
-"""Candidate trajectories against occupancy: a margin in metres, not a boolean.
+"""Verification of candidate trajectories against reachable intervals: a margin in metres, not a boolean.
 
 Notation
 --------
-Road frame. The ego's footprint is inflated by the buffer along and across its heading psi; its half extents
-along and across the road are
+Road frame. The ego's footprint is inflated by the buffer along and across its heading psi. Its half extents along and
+across the road are
 
     h_s = (L/2 + b_lon) |cos psi| + (W/2 + b_lat) |sin psi|
     h_r = (L/2 + b_lon) |sin psi| + (W/2 + b_lat) |cos psi|
 
-The separation from a rectangle is the greater of the longitudinal and the lateral gap, negative when both
-overlap. The margin of a trajectory is the least separation over all frames and vehicles.
+The separation from a rectangle is the greater of the longitudinal and the lateral gap, negative when both overlap. The
+margin of a trajectory is the least separation over all frames and vehicles.
 
-Who owes what (Responsibility-Sensitive Safety): a vehicle behind, in a lane that the ego *owns*, must keep its
-distance. The ego owns the lane that it starts in, and one that it enters once a plan to stop there has been
-verified against those behind: until then they are the ego's business. A plan must also end inside its lane, so
-that an ego at rest is in nobody else's way.
+Distance obligations (Responsibility-Sensitive Safety): a vehicle behind the ego, in a lane that the ego *owns*, must
+keep its distance. The ego owns the lane that it starts in. It owns a lane that it enters once a plan to stop there has
+been verified against the vehicles behind; until then, the ego has to keep clear of them. A plan must also end inside
+its lane, so that an ego at rest blocks no other lane.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ _NOBODY, _NO_LANES = np.zeros(0, dtype=bool), np.zeros((0, 0), dtype=bool)
 
 @dataclass(frozen=True, slots=True)
 class Binding:
-    """What a margin comes from.
+    """The clause and the vehicle that a margin comes from.
 
     Attributes
     ----------
-    clause : its name, "" with nobody in reach. vehicle : row among the scene's others, -1 without one.
+    clause : its name, "" if no vehicle is in reach. vehicle : row among the scene's others, -1 if there is none.
     """
 
     clause: str = ""
@@ -68,7 +68,7 @@ class Binding:
 
 
 NOTHING = Binding()
-"""Nothing binds, or nothing was asked."""
+"""No clause binds, or none was evaluated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,13 +77,12 @@ class Clearance:
 
     Attributes
     ----------
-    margin : least separation beyond the buffer, (n,) [m]; +inf with nobody in reach, -inf in a gap of the map.
-    clear : frames before the first violation, (n,); all of them without one.
-    found : what the margin is the least of, (1 + q + c, n) [m]: the room in the lane that is stopped in; the least
-        separation from each vehicle in reach, +inf from one that owes the ego its distance; and from each that may slip
-        in alongside.
-    rows : the vehicles in reach, (q,).
-    binds : what each margin comes from, and which vehicle, (2, n).
+    margin : least separation beyond the buffer, (n,) [m]; +inf with no vehicle in reach, -inf in a gap of the map.
+    clear : number of frames before the first negative separation, (n,); all frames if there is none.
+    found : terms of the margins, (1 + q + c, n) [m]: the room in the lane that is stopped in; the least separation from
+        each vehicle in reach, +inf for one with a distance obligation; and that from each vehicle that may cut in.
+    rows : rows of the vehicles in reach, (q,).
+    binds : binding clause and binding vehicle of each margin, (2, n).
     """
 
     margin: FloatArray
@@ -100,41 +99,43 @@ class Clearance:
 
     @property
     def slipping(self) -> FloatArray:
-        """The same from those that may slip in alongside, (n, c) [m]."""
+        """Least separation of each path from each vehicle that may cut in, (n, c) [m]."""
         assert self.found is not None
         return self.found[1 + len(self.rows) :].T
 
     @property
     def parts(self) -> FloatArray:
-        """What the margins are the least of, (n, q + c + 1) [m]: both, and the room."""
+        """Terms of the margins, (n, q + c + 1) [m]: the separations of both kinds, and the room."""
         assert self.found is not None
         return np.vstack([self.found[1:], self.found[:1]]).T
 
     def binding(self, i: int) -> Binding:
-        """The clause that the margin of path `i` comes from, and the vehicle."""
+        """The binding clause and the binding vehicle of path `i`."""
         if self.margin[i] == -np.inf:
             return Binding("gap of the map")
         return Binding(_CLAUSES[int(self.binds[0, i])], int(self.binds[1, i]))
 
 
 class Surveyor:
-    """Judges trajectories in one scene; what depends on the scene alone is computed once.
+    """Judges trajectories in one scene. Everything that depends on the scene alone is computed once.
 
     Parameters
     ----------
     scene : the scene.
     config : buffer, assumptions and perception range.
-    visible : frames for which the ego has been visible in each lane already, (lanes,); none by default.
-    owned : which lanes the ego owns, (lanes,) bool; the one that it is in by default.
-    around : the scene's surroundings, where they have been built already.
-    ignored : whom to leave out, (m,) bool; nobody by default.
-    followers : who owed the ego its distance in the scene before, (m,) bool; nobody by default.
-    coming : who could enter which lane in the scene before, (lanes, m) bool; whoever may now by default.
-    stored, entered : the lane in which the stored plan stops, and the one that it enters on the way; None without one.
+    visible : number of frames for which the ego has been visible in each lane, (lanes,); none by default.
+    owned : lanes that the ego owns, (lanes,) bool; the one that it is in by default.
+    around : the scene's surroundings, if they have been built already.
+    ignored : vehicles to leave out, (m,) bool; none by default.
+    followers : vehicles with a distance obligation in the scene before, (m,) bool; none by default.
+    coming : whether each vehicle could enter each lane in the scene before, (lanes, m) bool; by default those that may
+        now.
+    stored, entered : lane in which the stored plan stops, and lane that it enters on the way; None if there is none.
 
     Attributes
     ----------
-    size : the ego's footprint. behind, held : see `Others`, (m,) bool. comes : who may enter which lane, (lanes, m).
+    size : the ego's footprint. behind, held : see `Others`, (m,) bool.
+    comes : whether each vehicle may enter each lane, (lanes, m).
     plan : `stored` and `entered`, -1 for None.
     """
 
@@ -204,14 +205,14 @@ class Surveyor:
 
     @cached_property
     def others(self) -> Others:
-        """The vehicles as a judgement of paths sees them."""
+        """The other vehicles as the clauses read them."""
         named: Any = others_from
         others: Others = named.py_func(self.around.bodies, *self._of_others)
         return others
 
     def counted(self, before: tuple[BoolArray, BoolArray] | None) -> BoolArray:
-        """Whom the stored plan counts on to brake, (m,) bool, see `counted_on`; `before`: who was `behind` and `held`
-        in the scene before."""
+        """Vehicles that the stored plan relies on to brake, (m,) bool, see `counted_on`. `before` is `behind` and
+        `held` of the scene before."""
         out = np.zeros(len(self.behind), dtype=bool)
         if self.plan[0] >= 0 and before is not None:
             scene = self.scene.ego_road, self._size, self.scene.road.centers
@@ -219,30 +220,30 @@ class Surveyor:
         return out
 
     def entered(self, paths: FloatArray, fails: IntArray) -> tuple[IntArray, FloatArray, BoolArray, IntArray]:
-        """The lane that the body of each path (n, K, 4) enters beside those that the ego owns and the one that it stops
-        in, `fails` (n,); and the rest of `lanes_touched`."""
+        """The lane that the body enters on each path (n, K, 4), besides the owned ones and the one that it stops in,
+        `fails` (n,); and the other results of `lanes_touched`."""
         size, road = self.size, self.scene.road
         body, side = (size.length, size.width, size.bare_across), 0.5 * road.width
         return lanes_touched(self.scene.ego_road, paths, body, road.centers, side, self.owned, fails)
 
     def without(self, ignored: BoolArray) -> Surveyor:
-        """The same for whom some vehicles are not there, (m,) bool."""
+        """The same for a scene without some vehicles, (m,) bool."""
         other = copy(self)
         other.ignored = ignored
         return other
 
     def without_cut_ins(self) -> Surveyor:
-        """The same without the precaution of cut-ins: plans are refused for it, and the certificate does not need it,
-        for a vehicle that cuts in without leaving the fail-safe its room breaks a rule."""
+        """The same without the precaution of cut-ins. The precaution may refuse plans, and the certificate does not
+        rest on it: a vehicle that cuts in without leaving the fail-safe its room violates a rule."""
         other = copy(self)
         other._slipping = self._slipping[:0]
         return other
 
     def relevant(self, distance: float, followers: bool = True) -> Any:
-        """Rows of those who can come into reach of an ego that travels at most `distance` [m].
+        """Rows of the vehicles that can come into reach of an ego that travels at most `distance` [m].
 
-        Dropping the rest cannot change any verdict: nobody ahead comes to a place further back than its least one.
-        Without `followers`, those behind are left out altogether.
+        To leave out the rest cannot change a verdict: a vehicle ahead never comes further back than its least s.
+        Without `followers`, all vehicles behind are left out.
         """
         rows = np.empty(len(self.scene.others), np.intp)
         return rows[: in_reach(self.others, (distance, float(self.config.perception_range)), followers, rows)]
@@ -253,8 +254,8 @@ class Surveyor:
         Parameters
         ----------
         paths : road states of the ego after frames 1..K, (n, K, 4).
-        lanes, fails : the lane that each commits to, and stops in, (n,).
-        hold : frames for which the others are *expected* to keep their speed (a forecast, not a bound).
+        lanes, fails : lanes that each path commits to and stops in, (n,).
+        hold : number of frames for which the others are *expected* to keep their speed (a forecast, not a bound).
         """
         around = self.around
         found, marks, rows = judged(
@@ -282,14 +283,15 @@ class Surveyor:
         return Clearance(found[0], marks[0], found[1:], rows, marks[1:])
 
     def of_each(self, result: Clearance, i: int = 0) -> FloatArray:
-        """How far path `i` of a result stays from where each vehicle can be, (m,) [m]; +inf out of reach."""
+        """Separation of path `i` of a result from the places that each vehicle can reach, (m,) [m]; +inf out of
+        reach."""
         out = np.full(len(self.scene.others), np.inf)
         if result.found is not None:
             out[result.rows] = result.separations[i]
         return out
 
     def _close_gaps(self, paths: FloatArray, margin: FloatArray) -> None:
-        """Nothing leads through where the map has no lane: `margin` (n,) is -inf there."""
+        """Set `margin` (n,) to -inf for paths through places where the map has no lane."""
         gaps = self.scene.road.gaps
         if gaps is not None:
             margin[gaps.met(paths) & ~np.isnan(margin)] = -np.inf
@@ -297,8 +299,8 @@ class Surveyor:
 
 @lru_cache(maxsize=64)
 def footprint_of(length: float, width: float, buffer: Buffer, bends: Any) -> tuple[Footprint, FloatArray]:
-    """The ego's footprint, and its numbers: on a bend, its buffered footprint and its body need more than a straight
-    road's rectangle."""
+    """The ego's footprint, and its numbers, (8,). On a curve, the buffered footprint and the body extend further than
+    on a straight road."""
     growth, bare = (0.0, 0.0), (0.0, 0.0)
     if bends is not None:
         growth = bends.growth(length + 2 * buffer.longitudinal, width + 2 * buffer.lateral)
@@ -309,16 +311,17 @@ def footprint_of(length: float, width: float, buffer: Buffer, bends: Any) -> tup
 
 
 def least_bad(result: Clearance) -> int:
-    """The trajectory to take when none verifies: the one that stays clear longest, then the largest margin."""
+    """Index of the trajectory to execute if none verifies: the one that stays clear longest, then the largest
+    margin."""
     margin = np.nan_to_num(result.margin, nan=-np.inf)
     return int(np.lexsort((margin, result.clear))[-1])
 
 
 def least_bad_evasion(expected: Clearance, worst: Clearance) -> int:
-    """The trajectory to take from one who has broken a rule: the one that is expected to stay clear longest; of these,
-    the one that does in the worst case, then that of the largest margin that is expected, the first of equals.
+    """Index of the trajectory to execute because of a violator: the one that is expected to stay clear longest. Among
+    equals, the one that stays clear longest in the worst case, then the largest expected margin, then the first.
 
-    Who brakes is expected to keep its speed; the worst case says what comes of it.
+    In the forecast a braking vehicle keeps its speed; the worst case covers its braking.
     """
     margin = np.nan_to_num(expected.margin, nan=-np.inf)
     return int(np.lexsort((-np.arange(len(margin)), margin, worst.clear, expected.clear))[-1])

@@ -1,1 +1,1 @@
-"""What a plan has to satisfy: the clauses of the certificate, one a file."""
+"""The clauses of the certificate, one a file: the conditions that a plan has to satisfy."""

@@ -1,6 +1,6 @@
-"""All that is said against paths, in one compiled call.
+"""All clauses, evaluated for a set of paths in one compiled call.
 
-It is handed arrays and nothing else, which get their names inside; `dynamics.traffic.tables` says why.
+The call takes plain arrays, which get their names inside; `dynamics.traffic.tables` gives the reason.
 """
 
 from __future__ import annotations
@@ -39,20 +39,22 @@ __all__ = [
 ]
 
 NOTHING_BINDS, SEPARATION_BINDS, SLIP_IN_BINDS, ROOM_BINDS = 0, 1, 2, 3
-"""What a margin comes from."""
+"""Codes of the binding clause."""
 
 
 _WIDTH = int(Columns.WIDTH)
 _AHEAD = 3
-"""Frames that are computed beyond those that are asked for: the next path may be a little longer."""
+"""Frames computed beyond those needed, since the next path may be slightly longer."""
 
 
 @inlined
 def _rears(
     desk: Desk, count: int, frames: int, around: Around, hold: int, rows: IntArray, out: FloatArray, last: bool
 ) -> None:
-    """Least s of the first `count` of vehicles `rows`, to `out` (count, K): from what the desk has of them already, and
-    else computed; with `last`, the last frame stands for all that follow it."""
+    """Write the least s of the first `count` vehicles of `rows` to `out`, (count, K) [m].
+
+    Values that the workspace already holds are reused. With `last`, the last frame stands for all frames that follow.
+    """
     bodies, kind = around.bodies, 0 if hold == 0 else 1
     for n in range(count):
         j = rows[n]
@@ -82,8 +84,9 @@ def _separations(
     hold: int,
     desk: Desk,
 ) -> int:
-    """The least separation of a path from each of the `q` vehicles on the desk that does not owe it; `r` is where the
-    ego is across the road. Returns the frames before the first that is negative."""
+    """Write the least separation of a path from each of the first `q` vehicles of `desk.near`, which have no distance
+    obligation, to `desk.apart` [m]. `r` is the lateral position of the ego now [m]. Return the number of frames before
+    the first negative separation."""
     frames, near, visible, home, found = path.shape[0], desk.near, ground.visible, desk.home, desk.apart
     others, centers, duty, low, high = around.others, ground.centers, duty_of(x, hold), desk.sides[0], desk.sides[1]
     since = frames, frames
@@ -113,7 +116,7 @@ def _separations(
         beside = max(most_left - ego.highest, ego.lowest - most_right)
         about = s + v + length + bodies.floor[k] + bodies.budget[k] + bodies.action[k]
         if beside >= 0 and math.isfinite(left + right + about):
-            # Wherever it gets along the road makes no difference.
+            # Its longitudinal position makes no difference.
             found[j] = beside
             continue
         _rears(desk, 1, frames, around, hold, near[j : j + 1], desk.rear, True)
@@ -143,8 +146,8 @@ def _slips(
     x: Settings,
     desk: Desk,
 ) -> None:
-    """The least separation of a path from each of those `found` that may slip in, on the desk [m]; +inf where it does
-    not."""
+    """Write the least separation of a path from each candidate for a cut-in, a row of `found`, to `desk.away` [m]; +inf
+    where it does not cut in."""
     frames, c, out = path.shape[0], found.shape[0], desk.away
     for k in range(c):
         out[k] = np.inf
@@ -155,7 +158,7 @@ def _slips(
     slips = slips_of(found, states, bodies, centers, x.acceleration, x.hardest, rows, numbers[:4, :c], numbers[4:6, :c])
     if not anybody(path, slips, centers, x.seen, x.dt):
         return
-    # None of the frames that are asked for is the one that stands for all that follow.
+    # None of the requested frames stands for all frames that follow.
     rear, front, sweep = desk.ways[0, :c], desk.ways[1, :c], desk.sweep[:c]
     if desk.swept[0] < frames:
         enough = min(frames + _AHEAD, desk.ways.shape[2])
@@ -173,7 +176,7 @@ def _slips(
 
 @inlined
 def _binding(margin: float, q: int, c: int, slips: FloatArray, desk: Desk) -> tuple[int, int]:
-    """What a margin comes from, and which vehicle."""
+    """The binding clause of a margin, and the row of the binding vehicle."""
     least, at = np.inf, -1
     for j in range(q):
         if at < 0 or desk.apart[j] < least:
@@ -205,17 +208,26 @@ def judge(
     slipping: FloatArray,
     desk: Desk,
 ) -> tuple[float, int, int, int]:
-    """What is said against one path, (K, 4), that commits to `lane` and stops in `fail`; the desk has sine and cosine
-    of its headings, `turned`.
+    """Evaluate the clauses for one path.
 
-    Returns its margin [m], frames before the first separation that is negative, what the margin comes from, and the
-    vehicle. The desk has who is in reach, `near`, the separation from each, `apart`, from each that slips in, `away`,
-    and the room, `room`.
+    Parameters
+    ----------
+    path : road states of the ego after each frame, (K, 4). lane, fail : lanes that it commits to and stops in.
+    state : road state of the ego now, (4,). foot : its footprint. x : settings of the clauses.
+    slipping : candidates for a cut-in, (c, 4), see `may_slip`.
+    desk : workspace, with the sine and cosine of the path's headings in `turned`. Written: the vehicles in reach,
+        `near`; the separations from them, `apart`; those from cut-ins, `away`; and the room, `room`.
+    table, hold, ground, ignored, around : as in `judged`.
+
+    Returns
+    -------
+    The margin [m], the number of frames before the first negative separation, the binding clause, and the row of the
+    binding vehicle.
     """
     frames, others, centers = path.shape[0], around.others, ground.centers
     desk.room[0] = room_of(path, desk.turned, foot, centers[fail], 0.5 * x.width, x.bent > 0)
     way = path[frames - 1, 0] - state[0]
-    # A way that is not a number drops nobody.
+    # A distance that is not a number excludes no vehicle.
     reach = (way if way == way else np.inf, x.perception)
     q = threats(others, reach, lane, fail, ground.owned, centers, state, path, desk.turned, foot, desk.near)
     if ignored.shape[0] > 0:
@@ -270,7 +282,8 @@ def _judge_each(
     marked: IntArray,
     near: BoolArray,
 ) -> None:
-    """`judged`, filled in: `found` (2 + m + c, n), `marked` (3, n), and who is in reach of any, `near` (m,)."""
+    """Fill in the arrays of `judged`: `found` (2 + m + c, n), `marked` (3, n), and `near` (m,), the vehicles in reach
+    of any path."""
     m, x, foot = states.shape[0], settings_from(settings), Footprint(*numbers_of(size, 8))
     bodies = bodies_of(marks, numbers, brakes, recent)
     around = Around(rows, states, stretch, bodies, motion_of(motion), others_from(bodies, of_others, flags))
@@ -315,25 +328,31 @@ def judged(
     flags: BoolArray,
     slipping: FloatArray,
 ) -> tuple[FloatArray, IntArray, IntArray]:
-    """What is said against paths, of each as if it were alone.
+    """Evaluate the clauses for n paths, each independently of the others.
 
     Parameters
     ----------
-    paths, lanes, fails : (n, K, 4), and the lane that each commits to, and stops in, (n,).
-    state, size : of the ego: road state (4,), numbers of its `Footprint` (8,).
-    centers : of the lanes [m]. settings, motion : numbers of `Settings`, and of `Motion`.
+    paths : road states of the ego after each frame, (n, K, 4).
+    lanes, fails : lanes that each path commits to and stops in, (n,).
+    state, size : road state of the ego, (4,), and the numbers of its `Footprint`, (8,).
+    centers : lateral positions of the lane centres, (lanes,) [m].
+    settings, motion : the numbers of `Settings` and of `Motion`.
     table : of the road, see `dynamics.vehicle.rollout_kernels`.
-    hold : frames of constant speed, which make a forecast of it, and no bound.
-    owned, visible : which lanes it owns, and for how many frames it has been visible in each, (lanes,).
-    ignored : vehicles to leave out, (m,) bool, or none of them (0,).
-    rows, states, stretch, marks, numbers, brakes, recent, of_others, flags, slipping : of the others, see `seen`; and
-        what a metre driven is of the road, (2, m or 0).
+    hold : number of frames of constant speed that are expected of the others. If above 0, the result is a forecast and
+        not a bound.
+    owned, visible : whether the ego owns each lane, and the number of frames for which it has been visible there,
+        (lanes,).
+    ignored : vehicles to leave out, (m,) bool; empty for none.
+    rows, states, marks, numbers, brakes, recent, of_others, flags, slipping : the other vehicles, see
+        `shield.certificate.road.clauses.scene.seen`.
+    stretch : distance along the road for each metre driven, (2, m), or (2, 0) on a straight road.
 
     Returns
     -------
-    Of each path its margin, the room in the lane that is stopped in, the least separation from each vehicle in reach of
-    any, and from each that slips in, (2 + q + c, n) [m]; frames before the first separation that is negative, what the
-    margin comes from, and the vehicle, (3, n); and the vehicles in reach of any, (q,).
+    found : for each path, its margin, the room in the lane that it stops in, the least separation from each vehicle in
+        reach of any path, and that from each cut-in, (2 + q + c, n) [m].
+    marked : number of frames before the first negative separation, binding clause, and binding vehicle, (3, n).
+    near : rows of the vehicles in reach of any path, (q,).
     """
     n, frames, m = paths.shape[0], paths.shape[1], states.shape[0]
     c = slipping.shape[0] if hold == 0 else 0

@@ -1,14 +1,15 @@
-"""Vehicles alongside that slip into the ego's lane, before or behind it, while their bodies still overlap.
+"""Clause of cut-ins: vehicles alongside that change into the ego's lane, ahead of it or behind it, while the bodies
+still overlap along the road.
 
-MOBIL asks two questions before a lane change: whether the new follower would have to brake too hard, and whether the
-new leader is less in the way than the old one. Both are answered with the Intelligent Driver Model's desired gap
+MOBIL checks two conditions before a lane change: the new follower need not brake too hard, and the new leader restrains
+the vehicle less than the old one does. Both use the Intelligent Driver Model's desired gap
 
     d* = d0 + T v + v (v - v_ahead) / (2 sqrt(a b))
 
-towards the *centre* of the other vehicle. Where one of the two pulls away from the other by some 15 m/s, d* vanishes:
-a vehicle that an ego passes changes into the ego's lane as soon as the ego's centre is ahead of its own, and one that
-passes a slow ego as soon as its centre is ahead, with half a body's length of each still side by side. Between the
-centres of two lanes there is room for that; an ego that is off its lane's centre is hit.
+to the *centre* of the other vehicle. If one vehicle pulls away from the other by some 15 m/s, d* vanishes. So a vehicle
+that the ego passes changes into the ego's lane as soon as the ego's centre is ahead of its own. A vehicle that passes a
+slow ego does so as soon as its centre is ahead of the ego's. Half a body length of each is still side by side then.
+Between the centres of two lanes there is room for that; an ego that is off its lane's centre is hit.
 
 Sources: Treiber, Hennecke and Helbing 2000 (IDM); Kesting, Treiber and Helbing 2007 (MOBIL); the constants are those of
 highway-env 1.12's `IDMVehicle`.
@@ -31,29 +32,39 @@ from shield.certificate.road.clauses.footprint import Footprint
 __all__ = ["LASTS", "Slips", "anybody", "least_separations_of_slips", "may_slip", "slips_of", "sweeps"]
 
 _SLACK, _HARDLY = 3.0, 0.5
-"""What d* may differ by when the lane change starts [m]; and where it is the ego's own, whose plan is known."""
+"""Tolerance on d* when the lane change starts [m]; the second is that for d* of the ego, since its plan is known."""
 _DRIFT = 9.0
-"""The same for each second of braking until then [m/s]."""
+"""The same tolerance for each second of braking until then [m/s]."""
 _CHANGES = 3.0
-"""The same where it has to be blocked as it is: its speed and its leader change [m/s]."""
+"""The same tolerance for each second, where the vehicle has to be restrained as it is now: its speed and its leader
+change [m/s]."""
 _COMING, _MOVES = 1.0, 0.3
-"""Who comes nearer to a lane at more than this speed leads there from so much further off [m], [m/s]."""
+"""A vehicle that approaches a lane faster than the second [m/s] counts as a leader there from the first further away
+[m]."""
 _OVERLAP = 2.0
-"""Bodies nearer than this along the road may overlap with the buffer between them [m]."""
+"""Bodies nearer than this along the road may overlap, with the buffer between them [m]."""
 _BRAKES = 1.0
-"""Such a vehicle, and its leader, are taken to have braked for so long at most by then [s]."""
+"""Upper bound on the time for which a candidate for a cut-in and its leader have braked by then [s]."""
 _NEAR = 60.0
-"""Vehicles further away along the road are not looked at [m]."""
+"""Distance along the road beyond which vehicles are not considered [m]."""
 LASTS = 1.0
-"""Within this time such a vehicle has reached the other lane [s]."""
+"""Time within which the vehicle has reached the other lane [s]."""
 _CENTRED = 0.2
-"""An ego nearer than this to its lane's centre keeps its lane: the one that moves in owes it the room [m]."""
+"""Distance from its lane's centre within which the ego counts as keeping its lane: a vehicle that cuts in has to leave
+it the room [m]."""
 
 
 class Slips(NamedTuple):
-    """Vehicles that may slip in, each (m,): where their centres are [m], their speeds [m/s], centres of the lanes that
-    they change into [m]; `ratios` (2, m): d* of the old leader as a share of the gap to it, at the worst and now;
-    `reaches`: half the length of each [m]. And how they accelerate and brake at most [m/s^2]."""
+    """Vehicles that may cut in.
+
+    Attributes
+    ----------
+    starts : s of their centres, (m,) [m]. speeds : (m,) [m/s]. goals : centres of the lanes that they change into, (m,)
+        [m].
+    ratios : d* to the old leader as a share of the gap to it, in the worst case and now, (2, m).
+    reaches : half the length of each, (m,) [m].
+    gain, braking : greatest acceleration and greatest deceleration [m/s^2].
+    """
 
     starts: FloatArray
     speeds: FloatArray
@@ -66,7 +77,7 @@ class Slips(NamedTuple):
 
 @inlined
 def _blocked(v: float, speed: float, gap: float, braking: float) -> tuple[float, float]:
-    """Multiple of the gap to a leader that d* towards it may be, and is at this moment."""
+    """Ratio of d* to the gap to a leader: the greatest possible, and the present one."""
     closing = v - speed + braking * _BRAKES
     left = max(gap - _BRAKES * max(closing, 0.0), 1.0)
     return max(desired_gap(v, closing), 0.0) / left, max(desired_gap(v, v - speed), 0.0) / max(gap, 1.0)
@@ -74,8 +85,8 @@ def _blocked(v: float, speed: float, gap: float, braking: float) -> tuple[float,
 
 @inlined
 def _held_up(j: int, states: FloatArray, center: float, sight: float, braking: float) -> tuple[float, float]:
-    """The same of whoever holds vehicle `j` up most in the lane with this centre [m]: the next one ahead there, or one
-    that is on its way there."""
+    """The same for the vehicle that restrains vehicle `j` most in the lane with this centre [m]: the next one ahead in
+    the lane, or one that is on its way there."""
     v, gap, speed, worst, now = states[j, 3], np.inf, 0.0, 0.0, 0.0
     for i in range(states.shape[0]):
         ahead, off = states[i, 0] - states[j, 0], states[i, 1] - center
@@ -107,8 +118,8 @@ def may_slip(
     braking: float,
     out: FloatArray,
 ) -> int:
-    """Which vehicles may slip into a lane in which the ego is seen; rows (vehicle, lane, multiple of the gap that d*
-    may be, the same of this very moment) of `out` (2 m, 4), and how many of them there are."""
+    """Find the vehicles that may cut into a lane in which the ego is visible, and return their number. Rows of `out`,
+    (2 m, 4): vehicle, lane, greatest possible ratio of d* to the gap, and the present ratio."""
     count, m, lane, first, last = 0, states.shape[0], bodies.lane, bodies.first, bodies.last
     for j in range(m):
         v, s = states[j, 3], states[j, 0]
@@ -119,13 +130,13 @@ def may_slip(
             if to < 0 or to >= centers.shape[0] or not abs(ego[1] - centers[to]) <= sight:
                 continue
             if first[j] <= to <= last[j]:
-                # Its strip has that lane already.
+                # Its band includes that lane already.
                 continue
-            # Without somebody that is more in the way than the ego, nobody changes lanes.
+            # A vehicle changes lanes only if another one restrains it more than the ego would.
             worst, now = _held_up(j, states, centers[lane[j]], sight, braking)
             if not worst > 0:
                 continue
-            # Whether it may begin while the bodies overlap, at any speed down to which the ego may brake.
+            # Whether the change may begin while the bodies overlap, at any speed down to which the ego may brake.
             reach, fast = 0.5 * (others[j, 4] + length) + _OVERLAP, max(ego[3], 0.0) + 1.0
             u = min(max(0.5 * (v - TIME * TWICE_ROOT), 0.0), fast)
             most = worst * reach + _SLACK + _DRIFT * _BRAKES
@@ -149,8 +160,8 @@ def slips_of(
     numbers: FloatArray,
     ratios: FloatArray,
 ) -> Slips:
-    """What is known of those that `may_slip` has found, (n, 4); their `rows` (n,), and room for `numbers` (4, n) and
-    `ratios` (2, n), are filled in."""
+    """The tuple `Slips` of the vehicles that `may_slip` has found, (n, 4). Written: their `rows` (n,), and the buffers
+    `numbers` (4, n) and `ratios` (2, n)."""
     for k in range(found.shape[0]):
         j = rows[k] = int(found[k, 0])
         numbers[0, k], numbers[1, k] = states[j, 0], states[j, 3]
@@ -171,9 +182,15 @@ def sweeps(
     paths: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Where each body is across the road after 1..T frames of its lane change, from the strip that it is in, `out`
-    (n, T, 2) [m]: `rows` (n,) of vehicle rows (m, 7) and road states (m, 4), on the road of a `table` of
-    `dynamics.vehicle.rollout_kernels`; `paths` (n, T, 4) are written over."""
+    """Lateral extents of each body after 1..T frames of its lane change, beginning with its present band; written to
+    `out` (n, T, 2) [m].
+
+    Parameters
+    ----------
+    rows : rows of the vehicles, (n,). others : vehicle rows, (m, 7). states : road states, (m, 4).
+    table : of the road, see `dynamics.vehicle.rollout_kernels`. dt : frame [s].
+    paths : buffer, (n, T, 4).
+    """
     frames = out.shape[1]
     for k in range(rows.shape[0]):
         j = rows[k]
@@ -191,8 +208,11 @@ def sweeps(
 def _begins(
     s: float, r: float, u: float, k: int, j: int, slips: Slips, sight: float, dt: float
 ) -> tuple[bool, bool, bool]:
-    """Whether a vehicle may begin to slip in at frame k of a path, which is at s, r with speed u there; whether it may
-    as blocked as it is; and whether the ego is ahead of it."""
+    """Whether vehicle `j` may begin to cut in at frame k of a path; whether it may if it is restrained as it is now;
+    and whether the ego is ahead of it.
+
+    `s`, `r` and `u` are position [m] and speed [m/s] of the path at frame k.
+    """
     v, t = slips.speeds[j], dt * (k + 1)
     ahead = s - slips.starts[j] - v * t
     seen = abs(r - slips.goals[j]) <= sight
@@ -201,7 +221,7 @@ def _begins(
         return seen and abs(wanted) <= _HARDLY - IMPOSED * ahead + _DRIFT * min(t, _BRAKES), False, False
     wanted = desired_gap(v, v - u)
     may = seen and abs(wanted) <= slips.ratios[0, j] * ahead + _SLACK + _DRIFT * min(t, _BRAKES)
-    # It brakes meanwhile behind its own leader, as IDM does.
+    # Until then it brakes behind its own leader, by IDM.
     slows = min(COMFORT * slips.ratios[1, j] ** 2, slips.braking)
     at_once = slips.ratios[1, j] * (ahead + 0.5 * slows * t * t) + _HARDLY + _CHANGES * t
     slow = max(v - slows * t, 0.0)
@@ -219,7 +239,8 @@ def _offset(r: float, centers: FloatArray) -> float:
 
 @uncounted
 def anybody(path: FloatArray, slips: Slips, centers: FloatArray, sight: float, dt: float) -> bool:
-    """Whether anybody may slip in where that counts (`least_separations_of_slips`); or a path (K, 4) is not finite."""
+    """Whether any vehicle may cut in where `least_separations_of_slips` considers it, or the path (K, 4) is not
+    finite."""
     for j in range(slips.goals.shape[0]):
         began = False
         for k in range(path.shape[0]):
@@ -246,11 +267,16 @@ def least_separations_of_slips(
     dt: float,
     out: FloatArray,
 ) -> None:
-    """Least separation of a path (K, 4) from each vehicle that slips in, `out` (m,) [m]; +inf where it does not.
+    """Least separation of a path (K, 4) from each vehicle that cuts in, written to `out` (m,) [m]; +inf where it does
+    not cut in.
 
-    The first frame at which it may start to is the worst: afterwards it reaches furthest. `rear` and `front` (m, at
-    least K) are least and greatest s of its body after each frame [m], and `sweep` (m, T, 2) is where it is across the
-    road after so many frames [m]; it owes the ego its distance once it has no overlap with it.
+    The first frame at which it may begin is the worst: later it reaches furthest. Once the bodies no longer overlap
+    along the road, the vehicle has a distance obligation.
+
+    Parameters
+    ----------
+    rear, front : least and greatest s of each body after each frame, (m, at least K) [m].
+    sweep : lateral extents of each body after each frame of its lane change, (m, T, 2) [m], see `sweeps`.
     """
     lon, lat = size.along, size.across
     for j in range(slips.goals.shape[0]):
@@ -275,7 +301,7 @@ def least_separations_of_slips(
                 break
             offset, since = _offset(r, centers), k - began
             if offset <= _CENTRED:
-                # Beside an ego that keeps to the middle it needs more than that: it has to be blocked as it is.
+                # Beside an ego that keeps to its lane's centre, the vehicle has to be restrained as it is now.
                 if begun < 0:
                     continue
                 since = k - begun

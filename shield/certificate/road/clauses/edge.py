@@ -1,4 +1,4 @@
-"""The clauses of the road: the body stays on it and enters one lane at most, and a plan does not begin backwards."""
+"""Clauses of the road: the body stays on the road and enters at most one lane, and a plan does not begin backwards."""
 
 from __future__ import annotations
 
@@ -23,20 +23,22 @@ def lanes_touched(
     owned: BoolArray,
     fails: IntArray,
 ) -> tuple[IntArray, FloatArray, BoolArray, IntArray]:
-    """The lanes that the body of each path touches.
+    """Lanes that the body touches on each path.
 
     Parameters
     ----------
-    state, paths : of the ego now (4,), and after each frame (n, K, 4). body : its length, its width, and its lateral
-        growth on a bend [m].
-    centers, side : of the lanes, and half their width [m]. owned : which of them the ego owns, (lanes,) bool.
+    state, paths : road states of the ego now, (4,), and after each frame, (n, K, 4).
+    body : its length, its width, and its lateral growth on a curve [m].
+    centers, side : of the lanes, and half their width [m]. owned : lanes that the ego owns, (lanes,) bool.
     fails : lane that each path stops in, (n,).
 
     Returns
     -------
-    The lane entered beside those owned and the last, (n,), which is the last without any: an owned one counts where
-    the path comes back to it; the room to the road's edges, (n, 2) [m]; whether the path enters one lane at most, (n,)
-    bool; and the frames before it leaves the road, (n,).
+    entered : lane that the path enters besides the owned ones and the last, (n,); the last lane if there is none. An
+        owned lane counts if the path comes back to it.
+    edges : room to the edges of the road, (n, 2) [m].
+    allowed : whether the path enters at most one lane, (n,) bool.
+    on_road : number of frames before it leaves the road, (n,).
     """
     n, frames, lanes = paths.shape[0], paths.shape[1], centers.shape[0]
     entered, allowed, on_road = fails.copy(), np.ones(n, np.bool_), np.full(n, frames)
@@ -63,7 +65,7 @@ def lanes_touched(
             for j in range(lanes):
                 inside = low < centers[j] + TOUCH and high > centers[j] - TOUCH
                 touches = low < centers[j] + side and high > centers[j] - side
-                # Nobody keeps a place free in a lane that the ego has left.
+                # No vehicle keeps a place free in a lane that the ego has left.
                 if (touches and not (owned[j] and beside[j])) or (inside and not within[j]):
                     entering[j] = True
                 within[j], beside[j] = inside, touches
@@ -80,8 +82,11 @@ def lanes_touched(
 
 @compiled
 def verdicts(margin: FloatArray, edges: FloatArray, allowed: BoolArray, paths: FloatArray, held: int) -> FloatArray:
-    """Margins (n,) with what each path lacks of room on the road (n, 2) [m]; -inf where it may not go, or rolls
-    backwards after `held` frames: that has no fail-safe, the brake stands still."""
+    """Reduce margins (n,) by the room that each path lacks at the edges of the road, (n, 2) [m].
+
+    The result is -inf for a path that is not allowed, or that moves backwards after `held` frames: such a path has no
+    fail-safe, since the brake only stops forward motion.
+    """
     out = np.empty(margin.shape[0])
     for i in range(margin.shape[0]):
         room = min(edges[i, 0], edges[i, 1])

@@ -1,4 +1,4 @@
-"""Who may come into a lane that the ego is about to enter, or has entered."""
+"""Vehicles that may enter a lane that the ego is about to enter, or has entered."""
 
 from __future__ import annotations
 
@@ -12,19 +12,24 @@ from shield.certificate.road.clauses.others import Others
 __all__ = ["entrants", "is_beside", "joins", "leaves_sight", "neighbours", "sides_taken"]
 
 _TURNING = 0.25
-"""Speed across the road, beyond that of one that settles in its lane, from which a vehicle counts as changing [m/s]."""
+"""Lateral speed from which a vehicle counts as changing lanes, beyond the lateral speed of one that settles in its lane
+[m/s]."""
 
 
 @inlined
 def is_beside(low: float, high: float, goal: float, width: float) -> bool:
-    """Whether the strip from `low` to `high` ends less than a lane's `width` from a lane's centre, `goal` [m]."""
+    """Whether the band from `low` to `high` ends less than a lane's `width` from a lane's centre, `goal` [m]."""
     return 0 < max(low - goal, goal - high) < width
 
 
 @inlined
 def leaves_sight(r: float, path: FloatArray, goal: float, sight: float) -> int:
-    """The frame of a path (K, 4) of an ego at `r` across the road at which it gets out of sight again where it has been
-    within `sight` of a lane's centre, `goal` [m]; K without one. Anybody beside that lane may come from then on."""
+    """First frame of a path (K, 4) in which the ego is no longer visible in a lane where it has been; K if there is
+    none. From then on, any vehicle beside that lane may enter it.
+
+    `r` is the lateral position of the ego now, `goal` the lane's centre, and `sight` the distance within which the ego
+    is visible [m].
+    """
     seen = abs(r - goal) <= sight
     for k in range(path.shape[0]):
         if abs(path[k, 1] - goal) <= sight:
@@ -44,15 +49,15 @@ def neighbours(
     plan: tuple[int, int],
     asked: BoolArray,
 ) -> None:
-    """Fill in which lanes each vehicle's strip is beside, `others.beside`, and whether it matters if it gains by a
-    change into the lane below its own, and above, `asked` (v, 2); the rest as in `entrants`."""
+    """For each vehicle, fill in `others.beside`, the lanes beside its band; and `asked`, (v, 2), whether it matters if
+    it gains by a change into the lane below its own, and above. The rest as in `entrants`."""
     low, high, lane, besides = others.low, others.high, others.lane, others.beside
     n, v = centers.shape[0], others.lane.shape[0]
     known = before.shape[0] == n and before.shape[1] == v
     for j in range(v):
         asked[j, 0] = asked[j, 1] = False
         for k in range(n):
-            # Beside the lane: the next strip begins where this one ends.
+            # Beside the lane: the next band begins where this one ends.
             beside = is_beside(low[j], high[j], centers[k], width) and abs(centers[lane[j]] - centers[k]) < 1.5 * width
             besides[k, j] = beside
             if beside and not (known and (visible[k] > 0 or k == plan[0] or k == plan[1])):
@@ -70,20 +75,23 @@ def entrants(
     sight: int,
     settled: int,
 ) -> None:
-    """Fill in who may enter which lane, `others.comes`, of those whose strips are beside it, `others.beside`.
+    """Fill in `others.comes`: which lanes each vehicle may enter, of those beside its band (`others.beside`).
 
-    Whoever gains by it may enter a lane, and who is on the way there: that is one who is faster across than one that
-    settles in the middle of its own lane, the lag of its heading included. Where the ego has a plan to enter it, or
-    is in sight there, whoever may enter when that begins may do so until `sight` frames after the ego has come into
-    sight; those who were on their way by then, until it has been seen for `settled` frames. Nobody joins them.
+    A vehicle may enter a lane if it gains by that, or is on its way there. It is on its way if its lateral speed is
+    above that of a vehicle that settles in the centre of its own lane, including the lag of its heading. If the ego has
+    a plan to enter the lane, or is visible there, only vehicles that might enter at that time may still do so: any of
+    them until the ego has been visible for `sight` frames, and those on their way until it has been visible for
+    `settled` frames.
 
     Parameters
     ----------
-    others : the vehicles, (v,). gains : see `dynamics.traffic.mobil.gains`, (v, 2) bool; where `neighbours` asks.
+    others : the vehicles, (v,).
+    gains : see `dynamics.traffic.mobil.gains`, (v, 2) bool; valid where `neighbours` has set `asked`.
     centers : of the lanes [m].
-    before : `others.comes` of the scene before, (lanes, v); of another shape without one.
-    visible : frames for which the ego has been visible in each lane, (lanes,).
-    plan : the lane in which the stored plan stops, and the one that it enters on the way, or -1.
+    before : `others.comes` of the scene before, (lanes, v); of another shape if there was none.
+    visible : number of frames for which the ego has been visible in each lane, (lanes,).
+    plan : lane in which the stored plan stops, and lane that it enters on the way, or -1.
+    sight, settled : numbers of frames, see `Sight.reaction` and `Sight.settled`.
     """
     high, lane, r, across = others.high, others.lane, others.r, others.across
     besides, comes, n, v = others.beside, others.comes, centers.shape[0], others.lane.shape[0]
@@ -120,15 +128,15 @@ def sides_taken(
     high: FloatArray,
     home: IntArray,
 ) -> None:
-    """Where each vehicle can be across the road, for a path: `low`, `high` (m,) [m], and its lane `home` (m,); until
-    the path leaves the sight of a lane that it enters, see `joins`.
+    """Lateral extents of each vehicle for a path, `low` and `high` (m,) [m], and its lane, `home` (m,). They hold until
+    the ego is no longer visible in a lane that it enters, see `joins`.
 
     Parameters
     ----------
-    lane, fail : that it commits to, and stops in.
-    rows : the vehicles, (m,). others : all of them, (v,), and the `widths` of their bodies [m].
+    lane, fail : lanes that the path commits to and stops in.
+    rows : rows of the vehicles, (m,). others : all vehicles, (v,). widths : of their bodies, (v,) [m].
     centers : of the lanes [m].
-    waver : how far a body wavers that keeps to the middle of its lane [m].
+    waver : greatest lateral deviation of a body from its lane's centre while it keeps to the centre [m].
     """
     lows, highs, lanes, comes = others.low, others.high, others.lane, others.comes
     for j in range(rows.shape[0]):
@@ -143,7 +151,7 @@ def sides_taken(
                 home[j] = entered  # it is there already, and sees the ego there
             if not comes[entered, row] or not math.isfinite(low[j] + high[j]):
                 continue
-            # As far as the strip of one that is on its way to the middle of that lane.
+            # As far as the band of a vehicle that is on its way to the centre of that lane.
             core = 0.5 * widths[row] + waver
             low[j], high[j] = min(low[j], goal - core), max(high[j], goal + core)
             home[j] = entered
@@ -151,9 +159,9 @@ def sides_taken(
 
 @inlined
 def joins(low: float, high: float, goal: float, core: float, width: float) -> tuple[float, float]:
-    """Where a vehicle with the strip from `low` to `high` can be once the ego has got out of sight in the lane with the
-    centre `goal` [m]: there too, as far as its `core` around the middle, if the strip is beside it. `width`: of a lane.
-    """
+    """Lateral extents of a vehicle with the band from `low` to `high` once the ego is no longer visible in the lane
+    with the centre `goal` [m]. If the band is beside that lane, the vehicle may be there too, within `core` of its
+    centre. `width` is that of a lane."""
     if is_beside(low, high, goal, width):
         return min(low, goal - core), max(high, goal + core)
     return low, high

@@ -1,4 +1,4 @@
-"""Who owes the ego its distance, and which lanes are its own: of whom a plan has to stay clear."""
+"""Distance obligations of followers, and lanes that the ego owns: which vehicles a plan has to stay clear of."""
 
 from __future__ import annotations
 
@@ -21,21 +21,27 @@ __all__ = ["Sight", "Standing", "counted_on", "hold_lanes", "in_reach", "lanes_h
 
 _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
 _LONG = 10**6
-"""Frames that stand for as long as one likes."""
+"""Number of frames that stands for any longer time."""
 _BESIDE = 1.0
-"""How far a plan may come out of the way from where the ego is to where it stops, beside what its heading takes [m]."""
+"""Lateral distance by which a plan may leave the range between the ego's position and the place where it stops, beyond
+the effect of its heading [m]."""
 _LEFT = 0.5
-"""How far beside a strip the ego's buffer is before the ego has left it: a buffer that turns sways [m]."""
+"""Lateral distance of the ego's buffer from a band at which the ego counts as having left the band [m]: a turning
+buffer sways."""
 _CORNER = 0.5
-"""How far a corner of a vehicle behind may come beside a corner of the ego's buffer [m]."""
+"""Greatest distance by which a corner of a follower may come beside a corner of the ego's buffer [m]."""
 
 
 class Sight(NamedTuple):
-    """What decides about who sees whom.
+    """Parameters of visibility: when a vehicle sees the ego, and when it may still enter a lane.
 
-    `distance`: from a lane's centre within which a vehicle is seen there [m]; `slack` [m/s^2]: on what one gains that
-    enters a lane; `reaction`, `settled`: frames for which the ego has been in sight after which nobody begins to enter,
-    and nobody enters any more; `blind`: whether anybody enters a lane that the ego is about to; `width`: of a lane [m].
+    Attributes
+    ----------
+    distance : distance from a lane's centre within which a vehicle is visible in that lane [m].
+    slack : tolerance on the gain of a vehicle that enters a lane [m/s^2].
+    reaction : number of frames of visibility after which no vehicle begins to enter the ego's lane.
+    settled : number of frames of visibility after which no vehicle enters it any more.
+    blind : whether a vehicle may enter a lane that the ego is about to enter. width : of a lane [m].
     """
 
     distance: float
@@ -48,22 +54,23 @@ class Sight(NamedTuple):
 
 @inlined
 def in_reach(others: Others, limits: tuple[float, float], followers: bool, rows: IntArray) -> int:
-    """How many vehicles can come into reach of the ego; the first of `rows` (v,) are theirs, in order.
+    """Number of vehicles that can come into reach of the ego; their rows are written to the beginning of `rows`, (v,),
+    in order.
 
     Parameters
     ----------
     others : the vehicles, (v,).
-    limits : the ego's greatest way, and the perception range, (2,) [m].
-    followers : whether those behind count.
+    limits : greatest distance that the ego travels, and perception range, (2,) [m].
+    followers : whether followers count.
     """
     distance, perception = limits[0], limits[1]
     least, size, ahead, behind = others.least, others.size, others.ahead, others.behind
     count = 0
     for j in range(ahead.shape[0]):
-        # Written so that a distance that is not a number drops nobody.
+        # Written so that a distance that is not a number excludes no vehicle.
         if least[j] - size[j] > distance or not abs(ahead[j]) - size[j] <= perception:
             continue
-        # Whoever is behind may still be braking, and coming nearer, long after the ego stands: none of them is too far.
+        # A follower may still be braking, and coming nearer, long after the ego stands: no follower is too far away.
         if behind[j] and not followers:
             continue
         rows[count] = j
@@ -75,13 +82,14 @@ def in_reach(others: Others, limits: tuple[float, float], followers: bool, rows:
 def _comes_back(
     state: FloatArray, path: FloatArray, turned: FloatArray, size: Footprint, low: float, high: float
 ) -> bool:
-    """Whether the ego has left the strip from `low` to `high` [m] with its buffer by more than `_LEFT`, now or on its
-    path, and is in it again later: nobody keeps a place free that the ego has left. `state` is where it is now (4,)."""
+    """Whether the ego leaves the band from `low` to `high` [m] with its buffer by more than `_LEFT`, now or on its
+    path, and is in the band again later. No vehicle keeps a place free that the ego has left. `state` is the ego now,
+    (4,)."""
     lat, frames = size.across, path.shape[0]
     least, most = state[1], state[1]
     for k in range(frames):
         least, most = min(least, path[k, 1]), max(most, path[k, 1])
-    # The ego reaches as far to either side as its own width at any heading that a path has.
+    # The ego extends to either side by its half width at least, at any heading of a path.
     if most - lat < high and least + lat > low:
         return False
     half = reach_across(size, state[2])
@@ -109,16 +117,18 @@ def threats(
     size: Footprint,
     rows: IntArray,
 ) -> int:
-    """How many of those in reach do not owe the ego their distance on a path. The first of `rows` (v,) are theirs.
+    """Number of vehicles in reach that have no distance obligation on a path; their rows are written to the beginning
+    of `rows`, (v,).
 
-    Whoever is behind the ego with its buffer, in a lane that it owns, owes it the distance, but for a path that enters
-    a lane that the ego does not own and that this vehicle touches or may enter too, and for one that leaves its strip
-    and comes back; in its place counts where the ego stops, for a strip that reaches there.
+    A follower behind the ego and its buffer, in a lane that the ego owns, has a distance obligation, with two
+    exceptions. It has none on a path that enters a lane that the ego does not own, if the follower touches that lane or
+    may enter it. It has none on a path that leaves the follower's band and comes back. If the band contains the place
+    where the ego stops, only that place counts for the second exception.
 
     Parameters
     ----------
     others, limits : as in `in_reach`.
-    lane, fail : what the path commits to and stops in. owned : which lanes the ego owns, (lanes,) bool.
+    lane, fail : lanes that the path commits to and stops in. owned : lanes that the ego owns, (lanes,) bool.
     centers : of the lanes [m]. state : of the ego now, (4,). path, turned, size : as in `extents`.
     """
     low, high, behind, held = others.low, others.high, others.behind, others.held
@@ -132,8 +142,8 @@ def threats(
                     touches = low[j] < centers[entered] + TOUCH and high[j] > centers[entered] - TOUCH
                     owes = owes and not (touches or others.comes[entered, j])
         if owes:
-            # A strip may shrink while the plan lasts, as far as to the place where the ego stops; the lane that this is
-            # in may come to be the ego's meanwhile.
+            # A band may shrink during the plan, down to the place where the ego stops. The ego may come to own the lane
+            # of that place meanwhile.
             least, most = low[j], high[j]
             if least < centers[fail] + stand and most > centers[fail] - stand:
                 least, most = centers[fail] - stand, centers[fail] + stand
@@ -155,19 +165,21 @@ def counted_on(
     before: tuple[BoolArray, BoolArray],
     counted: BoolArray,
 ) -> None:
-    """Fill in which vehicles a stored plan counts on to brake, `counted` (v,): those that were behind the ego a frame
-    before and may be in its way, without those that it leaves out because they owe the ego their distance.
+    """For each vehicle, whether a stored plan relies on it to brake, written to `counted`, (v,). These are the vehicles
+    that were behind the ego a frame before and may be in its way, except those that the plan leaves out for their
+    distance obligation.
 
-    A vehicle that owed its distance and has moved aside may be left out no more: where it no longer reaches the place
-    where the ego stops, the plan may sway back into its strip, and where the plan enters a lane on the way, it may join
-    that lane. Both are counted on to leave the plan its room.
+    A vehicle with an obligation that has moved aside may have to be considered again, in two cases. It no longer
+    reaches the place where the ego stops, and the plan may sway back into its band. Or the plan enters a lane on the
+    way, and the vehicle may enter that lane too. The plan relies on both to leave it its room.
 
     Parameters
     ----------
     others : the vehicles, (v,). state, size : of the ego: road state (4,) and footprint. centers : of the lanes [m].
-    plan : the lane in which the stored plan stops, and the one that it enters on the way, or -1. owned : which lanes
-        the ego owns, (lanes,) bool. before : who was behind the ego in the scene before, and in a lane that it owned,
-        (v,) bool.
+    plan : lane in which the stored plan stops, and lane that it enters on the way, or -1.
+    owned : lanes that the ego owns, (lanes,) bool.
+    before : whether each vehicle was behind the ego in the scene before, and whether it was in an owned lane, (v,)
+        bool.
     """
     keeps = owned[plan[0]] and (plan[1] < 0 or owned[plan[1]])
     half, goal, stand = reach_across(size, state[2]) + _BESIDE, centers[plan[0]], size.across + _LEFT
@@ -194,20 +206,22 @@ def hold_lanes(
     owing: BoolArray,
     coming: BoolArray,
 ) -> None:
-    """The visibility clock, the lanes owned, and who could enter which before, one scene later, in their place.
+    """Advance by one scene, in place: frames of visibility in each lane, lanes owned, and vehicles that may enter each
+    lane.
 
     Parameters
     ----------
-    r : lateral position of the ego [m]. centers : of the lanes [m].
-    frames : since the scene before. sight, touch, leave : how near to a lane's centre the ego is visible in it, touches
-        it, and has not left it with all of its body [m].
-    stored : the lane in which the stored fail-safe stops, or -1.
-    first : whether this is the first scene; whoever is there when it all begins has seen the ego for long.
-    visible : frames for which the ego has been visible in each lane, (lanes,).
-    owned : which it owns, (lanes,): from when it touches one with a verified plan to stop there, until its body has
-        left it and no stored plan stops there any more.
-    owing : who owed the ego its distance, (m,). coming : who could enter which lane, (lanes, m), or of no lanes.
-        All but the former may come into a lane that the ego has got out of sight in.
+    r : lateral position of the ego [m]. centers : of the lanes [m]. frames : number of frames since the scene before.
+    sight, touch, leave : distance from a lane's centre within which the ego is visible in the lane, touches it, and has
+        not left it with its whole body [m].
+    stored : lane in which the stored fail-safe stops, or -1.
+    first : whether this is the first scene; then the other vehicles are taken to have seen the ego for long.
+    visible : number of frames for which the ego has been visible in each lane, (lanes,).
+    owned : lanes that the ego owns, (lanes,). It owns a lane from when it touches it with a verified plan to stop
+        there, until its body has left the lane and no stored plan stops there.
+    owing : vehicles with a distance obligation, (m,).
+    coming : whether each vehicle may enter each lane, (lanes, m) or (0, m). Where the ego is no longer visible in a
+        lane, every vehicle without an obligation may enter it.
     """
     here = nearest(centers, r)
     for j in range(centers.shape[0]):
@@ -234,8 +248,8 @@ def lanes_held(
     owing: BoolArray,
     coming: BoolArray,
 ) -> tuple[IntArray, BoolArray, BoolArray]:
-    """`hold_lanes` with new arrays; `visible` and `owned` of the scene before are empty in the first, and `coming` may
-    be of any other shape without one."""
+    """`hold_lanes` with new arrays. In the first scene `visible` and `owned` are empty; `coming` may have any other
+    shape if there is none."""
     n, first = centers.shape[0], visible.shape[0] != centers.shape[0]
     seen, own, comes = np.zeros(n, np.intp), np.zeros(n, np.bool_), coming.copy()
     if not first:
@@ -250,9 +264,15 @@ def lanes_held(
 
 
 class Standing(NamedTuple):
-    """Where the ego stands: `state` on the road (4,); `size`; `seen`, the same in the world; `owned`, which lanes it
-    owns, and `visible`, for how many frames it has been visible in each, (lanes,); `stored`: the lane in which its
-    stored plan stops, and `entered`: the one that it enters on the way, or -1."""
+    """The ego in the present scene.
+
+    Attributes
+    ----------
+    state : road state, (4,). size : footprint. seen : the ego in the world frame.
+    owned : lanes that it owns, (lanes,). visible : number of frames for which it has been visible in each lane,
+        (lanes,).
+    stored, entered : lane in which its stored plan stops, and lane that it enters on the way, or -1.
+    """
 
     state: FloatArray
     size: Footprint
@@ -276,14 +296,14 @@ def others_of(
     others: Others,
     room: BoolArray,
 ) -> None:
-    """Fill in the vehicles as a judgement of paths sees them, `others`; `room` (m, 4) is written over.
+    """Fill in `others`, the vehicles as the clauses read them; `room` is a buffer, (m, 4).
 
     Parameters
     ----------
-    rows, states, bodies : vehicle rows (m, 7), road states (m, 4), and what is known of their bodies.
-    ego : where it stands.
-    followers : who owed it the distance in the scene before, (m,) bool; empty without one.
-    before : see `still_coming`; without a scene before, it has another shape.
+    rows, states, bodies : vehicle rows (m, 7), road states (m, 4), and reachable places of their bodies.
+    ego : the ego.
+    followers : vehicles that had a distance obligation in the scene before, (m,) bool; empty if there was none.
+    before : `others.comes` of the scene before, (lanes, m); of another shape if there was none.
     """
     state, size, owned = ego.state, ego.size, ego.owned
     lows, highs, floor, reach = bodies.low, bodies.high, bodies.floor, bodies.reach
@@ -293,17 +313,17 @@ def others_of(
     for j in range(states.shape[0]):
         ahead = states[j, 0] - state[0]
         sin, cos = math.sin(states[j, 2]), math.cos(states[j, 2])
-        # Who is behind is told from where the body is now: its reach is for wherever it may turn to.
+        # Whether a vehicle is behind follows from its present body; `reach` covers every heading that it may turn to.
         beyond = ahead + 0.5 * (rows[j, _LENGTH] * abs(cos) + rows[j, _WIDTH] * abs(sin)) + half
         behind, followed = beyond <= 0, followers.shape[0] > 0 and followers[j]
         if followed and not behind and beyond <= _CORNER:
-            # One that owes the ego its distance does so still where a corner of it has come beside a corner of the
-            # ego's buffer, until it touches it.
+            # A vehicle with a distance obligation keeps it while a corner of it is beside a corner of the ego's buffer,
+            # until it touches the buffer.
             behind = gap_between(ego.seen, ego.seen.along, ego.seen.across, rows, j, 0.0) >= 0
         low, high, held = lows[j], highs[j], False
         for k in range(centers.shape[0]):
             held = held or (owned[k] and low < centers[k] + TOUCH and high > centers[k] - TOUCH)
-        # The duty lasts until the ego has left the strip of the one that owes it.
+        # The obligation lasts until the ego has left the band of the vehicle.
         held = held or (followed and low < state[1] + side and high > state[1] - side)
         aheads[j], behinds[j], helds[j] = ahead, behind, held
         leasts[j] = min(ahead, floor[j] - state[0])

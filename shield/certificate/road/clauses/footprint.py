@@ -1,4 +1,4 @@
-"""The ego's rectangle, with and without its buffer."""
+"""The ego's rectangle, with its buffer and without it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,12 @@ __all__ = ["Footprint", "across_of", "along_of", "reach_across", "reach_along"]
 class Footprint(NamedTuple):
     """The ego's footprint [m].
 
-    `along`, `across`: half extents with the buffer; `length`, `width`: of the body; `growth_along`, `growth_across`:
-    what a bend adds to the former in the road's frame, and `bare_along`, `bare_across` to half of the latter.
+    Attributes
+    ----------
+    along, across : half extents with the buffer.
+    length, width : of the body.
+    growth_along, growth_across : additional half extents with the buffer on a curve, in the road's frame.
+    bare_along, bare_across : the same for the body.
     """
 
     along: float
@@ -29,13 +33,13 @@ class Footprint(NamedTuple):
 
 @inlined
 def along_of(size: Footprint, sin: float, cos: float) -> float:
-    """Half of what the footprint with its buffer covers along the road, at a heading of this sine and cosine [m]."""
+    """Half extent of the footprint with its buffer along the road, at a heading of this sine and cosine [m]."""
     return size.along * abs(cos) + size.across * abs(sin) + size.growth_along
 
 
 @inlined
 def across_of(size: Footprint, sin: float, cos: float) -> float:
-    """The same across the road [m]."""
+    """Half extent of the same across the road [m]."""
     return size.along * abs(sin) + size.across * abs(cos) + size.growth_across
 
 

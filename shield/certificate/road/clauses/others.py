@@ -1,4 +1,4 @@
-"""The vehicles around the ego, as a judgement of paths sees them."""
+"""The other vehicles, as the clauses read them."""
 
 from __future__ import annotations
 
@@ -13,18 +13,23 @@ from dynamics.traffic.tables import Bodies
 __all__ = ["TOUCH", "Others", "empty_others", "others_from"]
 
 TOUCH = 1.0
-"""How near to a lane's centre a body comes before it is in the way there [m]: half the width of a car."""
+"""Distance from a lane's centre within which a body is in the way of that lane [m]: half the width of a car."""
 
 
 class Others(NamedTuple):
-    """The vehicles around the ego, as a judgement of paths sees them, each (v,).
+    """The other vehicles as the clauses read them, for v vehicles; arrays are (v,) unless stated.
 
-    `ahead` [m]: centre ahead of the ego's; `least` [m]: the same of the least place that the centre ever comes to;
-    `size` [m]: how near it counts as touching; `behind`: whether its body is behind the ego with its buffer; `low`,
-    `high` [m]: edges of the lanes that it touches; `lane`: the nearest; `r` [m], `across` [m/s]: where it is across the
-    road, and its speed there; `held`: whether it is in a lane that the ego owns, or has been behind the ego in one and
-    its strip is not left yet; `beside`, `comes` (lanes, v): which lanes its strip is beside, and which of these it may
-    enter.
+    Attributes
+    ----------
+    ahead : s of the centre, relative to the ego's [m].
+    least : the same for the least s that the centre ever reaches [m].
+    size : longitudinal distance within which it counts as touching the ego [m].
+    behind : whether its body is behind the ego and its buffer.
+    low, high : band of the lanes that it touches [m]. lane : nearest lane.
+    r, across : lateral position [m] and lateral speed [m/s].
+    held : whether it is in a lane that the ego owns, or has had a distance obligation and the ego has not left its
+        band.
+    beside : lanes beside its band, (lanes, v). comes : which of these it may enter, (lanes, v).
     """
 
     ahead: FloatArray
@@ -42,13 +47,13 @@ class Others(NamedTuple):
 
 
 def empty_others(m: int, lanes: int) -> tuple[FloatArray, BoolArray]:
-    """Arrays for what is known of m vehicles beyond their `Bodies`: numbers (5, m), and flags (2 + 2 lanes, m)."""
+    """Buffers for m vehicles, beyond their `Bodies`: numbers (5, m), and flags (2 + 2 lanes, m)."""
     return np.empty((5, m)), np.zeros((2 + 2 * lanes, m), np.bool_)
 
 
 @inlined
 def others_from(bodies: Bodies, numbers: FloatArray, flags: BoolArray) -> Others:
-    """The rows of both arrays by their names."""
+    """The rows of both buffers, by their names."""
     ahead, least, size, r, across = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
     behind, held, lanes = flags[0], flags[1], flags.shape[0] // 2 + 1
     beside, comes, lane = flags[2:lanes], flags[lanes:], bodies.lane

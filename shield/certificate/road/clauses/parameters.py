@@ -1,4 +1,4 @@
-"""The numbers that the clauses judge by, as one array: it is made once, and goes into every compiled call."""
+"""Settings of the clauses as one array, which is made once and passed to every compiled call."""
 
 from __future__ import annotations
 
@@ -16,17 +16,21 @@ from shield.certificate.road.clauses.separation import Duty
 __all__ = ["Settings", "duty_of", "settings_from", "settings_of", "sight_of"]
 
 _GAINS = 1.0
-"""By how much one that enters a lane may be wrong about what it gains by it [m/s^2]."""
+"""Error bound on the gain that a vehicle expects from entering a lane [m/s^2]."""
 
 
 class Settings(NamedTuple):
-    """What the clauses judge by.
+    """Settings of the clauses.
 
-    `seen`: distance from a lane's centre within which a vehicle is seen there [m]; `reaction`, `settled`: frames, see
-    `Sight`; `acceleration`, `braking` [m/s^2], `max_speed` [m/s], `power` [m^2/s^3]: what one behind may do and owes,
-    see `Duty`; `hardest`: braking of anybody [m/s^2]; `gains`: see `Sight.slack`; `blind`, `slip_in`: whether anybody
-    enters a lane blindly, and slips in; `width` of a lane, `waver`: how far a body comes out of the middle of its
-    lane, `perception` range [m]; `bent`: whether the road is; `dt`: duration of a frame [s].
+    Attributes
+    ----------
+    seen : distance from a lane's centre within which a vehicle is visible there [m].
+    reaction, settled : numbers of frames, see `Sight`.
+    acceleration, braking : response of a follower [m/s^2], see `Duty`. max_speed : [m/s]. power : [m^2/s^3].
+    hardest : greatest deceleration of any vehicle [m/s^2]. gains : see `Sight.slack` [m/s^2].
+    blind, slip_in : 1 if vehicles may enter a lane that the ego is about to enter, and if they may cut in.
+    width : of a lane [m]. waver : greatest lateral deviation of a body from the centre of its lane [m].
+    perception : range [m]. bent : 1 if the road is curved. dt : frame [s].
     """
 
     seen: float
@@ -74,22 +78,23 @@ def settings_of(a: Assumptions, width: float, perception: float, bent: bool, dt:
 
 
 def _frames(time: float, dt: float) -> int:
+    """Number of frames of duration `dt` that cover `time` [s]."""
     return int(np.ceil(time / dt - 1e-9))
 
 
 @inlined
 def settings_from(row: FloatArray) -> Settings:
-    """The numbers by their names."""
+    """The numbers, by their names."""
     return Settings(*numbers_of(row, 16))
 
 
 @inlined
 def duty_of(x: Settings, hold: int) -> Duty:
-    """What a vehicle behind owes, `hold` frames of constant speed being expected before."""
+    """Follower response model, with `hold` frames of constant speed expected first."""
     return Duty(x.seen, int(x.reaction), x.acceleration, x.braking, x.max_speed, x.power, hold, x.dt)
 
 
 @inlined
 def sight_of(x: Settings) -> Sight:
-    """What decides about who sees whom."""
+    """Parameters of visibility."""
     return Sight(x.seen, x.gains, int(x.reaction), int(x.settled), x.blind > 0, x.width)

@@ -1,4 +1,4 @@
-"""All that has to be known of a scene before any path in it is judged, in one compiled call."""
+"""Prepares a scene for the clauses, in one compiled call."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def counts(
     before: tuple[BoolArray, BoolArray],
     counted: BoolArray,
 ) -> None:
-    """`counted_on`, of the arrays that `seen` fills in."""
+    """`counted_on`, for the arrays that `seen` fills in."""
     others = others_from(bodies_of(marks, numbers, brakes, recent), of_others, flags)
     counted_on(others, state, Footprint(*numbers_of(size, 8)), centers, plan, owned, before, counted)
 
@@ -59,22 +59,22 @@ def seen(
     slipping: FloatArray,
     tempted: BoolArray,
 ) -> int:
-    """Take in a scene: fill in what is to be known of the others before any path is judged.
+    """Prepare a scene: fill in everything about the other vehicles that does not depend on a path.
 
     Parameters
     ----------
     rows, states : vehicle rows (m, 7), and road states (m, 4). marks, numbers, brakes, recent : their `Tables`.
     vehicle, state, size : of the ego: vehicle row (7,), road state (4,), numbers of its `Footprint` (8,).
     centers, settings : of the lanes [m]; numbers of `Settings`.
-    owned, visible : see `Standing`; and its `stored` and `entered`, `plan`.
+    owned, visible, plan : see `Standing`; `plan` is its `stored` and `entered`.
     followers, before : see `others_of`.
-    of_others, flags : of `Others`, see `empty_others`; result.
-    slipping : (2 m, 4), rows of those that `may_slip` finds; result.
-    tempted : room that is written over, (m, 4).
+    of_others, flags : arrays of `Others`, see `empty_others`; written.
+    slipping : vehicles that `may_slip` finds, (2 m, 4); written.
+    tempted : buffer, (m, 4).
 
     Returns
     -------
-    How many may slip in.
+    Number of vehicles that may cut in.
     """
     x, bodies, foot = (
         settings_from(settings),

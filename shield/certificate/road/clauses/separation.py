@@ -1,4 +1,5 @@
-"""The clause of separation: a plan stays clear of every place where the others can be, the coming frame included."""
+"""Clause of separation: a plan stays clear of every place that the other vehicles can reach, the coming frame
+included."""
 
 from __future__ import annotations
 
@@ -14,13 +15,19 @@ from shield.certificate.road.clauses.footprint import Footprint
 __all__ = ["Duty", "Path", "Vehicle", "coming_frame", "extents", "separation", "turns"]
 
 _STRAIGHT = 0.01
-"""Sine of the heading below which a path's own next frame is where constant velocity leads."""
+"""Sine of the heading below which a path's own next frame covers the place that constant velocity leads to."""
 
 
 class Duty(NamedTuple):
-    """What a vehicle behind owes: distance within which it sees the ego [m], frames of reaction, greatest acceleration
-    and the braking that it owes [m/s^2], speed up to which it accelerates [m/s], power [m^2/s^3], frames of constant
-    speed that are expected before, and frame duration [s]."""
+    """Follower response model.
+
+    Attributes
+    ----------
+    seen : distance from its lane's centre within which a follower sees the ego [m].
+    reaction : number of frames from then until it brakes. acceleration : greatest until then [m/s^2].
+    braking : its deceleration [m/s^2]. max_speed : speed up to which it accelerates [m/s]. power : [m^2/s^3].
+    hold : number of frames of constant speed that are expected first. dt : frame [s].
+    """
 
     seen: float
     reaction: int
@@ -33,8 +40,14 @@ class Duty(NamedTuple):
 
 
 class Path(NamedTuple):
-    """What a path comes to: whether it is `finite`; whether it is `turned`, so that where constant velocity leads to
-    counts; and how far it reaches across the road, that included, from `lowest` to `highest` [m]."""
+    """Extents of a path.
+
+    Attributes
+    ----------
+    finite : whether all its numbers are finite.
+    turned : whether its headings matter for the places that constant velocity leads to.
+    lowest, highest : lateral extents over all frames, these places included [m].
+    """
 
     finite: bool
     turned: bool
@@ -43,12 +56,16 @@ class Path(NamedTuple):
 
 
 class Vehicle(NamedTuple):
-    """A vehicle that does not owe the ego its distance.
+    """A vehicle without a distance obligation.
 
-    `left`, `right` [m]: where it can be across the road, and `most_left`, `most_right` from frame `since` on; `length`
-    [m]: half of what it covers along it; `speed` [m/s], `front` [m], and greatest metres of s in a metre driven,
-    `stretch`; `behind`: whether it is behind the ego. Such a one has a `center` [m], of the lane that it would see the
-    ego in, and `at_once`, after how many frames it reacts if it sees the ego all the time, or -1.
+    Attributes
+    ----------
+    left, right : its lateral extents [m]. most_left, most_right : the same from frame `since` on [m].
+    length : half the length that it covers along the road [m].
+    behind : whether it is behind the ego.
+    center : centre of the lane in which it would see the ego [m].
+    at_once : number of frames after which it reacts if it sees the ego all the time, or -1.
+    speed, front : now, [m/s] and [m]. stretch : greatest distance along the road for each metre driven.
     """
 
     left: float
@@ -67,19 +84,19 @@ class Vehicle(NamedTuple):
 
 @inlined
 def turns(path: FloatArray, turned: FloatArray) -> None:
-    """Sine and cosine of the headings of a path (K, 4), to `turned` (2, at least K)."""
+    """Write the sine and cosine of the headings of a path (K, 4) to `turned`, (2, at least K)."""
     for k in range(path.shape[0]):
         turned[0, k], turned[1, k] = math.sin(path[k, 2]), math.cos(path[k, 2])
 
 
 @inlined
 def extents(path: FloatArray, turned: FloatArray, size: Footprint, dt: float, bounds: FloatArray) -> Path:
-    """Where the ego's rectangle is in each frame of a path (K, 4): s and r from `bounds[0]`, `[2]` to `bounds[1]`,
-    `[3]` with the buffer.
+    """Extents of the ego's rectangle in each frame of a path (K, 4). With the buffer, s is within `bounds[0]` and
+    `bounds[1]`, and r within `bounds[2]` and `bounds[3]`.
 
     Parameters
     ----------
-    turned : see `turns`. size : the ego's footprint. bounds : (4, K) [m], result.
+    turned : see `turns`. size : the ego's footprint. bounds : (at least 4, K) [m], written.
     """
     lon, lat, length, width = size.along, size.across, size.length, size.width
     coming, lowest, highest = False, np.inf, -np.inf
@@ -114,14 +131,19 @@ def coming_frame(
     reach: float,
     dt: float,
 ) -> float:
-    """What is left between the ego and a vehicle over one frame of constant velocities along both headings [m]; +inf
-    where there is anything left.
+    """Separation between the ego and a vehicle over one frame of constant velocities along both headings [m]; +inf if
+    it is not negative.
 
-    highway-env counts a collision where no side of either rectangle has a normal along which the two stay apart
-    meanwhile (`RoadObject._is_colliding`). The other's heading is not known, so it has to be one of the ego's: ahead or
-    behind along the ego, or beside its flank, along which the ego itself does not move. `turned` are sine and cosine of
-    the ego's heading; `ends` are least s of the other's body now and then, and greatest s of both [m]; `left`, `right`
-    contain its own way sideways; `reach` is half the length that it covers.
+    highway-env counts a collision if no side of either rectangle has a normal along which the two stay apart during the
+    frame (`RoadObject._is_colliding`). The other's heading is not known, so the normal has to be one of the ego's:
+    ahead or behind along the ego, or beside its flank, along which the ego itself does not move.
+
+    Parameters
+    ----------
+    state : road state of the ego, (4,). turned : sine and cosine of its heading. size : its footprint.
+    ends : least s of the other's body now and a frame later, and greatest s now and a frame later [m].
+    left, right : lateral extents of the other, its own lateral motion included [m].
+    reach : half the length that it covers along the road [m]. dt : frame [s].
     """
     s, r, v, sin, cos = state[0], state[1], state[3], turned[0], turned[1]
     low, high = left - r, right - r
@@ -134,9 +156,9 @@ def coming_frame(
     if math.isfinite(ends[2]):
         behind = (s - ends[2]) * cos - max(low * sin, high * sin) - half
         behind -= max((ends[3] - ends[2]) * cos - v * dt, 0.0)
-    # Where any of its body may be beside the ego, all of it has to be on one side of the flank.
+    # Where any part of its body may be beside the ego, all of it has to be on one side of the flank.
     window = half + abs(v) * dt + abs(sin) * max(abs(low), abs(high)) + 2 * reach
-    # The other gets on along the road meanwhile, and that brings a flank that is turned towards it nearer.
+    # The other advances along the road meanwhile, which brings a flank that is turned towards it nearer.
     moved = max(ends[3] - ends[2], 0.0) if math.isfinite(ends[3]) else 0.0
     first, last = max(ends[0] - s, -window), min(ends[3] - s, window + moved)
     if first >= last:
@@ -149,12 +171,12 @@ def coming_frame(
 
 @inlined
 def _front(path: FloatArray, frames: int, other: Vehicle, duty: Duty, front: FloatArray) -> float:
-    """Greatest s of a vehicle after each frame: it accelerates, one behind until it owes the ego its braking. Returns
-    how much further such a one may come after the last [m]."""
+    """Write the greatest s of a vehicle after each frame to `front`, (at least K,) [m]. It accelerates; a follower does
+    so until its braking begins. Return the distance that a follower may still advance after the last frame [m]."""
     v0, start, stretch, center, at_once = other.speed, other.front, other.stretch, other.center, other.at_once
     seen, reaction, gain, loss, most = duty.seen, duty.reaction, duty.acceleration, duty.braking, duty.max_speed
     hold, dt, power = duty.hold, duty.dt, duty.power
-    # The duty starts when the ego has come into sight for good; losing sight of it starts the clock again.
+    # The response starts when the ego has become visible for good; each loss of visibility restarts the reaction time.
     first = 1
     for k in range(frames - 1, -1, -1):
         if not abs(path[k, 1] - center) <= seen:
@@ -170,7 +192,7 @@ def _front(path: FloatArray, frames: int, other: Vehicle, duty: Duty, front: Flo
         front[k] = start + way * dt * stretch
         if hold <= k < turn:
             speed = min(speed + min(gain, power / max(speed, 1e-3)) * dt, top)
-    # Where the ego has come to rest at the last frame, its follower may still be doing so.
+    # Where the ego has come to rest in the last frame, its follower may still be braking.
     more = 0.0
     if other.behind and path[frames - 1, 3] < 0.5:
         k = frames
@@ -195,14 +217,15 @@ def separation(
     duty: Duty,
     front: FloatArray,
 ) -> tuple[float, int]:
-    """The least separation of a path (K, 4) from a vehicle that does not owe it [m], and the first frame in which it is
-    negative, K without one; NaN and 0 for a vehicle that is not finite (`rear` adds up: its last frame tells).
+    """Least separation of a path (K, 4) from a vehicle without a distance obligation [m], and the first frame in which
+    it is negative, K if there is none. NaN and 0 for a vehicle that is not finite: `rear` is cumulative, so that its
+    last frame shows it.
 
     Parameters
     ----------
-    turned, ego, bounds : its `turns` and `extents`. size : the ego's footprint. other : where the vehicle can be.
-    rear : least s of its body after each frame, (at least K,) [m]. duty : what a vehicle behind owes.
-    front : room that is written over, (at least K,).
+    turned, ego, bounds : `turns` and `extents` of the path. size : the ego's footprint. other : the vehicle.
+    rear : least s of its body after each frame, (at least K,) [m]. duty : follower response model.
+    front : buffer, (at least K,).
     """
     frames, left, right, behind, dt = path.shape[0], other.left, other.right, other.behind, duty.dt
     since = other.since
@@ -225,7 +248,7 @@ def separation(
         if behind:
             along = max(along, bounds[0, k] - front[k] - (more if k == frames - 1 else 0.0))
         apart = max(along, max(left - bounds[3, k], bounds[2, k] - right))
-        # Nothing is said about the frame after the last: an ego that brakes stands by then.
+        # The frame after the last is not judged: an ego that brakes stands by then.
         if ego.turned and k < frames - 1 and not abs(turned[0, k]) < _STRAIGHT:
             ends, heading = (rear[k], rear[k + 1], front[k], front[k + 1]), (turned[0, k], turned[1, k])
             apart = min(apart, coming_frame(path[k], heading, size, ends, left, right, other.length, dt))

@@ -1,4 +1,4 @@
-"""The clause of room: a plan stops inside one lane; and the margin that comes of all clauses."""
+"""Clause of room: a plan stops inside one lane. Also the margin over all clauses."""
 
 from __future__ import annotations
 
@@ -22,11 +22,14 @@ def room_of(
     side: float,
     bent: bool,
 ) -> float:
-    """What is left beside the ego with its buffer in the lane that a path (K, 4) stops in [m]; negative where it
-    reaches out. `center` and `side`: of the lane, and half its width [m]; `turned`, `size` as in `extents`."""
+    """Room beside the ego with its buffer in the lane that a path (K, 4) stops in [m]; negative if it reaches out of
+    the lane.
+
+    `center` and `side` are the lane's centre and half its width [m]; `turned` and `size` as in `extents`.
+    """
     last = path.shape[0] - 1
     sin, cos = abs(turned[0, last]), abs(turned[1, last])
-    # On a bend, what lies ahead and behind in the lane bends with the road: only the body has to fit.
+    # On a curve, the buffer ahead and behind follows the lane: only the body has to fit.
     half = (
         0.5 * size.length * sin + size.across * cos + size.bare_across if bent else size.along * sin + size.across * cos
     )
@@ -35,11 +38,11 @@ def room_of(
 
 @inlined
 def margin_of(separations: FloatArray, slipping: FloatArray, room: float) -> float:
-    """The least separation of a path, and what it lacks of room where it does [m]; NaN where anything is.
+    """Margin of a path: its least separation, or the room if that is negative and less [m]; NaN if any input is NaN.
 
     Parameters
     ----------
-    separations, slipping : from vehicles in reach (m,), and from those that may slip in (q,) [m]. room : [m].
+    separations, slipping : from the vehicles in reach, (m,), and from those that may cut in, (q,) [m]. room : [m].
     """
     least, known = np.inf, not math.isnan(room)
     if room < 0:

@@ -1,4 +1,4 @@
-"""What the judgement of a path has before it: the ground, the others, and room to write on."""
+"""Inputs of the clauses, and their workspace."""
 
 from __future__ import annotations
 
@@ -17,7 +17,13 @@ __all__ = ["Around", "Desk", "Ground", "new_desk"]
 
 
 class Ground(NamedTuple):
-    """Centres of the lanes [m], which of them the ego owns, and for how many frames it has been visible in each."""
+    """Lanes of a scene.
+
+    Attributes
+    ----------
+    centers : (lanes,) [m]. owned : whether the ego owns each, (lanes,).
+    visible : number of frames for which it has been visible in each, (lanes,).
+    """
 
     centers: FloatArray
     owned: BoolArray
@@ -25,8 +31,14 @@ class Ground(NamedTuple):
 
 
 class Around(NamedTuple):
-    """The others of a scene: `rows` (m, 7), `states` (m, 4), what a metre driven is of the road, `stretch` (2, m or 0),
-    `bodies`, `motion` and `others`."""
+    """The other vehicles of a scene.
+
+    Attributes
+    ----------
+    rows : vehicle rows, (m, 7). states : road states, (m, 4).
+    stretch : distance along the road for each metre driven, (2, m), or (2, 0) on a straight road.
+    bodies, motion, others : reachable places, bounds on the motion, and the vehicles as the clauses read them.
+    """
 
     rows: FloatArray
     states: FloatArray
@@ -37,18 +49,22 @@ class Around(NamedTuple):
 
 
 class Desk(NamedTuple):
-    """Room for the judgement of one path of up to K frames among m vehicles, and what is known from the last one in the
-    same scene.
+    """Workspace for one path of at most K frames among m vehicles, with the values that further paths of the same scene
+    reuse.
 
     Attributes
     ----------
-    near : the vehicles in reach, (m,), of which there are `found` (1,). sides : where each can be across the road,
-        (2, m) [m], and `home` (m,): its lane. apart : separation from each, (m,) [m].
-    rears : least s of each vehicle (by row), (2, m, K) [m], as a bound and as a forecast; `done` (2, m): of how many
-        frames, 0 in a new scene. rear : of one of those in reach, (1, K).
-    turned : sine and cosine of the path's headings, (2, K). bounds : of the ego, (5, K). room : (1,) [m].
-    slipping, slips, ways, sweep, turns, away : of those that may slip in, (2 m,), (6, 2 m), (2, 2 m, K), (2 m, T, 2),
-        (2 m, T, 4) and (2 m,). swept : for how many frames these are known, (1,); 0 in a new scene.
+    near : rows of the vehicles in reach, (m,); `found` of them, (1,). apart : separation from each, (m,) [m].
+    sides : lateral extents of each, (2, m) [m]. home : its lane, (m,).
+    rears : least s of each vehicle (by row) as a bound and as a forecast, (2, m, K) [m].
+    done : number of frames for which `rears` is valid, (2, m); 0 in a new scene.
+    rear : least s of one vehicle in reach, (1, K) [m].
+    turned : sine and cosine of the path's headings, (2, K). bounds : extents of the ego, and a buffer, (5, K) [m].
+    room : in the lane that the path stops in, (1,) [m].
+    slipping, slips : rows, (2 m,), and numbers, (6, 2 m), of the vehicles that may cut in.
+    ways : their least and greatest s, (2, 2 m, K) [m]. sweep : their lateral extents, (2 m, T, 2) [m].
+    turns : buffer, (2 m, T, 4). away : separation from each, (2 m,) [m].
+    swept : number of frames for which these are valid, (1,); 0 in a new scene.
     """
 
     near: IntArray
@@ -73,7 +89,7 @@ class Desk(NamedTuple):
 
 @compiled
 def new_desk(m: int, frames: int, dt: float) -> Desk:
-    """An empty one."""
+    """An empty workspace for `m` vehicles and paths of at most `frames` frames of duration `dt` [s]."""
     last = math.ceil(LASTS / dt)
     return Desk(
         np.empty(m, np.intp),

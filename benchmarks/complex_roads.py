@@ -39,7 +39,7 @@ def drive(config: dict[str, Any], policy: str, episodes: int, first: int, shield
     env = PerformanceLogger(gym.make("ComplexRoads-v0", config={"random_start": True, **config}))
     observation, _ = env.reset(seed=first)
     proposing = make_policy(policy, env)
-    driver: Any = Shield(proposing, env, ShieldConfig.exact(), frames=False) if shielded else proposing
+    driver: Any = Shield(proposing, env, ShieldConfig.simulated_traffic(), frames=False) if shielded else proposing
     for seed in range(first, first + episodes):
         observation, _ = env.reset(seed=seed)
         start_episode(proposing, seed)

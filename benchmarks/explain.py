@@ -28,12 +28,12 @@ INPUTS = {"action": {"type": "ContinuousAction"}}
 DOORS: dict[str, tuple[str, dict[str, Any], ShieldConfig]] = {
     "highway, meta-actions": ("highway-fast-v0", {}, ShieldConfig()),
     "highway, inputs": ("highway-fast-v0", INPUTS, ShieldConfig()),
-    "highway, simulated": ("highway-fast-v0", {}, ShieldConfig.exact()),
-    "highway, simulated inputs": ("highway-fast-v0", INPUTS, ShieldConfig.exact()),
+    "highway, simulated": ("highway-fast-v0", {}, ShieldConfig.simulated_traffic()),
+    "highway, simulated inputs": ("highway-fast-v0", INPUTS, ShieldConfig.simulated_traffic()),
     "roundabout, worst case": ("roundabout-v1", {}, ShieldConfig.for_roads()),
-    "roundabout, simulated": ("roundabout-v1", {}, ShieldConfig.exact()),
-    "intersection, simulated": ("intersection-v2", {}, ShieldConfig.exact()),
-    "intersection, simulated inputs": ("intersection-v1", {}, ShieldConfig.exact()),
+    "roundabout, simulated": ("roundabout-v1", {}, ShieldConfig.simulated_traffic()),
+    "intersection, simulated": ("intersection-v2", {}, ShieldConfig.simulated_traffic()),
+    "intersection, simulated inputs": ("intersection-v1", {}, ShieldConfig.simulated_traffic()),
     "parking": ("parking-v0", {"vehicles_count": 10, "duration": 20}, ShieldConfig()),
 }
 STEPS, ASKED = 60, 400

@@ -26,9 +26,9 @@ CELLS: dict[str, tuple[str, ShieldConfig, dict[str, Any]]] = {
         {"action": {"type": "ContinuousAction"}},
     ),
     "merge-v1, worst case": ("merge-v1", ShieldConfig.for_roads(), {}),
-    "highway-fast-v0, simulated": ("highway-fast-v0", ShieldConfig.exact(), {}),
-    "merge-v1, simulated": ("merge-v1", ShieldConfig.exact(), {}),
-    "roundabout-v1, simulated": ("roundabout-v1", ShieldConfig.exact(), {}),
+    "highway-fast-v0, simulated": ("highway-fast-v0", ShieldConfig.simulated_traffic(), {}),
+    "merge-v1, simulated": ("merge-v1", ShieldConfig.simulated_traffic(), {}),
+    "roundabout-v1, simulated": ("roundabout-v1", ShieldConfig.simulated_traffic(), {}),
 }
 
 

@@ -23,7 +23,7 @@ def drive(env_id: str, egos: int, policy: str, shielded: bool, seed: int) -> tup
     single egos, and how many were overridden."""
     env: Any = Setting(env_id, env_id, {"controlled_vehicles": egos}).make()
     if shielded:
-        env = ShieldedEnv(env, ShieldConfig.exact())
+        env = ShieldedEnv(env, ShieldConfig.simulated_traffic())
     env.reset(seed=seed)
     base, rng, over = env.unwrapped, np.random.default_rng(seed), False
     arrived, decisions, overridden = np.zeros(egos, bool), 0, 0

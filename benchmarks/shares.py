@@ -22,7 +22,7 @@ ROADS = ("highway-fast", "highway", "merge", "roundabout", "exit", "two-way", "u
 
 def timed(name: str, policy: str, seeds: range) -> dict[str, object]:
     """A row: the shield's time of a decision, and of a step what is left without it [ms]."""
-    env = ShieldedEnv(get_setting(name).make(), ShieldConfig.exact())
+    env = ShieldedEnv(get_setting(name).make(), ShieldConfig.simulated_traffic())
     driver, mine, rest = make_policy(policy, env), list[float](), list[float]()
     for seed in seeds:
         obs, _ = env.reset(seed=seed)

@@ -10,6 +10,7 @@ from typing import Any
 
 import tomli_w
 
+from dynamics.deprecation import warn_of_former_name
 from dynamics.errors import perhaps
 from dynamics.traffic.assumptions import Assumptions
 from shield.errors import ConfigError
@@ -20,7 +21,7 @@ RULES_ALONE = ("distance", "rss", "ttc", "ttc-ranking")
 """Modes in which one rule decides alone."""
 MODES = ("none", *RULES_ALONE, "full")
 """Valid `ShieldConfig.mode`: no shield, one rule alone, or the whole procedure."""
-PROFILES = ("default", "meta-actions", "roads", "exact")
+PROFILES = ("default", "meta-actions", "roads", "simulated")
 """Names of `ShieldConfig.profile`."""
 SIMULATED, WORST_CASE = "simulated", "worst-case"
 """Names of settings that fit themselves to the environment (`shield.wrappers.defaults`)."""
@@ -129,7 +130,7 @@ class ShieldConfig:
 
     @property
     def simulates(self) -> bool:
-        """Whether the traffic is simulated: with `Assumptions.exact()`, where anything is verified at all."""
+        """Whether actions are verified in simulated traffic (`Assumptions.simulated_traffic()`, mode not "none")."""
         return self.assumptions.simulated and self.mode != "none"
 
     @classmethod
@@ -152,23 +153,31 @@ class ShieldConfig:
         return cls(assumptions=traffic)
 
     @classmethod
-    def exact(cls) -> ShieldConfig:
-        """Verification by simulation, for `Shield(policy, env, ShieldConfig.exact())` and `ShieldedEnv`: 30 s ahead on
-        a straight highway, 12 s on a network of roads.
+    def simulated_traffic(cls) -> ShieldConfig:
+        """Verification in simulated traffic: 30 s ahead on a straight highway, 12 s on a network of roads.
 
         Within a shorter horizon an ego that cannot stop is boxed in before it is seen. What is simulated needs little
         of a buffer.
         """
-        return cls(assumptions=Assumptions.exact(), buffer=Buffer(0.5, 0.3), horizon=30.0)
+        return cls(assumptions=Assumptions.simulated_traffic(), buffer=Buffer(0.5, 0.3), horizon=30.0)
+
+    @classmethod
+    def exact(cls) -> ShieldConfig:
+        """The former name of `simulated_traffic`."""
+        warn_of_former_name("ShieldConfig.exact()", "ShieldConfig.simulated_traffic()")
+        return cls.simulated_traffic()
 
     @classmethod
     def profile(cls, name: str) -> ShieldConfig:
-        """Settings by name: "default", "meta-actions", "roads" or "exact"."""
+        """Settings by name: "default", "meta-actions", "roads" or "simulated"."""
+        if name == "exact":
+            warn_of_former_name('the profile "exact"', '"simulated"')
+            name = "simulated"
         if name not in PROFILES:
             raise ConfigError(f"unknown settings {name!r}; valid are {', '.join(map(repr, PROFILES))}")
         if name == "meta-actions":
             return cls.for_meta_actions()
-        return cls.for_roads() if name == "roads" else cls.exact() if name == "exact" else cls()
+        return cls.for_roads() if name == "roads" else cls.simulated_traffic() if name == "simulated" else cls()
 
     def replace(self, **changes: Any) -> ShieldConfig:
         """A copy with some settings changed."""
@@ -182,7 +191,7 @@ class ShieldConfig:
     def from_toml(cls, text: str) -> ShieldConfig:
         """Read what `to_toml` wrote; tables and keys may be left out.
 
-        `assumptions` may be a table or the name of a profile ("idm", "roads", "moderate", "rss", "exact").
+        `assumptions` may be a table or the name of a profile ("idm", "roads", "moderate", "rss", "simulated").
 
         Raises
         ------

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
+from enum import EnumType, StrEnum
 from math import isfinite, isnan, nan
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from dynamics.deprecation import warn_of_former_name
 from dynamics.state import FloatArray
 from shield.errors import ConfigError
 
@@ -122,19 +123,44 @@ class Verification(StrEnum):
     OFF = "off"
 
 
-class Guarantee(StrEnum):
+class _FormerMembers(EnumType):
+    def __getattr__(cls, name: str) -> Any:
+        if name == "FULL":
+            warn_of_former_name("Guarantee.FULL", "Guarantee.ALL_SEEN")
+            return cls["ALL_SEEN"]
+        raise AttributeError(name)
+
+
+class Guarantee(StrEnum, metaclass=_FormerMembers):
     """What a certificate rests on beside the assumptions about the others' behaviour.
 
-    `FULL`: nothing, for everybody was seen as they are. `ASSUMED`: on what is assumed of those who may be there unseen
-    (`shield.Unseen`). `PROBABILISTIC`: on everybody being within the bounds of what was seen, besides. `BROKEN`: of a
-    whole episode, in which the others broke the assumptions. `NONE`: there is no certificate.
+    `ALL_SEEN`: every vehicle was seen; nothing else is assumed about the scene. `ASSUMED`: vehicles that may be there
+    unseen are assumed (`shield.Unseen`). `PROBABILISTIC`: every vehicle is also assumed within the bounds of its
+    measurement. `BROKEN`: of an episode, in which other vehicles broke the assumptions. `NONE`: there is no
+    certificate. None of them means that a crash is impossible. The former name of `ALL_SEEN` is `FULL`, with the value
+    "full".
     """
 
-    FULL = "full"
+    ALL_SEEN = "all vehicles seen"
     ASSUMED = "assumed"
     PROBABILISTIC = "probabilistic"
     BROKEN = "assumptions broken"
     NONE = "none"
+
+    __hash__ = StrEnum.__hash__
+
+    def __eq__(self, other: object) -> bool:
+        if self is Guarantee.ALL_SEEN and type(other) is str and other == "full":
+            warn_of_former_name('guarantee == "full"', f'guarantee == "{self.value}"')
+            return True
+        return str.__eq__(self, other) if isinstance(other, str) else NotImplemented
+
+    @classmethod
+    def _missing_(cls, value: object) -> Guarantee | None:
+        if value == "full":
+            warn_of_former_name('Guarantee("full")', "Guarantee.ALL_SEEN", stacklevel=5)
+            return cls.ALL_SEEN
+        return None
 
 
 class Source(Protocol):
@@ -159,7 +185,7 @@ def weakest(*guarantees: Guarantee) -> Guarantee:
 
     Examples
     --------
-    >>> weakest(Guarantee.FULL, Guarantee.BROKEN, Guarantee.ASSUMED).value
+    >>> weakest(Guarantee.ALL_SEEN, Guarantee.BROKEN, Guarantee.ASSUMED).value
     'assumptions broken'
     """
     return max(guarantees, key=_WEAKER.index)
@@ -212,7 +238,7 @@ class Decision:
     occupancy: FloatArray | None = field(default=None, repr=False, compare=False)
     clause: str = ""
     vehicle: int = -1
-    sight: Guarantee = Guarantee.FULL
+    sight: Guarantee = Guarantee.ALL_SEEN
     level: float = 1.0
     alarm: bool = False
     frames_overridden: int = 0

@@ -220,7 +220,7 @@ def refuse_lots(bases: list[Any]) -> None:
             raise ConfigError(
                 f"{type(base).__name__} with {type(base.action_type).__name__}: in a parking lot the shield filters "
                 'ContinuousAction only. Pass config={"action": {"type": "ContinuousAction"}} to gym.make, and no '
-                "ShieldConfig.exact(): nothing is simulated there"
+                "ShieldConfig.simulated_traffic(): nothing is simulated there"
             )
 
 

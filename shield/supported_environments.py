@@ -37,7 +37,10 @@ def check(config: ShieldConfig) -> None:
         If the traffic is not to be simulated, or the mode is another.
     """
     if not config.assumptions.simulated:
-        raise ConfigError("verification by simulation needs Assumptions.exact(); ShieldConfig.exact() has them")
+        raise ConfigError(
+            "verification by simulation needs Assumptions.simulated_traffic(); "
+            "ShieldConfig.simulated_traffic() has them"
+        )
     require(config, "verification by simulation has", mode="full")
 
 
@@ -66,12 +69,12 @@ def refuse_simulated(config: ShieldConfig) -> None:
     Raises
     ------
     ConfigError
-        If the settings have `Assumptions.exact()`.
+        If the settings have `Assumptions.simulated_traffic()`.
     """
     if config.simulates:
         raise ConfigError(
-            "Assumptions.exact() verifies by simulation, which Shield and ShieldedEnv do on roads whose traffic is "
-            'known; here there are the profiles "idm", "moderate" and "rss"'
+            "Assumptions.simulated_traffic() verifies by simulation, which Shield and ShieldedEnv do on roads "
+            'whose traffic is known; here there are the profiles "idm", "moderate" and "rss"'
         )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from math import isfinite
 
+from dynamics.deprecation import warn_of_former_name
 from dynamics.errors import ConfigError
 
 __all__ = ["Assumptions"]
@@ -143,7 +144,7 @@ class Assumptions:
         return cls(acceleration=3.0, max_speed=30.0, waver=0.6)
 
     @classmethod
-    def exact(cls) -> Assumptions:
+    def simulated_traffic(cls) -> Assumptions:
         """The others drive as highway-env's traffic does, to the bit; plans are verified by simulating it.
 
         The guarantee holds for no other traffic. Traffic of an unknown class is refused. See
@@ -152,15 +153,30 @@ class Assumptions:
         return cls(simulated=True)
 
     @classmethod
+    def exact(cls) -> Assumptions:
+        """The former name of `simulated_traffic`."""
+        warn_of_former_name("Assumptions.exact()", "Assumptions.simulated_traffic()")
+        return cls.simulated_traffic()
+
+    @classmethod
     def profile(cls, name: str) -> Assumptions:
-        """A profile by name: "idm", "roads", "moderate", "rss" or "exact".
+        """A profile by name: "idm", "roads", "moderate", "rss" or "simulated".
 
         Raises
         ------
         ConfigError
             If the name is unknown.
         """
-        profiles = {"idm": cls.idm, "roads": cls.roads, "moderate": cls.moderate, "rss": cls.rss, "exact": cls.exact}
+        profiles = {
+            "idm": cls.idm,
+            "roads": cls.roads,
+            "moderate": cls.moderate,
+            "rss": cls.rss,
+            "simulated": cls.simulated_traffic,
+        }
+        if name == "exact":
+            warn_of_former_name('the profile "exact"', '"simulated"')
+            name = "simulated"
         if name not in profiles:
             raise ConfigError(f"unknown assumptions {name!r}; valid are {', '.join(map(repr, profiles))}")
         return profiles[name]()

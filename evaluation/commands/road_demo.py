@@ -36,7 +36,7 @@ def road_demo(env_id: str, seeds: Sequence[int], output: Path, jobs: int) -> Pat
     ConfigError
         Before the first episode, if there is no such environment, it has no FASTER, or its traffic cannot be simulated.
     """
-    setting, config = setting_of(env_id), ShieldConfig.exact()
+    setting, config = setting_of(env_id), ShieldConfig.simulated_traffic()
     check_road(setting, config)
     variants = make_variants(["none", "full"], ["actions"], config)
     frame = run_paired(setting, _POLICY, variants, seeds, jobs=jobs, run=RunOptions(progress=True))

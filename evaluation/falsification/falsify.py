@@ -177,7 +177,7 @@ def falsify(
     if on_roads(setting.env_id) and not config.simulates:
         raise ConfigError(
             f"highway-env's own traffic on {setting.name} is searched with settings that simulate it"
-            " (`shield config --profile exact`); with others have drivers bold, wild or mixed"
+            " (`shield config --profile simulated`); with others have drivers bold, wild or mixed"
         )
     searched, first = _Episodes(setting, policy, config, seed), list[Chosen]()
 

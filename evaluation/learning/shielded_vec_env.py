@@ -168,7 +168,7 @@ class ShieldedVecEnv(FastHighwayVecEnv):
                 "frames_overridden": frames,
                 "violations": violations,
                 "rules": rules_in(broken) if violations else {},
-                "guarantee": (Guarantee.FULL if full else Guarantee.NONE).value,
+                "guarantee": (Guarantee.ALL_SEEN if full else Guarantee.NONE).value,
                 "verification": verification,
             }
             for overridden, done, reason, tier, margin, frames, violations, full, broken in zip(

@@ -38,7 +38,8 @@ def draw_override(env_id: str, policy: str = "faster", seed: int = 0) -> Image.I
 
     Parameters
     ----------
-    env_id : what `ShieldConfig.exact()` verifies meta-actions in. policy : by name. seed : of the first episode.
+    env_id : an environment in which `ShieldConfig.simulated_traffic()` verifies meta-actions. policy : by name.
+    seed : of the first episode.
 
     Raises
     ------
@@ -51,7 +52,7 @@ def draw_override(env_id: str, policy: str = "faster", seed: int = 0) -> Image.I
     raw = Setting(env_id, env_id, _SCREEN).make("rgb_array")
     if not isinstance(cast(Any, raw.unwrapped).action_type, DiscreteMetaAction):
         raise ConfigError(f"the gallery draws meta-actions, which {env_id} does not take; have {', '.join(ROADS)}")
-    shield = Shield(make_policy(policy, raw), raw, ShieldConfig.exact().replace(record=True), frames=False)
+    shield = Shield(make_policy(policy, raw), raw, ShieldConfig.simulated_traffic().replace(record=True), frames=False)
     env = ShieldOverlay(raw, shield)
     best: tuple[float, Any] = np.inf, None
     try:

@@ -40,7 +40,7 @@ def shield_for(variant: Variant, road: str = "highway") -> ShieldConfig:
     itself, those of `Shield` with actions alone that reads the simulator's state, or of mode "none"."""
     if not variant.shield:
         return ShieldConfig(mode="none")
-    return ShieldConfig() if variant.shield == "env" and road == "highway" else ShieldConfig.exact()
+    return ShieldConfig() if variant.shield == "env" and road == "highway" else ShieldConfig.simulated_traffic()
 
 
 def _overridden(records: Records) -> BoolArray:

@@ -51,7 +51,9 @@ __all__ = [
 
 _META = {"faster": "FASTER", "slower": "SLOWER", "idle": "IDLE", "left": "LANE_LEFT", "right": "LANE_RIGHT"}
 _INPUTS = {"throttle", "idle"}
-_TEAM = "several egos are driven by ShieldedEnv(env, ShieldConfig.exact()), whose step takes a tuple of actions"
+_TEAM = (
+    "several egos are driven by ShieldedEnv(env, ShieldConfig.simulated_traffic()), whose step takes a tuple of actions"
+)
 _WEAVING = ("LANE_LEFT", "FASTER", "LANE_RIGHT", "FASTER")
 
 

@@ -86,7 +86,7 @@ class GridPerception:
     def rating(self) -> tuple[Guarantee, float]:
         """What a certificate for the scene seen last rests on, and the level of its bounds (see `Decision`)."""
         everybody = min(self.edges) >= self.spec.distance and not self.spec.hides
-        return (Guarantee.FULL if everybody else Guarantee.ASSUMED), 1.0
+        return (Guarantee.ALL_SEEN if everybody else Guarantee.ASSUMED), 1.0
 
     @property
     def alarmed(self) -> bool:

@@ -100,7 +100,7 @@ class ObservationPerception:
             return Guarantee.PROBABILISTIC, 0.5 * (1 + math.erf(self.config.bound / math.sqrt(2)))
         # An empty observation shows an empty road, or nothing of a full one.
         everybody = min(self.edges) >= self.spec.distance and self._anybody
-        return (Guarantee.FULL if everybody else Guarantee.ASSUMED), 1.0
+        return (Guarantee.ALL_SEEN if everybody else Guarantee.ASSUMED), 1.0
 
     @property
     def alarmed(self) -> bool:

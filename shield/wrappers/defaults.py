@@ -38,7 +38,7 @@ _log = logging.getLogger("shield")
 _CHOOSE = 'To choose, pass config="simulated", config="worst-case" or a ShieldConfig.'
 _FORGOTTEN = (
     "These settings assume a highway with supervised frames; without settings this traffic would be simulated: pass "
-    "ShieldConfig.exact().replace(...) instead"
+    "ShieldConfig.simulated_traffic().replace(...) instead"
 )
 _PROMISES = {
     Verification.OFF: "no shield; every action is executed as proposed",
@@ -128,7 +128,7 @@ def choose_settings(given: Given, place: Place) -> ChosenSettings:
     """
     worst = _worst_case(place)
     if isinstance(given, str):
-        return _described(place, ShieldConfig.exact() if given == SIMULATED else worst)
+        return _described(place, ShieldConfig.simulated_traffic() if given == SIMULATED else worst)
     open_to_both = not (place.worst_case_only or place.rule) and _better_simulated(place)
     if given is not None:
         forgotten = open_to_both and given.mode == "full" and given.assumptions == Assumptions()
@@ -138,7 +138,7 @@ def choose_settings(given: Given, place: Place) -> ChosenSettings:
         return _described(place, worst, True)
     unknown = why_not_simulated(place.base)
     caution = f"Its traffic cannot be simulated: {unknown}" if unknown else ""
-    return _described(place, worst if unknown else ShieldConfig.exact(), True, caution)
+    return _described(place, worst if unknown else ShieldConfig.simulated_traffic(), True, caution)
 
 
 def verification_of(config: ShieldConfig) -> Verification:

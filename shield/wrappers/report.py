@@ -53,7 +53,7 @@ class Statistics:
     reasons: Counter[str] = field(default_factory=Counter)
     margin: float = float("nan")
     latency: float = 0.0
-    guarantee: Guarantee = Guarantee.FULL
+    guarantee: Guarantee = Guarantee.ALL_SEEN
 
     def add(self, report: Mapping[str, Any], latency: float) -> None:
         """Count one report, and the time that the decision and its frames took [s]."""
@@ -86,7 +86,7 @@ class Statistics:
             "margin": self.margin,
             "latency_ms": 1e3 * self.latency / max(self.decisions, 1),
             "reasons": dict(self.reasons),
-            "guarantee": weakest(self.guarantee, Guarantee.BROKEN if self.violations else Guarantee.FULL).value,
+            "guarantee": weakest(self.guarantee, Guarantee.BROKEN if self.violations else Guarantee.ALL_SEEN).value,
         }
 
 

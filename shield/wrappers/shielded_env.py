@@ -52,16 +52,16 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     with bounded acceleration, or the ego keeps its lane. Throttle and steering are verified at every frame, and
     replaced by the nearest inputs that verify.
 
-    With `ShieldConfig.exact()` the traffic is simulated instead, on every road whose traffic is known: meta-actions are
-    verified when they are taken, throttle and steering at every frame. Several egos with meta-actions
+    With `ShieldConfig.simulated_traffic()` the traffic is simulated instead, on every road with known traffic:
+    meta-actions are verified when they are taken, throttle and steering at every frame. Several egos with meta-actions
     (`MultiAgentAction`) are verified together: `step` takes a tuple of actions then.
 
     Parameters
     ----------
     env : the environment: with meta-actions on any road; with continuous actions on straight highways, racetracks and
-        parking lots, and with `ShieldConfig.exact()` on every other road.
-    config : settings, the path of a TOML file with them, "simulated" (`ShieldConfig.exact()`) or "worst-case". By
-        default highway-env's own traffic is simulated on networks of roads, with several egos, and with tyres that
+        parking lots, and with `ShieldConfig.simulated_traffic()` on every other road.
+    config : settings, the path of a TOML file with them, "simulated" (`ShieldConfig.simulated_traffic()`) or
+        "worst-case". By default highway-env's own traffic is simulated on networks of roads, with several egos, and with tyres that
         slip; elsewhere, and where the traffic is unknown, actions are verified against the worst case. A line in the
         log of "shield" says what is promised, a warning where the traffic is unknown.
     policy : where given, alternatives are tried in its order of preference (probabilities or Q-values of the
@@ -300,7 +300,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             )
         # After what is refused without them as well.
         if config.simulates and (self._rule is not None or self._model is not None):
-            raise ConfigError("Assumptions.exact() verifies by simulation: leave rule and model out")
+            raise ConfigError("Assumptions.simulated_traffic() verifies by simulation: leave rule and model out")
         warm_up_door(door)
         if self._recording:
             door.record()

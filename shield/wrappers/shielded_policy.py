@@ -71,7 +71,7 @@ class Shield(WrappedPolicy):
         worst case, meta-actions without `frames` have `ShieldConfig.for_meta_actions()`.
     frames : whether the frames between two decisions are supervised. Without, `Shield` is a pure filter of actions: it
         touches nothing but what `predict` returns, and has to look seconds ahead with what it assumes. With
-        `ShieldConfig.exact()` it simulates the traffic instead, and meta-actions need no supervision either way.
+        `ShieldConfig.simulated_traffic()` it simulates the traffic instead; meta-actions then need no supervision.
     perception : what scenes are read from: "simulator", its true state, or "observation", nothing of the traffic but
         what reaches `predict` (Kinematics, grids; meta-actions, a highway), and at the frames between what the
         environment would show then; or a `PerceptionConfig`, which has the settings of the latter.
@@ -177,7 +177,9 @@ class Shield(WrappedPolicy):
         )
         # After what is refused with frames as well.
         if chosen.config.simulates and self._inputs and not self._frames:
-            raise ConfigError("Assumptions.exact() verifies throttle and steering at every frame: frames=True")
+            raise ConfigError(
+                "Assumptions.simulated_traffic() verifies throttle and steering at every frame: frames=True"
+            )
         warm_up_door(door)
         if self._recording:
             door.record()

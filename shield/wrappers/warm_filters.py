@@ -42,7 +42,7 @@ def warm_up_exact(network: bool) -> None:
     with announced("simulated networks" if network else "simulated highways"):
         env = gym.make("u-turn-v1") if network else gym.make("highway-fast-v0", config={"vehicles_count": 3})
         env.reset(seed=0)
-        ExactDoor(env.unwrapped, ShieldConfig.exact()).rehearse()
+        ExactDoor(env.unwrapped, ShieldConfig.simulated_traffic()).rehearse()
     _load_explanations(network)
 
 
@@ -52,7 +52,7 @@ def warm_up_exact_inputs() -> None:
     with announced("simulated throttle and steering"):
         env = gym.make("highway-fast-v0", config={"vehicles_count": 3, "action": {"type": "ContinuousAction"}})
         env.reset(seed=0)
-        door = ExactInputDoor(env.unwrapped, ShieldConfig.exact())
+        door = ExactInputDoor(env.unwrapped, ShieldConfig.simulated_traffic())
         for action in ([0.0, 0.0], [1.0, 1.0], [np.nan, 0.0]):
             door.decide(action)
     # Throttle and steering are simulated as on a network, on a straight highway too.
@@ -65,7 +65,7 @@ def warm_up_explanations(network: bool) -> None:
     with announced(_EXPLANATIONS[network]):
         env = gym.make("u-turn-v1") if network else gym.make("highway-fast-v0", config={"vehicles_count": 3})
         env.reset(seed=0)
-        ExactDoor(env.unwrapped, ShieldConfig.exact()).source(1).rehearse()
+        ExactDoor(env.unwrapped, ShieldConfig.simulated_traffic()).source(1).rehearse()
 
 
 def _load_explanations(network: bool) -> None:

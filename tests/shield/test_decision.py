@@ -14,7 +14,7 @@ from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.decision import Decision, Intervention, Reason, Tier
 
 INPUTS = {"action": {"type": "ContinuousAction"}}
-EXACT = ShieldConfig.exact()
+EXACT = ShieldConfig.simulated_traffic()
 CELLS = {
     "highway": ("highway-fast-v0", {"duration": 12}, None),
     "highway, simulated": ("highway-fast-v0", {"duration": 12}, EXACT),
@@ -166,4 +166,4 @@ def test_a_step_is_named_by_what_was_done_in_it():
     assert fell.margin == 1.0
     assert decision(Tier.LARGEST_MARGIN, Reason.NO_SAFE_PLAN, 4, 4).with_frames([]).intervention is Intervention.NONE
     assert math.isnan(decision(Tier.PASSED, margin=math.inf).with_frames([]).margin)
-    assert decision(Tier.PASSED, margin=math.inf).with_frames([]).guarantee == "full"
+    assert decision(Tier.PASSED, margin=math.inf).with_frames([]).guarantee == "all vehicles seen"

@@ -30,10 +30,10 @@ ENTRIES = {
     "env": lambda env: ShieldedEnv(env),
     "env, a rule": lambda env: ShieldedEnv(env, ShieldConfig(mode="rss")),
     "env, observations": lambda env: ShieldedEnv(env, perception="observation"),
-    "env, simulated": lambda env: ShieldedEnv(env, ShieldConfig.exact()),
+    "env, simulated": lambda env: ShieldedEnv(env, ShieldConfig.simulated_traffic()),
     "policy": lambda env: Shield(Always(4), env=env),
     "policy, actions only": lambda env: Shield(Always(4), env=env, frames=False),
-    "policy, simulated": lambda env: Shield(Always(4), env=env, config=ShieldConfig.exact()),
+    "policy, simulated": lambda env: Shield(Always(4), env=env, config=ShieldConfig.simulated_traffic()),
     "policy, several": lambda env: Shield(Always(4), env=DummyVecEnv([lambda: env])),
 }
 ROADS = ("roundabout-v1", "merge-v1")
@@ -64,9 +64,9 @@ def test_on_networks_reversing_and_manual_control_are_refused(entry, env_id, con
     ("env_id", "config", "settings"),
     [
         ("highway-fast-v0", INPUTS, None),
-        ("highway-fast-v0", INPUTS, ShieldConfig.exact()),
+        ("highway-fast-v0", INPUTS, ShieldConfig.simulated_traffic()),
         ("parking-v0", {}, None),
-        ("racetrack-v1", {}, ShieldConfig.exact()),
+        ("racetrack-v1", {}, ShieldConfig.simulated_traffic()),
     ],
 )
 def test_throttle_and_steering_with_manual_control_are_refused(env_id, config, settings):
@@ -81,7 +81,7 @@ def test_throttle_and_steering_with_manual_control_are_refused(env_id, config, s
 def test_several_egos_are_refused_in_the_same_way(config, message):
     """Each ego of a team has target speeds of its own."""
     with pytest.raises(ConfigError, match=message):
-        ShieldedEnv(made("intersection-v2", config), ShieldConfig.exact())
+        ShieldedEnv(made("intersection-v2", config), ShieldConfig.simulated_traffic())
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ class Inverted(gym.Wrapper):
         return self.env.step(-np.asarray(action))
 
 
-@pytest.mark.parametrize("settings", [None, ShieldConfig.exact()])
+@pytest.mark.parametrize("settings", [None, ShieldConfig.simulated_traffic()])
 def test_a_wrapper_that_repeats_actions_is_found_out(settings):
     """The second of two equal actions is another decision, which nobody has verified."""
     env = ShieldedEnv(Repeated(gym.make("highway-fast-v0")), settings)
@@ -163,7 +163,7 @@ def test_a_wrapper_that_changes_throttle_and_steering_is_found_out():
         env.step(np.array([0.0, 0.01], np.float32))
 
 
-@pytest.mark.parametrize("settings", [None, ShieldConfig.exact()])
+@pytest.mark.parametrize("settings", [None, ShieldConfig.simulated_traffic()])
 def test_steps_without_the_shield_are_found_out(settings):
     """`Shield` is asked once, and its action taken twice: the second is not verified."""
     env = gym.make("highway-fast-v0")
@@ -218,7 +218,7 @@ def test_braking_ends_in_a_standstill(speed):
 @pytest.mark.parametrize("entry", ENTRIES)
 @pytest.mark.parametrize("frequency", [1, 2, 2.9])
 def test_fewer_frames_than_were_tested_are_refused(entry, frequency):
-    """At 1 and 2 Hz every second episode crashed with `guarantee` "full"."""
+    """At 1 and 2 Hz every second episode crashed with `guarantee` "all vehicles seen"."""
     env = made("highway-fast-v0", {"simulation_frequency": frequency, "policy_frequency": 1})
     if entry == "env, a rule":
         ENTRIES[entry](env)
@@ -268,4 +268,4 @@ def test_an_episode_with_offences_is_not_labelled_as_one_without():
     for _ in range(3):
         *_, info = env.step(1)
     assert info["shield_episode"]["violations"] == 0
-    assert info["shield_episode"]["guarantee"] == "full"
+    assert info["shield_episode"]["guarantee"] == "all vehicles seen"

@@ -14,7 +14,7 @@ from shield import ShieldConfig, ShieldedEnv
 
 __all__ = ["DOORS", "Body", "placed", "shielded"]
 
-DOORS = {"exact": ShieldConfig.exact(), "worst case": "worst-case"}
+DOORS = {"exact": ShieldConfig.simulated_traffic(), "worst case": "worst-case"}
 """Settings of the door that simulates the traffic, and of the one that counts on anything that it may do."""
 _LASTS = 1_000
 """No episode is over for its length [s, decisions]."""

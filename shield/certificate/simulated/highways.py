@@ -18,13 +18,13 @@ __all__ = ["ExactHighways"]
 
 class ExactHighways(FilteredHighways):
     """So many copies of `highway-v0` or `highway-fast-v0` with meta-actions, each behind what `Shield` with
-    `ShieldConfig.exact()` and `frames=False` is around one of them: the same decisions.
+    `ShieldConfig.simulated_traffic()` and `frames=False` is around one of them: the same decisions.
 
     Parameters
     ----------
     env_id, num_envs, config, threads, tape : as of `Simulator`.
-    shield : settings with `Assumptions.exact()`, or the path of a TOML file with them; `ShieldConfig.exact()` by
-        default.
+    shield : settings with `Assumptions.simulated_traffic()`, or the path of a TOML file with them; by default
+        `ShieldConfig.simulated_traffic()`.
 
     Raises
     ------
@@ -46,7 +46,7 @@ class ExactHighways(FilteredHighways):
     """
 
     def _settings(self, shield: ShieldConfig | str | Path | None) -> ShieldConfig:
-        config = ShieldConfig.of(shield, ShieldConfig.exact())
+        config = ShieldConfig.of(shield, ShieldConfig.simulated_traffic())
         check(config)
         require(config, "many shields at once have", "Shield", record=False)
         return config

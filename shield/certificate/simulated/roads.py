@@ -47,7 +47,7 @@ _ENDLESS = 1_000
 
 class ExactRoads(ExactHighways):
     """So many copies of an environment on a road network with meta-actions, each behind what `Shield` with
-    `ShieldConfig.exact()` and `frames=False` is around one of them: the same decisions.
+    `ShieldConfig.simulated_traffic()` and `frames=False` is around one of them: the same decisions.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class ExactRoads(ExactHighways):
     simulator: Any
 
     def _settings(self, shield: ShieldConfig | str | Path | None) -> ShieldConfig:
-        config = ShieldConfig.of(shield, ShieldConfig.exact())
+        config = ShieldConfig.of(shield, ShieldConfig.simulated_traffic())
         return config if config.mode == "none" else super()._settings(config)
 
     def _traffic(self, env_id: str, num_envs: int, config: Mapping[str, Any] | None, tape: bool) -> RoadSimulator:

@@ -49,7 +49,7 @@ class ExactInputDoor(Foretells, InputFrames):
     Parameters
     ----------
     base : highway-env's environment, unwrapped.
-    config : settings with `Assumptions.exact()`.
+    config : settings with `Assumptions.simulated_traffic()`.
 
     Raises
     ------
@@ -69,8 +69,8 @@ class ExactInputDoor(Foretells, InputFrames):
             )
         if is_lot(base):
             raise ConfigError(
-                f"nothing is simulated in a parking lot, {type(base).__name__}: leave ShieldConfig.exact() out; "
-                "ShieldedEnv(env) and Shield(policy, env) filter ContinuousAction there"
+                f"nothing is simulated in a parking lot, {type(base).__name__}: leave ShieldConfig.simulated_traffic() "
+                "out; ShieldedEnv(env) and Shield(policy, env) filter ContinuousAction there"
             )
         super().__init__(base, config)
         self._scene = ExactScene(base, config, self._simulate, self._verifies)

@@ -1,4 +1,4 @@
-"""The door for meta-actions that are verified by simulation: what `Shield` runs with `Assumptions.exact()`."""
+"""The filter of meta-actions that are verified in simulated traffic, as `Assumptions.simulated_traffic()` has it."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class ExactDoor(Foretells):
     Parameters
     ----------
     base : the environment, unwrapped: highway-env's own, or a `CompiledHighwayEnv`.
-    config : settings with `Assumptions.exact()`.
+    config : settings with `Assumptions.simulated_traffic()`.
 
     Raises
     ------

@@ -49,7 +49,7 @@ class TeamDoor(Foretells):
     Parameters
     ----------
     base : highway-env's environment, unwrapped, with `MultiAgentAction`.
-    config : settings with `Assumptions.exact()`.
+    config : settings with `Assumptions.simulated_traffic()`.
 
     Raises
     ------
@@ -79,7 +79,9 @@ class TeamDoor(Foretells):
             raise ConfigError(f"the shield of several egos filters DiscreteMetaAction; here they have {names}{instead}")
         check_configuration(base, config)
         if not config.assumptions.simulated:
-            raise ConfigError("several egos are verified by simulation: ShieldedEnv(env, ShieldConfig.exact())")
+            raise ConfigError(
+                "several egos are verified by simulation: ShieldedEnv(env, ShieldConfig.simulated_traffic())"
+            )
         check(config)
         self.config, self._base = config, base
         self._scene = ExactScene(base, config, simulate_network, self._verifies)
@@ -197,11 +199,11 @@ def _with_meta_actions(base: Any) -> str:
     """
     action = {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}
     try:
-        TeamDoor(type(base)(config={**base.config, "action": action}), ShieldConfig.exact())
+        TeamDoor(type(base)(config={**base.config, "action": action}), ShieldConfig.simulated_traffic())
     except Exception:
         # Whatever it is, it must not hide what is told.
         return ""
     return (
         '. Pass config={"action": {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}} to '
-        "gym.make, and ShieldConfig.exact() to ShieldedEnv"
+        "gym.make, and ShieldConfig.simulated_traffic() to ShieldedEnv"
     )

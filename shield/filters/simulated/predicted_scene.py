@@ -82,7 +82,7 @@ class ExactScene:
     Parameters
     ----------
     base : the environment, unwrapped: highway-env's own, or a `CompiledHighwayEnv`.
-    config : settings with `Assumptions.exact()`.
+    config : settings with `Assumptions.simulated_traffic()`.
     simulate : makes a simulator of the environment as it is; it is handed one that it has made of the same road, or
         None.
     verifies : whether any sequence of actions verifies in a scene, of its environment and its room.

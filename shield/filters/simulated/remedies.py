@@ -18,18 +18,20 @@ __all__ = ["by_default", "by_simulation", "team_by_simulation"]
 
 
 def by_simulation(base: Any) -> str:
-    """How to have the actions of one ego filtered by `ShieldConfig.exact()`, in words; "" where that refuses them too.
+    """A remedy for one ego: `ShieldConfig.simulated_traffic()`, in words; "" where that is refused too.
 
     Parameters
     ----------
     base : highway-env's environment, unwrapped. It is tried, and left as it is.
     """
     filters = ExactInputDoor if isinstance(base.action_type, ContinuousAction) else ExactDoor
-    if not _accepted(filters, base, ShieldConfig.exact()):
+    if not _accepted(filters, base, ShieldConfig.simulated_traffic()):
         return ""
     return (
-        "pass ShieldConfig.exact(), which simulates the traffic here: ShieldedEnv(env, ShieldConfig.exact()), "
-        "Shield(policy, env, ShieldConfig.exact()), or as TOML what `shield config --profile exact` prints"
+        "pass ShieldConfig.simulated_traffic(), which simulates the traffic here: "
+        "ShieldedEnv(env, ShieldConfig.simulated_traffic()), "
+        "Shield(policy, env, ShieldConfig.simulated_traffic()), "
+        "or as TOML what `shield config --profile simulated` prints"
     )
 
 
@@ -40,8 +42,8 @@ def team_by_simulation(base: Any) -> str:
     ----------
     base : highway-env's environment, unwrapped, with `MultiAgentAction`. It is tried, and left as it is.
     """
-    accepted = is_team(base) and _accepted(TeamDoor, base, ShieldConfig.exact())
-    return "ShieldedEnv(env, ShieldConfig.exact()) filters those of several" if accepted else ""
+    accepted = is_team(base) and _accepted(TeamDoor, base, ShieldConfig.simulated_traffic())
+    return "ShieldedEnv(env, ShieldConfig.simulated_traffic()) filters those of several" if accepted else ""
 
 
 def by_default(base: Any) -> str:

@@ -149,7 +149,7 @@ def test_several_egos_are_answered_with_what_drives_them(policy):
     arguments = ["--env-id", "intersection-multi-agent-v0", "--policy", policy, "--episodes", "1", "--jobs", "1"]
     result = RUN.invoke(app, ["evaluate", *arguments])
     assert isinstance(result.exception, ConfigError)
-    assert "several egos are driven by ShieldedEnv(env, ShieldConfig.exact())" in str(result.exception)
+    assert "several egos are driven by ShieldedEnv(env, ShieldConfig.simulated_traffic())" in str(result.exception)
 
 
 def test_a_film_of_another_kind_is_refused_before_the_episode_is_driven(monkeypatch):
@@ -189,7 +189,7 @@ def test_a_demo_that_cannot_be_lists_the_roads_that_can(env_id, why, tmp_path):
 def test_every_road_that_the_docs_and_the_refusal_name_can_be_demonstrated():
     """What `make demo ENV=` is said to take."""
     for road in ROADS:
-        check_road(setting_of(road), ShieldConfig.exact())
+        check_road(setting_of(road), ShieldConfig.simulated_traffic())
     page = Path(__file__).parents[3] / "docs" / "reference" / "cli.md"
     (line,) = re.findall(r"make demo ENV=(.*);", page.read_text(encoding="utf-8"))
     assert {f"{name}-v0" for name in re.findall(r"[a-z-]+", line.replace("another road", ""))} == set(ROADS)

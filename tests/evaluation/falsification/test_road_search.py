@@ -25,7 +25,7 @@ from evaluation.running.batch_episodes import Many
 from evaluation.settings import Setting, get_setting
 from shield import ConfigError, ShieldConfig, ShieldedEnv, Tier
 
-EXACT = ShieldConfig.exact()
+EXACT = ShieldConfig.simulated_traffic()
 MERGE, ROUNDABOUT, EXIT = map(get_setting, ("merge", "roundabout", "exit"))
 TOLD = ShieldConfig.for_roads()
 PLANTED = TOLD.replace(assumptions=replace(TOLD.assumptions, visible_distance=8.0))

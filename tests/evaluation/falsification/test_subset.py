@@ -169,8 +169,8 @@ def test_what_the_traffic_does_not_keep_to_is_found_out(weak):
     ("policy", "config", "budget"),
     [
         ("faster", ShieldConfig(), 500),
-        (ANY, ShieldConfig.exact(), 40),
-        *later((ANY, ShieldConfig.exact(), 500), ("faster", ShieldConfig.exact(), 500)),
+        (ANY, ShieldConfig.simulated_traffic(), 40),
+        *later((ANY, ShieldConfig.simulated_traffic(), 500), ("faster", ShieldConfig.simulated_traffic(), 500)),
     ],
 )
 def test_what_is_found_is_replayed(policy, config, budget):

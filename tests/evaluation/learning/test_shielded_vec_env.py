@@ -26,7 +26,9 @@ from shield.config import PROFILES
 from shield.errors import ShieldError
 
 SHORT = {"duration": 8}
-EITHER = pytest.mark.parametrize("shield", [ShieldConfig(), ShieldConfig.exact()], ids=["certificate", "exact"])
+EITHER = pytest.mark.parametrize(
+    "shield", [ShieldConfig(), ShieldConfig.simulated_traffic()], ids=["certificate", "exact"]
+)
 
 
 def in_highway_env(shield, count=1):
@@ -68,11 +70,11 @@ def test_it_is_a_vec_env_of_shielded_envs():
 
 
 def test_what_is_simulated_is_filtered_by_simulation():
-    world, env = ShieldedVecEnv(2, "highway-fast-v0", shield=ShieldConfig.exact()), CompiledHighwayEnv()
+    world, env = ShieldedVecEnv(2, "highway-fast-v0", shield=ShieldConfig.simulated_traffic()), CompiledHighwayEnv()
     world.seed(60)
     world.reset()
     obs, _ = env.reset(seed=60)
-    shield, overridden = Shield(Always(3), env, ShieldConfig.exact(), frames=False), 0
+    shield, overridden = Shield(Always(3), env, ShieldConfig.simulated_traffic(), frames=False), 0
     for _ in range(12):
         _, rewards, _, infos = world.step([3, 3])
         action, _ = shield.predict(obs)

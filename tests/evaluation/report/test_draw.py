@@ -95,7 +95,7 @@ def test_a_network_of_roads_has_overrides_to_be_filmed():
     assert not all(flags)
 
 
-@pytest.mark.parametrize("config", [ShieldConfig.exact(), "worst-case", None])
+@pytest.mark.parametrize("config", [ShieldConfig.simulated_traffic(), "worst-case", None])
 def test_a_network_of_roads_is_filmed_around_the_ego(config):
     shots = record("roundabout", "faster", 3, last=2, config=config, smooth=False)
     assert len(shots) == 30

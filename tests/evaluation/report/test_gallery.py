@@ -82,7 +82,7 @@ def test_what_cannot_be_drawn_is_refused(tmp_path):
 def test_the_picture_goes_on_with_the_episode(env_id):
     """Rendered before and after the step: the plan begins where the ego is."""
     raw = gym.make(env_id, render_mode="rgb_array")
-    shield = Shield(lambda obs: 3, raw, ShieldConfig.exact().replace(record=True), frames=False)
+    shield = Shield(lambda obs: 3, raw, ShieldConfig.simulated_traffic().replace(record=True), frames=False)
     env = ShieldOverlay(raw, shield)
     observation, _ = env.reset(seed=3)
     action, _ = shield.predict(observation)

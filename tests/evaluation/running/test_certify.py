@@ -168,7 +168,7 @@ def test_an_episode_on_a_network_of_roads_is_replayed_with_the_settings_of_its_t
     shown = CliRunner().invoke(app, ["replay", "9", "--setting", "intersection"]).stdout
     for found in (record.return_, record.min_margin, record.violations):
         assert str(found) in shown
-    assert config_on(setting) == ShieldConfig.exact()
+    assert config_on(setting) == ShieldConfig.simulated_traffic()
     assert config_on(setting, "worst-case").assumptions.acceleration == 6.0
 
 

@@ -15,7 +15,7 @@ from evaluation.training.train import train
 from shield import ShieldConfig
 from shield.errors import ConfigError
 
-EXACT = ShieldConfig.exact()
+EXACT = ShieldConfig.simulated_traffic()
 
 
 def row_of(setting, variant, simulator, policy="random"):

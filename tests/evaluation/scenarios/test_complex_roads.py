@@ -277,7 +277,7 @@ def test_the_shield_foretells_it():
     """Behind verification by simulation nobody does anything else than was foretold, and nobody touches."""
     env = gym.make("evaluation.scenarios:ComplexRoads-v0", config={**SIMULATED, "duration": 12})
     observation, _ = env.reset(seed=3)
-    shield, done = Shield(lambda obs: 3, env, ShieldConfig.exact(), frames=False), False
+    shield, done = Shield(lambda obs: 3, env, ShieldConfig.simulated_traffic(), frames=False), False
     while not done:
         observation, _, terminated, truncated, _ = env.step(int(shield.predict(observation)[0]))
         done = terminated or truncated

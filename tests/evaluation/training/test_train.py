@@ -202,7 +202,7 @@ def test_an_unknown_recipe_is_answered_with_the_valid_ones():
         train_recipe("nobody")
 
 
-@pytest.mark.parametrize("shield", ["default", "exact"])
+@pytest.mark.parametrize("shield", ["default", "simulated"])
 @pytest.mark.parametrize("algorithm", ["ppo", "dqn"])
 def test_inside_the_shield_either_simulator_gives_the_same_model(tmp_path, shield, algorithm):
     weights, hyperparameters = [], {"ppo": {**SMALL_NET, "n_steps": 32, "batch_size": 16}, "dqn": OFF_POLICY}[algorithm]
@@ -221,9 +221,9 @@ def test_inside_the_shield_either_simulator_gives_the_same_model(tmp_path, shiel
 @pytest.mark.parametrize(
     ("setting", "sensor", "message"),
     [
-        (CONTINUOUS, "exact", "ContinuousAction"),
+        (CONTINUOUS, "simulated", "ContinuousAction"),
         (TINY, "normalised-0.5", "observes highway-env itself"),
-        (Setting("merge", "merge-v0", {"duration": 4}), "exact", "merge-v0"),
+        (Setting("merge", "merge-v0", {"duration": 4}), "simulated", "merge-v0"),
     ],
 )
 def test_what_is_not_compiled_inside_the_shield_is_trained_in_highway_env(tmp_path, setting, sensor, message):

@@ -133,7 +133,7 @@ def test_what_is_beyond_the_range_may_be_there():
     phantoms = scene.others_road[scene.ids < 0]
     assert (phantoms[:, 0] - scene.ego_road[0]).max() == pytest.approx(60.0, abs=6.0)
     *_, info = env.step(3)
-    assert info["shield"]["guarantee"] != "full"
+    assert info["shield"]["guarantee"] != "all vehicles seen"
 
 
 def test_ghosts_come_as_often_and_stay_as_long_as_told():

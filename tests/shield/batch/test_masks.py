@@ -19,7 +19,7 @@ from shield.certificate.simulated.roads import ExactRoads
 from shield.config import PROFILES
 
 WEAK = Assumptions(braking=2.0, calm_braking=1.0, slip_in=False, turning_action=1.0)
-EXACT = ShieldConfig.exact()
+EXACT = ShieldConfig.simulated_traffic()
 
 
 def drive(env_id, config, shield, seeds):

@@ -18,7 +18,7 @@ from shield.errors import ConfigError
 from shield.explanation import Lost
 
 INPUTS = {"action": {"type": "ContinuousAction"}}
-EXACT = ShieldConfig.exact()
+EXACT = ShieldConfig.simulated_traffic()
 ROADS = ShieldConfig.for_roads()
 SEEN = {
     "type": "Kinematics",

@@ -14,7 +14,7 @@ from stable_baselines3 import DQN
 from dynamics.vehicle.actuators import Actuators
 from shield import ConfigError, Shield, ShieldConfig, ShieldedEnv
 
-EXACT = ShieldConfig.exact()
+EXACT = ShieldConfig.simulated_traffic()
 COMPLEX = "evaluation.scenarios:ComplexRoads-v0"
 
 

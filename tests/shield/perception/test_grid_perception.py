@@ -252,7 +252,7 @@ def test_beyond_the_grid_somebody_slow_is_assumed():
     worst = seen({**COARSE, "grid_size": [[-32.5, 52.5], [-17.5, 17.5]]}, 3, PerceptionConfig(Unseen.worst()))[1]
     assert (worst.others[:, 0] - worst.ego[0] == -32.5).sum() == 3
     assert perception.rating == (Guarantee.ASSUMED, 1.0)
-    assert seen(FINE, 3)[0].rating == (Guarantee.FULL, 1.0)
+    assert seen(FINE, 3)[0].rating == (Guarantee.ALL_SEEN, 1.0)
 
 
 def test_the_grid_turns_with_the_ego():

@@ -97,8 +97,8 @@ def test_a_decision_says_which_guarantee_it_has():
         env.reset(seed=0)
         return {env.step(action)[4]["shield"]["guarantee"] for _ in range(4)}
 
-    assert guarantees(SEEN, "simulator") == {"full"}
-    assert guarantees({**SEEN, "vehicles_count": 50}, "observation") == {"full"}
+    assert guarantees(SEEN, "simulator") == {"all vehicles seen"}
+    assert guarantees({**SEEN, "vehicles_count": 50}, "observation") == {"all vehicles seen"}
     assert guarantees({"type": "Kinematics"}, "observation") == {"assumed"}
     noisy = PerceptionConfig(noise=(0.5, 0.5, 0.5, 0.5), bound=2.0)
     assert guarantees({**SEEN, "vehicles_count": 50}, noisy) <= {"probabilistic", "none"}

@@ -51,7 +51,7 @@ def without_leader(env, share, rng):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_where_all_rows_become_empty_there_is_an_alarm_and_no_guarantee(seed):
-    """The ego crashed with `guarantee` "full" and without an alarm."""
+    """The ego crashed with `guarantee` "all vehicles seen" and without an alarm."""
     env = ShieldedEnv(made(), perception="observation")
     env.reset(seed=seed)
     blind_from(env, 15)

@@ -95,8 +95,8 @@ def test_no_verified_decision_loses_its_plan_in_random_traffic(hertz):
 def test_a_stored_plan_that_does_not_verify_has_no_guarantee():
     common = {"proposed": 0, "executed": 4, "tier": Tier.STORED_PLAN, "latency": 0.0}
     assert Decision(reason=Reason.NO_SAFE_PLAN, margin=-0.1, **common).guarantee is Guarantee.NONE
-    assert Decision(reason=Reason.NO_SAFE_PLAN, margin=0.1, **common).guarantee is Guarantee.FULL
-    assert Decision(reason=Reason.PRECAUTION, margin=0.0, **common).guarantee is Guarantee.FULL
+    assert Decision(reason=Reason.NO_SAFE_PLAN, margin=0.1, **common).guarantee is Guarantee.ALL_SEEN
+    assert Decision(reason=Reason.PRECAUTION, margin=0.0, **common).guarantee is Guarantee.ALL_SEEN
 
 
 def test_an_ego_of_another_length_is_told():

@@ -15,7 +15,7 @@ from dynamics.road_networks.simulation.compiled_frames import CompiledFrames
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.config import WORST_CASE
 
-EXACT = ShieldConfig.exact()
+EXACT = ShieldConfig.simulated_traffic()
 
 
 def faster(observation):

@@ -90,7 +90,7 @@ def test_rules_models_and_observations_keep_the_worst_case():
 def test_settings_by_name():
     for env_id, worst in (("merge-v0", ShieldConfig.for_roads()), ("highway-fast-v0", ShieldConfig())):
         assert ShieldedEnv(gym.make(env_id), "worst-case").config == worst
-        assert ShieldedEnv(gym.make(env_id), "simulated").config == ShieldConfig.exact()
+        assert ShieldedEnv(gym.make(env_id), "simulated").config == ShieldConfig.simulated_traffic()
     with pytest.raises(ConfigError, match="there is no shield configuration worst"):
         ShieldedEnv(gym.make("merge-v0"), "worst")
 
@@ -139,12 +139,17 @@ def test_settings_that_forget_the_road_are_told(caplog):
     """`ShieldConfig(record=True)` on a network of roads takes the worst case of a straight highway, in place of the
     default there."""
     with caplog.at_level(logging.WARNING, "shield"):
-        for config in (ShieldConfig.exact(), ShieldConfig.for_roads(), "worst-case", ShieldConfig(mode="none")):
+        for config in (
+            ShieldConfig.simulated_traffic(),
+            ShieldConfig.for_roads(),
+            "worst-case",
+            ShieldConfig(mode="none"),
+        ):
             ShieldedEnv(gym.make("merge-v0"), config)
         ShieldedEnv(gym.make("highway-fast-v0"), ShieldConfig(record=True))
         assert not caplog.records
         ShieldedEnv(gym.make("merge-v0"), ShieldConfig(record=True))
-    assert "ShieldConfig.exact().replace" in caplog.text
+    assert "ShieldConfig.simulated_traffic().replace" in caplog.text
 
 
 def test_records_and_tables_name_what_actions_are_verified_against():

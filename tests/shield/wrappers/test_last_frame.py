@@ -47,10 +47,10 @@ def test_an_offence_is_told_once(door):
 
 CASES = {
     "inputs": ("highway-v0", {"action": {"type": "ContinuousAction"}}, ShieldConfig()),
-    "simulated": ("highway-v0", {}, ShieldConfig.exact()),
-    "simulated inputs": ("highway-v0", {"action": {"type": "ContinuousAction"}}, ShieldConfig.exact()),
+    "simulated": ("highway-v0", {}, ShieldConfig.simulated_traffic()),
+    "simulated inputs": ("highway-v0", {"action": {"type": "ContinuousAction"}}, ShieldConfig.simulated_traffic()),
     "network": ("merge-v0", {}, ShieldConfig.for_roads()),
-    "simulated network": ("merge-v0", {}, ShieldConfig.exact()),
+    "simulated network": ("merge-v0", {}, ShieldConfig.simulated_traffic()),
 }
 
 

@@ -10,8 +10,8 @@ from shield import ShieldConfig, ShieldedEnv
 
 WORLDS = {
     "certificate": ("highway-fast-v0", ShieldConfig()),
-    "simulated": ("highway-fast-v0", ShieldConfig.exact()),
-    "simulated network": ("roundabout-v1", ShieldConfig.exact()),
+    "simulated": ("highway-fast-v0", ShieldConfig.simulated_traffic()),
+    "simulated network": ("roundabout-v1", ShieldConfig.simulated_traffic()),
     "network": ("roundabout-v1", ShieldConfig.for_roads(looks_ahead=True)),
     "right of way": ("roundabout-v1", ShieldConfig.for_roads(looks_ahead=True, gives_way=True)),
 }

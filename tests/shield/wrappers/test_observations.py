@@ -23,7 +23,7 @@ SEEN = {
     "grid": {"type": "OccupancyGrid"},
     "state": {"type": "Kinematics"},
 }
-EXACT = ShieldConfig.exact()
+EXACT = ShieldConfig.simulated_traffic()
 ROADS = {"highway-fast-v0": ShieldConfig(), "roundabout-v1": EXACT, "intersection-v2": EXACT}
 
 

@@ -210,7 +210,7 @@ def test_an_episode_begins_with_nothing_remembered():
 
 @pytest.mark.parametrize(
     "make",
-    [ShieldedEnv, lambda env: Shield(Random(), env), lambda env: ShieldedEnv(env, ShieldConfig.exact())],
+    [ShieldedEnv, lambda env: Shield(Random(), env), lambda env: ShieldedEnv(env, ShieldConfig.simulated_traffic())],
 )
 def test_meta_actions_in_a_lot_are_refused(make):
     env = gym.make("parking-v0", config={"action": {"type": "DiscreteMetaAction"}})

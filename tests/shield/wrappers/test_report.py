@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from shield import Shield, ShieldConfig, ShieldedEnv
 
 META = "0 LANE_LEFT, 1 IDLE, 2 LANE_RIGHT, 3 FASTER, 4 SLOWER"
-EXACT = ShieldConfig.exact()
+EXACT = ShieldConfig.simulated_traffic()
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ OF_INPUTS = [
     {"action": {**INPUTS, "lateral": False}},
     {"action": {**INPUTS, "longitudinal": False}},
 ]
-SETTINGS = {"worst case": None, "simulated": ShieldConfig.exact()}
+SETTINGS = {"worst case": None, "simulated": ShieldConfig.simulated_traffic()}
 CASES = [
     *(("highway-fast-v0", META, new) for new in [{"lanes_count": 5}, {"vehicles_count": 7}, {"duration": 9}]),
     *(("highway-fast-v0", META, new) for new in [*FREQUENCIES, *OF_META, AGGRESSIVE]),
@@ -71,7 +71,7 @@ def test_shield_follows_too(new, frames):
     """The same around the policy."""
     env = gym.make("highway-fast-v0")
     env.reset(seed=1)
-    shielded = Shield(Always(3), env=env, config=ShieldConfig.exact(), frames=frames)
+    shielded = Shield(Always(3), env=env, config=ShieldConfig.simulated_traffic(), frames=frames)
     obs, _ = env.reset(seed=3, options={"config": new})
     for _ in range(4):
         action, _ = shielded.predict(obs)
@@ -82,7 +82,7 @@ def test_shield_follows_too(new, frames):
 @pytest.mark.parametrize("env_id", ["highway-fast-v0", "merge-v1"])
 def test_where_frequencies_change_within_an_episode_the_simulator_does_too(env_id):
     """highway-env reads them at each step."""
-    env = ShieldedEnv(gym.make(env_id), ShieldConfig.exact())
+    env = ShieldedEnv(gym.make(env_id), ShieldConfig.simulated_traffic())
     env.reset(seed=1)
     env.step(1)
     env.unwrapped.config["policy_frequency"] = 5
@@ -104,7 +104,7 @@ def test_where_highway_env_takes_an_action_late_the_step_is_refused(settings):
 @pytest.mark.parametrize("env_id", ["merge-v1", "roundabout-v1"])
 def test_a_reset_to_traffic_that_cannot_be_simulated_is_refused(env_id):
     """It was `bad_scene` in each decision."""
-    env = ShieldedEnv(gym.make(env_id), ShieldConfig.exact())
+    env = ShieldedEnv(gym.make(env_id), ShieldConfig.simulated_traffic())
     env.unwrapped.configure(UNKNOWN)
     with pytest.raises(ConfigError, match="Dozy has act of its own"):
         env.reset(seed=0)

@@ -59,7 +59,7 @@ class Faster:
         return np.array(3), state
 
 env, overridden = gym.make("{env_id}", config={"duration": 12}), 0
-shield = Shield(Faster(), env, ShieldConfig.exact(), frames=False)
+shield = Shield(Faster(), env, ShieldConfig.simulated_traffic(), frames=False)
 before = compiled()
 for seed in range(2):
     obs, _ = env.reset(seed=seed)
@@ -92,7 +92,7 @@ def test_nothing_is_compiled_once_the_door_is_there(drive):
 
 EXPLAIN = """
 config = {"action": {"type": "ContinuousAction"}} if {inputs} else {}
-env = ShieldedEnv(gym.make("{env_id}", config=config), ShieldConfig.exact())
+env = ShieldedEnv(gym.make("{env_id}", config=config), ShieldConfig.simulated_traffic())
 before, asked = compiled(), 0
 action = [1.0, 0.2] if {inputs} else env.unwrapped.action_type.actions_indexes["FASTER"]
 for seed in range(3):

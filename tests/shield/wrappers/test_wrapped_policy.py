@@ -147,7 +147,7 @@ def test_where_inputs_are_for_simulation_the_refusal_says_so_and_it_serves(env_i
     assert len(str(refusal.value)) < 700
     # What highway-env does not make, or what is refused next, is not named.
     assert 'dynamical": False' not in str(refusal.value)
-    for config in (ShieldConfig.exact(), None):
+    for config in (ShieldConfig.simulated_traffic(), None):
         shielded = ShieldedEnv(env, config)
         shielded.reset(seed=0)
         shielded.step(env.action_space.sample())
@@ -165,7 +165,7 @@ class OwnSteps(ExitEnv):
 def test_where_simulation_is_refused_too_it_is_not_named(dynamical):
     env = OwnSteps({"action": {"type": "ContinuousAction", "dynamical": dynamical}})
     with pytest.raises(ConfigError, match="a way of its own"):
-        ShieldedEnv(env, ShieldConfig.exact())
+        ShieldedEnv(env, ShieldConfig.simulated_traffic())
     with pytest.raises(SceneError, match="branches at 2; supported") as refusal:
         ShieldedEnv(env)
     assert "exact" not in str(refusal.value)
@@ -176,7 +176,7 @@ def test_who_asks_for_tyres_that_slip_may_leave_them_out_too():
     for env_id, simulated in (("highway-fast-v0", True), ("parking-v0", False)):
         with pytest.raises(ConfigError, match='"dynamical": False') as refusal:
             ShieldedEnv(gym.make(env_id, config={"action": action}), "worst-case")
-        assert ("ShieldConfig.exact()" in str(refusal.value)) is simulated
+        assert ("ShieldConfig.simulated_traffic()" in str(refusal.value)) is simulated
 
 
 def test_the_other_door_has_no_masks_for_continuous_actions():

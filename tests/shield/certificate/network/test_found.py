@@ -30,7 +30,7 @@ def test_the_lane_that_the_ego_is_in_is_tried_where_the_one_beside_is_taken(env_
     assert not mask[action]
     env.reset(seed=seed)
     *_, info = env.step(action)
-    assert info["shield"]["guarantee"] == "full"
+    assert info["shield"]["guarantee"] == "all vehicles seen"
     for _ in range(3):
         *_, info = env.step(IDLE)
     assert not info["crashed"]

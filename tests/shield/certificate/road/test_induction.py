@@ -97,7 +97,7 @@ def test_a_precaution_that_refuses_every_plan_is_told_from_a_lost_guarantee():
                 assert (decision.reason is Reason.PRECAUTION) <= kept
                 if decision.reason is Reason.PRECAUTION:
                     assert decision.margin >= -1e-6
-                    assert decision.guarantee == "full"
+                    assert decision.guarantee == "all vehicles seen"
                     env.close()
                     return
     env.close()

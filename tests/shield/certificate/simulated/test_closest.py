@@ -82,7 +82,7 @@ def plainly(search, only, never, wish, floor):
 @pytest.mark.parametrize("floor", [0.0, -1e9])
 @pytest.mark.parametrize("seed", range(12))
 def test_it_finds_what_a_plain_search_finds(seed, floor):
-    config = ShieldConfig.exact().replace(
+    config = ShieldConfig.simulated_traffic().replace(
         horizon=float(DEPTH), buffer=Buffer(4.0, 0.5) if seed % 2 else Buffer(0.5, 0.3)
     )
     simulator = Simulator("highway-fast-v0", 1, DENSE)

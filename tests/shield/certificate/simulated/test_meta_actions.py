@@ -38,7 +38,7 @@ from shield.rules import RssRule
 
 BOXED = {"vehicles_density": 2.0, "duration": 15}
 DENSE = {"vehicles_density": 1.6, "duration": 15}
-EXACT = ShieldConfig.exact()
+EXACT = ShieldConfig.simulated_traffic()
 
 
 def shielded(env, config=EXACT, action=3):
@@ -337,7 +337,7 @@ class Stranger(IDMVehicle):
             lambda: shielded(gym.make("parking-v0", config={"action": {"type": "DiscreteMetaAction"}})),
             "in a parking lot the shield filters ContinuousAction only",
         ),
-        (lambda: ExactHighways("highway-fast-v0", 1, None, ShieldConfig()), "Assumptions.exact"),
+        (lambda: ExactHighways("highway-fast-v0", 1, None, ShieldConfig()), "Assumptions.simulated_traffic"),
         (
             lambda: shielded(gym.make("highway-v0", config={"other_vehicles_type": f"{__name__}.Stranger"})),
             "Stranger",
@@ -357,7 +357,7 @@ def test_what_cannot_be_simulated_is_refused(make, message):
 
 def test_settings_go_through_toml():
     assert ShieldConfig.from_toml(EXACT.to_toml()) == EXACT
-    assert ShieldConfig.from_toml('assumptions = "exact"').assumptions == Assumptions.exact()
+    assert ShieldConfig.from_toml('assumptions = "simulated"').assumptions == Assumptions.simulated_traffic()
 
 
 def test_the_present_is_not_touched():

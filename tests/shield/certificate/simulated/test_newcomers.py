@@ -13,7 +13,7 @@ from highway_env.vehicle.objects import Obstacle
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.decision import Reason
 
-EXACT = ShieldConfig.exact()
+EXACT = ShieldConfig.simulated_traffic()
 INPUTS = {"action": {"type": "ContinuousAction"}}
 CASES = {
     "highway": ("highway-fast-v0", {"vehicles_count": 5}),

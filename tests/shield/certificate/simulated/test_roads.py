@@ -25,7 +25,7 @@ from shield.certificate.simulated.workspace import ANY, Wish
 from shield.config import ShieldConfig
 from shield.decision import Tier
 
-CONFIG = ShieldConfig.exact()
+CONFIG = ShieldConfig.simulated_traffic()
 FASTER = 3
 
 

@@ -19,7 +19,7 @@ from shield import ConfigError, Reason, Shield, ShieldConfig, ShieldedEnv
 from shield.certificate.simulated.inputs import play
 from shield.decision import Tier
 
-EXACT = ShieldConfig.exact()
+EXACT = ShieldConfig.simulated_traffic()
 ROADS = ["merge-v1", "roundabout-v1", "two-way-v0", "u-turn-v1", "intersection-v1", "highway-fast-v0", "racetrack-v0"]
 MORE = [
     pytest.param(each, marks=pytest.mark.slow)

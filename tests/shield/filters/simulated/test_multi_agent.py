@@ -15,7 +15,7 @@ from slowly import later
 from shield import ConfigError, Shield, ShieldConfig, ShieldedEnv
 from shield.decision import Tier
 
-EXACT = ShieldConfig.exact()
+EXACT = ShieldConfig.simulated_traffic()
 IDS = ("intersection-multi-agent-v0", "intersection-multi-agent-v2")
 FASTER = 2
 
@@ -159,7 +159,7 @@ def test_what_is_no_action_and_what_cannot_be_read():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: ShieldedEnv(make(2), ShieldConfig()), "ShieldConfig.exact"),
+        (lambda: ShieldedEnv(make(2), ShieldConfig()), "ShieldConfig.simulated_traffic"),
         (lambda: Shield(lambda obs: (1, 1), make(2), EXACT), "those of several"),
         (
             lambda: ShieldedEnv(

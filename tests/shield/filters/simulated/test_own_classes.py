@@ -147,8 +147,8 @@ def decisions(env, seed=3, count=6):
 )
 def test_a_class_with_its_own_reward_is_driven_as_its_parent(parent, config):
     """It was refused by its id on straight highways, and by settings that only it knows."""
-    mine = ShieldedEnv(of_its_own(parent)(config), ShieldConfig.exact())
-    assert decisions(mine) == decisions(ShieldedEnv(parent(config), ShieldConfig.exact()))
+    mine = ShieldedEnv(of_its_own(parent)(config), ShieldConfig.simulated_traffic())
+    assert decisions(mine) == decisions(ShieldedEnv(parent(config), ShieldConfig.simulated_traffic()))
 
 
 def test_ids_of_ones_own_are_driven_with_the_configuration_that_they_are_registered_with():
@@ -158,8 +158,8 @@ def test_ids_of_ones_own_are_driven_with_the_configuration_that_they_are_registe
     for name, entry in (("Same", HighwayEnvFast), ("Mine", mine), ("Made", lambda **kw: mine(**kw))):
         gym.register(f"{name}-v0", entry_point=entry, kwargs={"config": config})
         try:
-            env = ShieldedEnv(gym.make(f"{name}-v0"), ShieldConfig.exact())
-            expected = ShieldedEnv(gym.make("highway-fast-v0", config=config), ShieldConfig.exact())
+            env = ShieldedEnv(gym.make(f"{name}-v0"), ShieldConfig.simulated_traffic())
+            expected = ShieldedEnv(gym.make("highway-fast-v0", config=config), ShieldConfig.simulated_traffic())
             assert decisions(env) == decisions(expected)
         finally:
             gym.registry.pop(f"{name}-v0")
@@ -168,7 +168,7 @@ def test_ids_of_ones_own_are_driven_with_the_configuration_that_they_are_registe
 @pytest.mark.parametrize("kind", [Late, Shaped, Bare])
 def test_what_a_reset_creates_and_what_a_step_does_between_decisions_may_be_its_own(kind):
     """Scenes are read as they are."""
-    env = ShieldedEnv(kind(), ShieldConfig.exact())
+    env = ShieldedEnv(kind(), ShieldConfig.simulated_traffic())
     env.reset(seed=1)
     for _ in range(4):
         *_, terminated, _, info = env.step(3)
@@ -192,13 +192,13 @@ def test_what_a_reset_creates_and_what_a_step_does_between_decisions_may_be_its_
 def test_a_class_that_moves_its_traffic_itself_is_refused_by_the_method(kind, named):
     """A road of its own class was simulated as highway-env's."""
     with pytest.raises(ConfigError, match=named):
-        ShieldedEnv(kind(), ShieldConfig.exact())
+        ShieldedEnv(kind(), ShieldConfig.simulated_traffic())
 
 
 def test_throttle_and_steering_on_highways_are_refused_in_the_same_way():
     """They are simulated by the networks' simulator, which asked nothing of straight highways."""
     with pytest.raises(ConfigError, match=r"Pushed\._simulate is not highway-env's"):
-        ShieldedEnv(Pushed(INPUTS), ShieldConfig.exact())
+        ShieldedEnv(Pushed(INPUTS), ShieldConfig.simulated_traffic())
 
 
 def test_a_step_of_the_environment_itself_is_found_too():
@@ -206,4 +206,4 @@ def test_a_step_of_the_environment_itself_is_found_too():
     env = gym.make("highway-fast-v0")
     env.unwrapped.step = lambda action: None
     with pytest.raises(ConfigError, match=r"this HighwayEnvFast\.step is not highway-env's"):
-        ShieldedEnv(env, ShieldConfig.exact())
+        ShieldedEnv(env, ShieldConfig.simulated_traffic())

@@ -15,7 +15,7 @@ from policies import Always
 from shield import Shield, ShieldConfig
 from shield.decision import Tier
 
-EXACT = ShieldConfig.exact()
+EXACT = ShieldConfig.simulated_traffic()
 UNSEEN = np.zeros((5, 5))
 """An observation that nobody looks at."""
 ROADS = ["merge-v1", "roundabout-v1", "two-way-v0", "u-turn-v1", "intersection-v2"]

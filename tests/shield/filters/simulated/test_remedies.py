@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.errors import ShieldError
 
-EXACT = ShieldConfig.exact()
+EXACT = ShieldConfig.simulated_traffic()
 INPUTS = {"action": {"type": "ContinuousAction"}}
 NUMBERS = {"action": {"type": "DiscreteAction"}}
 META = {"action": {"type": "DiscreteMetaAction"}}
@@ -58,12 +58,12 @@ def many(env_id, kind=DummyVecEnv):
 REFUSED = {
     "two egos": (
         lambda: shielded("intersection-multi-agent-v2", {"controlled_vehicles": 2}, ShieldConfig.for_roads()),
-        "ShieldedEnv(env, ShieldConfig.exact())",
+        "ShieldedEnv(env, ShieldConfig.simulated_traffic())",
         [lambda: shielded("intersection-multi-agent-v2", {"controlled_vehicles": 2}, EXACT)],
     ),
     "two egos, a policy": (
         lambda: policy("intersection-multi-agent-v2", {"controlled_vehicles": 2}),
-        "ShieldedEnv(env, ShieldConfig.exact())",
+        "ShieldedEnv(env, ShieldConfig.simulated_traffic())",
         [lambda: shielded("intersection-multi-agent-v2", {"controlled_vehicles": 2}, EXACT)],
     ),
     "two egos with a throttle": (
@@ -83,17 +83,17 @@ REFUSED = {
     ),
     "a rule on a network": (
         lambda: shielded("roundabout-v1", None, ShieldConfig(mode="rss")),
-        "pass ShieldConfig.exact(), which simulates the traffic here",
+        "pass ShieldConfig.simulated_traffic(), which simulates the traffic here",
         [lambda: shielded("roundabout-v1"), lambda: shielded("roundabout-v1", None, EXACT)],
     ),
     "a throttle on a network": (
         lambda: shielded("exit-v1", INPUTS, ShieldConfig()),
-        "pass ShieldConfig.exact(), which simulates the traffic here",
+        "pass ShieldConfig.simulated_traffic(), which simulates the traffic here",
         [lambda: shielded("exit-v1", INPUTS, EXACT), lambda: policy("exit-v1", INPUTS, EXACT)],
     ),
     "numbered inputs on a network": (
         lambda: policy("exit-v1", NUMBERS, ShieldConfig(), frames=False),
-        "pass ShieldConfig.exact(), which simulates the traffic here",
+        "pass ShieldConfig.simulated_traffic(), which simulates the traffic here",
         [lambda: shielded("exit-v1", NUMBERS, EXACT), lambda: policy("exit-v1", NUMBERS, EXACT)],
     ),
     "numbered inputs": (
@@ -117,12 +117,14 @@ REFUSED = {
     ),
     "a parking lot by simulation": (
         lambda: shielded("parking-v0", None, EXACT),
-        "leave ShieldConfig.exact() out; ShieldedEnv(env) and Shield(policy, env) filter ContinuousAction there",
+        "leave ShieldConfig.simulated_traffic() out; "
+        "ShieldedEnv(env) and Shield(policy, env) filter ContinuousAction there",
         [lambda: shielded("parking-v0"), lambda: policy("parking-v0")],
     ),
     "a parking lot by simulation, without frames": (
         lambda: policy("parking-v0", None, EXACT, frames=False),
-        "leave ShieldConfig.exact() out; ShieldedEnv(env) and Shield(policy, env) filter ContinuousAction there",
+        "leave ShieldConfig.simulated_traffic() out; "
+        "ShieldedEnv(env) and Shield(policy, env) filter ContinuousAction there",
         [lambda: shielded("parking-v0"), lambda: policy("parking-v0"), lambda: policy("parking-v0", frames=False)],
     ),
     "a parking lot without a brake": (
@@ -208,7 +210,7 @@ def test_what_a_refusal_names_is_accepted(case):
     ids=["highway, meta", "highway, throttle", "racetrack", "parking"],
 )
 def test_where_several_egos_are_refused_in_any_case_no_remedy_is_named(env_id, config, settings):
-    """Two egos on a highway: "take ShieldConfig.exact()", which was refused as well."""
+    """Two egos on a highway: "take ShieldConfig.simulated_traffic()", which was refused as well."""
     for refused in (lambda: shielded(env_id, config, settings), lambda: policy(env_id, config, settings)):
         with pytest.raises(ShieldError) as caught:
             refused()

@@ -61,9 +61,9 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     env : the environment: with meta-actions on any road; with continuous actions on straight highways, racetracks and
         parking lots, and with `ShieldConfig.simulated_traffic()` on every other road.
     config : settings, the path of a TOML file with them, "simulated" (`ShieldConfig.simulated_traffic()`) or
-        "worst-case". By default highway-env's own traffic is simulated on networks of roads, with several egos, and with tyres that
-        slip; elsewhere, and where the traffic is unknown, actions are verified against the worst case. A line in the
-        log of "shield" says what is promised, a warning where the traffic is unknown.
+        "worst-case". By default highway-env's own traffic is simulated on networks of roads, with several egos, and
+        with tyres that slip; elsewhere, and where the traffic is unknown, actions are verified against the worst case.
+        A line in the log of "shield" says what is promised, a warning where the traffic is unknown.
     policy : where given, alternatives are tried in its order of preference (probabilities or Q-values of the
         last observation).
     model : what the predictive filter plans with for `ContinuousAction`, such as

@@ -1,7 +1,7 @@
-"""Sums of products as numpy makes them on this machine, and the small functions of highway-env's `utils`.
+"""Sums of products as numpy computes them on this machine, and the small functions of highway-env's `utils`.
 
-`np.dot` of short vectors ends in a BLAS kernel, which on most processors fuses the multiplication with the addition.
-The result differs in the last place from two operations. How this machine does it is found out once, by asking.
+`np.dot` of short vectors ends in a BLAS kernel, which on most processors fuses multiplication and addition. The result
+differs in the last place from that of two operations. A test at the first use finds out how this machine computes.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from dynamics.state import FloatArray
 __all__ = ["Sums", "clip", "dot2", "dot3", "fma", "not_zero", "sums_of_numpy", "wrap_to_pi"]
 
 _built_in: Any = intrinsic
-"""What makes LLVM code of a call, for type checkers that do not know the decorator."""
+"""numba's `intrinsic` as `Any`: its type stubs do not describe the decorator."""
 
 
 class Sums:
-    """How a sum of products is made: as separate operations, or fused from left to right."""
+    """How a sum of products is computed: as separate operations, or fused from left to right."""
 
     SEPARATE, FUSED, OTHER = range(3)
 
@@ -57,7 +57,7 @@ def dot3(sums: int, a0: float, b0: float, a1: float, b1: float, a2: float, b2: f
 
 @inlined
 def not_zero(x: float) -> float:
-    """highway-env's `not_zero`: at least a hundredth away from zero."""
+    """highway-env's `not_zero`: the number, or 0.01 with its sign if it is nearer to zero."""
     if abs(x) > 1e-2:
         return x
     return 1e-2 if x >= 0 else -1e-2
@@ -80,6 +80,7 @@ def clip(x: float, low: float, high: float) -> float:
 
 @uncounted
 def _dots(sums: int, a: FloatArray, b: FloatArray, out: FloatArray) -> None:
+    """`np.dot` of each pair of rows of two or three numbers, written to `out`."""
     for i in range(len(a)):
         if a.shape[1] == 2:
             out[i] = dot2(sums, a[i, 0], b[i, 0], a[i, 1], b[i, 1])
@@ -89,7 +90,7 @@ def _dots(sums: int, a: FloatArray, b: FloatArray, out: FloatArray) -> None:
 
 @lru_cache(maxsize=1)
 def sums_of_numpy() -> tuple[int, int]:
-    """How `np.dot` of two and three numbers, and the product of a 2 x 2 and a 2 x 4 matrix, are made here (`Sums`)."""
+    """How numpy computes `np.dot` of two and three numbers, and the product of a 2 x 2 and a 2 x 4 matrix (`Sums`)."""
     rng = np.random.default_rng(0)
     kinds: set[int] = set()
     for size in (2, 3):
@@ -104,6 +105,7 @@ def sums_of_numpy() -> tuple[int, int]:
 
 
 def _how(a: FloatArray, b: FloatArray, made: FloatArray) -> int:
+    """The kind of sums (`Sums`) by which the products of the rows of a and b were `made`."""
     out = np.empty(len(a))
     for sums in (Sums.SEPARATE, Sums.FUSED):
         _dots(sums, np.ascontiguousarray(a), np.ascontiguousarray(b), out)

@@ -1,7 +1,7 @@
-"""Who touches whom after a frame, and who will: highway-env's `handle_collisions`.
+"""Collisions of bodies after a frame and in the next frame: highway-env's `handle_collisions`.
 
-Pairs are looked at in the order of the indices, so that of several impacts the last counts, and only those that are
-near along x: for all others the quick check of highway-env says no.
+Pairs are checked in the order of their indices; of several impacts on a body, the last counts. Only pairs that are near
+along x are checked. The others fail highway-env's distance check.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from dynamics.state import FloatArray, IntArray
 __all__ = ["collide"]
 
 _SLACK = 1e-6
-"""Added to the reach of the search [m]; the check itself is exact."""
+"""Margin of the search along x [m]; the check itself is exact."""
 
 
 @uncounted
@@ -51,7 +51,7 @@ def _outline(products: int, f: FloatArray, p: FloatArray, i: int, out: FloatArra
 
 @uncounted
 def _span(sums: int, polygon: FloatArray, nx: float, ny: float) -> tuple[float, float]:
-    """A polygon's extent along an axis."""
+    """The least and the greatest coordinate of a polygon along an axis."""
     low = high = dot2(sums, polygon[0, 0], nx, polygon[0, 1], ny)
     for k in range(1, 5):
         at = dot2(sums, polygon[k, 0], nx, polygon[k, 1], ny)
@@ -61,19 +61,24 @@ def _span(sums: int, polygon: FloatArray, nx: float, ny: float) -> tuple[float, 
 
 @uncounted
 def _between(low: float, high: float, other_low: float, other_high: float) -> float:
+    """Gap between two intervals, negative if they overlap."""
     return other_low - high if low < other_low else low - other_high
 
 
 @uncounted
 def _mean(polygon: FloatArray, axis: int) -> float:
+    """Mean coordinate of the corners of a rectangle."""
     return (polygon[0, axis] + polygon[1, axis] + polygon[2, axis] + polygon[3, axis]) / 4
 
 
 @uncounted
 def _intersect(sums: int, corners: FloatArray, ux: float, uy: float) -> tuple[bool, bool, float, float]:
-    """Whether two polygons intersect, will after one has moved by u against the other, and the translation apart.
+    """Separating-axis test of two polygons, in highway-env's order and with its early exits.
 
-    The separating axes in highway-env's order, its early ends included.
+    Returns
+    -------
+    Whether they intersect, whether they will after the first has moved by u relative to the other, and the translation
+    that separates them.
     """
     a, b = corners[0], corners[1]
     touch, will, least, tx, ty = True, True, np.inf, 0.0, 0.0
@@ -118,6 +123,7 @@ def _handle(
     j: int,
     dt: float,
 ) -> None:
+    """Check two bodies for a collision, and store the impacts that the next frame applies."""
     _outline(products, f, p, i, corners[0])
     _outline(products, f, p, j, corners[1])
     ux = f[SPEED, i] * f[COS, i] * dt - f[SPEED, j] * f[COS, j] * dt
@@ -137,7 +143,7 @@ def _handle(
 
 @inlined
 def _near(sums: int, f: FloatArray, p: FloatArray, i: int, j: int, dt: float) -> bool:
-    """highway-env's quick check, which counts on the speed of the first alone."""
+    """highway-env's distance check, which uses the speed of the first body only."""
     dx, dy = f[X, j] - f[X, i], f[Y, j] - f[Y, i]
     apart = math.sqrt(dot2(sums, dx, dx, dy, dy))
     return not apart > (p[DIAGONAL, i] + p[DIAGONAL, j]) / 2 + f[SPEED, i] * dt
@@ -156,11 +162,11 @@ def collide(
     vehicles: int,
     dt: float,
 ) -> None:
-    """Note crashes, and the impacts that the next frame applies.
+    """Mark crashed bodies, and store the impacts that the next frame applies.
 
     Parameters
     ----------
-    order : bodies by x. corners, pairs : (2, 5, 2) and (m (m - 1) / 2,), written.
+    order : bodies by x. corners, pairs : buffers, (2, 5, 2) and (m (m - 1) / 2,), written.
     """
     bodies, widest, fastest = len(order), 0.0, 0.0
     for i in range(bodies):

@@ -1,4 +1,4 @@
-"""What every body does in a frame: its lane, its wheel, its throttle; highway-env's `Road.act`."""
+"""Lane choice, steering and acceleration of all bodies in a frame: highway-env's `Road.act`."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ __all__ = ["KP_A", "KP_LATERAL", "act", "free_flow_of_all", "linear_wheel", "pur
 
 KP_A, _KP_HEADING, KP_LATERAL = 1 / 0.6, 1 / 0.2, 1 / 0.6
 _WHEEL, _TURN = math.pi / 3, math.pi / 4
-"""Largest steering angle, and heading against the lane that is asked for [rad]."""
+"""Greatest steering angle, and greatest commanded heading relative to the lane [rad]."""
 _TAN, _ARCTAN, _ARCSIN, _POWER, _C_POW = 0, 1, 2, 5, 6
 
 
@@ -46,14 +46,14 @@ _TAN, _ARCTAN, _ARCSIN, _POWER, _C_POW = 0, 1, 2, 5, 6
 def free_flow_of_all(
     loops: IntArray, f: FloatArray, g: IntArray, p: FloatArray, lanes: FloatArray, work: FloatArray, vehicles: int
 ) -> None:
-    """IDM's acceleration of each vehicle on an empty road, to the first row of `work`."""
+    """IDM's acceleration of each vehicle on an empty road [m/s^2], written to the first row of `work` (4, m)."""
     free, share, delta, power = work[0], work[1], work[2], work[3]
     for i in range(vehicles):
         share[i] = wanted_share(f, g, lanes, i) if g[KIND, i] == IDM else 1.0
         delta[i] = p[DELTA, i]
     apply_two(loops[_POWER, 0], loops[_POWER, 1], share, delta, power, vehicles)
     for i in range(vehicles):
-        # A square is a product in numpy, where the exponent is one number.
+        # With a scalar exponent of 2, numpy computes a product.
         free[i] = free_flow(p[COMFORT, i], share[i] * share[i] if delta[i] == 2.0 else power[i])
 
 
@@ -68,12 +68,13 @@ def pursue(
     busy: IntArray,
     n: int,
 ) -> None:
-    """highway-env's `steering_control` from where it asks for a heading: the wheel of the first n in `busy` [rad].
+    """highway-env's `steering_control` from the heading command on: the front wheel angle of the first n bodies in
+    `busy` [rad].
 
     Parameters
     ----------
-    ahead : the lane's heading ahead of each [rad]. x : what is wanted across, as a share of the speed; written. y :
-        written.
+    ahead : heading of each body's target lane ahead of it [rad].
+    x : commanded lateral speed divided by the speed, overwritten. y : buffer, written.
     """
     if n == 0:
         return
@@ -95,11 +96,11 @@ def pursue(
 def linear_wheel(
     sums: int, loops: IntArray, f: FloatArray, p: FloatArray, i: int, ahead: float, lateral: float
 ) -> float:
-    """The front wheel angle of a vehicle of the linear model [rad].
+    """Front wheel angle of a vehicle of the linear model [rad].
 
     Parameters
     ----------
-    ahead : the heading of its lane ahead of it [rad]. lateral : how far it is from the middle of the lane [m].
+    ahead : heading of its target lane ahead of it [rad]. lateral : its distance from the centre of that lane [m].
     """
     speed = not_zero(f[SPEED, i])
     turn = wrap_to_pi(ahead - f[HEADING, i]) * p[LENGTH, i] / speed
@@ -119,7 +120,7 @@ def _steer(
     busy: IntArray,
     vehicles: int,
 ) -> None:
-    """Steering towards the middle of the lane that each vehicle is bound for, [rad]"""
+    """Steering of each vehicle towards the centre of its target lane [rad]."""
     ahead, x, n = work[0], work[1], 0
     for i in range(vehicles):
         kind, lateral = g[KIND, i], f[Y, i] - lanes[g[TARGET, i], LANE_Y]
@@ -149,12 +150,12 @@ def act(
     busy: IntArray,
     vehicles: int,
 ) -> None:
-    """Decide lanes, in turn, and then steering and acceleration of all vehicles.
+    """Target lanes of all vehicles, one after the other; then steering and acceleration.
 
     Parameters
     ----------
     front, rear : of `neighbours.find`.
-    work, busy : (4, m) and (m,), written.
+    work, busy : buffers, (4, m) and (m,), written.
     """
     free, present = work[0], work[1]
     free_flow_of_all(loops, f, g, p, lanes, work, vehicles)

@@ -1,4 +1,5 @@
-"""`CompiledHighwayEnv`: one compiled highway as a Gymnasium environment, frame by frame where somebody has a say."""
+"""`CompiledHighwayEnv`: one compiled highway as a Gymnasium environment, which a supervision may control frame by
+frame."""
 
 from __future__ import annotations
 
@@ -26,10 +27,10 @@ _COLUMNS = 7
 
 
 class CompiledHighwayEnv(gym.Env[Any, Any]):
-    """`highway-v0` or `highway-fast-v0`, compiled; the same to the last bit. Nothing is drawn.
+    """`highway-v0` or `highway-fast-v0`, compiled, equal to highway-env to the last bit. It does not render.
 
-    It has of highway-env's interface what a shield asks for: the road map, the configuration, the ego and its `act`,
-    the scene as rows, and `observation_type`, which observes at any frame.
+    It has the part of highway-env's interface that a shield needs. This is the road map, the configuration, the ego and
+    its `act`, the scene as rows, and `observation_type`, which observes at any frame.
 
     Parameters
     ----------
@@ -37,7 +38,7 @@ class CompiledHighwayEnv(gym.Env[Any, Any]):
 
     Attributes
     ----------
-    simulator : the state, and what steps it. config : the whole configuration.
+    simulator : the state, and the methods that step it. config : the whole configuration.
     frames : the bodies in each frame since the reset, (m, 7): x, y [m], heading [rad], speed [m/s], length, width [m],
         crashed. off_road : whether the ego was off the road in each.
 
@@ -77,11 +78,11 @@ class CompiledHighwayEnv(gym.Env[Any, Any]):
 
     @property
     def rows(self) -> FloatArray:
-        """The bodies now, the ego first, (m, 7); see `frames`."""
+        """The present bodies, the ego first, (m, 7); see `frames`."""
         return self.frames[-1]
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start an episode; a seed gives the traffic that it gives in highway-env."""
+        """Start an episode. A seed gives the same traffic as in highway-env."""
         super().reset(seed=seed)
         observations = self.simulator.reset(None if seed is None else [seed])
         self.road = SimpleNamespace(network=self._network)
@@ -120,7 +121,8 @@ class CompiledHighwayEnv(gym.Env[Any, Any]):
 
 
 class _Ego:
-    """The ego's side of highway-env's vehicles, of which a supervision takes the place of `act`."""
+    """The ego, with the part of highway-env's vehicle interface that a supervision needs. The supervision replaces
+    `act`."""
 
     LENGTH, WIDTH = Vehicle.LENGTH, Vehicle.WIDTH
 
@@ -133,15 +135,15 @@ class _Ego:
         self.override = (np.nan, np.nan)
 
     def act(self, action: Any = None) -> None:
-        """A decision's action, or the next frame's: then nothing is overridden."""
+        """Begin a decision with its action; or, without an action, begin the next frame. Both clear the override."""
         if action is not None:
             self._env.simulator.begin(action)
         self.override = (np.nan, np.nan)
 
     @property
     def action(self) -> dict[str, float]:
-        """The low-level action of the next frame: what takes the place of the ego's own, else the throttle and wheel
-        that it keeps from frame to frame; NaN where its controllers choose in the frame."""
+        """The low-level action of the next frame: the override, else the inputs that the ego keeps from frame to frame,
+        else NaN where its controllers choose. Acceleration [m/s^2] and front wheel angle [rad]."""
         kept = self._worlds.f[0, (ACCELERATION, STEERING), 0] if self._inputs else (np.nan, np.nan)
         acceleration, steering = np.where(np.isnan(self.override), kept, self.override).tolist()
         return {"acceleration": acceleration, "steering": steering}
@@ -156,22 +158,22 @@ class _Ego:
 
     @property
     def speed(self) -> float:
-        """[m/s]."""
+        """Speed of the ego [m/s]."""
         return float(self._worlds.f[0, SPEED, 0])
 
     @property
     def target_speed(self) -> float:
-        """[m/s]."""
+        """Target speed of the ego [m/s]."""
         return float(self._worlds.f[0, TARGET_SPEED, 0])
 
     @property
     def lane_index(self) -> tuple[str, str, int]:
-        """The lane that it is in, as highway-env names it."""
+        """The present lane, by highway-env's index."""
         return ("0", "1", int(self._worlds.g[0, LANE, 0]))
 
     @property
     def target_lane_index(self) -> tuple[str, str, int]:
-        """The lane that it steers to."""
+        """The target lane, by highway-env's index."""
         return ("0", "1", int(self._worlds.g[0, TARGET, 0]))
 
     @target_lane_index.setter

@@ -1,4 +1,4 @@
-"""What the ego sees as a map: highway-env's OccupancyGrid, in the axes of the world."""
+"""Observation of the ego as a map: highway-env's OccupancyGrid, in the axes of the world."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ __all__ = ["LAYERS", "ON_ROAD", "occupancy_grid"]
 ON_ROAD = 13
 """The layer that is 1 where there is a lane; the others are numbered as `observe.FEATURES`."""
 LAYERS = ("on_road",)
-"""What a grid shows beyond those."""
+"""Layers of a grid beyond `observe.FEATURES`."""
 _REACH = 100.0
-"""Lanes are drawn so far before and behind the ego [m]."""
+"""Distance before and behind the ego over which lanes are drawn [m]."""
 _RELATIVE = 5
 
 
 @inlined
 def _there_and_back(value: float, low: float, high: float) -> float:
-    """A coordinate that was mapped to [-1, 1], mapped back."""
+    """A coordinate mapped to [-1, 1] and back, as highway-env does, for the same rounding."""
     if math.isnan(low):
         return value
     mapped = -1 + (value - low) * 2 / (high - low)
@@ -35,10 +35,11 @@ def _there_and_back(value: float, low: float, high: float) -> float:
 
 @uncounted
 def _draw_road(f: FloatArray, lanes: FloatArray, grid: FloatArray, layer: FloatArray) -> None:
+    """Fill in the layer of the lanes."""
     x, y, spacing = f[X, 0], f[Y, 0], min(grid[0, 1], grid[1, 1])
     across = int(grid[1, 2])
     start = x - _REACH
-    # As np.arange makes its numbers.
+    # As `np.arange` computes its values.
     count, step = math.ceil((x + _REACH - start) / spacing), start + spacing - start
     for lane in range(len(lanes)):
         j = math.floor((lanes[lane, LANE_Y] - y - grid[1, 0]) / grid[1, 1])
@@ -66,15 +67,15 @@ def occupancy_grid(
     seen: FloatArray,
     out: NDArray[np.float32],
 ) -> None:
-    """A layer for each feature, (layers, cells along times cells across), to `out`.
+    """Write a layer for each feature, (layers, cells along times cells across), to `out`.
 
     Parameters
     ----------
-    features : indices in `observe.FEATURES`, or `ON_ROAD`. ranges : (layers, 2), what is mapped to -1 and 1; NaN for
-        what is not.
-    places : (2, 2), the same of x and y, which cells are found by.
-    grid : (2, 3), least coordinate, size [m] and number of the cells along and across.
-    seen : like `out`, written.
+    features : indices in `observe.FEATURES`, or `ON_ROAD`. ranges : (layers, 2), the values mapped to -1 and 1; NaN for
+        layers that are not normalised.
+    places : (2, 2), the same for x and y, by which cells are found.
+    grid : (2, 3), least coordinate [m], size [m] and number of the cells along and across.
+    seen : buffer like `out`, written.
     """
     across = int(grid[1, 2])
     seen[:] = math.nan

@@ -1,4 +1,4 @@
-"""The vehicle classes that the simulator knows, and what they may have of their own."""
+"""The vehicle classes that the simulator supports, and the constants that they may override."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ _IN_ORDER = (
     "LANE_CHANGE_MAX_BRAKING_IMPOSED",
     "LANE_CHANGE_DELAY",
 )
-"""Constants as `layout` has them, but for the size and its diagonal before the first, and after the fourth twice the
-root of the product of IDM's accelerations."""
+"""Constants in the order of `layout`. There, length, width and diagonal come before the first, and twice the root of
+the product of IDM's accelerations after the fourth."""
 CONSTANTS = frozenset(
     {
         *_IN_ORDER,
@@ -45,20 +45,20 @@ CONSTANTS = frozenset(
         "HISTORY_SIZE",
     }
 )
-"""What a vehicle, or a class of them, may have of its own."""
+"""Attributes that a vehicle, or a class of vehicles, may override."""
 _DRAWN = 6
-"""Numbers that may be drawn for each vehicle: IDM's exponent, and the linear model's five."""
+"""Number of parameters that may be drawn for each vehicle: IDM's exponent, and the linear model's five."""
 _MADE = ("__init__", "__new__", "__getattr__", "__getattribute__")
 _STOCK = (IDMVehicle, LinearVehicle, AggressiveVehicle, DefensiveVehicle)
 
 
 def kind_of(vehicle: Any) -> int:
-    """How vehicles of a class drive: `IDM` or `LINEAR`. It may have constants of its own, and nothing else.
+    """Driving model of a class of vehicles: `IDM` or `LINEAR`. The class may override constants, and nothing else.
 
     Raises
     ------
     ConfigError
-        If it drives in another way.
+        If it has another driving model.
     """
     if isinstance(vehicle, type) and issubclass(vehicle, Mixed):
         mix = mix_of(vehicle)
@@ -78,7 +78,13 @@ def kind_of(vehicle: Any) -> int:
 
 
 def mix_of(vehicle: type[Any]) -> tuple[type[Any], ...]:
-    """The classes that the traffic of a class is made of, in turn: its own, but for `Mixed`."""
+    """The classes of which traffic of a class consists, in turn: the class itself, except for `Mixed`.
+
+    Raises
+    ------
+    ConfigError
+        If a subclass of `Mixed` overrides more than `MIX`, or `MIX` is empty or nested.
+    """
     if not issubclass(vehicle, Mixed):
         return (vehicle,)
     own = {name for each in vehicle.__mro__[: vehicle.__mro__.index(Mixed)] for name in vars(each)}
@@ -92,7 +98,7 @@ def mix_of(vehicle: type[Any]) -> tuple[type[Any], ...]:
 
 
 def constants_of(vehicle: Any) -> FloatArray:
-    """What stays of a vehicle, or of a class of them, (P,); 0 for what it has not (see `layout`)."""
+    """The constants of a vehicle, or of a class of vehicles, (P,); 0 for those that it lacks (see `layout`)."""
     numbers = np.zeros(P)
     root = 2 * math.sqrt(-getattr(vehicle, "COMFORT_ACC_MAX", 0.0) * getattr(vehicle, "COMFORT_ACC_MIN", 0.0))
     length, width = vehicle.LENGTH, vehicle.WIDTH
@@ -111,7 +117,7 @@ def constants_of(vehicle: Any) -> FloatArray:
 
 
 def ranges_of(vehicle: Any) -> FloatArray:
-    """What is drawn for each vehicle of a class, (_DRAWN, 2)."""
+    """The ranges of the parameters that are drawn for each vehicle of a class, (_DRAWN, 2)."""
     ranges = np.zeros((_DRAWN, 2))
     ranges[0] = getattr(vehicle, "DELTA_RANGE", (0.0, 0.0))
     if issubclass(vehicle, LinearVehicle):

@@ -1,8 +1,8 @@
-"""Where everything is in the arrays of the simulator.
+"""Rows and columns of the arrays of the simulator.
 
-A scene of m bodies, of which the first is the ego and the last may be standing obstacles, is a structure of arrays:
-`f` (F, m) float64 of what moves, `g` (G, m) int64 of what is counted, `p` (P, m) float64 of what stays. Lanes are rows
-of `lanes` (n, LANE_COLUMNS) float64, straight and along x.
+A scene of m bodies is a structure of arrays. The first body is the ego, the last ones may be standing obstacles. `f`
+(F, m) float64 has continuous states, `g` (G, m) int64 has integers and flags, `p` (P, m) float64 has constants. Lanes
+are rows of `lanes` (n, LANE_COLUMNS) float64, straight and along x.
 """
 
 from __future__ import annotations
@@ -66,16 +66,18 @@ __all__ = [
 ]
 
 X, Y, HEADING, SPEED, COS, SIN, STEERING, ACCELERATION, TARGET_SPEED, TIMER, IMPACT_X, IMPACT_Y = range(12)
-"""Rows of `f` [m, rad, m/s, m/s^2, s]. COS and SIN are of the heading; IMPACT is what the next frame moves it by."""
+"""Rows of `f` [m, rad, m/s, m/s^2, s]. COS and SIN are of the heading. IMPACT is the displacement that the next frame
+applies after a collision [m]."""
 F = 12
 
 KIND, LANE, TARGET, CRASHED, IMPACTED, CHECKS, CHANGES, ON, STALE = range(9)
-"""Rows of `g`. CHECKS: it looks for collisions; CHANGES: it may change lanes; ON: lanes that others see it on, bits;
-STALE: it may be in another lane than LANE, which a frame finds out."""
+"""Rows of `g`. CHECKS: the body checks for collisions. CHANGES: it may change lanes. ON: the lanes on which it counts
+as a neighbour, as bits. STALE: LANE may be outdated, and is updated in the next frame."""
 G = 9
 
 EGO, CONTINUOUS, IDM, LINEAR, OBSTACLE, ALLY = range(6)
-"""Kinds: an ego with meta-actions or with throttle and steering, traffic, what stands, another ego (meta-actions)."""
+"""Kinds: an ego with meta-actions or with throttle and steering, traffic by driving model, an obstacle, another ego
+(with meta-actions)."""
 
 (
     LENGTH,
@@ -99,8 +101,9 @@ EGO, CONTINUOUS, IDM, LINEAR, OBSTACLE, ALLY = range(6)
     S_HEADING,
     S_LATERAL,
 ) = range(20)
-"""Rows of `p`: constants of highway-env's vehicles. TWICE_ROOT is 2 sqrt(a b); A and S are the linear model's. ACC_MAX
-and COMFORT of an ego with throttle and steering are what a law of its own brakes and accelerates at most."""
+"""Rows of `p`: constants of highway-env's vehicles. TWICE_ROOT is 2 sqrt(a b); A and S are parameters of the linear
+model. For an ego with throttle and steering that follows controllers, ACC_MAX and COMFORT are its greatest deceleration
+and acceleration."""
 P = 20
 
 LANE_Y, LANE_WIDTH, LANE_LENGTH, LANE_LIMIT = range(4)

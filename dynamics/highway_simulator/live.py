@@ -1,4 +1,4 @@
-"""A live highway-env in and out of the simulator's arrays."""
+"""Copy a live highway-env into the simulator's arrays, and back."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ def bodies_of(env: gym.Env[Any, Any], first: bool = True, team: bool = False) ->
 
     Parameters
     ----------
-    first : whether the ego has to be the first of the vehicles. team : whether there may be several.
+    first : whether the ego has to be the first of the vehicles. team : whether there may be several egos.
 
     Raises
     ------
     SceneError
-        If there is another ego, or one elsewhere, or something else stands on the road.
+        If there are more egos than allowed, the ego is not where expected, or another object stands on the road.
     """
     base = cast(Any, env.unwrapped)
     check_egos(base, first, team)
@@ -76,12 +76,12 @@ def bodies_of(env: gym.Env[Any, Any], first: bool = True, team: bool = False) ->
 
 
 def check_egos(base: Any, first: bool = True, team: bool = False) -> None:
-    """Raise unless the ego of an environment, unwrapped, is on its road; parameters as of `bodies_of`.
+    """Check that the ego of an environment, unwrapped, is on its road; parameters as of `bodies_of`.
 
     Raises
     ------
     SceneError
-        If there is another ego, or one elsewhere.
+        If there are more egos than allowed, or the ego is not where expected.
     """
     egos = len(base.controlled_vehicles)
     vehicles = [] if base.road is None or egos == 0 or (egos > 1 and not team) else base.road.vehicles
@@ -96,7 +96,7 @@ def load(env: gym.Env[Any, Any], scenario: Scenario, worlds: Worlds, e: int) -> 
     Raises
     ------
     SceneError
-        If it has another road or other bodies than the simulator, or vehicles that drive in another way.
+        If its road or its bodies differ from the simulator's, or a vehicle has an unknown driving model.
     """
     base = cast(Any, env.unwrapped)
     vehicles, obstacles = bodies_of(env)
@@ -121,7 +121,7 @@ def load(env: gym.Env[Any, Any], scenario: Scenario, worlds: Worlds, e: int) -> 
     if not np.isfinite(f).all():
         raise SceneError("a position, heading, speed, target, timer or action of the scene is not finite")
     if g[KIND, 0] == CONTINUOUS:
-        # highway-env gives the ego its range of speeds with its first action.
+        # highway-env sets the range of speeds of the ego at its first action.
         p[[MAX_SPEED, MIN_SPEED], 0] = scenario.rules.constants[0][[MAX_SPEED, MIN_SPEED]]
     worlds.order[e] = np.arange(f.shape[1])
     worlds.rows[e, :WORDS] = from_generator(base.np_random)
@@ -129,7 +129,13 @@ def load(env: gym.Env[Any, Any], scenario: Scenario, worlds: Worlds, e: int) -> 
 
 
 def _check_clock(base: Any, scenario: Scenario) -> None:
-    """Raise where decisions, frames or observations are others than the simulator's."""
+    """Check that decisions, frames and observations are those of the simulator.
+
+    Raises
+    ------
+    SceneError
+        If not.
+    """
     frames, config = scenario.rules.numbers[0], base.config
     times = 1 / config["simulation_frequency"], 1 / config["policy_frequency"]
     lasts = not scenario.observes or float(config["duration"]) == scenario.rules.times[2]
@@ -143,11 +149,18 @@ def _check_clock(base: Any, scenario: Scenario) -> None:
 
 @lru_cache
 def _of_class(kind: type[Any]) -> frozenset[str]:
+    """The names of a class's attributes."""
     return frozenset(dir(kind))
 
 
 def check_body(body: Any, i: int, ego: bool, target_speeds: FloatArray) -> None:
-    """Raise where a body has something of its own that the simulator does not know."""
+    """Check that a body overrides no attribute or method that the simulator does not support.
+
+    Raises
+    ------
+    SceneError
+        If it does, if it is not solid or collidable, or if it has other target speeds.
+    """
     name = f"body {i} ({type(body).__name__})"
     if not (body.solid and body.collidable):
         raise SceneError(f"{name} is not solid or not collidable")
@@ -162,6 +175,13 @@ def check_body(body: Any, i: int, ego: bool, target_speeds: FloatArray) -> None:
 
 
 def _check_road(network: Any, lanes: FloatArray) -> None:
+    """Check that the road consists of the straight lanes of the simulator.
+
+    Raises
+    ------
+    SceneError
+        If not.
+    """
     real = network.lanes_list()
     if (
         len(real) != len(lanes)
@@ -175,7 +195,13 @@ def _check_road(network: Any, lanes: FloatArray) -> None:
 
 
 def kind_in_scene(body: Any, ego: bool) -> int:
-    """The kind of a vehicle (see `layout`)."""
+    """The kind of a vehicle (see `layout`).
+
+    Raises
+    ------
+    SceneError
+        If its driving model is unknown.
+    """
     if not ego:
         try:
             return kind_of(type(body))
@@ -189,7 +215,7 @@ def kind_in_scene(body: Any, ego: bool) -> int:
 
 
 def load_body(body: Any, i: int, kind: int, f: FloatArray, g: Any, p: FloatArray) -> None:
-    """Copy all of a body of a kind but its lanes and its route into column `i`."""
+    """Copy a body of a kind into column `i`, without its lanes and its route."""
     f[X, i], f[Y, i] = body.position
     f[HEADING, i], f[SPEED, i] = body.heading, body.speed
     f[COS, i], f[SIN, i] = np.cos(body.heading), np.sin(body.heading)
@@ -208,12 +234,12 @@ def load_body(body: Any, i: int, kind: int, f: FloatArray, g: Any, p: FloatArray
 
 
 def store(env: gym.Env[Any, Any], scenario: Scenario, worlds: Worlds, e: int) -> None:
-    """Copy one of the simulator's environments into a live one of the same bodies, the generator included.
+    """Write one of the simulator's environments, with its random generator, into a live one with the same bodies.
 
     Raises
     ------
     SceneError
-        If it has other bodies than the simulator.
+        If the bodies differ from the simulator's.
     """
     base = cast(Any, env.unwrapped)
     vehicles, obstacles = bodies_of(env)

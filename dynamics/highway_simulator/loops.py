@@ -1,9 +1,9 @@
 """numpy's own loops, called from compiled code by their address.
 
 On processors with AVX-512 numpy computes tangents, arcs and powers with vector code that may differ from the C
-library's in the last place. highway-env calls numpy, so what is to be identical to it, bit for bit, has to call the
-same code: the inner loops that numpy's ufuncs hold (`PyUFuncObject.functions`). Their addresses differ from process to
-process; they go into the kernels as numbers, which leaves the machine code good for the next process.
+library's in the last place. highway-env calls numpy. An exact copy has to call the same code: the inner loops that
+numpy's ufuncs hold (`PyUFuncObject.functions`). Their addresses differ from process to process. The kernels take them
+as numbers, so that the cached machine code remains valid in the next process.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dynamics.errors import PlatformError
 __all__ = ["LOOPS", "Loop", "addresses", "apply", "apply_two", "at", "at_two", "c_pow"]
 
 _built_in: Any = intrinsic
-"""What makes LLVM code of a call, for type checkers that do not know the decorator."""
+"""numba's `intrinsic` as `Any`: its type stubs do not describe the decorator."""
 
 _HEAD = 2 * ctypes.sizeof(ctypes.c_void_p)
 _FUNCTIONS, _DATA = _HEAD + 16, _HEAD + 24
@@ -34,25 +34,25 @@ _DOUBLE = np.dtype(np.float64).num
 
 
 class Loop:
-    """Where a loop is in the table of `addresses`."""
+    """Index of a loop in the table of `addresses`."""
 
     TAN, ARCTAN, ARCSIN, COS, SIN, POWER, C_POW, ARCTAN2 = range(8)
 
 
 LOOPS: tuple[np.ufunc, ...] = (np.tan, np.arctan, np.arcsin, np.cos, np.sin, np.power)
-"""The ufuncs before the C library's pow, which Python's `**` of two floats calls, in the order of `Loop`."""
+"""The ufuncs in the order of `Loop`, before the C library's pow, which Python's `**` of two floats calls."""
 
 
 @lru_cache(maxsize=1)
 def addresses() -> np.ndarray[Any, Any]:
     """The addresses of numpy's loops over 64-bit floats and of their data, (loops, 2) int64, in the order of `Loop`.
 
-    They are the same array at each call, since to find a library starts a process; nobody writes to it.
+    All calls return the same array, because finding a library starts a process. Do not write to it.
 
     Raises
     ------
     PlatformError
-        If this numpy keeps them elsewhere, or there is no C library to be found.
+        If this numpy stores them elsewhere, or no C library is found.
     """
     return np.array([*map(_loop, LOOPS), (_c_pow(), 0), _loop(np.arctan2)], dtype=np.int64)
 
@@ -67,6 +67,7 @@ def _c_pow() -> int:
 
 
 def _loop(ufunc: np.ufunc) -> tuple[int, int]:
+    """The addresses of a ufunc's loop over 64-bit floats, and of its data."""
     base = id(ufunc)
     nin, nout = (ctypes.c_int.from_address(base + _HEAD + 4 * i).value for i in range(2))
     count = ctypes.c_int.from_address(base + _NTYPES).value
@@ -84,7 +85,7 @@ def _loop(ufunc: np.ufunc) -> tuple[int, int]:
 
 
 def _call(context: Any, builder: Any, loop: Any, data: Any, pointers: list[Any], n: Any, steps: list[int]) -> None:
-    """`loop(char **args, npy_intp const *dimensions, npy_intp const *steps, void *data)`."""
+    """Emit a call `loop(char **args, npy_intp const *dimensions, npy_intp const *steps, void *data)`."""
     byte, word = ir.IntType(8).as_pointer(), ir.IntType(64)
     kind = ir.FunctionType(ir.VoidType(), [byte.as_pointer(), word.as_pointer(), word.as_pointer(), byte])
     args = cgutils.alloca_once(builder, byte, size=len(pointers))
@@ -100,7 +101,7 @@ def _call(context: Any, builder: Any, loop: Any, data: Any, pointers: list[Any],
 
 @_built_in
 def at(typingctx: Any, loop: Any, data: Any, x: Any) -> Any:
-    """`ufunc(x)` of one number, given a row of `addresses`."""
+    """`ufunc(x)` of one number; `loop` and `data` are a row of `addresses`."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         loop, data, x = args
@@ -114,7 +115,7 @@ def at(typingctx: Any, loop: Any, data: Any, x: Any) -> Any:
 
 @_built_in
 def at_two(typingctx: Any, loop: Any, data: Any, x: Any, y: Any) -> Any:
-    """`ufunc(x, y)` of two numbers."""
+    """`ufunc(x, y)` of two numbers; `loop` and `data` are a row of `addresses`."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         loop, data, x, y = args
@@ -139,12 +140,13 @@ def c_pow(typingctx: Any, address: Any, x: Any, y: Any) -> Any:
 
 
 def _pointer(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    """The pointer to the data of an array."""
     return context.make_array(kind)(context, builder, value).data
 
 
 @_built_in
 def apply(typingctx: Any, loop: Any, data: Any, x: Any, out: Any, n: Any) -> Any:
-    """`ufunc(x[:n], out=out[:n])` of contiguous arrays."""
+    """`ufunc(x[:n], out=out[:n])` of contiguous arrays; `loop` and `data` are a row of `addresses`."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         loop, data, x, out, n = args
@@ -157,7 +159,7 @@ def apply(typingctx: Any, loop: Any, data: Any, x: Any, out: Any, n: Any) -> Any
 
 @_built_in
 def apply_two(typingctx: Any, loop: Any, data: Any, x: Any, y: Any, out: Any, n: Any) -> Any:
-    """`ufunc(x[:n], y[:n], out=out[:n])` of contiguous arrays."""
+    """`ufunc(x[:n], y[:n], out=out[:n])` of contiguous arrays; `loop` and `data` are a row of `addresses`."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         loop, data, x, y, out, n = args

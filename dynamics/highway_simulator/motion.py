@@ -1,4 +1,4 @@
-"""How bodies move in a frame: highway-env's modified bicycle, and which lane they are on afterwards."""
+"""Motion of bodies in a frame: highway-env's modified bicycle model, and their lanes afterwards."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _TAN, _ARCTAN, _COS, _SIN = 0, 1, 3, 4
 
 @inlined
 def limit(f: FloatArray, g: IntArray, p: FloatArray, i: int, dt: float) -> None:
-    """highway-env's `clip_actions` of a vehicle, and its timer a frame later."""
+    """highway-env's `clip_actions` of a vehicle; its timer advances by a frame."""
     speed = f[SPEED, i]
     if g[KIND, i] in (IDM, LINEAR):
         f[TIMER, i] += dt
@@ -62,11 +62,11 @@ def bicycle(
     n: int,
     dt: float,
 ) -> None:
-    """Advance the first n in `busy` by a frame of `dt` [s], and apply the impacts of the last.
+    """Advance the first n bodies in `busy` by a frame of `dt` [s], and apply the impacts of the last frame.
 
     Parameters
     ----------
-    work : (4, m), written.
+    work : buffer, (4, m), written.
     """
     slip, course, across, along = work[0], work[1], work[2], work[3]
     for k in range(n):
@@ -110,11 +110,11 @@ def move(
     vehicles: int,
     dt: float,
 ) -> None:
-    """Advance all vehicles by a frame of `dt` [s], and apply the impacts of the last.
+    """Advance all vehicles by a frame of `dt` [s], and apply the impacts of the last frame.
 
     Parameters
     ----------
-    work, busy : (4, m) and (m,), written.
+    work, busy : buffers, (4, m) and (m,), written.
     """
     n = 0
     for i in range(vehicles):

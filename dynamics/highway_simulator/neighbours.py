@@ -1,7 +1,8 @@
-"""Who is next ahead and behind on a lane, as highway-env's `neighbour_vehicles` has it.
+"""The next vehicles ahead and behind on a lane: highway-env's `neighbour_vehicles`.
 
-A body counts on every lane whose edges it is less than a metre beyond. Of two that are equally far ahead the later
-counts, of two behind the earlier; one that is level counts as ahead.
+A body counts on every lane if it is within the lane or at most a metre beyond its edges. Of two bodies equally far
+ahead the one with the higher index counts, of two equally far behind the one with the lower index. A body at the same x
+counts as ahead.
 """
 
 from __future__ import annotations
@@ -15,11 +16,15 @@ __all__ = ["find", "sort"]
 
 @uncounted
 def sort(f: FloatArray, order: IntArray) -> bool:
-    """Put bodies in order of x, and of their index where x is the same; whether any two are level.
+    """Sort bodies by x, and by index at equal x.
 
     Parameters
     ----------
-    order : (m,) bodies, nearly in order already; changed.
+    order : (m,) bodies, nearly sorted already; changed.
+
+    Returns
+    -------
+    Whether two bodies have the same x.
     """
     level = False
     for k in range(1, len(order)):
@@ -37,7 +42,7 @@ def sort(f: FloatArray, order: IntArray) -> bool:
 
 @uncounted
 def _level(f: FloatArray, g: IntArray, front: IntArray, rear: IntArray) -> None:
-    """`find` where some bodies are level: everybody is asked."""
+    """`find` where some bodies have the same x: all pairs are compared."""
     for lane in range(len(front)):
         for i in range(front.shape[1]):
             ahead, behind, x = -1, -1, f[X, i]
@@ -53,7 +58,7 @@ def _level(f: FloatArray, g: IntArray, front: IntArray, rear: IntArray) -> None:
 
 @uncounted
 def find(f: FloatArray, g: IntArray, order: IntArray, level: bool, front: IntArray, rear: IntArray) -> None:
-    """The next body ahead of each body on each lane, and behind; -1 for nobody.
+    """The next body ahead of each body on each lane, and the next behind; -1 for none.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the ego sees: highway-env's Kinematics observation."""
+"""Observations of the ego: highway-env's Kinematics observation."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ FEATURES = (
     "lat_off",
     "ang_off",
 )
-"""What can be observed of a body. Destinations are unknown on a highway: cos_d and sin_d are 0."""
+"""Features of a body. Destinations are unknown on a highway: cos_d and sin_d are 0."""
 
 _SIGHT = 200.0
 """`PERCEPTION_DISTANCE` [m]."""
 _RELATIVE = 5
-"""The features before this one are taken relative to the ego's, but for presence."""
+"""Features with a lower index than this, except presence, are relative to the ego."""
 
 
 @inlined
@@ -81,7 +81,12 @@ def _near(
     obstacles: bool,
     near: IntArray,
 ) -> int:
-    """The bodies within sight, by their distance along the road, at most so many; how many there are."""
+    """Up to `most` bodies within sight, by distance along the road unless `unsorted`: `near` (m,), written.
+
+    Returns
+    -------
+    The number of bodies.
+    """
     n, x, y, back = 0, f[X, 0], f[Y, 0], -2 * p[LENGTH, 0]
     for i in range(1, f.shape[1]):
         dx, dy = f[X, i] - x, f[Y, i] - y
@@ -121,14 +126,15 @@ def kinematics(
     seen: FloatArray,
     out: NDArray[np.float32],
 ) -> None:
-    """The ego and those near it, nearest first, to `out`, (bodies, features).
+    """Write the ego and the bodies near it, nearest first, to `out`, (bodies, features).
 
     Parameters
     ----------
-    row : the generator, for a shuffled order.
-    features : indices in `FEATURES`. ranges : (features, 2), what is mapped to -1 and 1; NaN for what is not.
-    switches : absolute, normalised, clipped, behind as well, shuffled, obstacles too.
-    near, seen : (m,) and (bodies, features), written.
+    row : the random generator, for a shuffled order.
+    features : indices in `FEATURES`. ranges : (features, 2), the values mapped to -1 and 1; NaN for features that are
+        not normalised.
+    switches : absolute, normalised, clipped, vehicles behind, shuffled, obstacles.
+    near, seen : buffers, (m,) and (bodies, features), written.
     """
     absolute, normalised, clipped, behind, shuffled, obstacles = switches
     bodies, n = len(out), _near(sums, f, g, p, len(out) - 1, behind, shuffled, obstacles, near)

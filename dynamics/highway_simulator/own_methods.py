@@ -1,4 +1,4 @@
-"""Whether an environment moves its traffic by highway-env's own methods: the class that defines each is looked up."""
+"""Check that an environment moves its traffic by highway-env's own methods, by the class that defines each method."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dynamics.errors import ConfigError
 __all__ = ["check_moves"]
 
 _STEPS = ("_simulate", "step")
-"""What moves the traffic between two decisions, and what calls it."""
+"""The method that moves the traffic between two decisions, and the one that calls it."""
 _OF_ROADS = (
     "act",
     "step",
@@ -20,17 +20,17 @@ _OF_ROADS = (
     "respect_priorities",
     "is_conflict_possible",
 )
-"""What a road moves its vehicles by."""
+"""The methods by which a road moves its vehicles."""
 _KNOWN = ("highway_env", "dynamics")
 """Packages whose methods the compiled copies reproduce."""
 
 
 def check_moves(base: Any, others: tuple[str, ...] = ()) -> None:
-    """Raise where an environment, unwrapped, or its road moves traffic by a method that is not highway-env's own.
+    """Check that an environment, unwrapped, and its road move traffic by highway-env's own methods.
 
-    Its rewards, observations, ends, and what its reset creates may be its own: the scene is read as it is. A class says
-    by `changes_between_decisions_only = True` that whatever its `step` changes on the road, beside highway-env's
-    `_simulate`, it changes between two decisions.
+    Rewards, observations, ends of episodes and resets may be overridden, because the scene is read as it is. A class
+    with `changes_between_decisions_only = True` declares that its `step` changes the road only between two decisions,
+    apart from highway-env's `_simulate`.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def check_moves(base: Any, others: tuple[str, ...] = ()) -> None:
     Raises
     ------
     ConfigError
-        That names the first such method and the class that defines it.
+        If one is not. The message names the first such method and the class that defines it.
     """
     declared = getattr(base, "changes_between_decisions_only", False)
     for name in (*_STEPS, *others):
@@ -59,7 +59,7 @@ def check_moves(base: Any, others: tuple[str, ...] = ()) -> None:
             )
     road = base.road
     for name in _OF_ROADS if road is not None else ():
-        # An attribute of the road itself is how frames are recorded.
+        # Attributes of the instance are not checked: frames are recorded by such an attribute.
         own = _defined_in(type(road), name)
         if own:
             raise ConfigError(
@@ -69,8 +69,8 @@ def check_moves(base: Any, others: tuple[str, ...] = ()) -> None:
 
 
 def _owner(thing: Any, name: str) -> str:
-    """The name of the class that defines a method, or of the object itself, where it is none of highway-env's or of
-    its compiled copy; "" where it is, and where there is no such method."""
+    """The name of the class that defines a method, or of the object with such an attribute. "" if the method is
+    highway-env's or this project's, or does not exist."""
     method = vars(thing).get(name)
     if method is not None:
         return "" if _is_known(getattr(method, "__module__", None)) else f"this {type(thing).__name__}"
@@ -78,10 +78,11 @@ def _owner(thing: Any, name: str) -> str:
 
 
 def _defined_in(kind: type[Any], name: str) -> str:
-    """As `_owner`, of the classes alone."""
+    """As `_owner`, for classes only."""
     defines = next((each for each in kind.__mro__ if name in vars(each)), None)
     return "" if defines is None or _is_known(defines.__module__) else defines.__name__
 
 
 def _is_known(module: str | None) -> bool:
+    """Whether a module belongs to highway-env or to this package."""
     return module is not None and module.partition(".")[0] in _KNOWN

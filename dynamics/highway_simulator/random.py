@@ -1,10 +1,10 @@
-"""numpy's own random numbers in compiled code: the generator that `env.reset(seed=...)` makes, from the same seed.
+"""numpy's own random numbers in compiled code: the generator that `env.reset(seed=...)` creates, from the same seed.
 
-`SeedSequence` and PCG64 (O'Neill 2014) as numpy has them; the streams of both are kept stable by numpy. A generator is
-a row of six numbers: state (high, low), increment (high, low), whether half of a draw is left, and that half.
+`SeedSequence` and PCG64 (O'Neill 2014) as in numpy, which keeps the streams of both stable. A generator is a row of six
+numbers: state (high, low), increment (high, low), whether half of a draw is left, and that half.
 
-A longer row has a *tape* behind that: the place on it from which the next draw is read, 0 for none, and the draws
-themselves, which take the place of the generator's. So a scene is made from numbers that somebody has chosen.
+A longer row continues with a replay of given random numbers: the position of the next number, 0 for none, and then the
+numbers. They replace the draws of the generator, so that a scene can be built from chosen numbers.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ __all__ = ["TAPE", "WORDS", "below", "from_generator", "interval", "next_64", "s
 Row = NDArray[np.uint64]
 
 WORDS = 6
-"""Numbers of a generator."""
+"""Numbers in the row of a generator."""
 TAPE = WORDS + 1
-"""Where the tape begins in a longer row."""
+"""Index at which the replayed numbers begin in a longer row."""
 
 _U = np.uint64
 _LOW, _32, _16 = _U(0xFFFFFFFF), _U(32), _U(16)
@@ -35,7 +35,7 @@ _MIX_L, _MIX_R = _U(0xCA01F9DD), _U(0x4973F715)
 
 @inlined
 def _times(a: Any, b: Any) -> tuple[Any, Any]:
-    """The 128 bits of a product of two of 64, as high and low."""
+    """The 128-bit product of two 64-bit numbers, as high and low."""
     a1, a0, b1, b0 = a >> _32, a & _LOW, b >> _32, b & _LOW
     low, middle, other = a0 * b0, a1 * b0, a0 * b1
     carry = (low >> _32) + (middle & _LOW) + (other & _LOW)
@@ -44,6 +44,7 @@ def _times(a: Any, b: Any) -> tuple[Any, Any]:
 
 @inlined
 def _advance(row: Row) -> None:
+    """Advance the state of the generator by one step."""
     high, low = _times(row[1], _MULTIPLIER_LOW)
     high += row[0] * _MULTIPLIER_LOW + row[1] * _MULTIPLIER_HIGH
     total = low + row[3]
@@ -53,7 +54,7 @@ def _advance(row: Row) -> None:
 
 @inlined
 def next_64(row: Row) -> Any:
-    """The next 64 bits."""
+    """The next 64 random bits."""
     _advance(row)
     mixed, turn = row[0] ^ row[1], row[0] >> _FIFTYEIGHT
     return (mixed >> turn) | (mixed << ((_SIXTYFOUR - turn) & _SIXTYTHREE))
@@ -61,6 +62,7 @@ def next_64(row: Row) -> Any:
 
 @inlined
 def _next_32(row: Row) -> Any:
+    """The next 32 random bits."""
     if row[4]:
         row[4] = _ZERO
         return row[5]
@@ -71,18 +73,19 @@ def _next_32(row: Row) -> Any:
 
 @inlined
 def _taped(row: Row) -> bool:
-    """Whether the next draw is on the tape."""
+    """Whether the next draw is a replayed number."""
     return len(row) > WORDS and bool(row[WORDS] > _ZERO) and bool(WORDS + np.int64(row[WORDS]) < len(row))
 
 
 @inlined
 def _share(word: Any) -> float:
-    """A word as a number from 0 to 1, as of `Generator.random`."""
+    """A word as a number in [0, 1), as of `Generator.random`."""
     return float(word >> _ELEVEN) * (1.0 / 9007199254740992.0)
 
 
 @inlined
 def _next_taped(row: Row) -> float:
+    """The next replayed number, in [0, 1)."""
     place = WORDS + np.int64(row[WORDS])
     row[WORDS] += _ONE
     return _share(row[place])
@@ -90,13 +93,13 @@ def _next_taped(row: Row) -> float:
 
 @inlined
 def uniform(row: Row, low: float, high: float) -> float:
-    """`Generator.uniform(low, high)`; or from the tape."""
+    """`Generator.uniform(low, high)`, or a replayed number."""
     return low + (high - low) * (_next_taped(row) if _taped(row) else _share(next_64(row)))
 
 
 @inlined
 def below(row: Row, n: int) -> Any:
-    """`Generator.integers(n)`, n at most 2^32 - 1 (Lemire 2019); or from the tape."""
+    """`Generator.integers(n)`, n at most 2^32 - 1 (Lemire 2019), or a replayed number."""
     if n <= 1:
         return 0
     if _taped(row):
@@ -112,7 +115,7 @@ def below(row: Row, n: int) -> Any:
 
 @inlined
 def interval(row: Row, last: int) -> Any:
-    """What `Generator.shuffle` draws: a number from 0 to `last`, at most 2^32 - 1, by masks and refusals."""
+    """The draw of `Generator.shuffle`: a number from 0 to `last`, at most 2^32 - 1, by masked rejection."""
     mask = _U(last)
     for shift in range(5):
         mask |= mask >> _U(1 << shift)
@@ -181,7 +184,7 @@ def seed_row(row: Row, seed: int) -> None:
 
 
 def from_generator(generator: np.random.Generator) -> Row:
-    """The row of a generator over PCG64, (6,) uint64."""
+    """The row of a PCG64 generator, (6,) uint64."""
     state: Any = generator.bit_generator.state
     inner = state["state"]
     words = [inner["state"] >> 64, inner["state"], inner["inc"] >> 64, inner["inc"], state["has_uint32"]]
@@ -189,7 +192,7 @@ def from_generator(generator: np.random.Generator) -> Row:
 
 
 def to_generator(row: Row, generator: np.random.Generator) -> None:
-    """Put a row into a generator over PCG64."""
+    """Set the state of a PCG64 generator from a row."""
     words = [int(w) for w in row]
     generator.bit_generator.state = {
         "bit_generator": "PCG64",

@@ -1,4 +1,4 @@
-"""What a batch of compiled environments is asked for: which of them to reset, with which seeds, and actions."""
+"""Checks of the arguments of a batch of compiled environments: which to reset, with which seeds, and actions."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ __all__ = ["actions_given", "resets_asked", "steps_asked"]
 def resets_asked(
     num_envs: int, seeds: Sequence[int] | NDArray[Any] | None, which: Sequence[int] | None
 ) -> tuple[IntArray, IntArray]:
-    """The environments to reset, all by default, and the seed of each, -1 for whoever goes on with its generator.
+    """The environments to reset, all by default, and the seed of each. A seed of -1 means that the present generator
+    continues.
 
     Raises
     ------
     ConfigError
-        If there is no such environment, or not a seed from 0 to 2^63 - 1 for each.
+        If an environment does not exist, or there is not one seed from 0 to 2^63 - 1 for each.
     """
     chosen = np.arange(num_envs) if which is None else np.asarray(which, dtype=np.int64)
     if chosen.ndim != 1 or ((chosen < 0) | (chosen >= num_envs)).any():
@@ -41,7 +42,7 @@ def steps_asked(num_envs: int, which: Sequence[int] | NDArray[Any] | None) -> In
     Raises
     ------
     ConfigError
-        If they are not in increasing order, or there is no such environment.
+        If they are not in increasing order, or one does not exist.
     """
     if which is None:
         return None
@@ -53,17 +54,17 @@ def steps_asked(num_envs: int, which: Sequence[int] | NDArray[Any] | None) -> In
 
 
 def actions_given(actions: Any, num_envs: int, labels: int, inputs: Any) -> FloatArray:
-    """Actions as the kernels take them, (num_envs, 2).
+    """Actions in the form of the kernels, (num_envs, 2).
 
     Parameters
     ----------
-    labels : how many meta-actions there are. inputs : what makes inputs of throttle and steering; None for
-        meta-actions.
+    labels : number of meta-actions. inputs : conversion of actions to throttle and steering (`scenario.Inputs`); None
+        for meta-actions.
 
     Raises
     ------
     ActionError
-        If there is not an action for each environment, or one is none of the action space.
+        If there is not one action for each environment, or one is not in the action space.
     """
     actions = np.asarray(actions)
     if inputs is not None:

@@ -1,4 +1,4 @@
-"""What the compiled simulator runs: highway-env's configuration as arrays, and a refusal of what it cannot do."""
+"""highway-env's configuration as arrays for the compiled simulator, or an error if it is not supported."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from dynamics.state import FloatArray
 __all__ = ["ACTIONS", "REWARDS", "Inputs", "Scenario", "scenario_of", "scenario_of_live"]
 
 ACTIONS = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
-"""The labels of meta-actions, by the number that the kernels know them by."""
+"""The labels of meta-actions, by their number in the kernels."""
 
 COPIED = "1.12"
-"""The version of highway-env: traffic of the versions before it drives in other ways."""
+"""The version of highway-env. Traffic of earlier versions drives differently."""
 
 _MOVES = (
     "action",
@@ -46,19 +46,20 @@ _MOVES = (
     "controlled_vehicles",
     "manual_control",
 )
-"""Settings that tell how the traffic of a live highway moves."""
+"""Settings that determine how the traffic of a live highway moves."""
 
 REWARDS = ("collision_reward", "right_lane_reward", "high_speed_reward", "on_road_reward")
-"""What the reward is made of, in the order of `engine.Seen.parts`."""
+"""The terms of the reward, in the order of `step_kernels.Seen.parts`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """How continuous actions become inputs, as `ContinuousAction.get_action` does it, with the dtype of the actions.
+    """Conversion of continuous actions to inputs, as `ContinuousAction.get_action` does it, with the dtype of the
+    actions.
 
     Attributes
     ----------
-    acceleration, steering : what -1 and 1 stand for [m/s^2, rad]; None for an input that is not there.
+    acceleration, steering : the inputs for -1 and 1 [m/s^2, rad]; None for an input that is absent.
     clip : whether actions are clipped first.
     """
 
@@ -68,11 +69,11 @@ class Inputs:
 
     @property
     def size(self) -> int:
-        """Numbers of an action."""
+        """Number of components of an action."""
         return (self.acceleration is not None) + (self.steering is not None)
 
     def __call__(self, actions: Any) -> FloatArray:
-        """Accelerations and steering angles of a batch of actions, (n, 2) float64."""
+        """Accelerations [m/s^2] and steering angles [rad] of a batch of actions, (n, 2) float64."""
         actions = np.clip(actions, -1, 1) if self.clip else np.asarray(actions)
         out, column = np.zeros((len(actions), 2)), 0
         for k, bounds in enumerate((self.acceleration, self.steering)):
@@ -84,16 +85,16 @@ class Inputs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scenario:
-    """An environment as the kernels take it.
+    """An environment in the form of the kernels.
 
     Attributes
     ----------
-    env_id, config : what it is of, with all of its configuration.
+    env_id, config : its id, and its whole configuration.
     rules, view : for the kernels.
-    inputs : of continuous actions; None for meta-actions.
+    inputs : conversion of continuous actions; None for meta-actions.
     observation_space, action_space : of one environment.
-    bodies : how many there are, the ego included.
-    observes : whether it observes what the environment does.
+    bodies : number of bodies, the ego included.
+    observes : whether its observation is that of the environment.
     """
 
     env_id: str
@@ -113,15 +114,15 @@ def scenario_of(env_id: str, config: Mapping[str, Any] | None = None, observes: 
     Parameters
     ----------
     env_id : `highway-v0`, `highway-fast-v0`, or another id of their classes.
-    config : what differs from its default configuration.
-    observes : False where only states are asked for, whatever the environment observes.
+    config : changes of the default configuration.
+    observes : False if only states are needed; then the environment may have any observation.
 
     Raises
     ------
     ConfigError
-        If it needs what the compiled simulator cannot do; the message lists all of it.
+        If the compiled simulator does not support the configuration; the message lists all unsupported entries.
     PlatformError
-        If another version of highway-env is installed than the one that it is a copy of.
+        If the installed version of highway-env is not the one that this is a copy of.
     """
     kind, registered = _class_of(env_id)
     whole = kind.default_config()
@@ -130,18 +131,18 @@ def scenario_of(env_id: str, config: Mapping[str, Any] | None = None, observes: 
 
 
 def scenario_of_live(base: Any, observes: bool = True) -> Scenario:
-    """The scenario of a live environment, unwrapped, as it is configured now.
+    """The scenario of a live environment, unwrapped, in its present configuration.
 
     Parameters
     ----------
-    base : an environment of `HighwayEnv` or `HighwayEnvFast`, whatever its id; without `observes`, also of a class
-        derived from these that has its own rewards, observations, ends or vehicles (see `own_methods`).
-    observes : as of `scenario_of`. Without, settings that only its own class knows are left out.
+    base : an environment of `HighwayEnv` or `HighwayEnvFast`, with any id. Without `observes`, also of a derived class
+        with its own rewards, observations, ends of episodes or vehicles (see `own_methods`).
+    observes : as of `scenario_of`. Without it, settings that only the derived class reads are ignored.
 
     Raises
     ------
     ConfigError
-        If it needs what the compiled simulator cannot do; the message lists all of it.
+        If the compiled simulator does not support the configuration; the message lists all unsupported entries.
     PlatformError
         As of `scenario_of`.
     """
@@ -158,7 +159,7 @@ def scenario_of_live(base: Any, observes: bool = True) -> Scenario:
     kind = HighwayEnvFast if isinstance(base, HighwayEnvFast) else HighwayEnv
     whole = kind.default_config()
     whole.update({key: base.config[key] for key in _MOVES if key in base.config})
-    # What the last reset has made counts, where the configuration has been changed since.
+    # The road of the last reset counts, even if the configuration has changed since.
     if base.road is not None:
         whole["lanes_count"] = len(base.road.network.lanes_list())
     speeds = getattr(base.action_type, "target_speeds", None)
@@ -187,7 +188,13 @@ def _scenario(env_id: str, kind: type[HighwayEnv], whole: dict[str, Any], observ
 
 
 def _class_of(env_id: str) -> tuple[type[HighwayEnv], Mapping[str, Any]]:
-    """The class behind an id, and the configuration that it is registered with."""
+    """The class of an environment id, and the configuration that it is registered with.
+
+    Raises
+    ------
+    ConfigError
+        If the id does not exist, or is not a plain registration of the highway.
+    """
     try:
         spec = spec_of(env_id)
     except (gym.error.Error, ImportError) as error:

@@ -1,4 +1,4 @@
-"""A fresh scene: highway-env's `_create_vehicles`, draw by draw."""
+"""Initial scene: highway-env's `_create_vehicles`, in the same order of random draws."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _EGO_SPEED = 25.0
 
 @inlined
 def _rint(x: float) -> float:
-    """Rounded half to even."""
+    """A number rounded half to even."""
     whole = math.floor(x)
     rest = x - whole
     if rest < 0.5 or (rest == 0.5 and whole % 2 == 0):
@@ -50,7 +50,7 @@ def _rint(x: float) -> float:
 
 @uncounted
 def speed_index(target_speeds: FloatArray, speed: float) -> int:
-    """The index of the target speed that is nearest, of speeds at equal distances."""
+    """Index of the nearest target speed; they are equally spaced."""
     n = len(target_speeds)
     x = (speed - target_speeds[0]) / (target_speeds[n - 1] - target_speeds[0])
     return int(min(max(_rint(x * (n - 1)), 0.0), n - 1.0))
@@ -58,7 +58,7 @@ def speed_index(target_speeds: FloatArray, speed: float) -> int:
 
 @uncounted
 def next_target_speed(target_speeds: FloatArray, speed: float, label: int) -> float:
-    """The target speed that faster (3) or slower (4) asks for at a speed [m/s]."""
+    """The target speed after FASTER (3) or SLOWER (4) at a speed [m/s]."""
     index = speed_index(target_speeds, speed) + (1 if label == 3 else -1)
     return target_speeds[min(max(index, 0), len(target_speeds) - 1)]
 
@@ -69,6 +69,7 @@ def randomize(row: Row, kind: int, ranges: FloatArray, p: FloatArray, i: int) ->
 
     Parameters
     ----------
+    row : the random generator.
     kind : `IDM` or `LINEAR`. ranges : (6, 2), see `dynamics.highway_simulator.kinds.ranges_of`.
     """
     if kind == LINEAR:
@@ -97,17 +98,18 @@ def spawn(
     first_lane: int,
     checks: bool,
 ) -> None:
-    """Put the ego and the traffic on the road.
+    """Place the ego and the traffic on the road.
 
     Parameters
     ----------
-    row : the generator.
-    kinds : of the ego and of the traffic. constants : columns of `p`, of the ego and of the traffic, which takes those
-        that there are in turn, (1 + c, P).
-    ranges : of what is drawn for each vehicle, (6, 2): DELTA, and the five parameters of the linear model.
+    row : the random generator.
+    kinds : of the ego and of the traffic. constants : columns of `p`, (1 + c, P): of the ego, and of the c classes of
+        the traffic, which alternate.
+    ranges : of the parameters that are drawn for each vehicle, (6, 2): DELTA, and the five parameters of the linear
+        model.
     spacings : of the ego and of the traffic, and exp(-lanes / 8).
-    first_lane : the ego's, or -1 to draw it.
-    checks : whether the traffic looks for collisions.
+    first_lane : of the ego, or -1 to draw it.
+    checks : whether the traffic checks for collisions.
     """
     f[:], g[:] = 0.0, 0
     n = len(lanes)

@@ -39,30 +39,31 @@ __all__ = ["Simulator"]
 
 
 class Simulator:
-    """So many copies of `highway-v0` or `highway-fast-v0`, stepped together; the same to the last bit.
+    """`num_envs` copies of `highway-v0` or `highway-fast-v0`, stepped together, equal to highway-env to the last bit.
 
     Parameters
     ----------
     env_id : the environment.
-    num_envs : how many copies.
-    config : what differs from its default configuration.
-    threads : how many of them share the environments of a step; worth it from some 64 environments a thread on.
-    tape : whether `reset_to` is there: scenes from numbers that somebody has chosen.
+    num_envs : number of copies.
+    config : changes of the default configuration.
+    threads : number of threads that share the environments of a step. A further thread pays from some 64 environments
+        on.
+    tape : whether `reset_to` is available: scenes from chosen random numbers.
 
     Raises
     ------
     ConfigError
-        If the environment needs what the simulator cannot do.
+        If the simulator does not support the environment's configuration.
     PlatformError
-        If numpy's own loops are not where they are known to be.
+        If numpy's own loops are not found where expected.
 
     Attributes
     ----------
-    scenario : what is simulated.
-    worlds : the state of all copies, arrays that may be read and written (see `engine.Worlds`, `layout`).
-    seen : what the last call found (see `engine.Seen`). flat : the same, with a grid's features in one axis.
-    exact : whether this machine's numpy makes sums of products in a way that is known here. Where it does not, states
-        agree to some 1e-12 at first.
+    scenario : the environment as arrays.
+    worlds : the state of all copies, arrays that may be read and written (see `step_kernels.Worlds`, `layout`).
+    seen : results of the last call (see `step_kernels.Seen`). flat : the same, with the cells of a grid in one axis.
+    exact : whether the way in which this machine's numpy computes sums of products is known. If not, states initially
+        agree to some 1e-12.
 
     Examples
     --------
@@ -88,18 +89,18 @@ class Simulator:
 
     @classmethod
     def of(cls, env: gym.Env[Any, Any], num_envs: int = 1, observes: bool = True) -> Simulator:
-        """Copies of a live environment as it is now, between two decisions, obstacles included.
+        """Copies of a live environment in its present state, between two decisions, obstacles included.
 
         Parameters
         ----------
-        observes : False where only states are asked for, whatever the environment observes.
+        observes : False if only states are needed; then the environment may have any observation.
 
         Raises
         ------
         ConfigError
-            If the environment needs what the simulator cannot do.
+            If the simulator does not support the environment's configuration.
         SceneError
-            If its scene does: another road, strange objects, vehicles that drive in another way.
+            If it does not support the scene: another road, unknown objects, or an unknown driving model.
         """
         scenario = scenario_of_live(cast(Any, env.unwrapped), observes)
         vehicles, obstacles = bodies_of(env)
@@ -114,18 +115,31 @@ class Simulator:
         return simulator
 
     def _check_configured(self) -> None:
-        """Raise where a reset would make other bodies than there are."""
+        """Check that a reset would create as many bodies as there are.
+
+        Raises
+        ------
+        ConfigError
+            If not.
+        """
         vehicles = 1 + int(self.scenario.config["vehicles_count"])
         if not self.scenario.bodies == self.scenario.rules.numbers[1] == vehicles:
             raise ConfigError("a reset makes the configured vehicles; the live scene has others: load() it again")
 
     def _check_copy(self, e: int) -> None:
+        """Check that there is a copy `e`.
+
+        Raises
+        ------
+        ConfigError
+            If not.
+        """
         if not 0 <= e < self.num_envs:
             raise ConfigError(f"there are environments 0 to {self.num_envs - 1}, not {e}")
 
     def fits(self, env: gym.Env[Any, Any]) -> bool:
-        """Whether a live environment has the road that this one was made `of`, and as many bodies and the same
-        frequencies still, so that `load` may take it."""
+        """Whether `load` accepts a live environment: the road from which this simulator was built (`of`), as many
+        bodies, and the same frequencies."""
         base = cast(Any, env.unwrapped)
         road, config, rules = base.road, base.config, self.scenario.rules
         if road is None or road.network is not self._network:
@@ -135,12 +149,24 @@ class Simulator:
         return times == rules.times[:2] and bodies == (len(road.vehicles), len(road.objects))
 
     def load(self, env: gym.Env[Any, Any], e: int = 0) -> None:
-        """Copy a live environment, between two decisions, into copy `e`; see `live.load`."""
+        """Copy a live environment, between two decisions, into copy `e`; see `live.load`.
+
+        Raises
+        ------
+        ConfigError
+            If there is no copy `e`.
+        """
         self._check_copy(e)
         load(env, self.scenario, self.worlds, e)
 
     def store(self, env: gym.Env[Any, Any], e: int = 0) -> None:
-        """Copy copy `e` into a live environment of the same bodies; see `live.store`."""
+        """Copy copy `e` into a live environment with the same bodies; see `live.store`.
+
+        Raises
+        ------
+        ConfigError
+            If there is no copy `e`.
+        """
         self._check_copy(e)
         store(env, self.scenario, self.worlds, e)
 
@@ -172,29 +198,34 @@ class Simulator:
 
     @property
     def rules(self) -> Rules:
-        """What is the same in all copies, for the kernels."""
+        """The constants of all copies, for the kernels."""
         return self.scenario.rules
 
     @property
     def draws(self) -> int:
-        """How many numbers a scene is made from: the ego's lane and place, and each vehicle's lane, speed, place and
-        habits."""
+        """Number of random numbers of an initial scene: lane and position of the ego, and lane, speed, position and
+        parameters of each vehicle."""
         _, vehicles, first_lane, _, _, kind = self.scenario.rules.numbers
         lane = int(len(self.scenario.rules.lanes) > 1)
         return 1 + lane * (first_lane < 0) + (vehicles - 1) * (lane + (8 if kind == LINEAR else 3))
 
     def reset_to(self, shares: FloatArray, which: Sequence[int]) -> NDArray[np.float32]:
-        """Start episodes in scenes of one's own choice.
+        """Start episodes in scenes with chosen random numbers.
 
         Parameters
         ----------
-        shares : for each scene the numbers that it is made from, (len(which), `draws`), each from 0 to 1, as evenly
-            distributed as those of a generator if the scenes are to be.
+        shares : the random numbers of each scene, (len(which), `draws`), each in [0, 1). Uniformly distributed numbers
+            give the distribution of highway-env's scenes.
         which : the environments.
 
         Returns
         -------
         As of `reset`.
+
+        Raises
+        ------
+        ConfigError
+            If the simulator was built without `tape`, or the numbers have another shape or range.
         """
         shares = np.asarray(shares, float)
         if self.worlds.rows.shape[1] <= WORDS:
@@ -207,7 +238,7 @@ class Simulator:
         return self.reset(which=which)
 
     def new_worlds(self, count: int, words: int = WORDS) -> Worlds:
-        """Room for so many more environments of the same bodies."""
+        """Buffers for `count` further environments of the same bodies."""
         m = self.scenario.bodies
         return Worlds(
             np.zeros((count, F, m)),
@@ -219,7 +250,7 @@ class Simulator:
         )
 
     def new_work(self) -> Work:
-        """Room for the kernels of one more thread."""
+        """Buffers for the kernels of one further thread."""
         shape, scenario = self.scenario.observation_space.shape, self.scenario
         return _work(scenario.bodies, len(scenario.rules.lanes), shape[0], int(np.prod(shape[1:])))
 
@@ -230,13 +261,18 @@ class Simulator:
 
         Parameters
         ----------
-        seeds : one for each environment, as of `env.reset(seed=...)`; None goes on with the generators that there are.
+        seeds : one for each environment, as of `env.reset(seed=...)`; with None, the present generators continue.
         which : the environments to reset; all by default.
 
         Returns
         -------
-        The observations of all environments, (e, bodies, features) float32; the array is written over by the next
-        call.
+        The observations of all environments, (e, bodies, features) float32. The next call overwrites the array.
+
+        Raises
+        ------
+        ConfigError
+            If an environment does not exist, a seed is invalid, or a live scene has other bodies than its
+            configuration.
         """
         chosen, numbers = resets_asked(self.num_envs, seeds, which)
         rules, view = self.scenario.rules, self.scenario.view
@@ -252,22 +288,21 @@ class Simulator:
         Parameters
         ----------
         actions : (e,) meta-actions, or (e, size) throttle and steering.
-        again : whether episodes that end are followed by new ones at once; `seen.terminal` has their last
-            observations then.
-        which : the environments that make one, in increasing order; all by default. The arrays keep what they had of
-            the others.
+        again : whether an episode that ends is followed by a new one at once. `seen.terminal` then holds its last
+            observation.
+        which : the environments to step, in increasing order; all by default. The entries of the others stay unchanged.
 
         Returns
         -------
-        Observations (e, bodies, features), rewards (e,), terminated (e,) and truncated (e,): arrays that the next call
-        writes over.
+        Observations (e, bodies, features), rewards (e,), terminated (e,) and truncated (e,). The next call overwrites
+        the arrays.
 
         Raises
         ------
         ActionError
-            If there is not an action for each environment, or one is none of the action space.
+            If there is not one action for each environment, or one is not in the action space.
         ConfigError
-            If `which` is not in increasing order, or there is no such environment.
+            If `which` is not in increasing order, or an environment does not exist.
         """
         scenario, seen = self.scenario, self.seen
         given = self._given(actions)
@@ -286,46 +321,46 @@ class Simulator:
     def step_first(
         self, actions: Any, count: int
     ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
-        """`step` of the first `count` environments only; what it returns of the others is what was there before."""
+        """`step` of the first `count` environments only. The entries of the others stay unchanged."""
         scenario, seen, work = self.scenario, self.seen, self._works[0]
         given = self._given(actions)
         step_all(self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, given, 0, count, False)
         return seen.observations, seen.reward, seen.terminated, seen.truncated
 
     def begin(self, action: Any) -> None:
-        """Begin a decision in the only copy; `frame` and `finish` go on with it."""
+        """Begin a decision in the only copy. `frame` and `finish` continue it."""
         begin(self.worlds, self.scenario.rules, 0, self._given(np.asarray(action)[None])[0])
 
     def frame(self, rows: FloatArray, throttle: float = np.nan, wheel: float = np.nan) -> bool:
-        """One frame of the only copy; see `engine.frame`."""
+        """One frame of the only copy; see `step_kernels.frame`."""
         work = self._works[0]
         return bool(frame(self.machine, self.worlds, self.scenario.rules, work, 0, throttle, wheel, rows))
 
     def look(self, rows: FloatArray) -> bool:
-        """The bodies of the only copy as rows; see `engine.look`."""
+        """The bodies of the only copy as rows; see `step_kernels.look`."""
         return bool(look(self.worlds, self.scenario.rules, 0, rows))
 
     def observe(self) -> NDArray[np.float32]:
-        """What the ego of the only copy sees now, between two frames as well, (bodies, features); the array is written
-        over by the next call."""
+        """The present observation of the ego of the only copy, also between two frames, (bodies, features). The next
+        call overwrites the array."""
         scenario, work = self.scenario, self._works[0]
         observe(self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, 0)
         seen: NDArray[np.float32] = self.seen.observations[0]
         return seen
 
     def finish(self) -> Seen:
-        """End the decision that `begin` began: what it has led to."""
+        """End the decision that `begin` began, and return its results."""
         scenario, work = self.scenario, self._works[0]
         finish(self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, 0)
         return self.seen
 
     def _given(self, actions: Any) -> FloatArray:
-        """Actions as the kernels take them, (e, 2)."""
+        """Actions in the form of the kernels, (e, 2)."""
         return actions_given(actions, self.num_envs, len(self.scenario.rules.labels), self.scenario.inputs)
 
 
 def _work(bodies: int, lanes: int, rows: int, features: int) -> Work:
-    """Room for the kernels of one thread."""
+    """Buffers for the kernels of one thread."""
     return Work(
         np.zeros((4, bodies)),
         np.zeros(bodies, np.int64),

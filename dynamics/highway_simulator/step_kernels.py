@@ -1,4 +1,4 @@
-"""Many episodes at once: reset and step as one compiled call over environments."""
+"""Kernels for many episodes at once: reset and step as one compiled call over environments."""
 
 from __future__ import annotations
 
@@ -67,13 +67,13 @@ class Machine(NamedTuple):
 
 
 class Worlds(NamedTuple):
-    """The state of all environments (see `layout`); e of them, of m bodies.
+    """The state of e environments of m bodies (see `layout`).
 
     Attributes
     ----------
     f, g, p : (e, F, m), (e, G, m) and (e, P, m).
     order : (e, m), bodies by x.
-    rows : (e, 6), the generators. clock : (e,), time since the reset [s].
+    rows : (e, 6), the random generators. clock : (e,), time since the reset [s].
     """
 
     f: FloatArray
@@ -85,19 +85,20 @@ class Worlds(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """What is the same in all environments.
+    """The constants of all environments.
 
     Attributes
     ----------
     lanes : (n, LANE_COLUMNS).
-    numbers : frames, vehicles, ego's first lane or -1, whether traffic collides, kinds of ego and traffic.
-    times : duration of a frame and of a decision, and of an episode [s].
+    numbers : frames of a decision, vehicles, ego's first lane or -1, whether the traffic checks for collisions, kinds
+        of ego and traffic.
+    times : duration of a frame, of a decision and of an episode [s].
     spacings : of ego and traffic, and exp(-lanes / 8).
-    constants : (1 + c, P), of the ego and of the classes of the traffic, which take turns.
-    ranges : (6, 2), of what is drawn for each vehicle.
+    constants : (1 + c, P), of the ego and of the c classes of the traffic, which alternate.
+    ranges : (6, 2), of the parameters that are drawn for each vehicle.
     target_speeds : of the ego [m/s]. labels : of each action: 0 left, 1 none, 2 right, 3 faster, 4 slower.
-    reward : weights of collision, right lane, high speed and being on the road; speeds that are mapped to 0 and 1;
-        whether it is normalised, and whether leaving the road ends an episode.
+    reward : weights of collision, right lane, high speed and being on the road; the speeds mapped to 0 and 1 [m/s];
+        whether it is normalised; and whether leaving the road ends an episode.
     """
 
     lanes: FloatArray
@@ -112,7 +113,8 @@ class Rules(NamedTuple):
 
 
 class View(NamedTuple):
-    """What is observed: see `grid.occupancy_grid`, and `observe.kinematics` for one without a grid, (0, 3)."""
+    """The configuration of an observation: see `grid.occupancy_grid`, and `observe.kinematics` if `grid` is empty, (0,
+    3)."""
 
     features: IntArray
     ranges: FloatArray
@@ -122,7 +124,7 @@ class View(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Room that is written over."""
+    """Buffers of the kernels, overwritten."""
 
     numbers: FloatArray
     busy: IntArray
@@ -134,14 +136,14 @@ class Work(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What a step returns, an entry for each environment.
+    """Results of a step, one entry for each environment.
 
     Attributes
     ----------
     observations : (e, bodies, features). terminal : the same at the end of an episode, before a reset.
     reward, terminated, truncated : (e,).
-    parts : (e, 4), what the reward is made of: crashed, right lane, high speed, on the road.
-    speed : (e,), the ego's [m/s].
+    parts : (e, 4), terms of the reward: crashed, right lane, high speed, on the road.
+    speed : (e,), of the ego [m/s].
     """
 
     observations: NDArray[np.float32]
@@ -181,7 +183,7 @@ def _restart(worlds: Worlds, rules: Rules, e: int) -> None:
 
 @uncounted
 def _command(rules: Rules, f: FloatArray, g: IntArray, action: FloatArray) -> None:
-    """What an action changes at once: target speed or lane of the ego, or its inputs."""
+    """Apply an action to the target command of the ego, or to its inputs."""
     if g[KIND, 0] != EGO:
         f[ACCELERATION, 0], f[STEERING, 0] = action[0], action[1]
         return
@@ -198,7 +200,8 @@ def _command(rules: Rules, f: FloatArray, g: IntArray, action: FloatArray) -> No
 def advance(
     machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, level: bool, throttle: float, wheel: float
 ) -> bool:
-    """Advance one environment by a frame; `level` is of `sort`, before and after."""
+    """Advance one environment by a frame. `level` is the result of `sort` before the frame; the result is that after
+    it."""
     f, g, p, order = worlds.f[e], worlds.g[e], worlds.p[e], worlds.order[e]
     vehicles, dt, lanes = rules.numbers[1], rules.times[0], rules.lanes
     find(f, g, order, level, work.front, work.rear)
@@ -269,7 +272,7 @@ def _show(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work
 
 @uncounted
 def finish(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
-    """End a decision in one environment: observation, reward, and whether the episode is over; see `Seen`."""
+    """End a decision in one environment: observation, reward, and whether the episode ends; see `Seen`."""
     f, g = worlds.f[e], worlds.g[e]
     _show(machine, worlds, rules, view, work, e, seen.observations[e])
     reward, on = _judge(rules, f, g, seen.parts[e])
@@ -280,13 +283,13 @@ def finish(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Wor
 
 @uncounted
 def observe(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
-    """What the ego of one environment sees at any frame, to `seen.observations`; nothing else is touched."""
+    """Write the present observation of one environment to `seen.observations`; change nothing else."""
     _show(machine, worlds, rules, view, work, e, seen.observations[e])
 
 
 @uncounted
 def follow(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
-    """Begin the next episode in one environment; `seen.terminal` keeps what was last seen of this one."""
+    """Start the next episode in one environment; `seen.terminal` gets the last observation."""
     for k in range(seen.observations.shape[1]):
         for c in range(seen.observations.shape[2]):
             seen.terminal[e, k, c] = seen.observations[e, k, c]
@@ -296,19 +299,19 @@ def follow(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Wor
 
 @uncounted
 def begin(worlds: Worlds, rules: Rules, e: int, action: FloatArray) -> None:
-    """Begin a decision in one environment: what its action changes at once."""
+    """Begin a decision in one environment: apply its action."""
     worlds.clock[e] += rules.times[1]
     _command(rules, worlds.f[e], worlds.g[e], action)
 
 
 @uncounted
 def alike(worlds: Worlds, rules: Rules, count: int, work: FloatArray, first: IntArray) -> None:
-    """The first meta-action that leads to the same lane and speed as each, in the first `count` environments, `first`
-    (e, actions), written.
+    """For each meta-action, the first one that leads to the same target lane and speed, in the first `count`
+    environments, `first` (e, actions), written.
 
     Parameters
     ----------
-    work : (actions + 1, 2), written over.
+    work : buffer, (actions + 1, 2), overwritten.
     """
     actions = first.shape[1]
     for e in range(count):
@@ -334,7 +337,7 @@ def write_row(f: FloatArray, g: IntArray, p: FloatArray, i: int, row: FloatArray
 
 @inlined
 def look(worlds: Worlds, rules: Rules, e: int, rows: FloatArray) -> bool:
-    """The bodies of one environment as rows, (m, 7), see `frame`; whether the ego is on the road."""
+    """Write the bodies of one environment to `rows`, (m, 7), see `frame`, and return whether the ego is on the road."""
     f, g, p, lanes = worlds.f[e], worlds.g[e], worlds.p[e], rules.lanes
     for i in range(f.shape[1]):
         write_row(f, g, p, i, rows[i])
@@ -345,11 +348,11 @@ def look(worlds: Worlds, rules: Rules, e: int, rows: FloatArray) -> bool:
 def frame(
     machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, throttle: float, wheel: float, rows: FloatArray
 ) -> bool:
-    """One frame of one environment; whether the ego is on the road afterwards.
+    """Advance one environment by a frame, and return whether the ego is on the road afterwards.
 
     Parameters
     ----------
-    throttle, wheel : what the ego gets instead of what its own controllers ask for [m/s^2, rad]; NaN for theirs.
+    throttle, wheel : inputs of the ego in place of those of its controllers [m/s^2, rad]; NaN for its controllers.
     rows : (m, 7), written: x, y [m], heading [rad], speed [m/s], length, width [m], crashed, of each body.
     """
     advance(machine, worlds, rules, work, e, sort(worlds.f[e], worlds.order[e]), throttle, wheel)
@@ -360,7 +363,7 @@ def frame(
 def reset_all(
     machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, which: IntArray, seeds: IntArray
 ) -> None:
-    """Reset environments; a negative seed goes on with the environment's generator."""
+    """Reset environments. With a negative seed, the environment's generator continues."""
     for k in range(len(which)):
         e = which[k]
         if seeds[k] >= 0:
@@ -383,7 +386,8 @@ def step_all(
     last: int,
     again: bool,
 ) -> None:
-    """A decision in each of the environments from `first` to `last`; with `again`, those that are over are reset."""
+    """One decision in each of the environments from `first` to `last`, `last` excluded; with `again`, ended episodes
+    are reset."""
     for e in range(first, last):
         begin(worlds, rules, e, actions[e])
         level = sort(worlds.f[e], worlds.order[e])

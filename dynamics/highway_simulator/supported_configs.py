@@ -1,4 +1,4 @@
-"""What the compiled simulator cannot do, found in a configuration before anything is made of it."""
+"""Check of a configuration for features that the compiled simulator does not support."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ _IGNORED = frozenset(
         "lane_change_reward",
     }
 )
-"""Keys that change nothing here: pictures, what a road that ends nowhere cannot show, a reward that is never read."""
+"""Keys without effect here: rendering, connected lanes on a road that does not end, and a reward that highway-env never
+reads."""
 _READ = frozenset(
     {
         "observation",
@@ -59,12 +60,12 @@ _READ = frozenset(
 
 
 def refusals(config: Mapping[str, Any]) -> list[str]:
-    """All that is refused of a whole configuration; nothing where it can be run."""
+    """All unsupported entries of a whole configuration; an empty list if it is supported."""
     return [*_scene(config), *_observation(config), *_action(config)]
 
 
 def _number(value: Any, least: float = -math.inf, whole: bool = False) -> bool:
-    """Whether a value is a finite number, not below the least, and whole where it has to be."""
+    """Whether a value is a finite number, at least `least`, and an integer if `whole`."""
     kinds = (int, np.integer) if whole else (int, float, np.integer, np.floating)
     return isinstance(value, kinds) and math.isfinite(value) and bool(value >= least)
 

@@ -1,7 +1,8 @@
-"""What highway-env's traffic does: IDM, the linear model, and MOBIL.
+"""Driving models of highway-env's traffic: IDM, the linear model, and MOBIL.
 
 Treiber, Hennecke and Helbing 2000; Kesting, Treiber and Helbing 2007; the details are those of highway-env's
-`vehicle/behavior.py`. A vehicle judges another's acceleration by its own constants.
+`vehicle/behavior.py`. A vehicle computes the acceleration of another vehicle with its own constants; parameter `judge`
+is the vehicle that computes.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ _POWER = 5
 
 @inlined
 def desired_gap(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, leader: int) -> float:
-    """IDM's gap d* of a body behind another [m]; negative where the other pulls away."""
+    """IDM's desired gap d* of a body to the one ahead [m]; it may be negative if that one is much faster."""
     v, w = f[SPEED, body], f[SPEED, leader]
     c, s = f[COS, body], f[SIN, body]
     closing = dot2(sums, v * c - w * f[COS, leader], c, v * s - w * f[SIN, leader], s)
@@ -66,14 +67,14 @@ def desired_gap(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, 
 
 @inlined
 def wanted_share(f: FloatArray, g: IntArray, lanes: FloatArray, body: int) -> float:
-    """The speed of a body over the speed that it wants, within the limit of its lane."""
+    """Speed of a body divided by its target speed, limited to the speed limit of its lane."""
     target = 0.0 if g[KIND, body] == CONTINUOUS else f[TARGET_SPEED, body]
     return max(f[SPEED, body], 0.0) / abs(not_zero(clip(target, 0.0, lanes[g[LANE, body], LANE_LIMIT])))
 
 
 @inlined
 def free_flow(comfort: float, power: float) -> float:
-    """IDM's acceleration on an empty road [m/s^2], given the share of the wanted speed to the power delta."""
+    """IDM's acceleration on an empty road [m/s^2], given the speed divided by the target speed, to the power delta."""
     return comfort * (1.0 - power)
 
 
@@ -81,7 +82,8 @@ def free_flow(comfort: float, power: float) -> float:
 def free_flow_of(
     loops: IntArray, f: FloatArray, g: IntArray, p: FloatArray, lanes: FloatArray, judge: int, body: int
 ) -> float:
-    """The same of a body by the constants of a judge; lanes : (n, LANE_COLUMNS)."""
+    """IDM's acceleration of a body on an empty road by the constants of vehicle `judge` [m/s^2]; lanes : (n,
+    LANE_COLUMNS)."""
     share = wanted_share(f, g, lanes, body)
     power = share * share
     if p[DELTA, judge] != 2.0:
@@ -93,7 +95,7 @@ def free_flow_of(
 def held_back(
     sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, leader: int, ahead: float, free: float
 ) -> float:
-    """IDM's acceleration of a body behind a leader that is so far ahead of it [m], given that of an empty road."""
+    """IDM's acceleration of a body at distance `ahead` [m] behind a leader, given that on an empty road [m/s^2]."""
     held = desired_gap(sums, f, p, judge, body, leader) / not_zero(ahead)
     return free - p[COMFORT, judge] * (held * held)
 
@@ -102,11 +104,11 @@ def held_back(
 def linear(
     sums: int, f: FloatArray, g: IntArray, p: FloatArray, judge: int, body: int, leader: int, ahead: float
 ) -> float:
-    """The linear model's acceleration of a body by the constants of a judge [m/s^2].
+    """The linear model's acceleration of a body by the constants of vehicle `judge` [m/s^2].
 
     Parameters
     ----------
-    body, leader : -1 for nobody. ahead : how far the leader is ahead of the body [m]; not read without a leader.
+    body, leader : -1 for none. ahead : distance from the body to the leader [m]; not read without a leader.
     """
     if body < 0:
         return dot3(sums, p[A_SPEED, judge], 0.0, p[A_LEADER, judge], 0.0, p[A_GAP, judge], 0.0)
@@ -133,12 +135,12 @@ def acceleration(
     leader: int,
     free: float,
 ) -> float:
-    """What a body would do behind a leader by the constants of a judge [m/s^2].
+    """Acceleration of a body behind a leader, by the model and the constants of vehicle `judge` [m/s^2].
 
     Parameters
     ----------
-    body, leader : -1 for nobody.
-    free : `free_flow` of the judge itself, where it is the body; else it is found here.
+    body, leader : -1 for none.
+    free : `free_flow` of `judge` itself. For another body it is computed here.
     """
     if g[KIND, judge] == LINEAR:
         ahead = f[X, leader] - f[X, body] if body >= 0 and leader >= 0 else 0.0
@@ -167,9 +169,9 @@ def _mobil(
     free: float,
     present: float,
 ) -> bool:
-    """Whether a vehicle changes to a lane: nobody has to brake hard for it, and it gains.
+    """Whether a vehicle changes to a lane: no vehicle has to brake hard for it, and it gains.
 
-    What is cheap is asked first: none of the questions changes anything.
+    Cheap conditions are checked first. The order does not change the result.
     """
     leader = front[lane, i]
     gain = acceleration(sums, loops, f, g, p, lanes, i, i, leader, free) - present
@@ -205,14 +207,17 @@ def change_lanes(
     free: float,
     present: float,
 ) -> int:
-    """A vehicle's decision about its lane, in place: those after it see what it has decided.
+    """Update the target lane of a vehicle in place. Vehicles with a higher index see the result.
 
     Parameters
     ----------
     front, rear : of `neighbours.find`.
-    changers, changing : those on the way to another lane, and how many there were; it may become one of them. Their
-        number is returned.
-    free, present : its acceleration on an empty road, and where it is [m/s^2].
+    changers, changing : the vehicles that are changing lanes, and their number. The vehicle may be added.
+    free, present : its acceleration on an empty road, and in its lane [m/s^2].
+
+    Returns
+    -------
+    The number of vehicles that are changing lanes.
     """
     lane, target = g[LANE, i], g[TARGET, i]
     if lane != target:

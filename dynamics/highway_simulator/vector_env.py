@@ -18,14 +18,15 @@ __all__ = ["CompiledVectorEnv", "HighwayVectorEnv"]
 
 
 class CompiledVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
-    """Compiled environments in one Gymnasium vector environment; what simulates them is handed in.
+    """Compiled environments as a Gymnasium vector environment, for a given simulator.
 
-    An episode that ends is followed by the next in the same step: `infos["final_obs"]` and `infos["final_info"]` have
-    what was last seen of it, as with Gymnasium's own vector environments in the mode `SAME_STEP`.
+    An episode that ends is followed by the next in the same step. `infos["final_obs"]` and `infos["final_info"]` hold
+    its last observation and info, as with Gymnasium's own vector environments in the mode `SAME_STEP`.
 
     Parameters
     ----------
-    simulator : steps them. names : of the parts of a reward, in the order of `simulator.seen.parts`.
+    simulator : a `Simulator` or `RoadSimulator`. env_id : its environment.
+    names : of the terms of the reward, in the order of `simulator.seen.parts`.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
@@ -42,7 +43,8 @@ class CompiledVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start all episodes; environment i has the seed `seed + i`, or that of its own in a list."""
+        """Start all episodes. Environment i has the seed `seed + i`, or its own in a list. With
+        `options["reset_mask"]`, only the environments marked there are reset."""
         chosen = list(range(self.num_envs))
         if options and "reset_mask" in options:
             chosen = np.flatnonzero(options["reset_mask"]).tolist()
@@ -73,7 +75,7 @@ class CompiledVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         return self.simulator.seen.crashed.copy()
 
     def _infos(self, actions: Any) -> dict[str, Any]:
-        """What highway-env has in `info`, at the end of the step: before a reset."""
+        """highway-env's `info` at the end of the step, before a reset."""
         seen = self.simulator.seen
         infos: dict[str, Any] = {"speed": seen.speed.copy(), "crashed": self._crashed()}
         if actions is not None:
@@ -82,10 +84,10 @@ class CompiledVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
 
 class HighwayVectorEnv(CompiledVectorEnv):
-    """So many highways in one Gymnasium vector environment.
+    """`num_envs` highways as a Gymnasium vector environment.
 
-    An episode that ends is followed by the next in the same step: `infos["final_obs"]` and `infos["final_info"]` have
-    what was last seen of it, as with Gymnasium's own vector environments in the mode `SAME_STEP`.
+    An episode that ends is followed by the next in the same step. `infos["final_obs"]` and `infos["final_info"]` hold
+    its last observation and info, as with Gymnasium's own vector environments in the mode `SAME_STEP`.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Roads as arc-length paths: lanes, bends, gaps of the map, and reading them from highway-env."""
+"""Roads as arc-length paths: lanes, bends, gaps of the map, and a reader of highway-env's networks."""

@@ -24,16 +24,16 @@ from dynamics.state import FloatArray, wrap_to_pi
 __all__ = ["STRAIGHT", "Arcs", "biarc", "place", "project"]
 
 STRAIGHT = 1e-12
-"""Curvature below which a piece is taken as straight [1/m]."""
+"""Curvature below which a piece counts as straight [1/m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arcs:
-    """Pieces in a row.
+    """Consecutive pieces of a path.
 
     Attributes
     ----------
-    poses : where each starts, shape (pieces, 3): x, y [m], direction [rad].
+    poses : start of each piece, shape (pieces, 3): x, y [m], direction [rad].
     curvatures : shape (pieces,) [1/m].
     lengths : shape (pieces,) [m].
     """
@@ -44,7 +44,7 @@ class Arcs:
 
     @classmethod
     def join(cls, parts: list[Arcs]) -> Arcs:
-        """Several rows as one."""
+        """Concatenate several sequences of pieces."""
         return cls(
             np.concatenate([p.poses for p in parts]),
             np.concatenate([p.curvatures for p in parts]),
@@ -98,7 +98,7 @@ def biarc(start: FloatArray, end: FloatArray) -> Arcs:
     t1 = np.stack([np.cos(start[:, 2]), np.sin(start[:, 2])], axis=-1)
     t2 = np.stack([np.cos(end[:, 2]), np.sin(end[:, 2])], axis=-1)
     vv, vt = (v * v).sum(axis=-1), (v * (t1 + t2)).sum(axis=-1)
-    # the root without cancellation: it stays exact where the two directions agree
+    # The form of the root without cancellation is exact also where the two directions agree.
     d = (vv / (vt + np.sqrt(vt**2 + 2 * (1 - (t1 * t2).sum(axis=-1)) * vv)))[:, None]
     middle = (start[:, :2] + d * t1 + end[:, :2] - d * t2) / 2
     k1, l1, turn = _arc_to(start, middle)

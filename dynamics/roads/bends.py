@@ -1,10 +1,10 @@
-"""What the bends of a road cost a judgement in its frame, at worst: bounds over the whole road, computed once.
+"""Worst-case effects of the bends of a road in its road frame: bounds over the whole road, computed once.
 
 Notation
 --------
-On a path of curvature k a vehicle at lateral position r [m] that drives d metres passes d / (1 - k r) metres of the
-path: its *stretch* is 1 / (1 - k r). A car is no rectangle in the road's frame; `dynamics.roads.footprint` has what it
-takes to contain it. A bicycle that follows the bend points inwards by its slip angle, asin(k / (1 - k r) L / 2).
+On a path of curvature k, a vehicle at lateral position r [m] that drives d metres passes d / (1 - k r) metres of the
+path. Its *stretch* is 1 / (1 - k r). A car is no rectangle in the road frame; `dynamics.roads.footprint` computes a
+rectangle that contains it. A bicycle that follows the bend points inwards by its slip angle, asin(k / (1 - k r) L / 2).
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from dynamics.state import FloatArray
 __all__ = ["Bends"]
 
 _HEADINGS = np.linspace(-1.0, 1.0, 41)
-"""Headings over which a footprint is bounded [rad]; beyond, a car stands across the road."""
+"""Headings over which a footprint is bounded [rad]; beyond them, a car is across the road."""
 _KINK = 0.1
-"""How far the lanes of a map that does not fit together may point away from the path [rad] (racetrack-v0: 0.09)."""
+"""Greatest angle between a lane of an inexact map and the path [rad] (racetrack-v0: 0.09)."""
 
 
 @dataclass(frozen=True)
 class Bends:
-    """Bounds over a road.
+    """Bounds over the bends of a road.
 
     Parameters
     ----------
     least, greatest : curvature of its path [1/m].
     low, high : lateral positions of its edges [m].
-    deviation : how far the lanes of the map are from the road's at most [m].
+    deviation : greatest distance of a lane of the map from the lane of the road [m].
     """
 
     least: float
@@ -44,7 +44,7 @@ class Bends:
     _grown: dict[tuple[float, float], tuple[float, float]] = field(default_factory=dict, repr=False, compare=False)
 
     def stretch(self, r: Any) -> tuple[FloatArray, FloatArray]:
-        """Least and greatest metres of the path that a metre at lateral positions `r` [m] covers."""
+        """Least and greatest metres of the path that one metre driven at lateral positions `r` [m] covers."""
         inside = np.minimum(np.maximum(r, self.low), self.high)
         both = np.stack([1 / (1 - k * inside) for k in (self.least, self.greatest)])
         return both.min(axis=0), both.max(axis=0)
@@ -53,7 +53,7 @@ class Bends:
         """Extra half extents (along, across) [m] that a rectangle needs to contain a car anywhere on the road."""
         key = (float(length), float(width))
         if key not in self._grown:
-            # The growth is greatest where the curvature is, and at an edge.
+            # The growth is greatest at the greatest curvature, and at an edge.
             psi, r, k = np.meshgrid(
                 _HEADINGS, np.linspace(self.low, self.high, 9), [self.least, self.greatest], indexing="ij"
             )
@@ -63,6 +63,6 @@ class Bends:
         return self._grown[key]
 
     def slip(self, length: float) -> float:
-        """How far a vehicle of that length [m] that keeps its lane may point away from the path [rad]."""
+        """Greatest angle to the path [rad] of a vehicle of a given length [m] that keeps its lane."""
         tightest = max(abs(k) / (1 - k * r) for k in (self.least, self.greatest) for r in (self.low, self.high))
         return float(np.arcsin(min(0.5 * length * tightest, 1.0))) + (_KINK if self.deviation > 0 else 0.0)

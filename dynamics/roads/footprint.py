@@ -1,4 +1,4 @@
-r"""What it costs to take a car for a rectangle in the frame of a curved road.
+"""Extra size of a rectangle that contains a car in the frame of a curved road.
 
 Notation
 --------
@@ -7,10 +7,10 @@ half extents
 
     h_along = l/2 |cos psi| + w/2 |sin psi|        h_across = l/2 |sin psi| + w/2 |cos psi|
 
-On a bend of curvature k the ends of the car lie further out than its middle, and a metre of the car covers
-1 / (1 - k r) metres of the path. Seen from the centre of the bend, the car is a convex set: its greatest angle and its
-greatest distance are at corners. Inwards nothing is needed: a point at Y has r' <= Y for k > 0 (r' >= Y for k < 0),
-because going along the tangent leads away from the centre.
+On a bend of curvature k the ends of the car lie further out than its centre, and a metre of the car covers 1 / (1 - k
+r) metres of the path. Seen from the centre of the bend, the car is a convex set: its greatest angle and its greatest
+distance are at corners. Inwards no extra size is needed: a point at Y has r' <= Y for k > 0 (r' >= Y for k < 0),
+because a step along the tangent leads away from the centre.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ def bend_growth(length: Any, width: Any, heading: Any, r: Any, curvature: Any) -
     length, width : of the car [m].
     heading : of the car relative to the path [rad].
     r : lateral position of its centre [m].
-    curvature : of the path [1/m], the same all along the car. All five broadcast.
+    curvature : of the path [1/m], constant along the car. All five broadcast.
 
     Returns
     -------
-    What to add to h_along, in metres of the path, and to h_across; not negative, and the least that is enough.
+    Additions to h_along, in metres of the path, and to h_across; not negative, and the least that suffice.
 
     Raises
     ------

@@ -1,9 +1,9 @@
 """Gaps between the lanes of a map.
 
-highway-env asks of the vehicle's centre alone whether it is on the lane that is nearest in place and heading
+highway-env checks whether the vehicle's centre is on the lane that is nearest in position and heading
 (`Vehicle.on_road`, `AbstractLane.distance_with_heading`). Where neighbouring lanes of a bend are not concentric, the
-edge of one need not reach the edge of the next: racetrack-v0 has a strip of 8 cm, 28 m long, in the middle of its road
-that belongs to no lane. Where sections meet, the nearest lane may be one that has ended.
+edge of one need not reach the edge of the next. In racetrack-v0 a strip 8 cm wide and 28 m long, in the middle of its
+road, belongs to no lane. Where sections meet, the nearest lane may be one that has ended.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ __all__ = ["Gaps"]
 _STEP = 0.1
 """Spacing of the table along the road [m]."""
 _ACROSS = np.arange(-0.3, 0.3005, 0.01)
-"""Places that are looked at, seen from the middle of two lanes' centres [m]."""
+"""Lateral positions that are checked, relative to the middle between two lanes' centres [m]."""
 _WIDER = 0.02
-"""By how much a gap is taken to be wider on either side [m]."""
+"""Margin by which a gap is widened on either side [m]."""
 _HEADINGS = (-0.8, 0.0, 0.8)
-"""Headings that are looked at [rad]. Which of two lanes is nearer changes between their own directions only."""
+"""Headings that are checked [rad]. The nearer of two lanes changes only between the headings of these lanes."""
 _BEYOND = 8.0
-"""How far beyond a lane's ends, and beside it, it may be the nearest [m]."""
+"""Distance beyond a lane's ends, and beside it, within which it may be the nearest [m]."""
 
 
 @compiled
@@ -56,8 +56,8 @@ class Gaps:
 
     Parameters
     ----------
-    low, high : lateral extent of each strip on the stretches [i, i + 1] x 0.1 m of the road, (stretches, lanes - 1)
-        [m]; +inf and -inf where there is none.
+    low, high : lateral extent of each strip for s in [i, i + 1] x 0.1 m, (stretches, lanes - 1) [m]; +inf and -inf
+        where there is none.
     lap : length of a closed road [m], 0 of an open one.
     """
 
@@ -67,7 +67,7 @@ class Gaps:
 
     @classmethod
     def of(cls, road: Any, lanes: list[Any]) -> Gaps | None:
-        """The gaps between the lanes of a map that is read as `road`; None without any."""
+        """The gaps between the lanes of a map that was read as `road`; None without any."""
         middles = 0.5 * (road.centers[:-1] + road.centers[1:])
         if not middles.size:
             return None
@@ -79,7 +79,7 @@ class Gaps:
             return None
         r = strip + across
         low, high = np.where(off, r, np.inf).min(axis=-1) - _WIDER, np.where(off, r, -np.inf).max(axis=-1) + _WIDER
-        # Each stretch was looked at in its middle: what begins in the next one may begin in this one.
+        # Each stretch was checked at its middle; a gap that begins in the next one may begin in this one.
         before, after = (np.clip(np.arange(stretches) + i, 0, stretches - 1) for i in (-1, 1))
         if road.closed:
             before[0], after[-1] = stretches - 1, 0
@@ -88,12 +88,12 @@ class Gaps:
         return cls(low, high, road.length if road.closed else 0.0)
 
     def met(self, paths: FloatArray) -> Any:
-        """Whether the centre is in a gap in any frame of each path (n, K, 4) of road states, (n,) bool."""
+        """Whether the vehicle's centre is in a gap in any frame of each path (n, K, 4) of road states, (n,) bool."""
         return _meets(paths, self.low, self.high, self.lap)
 
 
 def _off_road(poses: FloatArray, lanes: list[Any]) -> Any:
-    """Whether the lane that is nearest to each place (..., k, 4), at any of the headings, does not contain it."""
+    """Whether the nearest lane to each place (..., k, 4), at any of the headings, does not contain it."""
     shape = (len(_HEADINGS), *poses.shape[:-1])
     nearest, on = np.full(shape, np.inf), np.ones(shape, dtype=bool)
     center = poses[..., poses.shape[-2] // 2, :2]
@@ -113,10 +113,10 @@ def _off_road(poses: FloatArray, lanes: list[Any]) -> Any:
 
 
 def _local(lane: Any, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Place along and across a lane of the map [m] and its direction there [rad], of points (..., 2).
+    """Position along and across a lane of the map [m] and the lane's direction there [rad], of points (..., 2).
 
-    In highway-env's own arithmetic: lanes that just meet have points on both edges, which `arcs.project` would round
-    to the outside of both.
+    It uses highway-env's own arithmetic. Lanes that just meet have points on both edges, which `arcs.project` would
+    round to the outside of both.
     """
     kind = type(lane).__name__
     if kind == "StraightLane":

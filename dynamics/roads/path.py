@@ -30,11 +30,11 @@ _KINK = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class CurvatureProfile:
-    """What a rollout needs of a path, hashable.
+    """The part of a path that a rollout needs, hashable.
 
     Attributes
     ----------
-    breaks : where each piece starts, and where the last one ends [m].
+    breaks : start of each piece, and end of the last one [m].
     curvatures : of each piece [1/m].
     closed : whether the last piece leads to the first.
     """
@@ -55,8 +55,8 @@ class PathRoad:
     width : lane width [m].
     closed : whether the path ends where it starts.
     forbidden : lanes that may not be chosen as a target.
-    deviation : how far the centre of a lane of the map that was read is from here [m]; 0 where it is exact.
-    gaps : where the centre of the ego is on none of the map's lanes, if anywhere.
+    deviation : greatest distance between the centres of a lane here and of the map's lane [m]; 0 if exact.
+    gaps : places within the road where the ego's centre is on none of the map's lanes; None without any.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ class PathRoad:
         put(self, "_bends", Bends(min(float(k.min()), 0.0), max(float(k.max()), 0.0), low, high, self.deviation))
         put(self, "_starts", breaks[:-1])
         put(self, "_turn", float(turns.sum()))
-        # projection from the middle of a piece: an arc is then met up to half a turn before and after
+        # Projection from the middle of a piece covers an arc up to half a turn before and after it.
         put(self, "_middles", place(p.poses, p.curvatures, p.lengths / 2, 0.0))
 
     @property
@@ -133,13 +133,13 @@ class PathRoad:
         Parameters
         ----------
         states : world states, shape (..., 4).
-        near : on a closed road, s is within half a `length` of this [m], broadcastable to (...); by default s is in
-            [0, length).
+        near : on a closed road, s is within half a `length` of this [m], broadcastable to (...); by default s is in [0,
+            length).
 
         Returns
         -------
-        Road states; the heading is relative to the path and in [-pi, pi). A point belongs to the piece whose lanes
-        it is nearest to. Before the start and after the end of an open path its first and last piece go on.
+        Road states; the heading is relative to the path and in [-pi, pi). A point belongs to the piece whose lanes are
+        nearest. The first and the last piece of an open path continue before its start and after its end.
         """
         p = self.pieces
         x, y = states[..., State.X, None], states[..., State.Y, None]
@@ -178,7 +178,7 @@ class PathRoad:
         return found
 
     def heading(self, s: FloatArray) -> FloatArray:
-        """Direction of the path in the world [rad] at arc length s [m], shape of s; a lap adds the turn of a lap."""
+        """Direction of the path in the world [rad] at arc length s [m], shape of s; each lap adds the turn of a lap."""
         piece, along, laps = self._piece(s)
         found: FloatArray = self.pieces.poses[piece, 2] + self.pieces.curvatures[piece] * along + self._turn * laps
         return found
@@ -188,7 +188,7 @@ class PathRoad:
         return int(nearest(self.centers, float(r)))
 
     def reachable(self, s: float, r: float) -> list[bool]:
-        """Which lanes highway-env lets a vehicle at (s, r) [m] choose as a target.
+        """Whether highway-env lets a vehicle at (s, r) [m] choose each lane as a target.
 
         Source: `AbstractLane.is_reachable_from` in highway-env 1.12; on a closed road every s is within a lane.
         """

@@ -1,13 +1,13 @@
-r"""Reading highway-env's road networks as one path: racetracks, lane keeping, and any other chain or loop of sections.
+"""Read highway-env's road networks as one path: racetracks, lane keeping, and any other chain or loop of sections.
 
-The sections of highway-env's racetracks do not meet exactly: arcs go on for a degree too many, neighbours are up to
+The sections of highway-env's racetracks do not meet exactly. Arcs are up to a degree too long, neighbours are up to
 0.25 m and 0.09 rad apart, and not every lane is concentric with lane 0. The path follows lane 0:
 
 * two sections are cut where their directions agree; if they touch there (within `TOUCH`), nothing else is changed;
-* otherwise the last and first metres (`BLEND`) of both are replaced by a biarc, so that the path has no kink;
-* a sine is replaced by biarcs between points of it, close enough that they stay within `SINE_ERROR` of it.
+* otherwise a biarc replaces the last and first metres (`BLEND`) of both, so that the path has no kink;
+* biarcs between points of a sine replace it, close enough to stay within `SINE_ERROR` of it.
 
-`PathRoad.deviation` is measured: the greatest distance, across, of any lane of the map from its centre on the path.
+`PathRoad.deviation` is measured: the greatest lateral distance of any lane of the map from its centre on the path.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from dynamics.state import FloatArray, wrap_to_pi
 __all__ = ["BLEND", "MAX_DEVIATION", "SINE_ERROR", "TOUCH", "read_network"]
 
 BLEND = 5.0
-"""Length that a biarc replaces on either side of a joint that does not meet [m]; less on a short section."""
+"""Length that a biarc replaces on either side of an inexact joint [m]; less on a short section."""
 TOUCH = 1e-7
-"""Distance within which two sections are taken to meet [m]."""
+"""Distance within which two sections count as meeting [m]."""
 SINE_ERROR = 1e-3
-"""Greatest distance between a sine and the biarcs that stand for it [m]."""
+"""Greatest distance between a sine and the biarcs that replace it [m]."""
 MAX_DEVIATION = 0.5
-"""Distance beyond which a lane of the map cannot be said to be the lane of the path [m]."""
+"""Greatest accepted distance between a lane of the map and the lane of the path [m]."""
 _SUPPORTED = (
     "supported are single chains or loops of sections with the same number of parallel lanes of one width, made of "
     "StraightLane, CircularLane or SineLane: highway-v0, highway-fast-v0, racetrack-v0, racetrack-large-v0, "
     "racetrack-oval-v0, u-turn-v0"
 )
 _NAMED = 4
-"""Nodes that a message names."""
+"""Number of nodes in a message."""
 _ROADS: dict[str, PathRoad] = {}
-"""Roads that have been read, by the description of their networks."""
+"""Cache of roads, by the description of their networks."""
 _MOST_ROADS = 16
 _NEAR = 5.0
-"""How far from its nominal place the joint of two sections may be [m]."""
+"""Greatest distance of the joint of two sections from its nominal place [m]."""
 _SAMPLE = 0.25
-"""Distance of the points at which a lane of the map is compared with the path [m]."""
+"""Distance between the points at which a lane of the map is compared with the path [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,21 +62,21 @@ class _Section:
         return float(self.arcs.lengths.sum())
 
     def at(self, s: float) -> tuple[FloatArray, float]:
-        """Pose (3,) and curvature at arc length s [m]; the first and the last arc go on."""
+        """Pose (3,) and curvature [1/m] at arc length s [m]; the first and the last arc continue beyond the ends."""
         starts = np.concatenate([[0.0], np.cumsum(self.arcs.lengths)[:-1]])
         i = max(int(np.searchsorted(starts, s, side="right")) - 1, 0)
         k = self.arcs.curvatures[i]
         return place(self.arcs.poses[i], k, s - starts[i], 0.0), float(k)
 
     def locate(self, point: FloatArray) -> float:
-        """Arc length of the place of lane 0 that is nearest to a world point (2,) [m]."""
+        """Arc length of the point of lane 0 nearest to a world point (2,) [m]."""
         middles = place(self.arcs.poses, self.arcs.curvatures, self.arcs.lengths / 2, 0.0)
         s, r = project(middles, self.arcs.curvatures, point[0], point[1])
         best = int(np.argmin(np.abs(r) + np.maximum(np.abs(s) - self.arcs.lengths / 2, 0)))
         return float(self.arcs.lengths[:best].sum() + self.arcs.lengths[best] / 2 + s[best])
 
     def cut(self, a: float, b: float) -> Arcs:
-        """The piece from a to b [m] of arc length; the first and the last arc go on where needed."""
+        """The piece from a to b [m] of arc length; the first and the last arc continue beyond the ends where needed."""
         ends = np.cumsum(self.arcs.lengths)
         starts = np.concatenate([[0.0], ends[:-1]])
         low, high = np.maximum(starts, a), np.minimum(ends, b)
@@ -88,7 +88,7 @@ class _Section:
 
 @dataclass(frozen=True, slots=True)
 class _Joint:
-    """Where one section ends and the next begins, in the arc length of each [m], and what lies between them."""
+    """End of one section and start of the next, in the arc length of each [m], and the pieces between them."""
 
     end: float
     start: float
@@ -99,13 +99,13 @@ class _Joint:
 def read_network(network: Any) -> PathRoad:
     """A highway-env `RoadNetwork` as a `PathRoad`; see the notes at the head of this module.
 
-    s = 0 is where the first section starts (after its joint, on a loop); r = 0 is lane 0. A network that has been read
-    before, lane for lane, gives the same object.
+    s = 0 is the start of the first section (after its joint, on a loop); r = 0 is lane 0. A network equal to an earlier
+    one, lane for lane, gives the same object.
 
     Raises
     ------
     SceneError
-        If the network branches, has other lanes, sections that do not meet, or lanes that are not parallel.
+        If the network branches, or has other lanes, sections that do not meet, or lanes that are not parallel.
     """
     known = _description(network)
     if known in _ROADS:
@@ -139,13 +139,13 @@ def read_network(network: Any) -> PathRoad:
 
 
 def _description(network: Any) -> str:
-    """What a network is made of, as text: environments build the same one at each reset."""
+    """A text that identifies a network: environments build an equal one at each reset."""
     sections = [(a, b, lanes) for a, to in network.graph.items() for b, lanes in to.items()]
     return repr([(a, b, [_config(lane) for lane in lanes]) for a, b, lanes in sections])
 
 
 def _config(lane: Any) -> Any:
-    """What a lane is made of; of a kind that is refused, its name."""
+    """The parameters of a lane; for an unsupported lane, its class name."""
     kind = type(lane).__name__
     return lane.to_config() if kind in ("StraightLane", "CircularLane", "SineLane") else kind
 
@@ -170,7 +170,7 @@ def _chain(network: Any) -> tuple[list[_Section], bool]:
 
 
 def _some(nodes: list[str]) -> str:
-    """Nodes for a message, the first few of many."""
+    """The first few nodes, for a message."""
     if not nodes:
         return "no node: it is empty"
     more = len(nodes) - _NAMED
@@ -178,6 +178,7 @@ def _some(nodes: list[str]) -> str:
 
 
 def _read_section(name: str, lanes: list[Any]) -> _Section:
+    """A section from its lanes."""
     kinds = sorted({type(lane).__name__ for lane in lanes})
     first = lanes[0]
     if kinds == ["StraightLane"]:
@@ -197,7 +198,7 @@ def _read_section(name: str, lanes: list[Any]) -> _Section:
 
 
 def _sine(lane: Any) -> Arcs:
-    """Biarcs through points of a sine: more and more until all of it is within 0.9 of `SINE_ERROR`."""
+    """Biarcs through points of a sine; points are added until the biarcs are within 0.9 of `SINE_ERROR`."""
     n = 1 + int(lane.length * abs(lane.pulsation))
     fine = np.linspace(0.0, lane.length, 50 * n + 1)
     x = np.array([lane.position(t, 0.0) for t in fine])
@@ -212,7 +213,7 @@ def _sine(lane: Any) -> Arcs:
 
 
 def _join(a: _Section, b: _Section) -> _Joint:
-    """Where to go from section a to section b."""
+    """The joint from section a to section b."""
     pose, _ = a.at(a.length)
     onto = b.locate(pose[:2])
     facing = b.at(onto)[0]
@@ -241,7 +242,7 @@ def _tangent(a: _Section, b: _Section, end: float, start: float) -> tuple[float,
         return end, start
     turn = float(wrap_to_pi(pb[2] - pa[2]))
     if abs(ka) < STRAIGHT or abs(kb) < STRAIGHT:
-        # the direction is that of the straight one; go along it
+        # The common direction is that of the straight section; move along it.
         da, db = (0.0, -turn / kb) if abs(ka) < STRAIGHT else (turn / ka, 0.0)
         qa, qb = (
             place(pa, ka, da, 0.0),
@@ -250,7 +251,7 @@ def _tangent(a: _Section, b: _Section, end: float, start: float) -> tuple[float,
         along = float((qb - qa)[:2] @ np.array([np.cos(qa[2]), np.sin(qa[2])]))
         da, db = (da + along, db) if abs(ka) < STRAIGHT else (da, db - along)
     else:
-        # the normal at the joint goes through both centres
+        # The normal at the joint passes through both centres.
         ca, cb = (p[:2] + np.array([-np.sin(p[2]), np.cos(p[2])]) / k for p, k in ((pa, ka), (pb, kb)))
         line = (ca - cb) * np.sign(1 / ka - 1 / kb)
         heading = float(np.arctan2(line[1], line[0])) - np.pi / 2
@@ -259,7 +260,7 @@ def _tangent(a: _Section, b: _Section, end: float, start: float) -> tuple[float,
 
 
 def _lanes(sections: list[_Section]) -> tuple[FloatArray, float, tuple[bool, ...]]:
-    """Lane centres (the middle of what the sections say), width, and which lanes are forbidden."""
+    """Lane centres (medians over the sections) [m], lane width [m], and which lanes are forbidden."""
     counts = {s.name: len(s.lanes) for s in sections}
     widths = sorted({float(lane.width) for s in sections for lane in s.lanes})
     if len(set(counts.values())) != 1 or len(widths) != 1:
@@ -280,10 +281,11 @@ def _lanes(sections: list[_Section]) -> tuple[FloatArray, float, tuple[bool, ...
 
 
 def _deviation(road: PathRoad, section: _Section, start: float) -> float:
-    """Greatest distance, across, between the section's lanes and those of the road, from `start` [m] of lane 0 on."""
+    """Greatest lateral distance between the section's lanes and those of the road [m], from `start` [m] of lane 0
+    on."""
     worst = 0.0
     for lane, center in zip(section.lanes, road.centers, strict=True):
-        # `start` is an arc length; a lane of the map counts its own length, up to 5 % shorter on a sine
+        # `start` is an arc length; a lane of the map measures its own length, up to 5 % shorter on a sine.
         t = np.arange(min(start, float(lane.length)), lane.length + _SAMPLE, _SAMPLE).clip(max=lane.length)
         points = np.array([lane.position(x, 0.0) for x in t])
         across = road.to_road(np.column_stack([points, np.zeros((len(t), 2))]))[:, 1] - center

@@ -1,7 +1,7 @@
 """Roads as arc-length paths: projection to (s, r) and back, batched.
 
-The decision path works in road coordinates only. `Road` is the interface that a curved road has to
-satisfy; `StraightRoad` is the multi-lane straight road of `highway-v0` and `highway-fast-v0`.
+Decisions use road coordinates only. `Road` is the interface of all roads; `StraightRoad` is the multi-lane straight
+road of `highway-v0` and `highway-fast-v0`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Road(Protocol):
     centers : lateral position r of each lane's centre [m], shape (lanes,), ascending.
     width : lane width [m].
     length : length of the path [m].
-    forbidden : of each lane, whether it may not be chosen as a target.
+    forbidden : whether each lane may not be chosen as a target.
     """
 
     @property
@@ -52,7 +52,7 @@ class Road(Protocol):
 
     @property
     def gaps(self) -> Gaps | None:
-        """Strips within the road that belong to no lane of its map, if there are any."""
+        """Strips within the road that belong to no lane of its map; None without any."""
         ...
 
     def to_road(self, states: FloatArray, near: FloatArray | float | None = None) -> FloatArray:
@@ -72,7 +72,7 @@ class Road(Protocol):
         ...
 
     def reachable(self, s: float, r: float) -> list[bool]:
-        """Which lanes highway-env lets a vehicle at (s, r) [m] choose as a target."""
+        """Whether highway-env lets a vehicle at (s, r) [m] choose each lane as a target."""
         ...
 
 
@@ -94,7 +94,7 @@ def _to_world(states: Any, x: float, y: float, cos: float, sin: float, heading: 
 
 @uncounted
 def nearest(centers: Any, r: float) -> int:
-    """Index of the centre that is nearest to r, the first of two."""
+    """Index of the centre that is nearest to r, the first among equals."""
     best = 0
     for j in range(1, centers.shape[0]):
         if abs(centers[j] - r) < abs(centers[best] - r):
@@ -192,7 +192,7 @@ class StraightRoad:
 
     @property
     def gaps(self) -> None:
-        """None: parallel lanes of one width leave none."""
+        """None: parallel lanes of one width have no gaps."""
 
     def to_road(self, states: FloatArray, near: FloatArray | float | None = None) -> FloatArray:
         """World states (..., 4) to road states (..., 4); a straight road has no laps, so `near` has no effect."""
@@ -217,7 +217,7 @@ class StraightRoad:
         return int(nearest(self.centers, float(r)))
 
     def reachable(self, s: float, r: float) -> list[bool]:
-        """Which lanes highway-env lets a vehicle at (s, r) [m] choose as a target.
+        """Whether highway-env lets a vehicle at (s, r) [m] choose each lane as a target.
 
         Source: `AbstractLane.is_reachable_from` in highway-env 1.12.
         """

@@ -1,1 +1,1 @@
-"""What a decision is made from: a scene on a road, or a parking lot."""
+"""The input of a decision: a scene on a road, or a parking lot."""

@@ -1,6 +1,7 @@
-"""A parking lot at one instant: no lanes that mean anything, only the ego and what stands around it.
+"""A parking lot at one instant: the ego and the obstacles around it. Its lanes have no meaning.
 
-`LotReader` reads the simulator's true state; highway-env's observation of a lot shows neither walls nor other vehicles.
+`LotReader` reads the simulator's true state. highway-env's observation of a lot contains neither walls nor other
+vehicles.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ __all__ = ["BODY", "BOX", "Lot", "LotReader", "is_lot"]
 BODY = ("x", "y", "heading", "speed", "length", "width")
 """Columns of a vehicle in a lot: [m], [m], [rad], [m/s], [m], [m], world frame; the first four are those of `State`."""
 BOX = (0, 1, 2, 4, 5)
-"""Which of them make a rectangle, in the order of `dynamics.scenes.rectangles`."""
+"""Indices of the columns that make a rectangle, in the order of `dynamics.scenes.rectangles`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,9 +30,9 @@ class Lot:
     Attributes
     ----------
     ego : shape (6,), columns `BODY`.
-    obstacles : walls, parked vehicles and whatever else can be hit, rotated rectangles, shape (m, 6), columns `BODY`.
+    obstacles : walls, parked vehicles and other solid objects as rotated rectangles, shape (m, 6), columns `BODY`.
     dt : duration of a simulation frame [s].
-    bodies : the simulator's objects behind the rows of the obstacles; None where there are none.
+    bodies : the simulator's objects of the obstacles, row by row; None where there are none.
 
     Raises
     ------
@@ -64,7 +65,7 @@ class Lot:
 
     @property
     def moving(self) -> BoolArray:
-        """Which obstacles do not stand still, (m,): those that break the assumption about a lot."""
+        """Whether each obstacle moves, (m,): such obstacles violate the assumption about a lot."""
         return np.asarray(self.obstacles[:, 3] != 0)
 
     @property
@@ -107,11 +108,17 @@ class LotReader:
             raise SceneError(f"the shield supports one controlled vehicle, got {count}")
 
     def check(self) -> None:
-        """Raise SceneError where the lot cannot be read."""
+        """Check that the lot can be read.
+
+        Raises
+        ------
+        SceneError
+            If not.
+        """
         self.read()
 
     def read(self) -> Lot:
-        """The lot now.
+        """The present lot.
 
         Raises
         ------

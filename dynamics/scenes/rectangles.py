@@ -1,22 +1,22 @@
-r"""Gaps between rotated rectangles, batched: a moving one against standing ones.
+"""Gaps between rotated rectangles, batched: a moving one against standing ones.
 
 Notation
 --------
 World frame. The moving rectangle has centre p, heading psi, half extents (a, b) along and across u = (cos psi, sin
-psi); a standing one has centre q, heading phi, half extents (c, d) along and across w = (cos phi, sin phi). With
-D = p - q, C = |cos(psi - phi)| and S = |sin(psi - phi)|, the gaps along the four directions of their sides are
+psi); a standing one has centre q, heading phi, half extents (c, d) along and across w = (cos phi, sin phi). With D = p
+- q, C = |cos(psi - phi)| and S = |sin(psi - phi)|, the gaps along the four directions of their sides are
 
     |D . u|  - a - c C - d S          |D . w|  - c - a C - b S
     |D . u'| - b - c S - d C          |D . w'| - d - a S - b C
 
-where u', w' are u, w turned by 90 degrees. The greatest of them is the *gap*: two rectangles are apart exactly if it is
-positive (separating axes), and their distance is never less than it; the two are equal unless a corner is nearest to a
-corner, and then the gap is at least 1 / sqrt(2) of the distance. Source: S. Gottschalk, M. Lin, D. Manocha, OBBTree,
+where u', w' are u, w turned by 90 degrees. The greatest of them is the *gap*. Two rectangles are apart exactly if it is
+positive (separating axes). Their distance is at least the gap. The two are equal unless a corner is nearest to a
+corner; then the gap is at least 1 / sqrt(2) of the distance. Source: S. Gottschalk, M. Lin, D. Manocha, OBBTree,
 SIGGRAPH 1996.
 
-The *coming gap* is that after the moving rectangle has swept t u, t = v dt: along a direction n, |D . n| becomes
-|D . n + t u . n / 2| - |t u . n| / 2. Source: `utils.are_polygons_intersecting` of highway-env 1.12, which counts it as
-a collision when this is not positive: as if the coming frame went straight along the heading.
+The *coming gap* is the gap after the moving rectangle has swept t u, t = v dt: along a direction n, |D . n| becomes |D
+. n + t u . n / 2| - |t u . n| / 2. Source: `utils.are_polygons_intersecting` of highway-env 1.12. It counts a collision
+when this is not positive, as if the coming frame went straight along the heading.
 """
 
 from __future__ import annotations

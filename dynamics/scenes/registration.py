@@ -1,4 +1,4 @@
-"""How an environment is registered with Gymnasium: its specification, and the configuration that belongs to it."""
+"""Registration of an environment with Gymnasium: its specification, and the configuration that belongs to it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["registered_config", "spec_of"]
 
 
 def spec_of(env_id: str) -> EnvSpec:
-    """The specification that an id stands for, as `gym.make` finds it.
+    """The specification of an id, as `gym.make` finds it.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ def spec_of(env_id: str) -> EnvSpec:
     Raises
     ------
     gymnasium.error.Error
-        If nothing is registered under the id.
+        If the id is not registered.
     ImportError
         If the module cannot be imported.
     """
@@ -40,5 +40,5 @@ def spec_of(env_id: str) -> EnvSpec:
 
 
 def registered_config(spec: EnvSpec) -> Mapping[str, Any]:
-    """The configuration that an environment is registered with, a copy: what differs from the default of its class."""
+    """A copy of the configuration that an environment is registered with: changes of the default of its class."""
     return deepcopy(spec.kwargs.get("config")) or {}

@@ -1,4 +1,4 @@
-"""The scene at one instant: what a decision is made from.
+"""The scene at one instant: the input of a decision.
 
 `SceneReader` reads the simulator's true state. A scene made from observations alone has the same type.
 """
@@ -26,7 +26,7 @@ __all__ = ["EgoControl", "Scene", "SceneReader", "Target", "has_road_and_vehicle
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What the ego's low-level controllers track: a lane index and a speed [m/s]."""
+    """Target command of the ego's low-level controllers: a lane index and a speed [m/s]."""
 
     lane: int
     speed: float
@@ -38,7 +38,7 @@ class EgoControl:
 
     Attributes
     ----------
-    target : what the controllers track now.
+    target : the present target command.
     target_speeds : the speeds [m/s] that FASTER and SLOWER choose from.
     actions : label of each action index, e.g. ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER").
     """
@@ -60,16 +60,16 @@ class Scene:
     control : the ego's meta-action interface.
     dt : duration of a simulation frame [s].
     frames_per_decision : simulation frames in one decision period.
-    frame : index of the simulation frame since the episode began, which tells one instant from the next; None where it
-        is not known, and each scene is the next.
-    ids : which of the others is which, (n,), -1 for those who may be somebody else in each scene; None where they are
-        the same in every scene, in the same order.
-    observed : whether it was made from observations: the others' states are estimates, and some may be missing.
-    blurred : whether the rows of the others are bounds: bodies as far as they may reach, speeds as low ahead of the ego
-        and as high behind it as they may be.
-    bodies : the simulator's objects behind the rows of the others; None where there are none, or they are not seen.
-    likely : where the others are thought to be, (n, 7), where their rows are bounds; None where these are all that is
-        known.
+    frame : index of the simulation frame since the episode began, which identifies the instant. If None, each scene
+        counts as the next instant.
+    ids : identity of each of the others, (n,), -1 for a row whose identity may change from scene to scene. None if all
+        scenes have the same vehicles in the same order.
+    observed : whether it was made from observations: the others' states are estimates, and some vehicles may be
+        missing.
+    blurred : whether the rows of the others are bounds: the greatest extent of each body, the least speed ahead of the
+        ego and the greatest speed behind it.
+    bodies : the simulator's objects of the others, row by row; None where there are none, or they are not visible.
+    likely : the most likely states of the others, (n, 7), if their rows are bounds; None if only the bounds are known.
     """
 
     ego: FloatArray
@@ -111,7 +111,7 @@ class Scene:
         object.__setattr__(self, "others_road", self.road.to_road(self.others, near=float(self.ego_road[0])))
 
     def narrowed(self, share: float) -> Scene:
-        """The same where bounds reach only a share of the way from where the others are thought to be."""
+        """The scene with bounds shrunk to a share of their distance from the most likely states."""
         if self.likely is None:
             return self
         return replace(self, others=self.likely + share * (self.others - self.likely))
@@ -123,11 +123,11 @@ class Scene:
 
     @property
     def unreadable(self) -> BoolArray:
-        """Which of the others have a number that is not readable, (n,)."""
+        """Whether each of the others has a number that is not readable, (n,)."""
         return np.logical_not(readable(self.others).all(axis=1))
 
     def without(self, left_out: BoolArray) -> Scene:
-        """The same without some of the others, (n,)."""
+        """The scene without the vehicles marked in `left_out`, (n,)."""
         kept = ~left_out
         ids = None if self.ids is None else self.ids[kept]
         likely = None if self.likely is None else self.likely[kept]
@@ -136,11 +136,11 @@ class Scene:
 
     @classmethod
     def from_env(cls, env: Any, curved: bool = False) -> Scene:
-        """Read the true state of a highway-env environment, once (see `SceneReader`): without ids."""
+        """Read the true state of a highway-env environment once, without ids (see `SceneReader`)."""
         return replace(SceneReader(env, curved).read(), ids=None)
 
     def target_of(self, action: int) -> Target:
-        """What the controllers will track after meta-action index `action`.
+        """The target command after meta-action index `action`.
 
         Source: `ControlledVehicle.act` and `MDPVehicle.act` of highway-env 1.12.
 
@@ -168,6 +168,7 @@ class Scene:
 
 @uncounted
 def _finite(ego: Any, others: Any) -> bool:
+    """Whether all rows are within `LEAST` and `MOST`."""
     for c in range(len(ego)):
         if not LEAST[c] <= ego[c] <= MOST[c]:
             return False
@@ -179,7 +180,7 @@ def _finite(ego: Any, others: Any) -> bool:
 
 
 def has_road_and_vehicles(base: Any) -> bool:
-    """Whether an environment, unwrapped, is one of highway-env's, or made as these are."""
+    """Whether an environment, unwrapped, has the attributes of highway-env's environments."""
     return hasattr(base, "road") and hasattr(base, "controlled_vehicles")
 
 
@@ -189,8 +190,8 @@ class SceneReader:
     Parameters
     ----------
     env : a highway-env environment, wrapped or not, with one controlled vehicle.
-    curved : whether a road that is not straight may be read, as a `PathRoad`. Only for a reader whose rollouts and
-        bounds know the curvature of the road (`Rollouts(dt, scene.road)`); otherwise such a road is refused.
+    curved : whether a curved road may be read, as a `PathRoad`. For readers whose rollouts and bounds use the curvature
+        of the road (`Rollouts(dt, scene.road)`). Otherwise such a road is refused.
 
     Raises
     ------
@@ -214,7 +215,7 @@ class SceneReader:
 
     @property
     def road(self) -> Any:
-        """The simulator's road; a new object with each episode."""
+        """The simulator's road; a new object in each episode."""
         return self._env.road
 
     @property
@@ -224,12 +225,12 @@ class SceneReader:
 
     @property
     def map(self) -> Any:
-        """The static road map that was read last, a `Road`; None before."""
+        """The static road map of the last read, a `Road`; None before the first."""
         return self._road
 
     @property
     def control(self) -> EgoControl:
-        """What the ego has been told, and what it can be told."""
+        """The present target command of the ego, and its possible actions."""
         ego = self._env.vehicle
         return EgoControl(
             target=Target(
@@ -246,7 +247,7 @@ class SceneReader:
         Raises
         ------
         SceneError
-            If the road is missing or unsupported, or the ego is of another length than plans are rolled out for.
+            If the road is missing or unsupported, or the ego's length is not that of the rollouts.
         """
         env = self._env
         if env.road is None:
@@ -260,12 +261,12 @@ class SceneReader:
             self._network = env.road.network
 
     def read(self) -> Scene:
-        """The scene now.
+        """The present scene.
 
         Raises
         ------
         SceneError
-            If the road is missing or unsupported.
+            If the road or the ego is missing, or the road is unsupported.
         """
         self.check()
         env = self._env
@@ -292,13 +293,13 @@ class SceneReader:
         )
 
     def _ids_of(self, bodies: list[Any]) -> IntArray:
-        """A number for each object, (n,), the same as in the last scene and never given to another; the same array
-        where they are the same."""
+        """A unique number for each object, (n,), which it keeps from scene to scene. The array is the same object if
+        the bodies are the same."""
         if bodies != self._bodies:
             known = dict(zip(map(id, self._bodies), self._ids.tolist(), strict=True))
             fresh = range(self._next_id, self._next_id + len(bodies))
             self._next_id = fresh.stop
-            # The objects of the last scene are still held here, so that no other has the id of one of them.
+            # This keeps references to the objects of the last scene, so that no new object has the `id` of one of them.
             self._ids = np.array([known.get(id(b), new) for b, new in zip(bodies, fresh, strict=True)], np.intp)
             self._bodies = bodies
         return self._ids

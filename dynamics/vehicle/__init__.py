@@ -1,1 +1,1 @@
-"""How one vehicle moves: the bicycle, its low-level controllers, its actuators, and rollouts of them."""
+"""Motion of one vehicle: the bicycle model, its low-level controllers, its actuators, and rollouts of them."""

@@ -1,4 +1,4 @@
-"""Throttle and steering on a grid, each with a number of values of its own."""
+"""Actions on a grid of throttle and steering, with a separate number of values for each."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from dynamics.state import FloatArray
 __all__ = ["KEPT", "ActionGrid", "define_on_grid", "has_grid", "make_action_type", "put_on_grid", "read_grid"]
 
 KEPT = ("acceleration_range", "steering_range", "speed_range", "dynamical", "clip")
-"""Options of an environment's own `ContinuousAction` that a grid in its place keeps."""
+"""Options of an environment's own `ContinuousAction` that are kept when a grid replaces it."""
 _MOST = 99
-"""Values of throttle, and of steering, at most: beyond them actions are as good as continuous."""
+"""Greatest number of values of throttle, and of steering."""
 
 
 class ActionGrid(DiscreteAction):  # type: ignore[misc]
-    """highway-env's `DiscreteAction` with as many values of throttle and of steering as one likes.
+    """highway-env's `DiscreteAction` with separate numbers of values of throttle and of steering.
 
-    Action i is the i-th pair of throttle and steering, the steering changing faster; both from -1 to 1 in even steps,
-    as highway-env's continuous actions are.
+    Action i is the i-th pair of throttle and steering, the steering changing faster. Both are evenly spaced from -1 to
+    1, the range of highway-env's continuous actions.
 
     Parameters
     ----------
     env : the environment.
-    counts : how many values of throttle and of steering there are, two or more of each.
-    config : what `DiscreteAction` takes but `actions_per_axis`.
+    counts : number of values of throttle and of steering, two or more of each.
+    config : the options of `DiscreteAction` except `actions_per_axis`.
 
     Raises
     ------
     ConfigError
-        If `counts` is anything else, or throttle or steering is switched off.
+        If `counts` is invalid, or throttle or steering is switched off.
     """
 
     def __init__(self, env: Any, counts: Any, **config: Any) -> None:
@@ -51,11 +51,11 @@ class ActionGrid(DiscreteAction):  # type: ignore[misc]
         """Normalised throttle and steering of each action, shape (actions, 2)."""
 
     def space(self) -> spaces.Discrete:
-        """One number for each pair."""
+        """One action number for each pair."""
         return spaces.Discrete(len(self.inputs))
 
     def act(self, action: int) -> None:
-        """Act on the ego."""
+        """Apply an action to the ego."""
         ContinuousAction.act(self, self.inputs[int(action)])
 
 
@@ -65,7 +65,7 @@ def read_grid(text: str) -> list[int]:
     Raises
     ------
     ConfigError
-        If it is anything else, or a number makes no grid.
+        If the text has another form, or a number is out of range.
 
     Examples
     --------
@@ -81,7 +81,7 @@ def read_grid(text: str) -> list[int]:
 
 
 def has_grid(config: Mapping[str, Any]) -> bool:
-    """Whether a configuration asks for a grid: a `DiscreteAction` with two `actions_per_axis`."""
+    """Whether a configuration specifies a grid: a `DiscreteAction` with two `actions_per_axis`."""
     action = config.get("action")
     if not isinstance(action, Mapping) or action.get("type") != "DiscreteAction":
         return False
@@ -89,11 +89,12 @@ def has_grid(config: Mapping[str, Any]) -> bool:
 
 
 def define_on_grid(env: Any, define: Callable[[], None]) -> None:
-    """Define an environment's spaces, with the grid of actions that its configuration asks for.
+    """Define an environment's spaces, with the grid of actions of its configuration.
 
     Parameters
     ----------
-    env : the environment, unwrapped. define : defines its spaces, of an action type of highway-env's.
+    env : the environment, unwrapped.
+    define : function that defines its spaces for an action type of highway-env.
     """
     asked = env.config["action"]
     rest = {key: value for key, value in asked.items() if key not in ("type", "actions_per_axis")}
@@ -107,14 +108,14 @@ def define_on_grid(env: Any, define: Callable[[], None]) -> None:
 
 
 def put_on_grid(env: Any, action: Mapping[str, Any]) -> None:
-    """Give an environment that was made with `ContinuousAction` a grid of actions, now and after each reset.
+    """Replace the `ContinuousAction` of an environment by a grid of actions, now and after each reset.
 
     Parameters
     ----------
-    env : of highway-env, unwrapped. action : its configuration, as of `has_grid`.
+    env : of highway-env, unwrapped. action : configuration of the grid, as of `has_grid`.
     """
     env.config["action"] = dict(action)
-    # A bound method, which a deep copy of the environment binds to the copy.
+    # A bound method: a deep copy of the environment binds it to the copy.
     env.define_spaces = MethodType(_define_spaces, env)
     env.define_spaces()
 

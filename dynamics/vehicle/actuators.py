@@ -1,4 +1,4 @@
-"""Throttle and steering in the environment's own normalised units, and in physical ones."""
+"""Throttle and steering in the environment's normalised units, and in physical units."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ __all__ = ["Actuators"]
 
 @dataclass(frozen=True, slots=True)
 class Actuators:
-    """What one highway-env `ContinuousAction` controls, or a `DiscreteAction`, whose actions are some of its.
+    """The actuators of a highway-env `ContinuousAction`, or of a `DiscreteAction`, which selects from the same inputs.
 
     Attributes
     ----------
-    acceleration : accelerations [m/s^2] that -1 and 1 stand for.
-    steering : front wheel angles [rad] that -1 and 1 stand for.
+    acceleration : accelerations [m/s^2] for the inputs -1 and 1.
+    steering : front wheel angles [rad] for the inputs -1 and 1.
     longitudinal, lateral : whether there is a throttle, a steering wheel.
-    clip : whether the environment cuts actions down to [-1, 1].
-    choices : of a `DiscreteAction`, the normalised inputs that each number stands for, (actions, size); else None.
+    clip : whether the environment clips actions to [-1, 1].
+    choices : for a `DiscreteAction`, the normalised inputs of each action number, (actions, size); else None.
     """
 
     acceleration: tuple[float, float] = (-5.0, 5.0)
@@ -34,7 +34,8 @@ class Actuators:
 
     @classmethod
     def of(cls, action_type: Any) -> Actuators:
-        """Read a `ContinuousAction` or a `DiscreteAction`; one with `inputs`, (actions, size), says them itself."""
+        """Read a `ContinuousAction` or a `DiscreteAction`. An attribute `inputs`, (actions, size), of the action type
+        defines `choices`."""
         low, high = action_type.acceleration_range
         left, right = action_type.steering_range
         return cls(
@@ -48,17 +49,17 @@ class Actuators:
 
     @property
     def size(self) -> int:
-        """How many inputs are controlled."""
+        """Number of inputs."""
         return int(self.longitudinal) + int(self.lateral)
 
     @property
     def entries(self) -> int:
-        """Entries of an action: a number, where there are `choices`."""
+        """Number of entries of an action: 1 if there are `choices`."""
         return self.size if self.choices is None else 1
 
     def read(self, action: Any) -> FloatArray | None:
-        """The normalised inputs (size,) of an action, clipped to [-1, 1] where the environment does so; None where it
-        is no action.
+        """The normalised inputs (size,) of an action, clipped to [-1, 1] if the environment does so; None if it is no
+        valid action.
 
         Examples
         --------
@@ -75,13 +76,13 @@ class Actuators:
         if array.shape != (self.size,) or not np.isfinite(array).all():
             return None
         clipped = np.clip(array, -1.0, 1.0)
-        # An environment that does not clip would carry out more than the actuators' range.
+        # An environment that does not clip would apply inputs beyond the actuators' range.
         return clipped if self.clip or np.array_equal(clipped, array) else None
 
     def physical(self, action: FloatArray) -> FloatArray:
         """(acceleration [m/s^2], front wheel angle [rad]) of normalised actions, (..., size) to (..., 2).
 
-        What is not controlled is zero. Source: `ContinuousAction.get_action` of highway-env 1.12.
+        Missing inputs are zero. Source: `ContinuousAction.get_action` of highway-env 1.12.
         """
         action = np.asarray(action, dtype=float)
         out = np.zeros((*action.shape[:-1], 2))
@@ -90,7 +91,8 @@ class Actuators:
         return out
 
     def normalised(self, inputs: FloatArray) -> Any:
-        """The actions nearest to physical inputs, (..., 2): normalised ones, (..., size) float32, or numbers, (...)."""
+        """The actions nearest to physical inputs, (..., 2): normalised ones, (..., size) float32, or action numbers,
+        (...)."""
         parts = [_map(inputs[..., i], limits, (-1.0, 1.0)) for i, limits in self._columns()]
         exact = np.clip(np.stack(parts, axis=-1), -1.0, 1.0)
         if self.choices is None:
@@ -103,7 +105,7 @@ class Actuators:
 
 
 def _choices(action_type: Any) -> FloatArray | None:
-    """The inputs of a `DiscreteAction`: in even steps on each axis, the last one changing fastest."""
+    """The inputs of a `DiscreteAction`: evenly spaced on each axis, the last axis changing fastest."""
     own = getattr(action_type, "inputs", None)
     count = getattr(action_type, "actions_per_axis", None)
     if own is not None or count is None:

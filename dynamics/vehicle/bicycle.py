@@ -25,7 +25,7 @@ from dynamics.state import FloatArray, State
 __all__ = ["LENGTH", "MAX_SPEED", "WIDTH", "Columns", "slip_of", "slip_step", "step", "step_expression"]
 
 Columns = tuple[Any, Any, Any, Any]
-"""State as expressions (x, y, psi, v) or (s, r, psi, v): scalars, or columns with a row for each vehicle."""
+"""A state as expressions (x, y, psi, v) or (s, r, psi, v): scalars, or columns with one row for each vehicle."""
 
 LENGTH = 5.0
 """Vehicle length [m] (`Vehicle.LENGTH`)."""
@@ -48,7 +48,7 @@ def step(states: FloatArray, acceleration: Any, steering: Any, dt: float) -> Flo
 
     Returns
     -------
-    The next states (..., 4); the input is left alone.
+    The next states (..., 4); the input is not changed.
     """
     psi, v = states[..., State.HEADING], states[..., State.SPEED]
     a = np.where(v > MAX_SPEED, np.minimum(acceleration, MAX_SPEED - v), acceleration)
@@ -70,7 +70,7 @@ def step_expression(state: ca.SX, acceleration: ca.SX, steering: ca.SX, dt: floa
 
 
 def slip_step(state: Columns, acceleration: Any, slip: Any, dt: float) -> Columns:
-    """The same step in the sine of the slip angle, element by element: scalars or columns of vehicles."""
+    """The same step in terms of the sine of the slip angle, element by element: scalars or columns of vehicles."""
     x, y, psi, v = state
     sin, cos, way = ca.sin(psi), ca.cos(psi), v * dt
     ahead = ca.sqrt(1 - slip * slip)
@@ -85,6 +85,6 @@ def slip_step(state: Columns, acceleration: Any, slip: Any, dt: float) -> Column
 
 
 def slip_of(steering: Any) -> Any:
-    """Sine of the slip angle of a front wheel angle [rad], as a CasADi expression."""
+    """Sine of the slip angle for a front wheel angle [rad], as a CasADi expression."""
     half = 0.5 * ca.tan(steering)
     return half / ca.sqrt(1 + half * half)

@@ -1,10 +1,10 @@
-"""highway-env's low-level control, batched: what a meta-action makes of the throttle and the wheel.
+"""highway-env's low-level control, batched: acceleration and steering that track a target command.
 
 Notation
 --------
-Road frame (s, r, psi, v). A *target* is (r*, v*): the lateral position of the target lane's centre [m] and
-the target speed [m/s]. Gains are those of `ControlledVehicle` in highway-env 1.12; on a straight road its
-pursuit point has the heading of the road, which is 0 in the road frame.
+Road frame (s, r, psi, v). A *target* is (r*, v*): the lateral position of the target lane's centre [m] and the target
+speed [m/s]. Gains are those of `ControlledVehicle` in highway-env 1.12; on a straight road its pursuit point has the
+heading of the road, which is 0 in the road frame.
 """
 
 from __future__ import annotations

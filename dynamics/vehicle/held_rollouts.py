@@ -1,15 +1,16 @@
-"""Rollouts of a brake whose inputs are held for a whole decision period: the fail-safe of an agent with actions only.
+"""Rollouts of braking with constant inputs in each decision period: the fail-safe of an agent that acts only once a
+decision.
 
 Notation
 --------
-A *stop* per candidate is (r*, b, delta_max): the lateral position to steer to [m], the deceleration [m/s^2] and the
-greatest wheel angle [rad]. At the start of each period of h frames the inputs are
+A *stop* per candidate is (r*, b, delta_max): the target lateral position [m], the deceleration [m/s^2] and the greatest
+wheel angle [rad]. At the start of each period of h frames the inputs are
 
     a     = -min(b, max(v, 0) / (h dt))
     delta = clip(steering_control(x, r*), -delta_max, delta_max)
 
-so that the ego brakes at b and comes to rest at the end of a period. On a curved road the steering knows the curvature
-there (`dynamics.vehicle.curved_bicycle`). Source of the steering law: `ControlledVehicle.steering_control` of
+so that the ego brakes at b and comes to rest at the end of a period. On a curved road the steering uses the curvature
+there (`dynamics.vehicle.curved_bicycle`). Source of the steering control: `ControlledVehicle.steering_control` of
 highway-env 1.12, sampled once in a period.
 """
 
@@ -26,13 +27,13 @@ __all__ = ["HeldRollouts"]
 
 
 class HeldRollouts:
-    """The rollouts for one frame duration and decision period on one road.
+    """Rollouts for one frame duration and decision period on one road.
 
     Parameters
     ----------
     dt : frame duration [s].
-    hold : frames for which inputs are held.
-    road : the road; its road frame is that of the states. Every straight road has the same rollouts.
+    hold : number of frames with the same inputs.
+    road : the road; its road frame is that of the states. All straight roads have the same rollouts.
     """
 
     def __init__(self, dt: float, hold: int, road: StraightRoad | PathRoad | None = None) -> None:
@@ -44,7 +45,7 @@ class HeldRollouts:
 
         Parameters
         ----------
-        states : road states, (n, 4). stops : (n, 3). periods : how many decision periods.
+        states : road states, (n, 4). stops : (n, 3). periods : number of decision periods.
 
         Returns
         -------

@@ -1,10 +1,10 @@
-r"""highway-env's bicycle and low-level control as compiled loops: many rollouts over many frames in one call.
+"""highway-env's bicycle and low-level control as compiled loops: many rollouts over many frames in one call.
 
 The formulas are those of `dynamics.vehicle.bicycle`, `dynamics.vehicle.controllers` and, on curved roads,
-`dynamics.vehicle.curved_bicycle`, for one
-vehicle at a time and in scalars. A road is a table (8, pieces): where each piece of the path starts, its curvature
-before, here and after [1/m], how far it reaches back and ahead [m], and in the first column of the last two rows the
-length of the path [m] and 1 where it is closed. The table of a straight road has no pieces.
+`dynamics.vehicle.curved_bicycle`, for one vehicle at a time and in scalars. A road is a table (8, pieces). Its rows are
+the start of each piece of the path [m]; the curvature before it, on it and after it [1/m]; the s range that it covers,
+from and to [m]; and, repeated, the length of the path [m] and 1 if it is closed. The table of a straight road has no
+pieces.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ __all__ = [
 ]
 
 NO_LIMIT = 1e12
-"""Deceleration bound that stands for none [m/s^2]."""
+"""Deceleration bound without effect [m/s^2]."""
 _NONZERO = 1e-2
 """The least speed that highway-env divides by [m/s]."""
 _STRAIGHT = np.zeros((8, 0))
 _MOST_HEADING = math.sin(math.pi / 4)
 _FAR = 1e9
-"""Where an open path's first and last piece begin and end [m]."""
+"""Coordinate at which an open path's first piece begins and its last piece ends [m]."""
 _NEAREST = 0.1
-"""Least share of the radius of a bend at which its centre is taken to be."""
+"""Least assumed distance from the centre of a bend, as a share of its radius."""
 _MOST_BEND = 0.7
-"""Greatest sine of the slip angle that is asked for in advance; the wheel's limit allows 0.65."""
+"""Greatest sine of the slip angle commanded for a bend; the wheel's limit allows 0.65."""
 
 
 def table_of(road: Any) -> FloatArray:
-    """The table of a road; of a straight one, or None, it has no pieces."""
+    """The table of a road; without pieces for a straight road or None."""
     if not isinstance(road, PathRoad):
         return _STRAIGHT
     return _table(road.profile)
@@ -67,7 +67,7 @@ def _table(profile: CurvatureProfile) -> FloatArray:
 
 @inlined
 def _piece(table: FloatArray, s: float) -> tuple[int, float]:
-    """The piece of the path at arc length s, and s on the first lap."""
+    """The piece of the path at arc length s [m], and s on the first lap [m]."""
     within = s - table[6, 0] * math.floor(s / table[6, 0]) if table[7, 0] > 0 else s
     low, high = 0, table.shape[1]
     while high - low > 1:
@@ -99,8 +99,8 @@ def roll_frame(
     table: FloatArray,
     dt: float,
 ) -> tuple[float, float, float, float]:
-    """One simulation frame: `bicycle.slip_step`, and on a path the projection of `curved.curved_step`; `sin` and `cos`
-    are those of the heading `psi`."""
+    """One simulation frame: `bicycle.slip_step`, and on a path the projection of `curved_bicycle`. `sin` and `cos` are
+    those of the heading `psi`."""
     if v > MAX_SPEED:
         a = min(a, MAX_SPEED - v)
     if v < -MAX_SPEED:
@@ -113,7 +113,7 @@ def roll_frame(
     i, within = _piece(table, s)
     k, joints, turned, way = table[2, i], 0.0, 0.0, 0
     along, across = _project(dx, y, k)
-    # A start that rounding puts just outside its piece makes no difference: then the joint is where it stands.
+    # If rounding puts the start just outside its piece, the joint is at the start itself, which gives the same result.
     for _ in range(table.shape[1]):
         if way >= 0 and along > table[5, i] - within:
             joint, way = table[5, i] - within, 1
@@ -136,9 +136,9 @@ def roll_frame(
 
 @inlined
 def slip_at(s: float, r: float, psi: float, v: float, goal: float, table: FloatArray, dt: float) -> float:
-    """Sine of the slip angle that leads a road state to lateral position `goal` [m].
+    """Sine of the slip angle that steers a road state to lateral position `goal` [m].
 
-    Source: `ControlledVehicle.steering_control` of highway-env 1.12; on a path, the law of
+    Source: `ControlledVehicle.steering_control` of highway-env 1.12; on a path, the control of
     `dynamics.vehicle.curved_bicycle`.
     """
     if abs(v) < _NONZERO:
@@ -151,7 +151,7 @@ def slip_at(s: float, r: float, psi: float, v: float, goal: float, table: FloatA
         bend = min(max(LENGTH / 2 * kappa, -_MOST_BEND), _MOST_BEND)
         heading = heading + min(max(kappa * v * (dt / 2), -_MOST_BEND), _MOST_BEND) - math.asin(bend)
     angle = heading - psi
-    if abs(angle) > 3.0:  # within, nothing changes: one division less
+    if abs(angle) > 3.0:  # smaller angles need no wrapping, which saves a division
         angle = angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))
     return min(max((LENGTH / 2 * KP_HEADING) * angle / v + bend, -MAX_SLIP), MAX_SLIP)
 
@@ -160,13 +160,13 @@ def slip_at(s: float, r: float, psi: float, v: float, goal: float, table: FloatA
 def _step(
     s: float, r: float, psi: float, v: float, a: float, slip: float, table: FloatArray, dt: float
 ) -> tuple[float, float, float, float]:
-    """`roll_frame` of a heading alone."""
+    """`roll_frame`, with sine and cosine computed from the heading."""
     return roll_frame(s, r, psi, v, math.sin(psi), math.cos(psi), a, slip, table, dt)
 
 
 @uncounted
 def roll_commands(start: FloatArray, commands: FloatArray, table: FloatArray, dt: float, paths: FloatArray) -> None:
-    """States (n, 4) and commands (n, frames, 3) to the states after each frame, `paths` (n, frames, 4)."""
+    """Roll out commands (n, frames, 3) from states (n, 4); `paths` (n, frames, 4), states after each frame, written."""
     for i in range(start.shape[0]):
         s, r, psi, v = start[i, 0], start[i, 1], start[i, 2], start[i, 3]
         for f in range(commands.shape[1]):
@@ -188,8 +188,11 @@ def roll_stop(
     dt: float,
     path: FloatArray,
 ) -> None:
-    """A state (4,) that tracks a line [m] and a speed [m/s] for `commit` frames, and then brakes to a stop on the way
-    to another line, to the states after each frame, `path` (frames, 4)."""
+    """Roll out a stop from a state (4,); `path` (frames, 4), states after each frame, written.
+
+    The vehicle tracks lateral position `goal` [m] and `speed` [m/s] for `commit` frames. Then it brakes to a stop at
+    `braking` [m/s^2] while it steers to `last_goal` [m].
+    """
     s, r, psi, v = start[0], start[1], start[2], start[3]
     for f in range(path.shape[0]):
         to, a = goal, KP_SPEED * (speed - v)
@@ -213,8 +216,13 @@ def roll_targets(
     dt: float,
     paths: FloatArray,
 ) -> None:
-    """`roll_stop` with the middles of lanes (n,) of those at `centers`, speeds (n,), and the middles of lanes `fails`,
-    to `paths` (n, frames, 4)."""
+    """`roll_stop` for n candidates; `paths` (n, frames, 4), written.
+
+    Parameters
+    ----------
+    start : road state, (4,). centers : of the lanes [m].
+    lanes, fails : target lane of each candidate before and during braking, (n,). speeds : target speeds, (n,) [m/s].
+    """
     for i in range(paths.shape[0]):
         goals = centers[lanes[i]], centers[fails[i]]
         roll_stop(start, goals[0], goals[1], speeds[i], commit, braking, table, dt, paths[i])
@@ -224,8 +232,8 @@ def roll_targets(
 def roll_brakes(
     began: FloatArray, goals: FloatArray, braking: float, table: FloatArray, dt: float, paths: FloatArray
 ) -> None:
-    """Paths (n, h, 4), the same with braking to a stop on the way to the lines `goals` (n k,) after them: each path is
-    followed by k of them, `paths` (n k, frames, 4)."""
+    """Continue paths (n, h, 4) with braking to a stop while steering to the lines `goals` (n k,); `paths` (n k, frames,
+    4), written. Each path has k continuations."""
     each, first = paths.shape[0] // began.shape[0], began.shape[1]
     for i in range(paths.shape[0]):
         of = i // each
@@ -247,7 +255,7 @@ def roll_brakes(
 
 @uncounted
 def roll_inputs(start: FloatArray, inputs: FloatArray, table: FloatArray, dt: float, paths: FloatArray) -> None:
-    """States (n, 4) and inputs (n, frames, 2) to the states after each frame, `paths` (n, frames, 4)."""
+    """Roll out inputs (n, frames, 2) from states (n, 4); `paths` (n, frames, 4), states after each frame, written."""
     for i in range(start.shape[0]):
         s, r, psi, v = start[i, 0], start[i, 1], start[i, 2], start[i, 3]
         for f in range(inputs.shape[1]):
@@ -261,8 +269,8 @@ def roll_inputs(start: FloatArray, inputs: FloatArray, table: FloatArray, dt: fl
 def roll_stops(
     start: FloatArray, stops: FloatArray, hold: int, table: FloatArray, dt: float, paths: FloatArray
 ) -> None:
-    """States (n, 4) and stops (n, 3) of `dynamics.vehicle.held_rollouts`, with inputs held for `hold` frames, to the
-    states after each frame, `paths` (n, frames, 4)."""
+    """Roll out stops (n, 3) of `dynamics.vehicle.held_rollouts` from states (n, 4), with inputs constant for `hold`
+    frames; `paths` (n, frames, 4), states after each frame, written."""
     for i in range(start.shape[0]):
         s, r, psi, v = start[i, 0], start[i, 1], start[i, 2], start[i, 3]
         half = 0.5 * math.tan(stops[i, 2])

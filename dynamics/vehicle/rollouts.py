@@ -2,15 +2,15 @@
 
 Notation
 --------
-A *command* per frame is (r*, v*, b): the lateral position of the lane's centre to steer to [m], the speed to
-track [m/s], and the greatest deceleration [m/s^2]. The acceleration is
+A *command* per frame is (r*, v*, b): the lateral position of the target lane's centre [m], the target speed [m/s], and
+the greatest deceleration [m/s^2]. The acceleration is
 
     a = max(KP (v* - v), -b, -max(v, 0) / dt)
 
-so that with b = NO_LIMIT and v* >= 0 it is highway-env's own control, bit for bit in exact arithmetic, and with
-v* = BRAKE it brakes at b to a stop and stays there. An *input* per frame is (a, delta): acceleration [m/s^2] and
-front wheel angle [rad], with no law in between. On a curved road (see `dynamics.vehicle.curved_bicycle`) r* is a line
-along the road, and the steering knows its curvature.
+so that with b = NO_LIMIT and v* >= 0 it is highway-env's own control, bit for bit in exact arithmetic, and with v* =
+BRAKE the vehicle brakes at b to a stop and stays there. An *input* per frame is (a, delta): acceleration [m/s^2] and
+front wheel angle [rad], without a controller. On a curved road (see `dynamics.vehicle.curved_bicycle`) r* is a line
+along the road, and the steering uses its curvature.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from dynamics.vehicle.rollout_kernels import NO_LIMIT, roll_brakes, roll_command
 __all__ = ["BRAKE", "NO_LIMIT", "Rollouts"]
 
 BRAKE = -1e9
-"""Target speed that stands for braking as hard as the command allows [m/s]."""
+"""Target speed that means braking as hard as the command allows [m/s]."""
 
 
 class Rollouts:
-    """The rollouts for one frame duration on one road.
+    """Rollouts for one frame duration on one road.
 
     Parameters
     ----------
     dt : frame duration [s].
-    road : the road; its road frame is that of the states. Every straight road has the same rollouts.
+    road : the road; its road frame is that of the states. All straight roads have the same rollouts.
     """
 
     def __init__(self, dt: float, road: StraightRoad | PathRoad | None = None) -> None:
@@ -44,7 +44,7 @@ class Rollouts:
         self._table = table_of(road)
 
     def run(self, state: FloatArray, commands: FloatArray) -> FloatArray:
-        """Roll one state under several command sequences.
+        """Roll out several command sequences.
 
         Parameters
         ----------
@@ -76,8 +76,10 @@ class Rollouts:
         Parameters
         ----------
         state : road state, shape (4,).
-        centers : of the lanes [m]. lanes, fails : in which each goes, and stops, (n,). speeds : tracked, (n,) [m/s].
-        commit, frames : for which they are tracked, and of the paths.
+        centers : of the lanes [m].
+        lanes, fails : target lane of each path before and during braking, (n,).
+        speeds : target speed of each path before braking, (n,) [m/s].
+        commit, frames : number of frames before braking, and in total.
         braking : deceleration afterwards [m/s^2].
 
         Returns
@@ -89,13 +91,13 @@ class Rollouts:
         return paths
 
     def run_inputs(self, state: FloatArray, inputs: FloatArray) -> FloatArray:
-        """Roll one state under several sequences of raw inputs.
+        """Roll out several sequences of raw inputs.
 
         Parameters
         ----------
         state : road state, shape (4,), or one for each sequence, (n, 4).
-        inputs : acceleration [m/s^2] and front wheel angle [rad] of each frame, shape (n, frames, 2). They are
-            applied as they are; only highway-env's limits above `bicycle.MAX_SPEED` act on the acceleration.
+        inputs : acceleration [m/s^2] and front wheel angle [rad] of each frame, shape (n, frames, 2). They are applied
+            unchanged, except for highway-env's limits on the acceleration above `bicycle.MAX_SPEED`.
 
         Returns
         -------
@@ -107,14 +109,14 @@ class Rollouts:
         return paths
 
     def stop(self, began: FloatArray, goals: FloatArray, braking: float, frames: int) -> FloatArray:
-        """Follow paths with braking to a stop while steering to a line: commands (r*, BRAKE, braking).
+        """Continue paths with braking to a stop while steering to a line: commands (r*, BRAKE, braking).
 
         Parameters
         ----------
         began : road states after the first frames, (n, h, 4).
-        goals : lateral positions to steer to [m], (n k,): the first k follow the first path, and so on.
+        goals : target lateral positions [m], (n k,): the first k continue the first path, and so on.
         braking : deceleration [m/s^2].
-        frames : of braking.
+        frames : number of frames of braking.
 
         Returns
         -------

@@ -1,20 +1,20 @@
-r"""Inputs held for a while and then a stop with the wheel held, in closed form: no loop over frames.
+"""Constant inputs for some frames, then a stop with constant steering, in closed form: no loop over frames.
 
 Notation
 --------
-State (x, y, psi, v) and input (a, delta) of `dynamics.vehicle.bicycle`, beta the slip angle of delta, L the wheel
-base. The
-input is held for h frames of dt. Then the brake acts against the velocity, at b, decided once in p frames, T = p dt:
+State (x, y, psi, v) and input (a, delta) of `dynamics.vehicle.bicycle`, beta the slip angle of delta, L the wheel base.
+The input is constant for h frames of dt. Then the brake acts against the velocity, at b, decided once in p frames, T =
+p dt:
 
     v_k = v_0 + k a dt  (k <= h)          |v| after j such periods: max(|v_h| - j b T, 0), linear within one
 
-so that the vehicle comes to rest at the end of a period and never turns back. With the wheel held, nothing depends on
-position or heading, and the explicit Euler frames of highway-env are sums:
+so that the vehicle comes to rest at the end of a period and never turns back. With constant steering, no quantity
+depends on position or heading, and the explicit Euler frames of highway-env are sums:
 
     psi_k = psi_0 + sum_{i<k} v_i sin(beta) / (L/2) dt
     x_k   = x_0 + sum_{i<k} v_i cos(psi_i + beta) dt          y_k = y_0 + sum_{i<k} v_i sin(psi_i + beta) dt
 
-They are those of `dynamics.vehicle.bicycle.step` as long as |v| <= `MAX_SPEED`, beyond which highway-env limits the
+They equal those of `dynamics.vehicle.bicycle.step` as long as |v| <= `MAX_SPEED`, beyond which highway-env limits the
 acceleration.
 """
 
@@ -37,21 +37,21 @@ def stops(
     period: int = 1,
     length: float = LENGTH,
 ) -> FloatArray:
-    """Each input held, and then a stop.
+    """Each input for some frames, and then a stop.
 
     Parameters
     ----------
     state : in the world frame, columns `State`, (4,).
     inputs : acceleration [m/s^2] and front wheel angle [rad] of each candidate, (n, 2).
-    hold : frames for which the input is held.
+    hold : number of frames with the input.
     braking : deceleration of the stop [m/s^2].
     dt : duration of a frame [s].
-    period : frames for which each deceleration of the stop is held.
+    period : number of frames with the same deceleration during the stop.
     length : of the vehicle, as wheel base [m].
 
     Returns
     -------
-    States after each frame, (n, hold + frames of the longest stop, 4); the last ones stand.
+    States after each frame, (n, hold + frames of the longest stop, 4); in the last ones the vehicle stands.
 
     Examples
     --------
@@ -65,7 +65,7 @@ def stops(
     periods = int(np.ceil(float(top.max()) / less))
     after = np.maximum(top - less * np.arange(periods + 1), 0.0)
     share = np.arange(1, period + 1) / period
-    # Written so that the end of a period is exactly what comes after it, a stop exactly 0.
+    # In this form the end of a period equals the start of the next exactly, and the speed at a stop is exactly 0.
     slower = after[:, :-1, None] * (1 - share) + after[:, 1:, None] * share
     speeds = np.hstack([held, np.copysign(slower.reshape(len(inputs), -1), held[:, -1:])])
     way, beta = speeds[:, :-1] * dt, np.arctan(0.5 * np.tan(delta))

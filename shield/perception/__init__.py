@@ -1,1 +1,1 @@
-"""Scenes made from what a policy observes, instead of the simulator's state."""
+"""Scenes from a policy's observations, instead of the simulator's state."""

@@ -1,4 +1,4 @@
-"""Vehicle rows of those who are followed: where they are, and as far as they may reach."""
+"""Vehicle rows of tracked vehicles: at their estimated positions, or extended over all possible ones."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from dynamics.state import FloatArray, Vehicle
 __all__ = ["STANDING", "bodies", "bounded", "unseen_bodies"]
 
 STANDING = 0.05
-"""Below this speed [m/s] a velocity says nothing of a heading."""
+"""Below this speed [m/s] a velocity determines no heading."""
 _X, _Y, _HEADING, _SPEED = int(Vehicle.X), int(Vehicle.Y), int(Vehicle.HEADING), int(Vehicle.SPEED)
 _LENGTH, _WIDTH, _CRASHED, _COLUMNS = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED), len(Vehicle)
 
 
 def bodies(states: FloatArray, body: tuple[float, float]) -> FloatArray:
-    """Vehicle rows (n, 7) of states x, y, vx, vy (n, 4); nobody is turned by more than a quarter from the road.
+    """Vehicle rows (n, 7) of states x, y, vx, vy (n, 4); a heading differs from the road's direction by at most a
+    quarter turn.
 
     Parameters
     ----------
@@ -30,13 +31,14 @@ def bodies(states: FloatArray, body: tuple[float, float]) -> FloatArray:
 
 
 def bounded(mean: FloatArray, low: FloatArray, high: FloatArray, body: tuple[float, float], x: float) -> FloatArray:
-    """Vehicle rows (n, 7) that reach as far as those followed may be; who is faster behind the ego, and slower ahead of
-    it, is more in the way.
+    """Vehicle rows (n, 7) that cover all possible positions of the tracked vehicles.
+
+    The conservative speed is the greatest possible behind the ego, and the least possible ahead of it.
 
     Parameters
     ----------
-    mean, low, high : states x, y, vx, vy (n, 4), as they are thought to be, and between what.
-    body : length and width of each [m]. x : where the ego is [m].
+    mean, low, high : estimated states x, y, vx, vy, and their bounds, (n, 4) each.
+    body : length and width of each [m]. x : of the ego [m].
     """
     states, rows = np.empty((len(mean), 4)), np.zeros((len(mean), _COLUMNS))
     _widen(mean, low, high, x, states)
@@ -46,7 +48,7 @@ def bounded(mean: FloatArray, low: FloatArray, high: FloatArray, body: tuple[flo
 
 
 def unseen_bodies(states: FloatArray, body: tuple[float, float]) -> FloatArray:
-    """Vehicle rows (n, 7) of states in the world's directions (n, 4).
+    """Vehicle rows (n, 7) of states x, y, heading, speed (n, 4) in the world frame.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How well it is known where somebody is: the probability that a track's centre is within a distance."""
+"""Position certainty of a track: the probability that its centre is within a distance of the mean."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from shield.perception.tracking import Tracks
 __all__ = ["within"]
 
 _RINGS = 16
-"""A normal distribution is taken to be that many rings of that many points, all as likely."""
+"""A normal distribution is approximated by this many rings of as many points, of equal probability."""
 
 
 def _points() -> FloatArray:
-    """Points of a standard normal distribution in the plane, (n, 2): radii are quantiles of Rayleigh's distribution."""
+    """Points that represent a standard normal distribution in the plane, (n, 2); the radii are quantiles of the
+    Rayleigh distribution."""
     ring, turn = np.meshgrid(np.arange(_RINGS), np.arange(_RINGS), indexing="ij")
     radius = np.sqrt(-2.0 * np.log1p(-(ring + 0.5) / _RINGS))
     angle = 2.0 * np.pi * (turn + 0.5 * (ring % 2)) / _RINGS
@@ -25,9 +26,10 @@ _POINTS = _points()
 
 
 def within(tracks: Tracks, distance: float) -> FloatArray:
-    """Probability of each that its centre is no further than `distance` [m] from the mean of its track, (n,).
+    """Probability of each vehicle that its centre is at most `distance` [m] from the mean of its track, (n,).
 
-    Of the mixture of the three filters, by points that are drawn once and for all, to about 0.03.
+    The probability is that of the mixture of the three filters, from a fixed set of points, with an error of about
+    0.03.
     """
     covariances = tracks.covariances[:, :, :2, :2] + 1e-12 * np.eye(2)
     spread = np.linalg.cholesky(covariances) @ _POINTS.T

@@ -1,4 +1,4 @@
-"""Whether what an observation shows stays within its clipped ranges while the ego drives."""
+"""Check that observations stay within their clipped ranges while the ego drives."""
 
 from __future__ import annotations
 
@@ -12,26 +12,27 @@ from shield.perception.unseen import Unseen
 __all__ = ["check_ranges"]
 
 _ACROSS = 0.3
-"""Greatest speed across the road, as a share of the speed: 11.6 m/s at 40 m/s, with lane changes to and fro at 5 Hz."""
+"""Greatest lateral speed, as a share of the speed: 11.6 m/s at 40 m/s, with alternating lane changes at 5 Hz."""
 _LANE = 2.0
 """Half the width of a lane [m]."""
 _SAME = 1e-6
-"""A number so near to the edge of its range may stand for anything beyond it, as a share of the range."""
+"""Distance from the edge of a range within which a number may stand for any value beyond it, as a share of the
+range."""
 
 
 def check_ranges(spec: Spec, speeds: Sequence[float], centers: Sequence[float]) -> None:
-    """Raise where clipping hides what has to be known: the ego's own speed and place, and the speeds of the others.
+    """Check that clipping hides neither the ego's speed and position nor the others' speeds.
 
     Parameters
     ----------
-    spec : what the observations mean.
-    speeds : which the ego may have, its target speeds and the one that it has [m/s].
-    centers : y of the lanes' centers [m].
+    spec : meaning of the observations.
+    speeds : possible speeds of the ego: its target speeds and its present one [m/s].
+    centers : y of the lane centres [m].
 
     Raises
     ------
     ConfigError
-        That lists the ranges that are too narrow, and what each has to hold.
+        If a range is too narrow; the message lists these and the required ranges.
     """
     if not spec.clip:
         return
@@ -48,7 +49,7 @@ def check_ranges(spec: Spec, speeds: Sequence[float], centers: Sequence[float]) 
 
 
 def _needed(spec: Spec, fastest: float, centers: Sequence[float]) -> dict[str, tuple[float, float]]:
-    """The least and the greatest value of each feature while the ego drives no faster."""
+    """Least and greatest value of each feature while the ego drives at most `fastest` [m/s]."""
     across, slower = _ACROSS * fastest, max(fastest - Unseen().slowest, 0.0)
     if isinstance(spec, GridSpec):
         return {"vx": (-slower, slower), "vy": (-across, across)}
@@ -63,6 +64,7 @@ def _needed(spec: Spec, fastest: float, centers: Sequence[float]) -> dict[str, t
 
 
 def _holds(spec: Spec, name: str, low: float, high: float) -> bool:
+    """Whether the range of a feature contains the interval from `low` to `high`."""
     ends = spec.ranges.get(name)  # type: ignore[union-attr]
     if ends is None:
         return True

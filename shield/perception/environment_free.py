@@ -1,4 +1,4 @@
-"""Scenes of what reaches `predict`, and nothing else: the environment may be in another process, or another machine."""
+"""Scenes from the arguments of `predict` alone: the environment may be in another process, or on another machine."""
 
 from __future__ import annotations
 
@@ -24,20 +24,19 @@ from shield.perception.unwrapping import latest
 __all__ = ["BlindScenes"]
 
 _ASTRAY = 0.05
-"""How far the ego may be from where it was told to go [m], [m/s], beyond what noise explains."""
+"""Tolerance between the observed and the commanded state of the ego, beyond the noise [m], [m/s]."""
 _SIGMAS = 6.0
 
 
 class BlindScenes:
-    """What stands in for a `SceneReader` where there is no environment to read: scenes of what is observed.
+    """Scenes from observations, with the interface of a `SceneReader`, without an environment.
 
-    The clock is the count of decisions. What the ego has been told is what has been decided here, from the lane and the
-    speed that it begins with; highway-env's controllers do the rest, so that where it has to be after a decision is
-    known too.
+    The clock is the count of decisions. The target command follows from the initial lane and speed and the actions
+    chosen here. With a model of highway-env's controllers this gives the ego's state after each decision.
 
     Parameters
     ----------
-    known : of the environment.
+    known : the prior map.
     config : settings.
     """
 
@@ -48,7 +47,7 @@ class BlindScenes:
         timing = known.dt, known.frames
         self._perception = perception_of(known.spec, known.road, timing, settings)
         self._rollouts = Rollouts(known.dt, known.road)
-        # Of noise that is estimated nothing is known yet; the ego's own row is mostly exact.
+        # Estimated noise is unknown so far; the ego's own row is mostly exact.
         told = known.noise if settings.noise == "estimate" else settings.noise
         blurred = np.zeros(4) if told is None else np.asarray(told, dtype=float)
         self._astray = _ASTRAY + _SIGMAS * np.array([blurred[1], np.hypot(*blurred[2:])])
@@ -61,7 +60,7 @@ class BlindScenes:
 
     @property
     def perception(self) -> ObservationPerception | GridPerception:
-        """What makes the scenes."""
+        """The perception that makes the scenes."""
         return self._perception
 
     def check(self) -> None:
@@ -74,13 +73,13 @@ class BlindScenes:
         self._scene: Scene | None = None
 
     def show(self, observation: Any) -> None:
-        """What the policy sees now, one decision after what it saw before."""
+        """Present the policy's next observation, one decision after the previous one."""
         self._decisions += 1
         self._shown, self._scene = latest(observation, self._known.spec.shape, self._known.stacked), None
 
     def begins(self) -> bool:
-        """Whether what is shown now begins an episode, where nobody says so: an episode lasts no longer, or the ego is
-        not where it was told to go."""
+        """Whether the observation begins an episode that was not announced: the longest duration is over, or the ego's
+        state differs from the commanded one."""
         if self._decisions < 1:
             return False
         spec, road = self._known.spec, self._known.road
@@ -95,12 +94,12 @@ class BlindScenes:
         return self._strays(np.array([0.0, y - road.origin[1], 0.0, np.hypot(vx, vy)]))
 
     def read(self) -> Scene:
-        """The scene now.
+        """The present scene.
 
         Raises
         ------
         SceneError
-            If nothing has been observed, or that cannot be read, or the ego is not where it was told to go.
+            If there is no observation, it cannot be read, or the ego's state differs from the commanded one.
         """
         if self._scene is not None:
             return self._scene
@@ -122,7 +121,7 @@ class BlindScenes:
         return self._scene
 
     def tell(self, action: int) -> None:
-        """What the ego has been told, after what was shown last: an action."""
+        """Record the action that the environment executes after the last observation."""
         scene = self._alone() if self._scene is None else self._scene
         if scene is None or not 0 <= action < len(self.actions):
             return
@@ -135,13 +134,13 @@ class BlindScenes:
         return EgoControl(target, self._known.target_speeds, self.actions)
 
     def _start(self, scene: Scene) -> Target:
-        """What highway-env's ego tracks as it is made: the lane it is in, and the speed nearest to its own."""
+        """Initial target command of highway-env's ego: its lane, and the target speed nearest to its own."""
         speeds = self._known.target_speeds
         lane = self._known.road.lane_at(float(scene.ego_road[RoadState.R]))
         return Target(lane, speeds[speed_to_index(float(scene.ego[State.SPEED]), speeds)])
 
     def _unseen_ego(self) -> FloatArray:
-        """The ego's row where nobody shows it: in its lane as the episode begins, and then where it was told to go."""
+        """The ego's row where observations do not show it: its initial state, and then the commanded one."""
         known = self._known
         if self._ego is None and self._decisions:
             raise SceneError(
@@ -156,14 +155,15 @@ class BlindScenes:
         return self._row(self._ego)
 
     def _row(self, place: FloatArray) -> FloatArray:
-        """A vehicle row, (7,), of a state on the road, (4,)."""
+        """Vehicle row, (7,), of a road state, (4,)."""
         row = np.zeros(len(Vehicle))
         row[: len(State)] = self._known.road.to_world(place)
         row[[Vehicle.LENGTH, Vehicle.WIDTH]] = self._known.spec.body
         return row
 
     def _alone(self) -> Scene | None:
-        """The ego where it was told to go, where what was shown cannot be read; None where that is not known."""
+        """Scene with the ego's commanded state and no other vehicle, for an unreadable observation; None if that state
+        is unknown."""
         if self._ego is None or self._target is None:
             return None
         row = self._row(self._ego)
@@ -171,7 +171,7 @@ class BlindScenes:
         return Scene(row, nobody, self._known.road, control, self._known.dt, self._known.frames, observed=True)
 
     def _strays(self, ego: FloatArray) -> bool:
-        """Whether an ego, on the road, is not where it was told to go."""
+        """Whether a road state of the ego, (4,), differs from the commanded one."""
         if self._ego is None or self._perception.config.delay:
             return False
         apart = np.abs(ego - self._ego)[[RoadState.R, RoadState.SPEED]]

@@ -1,4 +1,4 @@
-"""The Kalman filters of those who are followed, as compiled loops; `shield.perception.filters` says what they are."""
+"""The Kalman filters of the tracked vehicles, as compiled loops; `shield.perception.filters` documents them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from shield.perception.filters import FAR, LEAST, SWAP, SWAPS, Course, side
 __all__ = ["costs", "distances", "expected", "mixture", "moved", "quantiles", "scores", "taken_in"]
 
 _SHARP, _NEAR = 1e-11, 1e-6
-"""A quantile is found to within this, and is nearly so after a step of no more than that, in standard deviations."""
+"""Accuracy of a quantile, and step size from which the next step suffices for that accuracy, in standard deviations."""
 _ROUNDS = 100
 _ROOT = math.sqrt(0.5)
 _DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
@@ -113,7 +113,7 @@ def scores(
 
 @inlined
 def _mix(shares: Any, means: FloatArray, covariances: FloatArray, mean: FloatArray, covariance: FloatArray) -> None:
-    """Mean (4,) and covariance (4, 4) of a mixture of three, (3, 4) and (3, 4, 4)."""
+    """Mean (4,) and covariance (4, 4) of a mixture of three normal distributions, (3, 4) and (3, 4, 4)."""
     for k in range(4):
         mean[k] = shares[0] * means[0, k] + shares[1] * means[1, k] + shares[2] * means[2, k]
     for k in range(4):
@@ -143,7 +143,7 @@ def _begin(
     mixed: FloatArray,
     spread: FloatArray,
 ) -> None:
-    """Chances a step later, and what each filter begins with."""
+    """Predicted model probabilities, and the mixture that each filter starts from."""
     for a in range(len(means)):
         for j in range(3):
             total = 0.0
@@ -234,7 +234,7 @@ def _price(away: FloatArray, places: FloatArray, at: FloatArray, least: FloatArr
 
 @inlined
 def _gains(p: FloatArray, noise: FloatArray, root: FloatArray, gain: FloatArray) -> None:
-    """p times the inverse of p + noise, (4, 4)."""
+    """Kalman gain p (p + noise)^-1, (4, 4)."""
     _root(p, noise, root)
     for i in range(4):
         for k in range(4):
@@ -310,7 +310,7 @@ def _take_in(
 
 @inlined
 def _tail(z: float) -> float:
-    """Probability of a normal distribution being above z."""
+    """Probability that a standard normal variable is above z."""
     return 0.5 * math.erfc(z * _ROOT)
 
 
@@ -318,15 +318,19 @@ def _tail(z: float) -> float:
 def _edge(
     chances: FloatArray, m: tuple[float, float, float], s: tuple[float, float, float], bound: float, level: float
 ) -> float:
-    """What a mixture of three normal distributions is above with probability `level`, that of being `bound` standard
-    deviations above the mean of one."""
+    """Value that a mixture of three normal distributions exceeds with probability `level`.
+
+    Parameters
+    ----------
+    chances, m, s : probabilities, means and standard deviations of the three. level : tail probability of `bound`.
+    """
     c0, c1, c2 = chances[0], chances[1], chances[2]
-    # A quantile of the mixture is between those of its parts.
+    # A quantile of the mixture lies between the quantiles of its components.
     q0, q1, q2 = m[0] + bound * s[0], m[1] + bound * s[1], m[2] + bound * s[2]
     inside, outside = min(q0, q1, q2), max(q0, q1, q2)
     widest = max(s[0], s[1], s[2])
     edge = c0 * q0 + c1 * q1 + c2 * q2
-    # Newton's way to the logarithm, which comes from outside, held between what is known to be in and out.
+    # Newton's method for the logarithm of the tail approaches from outside; each iterate stays inside the bracket.
     for _ in range(_ROUNDS):
         if outside - inside <= _SHARP * widest:
             break
@@ -344,7 +348,7 @@ def _edge(
             outside = edge
         edge += step
         if abs(step) <= _NEAR * widest:
-            # What is left of the error is of the order of its square.
+            # The remaining error is of the order of the square of the step.
             return min(edge + _SHARP * widest, outside)
         if not inside < edge < outside:
             edge = 0.5 * (inside + outside)
@@ -376,7 +380,7 @@ def _divide(
     columns: IntArray,
     shares: FloatArray,
 ) -> None:
-    """How likely it was to be seen further below, and further above, (2, k, 4)."""
+    """Probability of an observation further below, and further above, (2, k, 4)."""
     for pair in range(len(rows)):
         a, b = rows[pair], columns[pair]
         for k in range(4):

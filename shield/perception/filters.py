@@ -1,10 +1,11 @@
-"""The Kalman filters of those who are followed, as formulas. `filter_kernels` has the same as compiled loops.
+"""The Kalman filters of the tracked vehicles, as numpy formulas. `filter_kernels` has the same as compiled loops.
 
 Notation
 --------
-n vehicles are followed, by three filters each, and m are seen. Of each filter: `means` (n, 3, 4) and `covariances`
-(n, 3, 4, 4) of x, y [m], vx, vy [m/s], and `chances` (n, 3), how likely each is the one that holds (an interacting
-multiple model, Blom and Bar-Shalom 1988). `noise` (4, 4) is the covariance of what is seen.
+n vehicles are tracked with three filters each, and m vehicles are observed. Each filter has `means` (n, 3, 4) and
+`covariances` (n, 3, 4, 4) of x, y [m], vx, vy [m/s], and `chances` (n, 3), the probability of its motion model.
+Together they are an interacting multiple model (Blom and Bar-Shalom 1988). `noise` (4, 4) is the covariance of an
+observation.
 """
 
 from __future__ import annotations
@@ -35,27 +36,27 @@ __all__ = [
 ]
 
 LEAST = 1e-12
-"""What is so unlikely that it is 0 would never come back."""
+"""Least probability of a model. A probability of 0 could not increase again."""
 FARTHEST = 8.0
-"""Nobody is further from where it is expected than so many standard deviations, as far as bounds and scores go."""
+"""Greatest bound and greatest score, in standard deviations."""
 FAR = 1e6
-"""What it costs to be matched beyond every gate."""
+"""Cost of a match beyond every gate."""
 SWAP, SWAPS = 2.0, 3.0
-"""What it costs, as a squared distance, to be a row further up or down than before, and for how many rows at most:
-rows that are sorted by what is there say who is who, where what they show says little."""
+"""Cost of a match for each row of difference between two observations, as a squared distance, and the rows that count
+at most. Sorted rows identify a vehicle where its state alone does not."""
 _HALVINGS = 48
 
 
 class Course(NamedTuple):
-    """What becomes of a state within a time step, but for what cannot be foreseen.
+    """Deterministic part of a state transition within a time step.
 
     Attributes
     ----------
     dt : the step [s].
-    keep : share of a difference from the usual speed that is left. reach : for how long the speed of before lasts [s].
-    along, faster : what the usual speed adds to x [m], and to vx [m/s].
-    left : share of a distance from the middle of the lane that is left. stray, sway : variances across, of the place
-        [m^2] and of the velocity [m^2/s^2], of one that keeps to its lane.
+    keep : factor on the difference from the usual speed. reach : effective duration of the previous speed [s].
+    along, faster : contribution of the usual speed to x [m] and to vx [m/s].
+    left : factor on the distance from the centre of the lane.
+    stray, sway : variances across the road of a vehicle that keeps its lane, of y [m^2] and vy [m^2/s^2].
     """
 
     dt: float
@@ -71,12 +72,12 @@ class Course(NamedTuple):
 def moved(
     means: FloatArray, covariances: FloatArray, course: Course, pushed: FloatArray, centers: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Means and covariances a step later.
+    """Means and covariances one step later.
 
     Parameters
     ----------
-    pushed : what the accelerations of each filter add to its covariance, (3, 4, 4).
-    centers : of the lanes, along y, (lanes,) [m]: the first filter is drawn to the nearest; without any, it is not.
+    pushed : process noise of each filter, from its accelerations, (3, 4, 4).
+    centers : lane centres along y, (lanes,) [m]. The first filter is drawn to the nearest; without centres it is not.
     """
     step = np.diag([1.0, 1.0, course.keep, 1.0])
     step[0, 2], step[1, 3] = course.reach, course.dt
@@ -102,14 +103,14 @@ def expected(
     pushed: FloatArray,
     centers: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Chances, means and covariances a step later, before anything more is seen.
+    """Predicted probabilities, means and covariances one step later.
 
     Parameters
     ----------
-    changes : probability of one filter holding and, a step later, another, (3, 3).
+    changes : probability of a transition from one model (row) to another (column) within the step, (3, 3).
     """
     after = chances @ changes
-    # Each filter begins from all, as likely as each has led there.
+    # Interaction: each filter starts from the mixture of all, weighted by the transition probabilities.
     led = np.swapaxes(chances[:, :, None] * changes / after[:, None, :], 1, 2)
     begun = [mixture(led[:, j], means, covariances) for j in range(chances.shape[1])]
     mixed, spread = (np.stack(each, axis=1) for each in zip(*begun, strict=True))
@@ -117,7 +118,7 @@ def expected(
 
 
 def mixture(chances: FloatArray, means: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean (n, 4) and covariance (n, 4, 4) of all filters together."""
+    """Mean (n, 4) and covariance (n, 4, 4) of the mixture of all filters."""
     mean = np.einsum("nj,nji->ni", chances, means)
     apart = means - mean[:, None]
     return mean, np.einsum("nj,njik->nik", chances, covariances + apart[..., :, None] * apart[..., None, :])
@@ -126,12 +127,12 @@ def mixture(chances: FloatArray, means: FloatArray, covariances: FloatArray) -> 
 def distances(
     means: FloatArray, covariances: FloatArray, seen: FloatArray, noise: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Squared Mahalanobis distance of each who is seen from where each filter expects it, (n, 3, m), and the logarithm
-    of the determinant of the covariance that it is measured by, (n, 3).
+    """Squared Mahalanobis distance of each observed vehicle from each filter's prediction, (n, 3, m), and
+    log-determinant of the innovation covariance, (n, 3).
 
     Parameters
     ----------
-    seen : states, (m, 4).
+    seen : observed states, (m, 4).
     """
     spread = covariances + noise
     apart = seen[None, None] - means[:, :, None]
@@ -140,13 +141,13 @@ def distances(
 
 
 def costs(away: FloatArray, places: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The least of the squared distances of three filters, (n, m), and what it costs to take the one for the other,
-    (n, m).
+    """Least squared distance over the three filters, (n, m), and assignment cost of each pair, (n, m).
 
     Parameters
     ----------
-    away : as of `distances`. places, at : rows of those who are followed, when they were seen last, (n,), and of those
-        who are seen, (m,); NaN where rows say nothing.
+    away : see `distances`.
+    places, at : row of each tracked vehicle when it was last seen, (n,), and of each observed one, (m,). NaN where rows
+        carry no information.
     """
     least = away.min(axis=1, initial=np.inf)
     swaps = np.nan_to_num(np.minimum(np.abs(places[:, None] - at), SWAPS))
@@ -164,12 +165,14 @@ def taken_in(
     rows: IntArray,
     columns: IntArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Chances, means and covariances after the k vehicles `rows` (k,) have been seen as `columns` (k,) of `seen`; those
-    of all others stay. Joseph's form, which stays symmetric and positive.
+    """Probabilities, means and covariances after the measurement update, in Joseph's form, which stays symmetric and
+    positive.
+
+    Vehicles `rows` (k,) were observed as `columns` (k,) of `seen`; the others keep their values.
 
     Parameters
     ----------
-    away, size : as of `distances`.
+    away, size : see `distances`.
     """
     chances, means, covariances = chances.copy(), means.copy(), covariances.copy()
     likely = np.log(chances[rows]) - 0.5 * (away[rows, :, columns] + size[rows])
@@ -186,17 +189,19 @@ def taken_in(
 def quantiles(
     chances: FloatArray, means: FloatArray, covariances: FloatArray, bounds: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Between what each of x, y, vx and vy is, (n, 4) and (n, 4): so likely to be less, or more, as a normal
-    distribution is to be further than so many standard deviations to one side.
+    """Lower and upper bounds of x, y, vx and vy, (n, 4) and (n, 4).
+
+    The mixture exceeds each bound with the probability that a normal distribution exceeds the given number of standard
+    deviations.
 
     Parameters
     ----------
-    bounds : below and above, of each, (2, 4).
+    bounds : standard deviations below and above, for each component, (2, 4).
     """
     spread = np.sqrt(np.einsum("njii->nji", covariances))
     found = []
     for sign, bound in zip((-1.0, 1.0), bounds, strict=True):
-        # A quantile of the mixture is between those of its parts.
+        # A quantile of the mixture lies between the quantiles of its components.
         each = sign * means + bound * spread
         inside, outside = each.min(axis=1), each.max(axis=1)
         for _ in range(_HALVINGS):
@@ -217,11 +222,10 @@ def scores(
     rows: IntArray,
     columns: IntArray,
 ) -> FloatArray:
-    """How far k vehicles, `rows` (k,), are from where they were expected, seen as `columns` (k,) of `seen`: (k, 4), in
-    standard deviations of a normal distribution that is as likely to be exceeded, from -`FARTHEST` to `FARTHEST`.
+    """Innovations of k vehicles as normal scores, (k, 4), from -`FARTHEST` to `FARTHEST`.
 
-    A score is above b where, and only where, what is seen is beyond the quantile of what was expected to be seen that
-    belongs to the bound b.
+    Vehicles `rows` (k,) were observed as `columns` (k,) of `seen`. A score is above b if and only if the observation is
+    beyond the quantile of the predicted observation that belongs to the bound b.
     """
     spread = np.sqrt(np.einsum("njii->nji", covariances[rows]) + np.diag(noise))
     apart, chosen = (seen[columns][:, None] - means[rows]) / spread, chances[rows][:, :, None]
@@ -229,7 +233,6 @@ def scores(
 
 
 def side(below: FloatArray, above: FloatArray) -> FloatArray:
-    """Where a normal distribution has so much `below` it, and so much `above`, in standard deviations; the smaller is
-    the exact one."""
+    """Normal score with probability `below` below it and `above` above it; the smaller probability is the exact one."""
     where: FloatArray = np.where(below < above, ndtri(np.minimum(below, 0.5)), -ndtri(np.minimum(above, 0.5)))
     return np.clip(where, -FARTHEST, FARTHEST)

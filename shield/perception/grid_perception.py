@@ -1,7 +1,7 @@
-"""`GridPerception`: the scene as an occupancy grid shows it.
+"""`GridPerception`: scenes from occupancy grids.
 
-A cell is a bound and not a measurement with noise: what is in it is anywhere in it, from one grid to the next the same
-way off, so that nothing is smoothed. Each body reaches as far as it may be.
+A cell is a bound, not a measurement with noise. A vehicle may be anywhere in its cell, and its offset persists from one
+grid to the next, so nothing is smoothed. Each body is extended over all its possible positions.
 """
 
 from __future__ import annotations
@@ -25,37 +25,38 @@ __all__ = ["GridPerception"]
 
 _X, _Y, _HEADING, _SPEED = int(State.X), int(State.Y), int(State.HEADING), int(State.SPEED)
 _ACCELERATION, _SIDEWAYS = 6.0, 4.0
-"""Nobody is further from where its velocity has brought it than this acceleration explains [m/s^2], or further across
-than this velocity [m/s]; else it is somebody else."""
+"""Deviation of a vehicle from constant velocity: greatest acceleration along the road [m/s^2] and greatest lateral
+speed [m/s]. A vehicle further away is another one."""
 _SURE = 0.5
-"""And this [m]."""
+"""Additional tolerance of that deviation [m]."""
 _EXACT = 1e-3
-"""Numbers that are known as well as this are taken to be exact [m], [m/s]."""
+"""Numbers known within this count as exact [m], [m/s]."""
 _BESIDE = 0.5
-"""A lane whose middle is no further than this from a cell may hold somebody who is in the cell [m]."""
+"""A lane whose centre is at most this far from a cell may be the lane of a vehicle in the cell [m]."""
 
 
 class GridPerception:
-    """Makes scenes of OccupancyGrid observations: nothing of the traffic is read but these.
+    """Makes scenes from OccupancyGrid observations, the only source for the traffic.
 
-    What a grid does not show of the ego, it is told: where across the road it is, its heading and its speed. Beyond
-    the grid, and where a cell may hide a second vehicle, somebody unseen is assumed (`shield.perception.unseen`).
+    The ego's row is an argument, because a grid does not show it. An unseen vehicle is assumed beyond the grid, and
+    wherever a cell may hide a second vehicle (`shield.perception.unseen`).
 
     Parameters
     ----------
-    spec : what the observations mean.
+    spec : meaning of the observations.
     road : the static road map, a `dynamics.roads.straight.StraightRoad`.
     timing : duration of a simulation frame [s], and simulation frames in a decision.
-    config : settings; only what is assumed of the unseen has a meaning here.
+    config : settings; only `PerceptionConfig.unseen` applies here.
 
     Raises
     ------
     ConfigError
-        If the grid does not reach across the road, or the sensor is noisy or late.
+        If the grid does not reach across the road, or the sensor has noise or a delay.
 
     Attributes
     ----------
-    behind : who may be there unseen. edges : how far ahead and behind everybody is seen [m].
+    behind : vehicles that may be unseen behind.
+    edges : distance ahead and behind within which every vehicle is seen [m].
     """
 
     def __init__(
@@ -74,7 +75,7 @@ class GridPerception:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything about the episode."""
+        """Clear everything about the episode."""
         self.behind = Behind()
         self.edges = self.spec.distance, self.spec.distance
         self._frame: int | None = None
@@ -84,30 +85,30 @@ class GridPerception:
 
     @property
     def rating(self) -> tuple[Guarantee, float]:
-        """What a certificate for the scene seen last rests on, and the level of its bounds (see `Decision`)."""
+        """Guarantee and probability level of a certificate for the scene seen last (see `Decision`)."""
         everybody = min(self.edges) >= self.spec.distance and not self.spec.hides
         return (Guarantee.ALL_SEEN if everybody else Guarantee.ASSUMED), 1.0
 
     @property
     def alarmed(self) -> bool:
-        """Nobody watches a sensor without noise."""
+        """Always False: a sensor without noise has no monitor."""
         return False
 
     def see(self, observation: Any, frame: int, control: EgoControl, ego: FloatArray | None = None) -> Scene:
-        """The scene that an observation shows.
+        """Scene that an observation shows.
 
         Parameters
         ----------
         observation : of shape `spec.shape`, or flattened.
-        frame : index of the simulation frame since the episode began; one that has been seen already is the same
-            instant.
-        control : what the ego has been told, and what it can be told.
+        frame : index of the simulation frame since the episode began. A second call with the same frame updates no
+            state.
+        control : the ego's target command, and the commands available to it.
         ego : its vehicle row, (7,).
 
         Raises
         ------
         SceneError
-            If the observation cannot be read, or nobody says where the ego is.
+            If the observation cannot be read, or `ego` is None.
         """
         if ego is None:
             raise SceneError("a grid does not show the ego's own state, which has to be told")
@@ -148,7 +149,13 @@ class GridPerception:
         )
 
     def _take_in(self, low: FloatArray, high: FloatArray, ego: FloatArray, passed: float) -> None:
-        """Find out who is who, and who has got out of sight."""
+        """Identify the observed vehicles with earlier ones, and list the lost and the new ones.
+
+        Parameters
+        ----------
+        low, high : bounds of x, y [m], vx, vy [m/s] of the observed vehicles in the world frame, (n, 4).
+        ego : the ego's row, (7,). passed : time since the previous observation [s].
+        """
         ids, before = np.full(len(low), -1), (self._low + self._high) / 2
         expected = before.copy()
         expected[:, :2] += passed * before[:, 2:]
@@ -167,7 +174,7 @@ class GridPerception:
             kept = near[rows, columns]
             rows, columns = rows[kept], columns[kept]
         else:
-            # Of two who may be the same, neither is taken for it: bounds are narrowed by what was known before.
+            # An ambiguous match is left out, since an identity narrows the bounds by earlier knowledge.
             rows, columns = np.nonzero(near & (near.sum(axis=0) == 1) & (near.sum(axis=1) == 1)[:, None])
         ids[columns] = self._ids[rows]
         new = ids < 0
@@ -181,7 +188,12 @@ class GridPerception:
         self._ids, self._low, self._high = ids, low, high
 
     def _look_around(self, sighting: GridSighting, r: float, heading: float) -> None:
-        """Find out how far everybody is seen, and who may be behind that."""
+        """Update the edges of sight, and the vehicles that may be beyond the edge behind.
+
+        Parameters
+        ----------
+        r : lateral position of the ego on the road [m]. heading : of the ego, relative to the road [rad].
+        """
         centers = self._road.centers
         far, back = reach_of(self.spec, float(centers[0]) - r, float(centers[-1]) - r, heading)
         if sighting.cut:
@@ -190,9 +202,9 @@ class GridPerception:
         self.behind.go_on(self.config.unseen, back, self._ego_speed, self._passed, self._lost, self._new)
 
     def _bodies(self, low: FloatArray, high: FloatArray, x: float) -> FloatArray:
-        """Vehicle rows (n, 7) that reach as far as those seen may, with an ego at x [m]."""
+        """Vehicle rows (n, 7) that cover all possible positions of the observed vehicles; x is the ego's [m]."""
         middle = (low + high) / 2
-        # Who is faster behind, and slower ahead, is more in the way.
+        # The conservative speed is the greatest behind the ego, and the least ahead of it.
         vx, vy = np.where(middle[:, 0] < x, high[:, 2], low[:, 2]), middle[:, 3]
         sign = np.where(vx < 0, -1.0, 1.0)
         rows = np.zeros((len(low), len(Vehicle)))
@@ -202,9 +214,9 @@ class GridPerception:
         return rows
 
     def _hidden(self, sighting: GridSighting, ego: FloatArray, r: float) -> FloatArray:
-        """Vehicle rows of those who may be in a cell beside the one that is shown there, (n, 7).
+        """Vehicle rows of vehicles that a cell may hide beside the visible one, (n, 7).
 
-        Two bodies are in one cell only where there is room for both: in another lane, or in the same where a cell is
+        A cell holds two bodies only if there is room for both: in another lane, or in the same lane if the cell is
         longer than a body.
         """
         spec, unseen, rows = self.spec, self.config.unseen, []

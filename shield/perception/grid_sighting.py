@@ -1,10 +1,10 @@
-"""What one occupancy grid shows, relative to the ego, in metres and in the road's directions.
+"""Decoding of an occupancy grid, relative to the ego, into metres and the road's directions.
 
 Notation
 --------
-A vehicle in a cell is in the box of that cell, and where x and y are layers, where these say. A byte q of an image
-stands for the numbers from 2 q / 255 - 1 to 2 (q + 1) / 255 - 1, the ends of its range for anything beyond. Cells of a
-grid that lies along the ego, at the heading h, are turned by h.
+The position of a vehicle is bounded by the box of its cell, and by the layers x and y where these can be read. A byte q
+of an image stands for the numbers from 2 q / 255 - 1 to 2 (q + 1) / 255 - 1; its extreme values also stand for numbers
+beyond the range. If the grid is aligned with the ego, its cells are turned by the ego's heading.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ __all__ = ["GridSighting", "decode_grid", "lane_in_grid", "reach_of"]
 _EDGE = 1.0 - 1e-6
 _BYTE = 255.0
 _SLACK = 1e-6
-"""A lane that is so near to the side of a cell may be shown in either [m]."""
+"""A lane centre this near to the side of a cell may be shown in either cell [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridSighting:
-    """One grid, decoded.
+    """One decoded grid.
 
     Attributes
     ----------
-    low, high : between what x, y [m], vx and vy [m/s] of each of those seen are, relative to the ego, (m, 4).
-    cells : boxes of the cells that somebody is shown in, the ego's own first, low and high of x and y, (m + 1, 4) [m].
-    cut : whether the velocity of somebody is at the edge of its range: nobody knows what it is.
+    low, high : bounds of x, y [m], vx and vy [m/s] of each observed vehicle, relative to the ego, (m, 4).
+    cells : boxes of the occupied cells, the ego's own first: least and greatest x, then y, (m + 1, 4) [m].
+    cut : whether the velocity of a vehicle is at the edge of its range, and so unknown.
     """
 
     low: FloatArray
@@ -46,16 +46,16 @@ class GridSighting:
 
 
 def decode_grid(spec: GridSpec, observation: object, heading: float = 0.0) -> GridSighting:
-    """Read a grid.
+    """Decode a grid.
 
     Parameters
     ----------
-    observation : of shape `spec.shape`, or flattened. heading : of the ego, to the road [rad].
+    observation : of shape `spec.shape`, or flattened. heading : of the ego, relative to the road [rad].
 
     Raises
     ------
     SceneError
-        If it is no array of real numbers, has another shape, is not finite, or does not show the ego.
+        If it is not an array of real numbers, has another shape, is not finite, or does not show the ego.
     """
     grid = numbers_of(observation, spec.shape)
     there = grid[spec.features.index("presence")] > 0.5 * (_BYTE if spec.image else 1.0)
@@ -75,7 +75,7 @@ def decode_grid(spec: GridSpec, observation: object, heading: float = 0.0) -> Gr
         shown = grid[spec.features.index(name)][others[:, 0], others[:, 1]]
         lower, upper, edge = _between(spec, name, shown)
         if name in STATE[:2]:
-            # What is beyond its range is in its cell still.
+            # A position beyond the range is still bounded by the cell.
             lower, upper = np.where(edge, low[:, k], lower), np.where(edge, high[:, k], upper)
         else:
             cut |= edge
@@ -84,16 +84,16 @@ def decode_grid(spec: GridSpec, observation: object, heading: float = 0.0) -> Gr
 
 
 def lane_in_grid(spec: GridSpec, observation: object, centers: FloatArray) -> int:
-    """The lane that the ego is in the middle of, by the layer that shows the road.
+    """Lane of the ego, which is in the middle of it, from the layer `on_road`.
 
     Parameters
     ----------
-    centers : of the lanes, across the road (lanes,) [m].
+    centers : lane centres across the road, (lanes,) [m].
 
     Raises
     ------
     SceneError
-        If that is not shown, or it fits several lanes.
+        If the layer is missing, or fits several lanes.
     """
     if "on_road" not in spec.features:
         raise SceneError(
@@ -121,12 +121,13 @@ def lane_in_grid(spec: GridSpec, observation: object, centers: FloatArray) -> in
 
 
 def reach_of(spec: GridSpec, left: float, right: float, heading: float) -> tuple[float, float]:
-    """How far ahead and behind the ego the whole breadth of the road is in the grid [m]; 0 where it is not.
+    """Distance ahead and behind the ego over which the grid covers the whole width of the road [m]; 0 where it does
+    not.
 
     Parameters
     ----------
-    left, right : the outermost places across the road where somebody may be, relative to the ego [m].
-    heading : of the ego, to the road [rad].
+    left, right : outermost lateral positions that a vehicle may have, relative to the ego [m].
+    heading : of the ego, relative to the road [rad].
     """
     turn = heading if spec.aligned else 0.0
     cos, sin = math.cos(turn), math.sin(turn)
@@ -146,7 +147,7 @@ def reach_of(spec: GridSpec, left: float, right: float, heading: float) -> tuple
 
 
 def _boxes(spec: GridSpec, index: object, turn: float) -> FloatArray:
-    """Boxes along the road around cells, low and high of x and y, (m, 4)."""
+    """Bounding boxes of cells, in the road's directions: least and greatest x, then y, (m, 4) [m]."""
     corners = np.array([(0, 0), (0, 1), (1, 0), (1, 1)])
     start = np.array([spec.size[0][0], spec.size[1][0]])
     places = (np.asarray(index)[:, None] + corners) * np.array(spec.step) + start
@@ -157,7 +158,7 @@ def _boxes(spec: GridSpec, index: object, turn: float) -> FloatArray:
 
 
 def _between(spec: GridSpec, name: str, shown: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Between what a feature is, in its own unit, and where it may be anything beyond its range."""
+    """Lower and upper bound of a feature in its own unit, and whether it is at the edge of its range, (m,) each."""
     lower, upper, edge = shown, shown, np.zeros(len(shown), dtype=bool)
     if spec.image:
         lower, upper = 2 * shown / _BYTE - 1, np.minimum(2 * (shown + 1) / _BYTE - 1, 1.0)

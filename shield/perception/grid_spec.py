@@ -1,4 +1,4 @@
-"""What an occupancy grid means: which cell is where, which layer is what, and what it leaves out."""
+"""Meaning of an occupancy grid: cells, layers, and what it leaves out."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ _FAST = 2.0 * Vehicle.MAX_SPEED
 class GridSpec:
     """An OccupancyGrid observation of highway-env: a layer of cells for each feature, with the ego in the middle.
 
-    All is relative to the ego. Where x and y are layers that can be read, they say where a vehicle is; elsewhere it is
-    somewhere in its cell. highway-env shows one vehicle in each cell, the first of its list.
+    All values are relative to the ego. The layers x and y state a vehicle's position if they can be read; otherwise it
+    is bounded by its cell. highway-env shows one vehicle in each cell, the first in its list.
 
     Attributes
     ----------
-    features : layers, in order; presence, vx and vy have to be among them.
-    size : from where to where it reaches along and across, ((low, high), (low, high)) [m].
+    features : layers, in order; presence, vx and vy are required.
+    size : extent along and across, ((low, high), (low, high)) [m].
     step : sides of a cell [m].
-    ranges : of each normalised feature the values that -1 and 1 stand for [m], [m/s]; the velocities as highway-env has
-        them by default.
-    clip : whether what is outside [-1, 1] is shown at its edge, whether it is normalised or not.
-    aligned : whether cells lie along the ego, and not along the road.
-    image : whether numbers are bytes, of which each stands for an interval.
-    distance : beyond this nobody is of interest [m].
-    body : length and width that are assumed of each vehicle, for none is observed [m].
+    ranges : for each normalised feature the values that -1 and 1 stand for [m], [m/s]; by default highway-env's ranges
+        of the velocities.
+    clip : whether a value outside [-1, 1] is shown at its edge, normalised or not.
+    aligned : whether the cells are aligned with the ego instead of the road.
+    image : whether numbers are bytes, each of which stands for an interval.
+    distance : vehicles beyond this distance are irrelevant [m].
+    body : assumed length and width of each vehicle, since sizes are not observed [m].
 
     Raises
     ------
     ConfigError
-        If a layer that is needed is missing or cannot be read, or the grid does not hold the ego; the message says what
-        to change in the environment's configuration.
+        If a required layer is missing or cannot be read, or the grid does not hold the ego. The message says what to
+        change in the environment's configuration.
     """
 
     features: tuple[str, ...] = tuple(OccupancyGridObservation.FEATURES)
@@ -87,7 +87,7 @@ class GridSpec:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Layers, cells along and cells across."""
+        """Number of layers, of cells along and of cells across."""
         along, across = (floor((high - low) / step) for (low, high), step in zip(self.size, self.step, strict=True))
         return len(self.features), along, across
 
@@ -97,17 +97,17 @@ class GridSpec:
         return self.step[0] > self.body[0] or self.step[1] > self.body[1]
 
     def legible(self, name: str) -> bool:
-        """Whether a layer is there and its numbers can be read."""
+        """Whether a layer exists and its numbers can be read."""
         return name in self.features and (name in self.ranges or not (self.clip or self.image))  # type: ignore[operator]
 
     @classmethod
     def of(cls, env: Any) -> GridSpec:
-        """What an environment of highway-env shows; it has to be reset.
+        """Specification of the observations of a highway-env environment that has been reset.
 
         Raises
         ------
         ConfigError
-            If it shows anything but an OccupancyGrid, or that cannot be used.
+            If the observation is not an OccupancyGrid, or cannot be used.
         """
         base = env.unwrapped
         kind = base.observation_type
@@ -117,12 +117,12 @@ class GridSpec:
 
     @classmethod
     def from_config(cls, observation: Mapping[str, Any]) -> GridSpec:
-        """The same from highway-env's configuration of an observation.
+        """Specification from highway-env's observation configuration.
 
         Raises
         ------
         ConfigError
-            As of `of`.
+            As `of`.
         """
         if observation.get("type") != "OccupancyGrid":
             raise ConfigError(unreadable(observation.get("type")))
@@ -155,28 +155,28 @@ class GridSpec:
 
 
 Spec = ObservationSpec | GridSpec
-"""What observations mean that scenes can be made of."""
+"""Meaning of the observations from which scenes can be made."""
 
 
 def spec_of(env: Any) -> Spec:
-    """What an environment of highway-env shows; it has to be reset.
+    """Specification of the observations of a highway-env environment that has been reset.
 
     Raises
     ------
     ConfigError
-        If no scene can be made of it.
+        If no scene can be made from them.
     """
     grid = type(env.unwrapped.observation_type) is OccupancyGridObservation
     return GridSpec.of(env) if grid else ObservationSpec.of(env)
 
 
 def spec_from_config(observation: Mapping[str, Any], lanes: int) -> Spec:
-    """The same from highway-env's configuration of an observation, on a straight highway of so many lanes.
+    """Specification from highway-env's observation configuration, on a straight highway with `lanes` lanes.
 
     Raises
     ------
     ConfigError
-        If no scene can be made of it.
+        If no scene can be made from the observations.
     """
     grid = observation.get("type") == "OccupancyGrid"
     return GridSpec.from_config(observation) if grid else ObservationSpec.from_config(observation, lanes)

@@ -1,15 +1,14 @@
-"""Which lane somebody is going to be in, of what a tracker knows of them.
+"""Prediction of the lane that each tracked vehicle will be in.
 
 Notation
 --------
-y, v : where a vehicle is across the road [m] and how fast it moves across [m/s], both normally distributed in each of
-the tracker's three estimates (calm, free and brisk; see `shield.perception.tracking`).
+y, v : lateral position [m] and lateral speed [m/s] of a vehicle, normally distributed in each of the tracker's three
+    models (calm, free and brisk; see `shield.perception.tracking`).
 
-Whoever is on the move, *free* or *brisk*, goes on across for a while, and settles in the lane that it has come to then:
-y + reach v, give or take `stray`. So highway-env's own cars do it, who steer by v = (goal - y) / 0.6 s and a heading
-that is late. Whoever is *calm* is in the lane that it is in, until it begins a change: most do soon where that lets
-them accelerate more and their new follower need not brake too hard (MOBIL, see `dynamics.traffic.mobil`), and few
-elsewhere.
+A *free* or *brisk* vehicle is changing lanes. It moves on for a while, and settles in the lane around y + reach v, with
+the deviation `stray`. highway-env's own vehicles steer by v = (goal - y) / 0.6 s, with a delayed heading. A *calm*
+vehicle is in its present lane until it begins a change. Most vehicles change soon if the change has a lane-change
+incentive and the new follower need not brake too hard (MOBIL, see `dynamics.traffic.mobil`); few change otherwise.
 """
 
 from __future__ import annotations
@@ -29,24 +28,26 @@ __all__ = ["HABITS", "Habits", "lane_chances", "wishes"]
 _CALM = 0
 _X, _Y, _VX, _VY = range(4)
 _DRAWS = 16
-"""Of where everybody is, to say how likely it is that a change would gain something."""
+"""Number of samples of all states, for the probability that a change has an incentive."""
 _BESIDE = 3.0
-"""Who is no further from the middle of a lane is in it, for highway-env's traffic [m]."""
+"""A vehicle at most this far from the centre of a lane counts as in it, for highway-env's traffic [m]."""
 _LEAST_GAIN, _MOST_BRAKING = 0.2, 2.0
-"""What a change has to gain, and how hard a new follower may have to brake for it [m/s^2]."""
+"""MOBIL's least incentive of a change, and the greatest braking that it may impose on the new follower [m/s^2]."""
 
 
 class Habits(NamedTuple):
-    """How vehicles change lanes.
+    """Parameters of lane changes.
 
     Attributes
     ----------
-    reach : somebody on the move settles where it is after so long at its present speed across [s].
-    stray : standard deviation of how far from there [m].
-    eager : probability that a calm one is in the lane beside it by the time that is asked about, where that pays, of
-        one that is seen exactly; idle : where it does not pay.
-    fade : who is known to so much along the road is half as eager: that it pays was an error as often [m].
-    doubt : of somebody on the move, that it is calm after all.
+    reach : time after which a vehicle that is changing lanes settles, at its present lateral speed [s].
+    stray : standard deviation of its distance from there [m].
+    eager : probability that a calm vehicle has changed lanes by the end of the prediction, where that has an incentive,
+        for an exactly known position.
+    idle : the same where it has no incentive.
+    fade : longitudinal standard deviation at which `eager` is halved: an incentive from uncertain positions is often an
+        error [m].
+    doubt : probability that a vehicle which seems to change lanes is calm.
     """
 
     reach: float
@@ -58,7 +59,7 @@ class Habits(NamedTuple):
 
 
 HABITS = Habits(reach=0.48, stray=1.0, eager=0.65, idle=0.0026, fade=1.0, doubt=0.45)
-"""Of highway-env's cars, 2 s ahead: `python benchmarks/intent.py --fit --seed 5004 --episodes 12`."""
+"""Fitted to highway-env's vehicles, 2 s ahead: `python benchmarks/intent.py --fit --seed 5004 --episodes 12`."""
 
 
 def lane_chances(tracks: Tracks, wished: FloatArray, centers: FloatArray, habits: Habits = HABITS) -> FloatArray:
@@ -66,15 +67,15 @@ def lane_chances(tracks: Tracks, wished: FloatArray, centers: FloatArray, habits
 
     Parameters
     ----------
-    tracks : n vehicles that are followed, on a road along x.
-    wished : how likely each gains by a change, (n, 2), as of `wishes`.
-    centers : of its lanes along y, ascending, (lanes,) [m].
-    habits : how vehicles change lanes, and by when that is asked about.
+    tracks : n tracked vehicles, on a road along x.
+    wished : probability that a change has an incentive, (n, 2), from `wishes`.
+    centers : lane centres along y, ascending, (lanes,) [m].
+    habits : parameters of lane changes, for one prediction time.
 
     Raises
     ------
     ConfigError
-        If there is no lane, or they do not ascend.
+        If there is no lane, or the centres do not ascend.
     """
     _check(centers)
     means, covariances, reach = tracks.means, tracks.covariances, habits.reach
@@ -84,7 +85,7 @@ def lane_chances(tracks: Tracks, wished: FloatArray, centers: FloatArray, habits
     then = _in_lanes(y + reach * v, np.sqrt(goes), centers)
     eager = habits.eager / (1 + np.sqrt(tracks.covariance[:, _X, _X]) / habits.fade)
     below, above = np.maximum(habits.idle, eager * wished.T)
-    # Where both pay, highway-env's cars take the one above.
+    # If both changes have an incentive, highway-env's vehicles choose the lane above.
     stays = _changed(_in_lanes(y, np.sqrt(spread), centers), below * (1 - above), above)
     moves = (1 - habits.doubt) * then + habits.doubt * stays
     moves[:, _CALM] = stays[:, _CALM]
@@ -93,20 +94,20 @@ def lane_chances(tracks: Tracks, wished: FloatArray, centers: FloatArray, habits
 
 
 def wishes(tracks: Tracks, ego: FloatArray, centers: FloatArray) -> FloatArray:
-    """Probability of each that a change into the lane below its own in y, and above, pays by MOBIL, (n, 2).
+    """Probability of each vehicle that a change to the lane below (in y) or above has an incentive by MOBIL, (n, 2).
 
-    Of everybody known, as far as it is known where they are: the share of 16 draws. The speed that somebody would like
-    is taken to be the one that it has.
+    The probability is the share of 16 samples of all states. The desired speed of a vehicle is taken to be its present
+    one.
 
     Parameters
     ----------
-    tracks : n vehicles that are followed. ego : x, y [m], vx, vy [m/s] of the ego, (4,).
-    centers : of the lanes along y, ascending, (lanes,) [m].
+    tracks : n tracked vehicles. ego : x, y [m], vx, vy [m/s] of the ego, (4,).
+    centers : lane centres along y, ascending, (lanes,) [m].
 
     Raises
     ------
     ConfigError
-        If there is no lane, or they do not ascend.
+        If there is no lane, or the centres do not ascend.
     """
     _check(centers)
     n = len(tracks.ids) or len(tracks.means)
@@ -116,7 +117,7 @@ def wishes(tracks: Tracks, ego: FloatArray, centers: FloatArray) -> FloatArray:
     states = np.concatenate([others, np.broadcast_to(ego, (_DRAWS, 1, 4))], axis=1)
     x, y, v = (states[:, :, k] for k in (_X, _Y, _VX))
     ahead = x[:, None, :] - x[:, :n, None]
-    ahead[:, np.arange(n), np.arange(n)] = np.nan  # nobody is ahead of itself
+    ahead[:, np.arange(n), np.arange(n)] = np.nan  # no vehicle is its own leader
     own = np.abs(y[:, :n, None] - centers).argmin(axis=2)
     around = np.concatenate([[np.nan], centers, [np.nan]])
     now = _held_up(v[:, :n], *_next(ahead, v, _is_in(y, around[own + 1])))
@@ -133,38 +134,40 @@ def wishes(tracks: Tracks, ego: FloatArray, centers: FloatArray) -> FloatArray:
 
 
 def _check(centers: FloatArray) -> None:
+    """Raise `ConfigError` unless there is a lane and the centres ascend."""
     if not len(centers) or (np.diff(centers) <= 0).any():
         raise ConfigError(f"centers of lanes ascend, got {np.asarray(centers).tolist()}")
 
 
 def _is_in(y: FloatArray, center: FloatArray) -> BoolArray:
-    """Who is in the lane that each asks about, (draws, n, n + 1)."""
+    """Whether each vehicle is in the given lane of each tracked one, (draws, n, n + 1)."""
     found: BoolArray = np.abs(y[:, None, :] - center[:, :, None]) <= _BESIDE
     return found
 
 
 def _next(ahead: FloatArray, v: FloatArray, counts: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Distance and speed of the nearest ahead of each, of those who count, (draws, n); nobody is infinitely far."""
+    """Distance and speed of the nearest vehicle ahead among those that count, (draws, n); the distance is infinite
+    without one."""
     away = np.where(counts & (ahead >= 0), ahead, np.inf)
     nearest = away.argmin(axis=2)
     return np.take_along_axis(away, nearest[:, :, None], 2)[:, :, 0], np.take_along_axis(v, nearest, 1)
 
 
 def _held_up(v: FloatArray, gap: FloatArray, leader: FloatArray) -> FloatArray:
-    """IDM's d* / d of somebody at speed v behind another."""
+    """IDM's d* / d of a vehicle at speed v behind a leader."""
     return (GAP + TIME * v + v * (v - leader) / TWICE_ROOT) / np.maximum(gap, 1e-2)
 
 
 def _in_lanes(mean: FloatArray, spread: FloatArray, centers: FloatArray) -> FloatArray:
-    """Probability of being nearest to each center, (n, 3, lanes), of normal distributions across, (n, 3)."""
+    """Probability of being nearest to each centre, (n, 3, lanes), of normal distributions across the road, (n, 3)."""
     marks = 0.5 * (centers[1:] + centers[:-1])
     below = ndtr((marks - mean[..., None]) / np.maximum(spread[..., None], 1e-9))
     return np.diff(below, axis=-1, prepend=0.0, append=1.0)
 
 
 def _changed(now: FloatArray, below: FloatArray, above: FloatArray) -> FloatArray:
-    """Probability of each lane after a change into the one below, or above, with that probability of each, (n,); where
-    there is none, nobody changes."""
+    """Probability of each lane after a change to the lane below or above, with the given probabilities, (n,). At the
+    outermost lanes a change outward does not happen."""
     down, up = below[:, None, None] * now[:, :, 1:], above[:, None, None] * now[:, :, :-1]
     then = now.copy()
     then[:, :, 1:] -= down

@@ -1,4 +1,5 @@
-"""What is known of an environment that is out of reach: fixed before it begins, and nothing of its traffic."""
+"""Prior map: facts about an environment in another process, fixed before an episode begins. No facts about its
+traffic."""
 
 from __future__ import annotations
 
@@ -37,30 +38,30 @@ _PASSIVE = (
     "RecordVideo",
     "TimeLimit",
 )
-"""Wrappers that leave what is observed as it is."""
+"""Wrappers that keep observations unchanged."""
 _LONG = 1e5
-"""An episode of more decisions than this is taken to last for ever."""
+"""An episode of more decisions than this counts as endless."""
 _SENSOR, _DELAY = "sensor_noise", "sensor_delay"
 _ASKED = ("get_attr", "has_attr", "env_method", "env_is_wrapped")
-"""Methods of a VecEnv that its environments are asked with."""
+"""Methods of a VecEnv by which its environments are queried."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """What a shield has to know beforehand to work from observations alone.
+    """Prior map of a shield that works from observations alone.
 
     Attributes
     ----------
-    spec : what the observations mean, an `ObservationSpec` or a `GridSpec`.
+    spec : meaning of the observations, an `ObservationSpec` or a `GridSpec`.
     road : the static road map; its lanes lie along x.
     dt : duration of a simulation frame [s]. frames : simulation frames in a decision.
-    decisions : after so many decisions an episode is over at the latest; 0 where that is not known.
+    decisions : greatest number of decisions in an episode; 0 if unknown.
     target_speeds : the speeds that FASTER and SLOWER choose from [m/s]. actions : label of each meta-action, by index.
-    stacked : how many observations a wrapper of the environment shows at once, the latest of them last.
-    noise : what the sensor says of its own noise, standard deviations of x, y [m], vx, vy [m/s]; None where it says
-        nothing. delay : for how many frames what it shows of the others is out of date.
-    lane, speed : in the middle of which lane, and how fast [m/s], the ego begins, which a grid does not show. None for
-        the lane that fits its layer `on_road`.
+    stacked : number of observations that a wrapper stacks, the latest last.
+    noise : standard deviations of x, y [m], vx, vy [m/s] that the sensor states; None without a statement.
+    delay : frames by which the observed vehicles are out of date.
+    lane, speed : initial lane and speed [m/s] of the ego, at the centre of the lane, which a grid does not show. None
+        for the lane that fits its layer `on_road`.
 
     Raises
     ------
@@ -98,7 +99,7 @@ class Known:
             raise ConfigError(f"the ego begins in a lane from 0 to {self.road.centers.size - 1}, got {self.lane}")
         if self.road.heading:
             raise ConfigError("observations are read on roads along x only")
-        # Rounding of 1 / dt.
+        # Removes the rounding error of 1 / dt.
         check_frequency(round(1 / self.dt, 9), simulated=False)
         if len(self.target_speeds) < 2 or not np.all(np.diff(self.target_speeds) > 0):
             raise ConfigError(f"target speeds ascend, and there are at least two, got {self.target_speeds}")
@@ -109,17 +110,18 @@ class Known:
 
     @classmethod
     def from_config(cls, config: Mapping[str, Any], stacked: int = 1) -> Known:
-        """What highway-env's configuration of a straight highway says (`highway-v0`, `highway-fast-v0`).
+        """Prior map from highway-env's configuration of a straight highway (`highway-v0`, `highway-fast-v0`).
 
         Parameters
         ----------
-        config : all of it, such as `env.unwrapped.config`, or `HighwayEnvFast.default_config()` with changes.
-        stacked : how many observations a wrapper of the environment shows at once.
+        config : the whole configuration, such as `env.unwrapped.config`, or `HighwayEnvFast.default_config()` with
+            changes.
+        stacked : number of observations that a wrapper of the environment stacks.
 
         Raises
         ------
         ConfigError
-            If something is missing, or it has other actions than meta-actions, or observations that cannot be read.
+            If an entry is missing, the actions are not meta-actions, or the observations cannot be read.
         """
         missing = [name for name in _NEEDED if name not in config]
         if missing:
@@ -149,16 +151,16 @@ class Known:
 
     @classmethod
     def of(cls, env: Any) -> tuple[Known, ...]:
-        """Of each environment of a VecEnv, whatever processes they are in.
+        """Prior map of each environment of a VecEnv, in whatever processes these are.
 
-        They are asked for their configuration, for what they are made of, and where there is a sensor, for what it says
-        of itself; never for their state.
+        The environments are queried for their configuration, their wrappers and, where there is a sensor, its stated
+        noise and delay. Their state is never queried.
 
         Raises
         ------
         ConfigError
-            If it has not the methods of a VecEnv to ask with, or if one is not `highway-v0` or `highway-fast-v0`, is
-            shielded already, or has a wrapper that changes what is observed and cannot be undone.
+            If the VecEnv lacks a method for these queries. If an environment is not `highway-v0` or `highway-fast-v0`,
+            is shielded already, or has a wrapper whose effect on observations cannot be undone.
         """
         check_wrappers(env, ())
         if isinstance(env, VecEnvWrapper):
@@ -183,12 +185,13 @@ class Known:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of what the environment shows, with what is stacked."""
+        """Shape of the environment's observations, stacking included."""
         return self.spec.shape if self.stacked == 1 else (self.stacked, *self.spec.shape)
 
 
 def _decisions(duration: float, rate: float) -> int:
-    """How many decisions there are until highway-env's clock, a sum of their durations, is there."""
+    """Number of decisions until highway-env's clock, a floating-point sum of their durations, reaches `duration` [s]; 0
+    for endless."""
     if not duration * rate < _LONG:
         return 0
     time, many = 0.0, 0
@@ -198,6 +201,7 @@ def _decisions(duration: float, rate: float) -> int:
 
 
 def _labels(action: Mapping[str, Any]) -> tuple[str, ...]:
+    """Labels of the meta-actions for an action configuration."""
     along, across = bool(action.get("longitudinal", True)), bool(action.get("lateral", True))
     kinds = DiscreteMetaAction
     chosen = kinds.ACTIONS_ALL if along and across else kinds.ACTIONS_LONGI if along else kinds.ACTIONS_LAT
@@ -205,21 +209,21 @@ def _labels(action: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _layers(env: Any) -> list[list[str]]:
-    """Names of the wrappers of each environment of a VecEnv, outermost first, and of the environment itself."""
+    """Names of the wrappers of each environment of a VecEnv, outermost first, and then of the environment itself."""
     spec = getattr(env, "spec", None)
     if isinstance(spec, EnvSpec):
         return [[str(spec.entry_point).rpartition(":")[2]] for _ in range(env.num_envs)]
-    # What an environment is made of is in its name, which can be sent whatever it is made of.
+    # The text of an environment names its wrappers. A text can be sent between processes, whatever the wrappers are.
     texts = [text.replace(">", "").removesuffix(" instance") for text in env.env_method("__str__")]
     return [[name for name in text.split("<") if name and name not in registry] for text in texts]
 
 
 def _check(names: list[str], sensor: bool, observes: bool) -> None:
-    """Raise where the road, or what is observed, is not known beforehand.
+    """Raise `ConfigError` unless the road, and the effect of the wrappers on observations, are known beforehand.
 
     Parameters
     ----------
-    names : as of `_layers`. sensor : whether one says of its own noise. observes : whether one is an observation
+    names : see `_layers`. sensor : whether a wrapper states its noise. observes : whether a wrapper is an observation
         wrapper.
     """
     *wrappers, base = names
@@ -238,12 +242,12 @@ def _check(names: list[str], sensor: bool, observes: bool) -> None:
 
 
 def _with_sensor(known: Known, env: Any, i: int) -> Known:
-    """The same with what a sensor says of itself.
+    """The prior map with the sensor's stated noise and delay.
 
     Raises
     ------
     ConfigError
-        If it says nothing yet.
+        If the sensor does not state its noise yet.
     """
     noise, delay = (np.asarray(env.get_attr(name, i)[0], float) for name in (_SENSOR, _DELAY))
     if noise.shape != (4,) or not noise.any():
@@ -253,5 +257,5 @@ def _with_sensor(known: Known, env: Any, i: int) -> Known:
     if isinstance(known.spec, GridSpec):
         raise ConfigError("a sensor that says of its own noise shows Kinematics, not a grid")
     x, y, vx, vy = noise.tolist()
-    # What is noisy may be beyond the range that it was clipped to.
+    # A noisy value may be beyond the range that it was clipped to.
     return replace(known, spec=replace(known.spec, clip=False), noise=(x, y, vx, vy), delay=int(delay))

@@ -1,6 +1,6 @@
-"""What innovations say of a sensor: how noisy it is, and how far what it shows is from what was expected.
+"""Estimates about a sensor from its innovations: the noise, and the frequency of prediction errors.
 
-Both are values: `after` gives what is known one observation later, and nothing is kept elsewhere.
+Both are values: `after` returns the estimate after one more observation.
 """
 
 from __future__ import annotations
@@ -18,47 +18,48 @@ from shield.perception.tracking import Surprise
 __all__ = ["RESOLUTION", "WIDEST", "Conformal", "Learned", "Noise"]
 
 RESOLUTION = np.full(4, 1e-4)
-"""What 32 bits leave of x, y [m], vx and vy [m/s] in an observation: no sensor is taken to be better."""
+"""Resolution of x, y [m], vx and vy [m/s] in a 32-bit observation: least standard deviation of a sensor."""
 WIDEST = np.array([100.0, 6.0, 40.0, 40.0])
-"""Standard deviations of x, y [m], vx and vy [m/s] of the worst sensor that there is taken to be, and of one of which
-nothing is known: half the ranges of highway-env's normalised features on three lanes."""
+"""Greatest standard deviations of x, y [m], vx and vy [m/s], also assumed of an unknown sensor: half the ranges of
+highway-env's normalised features on three lanes."""
 _MEMORY = 600.0
-"""What was seen so many vehicles ago counts 1/e as much as what is seen now."""
+"""The weight of an observed vehicle falls to 1/e after this many further vehicles."""
 _FREE = 2.0 / 3.0
-"""Two differences in a row share an observation: what they tell is that of so many independent ones."""
+"""Share of independent differences: two successive differences share an observation."""
 _DOUBT = 1.645
-"""The noise is taken to be as large as it is with 95 %."""
+"""Normal quantile of the upper confidence limit of the noise, which is at 95 %."""
 _FARTHEST_STEP, _FEW = 3.0, 10.0
-"""A difference counts for no more than so many standard deviations by what is known, once it is of more than so many:
-one that swings from lane to lane says nothing of the sensor."""
+"""From this many differences on (the second number), a difference is capped at this many present standard deviations
+(the first). A vehicle that changes lanes carries no information about the sensor."""
 
 _BINS = 640
 _EDGES = np.linspace(-FARTHEST, FARTHEST, _BINS + 1)
 _RECENT = 2_000.0
 _PRIOR = 200.0
-"""The normal distribution counts as so many vehicles that have been seen."""
+"""Weight of the prior normal distribution, as a number of observed vehicles."""
 _GAMMA = 0.005
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Noise:
-    """How noisy a sensor is, from the differences between two observations in a row of the same vehicle.
+    """Estimate of a sensor's noise from differences between two successive observations of the same vehicle.
 
-    A difference, but for how far the vehicle has come, is that of two draws of noise and what the vehicle has done that
-    could not be foreseen: half its square is, in the mean, the variance of the noise, or more. It depends on no filter,
-    and so on no noise that was assumed before. Squares beyond 3 standard deviations are cut off: that leaves normal
-    noise as it is, and takes up to a tenth off that of Student's t with 3 degrees of freedom.
+    A difference, less the distance driven, is the sum of two noise samples and of unpredicted motion. So half its
+    square has a mean of at least the variance of the noise. The estimate depends on no filter, and so on no earlier
+    assumption about the noise. Squares beyond 3 standard deviations are capped. The cap keeps normal noise, and lowers
+    Student's t with 3 degrees of freedom by up to a tenth.
 
     Attributes
     ----------
-    squares : sum of half the squared differences of x, y, vx and vy, (4,). count : how many; both forget.
+    squares : sum of half the squared differences of x, y, vx and vy, (4,). count : their number. Both decay
+        exponentially.
     """
 
     squares: FloatArray = field(default_factory=lambda: np.zeros(4))
     count: float = 0.0
 
     def after(self, steps: FloatArray) -> Noise:
-        """With what `Surprise.steps` (l, 4) says."""
+        """Estimate with `Surprise.steps` (l, 4) added."""
         left, squares = math.exp(-len(steps) / _MEMORY), 0.5 * np.square(steps)
         if self.count > _FEW:
             squares = np.minimum(squares, _FARTHEST_STEP**2 * self.squares / self.count)
@@ -66,8 +67,8 @@ class Noise:
 
     @property
     def sigma(self) -> FloatArray:
-        """Standard deviations of x, y [m], vx and vy [m/s], (4,): the upper end of an interval of confidence, which is
-        wide while few have been seen (chi^2 after Wilson and Hilferty 1931)."""
+        """Standard deviations of x, y [m], vx and vy [m/s], (4,): the upper confidence limit, which is wide after few
+        observations (chi^2 after Wilson and Hilferty 1931)."""
         free = _FREE * self.count
         share = 1.0 - 2.0 / (9.0 * free) - _DOUBT * math.sqrt(2.0 / (9.0 * free)) if free else 0.0
         if share <= 0.0:
@@ -77,23 +78,25 @@ class Noise:
 
 
 def _normal() -> FloatArray:
+    """Initial counts: the bins of a normal distribution, (4, bins)."""
     return np.tile(_PRIOR * np.diff(ndtr(_EDGES)), (4, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conformal:
-    """How many standard deviations bounds have to be away, so that what is seen next is beyond them as often as chosen.
+    """Bounds in standard deviations that the next observation exceeds with a chosen frequency.
 
     Adaptive conformal inference (Gibbs and Candes 2021): the bound on each side is the quantile of the scores so far
-    (`Surprise.scores`) at a level that goes up by gamma (chosen - missed) with each vehicle that is seen. So in the
-    long run it is missed as often as chosen, whatever the distribution, and however the traffic reacts to the ego.
-    Recent scores count more (weights as of Barber et al. 2023).
+    (`Surprise.scores`) at a level. Each observed vehicle raises the level by gamma (chosen - missed). In the long run
+    the bounds are missed with the chosen frequency, for any distribution and any reaction of the traffic to the ego.
+    Recent scores weigh more (weights as in Barber et al. 2023).
 
     Attributes
     ----------
-    counts : of the scores of x, y, vx and vy, by bins from -`FARTHEST` to `FARTHEST`, (4, bins).
-    levels : how often to be missed, below and above, of each, (2, 4); what is at most 0 has no bound but `FARTHEST`.
-    chosen : how often is asked for.
+    chosen : the chosen frequency.
+    levels : present levels below and above, for each of x, y, vx and vy, (2, 4). A level of at most 0 gives the bound
+        `FARTHEST`.
+    counts : histogram of the scores of x, y, vx and vy, in bins from -`FARTHEST` to `FARTHEST`, (4, bins).
     """
 
     chosen: float
@@ -102,31 +105,31 @@ class Conformal:
 
     @classmethod
     def of(cls, bound: float) -> Conformal:
-        """Before anything is seen: those of a normal distribution that is missed beyond so many standard deviations."""
+        """Initial state: a normal distribution and the frequency with which it exceeds `bound` standard deviations."""
         chosen = float(ndtr(-bound))
         return cls(chosen, np.full((2, 4), chosen))
 
     @property
     def bounds(self) -> FloatArray:
-        """Below and above, of each of x, y, vx and vy, (2, 4), from 0 to `FARTHEST` standard deviations."""
+        """Bounds below and above, for each of x, y, vx and vy, (2, 4), from 0 to `FARTHEST` standard deviations."""
         shares = self.counts.cumsum(axis=1) / self.counts.sum(axis=1, keepdims=True)
         found = np.empty((2, 4))
         for k in range(4):
             below, above = self.levels[:, k]
-            # Outward: the edge of the bin that is on the far side.
+            # Conservative rounding: the outer edge of the bin.
             found[0, k] = -_EDGES[np.searchsorted(shares[k], below, side="right")] if below > 0 else FARTHEST
             at = np.searchsorted(shares[k], 1.0 - above, side="left") + 1 if above > 0 else _BINS
             found[1, k] = _EDGES[min(at, _BINS)]
         return np.clip(found, 0.0, FARTHEST)
 
     def missed(self, scores: FloatArray) -> FloatArray:
-        """Who is beyond the bounds, below and above, (2, k, 4)."""
+        """Which scores are beyond the bounds, below and above, (2, k, 4)."""
         low, high = self.bounds
-        # A score stops at the last bound that there is.
+        # A score is capped at `FARTHEST`, so a score there counts as beyond.
         return np.stack([(scores < -low) | (scores <= -FARTHEST), (scores > high) | (scores >= FARTHEST)])
 
     def after(self, scores: FloatArray) -> Conformal:
-        """With what `Surprise.scores` (k, 4) says."""
+        """State with `Surprise.scores` (k, 4) added."""
         n = len(scores)
         levels = self.levels + _GAMMA * (n * self.chosen - self.missed(scores).sum(axis=1))
         counts = math.exp(-n / _RECENT) * self.counts
@@ -137,19 +140,19 @@ class Conformal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Learned:
-    """What is known of a sensor.
+    """Estimates about a sensor.
 
     Attributes
     ----------
-    noise : how noisy it is; None where that is told.
-    conformal : how far bounds have to be away; None where they are those of a normal distribution.
+    noise : estimate of the noise; None where the noise is configured.
+    conformal : estimate of the bounds; None where they are those of a normal distribution.
     """
 
     noise: Noise | None = None
     conformal: Conformal | None = None
 
     def after(self, surprise: Surprise) -> Learned:
-        """With one more observation."""
+        """Estimates with one more observation added."""
         return Learned(
             None if self.noise is None else self.noise.after(surprise.steps),
             None if self.conformal is None else self.conformal.after(surprise.scores),

@@ -1,4 +1,4 @@
-"""What the assignment of those who are seen to those who are followed comes to."""
+"""Result of an assignment of observed vehicles to tracks."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ __all__ = ["Settled", "settled"]
 
 
 class Settled(NamedTuple):
-    """Who is whom of n that are followed and m that are seen.
+    """Assignment of m observed vehicles to n tracks.
 
     Attributes
     ----------
-    rows, columns : of those who are both, (k,) and (k,).
-    missed, places, seen, innovation : of those who are followed, see `tracking.Tracks`.
-    unknown : who of those seen is new, (m,).
-    whole : whether nobody is new, and nobody missing for too long.
+    rows, columns : tracks and observed vehicles that match, (k,) and (k,).
+    missed, places, seen, innovation : of the tracks, see `tracking.Tracks`.
+    unknown : which observed vehicles have no track, (m,).
+    whole : whether every observed vehicle has a track, and no track has been missed for too long.
     """
 
     rows: IntArray
@@ -45,13 +45,14 @@ def settled(
     at: FloatArray,
     seen: FloatArray,
 ) -> Settled:
-    """What an assignment comes to: of `rows` (l,) to `columns` (l,), so far `apart`, (l,); beyond the gate
-    they are not the same.
+    """Apply the gate to an assignment of tracks `rows` (l,) to observed vehicles `columns` (l,).
 
     Parameters
     ----------
-    patience : for how many observations somebody may be missing. missed, places, before : as of `tracking.Tracks`.
-    at, seen : rows (m,) and states (m, 4) of those who are seen.
+    apart : squared distance of each pair, (l,). gate : greatest squared distance of a match.
+    patience : consecutive observations that a vehicle may be missing from. missed, places, before : see
+        `tracking.Tracks`; `before` is `Tracks.seen`.
+    at, seen : rows (m,) and states (m, 4) of the observed vehicles.
     """
     pairs, missed, places, shown = np.empty((2, len(rows)), np.intp), missed + 1, places.copy(), before.copy()
     innovation, unknown = np.empty(len(missed)), np.empty(len(at), np.bool_)
@@ -76,7 +77,8 @@ def _settle(
     innovation: FloatArray,
     unknown: BoolArray,
 ) -> tuple[int, bool]:
-    """Fill in the pairs, (2, l), and what is known of each; how many pairs there are, and `Settled.whole`."""
+    """Fill in the pairs, (2, l), and the values of each track and observed vehicle. Returns the number of pairs, and
+    `Settled.whole`."""
     count, whole = 0, True
     for a in range(len(missed)):
         innovation[a] = np.nan

@@ -1,4 +1,4 @@
-"""`ObservationPerception`: the scene as an observation shows it."""
+"""`ObservationPerception`: scenes from Kinematics observations."""
 
 from __future__ import annotations
 
@@ -29,30 +29,31 @@ _S, _V = int(RoadState.S), int(RoadState.SPEED)
 _COLUMNS = len(State)
 _NOBODY = np.zeros((0, 3))
 _PATIENCE = 3
-"""Observations in a row that somebody may be missing for, through noise."""
+"""Consecutive observations that a vehicle may be missing from, where the sensor is noisy."""
 
 
 class ObservationPerception:
-    """Makes scenes of Kinematics observations: nothing of the traffic is read but these.
+    """Makes scenes from Kinematics observations, the only source for the traffic.
 
-    The road map is known, and what the ego itself has been told (its target lane and speed). Sizes are not observed:
-    every body is taken to be `ObservationSpec.body`. In each lane somebody unseen is assumed at either edge of sight
+    The road map and the ego's target command (lane and speed) are known. Sizes are not observed: every body has the
+    size `ObservationSpec.body`. An unseen vehicle is assumed in each lane at either edge of sight
     (`shield.perception.unseen`).
 
     Parameters
     ----------
-    spec : what the observations mean.
+    spec : meaning of the observations.
     road : the static road map, a `dynamics.roads.straight.StraightRoad`.
     timing : duration of a simulation frame [s], and simulation frames in a decision.
     config : settings.
-    learned : what was learned of the sensor before; None for nothing.
+    learned : what was estimated about the sensor before; None for nothing.
 
     Attributes
     ----------
-    tracks : who is followed. behind : who may be there unseen. edges : how far ahead and behind everybody is seen [m].
-    learned : what is known of the sensor by now. It outlives `reset`, where `PerceptionConfig.carry` says so.
-    monitor : whether the sensor behaves as it is thought to. vanished : who was seen, and is not shown any more where
-        everybody is seen.
+    tracks : the tracked vehicles. behind : vehicles that may be unseen behind.
+    edges : distance ahead and behind within which every vehicle is seen [m].
+    learned : present estimates about the sensor. They outlive `reset` if `PerceptionConfig.carry` is set.
+    monitor : test whether the sensor behaves as assumed.
+    vanished : vehicles that disappeared in a region where every vehicle is seen.
     """
 
     def __init__(
@@ -78,7 +79,7 @@ class ObservationPerception:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything about the episode, and without `PerceptionConfig.carry` what was learned in it."""
+        """Clear everything about the episode; without `PerceptionConfig.carry` also what was learned in it."""
         self.tracks, self.behind, self.monitor = Tracks(), Behind(), Monitor()
         self.vanished, self._anybody = Vanished(), False
         if not self.config.carry:
@@ -88,33 +89,34 @@ class ObservationPerception:
 
     @property
     def ego(self) -> FloatArray:
-        """The ego as it was seen last, (7,)."""
+        """Row of the ego as last seen, (7,)."""
         return self._egos[-1][1]
 
     @property
     def rating(self) -> tuple[Guarantee, float]:
-        """What a certificate for the scene seen last rests on, and the level of its bounds (see `Decision`)."""
+        """Guarantee and probability level of a certificate for the scene seen last (see `Decision`)."""
         if self.alarmed:
             return Guarantee.NONE, 0.0
         if self.config.noise is not None or self.config.delay:
             return Guarantee.PROBABILISTIC, 0.5 * (1 + math.erf(self.config.bound / math.sqrt(2)))
-        # An empty observation shows an empty road, or nothing of a full one.
+        # An empty observation shows an empty road, or no vehicle of a full one.
         everybody = min(self.edges) >= self.spec.distance and self._anybody
         return (Guarantee.ALL_SEEN if everybody else Guarantee.ASSUMED), 1.0
 
     @property
     def alarmed(self) -> bool:
-        """Whether the sensor does not behave as it is thought to, or has lost somebody within sight."""
+        """Whether the sensor does not behave as assumed, or has lost a vehicle within sight."""
         return len(self.vanished) > 0 or (self.config.monitor and self.monitor.alarmed)
 
     @property
     def noise(self) -> FloatArray:
-        """Standard deviations of x, y [m], vx and vy [m/s] of what is seen, (4,), as told or as estimated by now."""
+        """Standard deviations of the observed x, y [m], vx and vy [m/s], (4,): as configured, or as estimated so
+        far."""
         return self._told if self.learned.noise is None else self.learned.noise.sigma
 
     @property
     def bounds(self) -> FloatArray:
-        """How many standard deviations bodies may be away, below and above, of each of x, y, vx and vy, (2, 4)."""
+        """Distance of the bounds below and above each of x, y, vx and vy, in standard deviations, (2, 4)."""
         if self.alarmed:
             return np.full((2, 4), FARTHEST)
         if self.learned.conformal is not None:
@@ -122,14 +124,14 @@ class ObservationPerception:
         return self._usual
 
     def see(self, observation: Any, frame: int, control: EgoControl) -> Scene:
-        """The scene that an observation shows.
+        """Scene that an observation shows.
 
         Parameters
         ----------
         observation : of shape `spec.shape`, or flattened.
-        frame : index of the simulation frame since the episode began; one that has been seen already is the same
-            instant.
-        control : what the ego has been told, and what it can be told.
+        frame : index of the simulation frame since the episode began. A second call with the same frame reads no
+            observation.
+        control : the ego's target command, and the commands available to it.
 
         Raises
         ------
@@ -142,8 +144,13 @@ class ObservationPerception:
         return self._scene(control)
 
     def _move(self, sighting: Sighting, frame: int) -> tuple[FloatArray, float]:
-        """Take in where the ego is now; returns where it was when what is shown was seen, and the time between that and
-        what was shown before [s]."""
+        """Record the ego's present state.
+
+        Returns
+        -------
+        The ego's row when the observed vehicles were seen, (7,), and the time between that and the previous one [s].
+        Both differ from the present where the sensor has a delay.
+        """
         egos, dt, before = self._egos, self._timing[0], self._egos[-1] if self._egos else None
         then = self._then() if egos else frame
         row = None if before is None else before[1]
@@ -154,16 +161,17 @@ class ObservationPerception:
         return egos[0][1], (egos[0][0] - then) * dt
 
     def _then(self) -> int:
-        """The frame at which what was shown last was seen."""
+        """Frame at which the vehicles of the last observation were seen."""
         return self._egos[0][0]
 
     def _look(self, sighting: Sighting, then: FloatArray, passed: float) -> None:
-        """Take in who is shown, as seen by the ego `then`."""
+        """Update tracks, edges and unseen vehicles with an observation that was made when the ego was at `then`,
+        (7,)."""
         states, now, before = sighting.others.copy(), self._egos[-1][1], _cartesian(then)
         if self.spec.absolute:
             states[:, 0] += now[_X]
         else:
-            # What is relative is relative to where the ego was.
+            # Relative values refer to the ego's state at the time of the observation.
             states += before
             states[:, 1:] -= sighting.ego[1:]
         last = self.tracks
@@ -181,12 +189,12 @@ class ObservationPerception:
         self.behind.go_on(self.config.unseen, self.edges[1], along, passed, lost, new)
         self._anybody = self._anybody or len(self.tracks.ids) > 0
         if self.config.noise is None and not self.config.delay:
-            # A noisy sensor is known to miss somebody now and then: see `PerceptionConfig.patience`.
+            # A noisy sensor misses a vehicle now and then: see `PerceptionConfig.patience`.
             gone = lost + np.array([x, 0.0, 0.0])
             self.vanished.go_on(gone, self.tracks.mean[:, :2], x, self.edges, passed)
 
     def _learn(self) -> None:
-        """Take in how what is shown differs from what was expected."""
+        """Update the sensor monitor and the estimates with the innovations of the last observation."""
         surprise = self.tracks.surprise
         if surprise is not None:
             self.monitor = self.monitor.after(self._egos[-1][0], surprise.distances, self._timing[1])
@@ -213,7 +221,7 @@ class ObservationPerception:
             gone = bodies(self.vanished.states(float(ego[_X])), self.spec.body)
             rows, ids = np.concatenate([rows, gone]), np.concatenate([ids, np.full(len(gone), -1)])
         if self.alarmed:
-            # Nobody is taken to be who was there before: what was known of them narrows nothing.
+            # No vehicle is identified with an earlier one: earlier knowledge does not narrow its bounds.
             ids = np.full(len(rows), -1)
         return Scene(
             ego=ego,
@@ -230,8 +238,12 @@ class ObservationPerception:
         )
 
     def _ghosts(self, ego: FloatArray, mean: FloatArray) -> FloatArray:
-        """States on the road of those who may be there unseen, (n, 4), around an ego at such a state and those who are
-        followed."""
+        """Road states of vehicles that may be unseen, (n, 4).
+
+        Parameters
+        ----------
+        ego : the ego's road state, (4,). mean : states of the tracked vehicles in the world frame, (m, 4).
+        """
         spec, road, (far, back) = self.spec, self._road, self.edges
         unseen, pool = self.config.unseen, self.behind
         if self.alarmed:
@@ -244,8 +256,12 @@ class ObservationPerception:
 
 
 def _around(tracks: Tracks, chosen: BoolArray, x: float, passed: float = 0.0) -> FloatArray:
-    """How far ahead of x those who are chosen are, some time after they have been followed, where across, and how fast
-    along the road, (n, 3)."""
+    """Positions and speeds of the chosen tracks, relative to x, (n, 3): distance ahead of x [m], y [m], vx [m/s].
+
+    Parameters
+    ----------
+    passed : time by which the tracks are extrapolated at constant velocity [s].
+    """
     states = tracks.mean[chosen]
     states[:, :2] += passed * states[:, 2:]
     states[:, 0] -= x
@@ -253,7 +269,7 @@ def _around(tracks: Tracks, chosen: BoolArray, x: float, passed: float = 0.0) ->
 
 
 def _unlearned(config: PerceptionConfig) -> Learned:
-    """What is known before anything is seen."""
+    """Initial estimates, before the first observation."""
     return Learned(
         Noise() if config.noise == "estimate" else None,
         Conformal.of(config.bound) if config.bounds == "conformal" else None,
@@ -261,7 +277,7 @@ def _unlearned(config: PerceptionConfig) -> Learned:
 
 
 def _cartesian(row: FloatArray) -> FloatArray:
-    """x, y, vx, vy of a vehicle row, (4,)."""
+    """x, y [m], vx, vy [m/s] of a vehicle row, (4,)."""
     x, y, heading, speed = row[:_COLUMNS].tolist()
     return np.array([x, y, speed * math.cos(heading), speed * math.sin(heading)])
 
@@ -269,8 +285,11 @@ def _cartesian(row: FloatArray) -> FloatArray:
 def _ego_row(
     sighting: Sighting, before: FloatArray | None, passed: float, body: tuple[float, float], between: bool
 ) -> FloatArray:
-    """The ego, (7,). Along the road it is where its speed has brought it, in the mean of both where there are frames
-    `between`: it may have left the range of x."""
+    """Row of the ego, (7,).
+
+    x is the previous x plus speed times `passed`, because the observed x may be clipped to its range. The mean of both
+    speeds is used if frames lie `between` the two observations.
+    """
     x, y, vx, vy = sighting.ego.tolist()
     heading, speed = _polar(vx, vy, sighting.heading, 0.0 if before is None else float(before[_HEADING]))
     if before is not None:
@@ -282,7 +301,8 @@ def _ego_row(
 
 
 def _polar(vx: float, vy: float, heading: float, last: float) -> tuple[float, float]:
-    """Heading [rad] and speed [m/s] of a velocity; nobody is turned by more than a quarter from the road."""
+    """Heading [rad] and speed [m/s] of a velocity; a heading differs from the road's direction by at most a quarter
+    turn."""
     size = math.hypot(vx, vy)
     if math.isfinite(heading):
         return heading, math.copysign(size, vx * math.cos(heading) + vy * math.sin(heading)) if size else 0.0

@@ -1,4 +1,4 @@
-"""Settings of scenes that are made from observations."""
+"""Settings of perception from observations."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ class PerceptionConfig:
 
     Attributes
     ----------
-    unseen : what is assumed of those who are not seen.
-    calm, brisk : standard deviations of the others' accelerations along and across the road [m/s^2], of those who drive
-        on, by which what is seen of them is smoothed, and of those who do something else (see `tracking`).
-    noise : standard deviations of x, y [m], vx and vy [m/s] of those observed; None for what the sensor says of itself
-        (its attribute `sensor_noise`), and without that what 32 bits leave of a number; "estimate" for what innovations
-        say, whatever the sensor says of itself (`learned.Noise`).
-    bound : a body is taken to reach as far, and to be as fast behind the ego and as slow ahead, as is exceeded no more
-        often than so many standard deviations of a normal distribution.
-    bounds : whether that is so of the estimates themselves, "gaussian", or of what was found to be exceeded as often
-        where the next observation was foretold, "conformal" (`learned.Conformal`).
-    monitor : whether a sensor that does not behave as it is thought to is noticed (`monitor.Monitor`), and answered
-        with the widest bounds that there are and no guarantee.
-    carry : whether what was learned of the sensor is carried from one episode to the next; else each begins anew.
-    patience : for how many observations in a row somebody may be missing who has been seen; None for 3 where noise is
-        told, and 0 elsewhere.
-    cruise : the speed that traffic has, by how much it differs [m/s], and how slowly everybody comes to it [s]; it says
-        something only where the sensor says little.
-    delay : for how many simulation frames what is shown of the others is out of date, beyond what the sensor says of
-        itself (its attribute `sensor_delay`); the ego's own row is not.
+    unseen : assumptions about unseen vehicles.
+    calm, brisk : standard deviations of the other vehicles' accelerations along and across the road [m/s^2], for
+        vehicles that keep their lane and for vehicles that manoeuvre (see `tracking`).
+    noise : standard deviations of the observed x, y [m], vx and vy [m/s]. None: the sensor's attribute `sensor_noise`,
+        and without it the resolution of 32-bit numbers. "estimate": estimated from the observations, whatever the
+        sensor states (`learned.Noise`).
+    bound : bounds of positions and speeds, as a number of standard deviations of a normal distribution with the same
+        probability of being exceeded.
+    bounds : "gaussian": that probability is the filters'. "conformal": it is the observed frequency of prediction
+        errors (`learned.Conformal`).
+    monitor : whether to test that the sensor behaves as assumed (`sensor_monitor.Monitor`). An alarm gives the widest
+        bounds and no guarantee.
+    carry : whether estimates about the sensor are carried from one episode to the next.
+    patience : consecutive observations that a known vehicle may be missing from. None: 3 if the noise is configured,
+        else 0.
+    cruise : usual speed of traffic, its standard deviation [m/s], and the time constant with which speeds approach it
+        [s]. It has an effect only where the sensor is imprecise.
+    delay : simulation frames by which the observed vehicles are out of date, in addition to the sensor's attribute
+        `sensor_delay`. The ego's own row is not delayed.
 
     Raises
     ------
     ConfigError
-        If one is out of range.
+        If a value is out of range.
     """
 
     unseen: Unseen = field(default_factory=Unseen)
@@ -78,4 +78,5 @@ class PerceptionConfig:
 
 
 def _four(noise: Any) -> bool:
+    """Whether the argument is four finite numbers of at least 0."""
     return np.shape(noise) == (4,) and all(0 <= sigma < math.inf for sigma in noise)

@@ -1,4 +1,4 @@
-"""Scenes of what one environment's policy observes, in the place of a `SceneReader`."""
+"""Scenes from the observations of one environment's policy, with the interface of a `SceneReader`."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ __all__ = ["NO_OBSERVED_SCENES", "ObservedScenes", "perception_of", "scenes_of",
 NO_OBSERVED_SCENES = (
     "scenes are made from observations for meta-actions on a straight highway; elsewhere take perception='simulator'"
 )
-"""What is said where they are not."""
+"""Message where scenes cannot be made from observations."""
 
 
 class ObservedScenes:
-    """What stands in for a `SceneReader` at a door: scenes of what is observed.
+    """Scenes from observations, with the interface of a `SceneReader`.
 
     Parameters
     ----------
-    env : the environment; of it are read the road map, the clock and what the ego has been told, and at frames between
-        two decisions what it shows then; the ego's own state besides, where it shows a grid, in which that is not.
+    env : the environment. Its road map, clock and target command are read, and its observation at frames between two
+        decisions. The ego's own state is read only for a grid, which does not show it.
     config : settings.
     """
 
@@ -54,18 +54,18 @@ class ObservedScenes:
 
     @property
     def perception(self) -> ObservationPerception | GridPerception:
-        """What makes the scenes; known after the first."""
+        """The perception that makes the scenes; available after `check`."""
         if self._perception is None:
             raise SceneError("nothing has been observed yet; call reset() first")
         return self._perception
 
     def check(self) -> None:
-        """Begin an episode: read the road map, and what observations mean.
+        """Begin an episode: read the road map and the observation's specification.
 
         Raises
         ------
         ConfigError
-            If observations cannot be read, or clipping hides what a scene is made of.
+            If observations cannot be read, or clipping hides required values.
         """
         self._inner.check()
         if self._inner.map.heading:
@@ -77,13 +77,13 @@ class ObservedScenes:
         spec = spec_of(base)
         ego, road = base.vehicle, self._inner.map
         speeds = [float(ego.speed), *map(float, getattr(ego, "target_speeds", ()))]
-        without_data_frames(base.observation_type)  # it is asked at each frame
+        without_data_frames(base.observation_type)  # `read` observes at each frame
         settings, sensor = self._config, _sensor_of(self._env)
         if sensor is not None and isinstance(spec, ObservationSpec):
             x, y, vx, vy = (float(sigma) for sigma in sensor.sensor_noise)
             settings = replace(settings, noise=settings.noise or (x, y, vx, vy))
             settings = replace(settings, delay=settings.delay + sensor.sensor_delay)
-            # What is noisy may be beyond the range that it was clipped to.
+            # A noisy value may be beyond the range that it was clipped to.
             spec = replace(spec, clip=False, sensor_range=float(getattr(sensor, "sensor_range", inf)))
         check_ranges(spec, speeds, (road.centers + road.origin[1]).tolist())
         before = self._perception
@@ -92,17 +92,17 @@ class ObservedScenes:
         self._shown = None
 
     def show(self, observation: Any) -> None:
-        """What the policy sees now; of it is read what highway-env shows, and not what wrappers have added."""
+        """Present the policy's observation; columns that wrappers have added are cut off."""
         added, rows = _added(self._env), np.asarray(observation)
         self._shown = int(self._base.steps), rows[..., :-added] if added and rows.ndim > 1 else observation
 
     def read(self) -> Scene:
-        """The scene now.
+        """The present scene.
 
         Raises
         ------
         SceneError
-            If nothing has been observed, or that cannot be read.
+            If there is no observation, or it cannot be read.
         """
         frame = int(self._base.steps)
         if self._shown is None or self._shown[0] != frame:
@@ -114,7 +114,7 @@ class ObservedScenes:
         return perception.see(shown, frame, self._inner.control, self._own(perception.spec.body))
 
     def _own(self, body: tuple[float, float]) -> FloatArray:
-        """The ego's own state, which a grid does not show and a vehicle measures by itself, (7,)."""
+        """The ego's row, (7,), which a vehicle measures by itself and a grid does not show."""
         ego = self._base.vehicle
         if ego is None:
             raise SceneError("the environment has no ego vehicle; call reset() first")
@@ -128,12 +128,12 @@ def perception_of(
     config: PerceptionConfig,
     learned: Learned | None = None,
 ) -> ObservationPerception | GridPerception:
-    """What makes scenes of observations that mean this; arguments as of either. Of a grid nothing is learned.
+    """Perception for observations of a specification; parameters as of either class. A grid has no estimates.
 
     Raises
     ------
     ConfigError
-        If it cannot be done with such a grid.
+        If the grid is unsuitable.
     """
     if isinstance(spec, GridSpec):
         return GridPerception(spec, road, timing, config)
@@ -141,8 +141,10 @@ def perception_of(
 
 
 def sense(env: Any) -> Any:
-    """What an environment would observe now: what highway-env shows, seen through each `ObservationWrapper`, but for
-    those that add columns (they have an attribute `added_features`); nothing is stacked."""
+    """Present observation of an environment: highway-env's, seen through each `ObservationWrapper`.
+
+    Wrappers that add columns (with an attribute `added_features`) are skipped, and nothing is stacked.
+    """
     if env is env.unwrapped:
         return env.observation_type.observe()
     seen = sense(env.env)
@@ -150,17 +152,17 @@ def sense(env: Any) -> Any:
 
 
 def _adds(env: Any) -> int:
-    """How many columns a wrapper adds at the end of an observation."""
+    """Number of columns that a wrapper adds at the end of an observation."""
     return len(getattr(type(env), "added_features", ()))
 
 
 def _added(env: Any) -> int:
-    """How many all wrappers add."""
+    """Number of columns that all wrappers add."""
     return 0 if env is env.unwrapped else _adds(env) + _added(env.env)
 
 
 def _sensor_of(env: Any) -> Any:
-    """The outermost wrapper that says of its own noise and delay; None without one."""
+    """The outermost wrapper that states its noise and delay; None without one."""
     while env is not env.unwrapped:
         if hasattr(type(env), "sensor_noise") or "sensor_noise" in vars(env):
             return env
@@ -169,7 +171,7 @@ def _sensor_of(env: Any) -> Any:
 
 
 def scenes_of(perception: str | PerceptionConfig, env: Any) -> ObservedScenes | None:
-    """What reads the scenes of an environment; None for the simulator's state.
+    """Scene reader of an environment; None for the simulator's state.
 
     Parameters
     ----------

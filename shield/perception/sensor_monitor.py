@@ -1,4 +1,4 @@
-"""Whether a sensor behaves as it is thought to: what was expected against what is seen, in the frames of a decision."""
+"""Test whether a sensor behaves as assumed, from the innovations of the frames of a decision."""
 
 from __future__ import annotations
 
@@ -12,40 +12,41 @@ from dynamics.state import FloatArray
 __all__ = ["Monitor"]
 
 _CAP = 25.0
-"""No vehicle counts more than this squared distance: one that swings, or is taken for another, is no alarm."""
+"""Greatest squared distance that one vehicle contributes. A lateral swing, or a wrong match, causes no alarm."""
 _USUAL, _LIMIT = 8.0, 12.0
-"""An alarm is where the sum of n squared distances is above n times the first, and above that by more than the second
-times the root of n. Chosen on episodes with noise as told, with tails (Student's t with 3 degrees of freedom times what
-was told), and three times as large: `benchmarks/monitor.py --seed 2000`."""
+"""The sum S of n squared distances causes an alarm if S > 8 n + 12 √n. Chosen on episodes with noise as configured,
+with heavy tails (Student's t with 3 degrees of freedom), and with three times the noise: `benchmarks/monitor.py --seed
+2000`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Monitor:
-    """The test of the innovations of the last frames: an alarm where their squared distances add up to too much.
+    """Test of the innovations of the last frames: the alarm compares the sum of their squared distances with a
+    threshold.
 
-    Where noise is normal and as told the distances have a mean of 4 or less (chi^2 with 4 degrees of freedom, and
-    motions that are foreseen with some reserve); with noise three times as large, of more than 10.
+    With normal noise as configured the distances have a mean of at most 4 (chi^2 with 4 degrees of freedom, and
+    conservative process noise). With three times the noise their mean is above 10.
 
     Attributes
     ----------
-    recent : of each observation, its frame, the sum of the squared distances, and of how many.
+    recent : for each observation its frame, the sum of its squared distances, and their number.
     """
 
     recent: tuple[tuple[int, float, int], ...] = ()
 
     def after(self, frame: int, distances: FloatArray, frames: int) -> Monitor:
-        """With what `Surprise.distances` (k,) says at a frame; what is `frames` old, or older, counts no more."""
+        """Monitor with `Surprise.distances` (k,) of one more frame; entries at least `frames` old are dropped."""
         new = frame, float(np.minimum(distances, _CAP).sum()), len(distances)
         return Monitor((*(each for each in self.recent if each[0] > frame - frames), new))
 
     @property
     def excess(self) -> float:
-        """How far the sum is above what is usual, by the root of how many there are."""
+        """Excess of the sum over its usual value, divided by the square root of the number of distances."""
         count = sum(n for *_, n in self.recent)
         total = sum(each for _, each, _ in self.recent)
         return (total - _USUAL * count) / math.sqrt(count) if count else 0.0
 
     @property
     def alarmed(self) -> bool:
-        """Whether the sensor does not behave as it is thought to."""
+        """Whether the sensor does not behave as assumed."""
         return self.excess > _LIMIT

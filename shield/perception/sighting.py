@@ -1,4 +1,4 @@
-"""What one observation shows, in metres and in the world's directions."""
+"""Decoding of a Kinematics observation, into metres and the world frame."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from shield.perception.spec import STATE, ObservationSpec
 __all__ = ["Sighting", "decode", "numbers_of"]
 
 _EDGE = 1.0 - 1e-6
-"""A normalised and clipped number from here on may stand for anything beyond its range."""
+"""A normalised and clipped number of at least this may stand for any value beyond its range."""
 _FULL = 1e-3
-"""Rows whose numbers are all smaller than this, with no presence to go by, are empty."""
+"""Without a presence column, a row whose numbers are all smaller than this is empty."""
 _NAMED = ("presence", "cos_h", "sin_h", "heading")
-"""Features beside the state that say something here."""
+"""Features beside the state that are read here."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """One observation, decoded.
+    """One decoded observation.
 
     Attributes
     ----------
-    ego : x, y [m], vx, vy [m/s] of the ego, (4,); x is NaN where it has left the range.
-    others : the same of those seen, (m, 4), relative in x to the ego, absolute in y, vx and vy.
-    heading : of the ego [rad], NaN where it is not a feature.
-    places : row of each of the others, (m,).
-    full : whether there is no empty row, so that more may be there than are shown.
-    cut : whether some row is at the edge of a range: somebody is there, and nobody knows where. Rows beyond a range of
-        x that ends before the ego's sight are out of sight.
+    ego : x, y [m], vx, vy [m/s] of the ego, (4,); x is NaN where it has left its range.
+    others : the same of the other vehicles, (m, 4): x relative to the ego, y, vx and vy absolute.
+    heading : of the ego [rad]; NaN where it is not a feature.
+    places : row index of each of the others, (m,).
+    full : whether no row is empty; then more vehicles may exist than the observation shows.
+    cut : whether a row is clipped: a vehicle exists, and its position is unknown. Rows beyond a range of x that ends
+        before the ego's sight are out of sight, and do not count.
     """
 
     ego: FloatArray
@@ -48,7 +48,7 @@ class Sighting:
 
 
 def decode(spec: ObservationSpec, observation: object) -> Sighting:
-    """Read an observation.
+    """Decode an observation.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def decode(spec: ObservationSpec, observation: object) -> Sighting:
     Raises
     ------
     SceneError
-        If it is no array of real numbers, has another shape, is not finite, or does not show the ego.
+        If it is not an array of real numbers, has another shape, is not finite, or does not show the ego.
     """
     rows = numbers_of(observation, spec.shape)
     low, half, ranged, where, named = _layout(spec.features, tuple(spec.ranges.items()))  # type: ignore[union-attr]
@@ -76,8 +76,7 @@ def decode(spec: ObservationSpec, observation: object) -> Sighting:
 
 
 def _out_of_sight(spec: ObservationSpec, rows: FloatArray, presence: int, column: int) -> int:
-    """How many rows are at an edge of x that is nearer than the ego sees: these are out of sight, and no more is asked
-    of them."""
+    """Number of rows that are clipped at a bound of x nearer than the ego's sight; these count as out of sight."""
     if spec.absolute or "x" not in spec.ranges:  # type: ignore[operator]
         return 0
     low, high = spec.ranges["x"]  # type: ignore[index]
@@ -101,8 +100,8 @@ def _read(
     states: FloatArray,
     places: IntArray,
 ) -> tuple[int, int, int]:
-    """Fill in the ego's row in its units (features,), and of it and those whose place is known the states (n, 4) and
-    the rows (n,) from observed rows (n, features).
+    """Decode observed rows (n, features). Fills `ego_row` (features,) in its units, and for the ego and each vehicle
+    with a known position `states` (n, 4) and `places` (n,).
 
     Parameters
     ----------
@@ -110,8 +109,8 @@ def _read(
 
     Returns
     -------
-    How many are shown, 0 where the ego is not; how many of these fill the results; and which of the ego's state is at
-    the edge of its range, a bit for each.
+    The number of rows shown (0 without the ego), the number of filled results, and a bit for each clipped component of
+    the ego's state.
     """
     shown, known, lost = 0, 0, 0
     for i in range(rows.shape[0]):
@@ -152,12 +151,12 @@ def _read(
 
 
 def numbers_of(observation: object, shape: tuple[int, ...]) -> FloatArray:
-    """An observation as 64-bit numbers of the shape that is expected.
+    """Observation as 64-bit numbers of the given shape.
 
     Raises
     ------
     SceneError
-        If it is no array of real numbers, has neither this shape nor the same flattened, or is not finite.
+        If it is not an array of real numbers, has neither this shape nor the same flattened, or is not finite.
     """
     try:
         given = np.asarray(observation)
@@ -174,6 +173,7 @@ def numbers_of(observation: object, shape: tuple[int, ...]) -> FloatArray:
 
 
 def _kind(observation: object, given: Any) -> str:
+    """Description of an unsuitable observation, for a message."""
     return f"of {given.dtype}" if given.ndim else type(observation).__name__
 
 
@@ -181,8 +181,13 @@ def _kind(observation: object, given: Any) -> str:
 def _layout(
     features: tuple[str, ...], ranges: tuple[tuple[str, tuple[float, float]], ...]
 ) -> tuple[FloatArray, FloatArray, BoolArray, IntArray, tuple[int, ...]]:
-    """Of each feature the lower end of its range, half of how far it is to the upper one, and whether it has one; the
-    columns of the state, (4,); and those of `_NAMED`, -1 where there is none."""
+    """Columns and ranges of the features.
+
+    Returns
+    -------
+    For each feature the lower end of its range, half the width of the range, and whether it has a range. Then the
+    columns of the state, (4,), and those of `_NAMED`, -1 for a missing one.
+    """
     ends = dict(ranges)
     low, high = np.array([ends.get(name, (-1.0, 1.0)) for name in features]).T
     where, named = ([features.index(x) if x in features else -1 for x in names] for names in (STATE, _NAMED))
@@ -191,6 +196,7 @@ def _layout(
 
 
 def _heading(named: tuple[int, ...], ego: FloatArray) -> float:
+    """Heading of the ego [rad] from the columns of `_NAMED`; NaN if it is not a feature."""
     _, cos, sin, heading = named
     if cos >= 0 and sin >= 0:
         return math.atan2(ego[sin], ego[cos])

@@ -1,4 +1,4 @@
-"""What a Kinematics observation means: which number is what, in which unit, and what it leaves out."""
+"""Meaning of a Kinematics observation: columns, units, and what it leaves out."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from shield.errors import ConfigError
 __all__ = ["STATE", "ObservationSpec", "unreadable"]
 
 STATE = ("x", "y", "vx", "vy")
-"""The features that are needed."""
+"""The required features."""
 _KNOWN = (
     *("presence", *STATE, "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off"),
     *("confidence", "intent"),  # what wrappers add
 )
 _THERE = 0.5
-"""Rows with no more presence are empty."""
+"""A row with at most this presence is empty."""
 _ORDERS = ("sorted", "shuffled")
 
 
@@ -31,24 +31,23 @@ class ObservationSpec:
 
     Attributes
     ----------
-    features : columns, in order; x, y, vx and vy have to be among them.
-    rows : vehicles, the ego included.
-    ranges : of each normalised feature the values that -1 and 1 stand for [m], [m/s]; no entries where nothing is
-        normalised.
-    absolute : whether the others are in the world frame, and not relative to the ego.
-    clip : whether what is outside its range is shown at its edge.
-    sorted : whether those in the rows are the nearest along the road; shuffled rows of too many vehicles say nothing
-        of who is left out.
+    features : columns, in order; x, y, vx and vy are required.
+    rows : number of vehicles, the ego included.
+    ranges : for each normalised feature the values that -1 and 1 stand for [m], [m/s]; empty without normalisation.
+    absolute : whether the other vehicles are in the world frame instead of relative to the ego.
+    clip : whether a value outside its range is shown at its edge.
+    sorted : whether the rows are the nearest vehicles along the road. Shuffled rows of too many vehicles do not bound
+        the distance of those left out.
     see_behind : whether vehicles more than `behind` behind the ego are seen.
     distance : how far the ego sees [m].
-    sensor_range : how far ahead and behind a sensor in between shows anybody [m].
-    behind : how far back it sees without `see_behind`, from centre to centre [m].
-    body : length and width that are assumed of each vehicle, for none is observed [m].
+    sensor_range : distance ahead and behind within which a sensor in between shows vehicles [m].
+    behind : how far back the ego sees without `see_behind`, from centre to centre [m].
+    body : assumed length and width of each vehicle, since sizes are not observed [m].
 
     Raises
     ------
     ConfigError
-        If a feature is unknown, or one that is needed is missing; the message says what to add to the environment's
+        If a feature is unknown or a required one is missing. The message says what to change in the environment's
         configuration.
 
     Examples
@@ -106,7 +105,7 @@ class ObservationSpec:
 
     @property
     def sight(self) -> tuple[float, float]:
-        """How far ahead and behind the ego sees [m]: x is shown relative to it, and may be clipped before that."""
+        """How far ahead and behind the ego sees [m]. Relative x may be clipped before `distance`."""
         far = min(self.distance, self.sensor_range)
         back = far if self.see_behind else min(self.behind, far)
         if self.clip and not self.absolute and "x" in self.ranges:  # type: ignore[operator]
@@ -116,17 +115,17 @@ class ObservationSpec:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Number of rows and columns."""
         return self.rows, len(self.features)
 
     @classmethod
     def of(cls, env: Any) -> ObservationSpec:
-        """What an environment of highway-env shows; it has to be reset.
+        """Specification of the observations of a highway-env environment that has been reset.
 
         Raises
         ------
         ConfigError
-            If it shows anything but Kinematics, or that cannot be used.
+            If the observations are not Kinematics, or cannot be used.
         """
         base = env.unwrapped
         kind = base.observation_type
@@ -134,7 +133,7 @@ class ObservationSpec:
             raise ConfigError(unreadable(type(kind).__name__))
         ranges: Mapping[str, Any] = {}
         if kind.normalize:
-            kind.normalize_obs({})  # settles the ranges, of nothing
+            kind.normalize_obs({})  # computes the ranges, from an empty table
             ranges = {name: (float(low), float(high)) for name, (low, high) in kind.features_range.items()}
         return cls(
             features=tuple(kind.features),
@@ -149,13 +148,13 @@ class ObservationSpec:
 
     @classmethod
     def from_config(cls, observation: Mapping[str, Any], lanes: int) -> ObservationSpec:
-        """The same from highway-env's configuration of a straight highway of so many lanes, for an environment that is
-        out of reach.
+        """Specification from highway-env's observation configuration, on a straight highway with `lanes` lanes. For an
+        environment in another process.
 
         Raises
         ------
         ConfigError
-            As of `of`.
+            As `of`.
         """
         given = dict(observation)
         if given.get("type") != "Kinematics":
@@ -179,7 +178,7 @@ class ObservationSpec:
 
 
 def unreadable(kind: Any) -> str:
-    """What is said of an observation of another kind."""
+    """Message for an observation of an unsupported kind."""
     return (
         f"scenes are made from Kinematics and OccupancyGrid observations, not {kind}: set "
         'config["observation"] = {"type": "Kinematics", "vehicles_count": 15, "see_behind": True}'

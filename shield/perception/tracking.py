@@ -1,21 +1,22 @@
-"""Who is who from one observation to the next, and what each is doing: assignment, and three Kalman filters for each.
+"""Tracking of vehicles over observations: assignment, and three Kalman filters for each vehicle.
 
 Notation
 --------
-State of a vehicle: x [m], y [m], vx, vy [m/s] in the world's directions. Lanes lie along x. From one observation to the
-next a vehicle does one of three things, which change at random:
+State of a vehicle: x [m], y [m], vx, vy [m/s] in the world frame. Lanes lie along x. From one observation to the next a
+vehicle follows one of three motion models, between which it changes at random:
 
-- *calm*, it drives on: along x it keeps its velocity, but for an acceleration that is white noise, and across it is
-  drawn to the middle of the nearest lane;
-- *free*, it does not keep to a lane: across, too, it keeps its velocity but for white noise;
-- *brisk*: both accelerations are large. In frames of 0.2 s highway-env's cars swing to and fro by 1 m as they change
+- *calm*: it keeps its velocity along x, with white-noise acceleration, and is drawn to the centre of the nearest lane;
+- *free*: it keeps its velocity along and across the road, with white-noise accelerations;
+- *brisk*: both accelerations are large. In frames of 0.2 s highway-env's vehicles oscillate by 1 m as they change
   lanes.
 
-All are drawn, slowly, to the speed that traffic has. So each vehicle has an estimate for each, and the probability of
-each (the interacting multiple model of Blom and Bar-Shalom 1988); mean and covariance are those of the mixture. Which
-row of an observation is whom is the assignment of least total Mahalanobis distance, and a little for each row that
-somebody is further up or down than before, with those further apart than a gate left over: they are new, or out of
-sight.
+In all models the speed approaches the usual speed of traffic slowly. Each vehicle has an estimate for each model, and
+the probability of each (the interacting multiple model of Blom and Bar-Shalom 1988). Mean and covariance are those of
+the mixture.
+
+The assignment of observed vehicles to tracks has the least total cost: the squared Mahalanobis distance, plus a small
+cost for each row by which the vehicle has moved in the table. Pairs beyond a gate do not match: the observed vehicle is
+new, and the tracked one is out of sight.
 """
 
 from __future__ import annotations
@@ -37,30 +38,32 @@ from shield.perception.matching import settled
 __all__ = ["Motions", "Surprise", "Tracks", "ahead_of", "follow", "sides"]
 
 _GATE = 36.0
-"""Squared Mahalanobis distance beyond which two are not the same: chi^2 with 4 degrees exceeds it once in 4 million."""
+"""Squared Mahalanobis distance beyond which two vehicles do not match: chi^2 with 4 degrees of freedom exceeds it once
+in 4 million."""
 _LOST = 400.0
-"""Squared distance within which somebody new may be whoever was expected, and not seen."""
+"""Squared distance within which a new vehicle may be the expected one that was not seen."""
 _SETTLING, _WAVER = 1.0, 0.15
-"""One that keeps to its lane is drawn to its middle within this [s], and strays from it by this [m]."""
+"""A vehicle that keeps its lane returns to the centre with this time constant [s], and has this standard deviation from
+it [m]."""
 _RATES = np.array([[-0.1, 0.05, 0.05], [1.0, -1.1, 0.1], [0.5, 1.0, -1.5]])
-"""How often one that does this does that instead [1/s]."""
+"""Transition rates from one model (row) to another (column) [1/s]."""
 _MODES = 3
 _USUAL = np.array([0.8, 0.1, 0.1])
-"""How likely each is of somebody who has never been seen."""
+"""Initial probabilities of the models."""
 _FRAME = 0.2
-"""Accelerations last for this [s] where more than one frame is foreseen at once."""
+"""Correlation time of accelerations [s], where a prediction covers more than one frame."""
 
 
 class Motions(NamedTuple):
-    """How vehicles move.
+    """Parameters of the motion models.
 
     Attributes
     ----------
     calm, free, brisk : standard deviations of the accelerations along x and y [m/s^2].
-    centers : of the lanes, along y, (lanes,) [m]; without any, a calm one keeps its velocity across as well.
-    cruise : the speed along the road that everybody is drawn to, by how much they differ in it [m/s], and how slowly
-        they are drawn [s] (an Ornstein-Uhlenbeck process). It says something only where the sensor says little.
-    sideways : standard deviation of the velocity across of somebody who has never been seen [m/s].
+    centers : lane centres along y, (lanes,) [m]. Without them, a calm vehicle keeps its lateral velocity.
+    cruise : usual speed along the road, its standard deviation [m/s], and the time constant of the approach [s] (an
+        Ornstein-Uhlenbeck process). It has an effect only where the sensor is imprecise.
+    sideways : prior standard deviation of the lateral velocity of a new vehicle [m/s].
     """
 
     calm: tuple[float, float] = (2.0, 1.0)
@@ -72,17 +75,17 @@ class Motions(NamedTuple):
 
 
 class Surprise(NamedTuple):
-    """What was expected of k vehicles against what was seen of them, at one observation.
+    """Predicted against observed states of k vehicles, at one observation.
 
-    Those are among them, too, who are further from where somebody was expected than the gate, but not by far: what they
-    show is new, and counts against whoever was expected.
+    A pair slightly beyond the gate is included too. Its observed vehicle gets a new track, and counts as a deviation of
+    the expected one.
 
     Attributes
     ----------
-    distances : squared Mahalanobis distances, the least of the three estimates', (k,).
-    scores : in standard deviations of a normal distribution, of x, y, vx and vy, (k, 4); see `filters.scores`.
-    steps : of those who were seen at the observation before, too: by how much what is seen of x, y, vx and vy has
-        changed, but for how far one comes at the speed that it is thought to have, (l, 4) [m], [m/s].
+    distances : squared Mahalanobis distances, the least of the three models', (k,).
+    scores : normal scores of x, y, vx and vy, (k, 4); see `filters.scores`.
+    steps : change of the observed x, y, vx and vy since the previous observation, less the distance driven at the
+        estimated velocity, (l, 4) [m], [m/s]. Only of vehicles that were seen at the previous observation too.
     """
 
     distances: FloatArray
@@ -91,25 +94,26 @@ class Surprise(NamedTuple):
 
 
 def _none(*shape: int) -> FloatArray:
+    """Empty array with the given shape after the first axis."""
     return np.zeros((0, *shape))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracks:
-    """n vehicles that are followed.
+    """n tracked vehicles.
 
     Attributes
     ----------
-    ids : which is which, (n,); never given twice.
-    means, covariances : of each estimate, calm, free and brisk, (n, 3, 4) and (n, 3, 4, 4). chances : of each, (n, 3).
-    missed : for how many observations in a row each has not been seen, (n,). places : row in which each was seen last,
-        (n,); NaN where rows say nothing.
-    next_id : of the next newcomer.
-    seen : what was seen last of each, (n, 4).
-    surprise : what was expected against what was seen at the last observation; None before the second,
-        and where nobody asks.
-    innovation : squared Mahalanobis distance between what was expected of each and what was seen, the least of the
-        three, (n,); NaN of who has just come or was not seen.
+    ids : identity of each, (n,); no identity is used twice.
+    means, covariances : of each model, calm, free and brisk, (n, 3, 4) and (n, 3, 4, 4). chances : of each model, (n,
+        3).
+    missed : number of consecutive observations that each was missing from, (n,).
+    places : row in which each was last seen, (n,); NaN where rows carry no information.
+    next_id : identity of the next new vehicle.
+    seen : last observed state of each, (n, 4).
+    surprise : predicted against observed states at the last observation; None before the second, and without `watched`.
+    innovation : squared Mahalanobis distance between prediction and observation, the least of the three models', (n,).
+        NaN for a vehicle that is new or was not seen.
     """
 
     ids: IntArray = field(default_factory=lambda: np.zeros(0, np.intp))
@@ -125,12 +129,12 @@ class Tracks:
 
     @property
     def mean(self) -> FloatArray:
-        """Of all estimates together, (n, 4)."""
+        """Mean of the mixture, (n, 4)."""
         return filters.mixture(self.chances, self.means, self.covariances)[0]
 
     @property
     def covariance(self) -> FloatArray:
-        """Of all together, (n, 4, 4)."""
+        """Covariance of the mixture, (n, 4, 4)."""
         return filters.mixture(self.chances, self.means, self.covariances)[1]
 
 
@@ -148,11 +152,13 @@ def follow(
 
     Parameters
     ----------
-    tracks : before it. seen : states of those seen, (m, 4), in any order.
-    noise : covariance of one of these, (4, 4). dt : time since the observation before [s].
-    patience : for how many observations in a row somebody may be missing.
-    places : rows in which those seen are, (m,), where these are sorted by what is there; None where they say nothing.
-    watched : whether `Tracks.surprise` is filled in.
+    tracks : before it. seen : observed states, (m, 4), in any order.
+    noise : covariance of an observed state, (4, 4). dt : time since the previous observation [s].
+    motions : parameters of the motion models.
+    patience : consecutive observations that a vehicle may be missing from.
+    places : rows of the observed vehicles, (m,), where rows are sorted by distance; None where they carry no
+        information.
+    watched : whether to fill in `Tracks.surprise`.
     """
     at = np.full(len(seen), np.nan) if places is None else places.astype(float)
     changes, course, pushed, centers = _foreseen(dt, motions)
@@ -190,14 +196,14 @@ def _steps(tracks: Tracks, seen: FloatArray, dt: float, rows: IntArray, columns:
 
 
 def _joined(one: Tracks, kept: BoolArray, other: Tracks) -> Tracks:
-    """Those who are kept of one, and the other."""
+    """The kept tracks of one, and all tracks of the other."""
     names = "ids", "means", "covariances", "chances", "missed", "places", "innovation", "seen"
     joined = {name: np.concatenate([getattr(one, name)[kept], getattr(other, name)]) for name in names}
     return Tracks(**joined, next_id=other.next_id, surprise=one.surprise)
 
 
 def _newcomers(first_id: int, seen: FloatArray, at: FloatArray, noise: FloatArray, motions: Motions) -> Tracks:
-    """Those who are seen for the first time."""
+    """Tracks of vehicles that are seen for the first time."""
     n = len(seen)
     mean, about = _born(seen, noise, motions)
     return Tracks(
@@ -214,8 +220,10 @@ def _newcomers(first_id: int, seen: FloatArray, at: FloatArray, noise: FloatArra
 
 
 def _born(seen: FloatArray, noise: FloatArray, motions: Motions) -> tuple[FloatArray, FloatArray]:
-    """Means (n, 4) and covariance (4, 4) of newcomers: what is seen of them, and how fast somebody drives. The noise of
-    a velocity is taken to be no one else's."""
+    """Means (n, 4) and covariance (4, 4) of new vehicles, from the observation and the prior of the velocity.
+
+    The noise of a velocity is taken to be uncorrelated with the other components.
+    """
     mean, about = seen.copy(), noise.copy()
     for k, (usual, spread) in ((2, motions.cruise[:2]), (3, (0.0, motions.sideways))):
         seen_by = noise[k, k]
@@ -225,15 +233,20 @@ def _born(seen: FloatArray, noise: FloatArray, motions: Motions) -> tuple[FloatA
 
 
 def sides(tracks: Tracks, bound: float | FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Between what each of x, y, vx and vy is, (n, 4) and (n, 4): quantiles of the mixture, so likely to be exceeded as
-    `bound` standard deviations of one normal distribution are; one for all, or below and above of each, (2, 4)."""
+    """Lower and upper bounds of x, y, vx and vy, (n, 4) and (n, 4): quantiles of the mixture.
+
+    Parameters
+    ----------
+    bound : standard deviations of a normal distribution with the same probability of being exceeded. One number for
+        all, or below and above for each component, (2, 4).
+    """
     bounds = np.full((2, 4), float(bound)) if isinstance(bound, float | int) else bound
     return filters.quantiles(tracks.chances, tracks.means, tracks.covariances, bounds)
 
 
 def ahead_of(tracks: Tracks, late: float, motions: Motions) -> Tracks:
-    """Where those who are followed are `late` [s] after they were seen, with nothing seen since: calm ones go on as
-    such, and all others as free ones (nobody swings for so long)."""
+    """Prediction of the tracks, `late` [s] after the last observation. Calm vehicles stay calm, and all others are
+    free, because no vehicle oscillates for so long."""
     if not late or not len(tracks.ids):
         return tracks
     share = math.sqrt(min(_FRAME / late, 1.0))
@@ -244,8 +257,8 @@ def ahead_of(tracks: Tracks, late: float, motions: Motions) -> Tracks:
 
 
 def _foreseen(dt: float, motions: Motions) -> tuple[FloatArray, Course, FloatArray, FloatArray]:
-    """How likely each change is within a step, (3, 3), what is foreseen of it, what the accelerations of each filter
-    add, (3, 4, 4), and the centres of the lanes."""
+    """Parameters of a prediction step: transition probabilities, (3, 3), deterministic part, process noise of each
+    filter, (3, 4, 4), and lane centres."""
     centers = np.zeros(0) if motions.centers is None else motions.centers
     modes = motions.calm, motions.free, motions.brisk
     return _changes(dt), _course(dt, motions.cruise), _pushed(dt, modes), centers
@@ -253,6 +266,7 @@ def _foreseen(dt: float, motions: Motions) -> tuple[FloatArray, Course, FloatArr
 
 @lru_cache(maxsize=16)
 def _course(dt: float, usual: tuple[float, float, float]) -> Course:
+    """Deterministic part of a step. `usual` is `Motions.cruise`."""
     cruise, _, slowly = usual
     keep, left = math.exp(-dt / slowly), math.exp(-dt / _SETTLING)
     reach = slowly * (1 - keep)
@@ -262,20 +276,20 @@ def _course(dt: float, usual: tuple[float, float, float]) -> Course:
 
 @lru_cache(maxsize=16)
 def _changes(dt: float) -> FloatArray:
-    """Probabilities of doing this and, `dt` later, that, (3, 3)."""
+    """Transition probabilities between the models after `dt`, (3, 3)."""
     changes: FloatArray = expm(_RATES * dt)
     return changes
 
 
 @lru_cache(maxsize=16)
 def _pushed(dt: float, modes: tuple[tuple[float, float], ...]) -> FloatArray:
-    """What white accelerations of a frame add to the covariance of each filter, (filters, 4, 4)."""
+    """Process noise of each filter, from accelerations that are white from frame to frame, (filters, 4, 4)."""
     pushed = np.zeros((len(modes), 4, 4))
     for each, accelerations in zip(pushed, modes, strict=True):
         for axis, a in enumerate(accelerations):
             g = np.zeros(4)
             g[axis], g[axis + 2] = dt * dt / 2, dt
             each += a * a * np.outer(g, g)
-            # highway-env moves by the speed of before, another half of it.
+            # highway-env moves a vehicle by the speed before the step: another half of dt.
             each[axis, axis] += (a * dt * dt / 4) ** 2
     return pushed

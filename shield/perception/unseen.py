@@ -1,11 +1,13 @@
-"""Who may be there unseen: phantoms beyond the edges of sight, as far as what was seen before leaves room for them.
+"""Unseen vehicles: positions beyond the edges of sight that are consistent with earlier observations.
 
-What an observation leaves out is beyond an edge: further than the ego sees, further behind than it is shown, or further
-than the furthest of those shown where more may be there than there are rows.
+An observation leaves out vehicles beyond an edge. The edge ahead is the ego's range of sight, and the edge behind the
+observed range. If all rows are full, the furthest row is an edge as well.
 
-*Ahead*, in each lane, the slowest that may be is assumed right behind the edge: whoever comes into sight is further
-away, or the same. *Behind*, those that the ego has passed are where they can have come to since, and whoever has never
-been seen is no nearer than it can have come since the reset, and beyond the edge.
+*Ahead*: in each lane the slowest permitted vehicle is assumed right behind the edge. A vehicle that comes into sight is
+at that distance or further away.
+
+*Behind*: a vehicle that the ego has passed is where it can have moved to since. A vehicle that was never seen is beyond
+the edge, and no nearer than it can have come since the reset.
 """
 
 from __future__ import annotations
@@ -26,28 +28,29 @@ __all__ = ["Behind", "Unseen", "ahead", "edges"]
 
 _S, _R, _SPEED = int(RoadState.S), int(RoadState.R), int(RoadState.SPEED)
 _GAP = 0.5
-"""From a phantom to whoever is seen in its lane nearer to the ego [m]."""
+"""Gap between an unseen vehicle and a nearer visible one in its lane [m]."""
 _BESIDE = 6.0
-"""Whoever comes up from behind, no further than this from where one that was passed can be, is that one [m]."""
+"""A newcomer from behind counts as a vehicle passed before if it is at most this far from its possible positions
+[m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unseen:
-    """What is assumed of those who are not seen.
+    """Assumptions about unseen vehicles.
 
     Attributes
     ----------
-    slowest : nobody unseen ahead drives slower [m/s], but where somebody is seen who does.
-    fastest : nobody who has never been seen comes up from behind faster [m/s].
-    room : nobody unseen is nearer behind the ego at the reset [m].
-    surge : by how much one that was passed may come to drive faster than it did when it was seen last [m/s].
-    acceleration : how fast it comes to do so [m/s^2].
-    strays : whether it may have changed lanes since.
+    slowest : least speed of unseen vehicles ahead [m/s]. A slower visible vehicle lowers it.
+    fastest : greatest speed of a vehicle never seen that approaches from behind [m/s].
+    room : at the reset no unseen vehicle is nearer behind the ego than this [m].
+    surge : greatest increase of the speed of a passed vehicle since it was last seen [m/s].
+    acceleration : acceleration of that increase [m/s^2].
+    strays : whether a passed vehicle may have changed lanes since.
 
     Raises
     ------
     ConfigError
-        If one is no number from 0 on, or `slowest` is above `fastest`.
+        If a number is negative or not finite, or `slowest` is above `fastest`.
     """
 
     slowest: float = 18.0
@@ -67,15 +70,16 @@ class Unseen:
 
     @classmethod
     def worst(cls) -> Unseen:
-        """Anybody may be right beyond each edge of sight at any time: standing ahead, at 40 m/s behind."""
+        """Least restrictive assumptions: a vehicle may be right beyond each edge of sight at any time, standing ahead,
+        and at 40 m/s behind."""
         return cls(slowest=0.0, fastest=40.0, room=0.0, surge=40.0, acceleration=1e3, strays=True)
 
 
 def edges(spec: ObservationSpec, sighting: Sighting) -> tuple[float, float]:
-    """How far ahead and behind, from centre to centre, everybody is seen [m]."""
+    """Distance ahead and behind within which every vehicle is seen, from centre to centre [m]."""
     far, back = spec.sight
     if sighting.full or sighting.cut:
-        # Rows are sorted by how far each is along the road; who is left out is no nearer than the last.
+        # Rows are sorted by distance along the road; a vehicle that is left out is at least as far as the last row.
         furthest = float(np.abs(sighting.others[:, 0]).max(initial=0.0))
         if not spec.sorted or sighting.cut:
             furthest = float(spec.body[0])
@@ -86,12 +90,12 @@ def edges(spec: ObservationSpec, sighting: Sighting) -> tuple[float, float]:
 def ahead(
     spec: ObservationSpec, far: float, unseen: Unseen, road: Any, ego: FloatArray, others: FloatArray
 ) -> FloatArray:
-    """States on the road of those who may be there beyond the edge ahead, (lanes, 4); nobody where the ego sees as far
-    as it can.
+    """Road states of vehicles that may be beyond the edge ahead, (lanes, 4); (0, 4) where the ego sees as far as
+    `spec.distance`.
 
     Parameters
     ----------
-    far : the edge [m]. ego, others : states on the road, (4,) and (m, 4).
+    far : the edge [m]. ego, others : road states, (4,) and (m, 4).
     """
     if far >= spec.distance:
         return np.zeros((0, 4))
@@ -104,6 +108,7 @@ def ahead(
 def _beyond(
     lanes: FloatArray, others: FloatArray, s: float, far: float, length: float, slowest: float, found: FloatArray
 ) -> None:
+    """Fill in the state of an unseen vehicle for each lane, `found` (lanes, 4); `length` is that of a body [m]."""
     for i in range(len(others)):
         slowest = min(slowest, others[i, _SPEED])
     for k in range(len(lanes)):
@@ -111,19 +116,20 @@ def _beyond(
     for i in range(len(others)):
         k = nearest(lanes, others[i, _R])
         if s <= others[i, _S] < s + far + length:
-            # Bodies do not overlap: whoever is there is beyond those seen in its lane.
+            # Bodies do not overlap: the unseen vehicle is beyond the visible ones of its lane.
             found[k, _S] = max(found[k, _S], others[i, _S] + length + _GAP)
 
 
 @dataclass(slots=True)
 class Behind:
-    """Who may be behind the edge, from one observation to the next.
+    """Vehicles that may be beyond the edge behind, from one observation to the next.
 
     Attributes
     ----------
-    passed : of each that was passed how far it is ahead of the ego at most, where it is across the road, and how fast
-        it is and comes to be at most, (n, 4) [m], [m], [m/s], [m/s].
-    stranger : how far ahead of the ego whoever has never been seen is at most, below 0 [m]; NaN before the first.
+    passed : vehicles that the ego has passed, (n, 4): greatest position relative to the ego [m], lateral position [m],
+        speed and greatest future speed [m/s].
+    stranger : greatest position of a vehicle never seen, relative to the ego, below 0 [m]; NaN before the first
+        observation.
     """
 
     passed: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
@@ -132,13 +138,13 @@ class Behind:
     def go_on(
         self, unseen: Unseen, back: float, ego_speed: float, passed: float, lost: FloatArray, new: FloatArray
     ) -> None:
-        """Take in one more observation.
+        """Update with one more observation.
 
         Parameters
         ----------
-        back : the edge [m]. ego_speed : along the road [m/s]. passed : time since the observation before [s].
-        lost : of those who have got out of sight, and new : of those who have come into it: how far ahead of the ego,
-            where across the road, and how fast along it, (n, 3).
+        back : the edge [m]. ego_speed : along the road [m/s]. passed : time since the previous observation [s].
+        lost, new : vehicles that went out of sight, and that came into sight, (n, 3): distance ahead of the ego [m],
+            lateral position [m], and speed along the road [m/s].
         """
         if np.isnan(self.stranger):
             self.stranger = -unseen.room
@@ -157,13 +163,13 @@ class Behind:
         gone = lost[lost[:, 0] < 0]
         if len(gone):
             pool = np.concatenate([pool, np.column_stack([gone, gone[:, 2] + unseen.surge])])
-        # Whoever were nearer would be seen.
+        # A nearer vehicle would be seen.
         self.stranger = min(self.stranger, -back)
         pool[:, 0] = np.minimum(pool[:, 0], -back)
         self.passed = pool
 
     def states(self, unseen: Unseen, road: Any, ego: FloatArray, reach: float) -> FloatArray:
-        """States on the road of those who may be there, (n, 4), no further than `reach` behind the ego [m]."""
+        """Road states of vehicles that may be behind, (n, 4), at most `reach` behind the ego [m]."""
         s, lanes = float(ego[RoadState.S]), road.centers
         rows = [(s + self.stranger, r, 0.0, unseen.fastest) for r in lanes if self.stranger > -reach]
         beside = (1.5 if unseen.strays else 0.5) * road.width

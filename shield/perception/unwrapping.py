@@ -1,4 +1,4 @@
-"""From what reaches a policy back to what its environment has shown."""
+"""Recovers what an environment observed from what reaches its policy: undoes observation wrappers."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from shield.errors import ConfigError, SceneError
 __all__ = ["SAME", "as_shown", "check_wrappers", "latest", "stacked_in", "wrappers_of"]
 
 SAME = ("FlattenObservation", "FrameStackObservation", "ReshapeObservation", "DtypeObservation")
-"""Wrappers of Gymnasium after which the numbers that were shown last are still there, in the same order."""
+"""Gymnasium wrappers that keep the numbers of the latest observation, in the same order."""
 _SENSOR = "sensor_noise"
-"""What a wrapper has that says of its own noise: what it shows is what is observed."""
+"""Attribute of a sensor wrapper that states its noise. Its output counts as the observation."""
 
 
 def as_shown(env: Any, observation: Any) -> Any:
-    """An observation, or a batch of them, with each wrapper of a VecEnv undone, the outermost first.
+    """Undo the wrappers of a VecEnv, the outermost first, for an observation or a batch.
 
-    `VecNormalize` is taken back (NaN where it has clipped, for nobody knows what was there), of `VecFrameStack` the
-    latest is left, whichever axis it stacks on, and `VecTransposeImage` is turned back.
+    `VecNormalize` is inverted; a value that it clipped is unknown and becomes NaN. Of `VecFrameStack` the latest frame
+    is left, on either stacking axis. `VecTransposeImage` is transposed back.
 
     Parameters
     ----------
-    env : what the policy's observations come from: a Gymnasium environment, or a VecEnv; None for what has been undone.
+    env : source of the policy's observations: a Gymnasium environment, a VecEnv, or None if nothing is to be undone.
     observation : a batch with one row per environment, or one observation.
 
     Raises
     ------
     ConfigError
-        If a wrapper changes what is observed in another way (see `check_wrappers`).
+        If a wrapper changes observations in another way (see `check_wrappers`).
     SceneError
         If the observation does not fit the wrappers.
     """
@@ -63,17 +63,17 @@ def as_shown(env: Any, observation: Any) -> Any:
 
 
 def check_wrappers(env: Any, names: tuple[str, ...] | None = None) -> None:
-    """Raise where something between highway-env and the policy changes what is observed, and cannot be undone.
+    """Check that each wrapper between highway-env and the policy either keeps observations or can be undone.
 
     Parameters
     ----------
-    env : a Gymnasium environment, or a VecEnv, of which only what is in this process is looked at.
-    names : of the Gymnasium wrappers inside that are observation wrappers, where they are not in this process.
+    env : a Gymnasium environment, or a VecEnv, of which only the layers in this process are checked.
+    names : names of the observation wrappers inside, if they are in another process.
 
     Raises
     ------
     ConfigError
-        That lists what may be there.
+        If a wrapper is unsuitable; the message lists the permitted ones.
     """
     from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize, VecTransposeImage
 
@@ -90,8 +90,11 @@ def check_wrappers(env: Any, names: tuple[str, ...] | None = None) -> None:
 
 
 def wrappers_of(env: Any) -> tuple[str, ...]:
-    """Names of the observation wrappers, outermost first, of a Gymnasium environment in this process; but for sensors
-    that say of their own noise, and for those that add columns and say so (`added_features`), which are cut off."""
+    """Names of the observation wrappers of a Gymnasium environment in this process, outermost first.
+
+    Sensors that state their noise are left out. So are wrappers with the attribute `added_features`, whose columns are
+    cut off.
+    """
     import gymnasium as gym
     from gymnasium.wrappers import FrameStackObservation
 
@@ -105,7 +108,7 @@ def wrappers_of(env: Any) -> tuple[str, ...]:
 
 
 def stacked_in(env: Any) -> int:
-    """How many observations `FrameStackObservation` shows at once; 1 without it."""
+    """Number of observations that `FrameStackObservation` stacks; 1 without it."""
     import gymnasium as gym
     from gymnasium.wrappers import FrameStackObservation
 
@@ -118,16 +121,16 @@ def stacked_in(env: Any) -> int:
 
 
 def latest(observation: Any, shape: tuple[int, ...], stacked: int = 1) -> Any:
-    """The last of the observations that Gymnasium's wrappers have stacked and flattened, in any order.
+    """Latest of the observations that Gymnasium's wrappers have stacked and flattened, in any order.
 
     Parameters
     ----------
-    observation : one observation, or a batch of one. shape : of what the environment shows.
-    stacked : how many are shown at once.
+    observation : one observation, or a batch of one. shape : of an observation of the environment.
+    stacked : number of stacked observations.
 
     Returns
     -------
-    An array of that shape; what has another is returned as it is, for whoever reads it to refuse.
+    An array of that shape. An input of another shape is returned unchanged; its decoder raises the error.
     """
     size = math.prod(shape)
     each = (shape, (size,)) if stacked == 1 else ((stacked, *shape), (stacked, size), (stacked * size,))
@@ -141,6 +144,7 @@ def latest(observation: Any, shape: tuple[int, ...], stacked: int = 1) -> Any:
 
 
 def _vec_wrappers(env: Any) -> Iterator[Any]:
+    """Wrappers of a VecEnv, outermost first."""
     from stable_baselines3.common.vec_env import VecEnvWrapper
 
     while isinstance(env, VecEnvWrapper):
@@ -149,7 +153,7 @@ def _vec_wrappers(env: Any) -> Iterator[Any]:
 
 
 def _last_of(shown: Any, wrapper: Any) -> Any:
-    """The latest of those that `VecFrameStack` shows."""
+    """Latest frame of a `VecFrameStack` observation."""
     whole, one = wrapper.observation_space.shape, wrapper.venv.observation_space.shape
     if shown.shape not in (whole, (wrapper.num_envs, *whole)):
         raise SceneError(_misfit(shown, wrapper))
@@ -159,6 +163,7 @@ def _last_of(shown: Any, wrapper: Any) -> Any:
 
 
 def _misfit(shown: Any, wrapper: Any) -> str:
+    """Message for an observation whose shape does not fit a wrapper."""
     whole = wrapper.observation_space.shape
     return (
         f"{type(wrapper).__name__} shows observations of shape {whole}, or {(wrapper.num_envs, *whole)}, "

@@ -1,4 +1,4 @@
-"""Those who were seen last well within sight, and are not shown any more: a sensor that works does not lose them."""
+"""Vehicles that were well within sight and are not shown any more. A sensor in order does not lose them."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ from dynamics.state import FloatArray
 __all__ = ["Vanished"]
 
 _CHANGE = 6.0
-"""How hard anybody brakes or accelerates meanwhile [m/s^2]."""
+"""Assumed greatest acceleration and braking of a vehicle since then [m/s^2]."""
 _MARGIN = 6.0
-"""Whoever was expected no further than this from an edge of sight may have left it [m]."""
+"""A vehicle predicted within this distance of an edge of sight may have left it [m]."""
 _SAME = 6.0, 4.5
-"""Whoever is shown no further than this from where one that has vanished may be, is that one: along and across [m]."""
+"""A vehicle shown within this distance of the possible positions of a vanished one counts as that one: along and across
+the road [m]."""
 
 
 @dataclass(slots=True)
 class Vanished:
-    """Vehicles that have vanished within sight, and where they may be by now.
+    """Vehicles that vanished within sight, and their possible positions.
 
     Attributes
     ----------
-    ends : the least and the greatest x of each [m], (n, 2). speeds : the same of its speed along x [m/s], (n, 2).
-    across : its y [m], (n,).
+    ends : least and greatest x of each [m], (n, 2). speeds : least and greatest vx [m/s], (n, 2).
+    across : y of each [m], (n,).
     """
 
     ends: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
@@ -36,13 +37,13 @@ class Vanished:
         return len(self.across)
 
     def go_on(self, lost: FloatArray, shown: FloatArray, x: float, edges: tuple[float, float], passed: float) -> None:
-        """Take in another observation.
+        """Update with another observation.
 
         Parameters
         ----------
-        lost : who was seen at the last observation and is not shown, where each is expected: x, y [m], vx
-            [m/s], (k, 3).
-        shown : who is shown, x and y, (m, 2). x : of the ego. edges : how far ahead and behind everybody is seen [m].
+        lost : predicted x, y [m] and vx [m/s] of the vehicles of the last observation that are not shown, (k, 3).
+        shown : x and y of the shown vehicles, (m, 2) [m]. x : of the ego [m].
+        edges : distance ahead and behind within which every vehicle is seen [m].
         passed : time since the last observation [s].
         """
         change = _CHANGE * passed
@@ -61,8 +62,8 @@ class Vanished:
         self.ends, self.speeds, self.across = ends[kept], speeds[kept], across[kept]
 
     def states(self, x: float) -> FloatArray:
-        """Where each is assumed to be, x, y [m], vx and vy [m/s], (n, 4): ahead of the ego at x as near and slow as it
-        may be, behind it as near and fast."""
+        """Assumed states x, y [m], vx and vy [m/s], (n, 4), for an ego at x: the nearest and slowest possible ahead,
+        the nearest and fastest possible behind."""
         found = np.zeros((len(self), 4))
         ahead = self.ends.mean(axis=1) >= x
         found[:, 0] = np.where(ahead, self.ends[:, 0], self.ends[:, 1])

@@ -1,1 +1,1 @@
-"""The replay of one episode: what was recorded, as data, and a page that shows it without a network."""
+"""Replay of one episode: the recorded data, and an offline page that shows it."""

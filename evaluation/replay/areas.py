@@ -1,7 +1,7 @@
-"""Where the others can be at the frame at which a refused proposal would come too near: outlines in the world.
+"""Reachable areas of other vehicles in the frame in which a refused proposal has its shortfall, as world outlines.
 
-Each certificate is asked again from what its decision was made from: reachable rectangles on a straight or curved road,
-strips of lanes on a network, and the bodies themselves where the traffic is simulated.
+Each certificate repeats its prediction from the decision's source. The areas are reachable rectangles on a straight or
+curved road, reachable lane intervals on a network, and the bodies themselves in simulated traffic.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from shield.pipelines.decide import Made
 __all__ = ["areas_at"]
 
 Columns = Mapping[Any, int]
-"""The number of each body, by the simulator's object."""
+"""Number of each body in the replay, by the simulator's object."""
 _ASSUMED = 1.0
-"""When places are shown of a refusal that names no time [s]."""
+"""Time ahead that is shown if a refusal has no time [s]."""
 _SAMPLE = 2.0
-"""Between two points of an outline along a curved road [m]."""
+"""Distance of two points of an outline along a curved road [m]."""
 _FAR = 200.0
-"""Areas farther from the ego are left out [m]."""
+"""Greatest distance of drawn areas from the ego [m]."""
 
 
 def areas_at(
@@ -44,13 +44,15 @@ def areas_at(
     column: Columns,
     foreseen: tuple[RoadGeometry, Foreseen] | None,
 ) -> list[Area]:
-    """Where the others can be.
+    """Reachable areas of other vehicles.
 
     Parameters
     ----------
-    refused : the decision that the explanation is about. after : time from its frame on [s]; NaN takes 1 s.
-    dt : of a frame [s]. column : the number of each body, by the simulator's object.
-    foreseen : on a network of roads, its geometry and what was foreseen in that frame.
+    refused : the refused decision of the explanation.
+    after : time of the shortfall after its frame [s]; NaN means 1 s.
+    dt : duration of a frame [s].
+    column : number of each body in the replay, by the simulator's object.
+    foreseen : on a road network, its geometry and the reachable lane intervals of that frame.
     """
     frames = max(1, round((after if np.isfinite(after) else _ASSUMED) / dt))
     if foreseen is not None and isinstance(refused.source, Roads):

@@ -1,5 +1,4 @@
-"""Pictures of decisions by simulation, one for each road: what was proposed, what is done instead, and what is foretold
-of the others."""
+"""Pictures of decisions in simulated traffic, one for each road: proposal, executed action, and predicted traffic."""
 
 from __future__ import annotations
 
@@ -26,25 +25,30 @@ __all__ = ["ROADS", "draw_gallery", "draw_override"]
 
 ROADS = ("merge-v0", "roundabout-v0", "exit-v0", "two-way-v0", "u-turn-v0", "intersection-v0")
 _SEARCH = 5
-"""Episodes among which the decision is found that passes others most closely."""
+"""Number of episodes that are searched for the executed alternative with the least margin."""
 _SCREEN = {"screen_width": 600, "screen_height": 300, "centering_position": [0.5, 0.5], "scaling": 5.5}
 _PANEL, _GAP, _COLORS = (800, 475), 10, 256
 _TITLE, _LETTERS = 34, 20
-"""Height of the strip above a picture that names its road, and of its letters [px]."""
+"""Height of the strip with the road's name above a picture, and of its letters [px]."""
 
 
 def draw_override(env_id: str, policy: str = "faster", seed: int = 0) -> Image.Image:
-    """The decision of a few episodes by which the ego goes past others most closely, in place of a policy's.
+    """Draw the overridden decision of a few episodes in which the ego passes others most closely.
 
     Parameters
     ----------
-    env_id : an environment in which `ShieldConfig.simulated_traffic()` verifies meta-actions. policy : by name.
-    seed : of the first episode.
+    env_id : an environment with meta-actions that `ShieldConfig.simulated_traffic()` supports.
+    policy : name of a policy.
+    seed : seed of the first episode.
+
+    Returns
+    -------
+    The picture.
 
     Raises
     ------
     ConfigError
-        If nothing is overridden, the seeds are those of the evaluation, or the traffic cannot be simulated.
+        If no decision is overridden, the seeds belong to the evaluation, or the traffic cannot be simulated.
     """
     if not 0 <= seed <= FIRST_EVALUATION_SEED - _SEARCH:
         raise ConfigError(f"have a seed from 0 to {FIRST_EVALUATION_SEED - _SEARCH}, not {seed}")
@@ -75,12 +79,18 @@ def draw_override(env_id: str, policy: str = "faster", seed: int = 0) -> Image.I
 
 
 def draw_gallery(path: str | Path, env_ids: Sequence[str] = ROADS, seed: int = 0) -> Path:
-    """One picture of an override on each of the roads, under its name, two beside each other: of always FASTER, and on
-    the exit of who asks for it.
+    """Draw an override on each road, under its name, in two columns.
+
+    The policy is always FASTER; on the exit it is always LANE_RIGHT.
 
     Parameters
     ----------
-    path : the .png to write. env_ids, seed : see `draw_override`.
+    path : path of the .png file.
+    env_ids, seed : see `draw_override`.
+
+    Returns
+    -------
+    The path.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""One offline HTML page of one or several runs: a table to read at a glance, charts, and the worst episodes."""
+"""Report of runs as one offline HTML page: tables, charts, and the worst episodes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["write_report"]
 _GLANCE = ("episodes", "crashes %", "off road %", "return", "speed m/s", "overridden %", "latency p99 ms")
 """Columns of the first table."""
 _WORST, _WORST_BARE = 9, 3
-"""So many episodes are listed of each run, with the shield and without."""
+"""Number of listed episodes of each run, with the shield and without."""
 _TIMES = (0.5, 0.01, 0.99)
 _TIME_LEFT = "least time to collision [s]: 1 %, median, 99 %"
 
@@ -39,9 +39,14 @@ def write_report(
 
     Parameters
     ----------
-    runs : files of episodes, .parquet or .csv. Rows of several are told apart by the names of the files.
-    output : the .html file.
-    replays, write : of so many of each run's worst shielded episodes a replay is written by `write`, and linked.
+    runs : files of episodes, .parquet or .csv. The file names distinguish the rows of several runs.
+    output : path of the .html file.
+    replays : number of the worst shielded episodes of each run with a linked replay.
+    write : function that writes a replay.
+
+    Returns
+    -------
+    The path of the page.
 
     Raises
     ------
@@ -79,7 +84,7 @@ def write_report(
 def _run(
     name: str, made: Mapping[str, Any], episodes: pd.DataFrame, path: Path, links: Mapping[int, ReplayLink]
 ) -> dict[str, Any]:
-    """What the page says of one run."""
+    """Values of the page's template for one run."""
     summary, comparison = summarise(episodes), compare(episodes)
     glance = [column for column in SUMMARY[:3] if column.heading != "setting"]
     glance += [column for heading in _GLANCE for column in SUMMARY if column.heading == heading]
@@ -109,12 +114,12 @@ def _table(frame: pd.DataFrame, columns: Sequence[Column]) -> dict[str, Any]:
 
 
 def _shielded(episodes: pd.DataFrame, count: int = 0) -> pd.DataFrame:
-    """The worst episodes with the shield: those that are listed, and `count` at least."""
+    """The worst shielded episodes: those of the list, and at least `count`."""
     return worst_first(episodes[episodes["door"] != "none"]).head(max(_WORST, count))
 
 
 def _worst(episodes: pd.DataFrame, links: Mapping[int, ReplayLink]) -> list[dict[str, Any]]:
-    """The episodes with a crash, then those with the smallest gap: first those with the shield, then others."""
+    """The worst episodes, crashes first and then by least gap; shielded ones before the others."""
     found = []
     bare = worst_first(episodes[episodes["door"] == "none"]).head(_WORST_BARE)
     for number, row in pd.concat([_shielded(episodes), bare]).iterrows():

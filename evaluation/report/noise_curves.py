@@ -1,4 +1,4 @@
-"""Crashes, returns and overrides against the noise of the sensor, from a table of episodes."""
+"""Plot of crashes, returns and overrides against sensor noise, from a table of episodes."""
 
 from __future__ import annotations
 
@@ -22,25 +22,29 @@ _COLORS = ("#4c78a8", "#f58518", "#54a24b", "#b279a2", "#e45756", "#72b7b2")
 def plot_noise(episodes: pd.DataFrame, path: str | Path) -> Path:
     """Draw a line with a band for each policy and shield, over the standard deviation of the sensor's noise.
 
-    In three panels: crash rate [%] with its Wilson interval, return and decisions overridden [%] with bootstrap
-    intervals; 95 % all.
+    The three panels show the crash rate [%] with its Wilson interval, and the return and the share of overridden
+    decisions [%] with bootstrap intervals; all intervals are 95 %.
 
     Parameters
     ----------
-    episodes : of `shield evaluate --sensor exact,normalised-0.1,normalised-0.2`, say, or with metric ones.
-    path : the file, ending as in `PLOT_ENDINGS`; folders are made.
+    episodes : table of `shield evaluate --sensor exact,normalised-0.1,normalised-0.2`, say, or with metric sensors.
+    path : path of the file, ending as in `PLOT_ENDINGS`; folders are created.
+
+    Returns
+    -------
+    The path.
 
     Raises
     ------
     ConfigError
-        On another ending, a table that is not of episodes, sensors of another kind, or less than two of them.
+        On another ending, a table of something else, sensors of different kinds, or less than two sensors.
     """
     import matplotlib.pyplot as plt
 
     path = plot_path(path)
     rows = _against_noise(episodes)
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
-    # Whoever learned through the sensor has its name in its own, and is one line all the same.
+    # Policies that were trained with a sensor have its name in theirs; together they are one line.
     for color, (name, line) in zip(_COLORS * len(rows), rows.groupby("line", sort=False), strict=False):
         ordered = line.sort_values("sigma")
         for axis, key in zip(axes, ("crashed", "return", "overridden"), strict=True):
@@ -62,7 +66,7 @@ def plot_noise(episodes: pd.DataFrame, path: str | Path) -> Path:
 
 
 def _against_noise(episodes: pd.DataFrame) -> pd.DataFrame:
-    """A row for each setting, policy and shield, with the sensor's noise and intervals in %."""
+    """A row for each setting, policy and shield, with the sensor's noise and intervals [%]."""
     kinds, rows = set[str](), list[dict[str, Any]]()
     sensors = episodes.groupby("policy")["setting"].nunique()
     for row in summarise(episodes).to_dict("records"):
@@ -96,7 +100,7 @@ def _against_noise(episodes: pd.DataFrame) -> pd.DataFrame:
 
 
 def _noise(sensor: str) -> tuple[str, float]:
-    """The kind of a sensor, and its standard deviation; 0 of one that is exact."""
+    """Kind and standard deviation of a sensor; 0 for an exact one."""
     model = get_sensor(sensor)
     if model == SensorModel():
         return _EXACT, 0.0

@@ -1,4 +1,4 @@
-"""What the shield saw and did, drawn over highway-env's own rendering: for `RecordVideo`, a notebook, or a web page."""
+"""Overlay of the shield's prediction and decision on highway-env's rendering, for `RecordVideo` or a notebook."""
 
 from __future__ import annotations
 
@@ -25,25 +25,24 @@ from shield.filters.network import RoadDoor
 __all__ = ["ShieldOverlay"]
 
 _LEAST_WIDTH = 1000
-"""Pictures are enlarged to this width at least, which the caption needs [px]."""
+"""Least width of the picture, which the caption needs [px]; smaller pictures are enlarged."""
 
 
 class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """A wrapper whose `render` shows the decision too: proposed, executed and fail-safe paths, reason and margin.
 
-    Between two decisions highway-env hands its frames to a `RecordVideo` that was told to it, and so they have it as
-    well.
+    Frames between two decisions, which highway-env passes to a registered `RecordVideo`, have the overlay as well.
 
     Parameters
     ----------
-    env : an environment made with `render_mode="rgb_array"`, with a `ShieldedEnv` in or around it. The shield is told
-        to keep what is drawn (`ShieldedEnv.record`), from its next decision on.
-    shield : the `Shield` around the policy, where there is that instead of a `ShieldedEnv`.
+    env : an environment made with `render_mode="rgb_array"`, with a `ShieldedEnv` in or around it. From its next
+        decision on, the shield records what is drawn (`ShieldedEnv.record`).
+    shield : the `Shield` around the policy, if there is one instead of a `ShieldedEnv`.
 
     Raises
     ------
     ConfigError
-        If there is no shield, or nothing is rendered.
+        If there is no shield, or the environment renders nothing.
     SceneError
         At the first `render`, if the road is neither one of parallel lanes nor a network.
 
@@ -73,18 +72,20 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._proposal: FloatArray | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment: no decision has been taken yet."""
+        """Reset the environment, and forget the last decision."""
         self._ego = None
         return self.env.reset(seed=seed, options=options)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the environment; where the ego is now, its proposal begins."""
+        """Step the environment, and mark the ego's state as the start of the proposal's path."""
         self.mark()
         return self.env.step(action)
 
     def mark(self) -> None:
-        """Note where the ego is as a decision is taken. Between `predict` and `step`, for a picture of what has been
-        decided and not yet done; `step` calls it too."""
+        """Mark the ego's state at a decision. `step` calls it.
+
+        Call it between `predict` and `step` to draw a decision that is not executed yet.
+        """
         self._ego, self._begun = ego_copy(self._base), self._base.steps
 
     def render(self) -> Any:
@@ -117,7 +118,7 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             self._proposal = proposed_path(base, self._ego, decision.proposed, road)
         frame = frames[-1] if frames else None
         if frame is not None and frame.plan is not None:
-            # The picture is of what has come of the frame.
+            # The picture shows the state after the frame.
             frame = replace(frame, plan=frame.plan[1:])
         return Shot(
             image=image,
@@ -141,7 +142,7 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
 
 def _inside(env: Any) -> ShieldedEnv:
-    """The `ShieldedEnv` among the wrappers of an environment."""
+    """The `ShieldedEnv` among the wrappers of an environment; raises `ConfigError` without one."""
     layer = env
     while isinstance(layer, gym.Wrapper):
         if isinstance(layer, ShieldedEnv):
@@ -151,7 +152,7 @@ def _inside(env: Any) -> ShieldedEnv:
 
 
 def _filters(shield: Shield | ShieldedEnv) -> Any:
-    """What filters the actions of the environment."""
+    """The filter of the environment's actions."""
     return shield.door if isinstance(shield, ShieldedEnv) else shield.doors[0]
 
 

@@ -1,4 +1,4 @@
-"""Pictures of a table of episodes: what the shield saves, what it costs, and why it acts."""
+"""Pictures of a table of episodes: benefits and costs of the shield, and reasons of its interventions."""
 
 from __future__ import annotations
 
@@ -23,18 +23,22 @@ _MOST_REASONS = 6
 def plot_episodes(episodes: pd.DataFrame, path: str | Path) -> Path:
     """Draw a table of episodes, a bar for each policy and shield, in four panels.
 
-    Crash rate [%] with its Wilson interval; return with its bootstrap interval; decisions overridden [%], by reason;
-    and the distribution of the smallest gap between bodies in an episode [m], crashes included.
+    The panels show the crash rate [%] with its Wilson interval, the return with its bootstrap interval, overridden
+    decisions [%] by reason, and the distribution of the least gap between bodies in an episode [m], with crashes.
 
     Parameters
     ----------
-    episodes : of `evaluation.running.episodes.run_paired`, or `evaluation.report.table.read_episodes`.
-    path : the file, ending as in `PLOT_ENDINGS`; folders are made.
+    episodes : table of `evaluation.running.episodes.run_paired`, or `evaluation.report.table.read_episodes`.
+    path : path of the file, ending as in `PLOT_ENDINGS`; folders are created.
+
+    Returns
+    -------
+    The path.
 
     Raises
     ------
     ConfigError
-        On another ending, or a table that is not of episodes.
+        On another ending, or a table of something else.
     """
     import matplotlib.pyplot as plt
 
@@ -57,7 +61,7 @@ def plot_episodes(episodes: pd.DataFrame, path: str | Path) -> Path:
 
 
 def plot_path(path: str | Path) -> Path:
-    """Where a plot is to be written.
+    """The path of a plot.
 
     Raises
     ------
@@ -68,7 +72,7 @@ def plot_path(path: str | Path) -> Path:
 
 
 def picture_path(path: str | Path) -> Path:
-    """Where a picture is to be written that is made of pixels.
+    """The path of a raster picture.
 
     Raises
     ------
@@ -86,7 +90,7 @@ def _path(what: str, path: str | Path, endings: tuple[str, ...]) -> Path:
 
 
 def save_plot(figure: Any, path: Path, dpi: int = 150) -> Path:
-    """Write a figure, and close it; folders are made."""
+    """Write a figure, and close it; folders are created. Returns the path."""
     import matplotlib.pyplot as plt
 
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -96,7 +100,7 @@ def save_plot(figure: Any, path: Path, dpi: int = 150) -> Path:
 
 
 def _names(summary: pd.DataFrame) -> list[str]:
-    """A label a row: what differs between the rows, and the shield."""
+    """A label for each row: the names in which the rows differ, and the shield."""
     varying = [column for column in GROUP[:2] if summary[column].nunique() > 1]
     doors = summary.loc[summary["door"] != "none", "door"].nunique() > 1
     labels = []

@@ -1,4 +1,4 @@
-"""What the ego would have done: the proposal, driven by a copy of it in highway-env's own simulation."""
+"""Path of the proposal, driven by a copy of the ego in highway-env's own simulation."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ __all__ = ["action_labels", "ego_copy", "proposed_path"]
 
 
 def ego_copy(base: Any) -> Any:
-    """The ego as it is now, on the same road, but not of it: driving it moves nothing else."""
+    """A copy of the ego in its present state, which refers to the road but is not part of it."""
     ego = copy(base.vehicle)
-    ego.__dict__.pop("act", None)  # a supervision of the ego would drive the ego
+    ego.__dict__.pop("act", None)  # a supervised `act` is bound to the original ego
     ego.position, ego.action = ego.position.copy(), dict(ego.action)
-    if hasattr(ego, "route"):  # what has been driven is taken off it
+    if hasattr(ego, "route"):  # driving removes finished lanes from the route in place
         ego.route = copy(ego.route)
     return ego
 
@@ -31,9 +31,13 @@ def proposed_path(base: Any, ego: Any, action: Any, road: Road | World) -> Float
     Parameters
     ----------
     base : the environment without its wrappers.
-    ego : of `ego_copy`, taken before the decision; it is driven.
-    action : the proposal; None is returned of one that the environment cannot carry out.
-    road : the road that the states refer to.
+    ego : result of `ego_copy` before the decision; it is driven.
+    action : the proposal.
+    road : road of the frame of the states.
+
+    Returns
+    -------
+    The states, or None if the environment cannot execute the action.
     """
     frequency = base.config["simulation_frequency"]
     frames = max(1, int(frequency // base.config["policy_frequency"]))
@@ -53,7 +57,7 @@ def proposed_path(base: Any, ego: Any, action: Any, road: Road | World) -> Float
 
 
 def action_labels(action_type: Any) -> tuple[str, ...]:
-    """The names of meta-actions by index; none of throttle and steering."""
+    """Names of meta-actions by index; empty for throttle and steering."""
     if type(action_type).__name__ != "DiscreteMetaAction":
         return ()
     return tuple(action_type.actions[i] for i in sorted(action_type.actions))

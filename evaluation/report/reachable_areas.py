@@ -1,4 +1,4 @@
-"""Where the others can be on a network of roads, as polygons in the world: what pictures of the worst case shade."""
+"""Reachable areas of other vehicles on a road network, as polygons in the world frame, for pictures of the worst case."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from shield.filters.network import RoadDoor
 __all__ = ["ReachableAreas", "strip_outline"]
 
 _LEAST = 0.1
-"""Shorter pieces of a lane are not drawn [m]."""
+"""Least length of a piece of lane that is drawn [m]."""
 
 
 class ReachableAreas:
-    """The places of the others that a decision on a network of roads went by, at the times that are drawn.
+    """Reachable lane intervals of other vehicles in a decision on a road network, at the drawn times.
 
     Parameters
     ----------
-    base : the environment, unwrapped, after a reset. It is read again where its road is another.
+    base : the unwrapped environment, after a reset. Its road is read again if it has changed.
     """
 
     def __init__(self, base: Any) -> None:
@@ -31,12 +31,12 @@ class ReachableAreas:
         self._geometry: RoadGeometry
 
     def now(self, filters: Any) -> tuple[tuple[FloatArray, ...], ...]:
-        """Outlines (n, 2) [m] at each of the times of `draw.AHEAD`, from the last frame that was decided on.
+        """Outlines (n, 2) [m] at each of the times `draw.AHEAD`, from the last verified frame.
 
         Parameters
         ----------
-        filters : what filters, such as `ShieldedEnv.door`; nothing is drawn where it is no `RoadDoor`, or could not
-            read its scene.
+        filters : the filter, such as `ShieldedEnv.door`. The result is empty if it is no `RoadDoor`, or could not read
+            its scene.
         """
         if not isinstance(filters, RoadDoor) or filters.cause:
             return ()
@@ -55,8 +55,19 @@ class ReachableAreas:
 
 
 def strip_outline(geometry: RoadGeometry, foreseen: Foreseen, j: int, first: int, last: int) -> FloatArray | None:
-    """Where strip `j` has its vehicle's body from frame `first` to `last`: an outline (n, 2) in the world [m]; None
-    where that is nowhere on its lane."""
+    """Outline of a reachable lane interval, with the vehicle's body.
+
+    Parameters
+    ----------
+    geometry : lanes of the road.
+    foreseen : reachable lane intervals of a decision.
+    j : index of the interval.
+    first, last : range of frames.
+
+    Returns
+    -------
+    The outline (n, 2) in the world frame [m]; None if the interval has no place on its lane.
+    """
     lane = geometry.number(foreseen.lanes[j])
     near, far = max(foreseen.least[j, first], 0.0), min(foreseen.most[j, last], float(geometry.lengths[lane]))
     if not far - near > _LEAST:

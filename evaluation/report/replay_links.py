@@ -1,4 +1,4 @@
-"""Pages of a run's worst episodes, and the commands that write them, for a report to link to."""
+"""Replay pages of a run's worst episodes, and commands that write them, for links in a report."""
 
 from __future__ import annotations
 
@@ -17,13 +17,19 @@ from evaluation.policies import list_references
 __all__ = ["ReplayLink", "WritesReplay", "link_replays", "worst_first"]
 
 WritesReplay = Callable[[Path, int, str, Path], str]
-"""Writes the replay of an episode, as `evaluation.replay.run_file.write_replay` does."""
+"""Function that writes the replay of an episode, such as `evaluation.replay.run_file.write_replay`."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayLink:
-    """Of an episode: its `page`, relative to the report, the `command` that writes one, and a `note` where the page
-    shows another episode, or none could be written; "" for what there is not."""
+    """Replay of an episode; values that do not exist are "".
+
+    Attributes
+    ----------
+    page : page of the replay, relative to the report.
+    command : command that writes one.
+    note : remark if the page shows another episode, or none could be written.
+    """
 
     page: str = ""
     command: str = ""
@@ -31,7 +37,7 @@ class ReplayLink:
 
 
 def worst_first(episodes: pd.DataFrame) -> pd.DataFrame:
-    """Episodes with a crash, then by the smallest gap; the index keeps the numbers of the rows."""
+    """Episodes with a crash, then by least gap; the index keeps the row numbers."""
     return episodes.sort_values(["crashed", "min_gap"], ascending=[False, True], kind="stable")
 
 
@@ -43,18 +49,19 @@ def link_replays(
     count: int,
     write: WritesReplay | None,
 ) -> dict[int, ReplayLink]:
-    """How shielded episodes of a run are replayed.
+    """Links to the replays of shielded episodes of a run.
 
     Parameters
     ----------
-    run, made : the file, and what it says of how it was made. episodes : its rows of these episodes, the worst first.
-    report : the page that links to the replays. A page that `shield replay` has written since the run is
-        linked as it is.
-    count : of so many of the episodes a page is written where there is none. write : writes it.
+    run, made : file of the run, and its manifest.
+    episodes : rows of the episodes in the run, the worst first.
+    report : path of the report. A page that `shield replay` has written since the run is linked unchanged.
+    count : number of episodes for which a missing page is written.
+    write : function that writes a page.
 
     Returns
     -------
-    By the numbers of the rows.
+    The links by row number.
     """
     found: dict[int, ReplayLink] = {}
     for number, row in episodes.iterrows():
@@ -70,12 +77,12 @@ def link_replays(
 
 
 def _is_of(run: Path, page: Path) -> bool:
-    """Whether a page is there and not older than the run, of whose rows an older one may be no replay."""
+    """Whether a page exists and is not older than the run; an older one may show another episode."""
     return page.exists() and page.stat().st_mtime >= run.stat().st_mtime
 
 
 def _file_of(policy: str, made: Mapping[str, Any], run: Path) -> str:
-    """The file of a policy that is a model of the user's; "" for a policy by name."""
+    """File of a policy that is a model of the user; "" for a policy by name."""
     asked: Mapping[str, Any] = made.get("asked", {}).get("policies", {})
     if "file" not in asked.get(policy, {}) or policy in list_references():
         return ""

@@ -1,6 +1,6 @@
-"""Summaries as text tables, and any table as a file.
+"""Summaries as text tables, and tables as files.
 
-The cells are made once; the terminal and the Markdown table show the same.
+The terminal, Markdown and LaTeX tables have the same cells.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _Row = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a text table: its heading, and how a row becomes its cell."""
+    """A column of a text table: its heading, and the function from a row to its cell."""
 
     heading: str
     cell: Callable[[_Row], str]
@@ -72,14 +72,14 @@ def _interval(heading: str, key: str, factor: float = 1.0, digits: int = 1) -> C
 
 
 def _reasons(row: _Row) -> str:
-    """Shares of all decisions by reason, the greatest first."""
+    """Shares of all decisions by reason, the greatest first [%]."""
     shares = {k.removeprefix("reason_"): v for k, v in row.items() if k.startswith("reason_") and v > 0}
     parts = sorted(shares.items(), key=lambda item: -item[1])
     return ", ".join(f"{name} {_number(100 * share, 1)}" for name, share in parts) or "–"
 
 
 def _verification(row: _Row) -> str:
-    """In words; a dash where nothing is verified."""
+    """The verification in words; a dash if nothing is verified."""
     told = row.get("verification") or Verification.OFF.value
     return "–" if told == Verification.OFF else str(told).replace("_", " ")
 
@@ -127,11 +127,11 @@ COMPARISON: tuple[Column, ...] = (
     _plain("added", "crashes_added", 0),
     Column("McNemar p", lambda row: f"{row['mcnemar_p']:.2g}"),
 )
-"""Columns of a comparison with driving unshielded on the same seeds."""
+"""Columns of a comparison with unshielded driving on the same seeds."""
 
 
 def cells_of(frame: pd.DataFrame, columns: Sequence[Column]) -> tuple[list[str], list[list[str]]]:
-    """Headings and rows of cells, without the columns in which no row has more than dashes."""
+    """Headings and rows of cells, without columns that have dashes only."""
     rows: list[_Row] = frame.to_dict("records")
     cells = [[column.cell(row) for column in columns] for row in rows]
     said = [any(map(str.isalnum, "".join(row[i] for row in cells))) for i in range(len(columns))]
@@ -142,7 +142,7 @@ def cells_of(frame: pd.DataFrame, columns: Sequence[Column]) -> tuple[list[str],
 def rich_table(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> Table:
     """The table for a terminal: a column for each row of the frame, so that it fits 80 characters.
 
-    A setting or policy that is the same throughout stands in the title.
+    A setting or policy that all rows share is in the title.
     """
     headings, cells = cells_of(frame, columns)
     names = [i for i in range(2) if len({row[i] for row in cells}) > 1]
@@ -179,7 +179,7 @@ _LATEX = {
 
 
 def latex(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> str:
-    """The table in LaTeX, with the rules of the package booktabs."""
+    """The table in LaTeX, for the package booktabs."""
     headings, cells = cells_of(frame, columns)
     aligned = "".join("l" if i < len(_NAMES) else "r" for i in range(len(headings)))
     lines = [" & ".join("".join(_LATEX.get(x, x) for x in cell) for cell in row) + r" \\" for row in (headings, *cells)]
@@ -190,7 +190,12 @@ def latex(frame: pd.DataFrame, columns: Sequence[Column] = SUMMARY) -> str:
 def write_table(frame: pd.DataFrame, path: str | Path) -> Path:
     """Write a table as CSV or Parquet, by the ending of the file; lists in a CSV are JSON.
 
-    What the frame says in `attrs["made"]` is kept in a Parquet file, and beside a CSV as NAME.json.
+    `attrs["made"]` of the frame is stored in a Parquet file, and beside a CSV as NAME.json. Returns the path.
+
+    Raises
+    ------
+    ConfigError
+        If the file does not end in .csv or .parquet.
     """
     path = Path(path)
     _check_ending(path)
@@ -213,7 +218,7 @@ def read_episodes(path: str | Path) -> pd.DataFrame:
     Raises
     ------
     ConfigError
-        If there is no such file, it cannot be read, or does not end in .csv or .parquet.
+        If there is no such file, it cannot be read, or it does not end in .csv or .parquet.
     """
     path = Path(path)
     _check_ending(path)
@@ -226,7 +231,7 @@ def read_episodes(path: str | Path) -> pd.DataFrame:
 
 
 def made_of(frame: pd.DataFrame, path: Path) -> dict[str, Any]:
-    """How a table that was read from a file was made, see `write_table`; empty where it does not say."""
+    """Manifest of a table that was read from a file, see `write_table`; empty without one."""
     beside = path.with_suffix(".json")
     if path.suffix == ".csv" and beside.is_file():
         told: dict[str, Any] = json.loads(beside.read_text(encoding="utf-8"))
@@ -235,13 +240,17 @@ def made_of(frame: pd.DataFrame, path: Path) -> dict[str, Any]:
 
 
 def finished(path: str | Path) -> tuple[dict[str, Any], list[dict[str, Any]]] | None:
-    """Of a table of episodes, or a store of them: how it was made (see `evaluation.running.manifest.provenance`), and
-    its rows, as `EpisodeRecord.row` made them; None if there is no such file.
+    """Read a table of episodes, or a store.
+
+    Returns
+    -------
+    The manifest (see `evaluation.running.manifest.provenance`), and the rows in the form of `EpisodeRecord.row`; None
+    if there is no such file.
 
     Raises
     ------
     ConfigError
-        If it is no such table.
+        If the file is no such table.
     """
     path = Path(path)
     if is_store(path):

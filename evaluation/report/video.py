@@ -1,6 +1,6 @@
 """Films of shielded episodes, frame by frame at the simulation frequency.
 
-Rendering is off-screen: no display is needed.
+Rendering is off-screen and needs no display.
 """
 
 from __future__ import annotations
@@ -45,18 +45,18 @@ __all__ = [
 
 FILM_SETTING = "abz-idm"
 FILM_POLICY = "dqn-abz-adversarial"
-"""Filmed unless something else is asked for: the agent that has learned to crash."""
+"""Default policy of a film: an agent trained to crash."""
 
 _FREQUENCY = 15
-"""Films run at this simulation frequency at least [Hz]: at 5 Hz, as in highway-fast-v0, they would jerk."""
+"""Least simulation frequency of a film [Hz]; at 5 Hz, as in highway-fast-v0, it would not look smooth."""
 _CLIP = 9
 """Length of a film [s]."""
 _LEAD = 1
 """Time shown before the first override [s]."""
 _WANTED = 3
-"""A seed whose episode has this many overridden decisions in one clip is worth filming."""
+"""Number of overridden decisions in one clip that ends the search for a seed."""
 _SEARCH = 30
-"""Seeds to try before the best of them is taken."""
+"""Largest number of seeds in the search; then the best of them is taken."""
 _COLORS = 96
 
 
@@ -66,9 +66,9 @@ class Film:
 
     Attributes
     ----------
-    path : the file.
+    path : path of the file.
     seed : seed of the episode.
-    overrides : decisions in it that were overridden.
+    overrides : number of overridden decisions in it.
     frames : number of pictures.
     """
 
@@ -80,12 +80,12 @@ class Film:
 
 _ROAD = {"screen_width": 1100, "screen_height": 150, "scaling": 9.0, "centering_position": [0.2, 0.5]}
 _TRACK = {"screen_width": 1000, "screen_height": 500, "scaling": 9.0, "centering_position": [0.5, 0.5]}
-"""Pictures: a strip along a straight road, and what is around the ego on any other."""
+"""Layout of pictures: a strip along a straight road, and the surroundings of the ego on other roads."""
 _STRAIGHT = (HighwayEnv, TwoWayEnv)
 
 
 def _filmed(setting: Setting, smooth: bool = True) -> Setting:
-    """The setting as it is filmed: large pictures, and a high simulation frequency, which makes it another episode."""
+    """The setting for a film: large pictures, and a high simulation frequency, which changes the episode."""
     frequency = {"simulation_frequency": max(_FREQUENCY, setting.configured.get("simulation_frequency", 0))}
     env = setting.make()
     straight = isinstance(env.unwrapped, _STRAIGHT) and not isinstance(env.unwrapped, ExitEnv)
@@ -113,11 +113,12 @@ def record(
 
     Parameters
     ----------
-    setting, policy : what to drive, by name.
+    setting : a setting, or its name.
+    policy : name of a policy.
     seed : seed of the episode.
-    first, last : decisions to keep, from `first` up to but not including `last`.
-    config : the shield's settings; those that the shield takes by itself by default.
-    smooth : whether to drive at a simulation frequency that is good to look at, rather than at the setting's.
+    first, last : range of decisions to keep; `last` is exclusive.
+    config : the shield's settings; its default for the environment if None.
+    smooth : whether to raise the simulation frequency for smooth pictures.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
     with _shielded(_filmed(setting, smooth), policy, seed, config, "rgb_array") as (env, decide):
@@ -136,8 +137,12 @@ def record(
 def _shielded(
     setting: Setting, policy: str, seed: int, config: ShieldConfig | str | None, render_mode: str | None
 ) -> Iterator[tuple[ShieldedEnv, Callable[[], bool]]]:
-    """A shielded episode, and a function that takes its next decision and says if it is over; what is decided is
-    recorded where it is drawn."""
+    """Start a shielded episode, which records decisions if it renders.
+
+    Yields
+    ------
+    The environment, and a function that executes the next decision and returns whether the episode has ended.
+    """
     bare = setting.make(render_mode=render_mode)
     try:
         driver = make_policy(policy, bare)
@@ -161,8 +166,10 @@ def _shielded(
 
 
 def _overridden(setting: Setting, policy: str, seed: int) -> tuple[list[bool], int]:
-    """Which decisions of an episode end in another action, or on a network of roads, where actions stay what they are,
-    in other frames; and how many there are in a second. Nothing is drawn."""
+    """For each decision of an episode, whether it was overridden; and the number of decisions in a second.
+
+    An override is another action, or on a road network also other inputs in a frame. Nothing is drawn.
+    """
     with _shielded(_filmed(setting), policy, seed, None, None) as (env, decide):
         flags, done = [], False
         while not done:
@@ -174,12 +181,12 @@ def _overridden(setting: Setting, policy: str, seed: int) -> tuple[list[bool], i
 
 
 def _rate(env: gym.Env[Any, Any]) -> int:
-    """Decisions in a second."""
+    """Number of decisions in a second."""
     return int(max(1, round(cast(Any, env.unwrapped).config["policy_frequency"])))
 
 
 def _best_clip(flags: Sequence[bool], rate: int = 1) -> tuple[int, int]:
-    """First decision of the clip with the most overrides, after one that passed; and how many.
+    """First decision of the clip with the most overrides, after a passed decision; and the number of overrides.
 
     `rate` is the number of decisions in a second.
     """
@@ -198,7 +205,7 @@ def find_override(setting: str | Setting = FILM_SETTING, policy: str = FILM_POLI
     Raises
     ------
     ConfigError
-        If no episode has any, or the seeds are those of the evaluation.
+        If no episode has an override, or the seeds belong to the evaluation.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
     count, chosen, start = _most_overridden(setting, policy, seed, _silent)
@@ -210,11 +217,17 @@ def find_override(setting: str | Setting = FILM_SETTING, policy: str = FILM_POLI
 def _most_overridden(
     setting: Setting, policy: str, seed: int, progress: Callable[[int, int], None]
 ) -> tuple[int, int, int]:
-    """The most decisions overridden in one clip, and its seed and first decision; without any, `seed` from its start.
+    """The most overridden decisions in one clip, its seed and its first decision; `seed` and 0 without any.
 
     Parameters
     ----------
-    progress : called before each episode with how many have been tried, and how many are tried at most.
+    setting, policy, seed : as in `find_override`.
+    progress : called before each episode with the number of tried episodes, and the largest number of them.
+
+    Raises
+    ------
+    ConfigError
+        If the seeds belong to the evaluation.
     """
     if not 0 <= seed <= FIRST_EVALUATION_SEED - _SEARCH:
         raise ConfigError(
@@ -233,11 +246,11 @@ def _most_overridden(
 
 
 def _silent(tried: int, most: int) -> None:
-    """No progress is shown."""
+    """Show no progress."""
 
 
 def _decisions(setting: str | Setting) -> int:
-    """Decisions in a clip."""
+    """Number of decisions in a clip."""
     setting = get_setting(setting) if isinstance(setting, str) else setting
     env = setting.make()
     try:
@@ -253,14 +266,21 @@ def film_override(
     seed: int = 0,
     progress: Callable[[int, int], None] = _silent,
 ) -> Film:
-    """Find an episode in which the override shows, and write it as a GIF; without any override, the first episode.
+    """Find an episode with overrides, and write it as a GIF; without any override, the first episode.
 
     Parameters
     ----------
-    path : the file to write, ending in .gif.
-    setting, policy : what to drive, by name.
-    seed : where the search for an episode begins; below 10,000.
-    progress : called before each episode of the search with how many have been tried, and how many are tried at most.
+    path : path of the .gif file.
+    setting : a setting, or its name.
+    policy : name of a policy.
+    seed : first seed of the search; below 10,000.
+    progress : called before each episode of the search with the number of tried episodes, and the largest number of
+        them.
+
+    Raises
+    ------
+    ConfigError
+        If the file is no .gif, or the seeds belong to the evaluation.
     """
     path = film_path(path)
     setting = get_setting(setting) if isinstance(setting, str) else setting
@@ -273,7 +293,7 @@ def film_override(
 
 
 def film_path(path: str | Path) -> Path:
-    """Where a film is written.
+    """The path of a film.
 
     Raises
     ------
@@ -289,13 +309,13 @@ def film_path(path: str | Path) -> Path:
 def film_end(
     path: str | Path, setting: str | Setting, policy: str, seed: int, config: ShieldConfig | str | None = None
 ) -> Film:
-    """Write the last seconds of an episode as a GIF, whatever happens in it, at the frequency that it is driven at.
+    """Write the last seconds of an episode as a GIF, at the setting's own simulation frequency.
 
     Parameters
     ----------
-    path : the file to write, ending in .gif.
-    setting, policy, seed : what to drive.
-    config : the shield's settings; those that the shield takes by itself by default.
+    path : path of the .gif file.
+    setting, policy, seed : as in `record`.
+    config : the shield's settings; its default for the environment if None.
     """
     path = film_path(path)
     shots = record(setting, policy, seed, config=config, smooth=False)
@@ -309,18 +329,23 @@ def film_end(
 def still_of_override(
     path: str | Path, setting: str | Setting = "highway-fast", policy: str = "faster", seed: int = 5
 ) -> Path:
-    """Write one picture of an override that leads around what the proposal would have run into.
+    """Write one picture of an override whose path avoids the collision of the proposal by another lane.
 
     Parameters
     ----------
-    path : the .png to write.
-    setting, policy : what to drive, by name.
-    seed : where the search for an episode begins; below 10,000.
+    path : path of the .png file.
+    setting : a setting, or its name.
+    policy : name of a policy.
+    seed : first seed of the search; below 10,000.
+
+    Returns
+    -------
+    The path.
 
     Raises
     ------
     ConfigError
-        If the file is no .png, or no override of some episodes leads around anything.
+        If the file is no .png, or no override of some episodes has such a path.
     """
     path = picture_path(path)
     for candidate in range(seed, seed + _SEARCH):
@@ -335,7 +360,7 @@ def still_of_override(
 
 
 def _shows(shot: Shot) -> tuple[bool, float]:
-    """Whether a shot is of another action just begun, with a path a lane off the proposal's; and how early it is."""
+    """Whether a shot is the first of another action, with a path a lane off the proposal's; and how early it is."""
     decision, apart = shot.decision, 0.0
     if shot.proposal is not None and decision.plan is not None and len(decision.plan) > shot.period:
         apart = abs(float((decision.plan[shot.period] - shot.proposal[-1])[RoadState.R]))
@@ -344,7 +369,7 @@ def _shows(shot: Shot) -> tuple[bool, float]:
 
 
 def _write_gif(path: Path, pictures: Sequence[Image.Image], duration: float) -> None:
-    """One palette for the whole film, without dithering: small files that do not flicker."""
+    """Write a GIF with one palette and without dithering: small files that do not flicker."""
     parts = [np.asarray(picture) for picture in pictures[:: len(pictures) // 6 + 1]]
     signals = np.repeat(np.array([GREEN, ORANGE, RED, AREA, PROPOSAL], dtype=np.uint8), 4, axis=0)
     width = parts[0].shape[1]

@@ -1,4 +1,4 @@
-"""Pictures of the worst case on road networks: where the others may be, where the ego meets them, and who waits."""
+"""Pictures of the worst case on road networks: reachable areas, conflict zones with the ego, and yielding vehicles."""
 
 from __future__ import annotations
 
@@ -32,21 +32,32 @@ VIEWED = (
 )
 _HAVE = f"have {', '.join(VIEWED)}, and others like these"
 _EPISODES = 3
-"""In so many a decision is found."""
+"""Number of episodes that are searched for a decision."""
 _ACTION = "FASTER"
 _WINDOW, _AROUND = (50.0, 29.0), 12.0
-"""Half of what is shown at least, along x and y, and what is left around the path [m]."""
+"""Least half extents of the picture along x and y, and margin around the path [m]."""
 _TIMES = 1.0, 2.0
-"""When places are shown [s]."""
+"""Times ahead at which reachable areas are drawn [s]."""
 _WISH = 4.0
-"""How long the ego's own way is, driven alone [s]."""
+"""Duration of the ego's path without other vehicles [s]."""
 _WISHED = "#e0b000"
 _LANES, _MAY, _WAITS, _MEETS, _PATH = "#9aa09a", "#8a4fd3", "#2ca02c", "#d62728", "#ff7f0e"
 
 
 class _View(NamedTuple):
-    """A decision, what it has gone by, and the lanes of the road; `ego` is its row (7,), `wish` where it would go alone
-    (n, 2), and `meetings` the zones in which that meets the ways of those from other roads, with their strips."""
+    """A decision, its reachable lane intervals, and the lanes of the road.
+
+    Attributes
+    ----------
+    env_id : the environment.
+    decision : the decision.
+    foreseen : reachable lane intervals of the decision.
+    geometry : lanes of the road.
+    ego : row of the ego, (7,).
+    wish : path of the ego without other vehicles, (n, 2) [m].
+    dt : duration of a frame [s].
+    meetings : conflict zones of that path with vehicles from other roads, with the index of the interval.
+    """
 
     env_id: str
     decision: Decision
@@ -59,12 +70,12 @@ class _View(NamedTuple):
 
     @property
     def vehicles(self) -> set[int]:
-        """Whose ways it meets."""
+        """Indices of the vehicles in a conflict zone."""
         return {int(self.foreseen.vehicles[j]) for j, _ in self.meetings}
 
     @property
     def waits(self) -> bool:
-        """Whether somebody is counted on to wait where they meet."""
+        """Whether a vehicle in a conflict zone is assumed to wait."""
         return any(self.foreseen.waits[j] for j, _ in self.meetings)
 
 
@@ -74,23 +85,31 @@ def draw_worst_cases(
     config: ShieldConfig | None = None,
     seed: int = 0,
 ) -> Path:
-    """Draw one decision on each of some road networks: of always FASTER, where somebody is counted on to wait and
-    the ego meets the most others.
+    """Draw one decision on each of some road networks, with the policy always FASTER.
 
-    Shown are where anybody may be in 1 and in 2 s (its body within what the assumptions permit, on every way that it
-    may take); the path that is verified, to its standstill; where the ego would be going, alone on the road; and the
-    zones where this meets the ways of those from other roads: red where the ego has to keep clear of them, green where
-    somebody is counted on to wait.
+    It is a decision in which another vehicle is assumed to wait, and the ego meets the most others. The picture shows:
+
+    - reachable areas of other vehicles after 1 and 2 s, on every route within the assumptions, with their bodies;
+    - the verified path, to its standstill;
+    - the ego's path without other vehicles;
+    - conflict zones of this path with vehicles from other roads: red if the ego has to keep clear of them, green if
+      they are assumed to wait.
 
     Parameters
     ----------
-    path : the .png to write. env_ids : environments of highway-env on networks of roads, with meta-actions.
-    config : settings; by default `ShieldConfig.for_roads(gives_way=True)`. seed : of the first episode.
+    path : path of the .png file.
+    env_ids : environments of highway-env on road networks, with meta-actions.
+    config : the shield's settings; by default `ShieldConfig.for_roads(gives_way=True)`.
+    seed : seed of the first episode.
+
+    Returns
+    -------
+    The path.
 
     Raises
     ------
     ConfigError
-        If the file is no .png, there is no environment, or the seeds are those of the evaluation.
+        If the file is no .png, there is no environment, or the seeds belong to the evaluation.
     SceneError
         If a road cannot be read.
     """
@@ -119,8 +138,10 @@ def draw_worst_cases(
 
 
 def _find(env_id: str, config: ShieldConfig, seed: int) -> _View:
-    """The decision of a few shielded episodes in which somebody waits for the ego, if there is one, and its path meets
-    the most others."""
+    """The decision of a few shielded episodes in which a vehicle waits for the ego and the ego meets the most others.
+
+    Without a waiting vehicle only the number of others counts.
+    """
     env: Any = ShieldedEnv(setting_of(env_id).make(), config)
     base: Any = env.unwrapped
     if not isinstance(env.door, RoadDoor):
@@ -133,7 +154,7 @@ def _find(env_id: str, config: ShieldConfig, seed: int) -> _View:
             actions = base.action_type.actions_indexes
             door = RoadDoor(base, config)
             decision = door.decide(actions[_ACTION])
-            # From an emergency nothing is foreseen.
+            # An unverified decision has no reachable lane intervals.
             if decision.tier.verified:
                 view = _view(env_id, base, decision, door.foreseen)
                 score = view.waits, len(view.vehicles), decision.overridden
@@ -161,7 +182,7 @@ def _view(env_id: str, base: Any, decision: Decision, foreseen: Foreseen) -> _Vi
 
 
 def _meetings(view: _View) -> list[tuple[int, Any]]:
-    """Where the ways of others from other roads meet the ego's, as polygons, and of which strip each is."""
+    """Conflict zones of vehicles from other roads with the ego's path, as polygons with the index of the interval."""
     foreseen, geometry = view.foreseen, view.geometry
     if np.hypot(*np.ptp(view.wish, axis=0)) < 1.0:
         return []
@@ -170,7 +191,7 @@ def _meetings(view: _View) -> list[tuple[int, Any]]:
     road, *roads = geometry.network.ids[geometry.closest(*bodies.T).lane, ROAD].tolist()
     for j in range(len(foreseen.lanes)):
         if roads[foreseen.vehicles[j]] == road:
-            continue  # before it, behind it or beside it
+            continue  # on the ego's own road
         area = _area(view, j, 0, foreseen.most.shape[1] - 1)
         if area is not None and (zone := area.intersection(corridor)).area > 1.0:
             found.append((j, zone))
@@ -178,7 +199,7 @@ def _meetings(view: _View) -> list[tuple[int, Any]]:
 
 
 def _area(view: _View, j: int, first: int, last: int) -> Any:
-    """Where strip `j` has its vehicle's body from frame `first` to `last`, a polygon; None where that is nowhere."""
+    """Polygon of the reachable interval `j` from frame `first` to `last`; None if it has no place on its lane."""
     outline = strip_outline(view.geometry, view.foreseen, j, first, last)
     if outline is None:
         return None

@@ -1,4 +1,4 @@
-"""Drives one shielded episode in highway-env itself, and keeps what its replay shows."""
+"""Recording of one shielded episode in highway-env itself, for its replay."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from shield.filters.network import RoadDoor
 __all__ = ["Asked", "StepSeen", "collect"]
 
 _SAMPLE = 2.0
-"""Between two points of the edge of a lane that bends [m]."""
+"""Distance of two points of the edge of a curved lane [m]."""
 _APART = 1.0
-"""Throttle and steering are followed so long after the ones before at the soonest [s]."""
+"""Least time between two simulations of refused proposals, for throttle and steering [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What is driven, as of `evaluation.running.episodes.run_episode`."""
+    """Specification of the episode, as in `evaluation.running.episodes.run_episode`."""
 
     setting: Setting
     policy: str
@@ -54,8 +54,18 @@ class Asked:
 
 @dataclass(slots=True)
 class StepSeen:
-    """One step: the shield's record and its decisions about frames, the first frame, the inputs (2,) of each frame, and
-    on a network of roads what was foreseen in each."""
+    """One step.
+
+    Attributes
+    ----------
+    first : index of its first frame.
+    record : the shield's record.
+    frames : decisions about the frames.
+    inputs : acceleration [m/s^2] and steering [rad] of each frame.
+    foreseen : on a road network, the reachable lane intervals in each frame.
+    explanation : explanation of the record.
+    what_if : simulation of the refused proposal, if there is one.
+    """
 
     first: int
     record: Decision
@@ -67,7 +77,7 @@ class StepSeen:
 
 
 class _Watch:
-    """Watches an episode as it is driven; see `Driver.run` for when it is called."""
+    """Records an episode as it is driven; `Driver.run` calls `before` and `after`."""
 
     def __init__(self, driver: Driver, asked: Asked, follows: bool) -> None:
         self.driver, self.asked, self.follows = driver, asked, follows
@@ -85,11 +95,11 @@ class _Watch:
 
     @property
     def door(self) -> Any:
-        """What filters the actions."""
+        """The filter of the actions."""
         return self.shielded.door if isinstance(self.shielded, ShieldedEnv) else self.shielded.doors[0]
 
     def before(self, number: int) -> None:
-        """A decision of the policy is about to be carried out."""
+        """Prepare for the execution of a decision: start its frames, and copy the environment if it may be needed."""
         if number == 1:
             self._watch_frames()
         self._first, self._inputs, self._foreseen = self._frames, [], []
@@ -106,7 +116,7 @@ class _Watch:
             self._column = {copy: columns[body] for body, copy in pairs if body in columns}
 
     def after(self, record: Decision) -> None:
-        """It has been carried out."""
+        """Record the executed decision, and simulate its proposal if that was refused."""
         shielded = self.shielded
         frames = shielded.frame_decisions if isinstance(shielded, ShieldedEnv) else shielded.frame_decisions[0]
         seen = StepSeen(self._first, record, list(frames), self._inputs, self._foreseen, record.explain())
@@ -139,13 +149,17 @@ class _Watch:
 def collect(
     asked: Asked, follows: bool = True, told: Callable[[float, Decision], None] | None = None
 ) -> tuple[Replay, EpisodeRecord]:
-    """Drive an episode; what its replay shows, and its record.
+    """Drive an episode and record it.
 
     Parameters
     ----------
-    told : called after each step, as of `evaluation.running.driver.Driver.run`.
-    follows : whether refused proposals are followed in the simulator, too (with throttle and steering at most one a
-        second).
+    asked : specification of the episode.
+    follows : whether refused proposals are simulated too (at most one a second for throttle and steering).
+    told : called after each step, as in `evaluation.running.driver.Driver.run`.
+
+    Returns
+    -------
+    The replay, and the record of the episode.
     """
     driver = Driver(
         DriverSpec(
@@ -221,7 +235,7 @@ def _about(watch: _Watch, record: EpisodeRecord) -> dict[str, Any]:
 
 
 def _namer(base: Any) -> tuple[Callable[[Any], str], bool]:
-    """Names an action of the environment, and whether it has meta-actions."""
+    """A function that names an action of the environment, and whether the actions are meta-actions."""
     labels = action_labels(base.action_type)
     if not isinstance(base.action_type, ContinuousAction):
         return (lambda action: action_name(labels, action)), True

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 __all__ = ["frames_of"]
 
 _VIEW = 120.0
-"""Bodies farther from the ego are left out of a frame [m]."""
+"""Greatest distance from the ego of bodies in a frame [m]."""
 _POINTS = 24
-"""Places on a plan, at most."""
+"""Approximate number of points of a plan."""
 
 
 def frames_of(
@@ -37,12 +37,16 @@ def frames_of(
     meta: bool,
     dt: float,
 ) -> list[Frame]:
-    """One for each recorded state.
+    """Make one frame for each recorded state.
 
     Parameters
     ----------
-    steps : of the episode. world : the recorded states, (frames + 1, bodies, 8), columns `Track`.
-    columns : of each body in it. road : that plans refer to. meta : whether actions are meta-actions.
+    steps : steps of the episode.
+    world : recorded states, (frames + 1, bodies, 8), columns `Track`.
+    columns : index of each body in it.
+    road : road of the frame of plans.
+    meta : whether actions are meta-actions.
+    dt : duration of a frame [s].
     """
     frames = []
     for number, seen in enumerate(steps):
@@ -95,7 +99,7 @@ def _bare(rows: FloatArray, time: float) -> Frame:
 
 
 def _others(rows: FloatArray) -> list[int]:
-    """See `Frame.others`."""
+    """Values of `Frame.others`."""
     near = np.hypot(*(rows[:, : State.Y + 1] - rows[0, : State.Y + 1]).T) < _VIEW
     near[0] = False
     there = np.flatnonzero(near & (rows[:, Track.LENGTH] > 0))
@@ -104,7 +108,7 @@ def _others(rows: FloatArray) -> list[int]:
 
 
 def _points(plan: FloatArray | None, first: int, road: Road | World) -> tuple[list[int], int]:
-    """Places on a plan from a frame on, and one in how many frames they are."""
+    """Points of a plan from a frame on, and the number of frames from one to the next."""
     if plan is None or len(plan) <= first + 1:
         return [], 1
     left = len(plan) - first
@@ -114,7 +118,7 @@ def _points(plan: FloatArray | None, first: int, road: Road | World) -> tuple[li
 
 
 def _binding(decision: Decision, columns: Mapping[Any, int]) -> int:
-    """The body that the margin of a decision is about."""
+    """Index of the binding body of a decision; -1 if it is unknown."""
     source, row = decision.source, decision.vehicle
     if row < 0:
         return -1

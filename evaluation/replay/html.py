@@ -1,4 +1,4 @@
-"""Writes the replay of an episode as one HTML file that needs nothing beside it: no network, no library, no package."""
+"""Writer of a replay as one HTML file without dependencies: no network, no library, no package."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from shield.errors import ConfigError
 __all__ = ["page_path", "to_html", "write_page"]
 
 _SCRIPTS = ("data.js", "scene.js", "timeline.js", "controls.js")
-"""In the order in which they are run."""
+"""Scripts of the page, in the order of execution."""
 
 
 def to_html(replay: Replay) -> str:
-    """The page. Its data is the JSON of `Replay.to_json` in a script element of type application/json."""
+    """The page, with the JSON of `Replay.to_json` in a script element of type application/json."""
     folder = files("evaluation.replay").joinpath("page")
 
     def part(name: str) -> str:
@@ -27,11 +27,11 @@ def to_html(replay: Replay) -> str:
     filled = {
         "@TITLE@": html.escape(title),
         "@STYLE@": part("replay.css"),
-        # In a script element nothing but its end tag is read as markup: no "<" stands in the data.
+        # The end tag is the only markup inside a script element, so the data may not contain "<".
         "@DATA@": replay.to_json().replace("<", "\\u003c"),
         "@SCRIPT@": "\n".join(part(name) for name in _SCRIPTS),
     }
-    # One mark after another, so that nothing in what is filled in is taken for a mark.
+    # Fill in one placeholder after another, so that inserted text is never searched for placeholders.
     parts: list[str] = []
     left = part("replay.html")
     for mark, text in filled.items():
@@ -41,7 +41,7 @@ def to_html(replay: Replay) -> str:
 
 
 def page_path(path: Path) -> Path:
-    """Where a page is written.
+    """The path of a page.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def page_path(path: Path) -> Path:
 
 
 def write_page(replay: Replay, path: Path) -> Path:
-    """Write the page; its folder is made."""
+    """Write the page, and create its folder; returns the path."""
     path = page_path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(to_html(replay), encoding="utf-8")

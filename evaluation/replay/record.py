@@ -1,7 +1,7 @@
-"""The record of one episode that a replay page shows, and its JSON.
+"""The data of a replay page, and its JSON.
 
-Numbers of the shield and of the ego are written so that they are read back bit for bit. What is only drawn (bodies of
-the others, plans, areas, lanes) is rounded to `STEP` metres and `TURN` radians, and written as whole numbers of these.
+Numbers of the shield and of the ego keep their exact values in JSON. Values that are only drawn (bodies of the others,
+plans, areas, lanes) are rounded to `STEP` metres and `TURN` radians, and stored as multiples of these.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ __all__ = [
 ]
 
 STEP, TURN = 0.01, 0.0001
-"""What drawn lengths [m] and drawn angles [rad] are rounded to."""
+"""Resolution of drawn lengths [m] and drawn angles [rad]."""
 FORMAT = 1
 """Version of the JSON."""
 
 
 @dataclass(frozen=True, slots=True)
 class LaneDrawn:
-    """A lane in the world.
+    """A lane in the world frame.
 
     Attributes
     ----------
-    left, right : its edges, x and y one after another, in units of `STEP`. lines : highway-env's type of each edge, 0
-        for none, 1 for dashes, else drawn through.
+    left, right : its edges, alternating x and y, in units of `STEP`.
+    lines : highway-env's type of each edge: 0 for none, 1 for dashes, else solid.
     """
 
     left: list[int]
@@ -55,7 +55,7 @@ class LaneDrawn:
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A vehicle or an obstacle: name of its class, length and width [m]. The first is the ego."""
+    """A vehicle or an obstacle: name of its class, length and width [m]. The first body is the ego."""
 
     kind: str
     length: float
@@ -64,7 +64,7 @@ class Body:
 
 @dataclass(frozen=True, slots=True)
 class Area:
-    """Where one of the others can be: its body, -1 where that is not known, and an outline in units of `STEP`."""
+    """Reachable area of another vehicle: index of its body, -1 if unknown, and an outline in units of `STEP`."""
 
     body: int
     outline: list[int]
@@ -72,20 +72,22 @@ class Area:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One simulation frame, before it is played; the last of an episode has no decision.
+    """One simulation frame before it is executed; the last frame of an episode has no decision.
 
     Attributes
     ----------
-    time : since reset [s]. x, y, heading, speed : of the ego in the world [m], [rad], [m/s].
-    step : number of the decision that it belongs to, -1 without one.
+    time : time since reset [s].
+    x, y, heading, speed : state of the ego in the world frame [m], [rad], [m/s].
+    step : index of the decision that the frame belongs to; -1 without one.
     status : "PASSED", "HELD BACK", "OVERRIDE", "FALLBACK", "OFF"; "" without a decision.
-    acceleration, wheel : what the ego's actuators got in this frame [m/s^2], [rad]; NaN without a decision.
-    tier, reason, margin, clause : of the decision about this frame, or of the step where frames are not decided about;
+    acceleration, wheel : inputs of the ego's actuators in this frame [m/s^2], [rad]; NaN without a decision.
+    tier, reason, margin, clause : values of the decision about this frame, or of the step if frames have no decisions;
         the margin [m].
-    binding : body that the margin is about, -1 where that is not known.
-    others : of each other body in view: its number, x, y, heading, and speed in units of `STEP`, one after another.
-    plan : places of the ego on its plan from this frame on, x and y one after another, one every `every` frames and the
-        last; `until` is the number of frames until the next decision.
+    binding : index of the binding body; -1 if unknown.
+    others : for each other body in view its index, x, y, heading and speed, in units of `STEP` and `TURN`.
+    plan : points of the ego's plan from this frame on, alternating x and y, in units of `STEP`.
+    every : number of frames from one point of the plan to the next; the last point may be nearer.
+    until : number of frames until the next decision.
     """
 
     time: float
@@ -110,12 +112,15 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """The record of one step, `shield.decision.Decision` in words.
+    """Record of one step, `shield.decision.Decision` in words.
 
     Attributes
     ----------
-    first : its first frame. overridden, frames_overridden, margin, latency : of the record.
-    text : what `Decision.explain` says.
+    first : index of its first frame.
+    proposed, executed : names of the actions.
+    tier, reason, intervention, guarantee, overridden, frames_overridden, margin, latency : values of the record.
+    fallback : whether the tier is a fallback.
+    text : text of `Decision.explain`.
     """
 
     first: int
@@ -135,17 +140,19 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class WhatIf:
-    """What the simulator makes of a proposal that is let through.
+    """Simulation of a refused proposal.
 
     Attributes
     ----------
-    then : what drives after the proposal, in words. text : what comes of it, in words.
-    crashed, off_road : whether the ego crashes or leaves the road. time : of the crash, else of the smallest gap, from
-        the decision on [s].
-    gap : the smallest clearance to another body [m], 0 in a crash. within : whether one comes within the buffer.
-    body : which one comes nearest, -1 for none.
-    path : x, y and heading of the ego at the decision and after each frame, one after another; near : the same of the
-        nearest body.
+    then : what drives after the proposal, in words.
+    text : the result, in words.
+    crashed, off_road : whether the ego crashes or leaves the road.
+    time : time of the crash, else of the least gap, from the decision on [s].
+    gap : least clearance to another body [m], 0 in a crash.
+    within : whether a body comes within the buffer.
+    body : index of the nearest body, -1 for none.
+    path : x, y and heading of the ego at the decision and after each frame, in units of `STEP` and `TURN`.
+    near : the same for the nearest body.
     """
 
     then: str
@@ -162,14 +169,17 @@ class WhatIf:
 
 @dataclass(frozen=True, slots=True)
 class Override:
-    """A step in which the proposal was refused: its explanation in parts (`shield.explanation.Explanation`).
+    """A step with a refused proposal: its explanation in parts (`shield.explanation.Explanation`).
 
     Attributes
     ----------
-    step : its number. frame : the frame at which the proposal was refused.
-    cause : body that is the cause, -1 without one. binding : time from that frame on at which the buffer would be
-        short [s], NaN where it is not known.
-    areas : where the others can be then; `what_if` is None where it was not asked.
+    step : index of the step.
+    frame : frame in which the proposal was refused.
+    refused, clause, why, done, proof, text, short : parts of the explanation.
+    binding : time from that frame on at which the buffer would be short [s]; NaN if unknown.
+    cause : index of the body that is the cause; -1 without one.
+    areas : reachable areas of the others at that time.
+    what_if : simulation of the proposal; None if there is none.
     """
 
     step: int
@@ -193,8 +203,11 @@ class Replay:
 
     Attributes
     ----------
-    about : what was driven and what came of it, by name. buffer : along and across the ego [m].
-    dt : between two frames [s]. straight : whether the road is one of parallel straight lanes.
+    about : specification and results of the episode, by name.
+    buffer : buffer along and across the ego [m].
+    dt : time between two frames [s].
+    straight : whether the road has parallel straight lanes.
+    lanes, bodies, frames, steps, overrides : contents of the replay.
     """
 
     about: dict[str, Any]
@@ -208,19 +221,21 @@ class Replay:
     overrides: list[Override]
 
     def to_json(self) -> str:
-        """JSON: objects as the classes here; a number that is not finite is the text "NaN", "Infinity" or
-        "-Infinity"."""
+        """The replay as JSON, with objects like the classes here.
+
+        Numbers that are not finite are the texts "NaN", "Infinity" and "-Infinity".
+        """
         data = {"format": FORMAT, "unit": STEP, "turn": TURN, **_plain(self)}
         return json.dumps(data, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 
 
 def rounded(values: ArrayLike, unit: float = STEP) -> list[int]:
-    """Numbers as whole numbers of a unit, in one list."""
+    """Numbers as multiples of a unit, rounded to integers, in one list."""
     return [int(x) for x in np.rint(np.asarray(values, dtype=float).ravel() / unit)]
 
 
 def poses(states: FloatArray) -> list[int]:
-    """x, y [m] and heading [rad] of states (n, 3 or more), in their units."""
+    """x, y [m] and heading [rad] of states (n, 3 or more), in units of `STEP` and `TURN`."""
     return rounded(np.asarray(states)[:, :3] / (STEP, STEP, TURN), 1.0)
 
 

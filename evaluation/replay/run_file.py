@@ -1,4 +1,4 @@
-"""One episode of a run that was written down, to be driven again: what `shield evaluate` and `shield certify` wrote."""
+"""Replay of an episode of a stored run, of `shield evaluate` or `shield certify`."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from shield.errors import ConfigError, ShieldError
 __all__ = ["Recorded", "check_same", "episode_of", "run_file", "write_replay"]
 
 _COMPARED = ("crashed", "off_road", "return", "steps", "overridden", "held_back", "frames", "frames_overridden")
-"""What the episode has to have again."""
+"""Columns that have to be equal in a replay."""
 _SHOWN = 4
 _CERTIFIED = "asked.json"
-"""What said how a run of `shield certify` was made, beside its table, before its folder was a store."""
+"""File with the manifest of a run of `shield certify`, beside its table, in versions before the store."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """An episode of a run: what to drive, its row, and what differs between the libraries then and now, in words."""
+    """An episode of a run: its specification, its row, and differences of the library versions, in words."""
 
     asked: Asked
     row: Mapping[str, Any]
@@ -44,12 +44,12 @@ class Recorded:
 
 
 def run_file(run: str | Path) -> Path:
-    """The table of a run: the file itself, or episodes.parquet in its folder.
+    """Path of the table of a run: the file itself, or episodes.parquet in its folder.
 
     Raises
     ------
     ConfigError
-        If there is none.
+        If there is no such file.
     """
     path = Path(run)
     path = path / "episodes.parquet" if path.is_dir() else path
@@ -61,17 +61,19 @@ def run_file(run: str | Path) -> Path:
 
 
 def episode_of(run: str | Path, number: int, policy: str | None = None) -> Recorded:
-    """An episode of a run of `shield evaluate` or `shield certify`.
+    """Read an episode of a run of `shield evaluate` or `shield certify`.
 
     Parameters
     ----------
-    run : see `run_file`. number : of its row, from 0 on. policy : where the row's is a model of the user's, its file.
+    run : see `run_file`.
+    number : index of its row.
+    policy : file of the policy, if the row's policy is a model of the user.
 
     Raises
     ------
     ConfigError
-        If there is no such row, it was driven without a shield, it is not said how it was made, or it was made in
-        another environment.
+        If there is no such row, the episode has no shield, the run has no manifest, or its environment or policy has
+        changed.
     """
     path = run_file(run)
     table = read_episodes(path)
@@ -103,7 +105,7 @@ def episode_of(run: str | Path, number: int, policy: str | None = None) -> Recor
 
 
 def check_same(recorded: Recorded, record: EpisodeRecord) -> list[str]:
-    """What differs between an episode as it was recorded and as it is driven again, in words."""
+    """Differences of an episode's row and its repetition, in words."""
     again = record.row()
     return differences(
         *({key: each[key] for key in _COMPARED if key in recorded.row} for each in (recorded.row, again))
@@ -115,11 +117,13 @@ def write_replay(run: Path, number: int, policy: str, page: Path) -> str:
 
     Parameters
     ----------
-    run, number : as of `episode_of`. policy : the file of the user's model that drives, or "". page : the .html file.
+    run, number : as in `episode_of`.
+    policy : file of the user's model that drives, or "".
+    page : path of the .html file.
 
     Returns
     -------
-    In words why there is no page, or how the episode differs from the recorded one; "" where it is the same.
+    The reason why there is no page, or the differences from the recorded episode, in words; "" if they are equal.
     """
     try:
         recorded = episode_of(run, number, policy or None)
@@ -132,7 +136,7 @@ def write_replay(run: Path, number: int, policy: str, page: Path) -> str:
 
 
 def _as_compared(made: Mapping[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """How a run of `shield certify` was made, as it is written of one of `shield evaluate`: one setting, one policy."""
+    """The manifest of an old run of `shield certify` in the format of `shield evaluate`: one setting, one policy."""
     was, row = made["asked"], rows[0]
     named = {"settings": {row["setting"]: was["setting"]}, "policies": {row["policy"]: was["policy"]}}
     return {"asked": {**named, "shields": was["shield"]}, "versions": was["version of"]}
@@ -143,13 +147,13 @@ def _config(shield: Mapping[str, Any]) -> ShieldConfig:
 
 
 def _shielded(rows: list[dict[str, Any]]) -> str:
-    """Which rows can be replayed."""
+    """Text that says which rows can be replayed."""
     numbers = [k for k, row in enumerate(rows) if row.get("door") != "none"]
     return f"with one were {numbers[0]} to {numbers[-1]}" if numbers else "none has one"
 
 
 def _setting(name: str, settings: Mapping[str, Any]) -> Setting:
-    """The setting of that name, which has to be what it was."""
+    """The setting of that name; raises `ConfigError` if it has changed since the run."""
     was = settings[name]
     setting = SETTINGS[name] if name in SETTINGS else Setting(name, _importable(name, was), was["configuration"])
     try:
@@ -165,9 +169,9 @@ def _setting(name: str, settings: Mapping[str, Any]) -> Setting:
 
 
 def _importable(name: str, was: Mapping[str, Any]) -> str:
-    """The id of a recorded environment: "module:id" where a module has to be imported that registers it.
+    """The id of a recorded environment, as "module:id" if a module has to be imported to register it.
 
-    The module is that of the setting's name, as it was asked for, else that of the environment's class.
+    The module is that of the setting's name if it has one, else that of the environment's class.
     """
     env_id: str = was["id"]
     module, colon, _ = name.partition(":")
@@ -177,7 +181,7 @@ def _importable(name: str, was: Mapping[str, Any]) -> str:
 
 
 def _policy(label: str, given: str | None, policies: Mapping[str, Any]) -> str:
-    """The policy of a row: its name, or the file that was handed in for it, which has to be the one that drove."""
+    """The policy of a row: its name, or the given file; raises `ConfigError` if it is another policy."""
     if given is None:
         if label not in (*BASELINES, *list_references()):
             raise ConfigError(

@@ -1,4 +1,4 @@
-"""What would have happened: a refused proposal, let through in a copy of the environment, in highway-env itself."""
+"""Simulation of a refused proposal in a copy of the environment, in highway-env itself."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from shield.explanation import number
 __all__ = ["LASTS", "copy_unwatched", "follow", "what_if"]
 
 LASTS = 4.0
-"""How long a proposal is followed, with what comes after it [s]."""
+"""Duration of the simulation, with the actions after the proposal [s]."""
 
 
 def copy_unwatched(env: Any) -> Any:
-    """A copy of an environment that nothing watches or supervises, in which what is random goes on likewise."""
+    """A copy of an environment without recorders and supervision, with the state of its random generators."""
     copied = deepcopy(env)
     base = copied.unwrapped
-    base.road.__dict__.pop("step", None)  # a recorder's, which would step the road that was copied
+    base.road.__dict__.pop("step", None)  # a recorder's `step` is bound to the original road
     for vehicle in base.road.vehicles:
         vehicle.__dict__.pop("act", None)
     return copied
 
 
 class _Watched:
-    """States of all bodies in the frames of an environment: x, y, heading, speed, length, width, (bodies, 6)."""
+    """Records the states of all bodies in each frame: x, y, heading, speed, length, width, by body."""
 
     def __init__(self, base: Any) -> None:
         self._base, inner = base, base.road.step
@@ -57,12 +57,20 @@ class _Watched:
 
 
 def follow(copied: Any, action: Any, policy: str, seed: int) -> tuple[_Watched, str]:
-    """Step a copy with an action, then go on for `LASTS` seconds or to a crash: with IDLE after a meta-action, else
-    with the policy, unshielded. What was seen, and what drove after the action, in words.
+    """Simulate an action in a copy, and then go on for `LASTS` seconds or to a crash.
+
+    After a meta-action the ego drives with IDLE, else with the policy, unshielded.
 
     Parameters
     ----------
-    copied : of `copy_unwatched`; it is driven. policy : by name. seed : of the policy.
+    copied : result of `copy_unwatched`; it is driven.
+    action : the first action.
+    policy : name of the policy.
+    seed : seed of the policy.
+
+    Returns
+    -------
+    The recorded states, and what drove after the action, in words.
     """
     base = copied.unwrapped
     watched, frames = _Watched(base), round(LASTS * base.config["simulation_frequency"])
@@ -70,7 +78,7 @@ def follow(copied: Any, action: Any, policy: str, seed: int) -> tuple[_Watched, 
     then = "IDLE" if meta else f"{policy}, unshielded"
     driver: Any = None
     while True:
-        obs, *_ = copied.step(action)  # beyond the end of the episode, too
+        obs, *_ = copied.step(action)  # also beyond the end of the episode
         if watched.crash is not None or len(watched.frames) > frames:
             return watched, then
         if meta:
@@ -85,11 +93,13 @@ def follow(copied: Any, action: Any, policy: str, seed: int) -> tuple[_Watched, 
 def what_if(
     copied: gym.Env[Any, Any], action: Any, policy: str, seed: int, buffer: tuple[float, float], column: dict[Any, int]
 ) -> WhatIf:
-    """Follow a refused proposal, see `follow`.
+    """Simulate a refused proposal, see `follow`, and measure its result.
 
     Parameters
     ----------
-    buffer : along and across the ego [m]. column : the number of each body, by the object in the copy.
+    copied, action, policy, seed : as in `follow`.
+    buffer : buffer along and across the ego [m].
+    column : index of each body in the replay, by the object in the copy.
     """
     base: Any = copied.unwrapped
     watched, then = follow(copied, action, policy, seed)
@@ -125,7 +135,7 @@ def what_if(
 
 
 def _text(watched: _Watched, gap: float, within: bool, time: float, lasts: float) -> str:
-    """What came of it."""
+    """The result in words."""
     off = ", and leaves the road" if watched.off_road else ""
     if watched.crash is not None:
         return f"the ego crashes after {number(time)} s{off}"

@@ -1,4 +1,4 @@
-"""A picture of a whole track, as highway-env draws it."""
+"""A picture of a whole map, as highway-env draws it."""
 
 from __future__ import annotations
 

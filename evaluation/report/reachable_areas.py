@@ -1,4 +1,4 @@
-"""Reachable areas of other vehicles on a road network, as polygons in the world frame, for pictures of the worst case."""
+"""Reachable areas of other vehicles on a road network, as polygons in the world frame, for worst-case pictures."""
 
 from __future__ import annotations
 

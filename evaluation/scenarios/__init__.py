@@ -1,4 +1,4 @@
-"""Environments of our own: `ComplexRoads-v0` and `lane-keeping-half-minute-v0`, which `evaluation` registers."""
+"""Additional environments: `ComplexRoads-v0` and `lane-keeping-half-minute-v0`, which `evaluation` registers."""
 
 from __future__ import annotations
 

@@ -24,25 +24,25 @@ from shield.errors import ConfigError
 __all__ = ["ARRIVAL", "ComplexRoadsEnv"]
 
 ARRIVAL = 25.0
-"""The ego has arrived when it is this far along the road to its exit [m], as in highway-env's intersection."""
+"""Distance along the road to its exit at which the ego has arrived [m], as in highway-env's intersection."""
 
 
 class ComplexRoadsEnv(AbstractEnv):  # type: ignore[misc]
-    """A course of two merges, two intersections, two roundabouts and four straights, among IDM traffic.
+    """A map of two merges, two intersections, two roundabouts and four straights, with IDM traffic.
 
-    The ego is to reach the exit `destination`. `info` says whether it has ("success", and "is_success" for
-    Stable-Baselines3), and the name of the exit ("destination"). An episode ends there, in a crash, or after
+    The goal of the ego is the exit `destination`. `info` contains the success ("success", and "is_success" for
+    Stable-Baselines3) and the name of the exit ("destination"). An episode ends at the exit, in a crash, or after
     `duration`.
 
     Parameters
     ----------
-    config : what differs from `default_config`. Beside highway-env's own keys:
+    config : changes to `default_config`. Beside highway-env's own keys:
 
-        - `submap_counts`: how many of each of "merge", "intersection", "roundabout" and "straight";
-        - `vehicle_density`: how many other vehicles there are;
-        - `random_start`: whether the ego begins on any road that leads in, by the seed, or always on the first one;
-        - `destination`: the name of an exit, or None for any, by the seed;
-        - `use_signed_lane_obs`: whether observations have the numbers of `lane_offset` added;
+        - `submap_counts`: number of pieces of each kind "merge", "intersection", "roundabout" and "straight";
+        - `vehicle_density`: number of other vehicles;
+        - `random_start`: whether the seed draws the ego's entry, or it is always the first one;
+        - `destination`: name of an exit; None to draw one from the seed;
+        - `use_signed_lane_obs`: whether observations contain the numbers of `lane_offset`;
         - `on_lane_reward`: options of the reward, those of `OnLane`;
         - `offroad_terminal`: whether an episode ends when the ego leaves the road;
         - `duration` [s].
@@ -65,16 +65,16 @@ class ComplexRoadsEnv(AbstractEnv):  # type: ignore[misc]
 
     course: Course
     changes_between_decisions_only = True
-    """Others enter again between two decisions: for the compiled copy of the traffic."""
+    """Vehicles enter again only between two decisions; the compiled copy of the traffic reads this."""
     makes_grids = True
-    """It makes grids of actions by itself (`dynamics.traffic.crossing.make`)."""
+    """The environment makes grids of actions itself (`dynamics.traffic.crossing.make`)."""
 
     def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:
         super().__init__(config, render_mode)
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
-        """The configuration of the paper; ranges and frequencies are ours."""
+        """The configuration of the paper; ranges and frequencies are this library's."""
         return {
             **super().default_config(),
             "observation": {
@@ -101,7 +101,13 @@ class ComplexRoadsEnv(AbstractEnv):  # type: ignore[misc]
         }
 
     def configure(self, config: dict[str, Any] | None) -> None:
-        """Change the configuration, once all of it is found to be valid."""
+        """Change the configuration, after a check of all of it.
+
+        Raises
+        ------
+        ConfigError
+            If a key is unknown or a value is out of range.
+        """
         _check({**self.config, **(config or {})}, list(self.default_config()))
         super().configure(config)
 
@@ -148,7 +154,7 @@ class ComplexRoadsEnv(AbstractEnv):  # type: ignore[misc]
         return ego
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """One decision; others that have come to an exit enter again after it."""
+        """Execute one decision; then vehicles at an exit enter again."""
         result = super().step(action)
         recycle(self.road, self.course, self.vehicle)
         return result  # type: ignore[no-any-return]
@@ -169,7 +175,7 @@ class ComplexRoadsEnv(AbstractEnv):  # type: ignore[misc]
         }
 
     def has_arrived(self, vehicle: Any) -> bool:
-        """Whether a vehicle is on the road to the ego's exit, `ARRIVAL` along it, and has not crashed."""
+        """Whether a vehicle is on the road to the ego's exit, at least `ARRIVAL` along it, and has not crashed."""
         if vehicle.crashed or vehicle.lane_index[:2] != self.course.exits[self.destination]:
             return False
         return bool(vehicle.on_road and vehicle.lane.local_coordinates(vehicle.position)[0] >= ARRIVAL)
@@ -192,7 +198,7 @@ class ComplexRoadsEnv(AbstractEnv):  # type: ignore[misc]
 
 
 class _SignedObservation(ObservationType):  # type: ignore[misc]
-    """Another observation with the signed numbers of the lane added."""
+    """An observation extended by the signed numbers of `lane_offset`."""
 
     def __init__(self, env: AbstractEnv, inner: ObservationType) -> None:
         super().__init__(env)

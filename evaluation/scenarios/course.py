@@ -1,4 +1,4 @@
-"""A course: the pieces in their order, joined to one road network."""
+"""Map of a scenario: pieces in order, joined to one road network."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from shield.errors import ConfigError
 __all__ = ["SUBMAPS", "Course", "build_course", "check_counts", "order_of"]
 
 SUBMAPS: Mapping[str, int] = MappingProxyType({"merge": 2, "intersection": 2, "roundabout": 2, "straight": 4})
-"""How many of each piece there are by default."""
+"""Default number of pieces of each kind."""
 
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """A road network with its open ends.
+    """A road network with open ends.
 
     Attributes
     ----------
-    network : highway-env's, its nearest lanes found faster.
-    spawns : roads on which vehicles enter, as (node, node); the first is where the course begins.
-    exits : roads on which they leave, by the name of the node at their end.
-    pieces : what it is made of, in order.
+    network : highway-env's network, with a faster search for the nearest lane.
+    spawns : roads on which vehicles enter, as (node, node); the first is the west end.
+    exits : roads on which vehicles leave, by the name of their end node.
+    pieces : the pieces, in order.
     """
 
     network: WideNetwork
@@ -37,11 +37,10 @@ class Course:
 
 
 def order_of(counts: Mapping[str, int]) -> tuple[str, ...]:
-    """The kinds of the pieces from one end of the course to the other.
+    """The kinds of the pieces from one end of the map to the other.
 
-    Roundabouts come at the ends, where vehicles turn; a turning circle where there are too few. Straights lie evenly
-    among the others, which take turns.
-
+    Roundabouts are at the ends, where vehicles turn; a turning circle replaces a missing one. Straights are spread
+    evenly among the other kinds, which alternate.
     Examples
     --------
     >>> order_of({"roundabout": 1, "intersection": 1, "straight": 1})
@@ -63,20 +62,19 @@ def order_of(counts: Mapping[str, int]) -> tuple[str, ...]:
 
 
 def build_course(counts: Mapping[str, int] = SUBMAPS) -> Course:
-    """Join pieces to a course.
+    """Join pieces to a map.
 
-    It begins in the west; at an intersection it goes on to the right and to the left in turns, so that it never comes
-    back upon itself. Every exit can be reached from every spawn.
+    The map begins in the west. At intersections it goes on to the right and to the left in alternation, so that it does
+    not cross itself. Every exit can be reached from every spawn.
 
     Parameters
     ----------
-    counts : how many of each of `SUBMAPS`; what is not named is not there.
+    counts : number of pieces of each kind in `SUBMAPS`; 0 for kinds that are not named.
 
     Raises
     ------
     ConfigError
-        If a count is no whole number from 0 on, a kind is unknown, or there is nothing to join.
-
+        If a count is no whole number from 0 on, a kind is unknown, or all counts are 0.
     Examples
     --------
     >>> course = build_course({"straight": 2})
@@ -111,7 +109,7 @@ def build_course(counts: Mapping[str, int] = SUBMAPS) -> Course:
 
 
 def check_counts(counts: Any) -> None:
-    """Raise a `ConfigError` unless a course can be made of so many pieces."""
+    """Raise a `ConfigError` unless the counts of pieces make a map."""
     if not isinstance(counts, Mapping):
         raise ConfigError(f"submap_counts maps {', '.join(SUBMAPS)} to whole numbers, not {counts!r}")
     for kind, count in counts.items():

@@ -1,8 +1,8 @@
 """Roads of two lanes as highway-env's lanes, placed by a frame.
 
-Notation: a frame has its origin on the axis of a two-way road and x along it; y points to the right, as in highway-env,
-whose y points down. Of each direction lane 0 is next to the axis and lane 1 to its right. All lengths in m, angles in
-rad, clockwise on the screen.
+Notation: a frame has its origin on the axis of a two-way road and x along it. y points to the right, as in highway-env,
+where y points down. In each direction lane 0 is next to the axis and lane 1 to its right. All lengths are in m. Angles
+are in rad, clockwise on the screen.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ __all__ = ["ARM_SPEED", "OFFSETS", "ROAD_SPEED", "TURN_SPEED", "WIDTH", "Frame",
 WIDTH = AbstractLane.DEFAULT_WIDTH
 """Width of a lane [m]."""
 OFFSETS = (0.5 * WIDTH, 1.5 * WIDTH)
-"""Where the two lanes of a direction lie, to the right of the axis [m]."""
+"""Lateral positions of the two lanes of a direction, to the right of the axis [m]."""
 ROAD_SPEED, ARM_SPEED, TURN_SPEED = 15.0, 10.0, 8.0
-"""Speed limits of straights and merges, of what leads to and from a crossing, and within it [m/s]."""
+"""Speed limits of straights and merges, of arms of a crossing, and within a crossing [m/s]."""
 
 _NONE, _STRIPED, _SOLID = LineType.NONE, LineType.STRIPED, LineType.CONTINUOUS
 
 
 class Lines(Enum):
-    """What is painted to the left and the right of each of two lanes."""
+    """Markings to the left and the right of each of two lanes."""
 
     ROAD = ((_SOLID, _STRIPED), (_NONE, _SOLID))
     MOUTH = ((_SOLID, _STRIPED), (_NONE, _STRIPED))
@@ -38,13 +38,13 @@ class Lines(Enum):
 
 
 class Kind(NamedTuple):
-    """What highway-env's lanes have beside a shape.
+    """Attributes of highway-env's lanes beside their shape.
 
     Attributes
     ----------
-    speed_limit : [m/s].
-    priority : who has less yields where ways cross.
-    lines : what is painted beside them.
+    speed_limit : speed limit [m/s].
+    priority : right of way at a crossing; the vehicle with the lower priority yields.
+    lines : markings beside the lanes.
     """
 
     speed_limit: float
@@ -52,7 +52,7 @@ class Kind(NamedTuple):
     lines: Lines = Lines.ROAD
 
     def of_lanes(self) -> list[dict[str, Any]]:
-        """What highway-env's two lanes are made with."""
+        """Keyword arguments of highway-env's two lanes."""
         return [
             {"line_types": list(lines), "speed_limit": self.speed_limit, "priority": self.priority}
             for lines in self.lines.value
@@ -65,12 +65,12 @@ Lanes = tuple[AbstractLane, ...]
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A place and a direction.
+    """A position and a direction.
 
     Attributes
     ----------
-    x, y : the origin in the world [m].
-    heading : of the x axis in the world [rad].
+    x, y : the origin in the world frame [m].
+    heading : direction of the x axis in the world frame [rad].
 
     Examples
     --------
@@ -87,7 +87,7 @@ class Frame:
     heading: float = 0.0
 
     def point(self, x: float, y: float) -> FloatArray:
-        """A point of this frame in the world [m], shape (2,)."""
+        """World position of a point of this frame [m], (2,)."""
         cos, sin = np.cos(self.heading), np.sin(self.heading)
         return np.array([self.x + cos * x - sin * y, self.y + sin * x + cos * y])
 
@@ -97,12 +97,12 @@ class Frame:
         return Frame(float(place[0]), float(place[1]), float(wrap_to_pi(self.heading + turn)))
 
     def straight(self, start: tuple[float, float], end: tuple[float, float], kind: Kind) -> Lanes:
-        """Two straight lanes to the right of the way from `start` to `end`.
+        """Two straight lanes to the right of the line from `start` to `end`.
 
         Parameters
         ----------
         start, end : points of this frame [m].
-        kind : of both lanes.
+        kind : attributes of both lanes.
         """
         return tuple(
             StraightLane(
@@ -112,11 +112,11 @@ class Frame:
         )
 
     def shift(self, start: tuple[float, float], end: tuple[float, float], kind: Kind) -> Lanes:
-        """Two lanes that go over from one line along x to another, half a period of a sine.
+        """Two lanes that shift from one line along x to another, along half a period of a sine.
 
         Parameters
         ----------
-        start, end : on the axis of the road before and after, points of this frame [m].
+        start, end : points of this frame on the axis of the road before and after the shift [m].
         kind : as for `straight`.
         """
         length, amplitude = end[0] - start[0], 0.5 * (start[1] - end[1])
@@ -134,12 +134,12 @@ class Frame:
         )
 
     def arc(self, center: tuple[float, float], radius: float, start: float, end: float, kind: Kind) -> Lanes:
-        """Two lanes to the right of an arc; it turns right where `end` is above `start`.
+        """Two lanes to the right of an arc, which turns right if `end` is greater than `start`.
 
         Parameters
         ----------
         center : point of this frame [m].
-        radius : of the arc that the lanes lie beside [m].
+        radius : radius of the arc [m].
         start, end : phases as seen from the centre, in this frame [rad].
         kind : as for `straight`.
         """

@@ -1,4 +1,4 @@
-"""highway-env's lane keeping, as other environments are made."""
+"""highway-env's lane keeping, with the constructor of other environments."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["DrawnLaneKeepingEnv"]
 
 
 class DrawnLaneKeepingEnv(LaneKeepingEnv):  # type: ignore[misc]
-    """`lane-keeping-v0` that takes a `render_mode`: highway-env 1.12's own raises TypeError there."""
+    """`lane-keeping-v0` with a `render_mode`; highway-env 1.12 raises TypeError for it."""
 
     def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:
         super().__init__(config)

@@ -1,8 +1,8 @@
-"""The pieces that a road course is joined from: straights, merges, intersections and roundabouts.
+"""Pieces of a map: straights, merges, intersections and roundabouts.
 
-A builder takes the port that it is attached to and returns a piece with ports of its own, without changing anything.
-Every road has two lanes in a direction, and lane i goes over into lane i of every road that follows: so whoever keeps
-to a lane gets everywhere, and no lane ends but at an exit.
+A builder takes the port to attach to, and returns a piece with ports of its own, without side effects. Every road has
+two lanes in a direction, and lane i continues as lane i of every road that follows. So a vehicle reaches every exit
+without a lane change, and no lane ends except at an exit.
 """
 
 from __future__ import annotations
@@ -18,23 +18,25 @@ from evaluation.scenarios.frames import ARM_SPEED, ROAD_SPEED, TURN_SPEED, Frame
 __all__ = ["BUILDERS", "Edge", "Piece", "Port", "intersection", "merge", "roundabout", "straight", "turning_circle"]
 
 ARM = 50.0
-"""Length of what leads to and from a crossing [m]."""
+"""Length of an arm of a crossing [m]."""
 _STRAIGHT = 80.0
 _RAMP, _TAPER, _AFTER, _APART = 60.0, 80.0, 60.0, 12.0
-"""Of a merge: the ramp beside the road, its way over, the road behind [m]; how far the ramp is to the right [m]."""
+"""Merge: lengths of the ramp beside the road, of the taper, and of the road behind; distance of the ramp to the right
+[m]."""
 _HALF = 15.0
-"""From the middle of an intersection to where its arms begin [m]; right turns have radii of 9 and 13 m."""
+"""Distance from the centre of an intersection to its arms [m]; right turns have radii of 9 and 13 m."""
 _RING, _ENTRY = 18.0, 16.0
 """Radius of the line inside a roundabout's two lanes, and of the line beside its entries and exits [m]."""
 _REACH = float(np.sqrt((_RING + _ENTRY) ** 2 - _ENTRY**2))
-"""From the middle of a roundabout to where its arms begin [m]: there an entry, which turns right, touches the ring."""
+"""Distance from the centre of a roundabout to its arms [m]; from there an entry, which turns right, touches the ring.
+"""
 _TOUCH = float(np.arctan2(_ENTRY, _REACH))
-"""Angle between an arm and the point where it touches the ring [rad]."""
+"""Angle between an arm and the point of contact with the ring [rad]."""
 _FIRST, _SECOND = 3, 1
-"""Priorities of the road that goes through and of the one that crosses, as in highway-env's intersection; a left turn
-has one less."""
+"""Priorities of the through road and of the crossing road, as in highway-env's intersection; a left turn has one less.
+"""
 _INSIDE, _ENTERING = 2, 0
-"""Priorities on a ring or a road that is merged into, and of who enters."""
+"""Priorities on a ring or a main road, and on an entry."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +50,13 @@ class Edge:
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """Where another piece can be attached.
+    """Connection to another piece.
 
     Attributes
     ----------
-    frame : on the axis of the road, heading out of the piece.
-    leaving : the node where vehicles leave the piece.
-    entering : the node where they enter it.
+    frame : frame on the axis of the road, heading out of the piece.
+    leaving : node where vehicles leave the piece.
+    entering : node where vehicles enter the piece.
     """
 
     frame: Frame
@@ -63,19 +65,19 @@ class Port:
 
     @classmethod
     def named(cls, name: str, frame: Frame) -> Port:
-        """A port whose nodes are called by its name."""
+        """A port whose nodes have its name."""
         return cls(frame, f"{name}.out", f"{name}.in")
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A part of a network.
+    """A part of a road network.
 
     Attributes
     ----------
-    name : what its nodes are called by.
+    name : prefix of the names of its nodes.
     edges : its roads.
-    ports : by the direction in which they lie for who comes in: "front", "left", "right".
+    ports : ports by their direction as seen from the entry: "front", "left", "right".
     ramps : nodes where vehicles can only enter.
     """
 
@@ -97,7 +99,7 @@ def straight(name: str, entry: Port) -> Piece:
 
 
 def merge(name: str, entry: Port) -> Piece:
-    """A four-lane merge: a ramp of two lanes goes over into the two lanes of the road, and gives way to them."""
+    """A merge of two ramp lanes into the two lanes of a road; the ramp gives way."""
     frame, joint, ramp, taper = entry.frame, f"{name}.joint", f"{name}.ramp.in", f"{name}.taper"
     along = f"{name}.along"
     begin, end = _RAMP + _TAPER, _RAMP + _TAPER + _AFTER
@@ -116,7 +118,7 @@ def merge(name: str, entry: Port) -> Piece:
 
 
 def intersection(name: str, entry: Port) -> Piece:
-    """Four arms without lights: the road through has the right of way, and left turns wait."""
+    """A crossing of four arms without lights: the through road has the right of way, and left turns wait."""
     middle = entry.frame.at(ARM + _HALF, 0.0)
     arms = _arms(name, entry, middle, ARM + _HALF, ("left", "front", "right"))
     edges: list[Edge] = []
@@ -141,28 +143,33 @@ def intersection(name: str, entry: Port) -> Piece:
 
 
 def roundabout(name: str, entry: Port) -> Piece:
-    """Four arms and a ring of two lanes, which has the right of way."""
+    """A roundabout with four arms; the ring of two lanes has the right of way."""
     return _ring(name, entry, ("left", "front", "right"))
 
 
 def turning_circle(name: str, entry: Port) -> Piece:
-    """A roundabout with an arm ahead only: it lets vehicles turn where a course ends."""
+    """A roundabout with only the arm ahead, where vehicles turn at the end of a map."""
     return _ring(name, entry, ("front",))
 
 
 BUILDERS: Mapping[str, Callable[[str, Port], Piece]] = MappingProxyType(
     {"merge": merge, "intersection": intersection, "roundabout": roundabout, "straight": straight}
 )
-"""What a course can be made of."""
+"""Builders of the pieces, by kind."""
 
 _SIDES = ("back", "left", "front", "right")
-"""Sides of a crossing, each a quarter turn to the right of the one before as seen from the middle, from that of the
-entry on."""
+"""Sides of a crossing, from that of the entry on; each is a quarter turn to the right of the one before, as seen from
+the centre."""
 
 
 def _arms(name: str, entry: Port, middle: Frame, length: float, sides: tuple[str, ...]) -> list[tuple[float, Port]]:
-    """Of each arm, in the order of `_SIDES`: the heading of who comes in from it, in the frame of the middle [rad], and
-    its port. That of the entry is seen from inside: who leaves the piece there enters what it is attached to."""
+    """Arms of a crossing, in the order of `_SIDES`.
+
+    Returns
+    -------
+    For each arm the heading of entering vehicles in the frame of the centre [rad], and its port. The port of the entry
+    is seen from inside: vehicles that leave the piece there enter the piece before.
+    """
     arms = [(0.0, Port(entry.frame.at(0.0, 0.0, np.pi), entry.entering, entry.leaving))]
     for side in sides:
         turn = 0.5 * np.pi * _SIDES.index(side)
@@ -174,8 +181,8 @@ def _arms(name: str, entry: Port, middle: Frame, length: float, sides: tuple[str
 def _ring(name: str, entry: Port, sides: tuple[str, ...]) -> Piece:
     middle = entry.frame.at(ARM + _REACH, 0.0)
     arms = _arms(name, entry, middle, ARM + _REACH, sides)
-    # Traffic keeps to the right, so the ring is driven counterclockwise on the screen: from an arm to the one on its
-    # right, whose number is one less.
+    # Traffic drives on the right, so the ring runs counterclockwise on the screen: from an arm to the one on its right,
+    # with the index one lower.
     names = ("back", *sides)
     inside = Kind(TURN_SPEED, _INSIDE)
     quarter, half, touch = 0.5 * np.pi, np.pi, _TOUCH

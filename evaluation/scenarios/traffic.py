@@ -1,4 +1,4 @@
-"""The other vehicles of a course: where they begin, where they go, and how they come back."""
+"""Other vehicles of a map: initial positions, routes, and re-entry."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from shield.errors import ConfigError
 __all__ = ["ENTRY", "Place", "begin_on", "free_places", "populate", "recycle"]
 
 ENTRY = 10.0
-"""Where vehicles begin on a road that leads into the course [m]."""
+"""Initial position on a road that leads into the map [m]."""
 _LEAVING = 30.0
-"""This far before its end a vehicle has left an exit road [m]."""
+"""Distance to the end of an exit road at which a vehicle has left the map [m]."""
 _STILL = 0.1
-"""A wreck that is slower than this is taken away [m/s]."""
+"""Speed below which a wreck is removed [m/s]."""
 _SPACING = 25.0
-"""Between two vehicles at first, along a lane and from the ego [m]."""
+"""Least initial distance of two vehicles, along a lane and from the ego [m]."""
 _PACE = (0.7, 1.0)
-"""Speeds at first, in parts of the limit."""
+"""Range of initial speeds, as a share of the speed limit."""
 
 Place = tuple[tuple[str, str, int], float]
-"""A lane of the network and a way along it [m]."""
+"""A lane of the network and a position along it [m]."""
 
 
 def populate(road: Any, course: Course, kind: str, count: int, ego: Any) -> None:
-    """Put `count` vehicles on the course, each with a route to an exit.
+    """Put `count` vehicles on the map, each with a route to an exit.
 
     Parameters
     ----------
-    road : highway-env's, whose `np_random` draws places, speeds and exits.
-    course : the network of it.
+    road : highway-env's road; its `np_random` draws positions, speeds and exits.
+    course : the map of the road.
     kind : dotted path of `IDMVehicle` or a subclass.
-    count : how many.
-    ego : who is there already.
+    count : number of vehicles.
+    ego : the ego, which is on the road already.
 
     Raises
     ------
     ConfigError
-        If the course has no room for so many, or the class is none of highway-env's IDM vehicles.
+        If the map has too little room, or the class is no subclass of `IDMVehicle`.
     """
     vehicle_class = class_from_path(kind)
     if not issubclass(vehicle_class, IDMVehicle):
@@ -63,8 +63,7 @@ def populate(road: Any, course: Course, kind: str, count: int, ego: Any) -> None
 
 
 def free_places(course: Course) -> list[Place]:
-    """Places for vehicles on the straight roads, at least `_SPACING` apart along a lane; none on roads that only lead
-    out."""
+    """Positions for vehicles on straight roads, at least `_SPACING` apart along a lane, without exit roads."""
     leading_out = set(course.exits.values())
     return [
         ((edge.start, edge.end, i), float(along))
@@ -79,10 +78,9 @@ def free_places(course: Course) -> list[Place]:
 
 
 def recycle(road: Any, course: Course, ego: Any) -> None:
-    """Let each vehicle that has come to an exit, and each wreck that stands still, enter again, on a new route.
+    """Let vehicles at an exit, and wrecks at rest, enter again on a new route.
 
-    It is the same object, so that who records the vehicles of an episode goes on seeing all of them. Where there is no
-    room it waits.
+    The vehicle object stays the same, so that recorders of the episode keep track of it. Without room it waits.
     """
     ends = set(course.exits.values())
     for vehicle in road.vehicles:
@@ -105,7 +103,7 @@ def _is_over(vehicle: Any, ends: set[tuple[str, str]]) -> bool:
 
 
 def begin_on(vehicle: Any, lane_index: tuple[str, str, int], along: float, destination: str) -> None:
-    """Put a vehicle on the middle of a lane, at its speed limit and with a route to an exit."""
+    """Put a vehicle on the centre line of a lane, at the speed limit and with a route to an exit."""
     lane = vehicle.road.network.get_lane(lane_index)
     vehicle.position = np.array(lane.position(along, 0.0), float)
     vehicle.crashed, vehicle.impact = False, None

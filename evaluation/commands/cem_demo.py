@@ -1,4 +1,4 @@
-"""`shield cem-demo`: collect, fit, plan; a film of parking and a picture of the model's error, in two minutes."""
+"""`shield cem-demo`: collect, fit and plan in two minutes; writes a film of parking and a plot of the model's error."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ def cem_demo(output: Path, say: Callable[[str], None]) -> list[Path]:
 
     Parameters
     ----------
-    output : folder; made if it is missing. say : takes a line for people.
+    output : folder; created if it does not exist.
+    say : function that prints a line.
 
     Returns
     -------
@@ -86,7 +87,7 @@ def _drive(trained: TrainedParking, say: Callable[[str], None]) -> tuple[list[An
 
 
 def _picture(env: Any, policy: CEMPolicy, goal: Any) -> Any:
-    """The scene, and the plan up to the goal as a line: what comes after costs nothing, and means nothing."""
+    """The scene, with the plan up to the goal as a line; the rest of the plan has no cost and no meaning."""
     image = Image.fromarray(env.render())
     surface, plan = env.unwrapped.viewer.sim_surface, policy.last_plan
     assert plan is not None  # `predict` came before
@@ -100,7 +101,7 @@ def _picture(env: Any, policy: CEMPolicy, goal: Any) -> Any:
 
 
 def _plot(trained: TrainedParking, starts: Any, actions: Any, after: Any, path: Path) -> None:
-    """Distance between predicted and true position by time ahead, on driving that the model has not seen."""
+    """Plot the distance between predicted and true position by time ahead, on driving outside the training data."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6, 3.5), layout="constrained")

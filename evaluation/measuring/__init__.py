@@ -1,1 +1,1 @@
-"""From episodes to figures: metrics, intervals, attribution."""
+"""Measurement of episodes: metrics, intervals, attribution."""

@@ -1,8 +1,7 @@
-"""Who caused a crash, judged from the simulator's true state.
+"""Attribution of crashes to a cause, from the simulator's true state.
 
-This is a measuring instrument, not part of the shield: it reads what really happened, which no
-shield can, and shares no code with the shield's rules. It is strict: whatever is not clearly the
-other's doing counts as the ego's fault.
+This is a measuring instrument, not part of the shield. It reads true states, which no shield can, and shares no code
+with the shield's rules. It is strict: a crash counts as the ego's fault unless the other vehicle clearly caused it.
 """
 
 from __future__ import annotations
@@ -21,13 +20,13 @@ from evaluation.measuring.recorder import History, Track
 __all__ = ["AttributionRules", "Cause", "attribute_from_simulator_state", "rss_gap"]
 
 _TOUCHING = 1.0
-"""A partner's box lies within this of the ego's box when they collide [m]."""
+"""Largest distance between the boxes of the ego and its crash partner in a collision [m]."""
 _SPEEDING_UP = 0.5
-"""An ego that gained more than this since the other came in has sped up [m/s]."""
+"""Gain of speed after the other vehicle's entry above which the ego has sped up [m/s]."""
 
 
 class Cause(StrEnum):
-    """What a crash is put down to."""
+    """Cause of a crash."""
 
     NONE = "none"
     EGO_AT_FAULT = "ego_at_fault"
@@ -44,13 +43,13 @@ class AttributionRules:
 
     Attributes
     ----------
-    assumptions : bounds on the others, as the shield was given them.
-    braking : deceleration that the ego can be asked for [m/s^2].
-    response_time : time that the ego is given to respond [s].
-    lane_window : an ego whose footprint was inside its lane for this long has kept its lane [s].
-    bound_window : a bound broken longer ago than this is no excuse [s].
-    spawn_window : a crash later than this after reset is not put down to the reset [s].
-    braking_tolerance : excess over `assumptions.braking` that does not count yet [m/s^2].
+    assumptions : the shield's assumptions about other vehicles.
+    braking : deceleration that is expected of the ego [m/s^2].
+    response_time : response time that is granted to the ego [s].
+    lane_window : time for which the ego's footprint has to be inside its lane to count as lane keeping [s].
+    bound_window : longest time from the violation of a bound to a crash that it explains [s].
+    spawn_window : longest time from the reset to a crash that the reset explains [s].
+    braking_tolerance : excess over `assumptions.braking` that is no violation yet [m/s^2].
     """
 
     assumptions: Assumptions = field(default_factory=Assumptions.idm)
@@ -71,9 +70,9 @@ def rss_gap(
 ) -> float:
     """Smallest gap from which the rear vehicle can avoid the front one [m].
 
-    The rear one keeps its speed for `response_time` [s] and brakes then; the front one brakes at
-    once; both until they stand. Speeds [m/s], decelerations [m/s^2]. The greatest approach over
-    time counts, not only that at standstill: if the rear one brakes harder it comes earlier.
+    The rear vehicle keeps its speed for `response_time` [s] and then brakes to a standstill. The front vehicle brakes
+    to a standstill at once. Speeds are in m/s, decelerations in m/s^2. The greatest approach over time counts, not only
+    that at standstill: a rear vehicle that brakes harder is nearest before.
 
     Examples
     --------
@@ -91,19 +90,19 @@ def rss_gap(
 
 
 def attribute_from_simulator_state(history: History, rules: AttributionRules | None = None) -> Cause:
-    """The cause of the ego's crash in a recorded episode; `Cause.NONE` without a crash.
+    """Cause of the ego's crash in a recorded episode; `Cause.NONE` without a crash.
 
-    In this order, and the first that holds:
+    The first of these conditions that holds determines the cause:
 
-    - `UNATTRIBUTED`: the road is not straight. What follows compares lanes and gaps along a straight road.
-    - `SPAWNED_IN_COLLISION`: within `spawn_window` of the reset, and at the reset the two
-      overlapped, or one followed the other so fast that full braking could not have helped.
+    - `UNATTRIBUTED`: the road is not straight. The other conditions compare lanes and gaps along a straight road.
+    - `SPAWNED_IN_COLLISION`: the crash was within `spawn_window` of the reset. At the reset the two vehicles
+      overlapped, or one followed the other so fast that full braking could not avoid the crash.
     - `STRUCK_FROM_BEHIND`: the partner was behind, in line with the ego and closing, and the ego
       had kept its lane.
     - `STRUCK_FROM_SIDE`: the partner came sideways into the lane that the ego had kept, alongside
       or with less than the RSS gap, at most `lane_window` before, and the ego did not speed up.
-    - `ASSUMPTION_VIOLATED`: the partner ahead braked harder than assumed, or crashed with somebody
-      else, at most `bound_window` before, while the ego had kept its lane and the RSS gap.
+    - `ASSUMPTION_VIOLATED`: the partner ahead braked harder than assumed, or crashed with a third
+      vehicle, at most `bound_window` before, while the ego had kept its lane and the RSS gap.
     - `EGO_AT_FAULT`: everything else.
     """
     rules = rules or AttributionRules()
@@ -132,7 +131,7 @@ def attribute_from_simulator_state(history: History, rules: AttributionRules | N
 
 
 def _partner(history: History, crash: int) -> int | None:
-    """Index of the vehicle that the ego crashed with: crashed by then, and nearest by footprint."""
+    """Index of the ego's crash partner: the nearest crashed vehicle by footprint; None if none is near enough."""
     crashed = history.states[crash, 1:, Track.CRASHED] > 0
     if not crashed.any():
         return None
@@ -145,15 +144,14 @@ def _partner(history: History, crash: int) -> int | None:
 
 
 def _bumper_gap(ego: FloatArray, other: FloatArray) -> float:
-    """Signed gap along the road [m]: positive when the other is ahead, negative when it is behind,
-    0 alongside."""
+    """Signed gap along the road [m]: positive if the other vehicle is ahead, negative if it is behind, 0 alongside."""
     between = float(other[Track.S] - ego[Track.S])
     length = float(other[Track.LENGTH] + ego[Track.LENGTH]) / 2
     return float(np.sign(between)) * max(abs(between) - length, 0.0)
 
 
 def _in_line(ego: FloatArray, other: FloatArray) -> bool:
-    """Whether moving along the road alone would make the two meet."""
+    """Whether the two would meet by motion along the road alone."""
     apart = abs(float(other[Track.R] - ego[Track.R]))
     return apart < float(other[Track.WIDTH] + ego[Track.WIDTH]) / 2
 
@@ -197,13 +195,13 @@ def _from_behind(ego: FloatArray, other: FloatArray) -> bool:
 
 
 def _from_side(history: History, ego: FloatArray, other: FloatArray, rules: AttributionRules) -> bool:
-    """Whether the other entered the ego's lane sideways, alongside or with too small a gap."""
+    """Whether the other vehicle entered the ego's lane sideways, alongside or with too small a gap."""
     center = _lane_center(history, len(ego) - 1)
     inside = np.abs(other[:, Track.R] - center) < (_straight(history).width + other[:, Track.WIDTH]) / 2
     first = max(len(ego) - 1 - round(rules.lane_window / history.dt), 0)
     outside = np.flatnonzero(~inside[first:])
     if not outside.size:
-        return False  # in the lane all along
+        return False  # in the lane for the whole window
     entry = min(first + int(outside[-1]) + 1, len(ego) - 1)
     if ego[-1, Track.SPEED] > ego[entry, Track.SPEED] + _SPEEDING_UP:
         return False
@@ -214,10 +212,10 @@ def _from_side(history: History, ego: FloatArray, other: FloatArray, rules: Attr
 
 
 def _broke_a_bound(history: History, ego: FloatArray, other: FloatArray, rules: AttributionRules) -> bool:
-    """Whether the other, ahead, braked too hard or crashed lately, from a proper distance."""
+    """Whether the vehicle ahead recently braked too hard or crashed, while the ego kept the RSS gap."""
     first = max(len(ego) - 1 - round(rules.bound_window / history.dt), 0)
     if other[first, Track.CRASHED]:
-        return False  # it lay there already
+        return False  # crashed before the window
     braking = -np.diff(other[:, Track.SPEED]) / history.dt
     too_hard = braking > rules.assumptions.braking + rules.braking_tolerance
     crashed = np.diff(other[:, Track.CRASHED]) > 0

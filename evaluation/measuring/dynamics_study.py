@@ -1,7 +1,7 @@
-"""How well models of the dynamics predict, and what each part of the recipe is worth.
+"""Study of prediction errors: how well models of the dynamics predict, and the effect of each part of the training.
 
-Every model is asked the same two things, open loop: random driving, and the driving of a planner on the model with
-on-policy rounds. Both are collected for the test alone, in episodes that no model was fitted to.
+Every model has the same two open-loop tests: random driving, and on-policy driving of a planner with on-policy rounds.
+Test data come from separate episodes, which no model was fitted to.
 """
 
 from __future__ import annotations
@@ -45,22 +45,22 @@ __all__ = [
 ]
 
 ENVIRONMENTS = ("parking-v0",)
-"""Environments that dynamics can be learned in."""
+"""Environments with learned dynamics."""
 HORIZON = 15
-"""Decisions that are predicted open loop."""
+"""Number of decisions of an open-loop prediction."""
 TEST = 600
-"""Transitions of each of the two kinds of driving that models are tested on."""
+"""Number of test transitions of each of the two kinds of driving."""
 
 TRUTH = "true bicycle"
-"""Name of the trial of the bicycle that the simulator itself uses."""
+"""Name of the result for the simulator's own bicycle model."""
 
 _TEST_SEED = 900_000
-"""Where generators of test driving are seeded, away from those of training."""
+"""First seed of test driving, apart from those of training."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Timed:
-    """A round of learning, and how long it took [s]: driving (with planning and distilling), and fitting."""
+    """A round of learning, with its times [s]: driving (with planning and distilling), and fitting."""
 
     round: Round
     driving: float
@@ -69,13 +69,14 @@ class Timed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """A model under test.
+    """Test result of a model.
 
     Attributes
     ----------
-    name, seed : which; the seed it was trained with.
-    transitions : that it was fitted to. seconds : that fitting took, and nothing else.
-    random, on_policy : its open-loop errors in both kinds of driving.
+    name, seed : name of the model, and seed of its training.
+    transitions : number of transitions in its data.
+    seconds : time of fitting alone [s].
+    random, on_policy : open-loop errors in both kinds of driving.
     """
 
     name: str
@@ -87,8 +88,9 @@ class Trial:
 
 
 def driver(env: Any) -> Callable[[LinearStructuredModel, Transitions], Predicts]:
-    """What makes the driver of on-policy rounds: a planner on the macro-steps of the model, or (where the model's form
-    has none) on the model itself.
+    """A function that makes the driver of on-policy rounds.
+
+    The driver plans with the macro-steps of the model, or with the model itself if its form has no macro-steps.
     """
     from mpc.cem_policy import CEMPolicy
 
@@ -101,16 +103,16 @@ def driver(env: Any) -> Callable[[LinearStructuredModel, Transitions], Predicts]
 def learn(
     setup: Variant, env_id: str = "parking-v0", progress: bool = False, tensorboard: str | None = None
 ) -> Iterator[Timed]:
-    """Collect and fit as a variant says, yielding each round as `Timed`.
+    """Collect data and fit models as a variant specifies, and yield each round as `Timed`.
 
     Raises
     ------
     ConfigError
-        If dynamics cannot be learned in that environment.
+        If the environment is not in `ENVIRONMENTS`.
     """
     env = _make(env_id)
     try:
-        # The spaces of an environment are known to a planner after its first reset.
+        # The planner reads the spaces of the environment, which exist after the first reset.
         env.reset(seed=0)
         done = rounds(
             env,
@@ -133,7 +135,7 @@ def learn(
 def fresh_driving(
     model: LinearStructuredModel, data: Transitions, seed: int, transitions: int = TEST, env_id: str = "parking-v0"
 ) -> tuple[Transitions, Transitions]:
-    """Fresh random and on-policy driving; the planner is the one on `model`, whose data were `data`."""
+    """New random and on-policy driving; the planner uses `model`, whose data were `data`."""
     env = _make(env_id)
     try:
         env.reset(seed=0)
@@ -146,7 +148,7 @@ def fresh_driving(
 
 
 def trial(name: str, seed: int, model: DynamicsModel, transitions: int, seconds: float, tests: Any) -> Trial:
-    """A model's errors in both kinds of driving."""
+    """Open-loop errors of a model in both kinds of driving."""
     random, on_policy = (open_loop(model, part, HORIZON) for part in tests)
     return Trial(name, seed, transitions, seconds, random, on_policy)
 
@@ -158,12 +160,12 @@ def study(
     transitions: int = TEST,
     progress: Callable[[str], None] = lambda line: None,
 ) -> Iterator[list[Trial]]:
-    """Train variants and test them, seed after seed; the last trial of each is the true bicycle.
+    """Train variants and test them, seed after seed; the last result of each seed is the true bicycle's.
 
     Raises
     ------
     ConfigError
-        If there is no such variant or environment.
+        If a variant or the environment is unknown.
     """
     setups = {name: variant(name) for name in names}
     for seed in seeds:
@@ -184,7 +186,7 @@ def study(
 def _learned(
     setup: Variant, default: Variant, rounds_done: Sequence[Round], driven: dict[RoundsConfig, Transitions], env_id: str
 ) -> tuple[Fit, int]:
-    """The last fit of a variant and the size of its data; what has been driven or fitted before is not done again."""
+    """The last fit of a variant and the size of its data; earlier rounds and data are reused."""
     number = setup.data.rounds
     if (setup.model, setup.fit, replace(setup.data, rounds=0)) == (
         default.model,
@@ -204,7 +206,7 @@ def _learned(
 
 
 def stored(folders: Mapping[str, Path], data_file: str, env_id: str, transitions: int = TEST) -> list[Trial]:
-    """Test saved models, each in driving of its own; `data_file` in its folder are the data of its planner's range.
+    """Test saved models, each in driving of its own; `data_file` in its folder has the data of its planner's range.
 
     Raises
     ------
@@ -219,7 +221,7 @@ def stored(folders: Mapping[str, Path], data_file: str, env_id: str, transitions
 
 
 def errors(trials: Sequence[Trial]) -> pd.DataFrame:
-    """One row for each trial: position errors [m] after 1 and `HORIZON` decisions, medians and 95 % quantiles."""
+    """One row for each result: position errors [m] after 1 and `HORIZON` decisions, medians and 95 % quantiles."""
     rows = []
     for each in trials:
         row: dict[str, Any] = {"model": each.name, "seed": each.seed, "transitions": each.transitions}

@@ -1,4 +1,4 @@
-"""Jerk, in two units: as physics has it, and as Dong et al. 2023 have it."""
+"""Jerk in two definitions: the physical one, and the normalised one of Dong et al. 2023."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ __all__ = ["jerk", "normalised_jerk"]
 
 
 def jerk(speeds: ArrayLike, dt: float) -> FloatArray:
-    """Size of the jerk along the way [m/s^3], shape (n - 2,).
+    """Magnitude of the jerk along the path [m/s^3], (n - 2,).
 
     Parameters
     ----------
-    speeds : at n times [m/s], shape (n,).
-    dt : time between two of them [s].
+    speeds : speeds at n times [m/s], (n,).
+    dt : time step [s].
 
     Examples
     --------
@@ -28,14 +28,15 @@ def jerk(speeds: ArrayLike, dt: float) -> FloatArray:
 
 
 def normalised_jerk(accelerations: ArrayLike, steerings: ArrayLike, acceleration_range: float) -> FloatArray:
-    """Change of what is commanded from one decision to the next: (|da| / range + 2 |ddelta| / pi) / 2, in [0, 1] for
-    steering within pi / 4 to both sides, shape (n - 1,).
+    """Normalised change of the command from one decision to the next, (n - 1,).
+
+    It is (|da| / range + 2 |ddelta| / pi) / 2, in [0, 1] for steering within pi / 4 to both sides.
 
     Parameters
     ----------
-    accelerations : commanded at n decisions [m/s^2], shape (n,).
-    steerings : steering angles of the same decisions [rad], shape (n,).
-    acceleration_range : between full braking and full throttle [m/s^2].
+    accelerations : commanded accelerations of n decisions [m/s^2], (n,).
+    steerings : steering angles of the same decisions [rad], (n,).
+    acceleration_range : difference of full throttle and full braking [m/s^2].
 
     Examples
     --------

@@ -1,7 +1,7 @@
-"""Tables of episodes to one row per setting, policy and shield.
+"""Summaries of tables of episodes, one row per setting, policy and shield.
 
-The episodes are those of `evaluation.running.episodes.run_paired`. Rates and means come with 95 %
-intervals, in columns ending in `_low` and `_high`.
+The episodes are those of `evaluation.running.episodes.run_paired`. Rates and means have 95 % intervals, in columns that
+end in `_low` and `_high`.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from shield.errors import ConfigError
 __all__ = ["GROUP", "STOPPED", "compare", "latencies_of", "summarise"]
 
 GROUP = ["setting", "policy", "door", "mode"]
-"""Columns that say what was measured."""
+"""Columns that identify a row of a summary."""
 
 STOPPED = 1.0
-"""Speed below which a vehicle has reached its goal standing [m/s]."""
+"""Speed below which a vehicle has stopped at its goal [m/s]."""
 
 _PAIR = ["setting", "policy"]
 _MEANS = ("distance", "lane_changes", "laps", "mean_jerk", "mean_lateral_acceleration")
@@ -48,19 +48,24 @@ def summarise(episodes: pd.DataFrame) -> pd.DataFrame:
 
     - `verification`: what actions were verified against, "" in older tables;
     - `episodes`, `crashes`, `off_roads`; `crash_rate`, `off_road_rate` and `ego_fault_rate` with Wilson intervals, the
-      last NaN where a crash could not be attributed;
+      last NaN if a crash could not be attributed;
     - `success_rate` and `stopped_rate` with Wilson intervals: the goal was reached, and at less than `STOPPED` [m/s];
-      NaN where there is no goal;
+      NaN without a goal;
     - `return` with a bootstrap interval;
     - the means of `mean_speed` [m/s], `distance` [m], `lane_changes`, `laps`, `mean_jerk` [m/s^3] and
-      `mean_lateral_acceleration` [m/s^2]; NaN where they are not defined;
-    - `override_rate`, `held_back_rate`, `fallback_rate` and `reason_…`: shares of all decisions, of which the second is
-      part of the first, and NaN in older tables; `frame_override_rate`: share of all simulation frames;
-    - `violations` of the assumptions by the traffic, summed; NaN where they are not counted;
+      `mean_lateral_acceleration` [m/s^2]; NaN where they are undefined;
+    - `override_rate`, `held_back_rate`, `fallback_rate` and `reason_…`: shares of all decisions. `held_back_rate` is
+      part of `override_rate`, and NaN in older tables. `frame_override_rate`: share of all simulation frames;
+    - `violations`: number of violations of the assumptions by the traffic; NaN if they are not counted;
     - `min_margin` and `min_gap` [m]: the smallest of all episodes;
     - `latency_p50_ms`, `latency_p99_ms`: over all decisions of all episodes.
 
-    What a table has not is NaN: the episodes of `shield certify` have no latencies, distances, jerks and reasons.
+    Values of missing columns are NaN: the episodes of `shield certify` have no latencies, distances, jerks and reasons.
+
+    Raises
+    ------
+    ConfigError
+        If a column is missing, or a seed appears twice.
     """
     _check(episodes)
     rows = []
@@ -99,24 +104,24 @@ def _summary(group: pd.DataFrame) -> dict[str, Any]:
 
 
 def latencies_of(episodes: pd.DataFrame) -> FloatArray:
-    """The latency of every decision of all episodes [ms]; empty where one of them has none."""
+    """Latencies of every decision of all episodes [ms]; empty if an episode has none."""
     if not _has(episodes, ["latencies_ms"]):
         return np.zeros(0)
     return np.concatenate([np.asarray(each, float) for each in episodes["latencies_ms"]])
 
 
 def _has(group: pd.DataFrame, columns: list[str]) -> bool:
-    """Whether every episode has all of these columns."""
+    """Whether every episode has values in all of these columns."""
     return set(columns) <= set(group.columns) and bool(group[columns].notna().to_numpy().all())
 
 
 def _share(group: pd.DataFrame, columns: list[str], decisions: int) -> float:
-    """The sum of some columns of counts over all decisions; NaN where an episode has them not."""
+    """Sum of columns of counts over all decisions; NaN if an episode has no value."""
     return float(group[columns].to_numpy().sum() / decisions) if _has(group, columns) else float("nan")
 
 
 def _arrivals(group: pd.DataFrame) -> dict[str, float]:
-    """Share of the episodes that reached the goal, and standing; unknown where any has none, or in older tables."""
+    """Share of episodes that reached the goal, and that stopped there; NaN if one has no goal, or in older tables."""
     n, nothing = len(group), Interval(float("nan"), float("nan"), float("nan"), len(group))
     if "success" not in group or group["success"].isna().any():
         return {**_columns("success_rate", nothing), **_columns("stopped_rate", nothing)}
@@ -129,26 +134,31 @@ def _arrivals(group: pd.DataFrame) -> dict[str, float]:
 
 
 def _ego_fault(causes: pd.Series, n: int) -> Interval:
-    """Share of the episodes with a crash by the ego's fault; unknown where the cause of any crash is."""
+    """Share of the episodes with a crash by the ego's fault; NaN if a crash could not be attributed."""
     if (causes == Cause.UNATTRIBUTED.value).any():
         return Interval(float("nan"), float("nan"), float("nan"), n)
     return wilson(int((causes == Cause.EGO_AT_FAULT.value).sum()), n)
 
 
 def compare(episodes: pd.DataFrame) -> pd.DataFrame:
-    """Each shielded row against driving without a shield, paired on the same seeds.
+    """Each shielded row against unshielded driving, paired on the same seeds.
 
     Returns
     -------
     A table with, after the columns of `GROUP`:
 
-    - `pairs`: their number;
+    - `pairs`: number of pairs;
     - `crash_rate_difference`, `off_road_rate_difference`, `return_difference`, `mean_speed_difference` [m/s]: means
       of shielded minus unshielded, with intervals (Bonett-Price for the two rates, else bootstrap);
     - `crashes_prevented`, `crashes_added`: pairs in which only one of the two crashed, and
-      `mcnemar_p`, the exact McNemar test of them.
+      `mcnemar_p`, their exact McNemar test.
 
-    It is empty when nothing was driven without a shield.
+    The table is empty without unshielded episodes.
+
+    Raises
+    ------
+    ConfigError
+        If a column is missing, or a seed appears twice.
     """
     _check(episodes)
     rows = []

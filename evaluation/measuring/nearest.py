@@ -1,4 +1,4 @@
-"""How near others come in an episode: the least clearance, time to collision and time headway over all its frames."""
+"""Least clearance, time to collision and time headway over all frames of an episode."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from evaluation.measuring.tally import HORIZON, distance, time_to_collision
 __all__ = ["least_clearance", "least_headway", "least_time_to_collision"]
 
 _LEAST_SPEED = 0.1
-"""Slower than this an ego has no headway [m/s]."""
+"""Speed of the ego below which it has no headway [m/s]."""
 _ROUNDING = 1.0 + 1e-9
 
 
 @uncounted
 def least_clearance(states: FloatArray) -> float:
-    """The least distance between the ego and anybody [m]; inf when alone.
+    """Least distance between the ego and another body [m]; inf without others.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def least_clearance(states: FloatArray) -> float:
         own = 0.5 * math.hypot(ego[4], ego[5])
         for i in range(1, states.shape[1]):
             other = states[k, i]
-            # Nobody is nearer than the circles around the two.
+            # The distance of the bodies is at least that of their circumscribed circles.
             reach = own + 0.5 * math.hypot(other[4], other[5])
             if math.hypot(other[0] - ego[0], other[1] - ego[1]) - reach < least:
                 least = min(least, distance(ego, other))
@@ -41,15 +41,19 @@ def least_clearance(states: FloatArray) -> float:
 
 @uncounted
 def least_time_to_collision(states: FloatArray) -> float:
-    """The least `evaluation.measuring.tally.time_to_collision` of the ego with anybody in a frame, at most `HORIZON`
-    [s]; `states` as of `least_clearance`."""
+    """Least `evaluation.measuring.tally.time_to_collision` of the ego in a frame, at most `HORIZON` [s].
+
+    Parameters
+    ----------
+    states : as in `least_clearance`.
+    """
     least = HORIZON
     for k in range(states.shape[0]):
         ego = states[k, 0]
         own = 0.5 * math.hypot(ego[4], ego[5])
         for i in range(1, states.shape[1]):
             other = states[k, i]
-            # Upright rectangles reach no further along an axis than the circles, and close at most at both speeds.
+            # Upright rectangles are within the circles along each axis, and close at no more than both speeds together.
             reach = own + 0.5 * math.hypot(other[4], other[5])
             apart = max(abs(other[0] - ego[0]), abs(other[1] - ego[1])) - reach
             if apart <= _ROUNDING * least * (abs(ego[3]) + abs(other[3])):
@@ -59,12 +63,13 @@ def least_time_to_collision(states: FloatArray) -> float:
 
 @uncounted
 def least_headway(states: FloatArray) -> float:
-    """The least time in which the ego comes to where the rear of a vehicle ahead in its way is now [s]; inf with nobody
-    ahead in any frame in which the ego moves.
+    """Least time in which the ego reaches the present rear of a vehicle ahead in its path [s].
+
+    It is inf if no vehicle is ahead in any frame in which the ego moves.
 
     Parameters
     ----------
-    states : s, r [m] along a road, and further as of `least_clearance`.
+    states : s, r [m] along a road, and further columns as in `least_clearance`.
     """
     least = np.inf
     for k in range(states.shape[0]):

@@ -1,7 +1,7 @@
-"""What everybody did in an episode, frame by frame, read from the simulator's state.
+"""Recorder of all vehicles' states in an episode, frame by frame, from the simulator's state.
 
-The recorder wraps `road.step` on the instance (or watches the compiled frames): it reads after each simulation frame
-and changes nothing, so an episode with it and one without are the same.
+The recorder wraps `road.step` on the instance, or observes the compiled frames. It reads after each simulation frame
+and changes nothing, so an episode is the same with and without it.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ __all__ = ["History", "Recorder", "Track", "is_off_road", "read_road"]
 
 
 _AWAY = (1e6, 0.0, 0.0, 0.0, 0.0, 0.0, False)
-"""Who is not there."""
+"""State of a vehicle that is absent."""
 
 
 class Track(IntEnum):
     """Columns of a history: [m], [m], [rad], [m/s], [m], [m], 0 or 1, 0 or 1; the first three in the road frame.
 
-    A vehicle is off the road where highway-env says so: its centre is in no lane. Noted of the ego alone; on a parking
-    lot, where lanes are only the spots, nobody is.
+    A vehicle is off the road by highway-env's definition: its centre is in no lane. The column is set for the ego only.
+    It is 0 on a parking lot, where only the spots are lanes.
     """
 
     S = 0
@@ -56,14 +56,13 @@ class History:
 
     Attributes
     ----------
-    states : shape (frames, vehicles, 8), columns `Track`; vehicle 0 is the ego. Who has not come yet, or has gone, is
-        1,000 km away and has no size. On a closed road S goes on counting
-        from lap to lap, and the others' S is the one within half a lap of the ego's.
-    road : the road that S and R refer to; None on a network that is no single road, where the states are in the
-        world frame.
+    states : shape (frames, vehicles, 8), columns `Track`; vehicle 0 is the ego. A vehicle that is not there yet, or no
+        longer, is 1,000 km away and has no size. On a closed road the ego's S counts on from lap to lap, and S of the
+        others is within half a lap of it.
+    road : the road of the frame of S and R; None on a road network, where the states are in the world frame.
     dt : time between two frames [s].
-    from_reset : whether the first frame is the scene that the episode was reset to.
-    world : the states in the world frame; None on a straight road, where nothing needs them.
+    from_reset : whether the first frame is the scene after the reset.
+    world : the states in the world frame; None on a straight road, where they are not needed.
     """
 
     states: FloatArray
@@ -74,12 +73,12 @@ class History:
 
     @property
     def ego(self) -> FloatArray:
-        """The ego's states, shape (frames, 8)."""
+        """The ego's states, (frames, 8)."""
         return self.states[:, 0]
 
     @property
     def crash_frame(self) -> int | None:
-        """First frame in which the ego counts as crashed, or None."""
+        """First frame in which the ego has crashed, or None."""
         crashed = np.flatnonzero(self.ego[:, Track.CRASHED])
         return int(crashed[0]) if crashed.size else None
 
@@ -89,12 +88,12 @@ class History:
         return bool(self.ego[:, Track.OFF_ROAD].any())
 
     def gaps(self, frame: int) -> FloatArray:
-        """Clearance between the ego and each other vehicle in a frame [m], shape (vehicles - 1,)."""
+        """Clearance between the ego and each other vehicle in a frame [m], (vehicles - 1,)."""
         world = self._world()[frame, :, : Track.CRASHED]
         return separation(world[:1], world[1:])
 
     def min_gap(self) -> float:
-        """Smallest clearance between the ego and anybody, up to a crash [m]; inf when alone."""
+        """Least clearance between the ego and another vehicle, up to a crash [m]; inf without others."""
         if self.states.shape[1] < 2:
             return float("inf")
         if self.crash_frame is not None:
@@ -108,23 +107,24 @@ class History:
         return float(least_time_to_collision(self._world()))
 
     def min_headway(self) -> float:
-        """Least time headway to anybody ahead up to a crash [s], see `least_headway`; NaN on a network that is no
-        single road, inf with nobody ahead."""
+        """Least time headway up to a crash [s], see `least_headway`; NaN on a road network, inf without a vehicle
+        ahead.
+        """
         if self.road is None:
             return float("nan")
         return float(least_headway(self.states[: self.crash_frame]))
 
     def mean_jerk(self) -> float:
-        """Mean size of the jerk along the way, frame by frame up to a crash [m/s^3]; NaN in less than three frames."""
+        """Mean magnitude of the jerk along the path, up to a crash [m/s^3]; NaN with less than three frames."""
         sizes = self.jerks()
         return float(sizes.mean()) if sizes.size else np.nan
 
     def jerks(self) -> FloatArray:
-        """Size of the jerk along the way, frame by frame up to a crash [m/s^3], (frames - 2,)."""
+        """Magnitude of the jerk along the path, frame by frame up to a crash [m/s^3], (frames - 2,)."""
         return jerk(self._driven()[:, Track.SPEED], self.dt)
 
     def mean_lateral_acceleration(self) -> float:
-        """Mean size of speed times yaw rate, up to a crash [m/s^2]; NaN in less than two frames."""
+        """Mean magnitude of speed times yaw rate, up to a crash [m/s^2]; NaN with less than two frames."""
         driven = self._driven()
         rate = wrap_to_pi(np.diff(driven[:, Track.HEADING])) / self.dt
         return float(np.abs(driven[:-1, Track.SPEED] * rate).mean()) if rate.size else np.nan
@@ -139,16 +139,16 @@ class History:
         return self._world()[: self.crash_frame, 0]
 
     def _world(self) -> FloatArray:
-        """States in the world frame, or (on a straight road) in one that is only turned and moved."""
+        """States in the world frame, or on a straight road in a frame that is only rotated and translated."""
         return self.states if self.world is None else self.world
 
 
 class Recorder:
-    """Records one episode of a highway-env environment, whatever its road and its actions, or of a compiled one.
+    """Records one episode of an environment of highway-env, with any road and actions, or of a compiled one.
 
     Parameters
     ----------
-    env : the environment, wrapped or not, after `reset`; make a recorder for each episode.
+    env : the environment, wrapped or not, after `reset`; each episode needs a new recorder.
     """
 
     def __init__(self, env: Any) -> None:
@@ -157,7 +157,7 @@ class Recorder:
         self._dt = 1.0 / base.config["simulation_frequency"]
         self._base = base
         if isinstance(base, CompiledHighwayEnv):
-            # It keeps its frames itself.
+            # The compiled environment records its frames itself.
             self._rows: list[Any] = base.frames
             self._off_road: list[bool] = base.off_road
             self._column: dict[Any, int] = {}
@@ -179,19 +179,19 @@ class Recorder:
         road.step = step
 
     def _take(self, bodies: list[Any], rows: FloatArray, on_road: BoolArray) -> None:
-        """The frames of a decision, compiled."""
+        """Add the compiled frames of a decision."""
         for frame, on in zip(rows.tolist(), on_road.tolist(), strict=True):
             self._add(bodies, frame, not on)
 
     def _sample(self) -> None:
         road = self._base.road
-        # Landmarks, such as the spot that is to be reached, are nothing to collide with.
+        # Landmarks, such as a goal, are no obstacles.
         bodies = [*road.vehicles, *(thing for thing in road.objects if thing.solid)]
         frame = [(v.position[0], v.position[1], v.heading, v.speed, v.LENGTH, v.WIDTH, v.crashed) for v in bodies]
         self._add(bodies, frame, is_off_road(self._base))
 
     def _add(self, bodies: list[Any], frame: list[Any], off_road: bool) -> None:
-        """One frame; who has never been there before gets a column, and who is not there now is far away."""
+        """Add a frame; new vehicles get a column, and absent ones are far away."""
         for body in bodies:
             self._column.setdefault(body, len(self._column))
         row = [_AWAY] * len(self._column)
@@ -202,13 +202,13 @@ class Recorder:
 
     @property
     def columns(self) -> dict[Any, int]:
-        """The column of each body that has been there, by the simulator's object; of a compiled environment none."""
+        """Column of each recorded body, by the simulator's object; empty for a compiled environment."""
         return dict(self._column)
 
     def world(self) -> FloatArray:
         """The states of all frames so far in the world frame, (frames, bodies, 8), columns `Track`."""
         most = len(self._rows[-1])
-        # Who has come since was far away before.
+        # Vehicles that entered later are absent in earlier frames.
         late = [most - len(row) for row in self._rows]
         rows = np.array([[*r, *[_AWAY] * n] if n else r for r, n in zip(self._rows, late, strict=True)], float)
         world = np.concatenate([rows, np.zeros((*rows.shape[:2], 1))], axis=-1)
@@ -216,7 +216,7 @@ class Recorder:
         return world
 
     def history(self) -> History:
-        """All frames so far; the first is the scene after reset."""
+        """All frames so far; the first is the scene after the reset."""
         world = self.world()
         if self._map is None:
             return History(world, None, self._dt, world=world)
@@ -233,7 +233,7 @@ class Recorder:
 
 
 def _compiled_frames(env: Any) -> CompiledFrames | None:
-    """The wrapper that drives the frames, if there is one."""
+    """The wrapper that computes the frames, if there is one."""
     while not isinstance(env, CompiledFrames):
         if not isinstance(env, gym.Wrapper):
             return None
@@ -242,17 +242,17 @@ def _compiled_frames(env: Any) -> CompiledFrames | None:
 
 
 def is_off_road(base: Any) -> bool:
-    """Whether the ego of an environment of highway-env has left the road (see `Track`).
+    """Whether the ego of an environment of highway-env is off the road (see `Track`).
 
     Parameters
     ----------
-    base : the environment, unwrapped.
+    base : the unwrapped environment.
     """
     return not isinstance(base, ParkingEnv) and not bool(base.vehicle.on_road)
 
 
 def read_road(network: Any) -> StraightRoad | PathRoad | None:
-    """The road of a network; None where it is no single road of parallel lanes."""
+    """The road of a network; None if it is no single road of parallel lanes."""
     readers: tuple[Callable[[Any], StraightRoad | PathRoad], ...] = (StraightRoad.from_network, read_network)
     for read in readers:
         try:

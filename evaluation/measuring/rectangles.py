@@ -14,7 +14,7 @@ _CORNERS = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) / 2
 
 
 def separation(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Distance between rectangles [m], shape (...); 0 where they overlap.
+    """Distance between rectangles [m], (...); 0 if they overlap.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How many episodes a statement about crash rates needs, before they are driven."""
+"""Number of episodes that a statement about crash rates needs."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from shield.errors import ConfigError
 __all__ = ["POWER", "episodes_to_tell_apart", "episodes_without_a_crash"]
 
 POWER = 0.8
-"""Probability of finding a difference that there is, unless another is asked for."""
+"""Default probability of finding an existing difference."""
 
 
 def episodes_without_a_crash(rate: float, confidence: float = CONFIDENCE) -> int:
-    """How many episodes without a crash show that the crash rate is at most `rate`: those after which the upper end of
-    `evaluation.measuring.statistics.clopper_pearson` is no more.
+    """Number of episodes without a crash that shows a crash rate of at most `rate`.
+
+    After them the upper end of `evaluation.measuring.statistics.clopper_pearson` is at most `rate`.
 
     Raises
     ------
@@ -34,15 +35,15 @@ def episodes_without_a_crash(rate: float, confidence: float = CONFIDENCE) -> int
 
 
 def episodes_to_tell_apart(one: float, other: float, confidence: float = CONFIDENCE, power: float = POWER) -> int:
-    """How many episodes each of two policies needs for their crash rates to be told apart.
+    """Number of episodes of each of two policies that shows a difference of their crash rates.
 
-    The episodes of the two are independent here; the same seeds for both need no more.
+    The episodes of the two are independent here; with the same seeds for both, no more are needed.
     Source: the normal approximation for two proportions, Fleiss, Levin and Paik 2003, equation 4.14.
 
     Raises
     ------
     ConfigError
-        If a rate is not between 0 and 1, or the two are the same.
+        If a rate is not between 0 and 1, or the two are equal.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What is measured of the decisions of many compiled episodes at once, beside what `tally` counts."""
+"""Measures of the decisions of a batch of compiled episodes, beside those of `tally`."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ _SPEED, _CRASHED = 3, 6
 
 
 class SideBySide:
-    """Sums of the episode of each environment so far, (e,).
+    """Sums over the present episode of each environment, (e,).
 
     Parameters
     ----------
-    envs : how many. steps : of each meta-action, see `evaluation.running.decision_log.action_steps`, (actions, 2).
+    envs : number of environments.
+    steps : steps of each meta-action, see `evaluation.running.decision_log.action_steps`, (actions, 2).
     """
 
     def __init__(self, envs: int, steps: FloatArray) -> None:
@@ -29,15 +30,15 @@ class SideBySide:
         self._crashed = np.zeros(envs, np.bool_)
 
     def begin(self, e: int, speed: float) -> None:
-        """An episode begins in environment `e`, at this speed [m/s]."""
+        """Reset the sums of environment `e` for an episode that starts at this speed [m/s]."""
         self._distance[e] = self._on_lane[e] = self._speed[e] = 0.0
         self._reward[e], self._peak_speed[e], self._crashed[e] = -np.inf, speed, False
 
     def add(self, records: Any, rows: FloatArray, off_road: BoolArray, reward: FloatArray, going: BoolArray) -> None:
-        """Add a decision of each environment that is `going` on, (e,); the others as of `tally`."""
+        """Add a decision of each environment that is `going`, (e,); the other parameters as in `tally`."""
         ego = rows[:, :, 0]
         crashes = ego[..., _CRASHED] > 0
-        # Up to the frame of a crash, and with it.
+        # Frames up to and including the first crash.
         before = (np.cumsum(crashes, axis=1) - crashes > 0) | self._crashed[:, None]
         peaks = np.where(before, -np.inf, ego[..., _SPEED]).max(axis=1)
         self._peak_speed = np.where(going, np.maximum(self._peak_speed, peaks), self._peak_speed)
@@ -48,7 +49,7 @@ class SideBySide:
         self._reward = np.where(going, np.maximum(self._reward, reward), self._reward)
 
     def columns(self, e: int, steps: int) -> dict[str, float]:
-        """Columns of `EpisodeRecord` of the episode in environment `e`, which had so many decisions."""
+        """Columns of `EpisodeRecord` for the episode in environment `e`, which had `steps` decisions."""
         return {
             "input_distance": float(self._distance[e] / steps),
             "on_lane_share": float(self._on_lane[e] / steps),

@@ -1,4 +1,4 @@
-"""What episodes of the compiled highway add up to, decision by decision, many at once."""
+"""Tallies of episodes of the compiled highway, decision by decision, for a batch."""
 
 from __future__ import annotations
 
@@ -16,18 +16,21 @@ from shield.batch.codes import FALLBACKS, OVERRIDES
 __all__ = ["HORIZON", "SOON", "Tallies", "begin_tally", "distance", "empty_tallies", "tally", "time_to_collision"]
 
 HORIZON = 10.0
-"""Collisions later than this do not count [s]."""
+"""Largest time to a collision; later collisions do not count [s]."""
 SOON = 1e-3
-"""The least time to a collision that has not happened [s]."""
+"""Least time to a collision that has not happened [s]."""
 
 
 class Tallies(NamedTuple):
-    """Of the episode of each environment so far, (e,); the names are those of `EpisodeRecord`.
+    """Sums over the present episode of each environment, (e,); the names are those of `EpisodeRecord`.
 
-    `held_back` counts those of `overridden` whose action was the proposed one.
-    `min_ttc` is the least time to a collision at constant velocities, at most `HORIZON`, and 0 in a crash [s]; `speeds`
-    adds up the ego's speed over `counted` frames, up to a crash [m/s]; `fallbacks` counts the decisions in
-    which a fallback acted. `broken` (e, rules) counts what `Records.broken` does.
+    Attributes
+    ----------
+    held_back : number of decisions in `overridden` whose action was the proposal.
+    min_ttc : least time to a collision at constant velocities, at most `HORIZON`, and 0 in a crash [s].
+    speeds : sum of the ego's speed over `counted` frames, up to a crash [m/s].
+    fallbacks : number of decisions with a fallback.
+    broken : sums of `Records.broken`, (e, rules).
     """
 
     total: FloatArray
@@ -49,7 +52,7 @@ class Tallies(NamedTuple):
 
 
 def empty_tallies(e: int) -> Tallies:
-    """For e environments."""
+    """Tallies of zeros for e environments."""
     kinds: list[Any] = [float, int, float, int, int, int, int, int, int, float, float, float, bool, bool, int]
     rows: list[Any] = [*(np.zeros(e, kind) for kind in kinds), np.zeros((e, len(Rule)), int)]
     return Tallies(*rows)
@@ -57,7 +60,7 @@ def empty_tallies(e: int) -> Tallies:
 
 @inlined
 def _to_corners(a: FloatArray, b: FloatArray) -> float:
-    """The least distance between rectangle `b` and a corner of `a` [m]."""
+    """Least distance between rectangle `b` and a corner of `a` [m]."""
     cos_a, sin_a, cos_b, sin_b = math.cos(a[2]), math.sin(a[2]), math.cos(b[2]), math.sin(b[2])
     least = np.inf
     for i in (-0.5, 0.5):
@@ -72,8 +75,10 @@ def _to_corners(a: FloatArray, b: FloatArray) -> float:
 
 @uncounted
 def distance(a: FloatArray, b: FloatArray) -> float:
-    """Distance between two vehicle rows (7,) [m], 0 where they overlap: two rectangles that are apart are nearest at a
-    corner of one of them."""
+    """Distance between two vehicle rows (7,) [m], 0 if they overlap.
+
+    Two rectangles that do not overlap are nearest at a corner of one of them.
+    """
     x, y = a[0] - b[0], a[1] - b[1]
     cos, sin = math.cos(a[2] - b[2]), math.sin(a[2] - b[2])
     c, s = abs(cos), abs(sin)
@@ -87,7 +92,7 @@ def distance(a: FloatArray, b: FloatArray) -> float:
 
 @inlined
 def _while_near(offset: float, speed: float, half: float) -> tuple[float, float]:
-    """From when to when two intervals overlap whose middles are `offset` apart, which changes at `speed`."""
+    """Start and end of the overlap of two intervals, with centres `offset` apart that separate at `speed`."""
     if abs(speed) < 1e-9:
         return (-np.inf, np.inf) if abs(offset) < half else (np.inf, -np.inf)
     a, b = (-half - offset) / speed, (half - offset) / speed
@@ -96,8 +101,10 @@ def _while_near(offset: float, speed: float, half: float) -> tuple[float, float]
 
 @uncounted
 def time_to_collision(a: FloatArray, b: FloatArray) -> float:
-    """Time until two vehicle rows (7,) overlap at constant velocities, each as the upright rectangle around it, at most
-    `HORIZON` [s]."""
+    """Time until two vehicle rows (7,) overlap at constant velocities, at most `HORIZON` [s].
+
+    Each vehicle is the upright rectangle around it.
+    """
     least, most = 0.0, HORIZON
     for axis in range(2):
         half, speed = 0.0, 0.0
@@ -114,7 +121,7 @@ def time_to_collision(a: FloatArray, b: FloatArray) -> float:
 
 @uncounted
 def _see(rows: FloatArray, off_road: bool, tallies: Tallies, e: int, times: bool) -> None:
-    """One frame: bodies (m, 7), the ego first; see `tally`."""
+    """Add one frame, with bodies (m, 7), the ego first; see `tally`."""
     tallies.off_road[e] = tallies.off_road[e] or off_road
     if tallies.crashed[e]:
         return
@@ -125,7 +132,7 @@ def _see(rows: FloatArray, off_road: bool, tallies: Tallies, e: int, times: bool
         tallies.crashed[e], tallies.min_gap[e], tallies.min_ttc[e] = True, 0.0, 0.0
         return
     for i in range(1, rows.shape[0]):
-        # Nobody is nearer than its circle.
+        # The distance of the bodies is at least that of their circumscribed circles.
         reach = 0.5 * (math.hypot(ego[4], ego[5]) + math.hypot(rows[i, 4], rows[i, 5]))
         if math.hypot(rows[i, 0] - ego[0], rows[i, 1] - ego[1]) - reach < tallies.min_gap[e]:
             tallies.min_gap[e] = min(tallies.min_gap[e], distance(ego, rows[i]))
@@ -135,7 +142,7 @@ def _see(rows: FloatArray, off_road: bool, tallies: Tallies, e: int, times: bool
 
 @uncounted
 def begin_tally(tallies: Tallies, e: int, rows: FloatArray, off_road: bool, times: bool) -> None:
-    """Begin an episode, in the scene that it was reset to; see `tally`."""
+    """Reset the tallies of environment `e` and add the scene after its reset; see `tally`."""
     tallies.total[e] = tallies.speeds[e] = 0.0
     tallies.steps[e] = tallies.counted[e] = tallies.overridden[e] = tallies.frames[e] = 0
     tallies.held_back[e] = 0
@@ -157,12 +164,15 @@ def tally(
     going: BoolArray,
     times: bool,
 ) -> None:
-    """Add one decision of each environment that is `going` on, (e,).
+    """Add one decision of each environment that is `going`, (e,).
 
     Parameters
     ----------
-    records, rows, off_road : see `ShieldedHighways`. reward : (e,).
-    times : whether the times to collision are asked for, `Tallies.min_ttc`, which stays `HORIZON` otherwise.
+    tallies : the tallies, changed in place.
+    records, rows, off_road : see `ShieldedHighways`.
+    reward : rewards, (e,).
+    going : environments to count, (e,).
+    times : whether `Tallies.min_ttc` is computed; it stays `HORIZON` otherwise.
     """
     for e in range(rows.shape[0]):
         if not going[e]:
@@ -186,7 +196,7 @@ def tally(
         tallies.min_margin[e] = margin
         tallies.frames[e] += rows.shape[1]
         tallies.frames_overridden[e] += held
-        # As in `Decision.with_frames`: a fallback that is what was proposed is no override.
+        # As in `Decision.with_frames`: a fallback equal to the proposal is no override.
         other = OVERRIDES[records.tier[e]] and records.executed[e] != records.proposed[e]
         tallies.overridden[e] += other or held > 0
         tallies.held_back[e] += held > 0 and not other

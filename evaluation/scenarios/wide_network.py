@@ -1,4 +1,4 @@
-"""highway-env's road network, with the nearest lane found among the few that can be it."""
+"""highway-env's road network with a faster search for the nearest lane."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ __all__ = ["WideNetwork"]
 
 _SAMPLES = 9
 _SLACK = 1.0
-"""What the samples of a lane may miss of the circle around it [m]: more than any of a course's lanes needs."""
+"""Margin of a lane's circle for points between its samples [m]; larger than any lane of a map needs."""
 
 
 class WideNetwork(RoadNetwork):  # type: ignore[misc]
-    """A `RoadNetwork` whose `get_closest_lane_index` answers the same, and faster where there are many lanes.
+    """A `RoadNetwork` whose `get_closest_lane_index` has the same result, and is faster on many lanes.
 
-    highway-env's distance to a lane is the length of a way to it, so it is no less than the distance to a circle around
-    the lane. A lane whose circle is farther than another lane is not asked.
+    highway-env's distance to a lane is the length of a path to it, so it is at least the distance to a circle around
+    the lane. Lanes with a circle farther away than another lane are skipped.
 
     Parameters
     ----------
@@ -48,14 +48,14 @@ class WideNetwork(RoadNetwork):  # type: ignore[misc]
         self._index()
 
     def _index(self) -> None:
-        # The order in which highway-env asks: of lanes that are equally near the first is taken.
+        # highway-env's order: of equally near lanes the first is taken.
         found = self.lanes_dict()
         self._indexes: list[LaneIndex] = list(found)
         self._lanes: list[AbstractLane] = list(found.values())
         self._circles = np.array([_circle(lane) for lane in self._lanes]).reshape(-1, 3)
 
     def get_closest_lane_index(self, position: FloatArray, heading: float | None = None) -> LaneIndex:
-        """The lane nearest to a position [m], a heading [rad] counting as well where one is given."""
+        """Index of the lane nearest to a position [m], with regard to a heading [rad] if it is given."""
         away = np.hypot(self._circles[:, 0] - position[0], self._circles[:, 1] - position[1]) - self._circles[:, 2]
         near = self._lanes[int(away.argmin())].distance_with_heading(position, heading)
         asked = np.flatnonzero(away <= near)
@@ -64,7 +64,7 @@ class WideNetwork(RoadNetwork):  # type: ignore[misc]
 
 
 def _circle(lane: AbstractLane) -> FloatArray:
-    """A circle around a lane: x, y, radius [m], shape (3,)."""
+    """A circle around a lane: x, y, radius [m], (3,)."""
     points = np.array([lane.position(along, 0.0) for along in np.linspace(0.0, lane.length, _SAMPLES)])
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     return np.array([*middle, np.hypot(*(points - middle).T).max() + _SLACK])

@@ -1,7 +1,7 @@
 """Intervals and paired tests for episode results.
 
-Every function takes plain arrays and returns a frozen record with the number of samples in it.
-Resampling uses a fixed seed, so the same episodes give the same table.
+Every function takes plain arrays and returns a frozen record with the number of samples. Resampling uses a fixed seed,
+so the same episodes give the same table.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 CONFIDENCE = 0.95
-"""Coverage of every interval, unless another is asked for."""
+"""Default coverage of every interval."""
 
 _RESAMPLES = 9999
 _SEED = 0
@@ -46,8 +46,8 @@ class Interval:
 
     Attributes
     ----------
-    estimate : the rate or mean itself.
-    low, high : ends of the interval; NaN where one sample alone admits none.
+    estimate : the rate or mean.
+    low, high : ends of the interval; NaN if a single sample admits none.
     n : number of samples (pairs, for a paired difference).
     """
 
@@ -63,7 +63,7 @@ class McNemar:
 
     Attributes
     ----------
-    only_first, only_second : discordant pairs, by which of the two had the event.
+    only_first, only_second : number of discordant pairs with the event in the first, or in the second outcome.
     p_value : two-sided, exact binomial on the discordant pairs; 1 without any.
     n : number of pairs.
     """
@@ -75,7 +75,7 @@ class McNemar:
 
 
 def clopper_pearson(count: int, n: int, confidence: float = CONFIDENCE) -> Interval:
-    """The exact two-sided interval of a rate (Clopper and Pearson 1934), for rates near 0 that a claim rests on.
+    """The exact two-sided interval of a rate (Clopper and Pearson 1934), for claims about rates near 0.
 
     With a count of 0 its upper end is that of the one-sided interval of the same confidence, 1 - (1 - c)^(1/n).
 
@@ -112,8 +112,8 @@ def wilson(successes: int, n: int, confidence: float = CONFIDENCE) -> Interval:
 def bootstrap_mean(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """Mean with a percentile bootstrap interval.
 
-    Samples that are all equal give an interval of no width, a single sample gives one of NaN.
-    (The bias-corrected interval is not defined for every sample; this one is.)
+    Equal samples give an interval of width 0; a single sample gives NaN. The bias-corrected interval is not used,
+    because it is undefined for some samples.
     """
     samples = _samples(values)
     mean, n = float(samples.mean()), int(samples.size)
@@ -152,13 +152,14 @@ def nested_bootstrap(
 ) -> Interval:
     """A statistic of all samples, with a percentile bootstrap interval over groups and over the samples in each.
 
-    Groups are training seeds and samples their episodes: each resample draws groups, and samples within each, with
-    replacement. Episodes of the same model are alike, and an interval over pooled episodes is too narrow for models
-    that are not those of this training.
+    Groups are training seeds, and samples are their episodes. Each resample draws groups, and samples within each, with
+    replacement. Episodes of the same model are correlated. So an interval over pooled episodes would be too narrow for
+    models of other training seeds.
 
     Parameters
     ----------
-    groups : samples of each, not empty. statistic : of a vector of samples.
+    groups : samples of each group, not empty.
+    statistic : function of a vector of samples.
 
     Examples
     --------
@@ -194,7 +195,7 @@ def paired_difference(first: ArrayLike, second: ArrayLike, confidence: float = C
 def paired_rate_difference(first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """Difference of the rates of two paired binary outcomes, with the Bonett-Price interval.
 
-    Resampling would give an interval of no width when all pairs agree; this one does not.
+    A bootstrap interval would have width 0 if all pairs agree; this one does not.
     Source: Bonett and Price 2012, adjusted Wald interval for paired proportions.
 
     Examples
@@ -214,7 +215,7 @@ def paired_rate_difference(first: ArrayLike, second: ArrayLike, confidence: floa
 
 
 def mcnemar(first: ArrayLike, second: ArrayLike) -> McNemar:
-    """Whether two paired binary outcomes (crashed with, crashed without) differ in rate.
+    """Test whether two paired binary outcomes (crashed with, crashed without) differ in rate.
 
     Examples
     --------
@@ -229,7 +230,7 @@ def mcnemar(first: ArrayLike, second: ArrayLike) -> McNemar:
 
 
 def quantiles(values: ArrayLike, levels: Sequence[float] = (0.5, 0.99)) -> tuple[float, ...]:
-    """Quantiles of pooled samples; NaN without any (an unshielded run has no latencies)."""
+    """Quantiles of pooled samples; NaN without samples (an unshielded run has no latencies)."""
     samples = np.asarray(values, dtype=float)
     if samples.size == 0:
         return tuple(float("nan") for _ in levels)
